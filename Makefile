@@ -1,0 +1,80 @@
+# `make test` and `make demo` need Python 3.10 to 3.13 and, the first time only, the network.
+# PYTHON=python3.12 chooses the interpreter; without it an existing .venv is kept as it is.
+
+BIN := .venv/bin
+COLCON_VENV := build/colcon_venv
+COLCON_WS := build/colcon_ws
+SUPPORTED := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))
+SHOW_VERSION := import sys; print(sys.version_info[:2])
+
+# The loop takes the first that really runs: a pyenv shim exists and fails.
+FIND_PYTHON = for python in $(or $(PYTHON),python3 python3.13 python3.12 python3.11 python3.10); do \
+	"$$python" -c '$(SUPPORTED)' 2>/dev/null && break; python=; done; \
+	test -n "$$python" || { echo "mbd_ros needs Python 3.10, 3.11, 3.12 or 3.13; not found:" \
+	"$(or $(PYTHON),python3 python3.10 .. python3.13). Name one: make PYTHON=/path/to/python" >&2; exit 1; }
+
+ifdef PYTHON
+ifneq ($(shell $(PYTHON) -c '$(SHOW_VERSION)' 2>&1),$(shell test -x $(BIN)/python && $(BIN)/python -c '$(SHOW_VERSION)'))
+OTHER_PYTHON := other_python
+endif
+endif
+
+.PHONY: venv test demo lint format report soak bench colcon clean other_python
+
+venv: .venv/installed
+
+.venv/pinned: requirements/pins.txt $(OTHER_PYTHON)
+	@$(FIND_PYTHON); rm -rf .venv; "$$python" -m venv .venv || { rm -rf .venv; \
+	echo "$$python has no working venv module: install python3-venv" >&2; exit 1; }
+	$(BIN)/python -m pip install --quiet --use-pep517 -r requirements/pins.txt
+	@touch $@
+
+.venv/installed: .venv/pinned setup.py setup.cfg pyproject.toml
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	@touch $@
+
+test: venv
+	$(BIN)/python -m pytest
+
+demo: venv
+	$(BIN)/mbd-ros demo -o demo_out
+
+lint: venv
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: venv
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+report: venv
+	$(BIN)/mbd-ros report -o report_out
+
+soak: venv
+	$(BIN)/python -m pytest -m soak --timeout 0
+
+bench: venv
+	$(BIN)/python -m mbd_ros.report.bench_inverse
+
+$(COLCON_VENV)/pinned: requirements/colcon.txt .venv/pinned
+	rm -rf $(COLCON_VENV) && $(BIN)/python -m venv $(COLCON_VENV)
+	$(COLCON_VENV)/bin/python -m pip install --quiet --use-pep517 -r requirements/colcon.txt
+	@touch $@
+
+# A copy, so that colcon sees what a clone would hold; what it installed must then run, away from the checkout.
+colcon: venv $(COLCON_VENV)/pinned
+	rm -rf $(COLCON_WS) && mkdir -p $(COLCON_WS)/src/mbd_ros
+	git ls-files -z --cached --others --exclude-standard | xargs -0 cp --parents -t $(COLCON_WS)/src/mbd_ros
+	. $(COLCON_VENV)/bin/activate && cd $(COLCON_WS) && \
+	test "$$(colcon list | cut -f 1,3)" = "$$(printf 'mbd_ros\t(ros.ament_python)')" && colcon build
+	cd $(COLCON_WS)/install/mbd_ros && test -x lib/mbd_ros/inverse_dynamics && test -x lib/mbd_ros/mbd-ros \
+	&& test -f share/ament_index/resource_index/packages/mbd_ros && test -f share/mbd_ros/package.xml \
+	&& for folder in config launch; do diff -r ../../src/mbd_ros/$$folder share/mbd_ros/$$folder || exit 1; done \
+	&& PYTHONPATH=$$(echo $$PWD/lib/python3*/site-packages) $(CURDIR)/$(BIN)/python lib/mbd_ros/mbd-ros \
+	check share/mbd_ros/config/scenes/empty.yaml
+	@echo "colcon: built as ros.ament_python, executables under lib/mbd_ros, the installed package runs"
+
+clean:
+	rm -rf .venv build install log dist demo_out report_out *.egg-info .mypy_cache .pytest_cache .ruff_cache
+	find mbd_ros msg_adapters test launch -name __pycache__ -prune -exec rm -rf {} +

@@ -1,0 +1,52 @@
+"""Install mbd_ros, with pip or with colcon."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "mbd_ros"
+SHARE = Path("share") / NAME
+
+
+def shared_files() -> list[tuple[str, list[str]]]:
+    """Files below `share/`: the ament marker, package.xml, launch files and configuration."""
+    files = [(Path("share/ament_index/resource_index/packages"), Path("resource") / NAME)]
+    files.append((SHARE, Path("package.xml")))
+    for folder in ("launch", "config"):
+        found = sorted(Path(folder).rglob("*"))
+        files += [(SHARE / f.parent, f) for f in found if f.is_file() and f.suffix != ".pyc"]
+    return [(target.as_posix(), [source.as_posix()]) for target, source in files]
+
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Dynamics of robots and prostheses with coupled joints, offline and live.",
+    license="Apache-2.0",
+    license_files=["LICENSE"],
+    maintainer="mbd_ros maintainers",
+    maintainer_email="mbd_ros@users.noreply.github.com",
+    packages=find_packages(include=[NAME, f"{NAME}.*", "msg_adapters"]),
+    data_files=shared_files(),
+    python_requires=">=3.10",
+    install_requires=[
+        "PyYAML",
+        "apsw",
+        "matplotlib",
+        "numpy",
+        "pin",
+        "ros-jazzy-common-interfaces",
+        "ros-jazzy-rclpy",
+        "ros-jazzy-rmw-fastrtps-cpp",
+        "rosbags",
+    ],
+    extras_require={
+        "dev": ["mypy", "pytest", "pytest-timeout", "ruff", "scipy", "setuptools", "types-PyYAML"]
+    },
+    entry_points={
+        "console_scripts": [
+            "mbd-ros = mbd_ros.cli:main",
+            "inverse_dynamics = mbd_ros.nodes.inverse_dynamics:main",
+        ]
+    },
+)
