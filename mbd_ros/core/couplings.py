@@ -1,0 +1,249 @@
+"""Dependent joints: q = F(z), with G = dF/dz and the drift dG/dt z'.
+
+Every dependent joint follows one other joint, its parent, by a law f. Chains are walked joint by joint:
+
+    q_d = f(q_p),    v_d = f' v_p,    a_d = f' a_p + f'' v_p^2
+
+from the independent joints outwards gives F(z), G z' and G z'' + dG/dt z'; the same walk backwards,
+tau_p += f' tau_d, gives G' tau. After the backward walk tau_d is the coupling multiplier lam_d.
+"""
+
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.robot import Joint, Robot
+from mbd_ros.core.state import Array
+from mbd_ros.errors import ModelError
+
+
+def _horner(coefficients: Any, z: Any) -> tuple[Any, Any, Any]:
+    """Value, first and second derivative of a polynomial, highest power first."""
+    value = slope = half_curvature = 0.0 * z
+    for c in coefficients:
+        half_curvature = half_curvature * z + slope
+        slope = slope * z + value
+        value = value * z + c
+    return value, slope, 2.0 * half_curvature
+
+
+class Polynomial:
+    """q_d = c0 + c1 z + c2 z^2 + ...
+
+    Args:
+        coefficients: c0, c1, ... [rad or m, per power of the parent's rad or m], at least one.
+    """
+
+    def __init__(self, coefficients: Sequence[float]) -> None:
+        if len(coefficients) == 0:
+            raise ModelError("polynomial has no coefficients")
+        self._highest_first = tuple(float(c) for c in reversed(coefficients))
+
+    def __call__(self, z: Any) -> tuple[Any, Any, Any]:
+        """f(z), f'(z) and f''(z); z is a float or an array."""
+        return _horner(self._highest_first, z)
+
+
+class PiecewisePolynomial:
+    """One polynomial an interval; the outer pieces continue beyond the outer breaks.
+
+    Args:
+        breaks: Interval ends z_0 < z_1 < ... < z_n [rad or m].
+        coefficients: One row an interval, highest power first, in (z - left break).
+
+    Raises:
+        ModelError: Breaks not increasing, or rows of another number or length.
+    """
+
+    def __init__(
+        self, breaks: Sequence[float], coefficients: Sequence[Sequence[float]]
+    ) -> None:
+        _check_increasing(breaks, "breaks")
+        if len(coefficients) != len(breaks) - 1:
+            raise ModelError(
+                f"{len(coefficients)} rows of coefficients for {len(breaks) - 1} intervals"
+            )
+        if len({len(row) for row in coefficients}) != 1 or len(coefficients[0]) == 0:
+            raise ModelError("rows of coefficients differ in length or are empty")
+        self._lefts = [float(b) for b in breaks[:-1]]
+        self._inner = self._lefts[1:]
+        self._rows = [tuple(float(c) for c in row) for row in coefficients]
+        self._left_array, self._row_array = np.array(self._lefts), np.array(self._rows)
+
+    def __call__(self, z: Any) -> tuple[Any, Any, Any]:
+        """f(z), f'(z) and f''(z); z is a float or an array."""
+        if isinstance(z, float):
+            piece = bisect_right(self._inner, z)
+            return _horner(self._rows[piece], z - self._lefts[piece])
+        pieces = np.searchsorted(self._inner, z, side="right")
+        return _horner(self._row_array[pieces].T, z - self._left_array[pieces])
+
+
+def natural_cubic_spline(x: Sequence[float], y: Sequence[float]) -> PiecewisePolynomial:
+    """Interpolating cubic spline with zero end curvature, continued by straight lines.
+
+    Args:
+        x: Positions of the parent, increasing, at least two [rad or m].
+        y: Positions of the dependent joint [rad or m].
+
+    Raises:
+        ModelError: Lengths differ or x does not increase.
+
+    Source: C. de Boor, A Practical Guide to Splines, 1978, ch. IV.
+    """
+    _check_increasing(x, "x")
+    if len(x) != len(y):
+        raise ModelError(f"spline has {len(x)} x and {len(y)} y")
+    knots, values = np.array(x, dtype=np.float64), np.array(y, dtype=np.float64)
+    h, n = np.diff(knots), len(knots)
+    system, right = np.eye(n), np.zeros(n)
+    for i in range(1, n - 1):
+        system[i, i - 1 : i + 2] = h[i - 1], 2.0 * (h[i - 1] + h[i]), h[i]
+        right[i] = 6.0 * ((values[i + 1] - values[i]) / h[i] - (values[i] - values[i - 1]) / h[i - 1])
+    curvature = np.linalg.solve(system, right)
+    cubic, quadratic = np.diff(curvature) / (6.0 * h), curvature[:-1] / 2.0
+    slope = np.diff(values) / h - h * (2.0 * curvature[:-1] + curvature[1:]) / 6.0
+    inside = np.column_stack([cubic, quadratic, slope, values[:-1]])
+    end_slope = slope[-1] + h[-1] * (curvature[-2] + curvature[-1]) / 2.0
+    before = [0.0, 0.0, slope[0], values[0] - slope[0] * h[0]]
+    after = [0.0, 0.0, end_slope, values[-1]]
+    breaks = [knots[0] - h[0], *knots, knots[-1] + h[-1]]
+    return PiecewisePolynomial(breaks, [before, *inside.tolist(), after])
+
+
+def _check_increasing(values: Sequence[float], name: str) -> None:
+    if len(values) < 2 or any(b <= a for a, b in zip(values, values[1:], strict=False)):
+        raise ModelError(f"{name} must be at least two increasing numbers, got {list(values)}")
+
+
+Law = Polynomial | PiecewisePolynomial
+
+
+class Coupling(NamedTuple):
+    """What a dependent joint follows, in topic names."""
+
+    parent: str
+    law: Law
+
+
+class _Link(NamedTuple):
+    child_q: int
+    child_v: int
+    parent_q: int
+    parent_v: int
+    law: Law
+
+
+class Couplings:
+    """All dependent joints of a robot.
+
+    Args:
+        robot: The robot; its `<mimic>` joints join in.
+        couplings: Dependent joint -> what it follows; wins over a `<mimic>` of the same joint.
+
+    Attributes:
+        independent: Names of the independent joints, in the order of z.
+        dependent: Names of the dependent joints, in the order of the multipliers.
+        parents: Dependent joint -> its direct parent.
+        q_index: Where z stands in q, shape (nz,); with a floating base its pose comes first.
+        v_index: Where z' stands in v, shape (nv_z,).
+
+    Raises:
+        ModelError: Unknown, fixed or locked joint, or a cycle, with the path.
+    """
+
+    def __init__(self, robot: Robot, couplings: Mapping[str, Coupling] | None = None) -> None:
+        mimics = {m.joint: Coupling(m.parent, Polynomial([m.offset, m.factor])) for m in robot.mimics}
+        laws = {**mimics, **(couplings or {})}
+        for name, coupling in laws.items():
+            _check_ends(robot, name, coupling.parent)
+        order = _outwards(laws)
+        child = {name: robot.joint(name) for name in order}
+        self.independent = tuple(j.name for j in robot.joints if j.name not in laws)
+        self.dependent = tuple(order)
+        self.parents = {name: laws[name].parent for name in order}
+        self._links = [_link(robot, child[name], laws[name]) for name in order]
+        self._slopes: list[Any] = [0.0] * len(order)
+        dependent_q = [joint.q for joint in child.values()]
+        self._dependent_v = np.array([joint.v for joint in child.values()], dtype=np.intp)
+        self.q_index = np.setdiff1d(np.arange(robot.model.nq), dependent_q)
+        self.v_index = np.setdiff1d(np.arange(robot.model.nv), self._dependent_v)
+        self._nv = int(robot.model.nv)
+
+    def expand(self, q: Array, v: Array, a: Array) -> None:
+        """Fill the dependent rows of q, v and a from the independent ones, in place.
+
+        Args:
+            q: Configuration, shape (nq,), or a batch (nq, n).
+            v: Velocity, shape (nv,) or (nv, n).
+            a: Acceleration, shape (nv,) or (nv, n).
+        """
+        q_of, v_of, a_of = (x.item if x.ndim == 1 else x.__getitem__ for x in (q, v, a))
+        for i, (child_q, child_v, parent_q, parent_v, law) in enumerate(self._links):
+            q[child_q], slope, curvature = law(q_of(parent_q))
+            rate = v_of(parent_v)
+            v[child_v] = slope * rate
+            a[child_v] = slope * a_of(parent_v) + curvature * rate * rate
+            self._slopes[i] = slope
+
+    def reduce(self, tau: Array) -> tuple[Array, Array]:
+        """G' tau and the multipliers, at the configuration of the last `expand`.
+
+        Args:
+            tau: Generalized forces of all joints, shape (nv,) or (nv, n); overwritten.
+
+        Returns:
+            Forces of the independent coordinates, shape (nv_z,) or (nv_z, n), and the multiplier of
+            every dependent joint, shape (len(dependent),) or (len(dependent), n).
+        """
+        for i in range(len(self._links) - 1, -1, -1):
+            link = self._links[i]
+            tau[link.parent_v] += self._slopes[i] * tau[link.child_v]
+        return tau[self.v_index], tau[self._dependent_v]
+
+    def positions(self, z: Array) -> Array:
+        """F(z): all positions of the 1-coordinate joints of a fixed-base robot.
+
+        Args:
+            z: Independent positions [rad or m], shape (nz,).
+        """
+        q, v, a = np.empty(self._nv), np.zeros(self._nv), np.zeros(self._nv)
+        q[self.q_index] = z
+        self.expand(q, v, a)
+        return q
+
+    def jacobian(self) -> Array:
+        """G = dF/dz at the configuration of the last `expand`, shape (nv, nv_z)."""
+        G = np.zeros((self._nv, len(self.v_index)))
+        G[self.v_index, np.arange(len(self.v_index))] = 1.0
+        for slope, link in zip(self._slopes, self._links, strict=True):
+            G[link.child_v] = slope * G[link.parent_v]
+        return G
+
+
+def _check_ends(robot: Robot, name: str, parent: str) -> None:
+    for role, joint in (("coupled joint", name), ("parent", parent)):
+        try:
+            robot.joint(joint)
+        except ModelError as error:
+            raise ModelError(f"coupling {name} <- {parent}: {role}: {error}") from error
+
+
+def _outwards(laws: Mapping[str, Coupling]) -> list[str]:
+    """Dependent joints, parents before children."""
+    order: list[str] = []
+    for name in laws:
+        path = [name]
+        while (parent := laws[path[-1]].parent) in laws and parent not in order:
+            if parent in path:
+                raise ModelError(f"couplings form a cycle: {' <- '.join([*path, parent])}")
+            path.append(parent)
+        order.extend(joint for joint in reversed(path) if joint not in order)
+    return order
+
+
+def _link(robot: Robot, child: Joint, coupling: Coupling) -> _Link:
+    parent = robot.joint(coupling.parent)
+    return _Link(child.q, child.v, parent.q, parent.v, coupling.law)

@@ -1,0 +1,56 @@
+"""The values that flow between the parts."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class State(NamedTuple):
+    """Configuration and velocity at one time.
+
+    Attributes:
+        t: Time [s].
+        q: Configuration [m, rad], shape (nq,).
+        v: Velocity [m/s, rad/s], shape (nv,).
+    """
+
+    t: float
+    q: Array
+    v: Array
+
+
+class Motion(NamedTuple):
+    """Sampled joint motion, one row a sample, one column a joint.
+
+    Attributes:
+        names: Joint names, one a column.
+        stamps: Sample times [ns], strictly increasing, shape (n,), int64.
+        position: [rad or m], shape (n, len(names)).
+        velocity: [rad/s or m/s], same shape; NaN where it was not measured; None without any.
+        acceleration: [rad/s^2 or m/s^2], same shape, or None.
+        effort: Measured effort [N·m or N], same shape, NaN where not measured; None without any.
+    """
+
+    names: tuple[str, ...]
+    stamps: NDArray[np.int64]
+    position: Array
+    velocity: Array | None = None
+    acceleration: Array | None = None
+    effort: Array | None = None
+
+
+class WrenchSamples(NamedTuple):
+    """Sampled wrench of one external load.
+
+    Attributes:
+        stamps: Sample times [ns], strictly increasing, shape (n,), int64.
+        wrench: Force [N] then torque [N·m] about the declared point, shape (n, 6).
+        frame_id: Frame that the messages name; empty where they name none.
+    """
+
+    stamps: NDArray[np.int64]
+    wrench: Array
+    frame_id: str = ""

@@ -1,0 +1,168 @@
+"""Joint-state samples -> torques: the causal estimate, live and offline alike."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.differentiation import NANOSECOND, CausalDifferentiator, Sample
+from mbd_ros.core.inverse_dynamics import InverseDynamics, Torques
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.state import Array
+from mbd_ros.errors import ModelError
+
+_NEVER = -(2**62)
+
+
+class Tuning(NamedTuple):
+    """How samples are judged and filtered.
+
+    Attributes:
+        cutoff: Half-power frequency of the derivative filters [Hz].
+        velocity_margin: Steps beyond margin x velocity limit x dt are encoder glitches.
+        patience: So many glitches in a row are believed.
+        max_age: How long a joint that messages lack keeps its last position [s].
+        rewind: A stamp older than the last by more than this is a new beginning [s].
+    """
+
+    cutoff: float = 5.0
+    velocity_margin: float = 2.0
+    patience: int = 5
+    max_age: float = 0.1
+    rewind: float = 1.0
+
+
+class Observation(NamedTuple):
+    """One accepted sample with its derivatives.
+
+    Attributes:
+        stamp: Time [ns].
+        position: Independent joints [rad or m], shape (n,).
+        velocity: [rad/s or m/s], shape (n,).
+        acceleration: [rad/s^2 or m/s^2], shape (n,).
+        dependent: Measured positions of the dependent joints, NaN where absent, shape (n_d,).
+    """
+
+    stamp: int
+    position: Array
+    velocity: Array
+    acceleration: Array
+    dependent: Array
+
+
+class TorqueEstimator:
+    """Causal inverse dynamics on a stream of joint samples.
+
+    Args:
+        robot: The robot; fixed base.
+        inverse: Solver, owned by the estimator from now on.
+        tuning: How samples are judged and filtered.
+
+    Attributes:
+        names: Joints of a sample: the independent ones, then the dependent ones.
+        differentiator: Where velocity and acceleration come from.
+
+    Raises:
+        ModelError: The base floats: joint states do not carry its pose.
+    """
+
+    def __init__(self, robot: Robot, inverse: InverseDynamics, tuning: Tuning) -> None:
+        if robot.floating:
+            raise ModelError("joint states do not carry the pose of a floating base; use base: fixed")
+        couplings = inverse.couplings
+        self.names = couplings.independent + couplings.dependent
+        self._inverse, self._n = inverse, len(couplings.independent)
+        self._independent = [robot.joint(name) for name in couplings.independent]
+        self._dependent_q = [robot.joint(name).q for name in couplings.dependent]
+        self._ones = np.ones(len(self.names))
+        self.tune(tuning)
+
+    def tune(self, tuning: Tuning) -> None:
+        """Replace the tuning; the filters start again."""
+        limits = np.array([joint.max_velocity for joint in self._independent])
+        continuous = [joint.kind == "continuous" for joint in self._independent]
+        self.differentiator = CausalDifferentiator(
+            cutoff=tuning.cutoff,
+            velocity_limit=limits * tuning.velocity_margin,
+            wraps=np.array(continuous, dtype=np.bool_),
+            patience=tuning.patience,
+            rewind=tuning.rewind,
+        )
+        self._max_age = int(tuning.max_age / NANOSECOND)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self.differentiator.reset()
+        self._position, self._velocity = np.zeros(self._n), np.full(self._n, np.nan)
+        self._seen, self._complete = np.full(self._n, _NEVER, dtype=np.int64), _NEVER
+
+    def observe(
+        self, stamp: int, position: Array, velocity: Array, present: NDArray[np.bool_]
+    ) -> Observation | Sample:
+        """Take a sample of the motion.
+
+        Args:
+            stamp: Time [ns].
+            position: In the order of `names` [rad or m], NaN where absent.
+            velocity: In the order of `names` [rad/s or m/s], NaN where absent.
+            present: Which of `names` the message carries, shape (len(names),).
+
+        Returns:
+            The sample with its derivatives, or why it cannot be used.
+        """
+        n = self._n
+        z, v = position[:n], velocity[:n]
+        if math.isfinite(position.dot(self._ones)):
+            self._complete = stamp
+        elif not np.isfinite(z[present[:n]]).all():
+            return Sample.NOT_FINITE
+        elif present[:n].all():
+            self._complete = stamp
+        else:
+            z, v = self._hold(stamp, z, v, present[:n])
+            if stamp - int(self._seen.min()) > self._max_age:
+                return Sample.INCOMPLETE
+        self._position, self._velocity = z, v
+        outcome = self.differentiator.update(stamp, z, v)
+        if outcome in _UNUSED:
+            return outcome
+        d = self.differentiator
+        return Observation(stamp, d.position, d.velocity, d.acceleration, position[n:])
+
+    def _hold(
+        self, stamp: int, z: Array, v: Array, present: NDArray[np.bool_]
+    ) -> tuple[Array, Array]:
+        """Position and velocity with the last known values where a joint is not present."""
+        np.maximum(self._seen, self._complete, out=self._seen)
+        self._seen[present] = stamp
+        self._position = np.where(present, z, self._position)
+        self._velocity = np.where(present, v, self._velocity)
+        return self._position, self._velocity
+
+    def solve(self, x: Observation, wrenches: Sequence[Array] = ()) -> Torques | None:
+        """Torques of an observation; None if they are not finite, after which the filters restart.
+
+        Args:
+            x: What `observe` returned.
+            wrenches: One (6,) array for every load of the scene.
+        """
+        torques = self._inverse.solve(x.position, x.velocity, x.acceleration, wrenches)
+        if math.isfinite(torques.tau.sum()):
+            return torques
+        self.reset()
+        return None
+
+    def violation(self, x: Observation) -> Array:
+        """Measured minus coupled position of the dependent joints, of the newest `solve`.
+
+        Returns:
+            [rad or m], 0 where a joint was not measured, shape (n_d,).
+        """
+        off = x.dependent - self._inverse.configuration[self._dependent_q]
+        return np.where(np.isfinite(off), off, 0.0)
+
+
+_UNUSED = frozenset({Sample.OLD, Sample.JUMP})

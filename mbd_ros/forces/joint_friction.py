@@ -1,0 +1,50 @@
+"""Dry and viscous friction in a joint, regularised."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+
+class JointFriction:
+    """tau = -coulomb tanh(v / smoothing) - viscous v. No stiction: a joint at rest creeps.
+
+    Args:
+        robot: Robot of the scene.
+        joint: Joint that rubs.
+        coulomb: Dry friction [N·m or N], >= 0.
+        viscous: [N·m·s/rad or N·s/m], >= 0.
+        smoothing: Velocity at which 76 % of the dry friction is reached [rad/s or m/s], > 0.
+    """
+
+    example = {"joint": "ankle", "coulomb": 0.4, "viscous": 0.05}
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        joint: str,
+        coulomb: float = 0.0,
+        viscous: float = 0.0,
+        smoothing: float = 1.0e-2,
+    ) -> None:
+        if coulomb < 0 or viscous < 0 or smoothing <= 0:
+            raise ModelError(
+                f"coulomb {coulomb:g} and viscous {viscous:g} must be >= 0, smoothing "
+                f"{smoothing:g} > 0"
+            )
+        self.joint = robot.joint(joint)
+        self._coulomb, self._viscous, self._smoothing = coulomb, viscous, smoothing
+        self._nv = int(robot.model.nv)
+
+    def force(self, data: Any, x: State) -> Array:
+        """Generalized force of the friction, shape (nv,)."""
+        tau = np.zeros(self._nv)
+        rate = float(x.v[self.joint.v])
+        dry = self._coulomb * math.tanh(rate / self._smoothing)
+        tau[self.joint.v] = -dry - self._viscous * rate
+        return tau
