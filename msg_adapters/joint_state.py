@@ -1,0 +1,152 @@
+"""sensor_msgs/JointState <-> arrays in a fixed joint order."""
+
+from array import array
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msg_adapters.errors import MessageError
+from msg_adapters.time import read_time, write_time
+
+
+class JointSample(NamedTuple):
+    """One JointState in the order of the reader's names; NaN stands for absent.
+
+    Attributes:
+        stamp: Header stamp [ns]; 0 where the publisher set none.
+        position: [rad or m], shape (n,).
+        velocity: [rad/s or m/s], shape (n,).
+        effort: [N·m or N], shape (n,).
+    """
+
+    stamp: int
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    effort: NDArray[np.float64]
+
+
+class JointStateReader:
+    """Reads messages whose joints may be reordered, missing or more than asked for.
+
+    Attributes:
+        names: The joints asked for, in the order of the arrays.
+        present: Which of them the newest message carried, shape (n,) of bool.
+        missing: Those that it did not carry.
+        extra: Joints of the newest message that were not asked for.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.names = tuple(names)
+        self.present = np.zeros(len(names), dtype=np.bool_)
+        self.missing: tuple[str, ...] = ()
+        self.extra: tuple[str, ...] = ()
+        self._absent = np.full(len(names), np.nan)
+        self._absent.flags.writeable = False
+        self._message_names: list[str] | None = None
+        self._columns = np.empty(0, dtype=np.intp)
+        self._rows = np.empty(0, dtype=np.intp)
+
+    def read(self, msg: Any) -> JointSample:
+        """Arrays of one message.
+
+        Args:
+            msg: JointState of rclpy, rosbags, or anything with the same fields.
+
+        Returns:
+            Fresh or read-only arrays, in the order of `names`.
+
+        Raises:
+            MessageError: Names empty or repeated, or an array neither empty nor as long as them.
+        """
+        if msg.name != self._message_names:
+            self._learn(list(msg.name))
+        return JointSample(
+            read_time(msg.header.stamp),
+            self._pick(msg.position, "position"),
+            self._pick(msg.velocity, "velocity"),
+            self._pick(msg.effort, "effort"),
+        )
+
+    def _learn(self, names: list[str]) -> None:
+        if not names:
+            raise MessageError("name is empty")
+        index = {name: i for i, name in enumerate(names)}
+        if len(index) != len(names):
+            repeated = sorted({name for name in names if names.count(name) > 1})
+            raise MessageError(f"name repeats {', '.join(repeated)}")
+        found = [(row, index[name]) for row, name in enumerate(self.names) if name in index]
+        self._rows = np.array([row for row, _ in found], dtype=np.intp)
+        self._columns = np.array([column for _, column in found], dtype=np.intp)
+        self.present = np.array([name in index for name in self.names], dtype=np.bool_)
+        self.missing = tuple(name for name in self.names if name not in index)
+        self.extra = tuple(name for name in names if name not in self.names)
+        self._message_names = names
+
+    def _pick(self, values: Any, field: str) -> NDArray[np.float64]:
+        if len(values) == 0:
+            return self._absent
+        assert self._message_names is not None
+        if len(values) != len(self._message_names):
+            raise MessageError(
+                f"{field} has {len(values)} values for {len(self._message_names)} names"
+            )
+        taken = np.frombuffer(values, dtype=np.float64)[self._columns]
+        if not self.missing:
+            return taken
+        picked = self._absent.copy()
+        picked[self._rows] = taken
+        return picked
+
+
+def read_joint_state(msg: Any) -> JointSample:
+    """Arrays of one message in its own joint order.
+
+    Raises:
+        MessageError: As `JointStateReader.read`.
+    """
+    return JointStateReader(msg.name).read(msg)
+
+
+class JointStateWriter:
+    """Refills one kept message, so that publishing allocates nothing.
+
+    Args:
+        msg: A fresh JointState; it belongs to the writer from now on.
+        names: Joint or constraint names, in the order of the arrays.
+        fields: Which of position, velocity and effort the message carries.
+    """
+
+    def __init__(
+        self,
+        msg: Any,
+        names: Sequence[str],
+        fields: Sequence[str] = ("position", "velocity", "effort"),
+    ) -> None:
+        self.msg = msg
+        msg.name = list(names)
+        self._views = {}
+        for field in fields:
+            setattr(msg, field, array("d", bytes(8 * len(names))))
+            self._views[field] = np.frombuffer(getattr(msg, field), dtype=np.float64)
+
+    def write(self, stamp: int, **values: Any) -> Any:
+        """The kept message with new contents.
+
+        Args:
+            stamp: Header stamp [ns].
+            **values: One array a field, in the order of the names.
+
+        Returns:
+            The same message object at every call.
+        """
+        write_time(self.msg.header.stamp, stamp)
+        for field, value in values.items():
+            self._views[field][:] = value
+        return self.msg
+
+
+def write_joint_state(msg: Any, stamp: int, names: Sequence[str], **values: Any) -> Any:
+    """Fill a fresh JointState; see `JointStateWriter` for a stream of them."""
+    return JointStateWriter(msg, names, tuple(values)).write(stamp, **values)
