@@ -1,0 +1,253 @@
+"""Scene file -> parts. An absent section is an absent feature: not built, not imported, not paid for."""
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mbd_ros import schema
+from mbd_ros.core.couplings import (
+    Coupling,
+    Couplings,
+    Law,
+    PiecewisePolynomial,
+    Polynomial,
+    natural_cubic_spline,
+)
+from mbd_ros.core.inverse_dynamics import InverseDynamics
+from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.robot import EARTH_GRAVITY, Robot, read_robot
+from mbd_ros.core.urdf import MAX_CHARACTERS
+from mbd_ros.core.wrenches import ExternalWrench
+from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.registry import resolve
+from mbd_ros.strict_yaml import read_mapping, read_text
+
+SECTIONS = ("robot", "couplings", "external_wrenches", "forces")
+
+
+@dataclass(frozen=True)
+class MeasuredWrench:
+    """An external load and the topic that carries it; None stands for `~/wrench/<name>`."""
+
+    load: ExternalWrench
+    topic: str | None
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a scene file describes, built.
+
+    Attributes:
+        path: The file.
+        source: File or topic of the robot description.
+        robot: The robot.
+        couplings: Its dependent joints.
+        laws: Dependent joint -> parent and kind of law, for people.
+        wrenches: External loads by name.
+        forces: Force terms.
+        absent: Sections that the file leaves out.
+    """
+
+    path: Path
+    source: str
+    robot: Robot
+    couplings: Couplings
+    laws: Mapping[str, str]
+    wrenches: Mapping[str, MeasuredWrench]
+    forces: tuple[ForceTerm, ...]
+    absent: tuple[str, ...]
+
+    def inverse_dynamics(self) -> InverseDynamics:
+        """A solver with its own Pinocchio data."""
+        loads = [wrench.load for wrench in self.wrenches.values()]
+        return InverseDynamics(self.robot, self.couplings, loads, self.forces)
+
+
+@dataclass(frozen=True)
+class _RobotEntry:
+    """The `robot` section."""
+
+    urdf: str | None = None
+    description_topic: str | None = None
+    gravity: Sequence[float] = EARTH_GRAVITY
+    base: str = "fixed"
+    locked: Mapping[str, float] | None = None
+    rename: Mapping[str, str] | None = None
+
+
+def load_scene(path: str | Path, description: str | None = None) -> Scene:
+    """Read and build a scene.
+
+    Args:
+        path: Scene file, or `package://<package>/<path>`.
+        description: URDF that arrived on the `description_topic` of the scene.
+
+    Raises:
+        SceneError: Names file, key, what is wrong and what is accepted.
+    """
+    path = find_file(Path(), str(path), "scene")
+    sections = _read_sections(path)
+    entry = _robot_entry(path, sections)
+    robot, source = _build_robot(path, entry, description)
+    laws = _coupling_laws(path, sections.get("couplings", {}))
+    try:
+        couplings = Couplings(robot, {name: coupling for name, (coupling, _) in laws.items()})
+    except ModelError as error:
+        raise SceneError(f"{path}: couplings: {error}") from error
+    kinds = {m.joint: "URDF mimic" for m in robot.mimics} | {n: k for n, (_, k) in laws.items()}
+    return Scene(
+        path=path,
+        source=source,
+        robot=robot,
+        couplings=couplings,
+        laws={n: f"{couplings.parents[n]} ({kinds[n]})" for n in couplings.dependent},
+        wrenches=_build_wrenches(path, robot, sections.get("external_wrenches", {})),
+        forces=_build_parts(path, "forces", robot, sections.get("forces", [])),
+        absent=tuple(section for section in SECTIONS if not sections.get(section)),
+    )
+
+
+def description_topic(path: str | Path) -> str | None:
+    """Topic from which the scene takes its robot description; None where it names a file.
+
+    Raises:
+        SceneError: The file cannot be read, or its robot section is wrong.
+    """
+    path = find_file(Path(), str(path), "scene")
+    return _robot_entry(path, _read_sections(path)).description_topic
+
+
+def _read_sections(path: Path) -> dict[str, Any]:
+    sections = read_mapping(path)
+    for key in sections:
+        if key not in SECTIONS:
+            raise SceneError(f"{path}: unknown key '{key}', accepted: {', '.join(SECTIONS)}")
+    if "robot" not in sections:
+        raise SceneError(f"{path}: key 'robot' is missing")
+    return {key: section for key, section in sections.items() if section is not None or key == "robot"}
+
+
+def _robot_entry(path: Path, sections: Mapping[str, Any]) -> _RobotEntry:
+    entry: _RobotEntry = schema.call(_RobotEntry, sections["robot"], f"{path}: robot")
+    if (entry.urdf is None) == (entry.description_topic is None):
+        raise SceneError(f"{path}: robot: give either 'urdf' or 'description_topic'")
+    if len(entry.gravity) != 3:
+        raise SceneError(f"{path}: robot.gravity: expected 3 numbers, got {entry.gravity}")
+    return entry
+
+
+def _build_robot(path: Path, entry: _RobotEntry, description: str | None) -> tuple[Robot, str]:
+    if entry.urdf is not None:
+        file = find_file(path.parent, entry.urdf, f"{path}: robot.urdf")
+        source, text = str(file), read_text(file, MAX_CHARACTERS, "robot description")
+    elif description is not None:
+        source, text = f"topic {entry.description_topic}", description
+    else:
+        raise SceneError(
+            f"{path}: robot: the description comes from topic {entry.description_topic}, which "
+            "only a node can read; give 'urdf' to use the scene offline"
+        )
+    try:
+        robot = read_robot(
+            text,
+            source=source,
+            gravity=entry.gravity,
+            base=entry.base,
+            locked=entry.locked,
+            rename=entry.rename,
+        )
+    except ModelError as error:
+        raise SceneError(f"{path}: robot: {error}") from error
+    return robot, source
+
+
+def find_file(folder: Path, name: str, where: str) -> Path:
+    """A file that a scene names, relative to its folder or as `package://<package>/<path>`.
+
+    Raises:
+        SceneError: The package is not installed.
+    """
+    if not name.startswith("package://"):
+        return folder / name
+    package, _, rest = name.removeprefix("package://").partition("/")
+    if ".." in (package, *Path(rest).parts) or Path(rest).is_absolute():
+        raise SceneError(f"{where}: {name} leaves the package")
+    prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
+    shares = [Path(prefix) / "share" / package for prefix in prefixes if prefix]
+    if package == "mbd_ros":
+        shares.append(Path(__file__).resolve().parent.parent)
+    for share in shares:
+        if (share / rest).is_file():
+            return share / rest
+    raise SceneError(f"{where}: {name} not found in {', '.join(map(str, shares))}")
+
+
+def _coupling_laws(path: Path, entries: Any) -> dict[str, tuple[Coupling, str]]:
+    entries = schema.value(entries, Mapping[str, Any], f"{path}: couplings")
+    return {
+        name: schema.call(_coupling, entry, f"{path}: couplings.{name}", path, name)
+        for name, entry in entries.items()
+    }
+
+
+def _coupling(
+    path: Path,
+    name: str,
+    *,
+    parent: str,
+    factor: float | None = None,
+    offset: float | None = None,
+    polynomial: Sequence[float] | None = None,
+    spline: Any = None,
+    piecewise_polynomial: Any = None,
+) -> tuple[Coupling, str]:
+    laws: dict[str, Any] = {
+        "factor": factor,
+        "polynomial": polynomial,
+        "spline": spline,
+        "piecewise_polynomial": piecewise_polynomial,
+    }
+    given = [kind for kind, law in laws.items() if law is not None]
+    if len(given) != 1:
+        raise ModelError(f"give exactly one of {', '.join(laws)}; got {', '.join(given) or 'none'}")
+    if offset is not None and factor is None:
+        raise ModelError("'offset' goes with 'factor' only")
+    if factor == 0:
+        raise ModelError(f"factor is 0: the joint never moves; use robot.locked.{name} instead")
+    kind = given[0]
+    where = f"{path}: couplings.{name}.{kind}"
+    return Coupling(parent, _law(kind, laws[kind], offset or 0.0, where)), kind
+
+
+def _law(kind: str, entry: Any, offset: float, where: str) -> Law:
+    if kind == "factor":
+        return Polynomial([offset, entry])
+    if kind == "polynomial":
+        return Polynomial(entry)
+    curve = natural_cubic_spline if kind == "spline" else PiecewisePolynomial
+    law: Law = schema.call(curve, entry, where)
+    return law
+
+
+def _build_wrenches(path: Path, robot: Robot, entries: Any) -> dict[str, MeasuredWrench]:
+    entries = schema.value(entries, Mapping[str, Any], f"{path}: external_wrenches")
+    wrenches = {}
+    for name, entry in entries.items():
+        where = f"{path}: external_wrenches.{name}"
+        entry = dict(schema.value(entry, Mapping[str, Any], where))
+        topic = schema.value(entry.pop("topic", None), str | None, f"{where}.topic")
+        wrenches[name] = MeasuredWrench(schema.call(ExternalWrench, entry, where, robot), topic)
+    return wrenches
+
+
+def _build_parts(path: Path, section: str, robot: Robot, entries: Any) -> tuple[Any, ...]:
+    parts = []
+    for i, given in enumerate(schema.value(entries, Sequence[Any], f"{path}: {section}")):
+        where = f"{path}: {section}[{i}]"
+        entry = dict(schema.value(given, Mapping[str, Any], where))
+        name = schema.value(entry.pop("type", None), str, f"{where}.type")
+        parts.append(schema.call(resolve(section, name, f"{where}.type"), entry, where, robot))
+    return tuple(parts)

@@ -1,0 +1,75 @@
+"""The signature of a function is the schema of its YAML entry."""
+
+import inspect
+import types
+import typing
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from mbd_ros.errors import ModelError, SceneError
+
+_EXPECTED = {
+    float: "a number",
+    int: "an integer",
+    str: "a word",
+    bool: "true or false",
+}
+
+
+def call(function: Callable[..., Any], entry: Any, where: str, *context: Any) -> Any:
+    """Call a function or class with the keys of an entry.
+
+    Args:
+        function: What to call; its parameters after `context` are the accepted keys, their
+            annotations the accepted values.
+        entry: What the YAML holds.
+        where: File and key of the entry, for the messages.
+        *context: First arguments, which do not come from the YAML.
+
+    Raises:
+        SceneError: Unknown or missing key, wrong value, or what the function itself refuses.
+    """
+    if not isinstance(entry, dict):
+        raise SceneError(f"{where}: expected a mapping, got {entry!r}")
+    parameters = list(inspect.signature(function).parameters.values())[len(context) :]
+    accepted = {parameter.name: parameter for parameter in parameters}
+    for key in entry:
+        if key not in accepted:
+            raise SceneError(f"{where}: unknown key '{key}', accepted: {', '.join(accepted)}")
+    for name, parameter in accepted.items():
+        if parameter.default is inspect.Parameter.empty and name not in entry:
+            raise SceneError(f"{where}: key '{name}' is missing")
+    hints = typing.get_type_hints(
+        function.__init__ if inspect.isclass(function) else function  # type: ignore[misc]
+    )
+    arguments = {key: value(v, hints.get(key, Any), f"{where}.{key}") for key, v in entry.items()}
+    try:
+        return function(*context, **arguments)
+    except ModelError as error:
+        raise SceneError(f"{where}: {error}") from error
+
+
+def value(given: Any, hint: Any, where: str) -> Any:
+    """A value checked against a type hint; integers pass as numbers.
+
+    Raises:
+        SceneError: Names the key, what is expected and what was given.
+    """
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (types.UnionType, typing.Union):
+        return None if given is None else value(given, inner[0], where)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        if not isinstance(given, dict):
+            raise SceneError(f"{where}: expected a mapping, got {given!r}")
+        return {key: value(v, inner[1], f"{where}.{key}") for key, v in given.items()}
+    if isinstance(origin, type) and issubclass(origin, Sequence):
+        if not isinstance(given, list):
+            raise SceneError(f"{where}: expected a list, got {given!r}")
+        return [value(v, inner[0], f"{where}[{i}]") for i, v in enumerate(given)]
+    if hint is Any:
+        return given
+    if hint is float and isinstance(given, int) and not isinstance(given, bool):
+        return float(given)
+    if type(given) is not hint:
+        raise SceneError(f"{where}: expected {_EXPECTED.get(hint, hint)}, got {given!r}")
+    return given
