@@ -1,0 +1,38 @@
+"""Start the node `inverse_dynamics`: ros2 launch mbd_ros inverse_dynamics.launch.py scene:=..."""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import LifecycleNode
+from launch_ros.substitutions import FindPackageShare
+
+
+def generate_launch_description() -> LaunchDescription:
+    """The node with the parameter file of the package and the scene of the user."""
+    share = FindPackageShare("mbd_ros")
+    arm = PathJoinSubstitution([share, "config", "scenes", "prosthetic_arm.yaml"])
+    parameters = PathJoinSubstitution([share, "config", "nodes", "inverse_dynamics.yaml"])
+    node = LifecycleNode(
+        package="mbd_ros",
+        executable="inverse_dynamics",
+        name="inverse_dynamics",
+        namespace="",
+        output="screen",
+        parameters=[
+            LaunchConfiguration("parameters"),
+            {
+                "scene": LaunchConfiguration("scene"),
+                "use_sim_time": LaunchConfiguration("use_sim_time"),
+            },
+        ],
+        remappings=[("joint_states", LaunchConfiguration("joint_states"))],
+    )
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("scene", default_value=arm, description="Scene file"),
+            DeclareLaunchArgument("parameters", default_value=parameters),
+            DeclareLaunchArgument("joint_states", default_value="joint_states"),
+            DeclareLaunchArgument("use_sim_time", default_value="false"),
+            node,
+        ]
+    )

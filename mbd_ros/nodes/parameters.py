@@ -1,0 +1,202 @@
+"""ROS parameters with strict values: at the start from YAML, and when changed at run time."""
+
+import difflib
+import math
+from array import array
+from collections import namedtuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, get_args, get_origin
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy import parameter as ros
+from rclpy.exceptions import ParameterNotDeclaredException
+from rclpy.node import Node
+
+from mbd_ros.errors import MbdError
+
+_ROS_TYPES = {
+    bool: ros.Parameter.Type.BOOL,
+    int: ros.Parameter.Type.INTEGER,
+    float: ros.Parameter.Type.DOUBLE,
+    str: ros.Parameter.Type.STRING,
+    list[bool]: ros.Parameter.Type.BOOL_ARRAY,
+    list[int]: ros.Parameter.Type.INTEGER_ARRAY,
+    list[float]: ros.Parameter.Type.DOUBLE_ARRAY,
+    list[str]: ros.Parameter.Type.STRING_ARRAY,
+}
+
+
+class ParameterError(MbdError):
+    """A parameter value that is refused: names the parameter and what is accepted."""
+
+
+class Parameter(NamedTuple):
+    """One parameter of a node.
+
+    Attributes:
+        name: As in the parameter file; dots become underscores in `Declared.values`.
+        kind: bool, int, float, str, or list[...] of one of them (held as a tuple).
+        text: What it means, unit in brackets.
+        default: Value when none is given; None makes the parameter required.
+        low: Smallest number accepted, also in lists.
+        high: Largest number accepted, also in lists.
+        length: Number of entries of a list; None accepts any.
+        choices: The texts accepted; empty accepts any.
+        read_only: False only for gains, rates and timeouts: these may change at run time.
+    """
+
+    name: str
+    kind: Any
+    text: str
+    default: Any = None
+    low: float = -math.inf
+    high: float = math.inf
+    length: int | None = None
+    choices: tuple[str, ...] = ()
+    read_only: bool = True
+
+    @property
+    def key(self) -> str:
+        """Attribute name in `Declared.values`."""
+        return self.name.replace(".", "_")
+
+    def read(self, value: Any) -> Any:
+        """Checked value: an int becomes a float where one is expected, a list a tuple.
+
+        Raises:
+            ParameterError: Wrong type or length, not finite, out of range, not a choice.
+        """
+        if get_origin(self.kind) is not list:
+            return self._read_one(self.kind, value)
+        if not isinstance(value, list | tuple | array):
+            raise self._refusal(value)
+        if self.length is not None and len(value) != self.length:
+            raise self._refusal(list(value))
+        return tuple(self._read_one(get_args(self.kind)[0], entry) for entry in value)
+
+    def accepted(self) -> str:
+        """What `read` accepts, as text."""
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        entry = (get_args(self.kind) or (self.kind,))[0]
+        text = entry.__name__ if entry is not float else "finite float"
+        if (self.low, self.high) != (-math.inf, math.inf):
+            text += f" in [{self.low:g}, {self.high:g}]"
+        if entry is self.kind:
+            return text
+        return f"list of {'' if self.length is None else f'{self.length} '}{text}"
+
+    def descriptor(self) -> ParameterDescriptor:
+        """Text, range and read_only for tools."""
+        described = ParameterDescriptor(
+            description=self.text, additional_constraints=self.accepted(), read_only=self.read_only
+        )
+        # Only doubles take an open end, and only scalars a range at all: `read` checks the rest.
+        if self.kind is float and (self.low, self.high) != (-math.inf, math.inf):
+            limits = FloatingPointRange(from_value=float(self.low), to_value=float(self.high))
+            described.floating_point_range = [limits]
+        if self.kind is int and math.isfinite(self.high - self.low):
+            limits = IntegerRange(from_value=int(self.low), to_value=int(self.high), step=1)
+            described.integer_range = [limits]
+        return described
+
+    def _read_one(self, kind: type, value: Any) -> Any:
+        if kind is float and type(value) is int:
+            value = float(value)
+        fits = type(value) is kind and (not self.choices or value in self.choices)
+        if fits and kind in (int, float):
+            fits = math.isfinite(value) and self.low <= value <= self.high
+        if not fits:
+            raise self._refusal(value)
+        return value
+
+    def _refusal(self, value: Any) -> ParameterError:
+        given = f"parameter '{self.name}' is {value!r} ({type(value).__name__})"
+        hint = ": YAML reads y, yes, on as bool, quote texts" if type(value) is bool else ""
+        return ParameterError(f"{given}; accepted: {self.accepted()}{hint}")
+
+
+class Declared:
+    """The parameters of one node.
+
+    Attributes:
+        values: Named tuple of all values; replaced as a whole, never changed.
+        problems: Name -> why the value given at the start was refused.
+    """
+
+    def __init__(
+        self, node: Node, parameters: Sequence[Parameter], retune: Callable[[Any], None]
+    ) -> None:
+        """Declare everything; a bad value is kept as a problem, never raised.
+
+        Args:
+            node: Who owns the parameters.
+            parameters: What to declare.
+            retune: Called with the new values before they are swapped in; an MbdError refuses.
+        """
+        self._specs = {parameter.name: parameter for parameter in parameters}
+        self._retune = retune
+        self.problems: dict[str, str] = {}
+        given = node._parameter_overrides  # rclpy shows them in no public way
+        values = {spec.key: self._declare(node, spec, given) for spec in parameters}
+        self.values: Any = namedtuple("Values", values)(**values)
+        node.add_pre_set_parameters_callback(self._convert)
+        node.add_on_set_parameters_callback(self._apply)
+
+    def undeclared(self, node: Node) -> list[str]:
+        """One warning per override that was given and that nobody declared."""
+        unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)]
+        return [f"parameter {self._unknown(name)}" for name in unknown]
+
+    def _declare(self, node: Node, spec: Parameter, given: dict[str, ros.Parameter]) -> Any:
+        value = None if spec.default is None else spec.read(spec.default)
+        try:
+            if spec.name in given:
+                override = given[spec.name].value
+                value = spec.read([] if override is None else override)  # [] arrives without type
+            elif value is None:
+                raise ParameterError(f"parameter '{spec.name}' must be given: {spec.accepted()}")
+        except ParameterError as error:
+            self.problems[spec.name] = str(error)
+        # An empty list would be declared as BYTE_ARRAY: declare its type and leave it unset.
+        initial = _ROS_TYPES[spec.kind] if value is None or value == () else value
+        node.declare_parameter(spec.name, initial, spec.descriptor(), ignore_override=True)
+        return value
+
+    def _unknown(self, name: str) -> str:
+        near = difflib.get_close_matches(name, self._specs, 1)
+        hint = f" (did you mean '{near[0]}'?)" if near else ""
+        return f"'{name}' is unknown{hint}; accepted: {', '.join(sorted(self._specs))}"
+
+    def _convert(self, changes: list[ros.Parameter]) -> list[ros.Parameter]:
+        """Give an int or an empty list the declared type before rclpy compares types."""
+        unknown = [change.name for change in changes if change.name not in self._specs]
+        for name in set(unknown) - {"use_sim_time", "start_type_description_service"}:
+            raise ParameterNotDeclaredException(self._unknown(name))
+        return [self._converted(change) for change in changes]
+
+    def _converted(self, change: ros.Parameter) -> ros.Parameter:
+        kind = self._specs[change.name].kind if change.name in self._specs else None
+        if kind is float and change.type_ == ros.Parameter.Type.INTEGER:
+            return ros.Parameter(change.name, value=float(change.value))
+        if kind == list[float] and change.type_ == ros.Parameter.Type.INTEGER_ARRAY:
+            return ros.Parameter(change.name, value=[float(entry) for entry in change.value])
+        return change
+
+    def _apply(self, changes: list[ros.Parameter]) -> SetParametersResult:
+        known = [(self._specs[c.name], c.value) for c in changes if c.name in self._specs]
+        try:
+            values = self.values._replace(**{spec.key: spec.read(new) for spec, new in known})
+            if known:
+                self._retune(values)
+        except MbdError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self.values = values
+        for spec, _ in known:
+            self.problems.pop(spec.name, None)
+        return SetParametersResult(successful=True)

@@ -1,0 +1,83 @@
+"""The process of a node: starts it, drives its callbacks, ends it on a signal or a crash."""
+
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
+
+import rclpy
+from rclpy.exceptions import ParameterException
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.signals import SignalHandlerOptions
+
+from mbd_ros.nodes.shell import Shell
+
+PATIENCE = 0.1  # [s] that a signal waits at most: an executor does not wake up for one
+
+
+class _StopSignal:
+    """Remembers SIGINT and SIGTERM; launch and terminals send two, the second is no news."""
+
+    def __init__(self) -> None:
+        self.name = ""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._remember)
+
+    def _remember(self, number: int, frame: FrameType | None) -> None:
+        self.name = signal.Signals(number).name
+
+
+def run(node_class: type[Shell], argv: Sequence[str] | None = None) -> int:
+    """Main of a node.
+
+    Args:
+        node_class: The node.
+        argv: Command line with program name; default `sys.argv`.
+
+    Returns:
+        Exit code 0 after SIGINT or SIGTERM.
+
+    Raises:
+        SystemExit: A command line or parameter file that rcl refuses.
+        Exception: Whatever a callback raised that is not an MbdError.
+    """
+    arguments = list(sys.argv if argv is None else argv)
+    stop = _StopSignal()
+    try:
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        node = node_class(arguments)
+    except (rclpy_implementation.RCLError, ParameterException) as error:
+        rclpy.try_shutdown()
+        raise SystemExit(f"{node_class.NAME}: {error}") from error
+    with _closing(node), _driven(node) as executor:
+        node.try_start()
+        while not stop.name:
+            node.raise_crash()
+            executor.spin_once(timeout_sec=PATIENCE)
+    return 0
+
+
+@contextmanager
+def _driven(node: Shell) -> Iterator[Executor]:
+    events = node.parameters.executor != "single_threaded"
+    executor = EventsExecutor() if events else SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        yield executor
+    finally:
+        executor.remove_node(node)
+
+
+@contextmanager
+def _closing(node: Shell) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        try:
+            node.close(sys.exc_info()[1])
+        finally:
+            node.destroy_node()
+            rclpy.try_shutdown()

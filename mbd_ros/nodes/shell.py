@@ -1,0 +1,207 @@
+"""The shell of every node: parameters, topics, diagnostics, time. `process.run` drives it."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rclpy.clock import Clock, ClockChange, JumpThreshold, TimeJump
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+
+from mbd_ros.errors import MbdError
+from mbd_ros.nodes.health import Diagnostics, Drops, Endpoint, topic_problems
+from mbd_ros.nodes.life_cycle import LifeCycle
+from mbd_ros.nodes.parameter_files import file_warnings
+from mbd_ros.nodes.parameters import Declared, Parameter, ParameterError
+from msg_adapters.diagnostics import ERROR, OK, WARN
+
+PARAMETERS = (
+    Parameter("autostart", bool, "Configure and activate at the start.", True),
+    Parameter(
+        "executor", str, "What drives callbacks.", "events", choices=("events", "single_threaded")
+    ),
+)
+
+
+class Shell(LifeCycle):
+    """A node that never lives half: it works, or it says in /diagnostics why not.
+
+    Subclasses set `NAME` and `PARAMETERS` and override what they need of `configure_core`,
+    `activate_core`, `deactivate_core`, `safe`, `retune`, `reset` and `health`. What
+    `subscribe`, `publish_to` and `every` make in `configure_core` is destroyed with that
+    configuration; what they make in the constructor stays.
+    """
+
+    NAME = "shell"
+    PARAMETERS: tuple[Parameter, ...] = ()
+
+    def __init__(self, argv: Sequence[str] = ()) -> None:
+        super().__init__(self.NAME)
+        self._endpoints: list[Endpoint] = []
+        self._owned: list[Callable[[], Any]] = []
+        self._known_problems: set[str] = set()
+        self._drops = Drops(self.get_logger().warning)
+        self._declared = Declared(self, PARAMETERS + self.PARAMETERS, self._retune)
+        for line in self._declared.undeclared(self) + file_warnings(
+            argv, self.get_fully_qualified_name()
+        ):
+            self.get_logger().warning(line)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._diagnostics = Diagnostics(self)
+        self.create_timer(1.0, self._guarded(self.report, True), clock=self._steady)
+        backward = JumpThreshold(
+            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
+        )
+        self._jump = self.get_clock().create_jump_callback(backward, post_callback=self._jumped)
+
+    def retune(self, values: Any) -> None:
+        """Replace the objects made from gains; called between cycles, on a configured node.
+
+        Args:
+            values: All parameters, not yet in `self.parameters`. An MbdError refuses them.
+        """
+
+    def reset(self, reason: str) -> None:
+        """Forget the past of a configured node: time jumped back or the clock changed."""
+
+    def health(self) -> tuple[int, str, dict[str, str]]:
+        """Level, sentence and details of a configured node; asked once per second."""
+        return OK, "", {}
+
+    @property
+    def parameters(self) -> Any:
+        """All parameters as one immutable named tuple; dots in names are underscores."""
+        return self._declared.values
+
+    def subscribe(
+        self,
+        kind: type,
+        topic: str,
+        callback: Callable[[Any], None],
+        qos: QoSProfile | int,
+        *,
+        single_publisher: bool = False,
+        always: bool = False,
+        raw: bool = False,
+    ) -> Subscription:
+        """Subscribe; the callback runs while active, and an MbdError in it deactivates.
+
+        Args:
+            kind: Message class.
+            topic: Relative name.
+            callback: Takes the message.
+            qos: Profile or depth.
+            single_publisher: Report more than one publisher.
+            always: Call in every state: robot_description comes before configuring.
+            raw: The callback takes serialized bytes.
+        """
+        silent = SubscriptionEventCallbacks(use_default_callbacks=False)  # topic_problems tells
+        subscription = self.create_subscription(
+            kind, topic, self._guarded(callback, always), qos, event_callbacks=silent, raw=raw
+        )
+        endpoint = Endpoint(subscription, True, single_publisher)
+        self._keep(self.destroy_subscription, subscription, [endpoint])
+        return subscription
+
+    def publish_to(self, kind: type, topic: str, qos: QoSProfile | int) -> Publisher:
+        """Make a publisher; a subscriber with incompatible QoS is reported."""
+        silent = PublisherEventCallbacks(use_default_callbacks=False)
+        publisher = self.create_publisher(kind, topic, qos, event_callbacks=silent)
+        self._keep(self.destroy_publisher, publisher, [Endpoint(publisher, False)])
+        return publisher
+
+    def every(self, period: float, callback: Callable[[], None]) -> Timer:
+        """Call while active, every `period` [s] of the steady clock: also when /clock stands."""
+        timer = self.create_timer(period, self._guarded(callback, False), clock=self._steady)
+        self._keep(self.destroy_timer, timer, [])
+        return timer
+
+    def drop(self, reason: str, text: str) -> None:
+        """Count an ignored message; warns at most every 5 s per `reason` (a short key)."""
+        self._drops.add(reason, text)
+
+    def try_start(self) -> None:
+        """Configure and activate, if `autostart` is set and the node is unconfigured."""
+        if self.parameters.autostart:
+            self.start()
+
+    def report(self) -> None:
+        """Publish the diagnostics of this moment."""
+        problems = topic_problems(self, self._endpoints)
+        for line in set(problems) - self._known_problems:
+            self.get_logger().warning(line)
+        self._known_problems = set(problems)
+        reasons = [(WARN, line) for line in problems]
+        if self.fault or not self.active:
+            reasons.insert(0, (ERROR, self.fault) if self.fault else (WARN, self.state))
+        values = {"state": self.state}
+        if self.configured:
+            level, text, details = self.health()
+            reasons.append((level, text))
+            values.update(details)
+        values.update({f"dropped.{key}": str(n) for key, n in self._drops.counts.items()})
+        self._diagnostics.send(reasons, values)
+
+    def close(self, error: BaseException | None) -> None:
+        """Last words: the safe command, one diagnostics entry, the shutdown transition.
+
+        Args:
+            error: What ends the process; None for a signal.
+        """
+        if self.configured:
+            self.safe_or_say()
+        self.active = False
+        last = (OK, "stopped") if error is None else (ERROR, repr(error))
+        self._diagnostics.send([last], {"state": "finalized"})
+        self._diagnostics.flush()
+        if self.state != "finalized":
+            self.trigger_shutdown()
+
+    def check(self) -> None:
+        """Refuse to configure while a parameter given at the start is wrong."""
+        if self._declared.problems:
+            raise ParameterError("; ".join(self._declared.problems.values()))
+
+    def release(self) -> None:
+        """Destroy what this configuration made."""
+        while self._owned:
+            self._owned.pop()()
+
+    def _keep(self, destroy: Callable[[Any], Any], entity: Any, watch: list[Endpoint]) -> None:
+        """Watch an entity, and destroy it with the configuration that made it."""
+        self._endpoints += watch
+
+        def forget() -> None:
+            self._endpoints = [kept for kept in self._endpoints if kept not in watch]
+            destroy(entity)
+
+        if self.state != "unconfigured":
+            self._owned.append(forget)
+
+    def _guarded(self, callback: Callable[..., None], always: bool) -> Callable[..., None]:
+        def call(*message: Any) -> None:
+            if self.active or always:
+                try:
+                    callback(*message)
+                except MbdError as error:
+                    self.fail(error)
+                    self.report()
+
+        return call
+
+    def _retune(self, values: Any) -> None:
+        if self.configured:
+            self.retune(values)
+
+    def _jumped(self, jump: TimeJump) -> None:
+        if jump.clock_change in (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED):
+            reason = "the clock changed"
+        else:
+            reason = f"time jumped back by {-jump.delta.nanoseconds * 1e-9:.3f} s"
+        self.get_logger().info(f"{reason}: starting afresh")
+        if self.configured:
+            self._guarded(self.reset, True)(reason)
