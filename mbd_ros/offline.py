@@ -1,0 +1,238 @@
+"""Inverse dynamics of a recorded motion: `mbd-ros inverse`."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.differentiation import NANOSECOND, CausalDifferentiator, zero_phase
+from mbd_ros.core.inverse_dynamics import Parts
+from mbd_ros.core.state import Array, Motion, WrenchSamples
+from mbd_ros.core.torque_estimator import Observation, TorqueEstimator, Tuning
+from mbd_ros.core.wrenches import at_stamps
+from mbd_ros.errors import DataError
+from mbd_ros.progress import progress
+from mbd_ros.recordings import Recording, is_bag, read_motion, read_wrenches
+from mbd_ros.results import TorqueRecord, write_torques
+from mbd_ros.scene import Scene
+
+WRENCH_MAX_AGE = 0.1  # s
+_CHUNK = 1000  # samples between two signs of progress
+
+
+class Derivatives(NamedTuple):
+    """Where velocity and acceleration come from.
+
+    Attributes:
+        source: given, causal or zero-phase.
+        cutoff: Half-power frequency of the causal filters [Hz].
+        half_width: Samples on either side of a zero-phase fit.
+    """
+
+    source: str
+    cutoff: float = Tuning().cutoff
+    half_width: int = 4
+
+
+def inverse_dynamics_of(
+    scene: Scene,
+    motion: Path,
+    out: Path,
+    *,
+    derivatives: Derivatives,
+    wrenches: Path | None = None,
+    topic: str = "/joint_states",
+    with_parts: bool = False,
+) -> Iterator[str]:
+    """Read a motion, write its torques.
+
+    Args:
+        scene: The scene.
+        motion: Table or bag.
+        out: Table or bag to write.
+        derivatives: Where velocity and acceleration come from.
+        wrenches: Table or bag of the external loads; a bag motion carries its own.
+        topic: JointState topic of a bag.
+        with_parts: Also write the torques by cause.
+
+    Yields:
+        What was done and what was left out, a line each.
+
+    Raises:
+        DataError: Something cannot be read, does not fit the scene, or cannot be written.
+    """
+    is_bag(out)
+    couplings = scene.couplings
+    estimator = TorqueEstimator(
+        scene.robot, scene.inverse_dynamics(), Tuning(cutoff=derivatives.cutoff)
+    )
+    recording = read_motion(motion, estimator.names, topic=topic, required=couplings.independent)
+    yield from _left_out(motion, recording)
+    loads, dropped = _read_loads(scene, motion, wrenches)
+    if derivatives.source == "causal":
+        samples = _observe(estimator, recording.motion, dropped)
+        yield _causal_line(estimator.differentiator, derivatives.cutoff)
+    else:
+        samples = _differentiate(scene, motion, recording.motion, derivatives)
+    yield from (f"{count} samples left out: {reason}" for reason, count in dropped.items())
+    if not samples:
+        raise DataError(f"{motion}: no sample can be used")
+    record = _solve(scene, estimator, samples, loads, with_parts)
+    if not np.isfinite(record.effort).all():
+        row = int(np.flatnonzero(~np.isfinite(record.effort).all(axis=1))[0])
+        raise DataError(f"{motion}: torques at {record.stamps[row] / 1e9} s are not finite")
+    write_torques(out, record)
+    yield from _violations(scene, samples)
+    yield f"{len(samples)} samples, {derivatives.source} derivatives -> {out}"
+
+
+def _left_out(motion: Path, recording: Recording) -> Iterator[str]:
+    for reason, count in recording.dropped.items():
+        yield f"{motion}: {count} messages left out: {reason}"
+    if recording.by_log_time:
+        yield f"{motion}: stamps are 0, the times of the log are used"
+
+
+def _read_loads(
+    scene: Scene, motion: Path, wrenches: Path | None
+) -> tuple[dict[str, WrenchSamples], Counter[str]]:
+    dropped: Counter[str] = Counter()
+    if not scene.wrenches:
+        return {}, dropped
+    path = wrenches or motion
+    if not is_bag(path) and wrenches is None:
+        raise DataError(
+            f"{scene.path}: external_wrenches {', '.join(scene.wrenches)}: a table of joints does "
+            "not carry them; give --wrenches FILE"
+        )
+    topics = {name: wrench.topic for name, wrench in scene.wrenches.items()}
+    loads = read_wrenches(path, topics, dropped=dropped)
+    for name, samples in loads.items():
+        expected = scene.wrenches[name].load.expressed_in
+        if samples.frame_id not in ("", expected):
+            raise DataError(
+                f"{path}: wrench '{name}' is in frame '{samples.frame_id}', the scene expects "
+                f"'{expected}'"
+            )
+    return loads, dropped
+
+
+def _observe(
+    estimator: TorqueEstimator, motion: Motion, dropped: Counter[str]
+) -> list[Observation]:
+    velocity = motion.velocity
+    if velocity is None:
+        velocity = np.full_like(motion.position, np.nan)
+    present = np.isfinite(motion.position)
+    observed = []
+    rows = zip(motion.stamps.tolist(), motion.position, velocity, present, strict=True)
+    for row in progress(rows, len(motion.stamps), "filtering"):
+        x = estimator.observe(*row)
+        if isinstance(x, Observation):
+            observed.append(x)
+        else:
+            dropped[x.value] += 1
+    return observed
+
+
+def _causal_line(filters: CausalDifferentiator, cutoff: float) -> str:
+    return (
+        f"causal derivatives at {cutoff:g} Hz lag by {filters.delay:.4f} s and settle within "
+        f"{filters.settling_time:.4f} s"
+    )
+
+
+def _differentiate(
+    scene: Scene, path: Path, motion: Motion, derivatives: Derivatives
+) -> list[Observation]:
+    n = len(scene.couplings.independent)
+    position = motion.position[:, :n].copy()
+    wraps = [scene.robot.joint(j).kind == "continuous" for j in scene.couplings.independent]
+    position[:, wraps] = np.unwrap(position[:, wraps], axis=0)
+    if derivatives.source == "given":
+        velocity = _given(scene, path, motion.velocity, "velocity")
+        acceleration = _given(scene, path, motion.acceleration, "acceleration")
+    else:
+        measured = None if motion.velocity is None else motion.velocity[:, :n]
+        velocity, acceleration = zero_phase(
+            motion.stamps, position, measured, half_width=derivatives.half_width
+        )
+    dependent = motion.position[:, n:]
+    rows = zip(motion.stamps.tolist(), position, velocity, acceleration, dependent, strict=True)
+    return [Observation(*row) for row in rows]
+
+
+def _given(scene: Scene, path: Path, values: Array | None, field: str) -> Array:
+    names = scene.couplings.independent
+    lacking = [
+        name
+        for i, name in enumerate(names)
+        if values is None or not np.isfinite(values[:, i]).all()
+    ]
+    if values is None or lacking:
+        raise DataError(
+            f"{path}: no {field} of {', '.join(lacking)}; choose --derivatives causal or zero-phase"
+        )
+    return values[:, : len(names)]
+
+
+def _solve(
+    scene: Scene,
+    estimator: TorqueEstimator,
+    samples: Sequence[Observation],
+    loads: dict[str, WrenchSamples],
+    with_parts: bool,
+) -> TorqueRecord:
+    stamps = np.array([x.stamp for x in samples], dtype=np.int64)
+    z, v, a = (
+        np.array([getattr(x, field) for x in samples])
+        for field in ("position", "velocity", "acceleration")
+    )
+    wrenches = [_wrench_at(name, load, stamps) for name, load in loads.items()]
+    inverse = scene.inverse_dynamics()
+    chunks = [slice(i, i + _CHUNK) for i in range(0, len(stamps), _CHUNK)]
+    solved = [
+        inverse.batch(z[part], v[part], a[part], [w[part] for w in wrenches])
+        for part in progress(chunks, len(chunks), "solving")
+    ]
+    tau, multipliers = (np.concatenate(rows) for rows in zip(*solved, strict=True))
+    parts = {}
+    if with_parts:
+        rows = zip(z, v, a, *wrenches, strict=True)
+        causes = [
+            inverse.parts(*row[:3], row[3:]) for row in progress(rows, len(stamps), "parts")
+        ]
+        parts = {name: np.array([c[i] for c in causes]) for i, name in enumerate(Parts._fields)}
+    couplings = scene.couplings
+    return TorqueRecord(
+        stamps, couplings.independent, z, v, a, tau, couplings.dependent, multipliers, parts
+    )
+
+
+def _wrench_at(name: str, samples: WrenchSamples, stamps: np.ndarray) -> Array:
+    wrench = at_stamps(samples, stamps, int(WRENCH_MAX_AGE / NANOSECOND))
+    lacking = np.flatnonzero(np.isnan(wrench[:, 0]))
+    if len(lacking):
+        raise DataError(
+            f"wrench '{name}' covers {samples.stamps[0] / 1e9} to {samples.stamps[-1] / 1e9} s, "
+            f"not the motion at {stamps[lacking[0]] / 1e9} s"
+        )
+    return wrench
+
+
+def _violations(scene: Scene, samples: Sequence[Observation]) -> Iterator[str]:
+    couplings = scene.couplings
+    if not couplings.dependent:
+        return
+    q = np.zeros((scene.robot.model.nq, len(samples)))
+    q[couplings.q_index] = np.array([x.position for x in samples]).T
+    couplings.expand(q, np.zeros_like(q), np.zeros_like(q))
+    for i, name in enumerate(couplings.dependent):
+        measured = np.array([x.dependent[i] for x in samples])
+        if np.isfinite(measured).all():
+            off = np.abs(measured - q[scene.robot.joint(name).q]).max()
+            yield f"{name} is off its coupling by at most {off:.3g}"
+        else:
+            yield f"{name} is reconstructed from {scene.laws[name]}"
