@@ -1,0 +1,207 @@
+"""Real nodes over DDS: each test starts processes on the session's own domain."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rclpy.context import Context  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+
+from msg_adapters.diagnostics import Health, read_diagnostics  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[2]
+MINIMAL = Path(__file__).with_name("minimal_node.py")
+
+
+class NodeProcess:
+    """A node in a process of its own; what it logs is collected while it runs."""
+
+    def __init__(self, command: Sequence[str], domain: int) -> None:
+        path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH")) if p)
+        environment = {
+            **os.environ,
+            "ROS_DOMAIN_ID": str(domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "PYTHONPATH": path,
+        }
+        self.process = subprocess.Popen(
+            command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
+        self._lines: list[str] = []
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self.process.pid
+
+    @property
+    def log(self) -> str:
+        """Everything written to stderr until now."""
+        return "".join(self._lines)
+
+    def wait_for(self, text: str, timeout: float = 10.0) -> None:
+        """Return when `text` was logged.
+
+        Raises:
+            AssertionError: It was not, within `timeout` [s] or the life of the process.
+        """
+        end = time.monotonic() + timeout
+        while text not in self.log:
+            alive = self.process.poll() is None and time.monotonic() < end
+            assert alive or text in self.log, f"never logged {text!r}:\n{self.log}"
+            time.sleep(0.01)
+
+    def wait(self, timeout: float = 10.0) -> int:
+        """Exit code, once the process has ended by itself."""
+        code = self.process.wait(timeout)
+        self._reader.join(timeout)
+        return code
+
+    def stop(self, number: int = signal.SIGINT, timeout: float = 10.0) -> int:
+        """Exit code after a signal."""
+        self.process.send_signal(number)
+        return self.wait(timeout)
+
+    def cpu_seconds(self) -> float:
+        """User and system time used so far [s]."""
+        fields = Path(f"/proc/{self.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def _read(self) -> None:
+        assert self.process.stderr is not None
+        self._lines.extend(self.process.stderr)
+
+
+class Probe:
+    """The test's side of the conversation: a node with a context and executor of its own."""
+
+    def __init__(self, domain: int) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self.node: Node = rclpy.create_node("probe", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self.health: list[Health] = []
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep, 10)
+
+    def __enter__(self) -> "Probe":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def spin_until(self, done: Callable[[], Any], timeout: float = 10.0) -> Any:
+        """First true value of `done()`.
+
+        Raises:
+            AssertionError: There is none within `timeout` [s].
+        """
+        end = time.monotonic() + timeout
+        while not (value := done()):
+            assert time.monotonic() < end, f"waited {timeout} s; last health: {self.health[-1:]}"
+            self._executor.spin_once(timeout_sec=0.02)
+        return value
+
+    def spin_for(self, seconds: float) -> None:
+        """Take messages for `seconds` [s]."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+
+    def wait_health(self, done: Callable[[Health], Any], timeout: float = 10.0) -> Health:
+        """First status from now on that satisfies `done`."""
+        seen = len(self.health)
+        found = self.spin_until(lambda: [h for h in self.health[seen:] if done(h)], timeout)
+        return found[0]
+
+    def call(self, kind: type, name: str, request: Any) -> Any:
+        """Response of a service."""
+        client = self.node.create_client(kind, name)
+        self.spin_until(client.service_is_ready)
+        future = client.call_async(request)
+        self.spin_until(future.done)
+        self.node.destroy_client(client)
+        return future.result()
+
+    def set_parameter(self, node: str, name: str, value: Any) -> Any:
+        """SetParametersResult of one change."""
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()]
+        )
+        return self.call(SetParameters, f"{node}/set_parameters", request).results[0]
+
+    def change_state(self, node: str, label: str) -> bool:
+        """Whether the transition `label` succeeded."""
+        request = ChangeState.Request()
+        request.transition.label = label
+        return bool(self.call(ChangeState, f"{node}/change_state", request).success)
+
+    def state(self, node: str) -> str:
+        """Label of the life cycle state."""
+        response = self.call(GetState, f"{node}/get_state", GetState.Request())
+        return str(response.current_state.label)
+
+    def _keep(self, msg: Any) -> None:
+        self.health += read_diagnostics(msg)
+
+
+@pytest.fixture(scope="session")
+def domain() -> int:
+    """A domain id that other sessions on this machine hardly share."""
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    return 1 + os.getpid() % 100
+
+
+@pytest.fixture
+def probe(domain: int) -> Iterator[Probe]:
+    """The test's own node."""
+    with Probe(domain) as node:
+        yield node
+
+
+@pytest.fixture
+def start_node(domain: int, tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
+    """Start `python target --ros-args --params-file ...`; what still runs is killed at the end.
+
+    Args of the function: `parameters` (YAML of a file), `arguments` (more ROS arguments), and
+    `target` (arguments of python; default the minimal node).
+    """
+    started: list[NodeProcess] = []
+
+    def start(
+        parameters: str = "",
+        arguments: Sequence[str] = (),
+        target: Sequence[str] = (str(MINIMAL),),
+    ) -> NodeProcess:
+        command = [sys.executable, *target, "--ros-args", *arguments]
+        if parameters:
+            file = tmp_path / f"parameters_{len(started)}.yaml"
+            file.write_text(parameters)
+            command += ["--params-file", str(file)]
+        started.append(NodeProcess(command, domain))
+        return started[-1]
+
+    yield start
+    for node in started:
+        if node.process.poll() is None:
+            node.process.kill()
+            node.wait()

@@ -1,0 +1,285 @@
+"""The node shell: parameters, life cycle, signals, faults, time and QoS, in real processes."""
+
+import signal
+import time
+
+import pytest
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from msg_adapters.diagnostics import ERROR, OK, WARN
+
+ACTIVE = "]: active"
+
+
+def yaml(**values):
+    """A parameter file for every node."""
+    lines = "".join(f"    {name}: {value}\n" for name, value in values.items())
+    return f"/**:\n  ros__parameters:\n{lines}"
+
+
+RELIABLE = yaml(reliable_input="true")
+
+
+def is_active(health):
+    """Whether a status comes from an active node."""
+    return health.values.get("state") == "active"
+
+
+def send(probe, *names, times=1):
+    """Publish joint states on `in`, once the node listens; reliable if it asks for that."""
+    publisher = probe.node.create_publisher(JointState, "in", 100)
+    probe.spin_until(publisher.get_subscription_count)
+    for _ in range(times):
+        publisher.publish(JointState(name=list(names)))
+
+
+def collect(probe, kind, topic):
+    """Messages of a topic, once its publisher is there."""
+    got = []
+    probe.node.create_subscription(kind, topic, got.append, 10)
+    probe.spin_until(lambda: probe.node.count_publishers(topic))
+    return got
+
+
+# ---------------------------------------------------------------------- parameters
+
+
+def test_yaml_int_serves_as_double_and_an_empty_list_keeps_its_type(start_node, probe):
+    start_node(yaml(gain=3, weights="[4, 5]", joints="[]"))
+    values = probe.wait_health(is_active).values
+    assert (values["gain"], values["weights"], values["joints"]) == ("3.0", "(4.0, 5.0)", "()")
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        (
+            {"gain": ".nan"},
+            "parameter 'gain' is nan (float); accepted: finite float in [0, 100]",
+        ),
+        (
+            {"weights": "[1.0, .inf]"},
+            "parameter 'weights' is inf (float); accepted: list of 2 finite float in [0, inf]",
+        ),
+        (
+            {"weights": "[1.0]"},
+            "parameter 'weights' is [1.0] (list); accepted: list of 2 finite float in [0, inf]",
+        ),
+        (
+            {"refuse": "on"},
+            "parameter 'refuse' is True (bool); accepted: str: YAML reads y, yes, on as bool",
+        ),
+        (
+            {"executor": "fast"},
+            "parameter 'executor' is 'fast' (str); accepted: one of events, single_threaded",
+        ),
+    ],
+)
+def test_a_bad_value_at_the_start_leaves_the_node_unconfigured(start_node, probe, given, reason):
+    node = start_node(yaml(**given))
+    health = probe.wait_health(lambda h: h.level == ERROR)
+    assert reason in health.message
+    assert health.values["state"] == "unconfigured"
+    assert node.stop() == 0
+
+
+def test_overrides_without_effect_are_warned_about(start_node):
+    """An unknown key, a duplicate key, a file whose node key lacks the namespace."""
+    node = start_node(yaml(gian=2.0) + "    gain: 4.0\n    gain: 5.0\n")
+    node.wait_for(ACTIVE)
+    assert "parameter 'gian' is unknown (did you mean 'gain'?); accepted: autostart" in node.log
+    assert "key 'gain' is given twice, the last wins" in node.log
+    node = start_node(
+        "minimal:\n  ros__parameters:\n    gain: 2.0\n", ["-r", "__ns:=/left", "-r", "in:=/x"]
+    )
+    node.wait_for(ACTIVE)
+    assert "the keys /minimal do not match; accepted: /left/minimal or /**" in node.log
+
+
+def test_a_file_that_rcl_refuses_ends_with_its_reason_and_no_traceback(start_node):
+    node = start_node(yaml(weights="[1, 2.0]"))
+    assert node.wait() == 1
+    assert "Sequence should be of same type" in node.log
+    assert "Traceback" not in node.log
+
+
+def test_changes_at_run_time(start_node, probe):
+    """Fault 36: refused with the reason, the node lives; fault 37: a change is one swap."""
+    start_node()
+    probe.wait_health(is_active)
+    for name, value, reason in (
+        ("gain", "high", "Wrong parameter type"),
+        ("gain", float("nan"), "out of range"),
+        ("gain", 1e9, "out of range"),
+        ("gain", 13, "gain 13 makes the filter unstable"),
+        ("weights", [1.0, float("nan")], "accepted: list of 2 finite float in [0, inf]"),
+        ("weights", [1.0, 2.0, 3.0], "accepted: list of 2 finite float in [0, inf]"),
+        ("gian", 1.0, "'gian' is unknown (did you mean 'gain'?)"),
+        ("joints", ["a"], "read-only"),
+    ):
+        result = probe.set_parameter("/minimal", name, value)
+        assert not result.successful
+        assert reason in result.reason
+    assert probe.set_parameter("/minimal", "gain", 7).successful
+    health = probe.wait_health(lambda h: h.values["gain"] == "7.0")
+    assert health.values["tuned"] == "1.0 -> 7.0"
+    assert health.level == OK
+
+
+# ---------------------------------------------------------------------- life cycle
+
+
+def test_life_cycle_over_its_services(start_node, probe):
+    node = start_node(
+        yaml(autostart="false", reliable_input="true", refuse="'scene.yaml: no such file'")
+    )
+    assert probe.state("/minimal") == "unconfigured"
+    assert not probe.change_state("/minimal", "activate")
+    assert "transition 'activate' is not possible while unconfigured; accepted: configure" in (
+        node.log
+    )
+    assert not probe.change_state("/minimal", "configure")
+    assert probe.wait_health(lambda h: h.level == ERROR).message == "scene.yaml: no such file"
+    assert probe.set_parameter("/minimal", "refuse", "").successful
+    for label, state in (
+        ("configure", "inactive"),
+        ("activate", "active"),
+        ("deactivate", "inactive"),
+        ("cleanup", "unconfigured"),
+        ("configure", "inactive"),
+        ("activate", "active"),
+    ):
+        assert probe.change_state("/minimal", label)
+        assert probe.state("/minimal") == state
+    got = collect(probe, JointState, "/minimal/out")
+    send(probe)
+    probe.spin_until(lambda: got)
+    assert node.stop() == 0
+
+
+def test_an_inactive_node_does_not_answer(start_node, probe):
+    start_node(RELIABLE)
+    probe.wait_health(is_active)
+    got = collect(probe, JointState, "/minimal/out")
+    assert probe.change_state("/minimal", "deactivate")
+    send(probe)
+    health = probe.wait_health(lambda h: h.values["state"] == "inactive")
+    assert (health.level, health.message) == (WARN, "inactive")
+    assert got == []
+
+
+@pytest.mark.parametrize("executor", ["events", "single_threaded"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals(start_node, probe, executor, number):
+    """Fault 38: the safe command within 0.2 s, last words, exit code 0, no traceback."""
+    node = start_node(yaml(executor=executor))
+    probe.wait_health(is_active)
+    safe = collect(probe, String, "/minimal/safe")
+    probe.spin_for(0.3)
+    node.process.send_signal(number)
+    sent = time.monotonic()
+    node.process.send_signal(number)  # a terminal and launch both send it
+    probe.spin_until(lambda: safe)
+    assert time.monotonic() - sent < 0.2
+    assert node.wait() == 0
+    probe.spin_until(lambda: probe.health[-1].message == "stopped")
+    assert "Traceback" not in node.log
+
+
+# ---------------------------------------------------------------------- faults
+
+
+def test_an_error_of_the_core_deactivates(start_node, probe):
+    """Fault 39: safe command, ERROR with the text, no answers; activation starts again."""
+    node = start_node(RELIABLE)
+    probe.wait_health(is_active)
+    safe = collect(probe, String, "/minimal/safe")
+    send(probe, "mbd_error")
+    health = probe.wait_health(lambda h: h.level == ERROR)
+    assert health.message == "column 'knee' is empty"
+    assert health.values["state"] == "inactive"
+    probe.spin_until(lambda: safe)
+    assert probe.change_state("/minimal", "activate")
+    assert probe.wait_health(is_active).level == OK
+    assert node.stop() == 0
+
+
+@pytest.mark.parametrize("executor", ["events", "single_threaded"])
+def test_a_bug_in_a_callback_ends_the_process(start_node, probe, executor):
+    node = start_node(yaml(executor=executor, reliable_input="true"))
+    probe.wait_health(is_active)
+    safe = collect(probe, String, "/minimal/safe")
+    probe.spin_for(0.3)
+    send(probe, "crash")
+    health = probe.wait_health(lambda h: h.level == ERROR)
+    assert health.message == "ValueError('a bug')"
+    probe.spin_until(lambda: safe)
+    assert node.wait() == 1
+    assert "Traceback" in node.log
+
+
+def test_a_bug_while_configuring_ends_the_process(start_node):
+    node = start_node(yaml(refuse="crash"))
+    assert node.wait() == 1
+    assert "ValueError: configure crashed" in node.log
+
+
+def test_drops_are_counted_and_one_warning_is_given(start_node, probe):
+    node = start_node(RELIABLE)
+    probe.wait_health(is_active)
+    send(probe, "drop", times=10)
+    probe.wait_health(lambda h: h.values.get("dropped.malformed") == "10")
+    assert node.log.count("joint_states: too short (dropped for 'malformed': 1)") == 1
+    assert node.log.count("joint_states: too short") == 1
+
+
+# ---------------------------------------------------------------------- time and graph
+
+
+def test_diagnostics_at_1_hz_under_a_clock_that_never_starts(start_node, probe):
+    """Fault 17: no busy loop, and the node still speaks."""
+    node = start_node(yaml(use_sim_time="true"))
+    probe.wait_health(is_active)
+    before, busy = len(probe.health), node.cpu_seconds()
+    probe.spin_for(3.0)
+    assert 2 <= len(probe.health) - before <= 4
+    assert node.cpu_seconds() - busy < 0.15  # of 3 s: 10 wake-ups per second and diagnostics
+    last = probe.health[-1]
+    assert (last.name, last.level, last.message) == ("/minimal", OK, "fine")
+
+
+def test_time_that_jumps_back_resets_once(start_node, probe):
+    """Fault 16."""
+    node = start_node(yaml(use_sim_time="true"))
+    probe.wait_health(is_active)
+    clock = probe.node.create_publisher(Clock, "/clock", 10)
+    probe.spin_until(clock.get_subscription_count)
+    for second in (5, 6, 7, 2, 3):
+        msg = Clock()
+        msg.clock.sec = second
+        clock.publish(msg)
+        probe.spin_for(0.1)
+    health = probe.wait_health(lambda h: h.values["resets"])
+    assert health.values["resets"] == "time jumped back by 5.000 s"
+    assert node.log.count("time jumped back by 5.000 s: starting afresh") == 1
+
+
+def test_incompatible_qos_and_a_second_publisher_are_named_until_they_are_gone(start_node, probe):
+    """Faults 19 and 20."""
+    node = start_node(yaml(reliable_input="true"))
+    probe.wait_health(is_active)
+    best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    first = probe.node.create_publisher(JointState, "in", best_effort)
+    health = probe.wait_health(lambda h: h.level == WARN)
+    assert health.message.startswith("/in: incompatible QoS with node 'probe': ")
+    assert "Best effort publisher and reliable subscription" in health.message
+    second = probe.node.create_publisher(JointState, "in", 10)
+    health = probe.wait_health(lambda h: "publishers" in h.message)
+    assert "/in: 2 publishers (probe, probe), one was expected" in health.message
+    probe.node.destroy_publisher(first)
+    probe.wait_health(lambda h: h.level == OK)
+    assert node.log.count("one was expected") == 1
+    probe.node.destroy_publisher(second)

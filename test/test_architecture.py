@@ -1,0 +1,231 @@
+"""Who may import whom, and what the core may not touch. The table is that of the design."""
+
+import ast
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FILES = sorted(
+    p.relative_to(ROOT) for d in ("mbd_ros", "msg_adapters") for p in (ROOT / d).rglob("*.py")
+)
+
+CORE, NODES = "mbd_ros.core", "mbd_ros.nodes"
+SCENE = {f"mbd_ros.{m}" for m in ("registry", "scene", "scene_check", "schema", "strict_yaml")}
+PART_FOLDERS = {
+    f"mbd_ros.{folder}"
+    for folder in (
+        "actuators",
+        "constraints",
+        "contacts",
+        "controllers",
+        "forces",
+        "integrators",
+        "stabilization",
+    )
+}
+LAYERS = {
+    "errors": {"mbd_ros.errors"},
+    "msg_adapters": {"msg_adapters"},
+    "core": {CORE},
+    "part": PART_FOLDERS,
+    "scene": SCENE,
+    "nodes": {NODES},
+}
+MATH = {"numpy", "pinocchio"}
+WORLD = {"time", "datetime", "logging", "os", "io", "pathlib", "shutil", "socket", "subprocess"}
+SHELL_ONLY = {"rclpy", "rosbags", "yaml", "matplotlib", "msg_adapters"}
+ALLOWED = {
+    "errors": set(),
+    "msg_adapters": {"numpy", "msg_adapters"},
+    "core": {*MATH, "mbd_ros.errors", CORE},
+    "scene": {*MATH, "yaml", "mbd_ros.errors", CORE, *SCENE},
+}
+UNWANTED = {"proxsuite", "qpsolvers", "scipy", "matplotlib", "rosbags", "rclpy"}
+
+
+class Import(NamedTuple):
+    name: str
+    line: int
+    at_module_level: bool
+
+
+def imports(tree):
+    """Every import, as the dotted name of what is imported."""
+    inside = {
+        id(n)
+        for function in ast.walk(tree)
+        if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef)
+        for n in ast.walk(function)
+    }
+    for n in ast.walk(tree):
+        if isinstance(n, ast.Import):
+            names = [alias.name for alias in n.names]
+        elif isinstance(n, ast.ImportFrom):
+            names = [f"{'.' * n.level}{n.module or ''}.{alias.name}" for alias in n.names]
+        else:
+            continue
+        yield from (Import(name, n.lineno, id(n) not in inside) for name in names)
+
+
+def within(name, roots):
+    return any(name == root or name.startswith(root + ".") for root in roots)
+
+
+def layer(path):
+    """A key of `LAYERS`, or application: the command line and what only it calls."""
+    module = ".".join(Path(path).with_suffix("").parts)
+    return next((n for n, roots in LAYERS.items() if within(module, roots)), "application")
+
+
+def refused(path, found):
+    """Why a file may not have this import, or None."""
+    name, here = found.name, layer(path)
+    if name.startswith("."):
+        return "is relative"
+    if here == "core" and within(name, {"proxsuite"}) and Path(path).name == "qp.py":
+        return "is at module level" if found.at_module_level else None
+    if here in ("core", "part") and within(name, WORLD | {"importlib"}):
+        return "touches the world"
+    if name.split(".")[0] in sys.stdlib_module_names and here != "errors":
+        return None
+    if here in ALLOWED:
+        return None if within(name, ALLOWED[here]) else f"is not for {here}"
+    if here == "part":
+        outside = within(name, {"mbd_ros"}) and not within(name, ALLOWED["core"])
+        return "is not for a part" if outside or within(name, SHELL_ONLY) or ros(name) else None
+    if here == "application" and within(name, {NODES}) and found.at_module_level:
+        return "brings ROS nodes in at module level"
+    return None
+
+
+def ros(name):
+    return name.split(".")[0].endswith(("_msgs", "_srvs", "_interfaces"))
+
+
+def violations(path, source):
+    """Lines of a file that break the table."""
+    tree = ast.parse(source)
+    rows = [(i.line, f"{i.name} {why}") for i in imports(tree) if (why := refused(path, i))]
+    if layer(path) in ("core", "part"):
+        rows += [
+            (n.lineno, f"{ast.unparse(n)} touches the world")
+            for n in ast.walk(tree)
+            if isinstance(n, ast.Call) and ast.unparse(n.func) in ("open", "print", "input")
+        ]
+        rows += [(n.lineno, "global state") for n in ast.walk(tree) if isinstance(n, ast.Global)]
+    return [f"{path}:{line} {what}" for line, what in sorted(rows)]
+
+
+def test_every_file_keeps_to_its_layer():
+    rows = [row for p in FILES for row in violations(p, (ROOT / p).read_text(encoding="utf-8"))]
+    assert not rows, "\n".join(rows)
+
+
+@pytest.mark.parametrize(
+    ("path", "source"),
+    [
+        ("mbd_ros/errors.py", "import math"),
+        ("mbd_ros/core/robot.py", "import rclpy"),
+        ("mbd_ros/core/robot.py", "from mbd_ros import scene"),
+        ("mbd_ros/core/robot.py", "from . import state"),
+        ("mbd_ros/core/robot.py", "import scipy.linalg"),
+        ("mbd_ros/core/robot.py", "def f():\n    import proxsuite"),
+        ("mbd_ros/core/qp.py", "import proxsuite"),
+        ("mbd_ros/core/robot.py", "from time import monotonic"),
+        ("mbd_ros/core/robot.py", "import logging"),
+        ("mbd_ros/core/robot.py", "def f(p):\n    return open(p)"),
+        ("mbd_ros/core/robot.py", "print(1)"),
+        ("mbd_ros/forces/spring.py", "from mbd_ros.contacts.plane import Plane"),
+        ("mbd_ros/forces/spring.py", "from mbd_ros.scene import load_scene"),
+        ("mbd_ros/forces/spring.py", "import yaml"),
+        ("mbd_ros/forces/spring.py", "from sensor_msgs.msg import JointState"),
+        ("mbd_ros/scene.py", "import rclpy"),
+        ("mbd_ros/registry.py", "from mbd_ros.forces.joint_spring import JointSpring"),
+        ("mbd_ros/scene.py", "from mbd_ros.nodes.shell import Shell"),
+        ("msg_adapters/wrench.py", "import rclpy"),
+        ("msg_adapters/wrench.py", "from geometry_msgs.msg import Wrench"),
+        ("msg_adapters/wrench.py", "from mbd_ros.errors import MbdError"),
+        ("mbd_ros/bags.py", "from mbd_ros.nodes import shell"),
+        ("mbd_ros/report/demo.py", "import mbd_ros.nodes.shell"),
+        ("mbd_ros/cli.py", "from mbd_ros.nodes.inverse_dynamics import main"),
+    ],
+)
+def test_a_forbidden_line_is_seen(path, source):
+    assert len(violations(path, source)) == 1
+
+
+@pytest.mark.parametrize(
+    ("path", "source"),
+    [
+        ("mbd_ros/core/qp.py", "def build():\n    import proxsuite"),
+        (
+            "mbd_ros/core/robot.py",
+            "import math, numpy as np, pinocchio\nfrom mbd_ros.core import state",
+        ),
+        ("mbd_ros/forces/spring.py", "import numpy as np\nfrom mbd_ros.core.robot import Robot"),
+        ("mbd_ros/cli.py", "def f():\n    from mbd_ros.nodes.inverse_dynamics import main"),
+        ("mbd_ros/nodes/shell.py", "import rclpy, time\nfrom mbd_ros.scene import load_scene"),
+    ],
+)
+def test_an_allowed_line_passes(path, source):
+    assert violations(path, source) == []
+
+
+def test_a_heavy_library_has_one_part_file():
+    owners = {}
+    for path in (p for p in FILES if layer(p) == "part"):
+        for found in imports(ast.parse((ROOT / path).read_text(encoding="utf-8"))):
+            library = found.name.split(".")[0]
+            if library not in {*sys.stdlib_module_names, *MATH, "mbd_ros"}:
+                owners.setdefault(library, set()).add(path)
+    assert {name: files for name, files in owners.items() if len(files) > 1} == {}
+
+
+def test_every_folder_has_a_layer():
+    folders = {".".join(p.parent.parts) for p in FILES}
+    assert folders - PART_FOLDERS == {"mbd_ros", CORE, NODES, "mbd_ros.report", "msg_adapters"}
+
+
+def test_every_init_is_empty():
+    filled = [p for p in FILES if p.name == "__init__.py" and (ROOT / p).stat().st_size]
+    assert filled == []
+
+
+def loaded_by_check(scene):
+    """Modules that a fresh process holds after `mbd-ros check`."""
+    code = "import json, sys; from mbd_ros.cli import main; code = main(['check', sys.argv[1]]); "
+    code += "print(json.dumps([code, sorted(sys.modules)]))"
+    ran = subprocess.run(
+        [sys.executable, "-c", code, str(scene)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    status, modules = json.loads(ran.stdout.splitlines()[-1])
+    assert status == 0, ran.stderr
+    return modules
+
+
+def test_an_empty_scene_imports_nothing_that_it_does_not_use():
+    modules = loaded_by_check(ROOT / "config/scenes/empty.yaml")
+    assert "mbd_ros.core.inverse_dynamics" in modules
+    assert [m for m in modules if within(m, UNWANTED | PART_FOLDERS)] == []
+
+
+def test_a_scene_imports_the_parts_that_it_names(tmp_path):
+    shutil.copy(ROOT / "config/robots/pendulum.urdf", tmp_path)
+    scene = tmp_path / "sprung.yaml"
+    scene.write_text(
+        "robot: {urdf: pendulum.urdf}\n"
+        "forces: [{type: joint_spring, joint: hinge, stiffness: 1.0}]\n",
+        encoding="utf-8",
+    )
+    parts = [m for m in loaded_by_check(scene) if within(m, PART_FOLDERS)]
+    assert parts == ["mbd_ros.forces", "mbd_ros.forces.joint_spring"]

@@ -1,0 +1,118 @@
+"""What pip and colcon install."""
+
+import ast
+import importlib.metadata
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from configparser import ConfigParser
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ElementTree.parse(ROOT / "package.xml").getroot()
+SOURCES = ["setup.py", "setup.cfg", "pyproject.toml", "package.xml", "LICENSE"]
+FOLDERS = ["mbd_ros", "msg_adapters", "resource", "launch", "config"]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """The wheel that pip builds from a copy of the sources, without the network."""
+    copy, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
+    for name in SOURCES:
+        shutil.copy(ROOT / name, copy)
+    for name in FOLDERS:
+        shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+    words = ["wheel", "--quiet", "--no-deps", "--no-index", "--no-build-isolation", "-w"]
+    subprocess.run([sys.executable, "-m", "pip", *words, out, copy], check=True, timeout=100)
+    (built,) = out.glob("*.whl")
+    with zipfile.ZipFile(built) as archive:
+        yield archive
+
+
+def read(wheel, ending):
+    (name,) = (n for n in wheel.namelist() if n.endswith(ending))
+    return wheel.read(name).decode()
+
+
+def names(folder, pattern="*"):
+    found = (p for p in (ROOT / folder).rglob(pattern) if p.is_file() and p.suffix != ".pyc")
+    return {p.relative_to(ROOT).as_posix() for p in found}
+
+
+def plain(requirement):
+    return re.match(r"[\w.-]+", requirement)[0].lower().replace("_", "-")
+
+
+def test_ros_sees_a_format_3_ament_python_package():
+    assert PACKAGE.get("format") == "3"
+    assert PACKAGE.findtext("name") == "mbd_ros"
+    assert PACKAGE.findtext("export/build_type") == "ament_python"
+    assert PACKAGE.findtext("license") == "Apache-2.0"
+    assert (ROOT / "resource" / "mbd_ros").is_file()
+
+
+def test_every_ros_package_imported_is_declared():
+    declared = {e.text for e in PACKAGE.findall("exec_depend")}
+    used = set()
+    for path in names("mbd_ros", "*.py") | names("launch", "*.py"):
+        for n in ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8"))):
+            if isinstance(n, ast.Import):
+                used |= {alias.name.split(".")[0] for alias in n.names}
+            elif isinstance(n, ast.ImportFrom) and n.module:
+                used.add(n.module.split(".")[0])
+    ros = {
+        u for u in used if re.search(r"^(rclpy|launch\w*|ament_\w+)$|_(msgs|srvs|interfaces)$", u)
+    }
+    assert "rclpy" in ros
+    assert ros <= declared
+
+
+def test_one_version_everywhere(wheel):
+    version = PACKAGE.findtext("version")
+    assert Path(wheel.filename).name.startswith(f"mbd_ros-{version}-")
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert re.search(r"^## \[?(\d+\.\d+\.\d+)", changes, re.MULTILINE)[1] == version
+
+
+def test_the_wheel_shares_every_launch_and_config_file(wheel):
+    prefix = f"mbd_ros-{PACKAGE.findtext('version')}.data/data/share/"
+    shared = {n.removeprefix(prefix) for n in wheel.namelist() if n.startswith(prefix)}
+    marker = "ament_index/resource_index/packages/mbd_ros"
+    wanted = {f"mbd_ros/{n}" for n in names("config") | names("launch")}
+    assert "mbd_ros/config/scenes/empty.yaml" in wanted
+    assert shared == wanted | {marker, "mbd_ros/package.xml"}
+
+
+def test_the_wheel_holds_every_module_and_no_test(wheel):
+    modules = {n for n in wheel.namelist() if n.endswith(".py") and ".data/" not in n}
+    assert modules == names("mbd_ros", "*.py") | names("msg_adapters", "*.py")
+
+
+def test_the_licence_travels_with_the_wheel(wheel):
+    assert "Apache License" in read(wheel, "LICENSE")
+    assert read(wheel, "LICENSE") == (ROOT / "LICENSE").read_text(encoding="utf-8")
+
+
+def test_every_entry_point_of_the_wheel_loads(wheel):
+    parser = ConfigParser()
+    parser.read_string(read(wheel, "entry_points.txt"))
+    scripts = dict(parser["console_scripts"])
+    assert scripts.keys() == {"mbd-ros", "inverse_dynamics"}
+    for name, target in scripts.items():
+        point = importlib.metadata.EntryPoint(name, target, "console_scripts")
+        assert callable(point.load())
+
+
+def test_every_requirement_has_an_exact_pin(wheel):
+    lines = (ROOT / "requirements/pins.txt").read_text(encoding="utf-8").splitlines()
+    pins = [line for line in lines if not line.startswith("#")]
+    exact = re.compile(r'[\w.-]+==[\w.]+(; python_version (<|>=) "3.11")?')
+    assert [p for p in pins if not exact.fullmatch(p)] == []
+    required = re.findall(r"^Requires-Dist: (.*)", read(wheel, "METADATA"), re.MULTILINE)
+    assert len(required) > 10
+    assert {plain(r) for r in required} - {plain(p) for p in pins} == set()
