@@ -1,10 +1,11 @@
 """Start the node `inverse_dynamics`: ros2 launch mbd_ros inverse_dynamics.launch.py scene:=..."""
 
-from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import LifecycleNode
 from launch_ros.substitutions import FindPackageShare
+
+from launch import LaunchDescription
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -1,13 +1,14 @@
 """mbd-ros: check | inverse | replay | demo."""
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from mbd_ros.errors import MbdError
 
-OK, FAILED, BAD_INPUT = 0, 1, 2
+OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -27,7 +28,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return BAD_INPUT
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        return 130
+        return INTERRUPTED
+    except BrokenPipeError:  # `mbd-ros check ... | head`: nobody reads on
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return OK
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -61,7 +65,9 @@ def _add_inverse(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
         help="given: the motion has them; causal: filtered, lagging, as the node does; "
         "zero-phase: local polynomial fit that sees the future (default: %(default)s)",
     )
-    inverse.add_argument("--parts", action="store_true", help="also gravity, coriolis, inertial, ..")
+    inverse.add_argument(
+        "--parts", action="store_true", help="also gravity, coriolis, inertial, .."
+    )
     _add_tuning(inverse)
     inverse.add_argument("--half-width", type=int, default=4, help="samples, zero-phase only")
     inverse.add_argument("--topic", default="/joint_states", help="JointState topic of a bag")
@@ -88,7 +94,9 @@ def _add_tuning(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_demo(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    demo = commands.add_parser("demo", help="the prosthetic arm through the live node, with a plot")
+    demo = commands.add_parser(
+        "demo", help="the prosthetic arm through the live node, with a plot"
+    )
     demo.add_argument("-o", "--out", type=Path, default=Path("demo_out"))
     demo.set_defaults(run=_demo)
 

@@ -173,7 +173,8 @@ def _given(scene: Scene, path: Path, values: Array | None, field: str) -> Array:
     ]
     if values is None or lacking:
         raise DataError(
-            f"{path}: no {field} of {', '.join(lacking)}; choose --derivatives causal or zero-phase"
+            f"{path}: no {field} of {', '.join(lacking)}; "
+            "choose --derivatives causal or zero-phase"
         )
     return values[:, : len(names)]
 
@@ -201,9 +202,7 @@ def _solve(
     parts = {}
     if with_parts:
         rows = zip(z, v, a, *wrenches, strict=True)
-        causes = [
-            inverse.parts(*row[:3], row[3:]) for row in progress(rows, len(stamps), "parts")
-        ]
+        causes = [inverse.parts(*row[:3], row[3:]) for row in progress(rows, len(stamps), "parts")]
         parts = {name: np.array([c[i] for c in causes]) for i, name in enumerate(Parts._fields)}
     couplings = scene.couplings
     return TorqueRecord(
@@ -212,7 +211,7 @@ def _solve(
 
 
 def _wrench_at(name: str, samples: WrenchSamples, stamps: np.ndarray) -> Array:
-    wrench = at_stamps(samples, stamps, int(WRENCH_MAX_AGE / NANOSECOND))
+    wrench = at_stamps(samples, stamps, round(WRENCH_MAX_AGE / NANOSECOND))
     lacking = np.flatnonzero(np.isnan(wrench[:, 0]))
     if len(lacking):
         raise DataError(

@@ -53,7 +53,8 @@ def write_torques(path: str | Path, torques: TorqueRecord) -> None:
     if is_bag(path):
         from mbd_ros.bag_recordings import write_bag_torques
 
-        return write_bag_torques(Path(path), torques)
+        write_bag_torques(Path(path), torques)
+        return
     fields = {
         **{f: getattr(torques, f) for f in ("position", "velocity", "acceleration", "effort")},
         **torques.parts,

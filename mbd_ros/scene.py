@@ -1,4 +1,4 @@
-"""Scene file -> parts. An absent section is an absent feature: not built, not imported, not paid for."""
+"""Scene file -> parts. An absent section is an absent feature: not built, not imported."""
 
 import os
 import sys
@@ -127,7 +127,9 @@ def _read_sections(path: Path) -> dict[str, Any]:
             raise SceneError(f"{path}: unknown key '{key}', accepted: {', '.join(SECTIONS)}")
     if "robot" not in sections:
         raise SceneError(f"{path}: key 'robot' is missing")
-    return {key: section for key, section in sections.items() if section is not None or key == "robot"}
+    return {
+        key: section for key, section in sections.items() if section is not None or key == "robot"
+    }
 
 
 def _robot_entry(path: Path, sections: Mapping[str, Any]) -> _RobotEntry:
@@ -141,8 +143,7 @@ def _robot_entry(path: Path, sections: Mapping[str, Any]) -> _RobotEntry:
 
 def _build_robot(path: Path, entry: _RobotEntry, description: str | None) -> tuple[Robot, str]:
     if entry.urdf is not None:
-        file = find_file(path.parent, entry.urdf, f"{path}: robot.urdf")
-        source, text = str(file), read_text(file, MAX_CHARACTERS, "robot description")
+        source, text = _read_urdf(path, entry.urdf)
     elif description is not None:
         source, text = f"topic {entry.description_topic}", description
     else:
@@ -162,6 +163,15 @@ def _build_robot(path: Path, entry: _RobotEntry, description: str | None) -> tup
     except ModelError as error:
         raise SceneError(f"{path}: robot: {error}") from error
     return robot, source
+
+
+def _read_urdf(path: Path, name: str) -> tuple[str, str]:
+    where = f"{path}: robot.urdf"
+    file = find_file(path.parent, name, where)
+    try:
+        return str(file), read_text(file, MAX_CHARACTERS, "robot description")
+    except SceneError as error:
+        raise SceneError(f"{where}: {error}") from error
 
 
 def find_file(folder: Path, name: str, where: str) -> Path:
@@ -212,7 +222,9 @@ def _coupling(
     }
     given = [kind for kind, law in laws.items() if law is not None]
     if len(given) != 1:
-        raise ModelError(f"give exactly one of {', '.join(laws)}; got {', '.join(given) or 'none'}")
+        raise ModelError(
+            f"give exactly one of {', '.join(laws)}; got {', '.join(given) or 'none'}"
+        )
     if offset is not None and factor is None:
         raise ModelError("'offset' goes with 'factor' only")
     if factor == 0:

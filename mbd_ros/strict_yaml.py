@@ -1,7 +1,7 @@
 """YAML that means what it says: no duplicate keys, no tags, no aliases, numbers only as numbers.
 
-Only what is printed below as a number becomes one, so that `1e-3` is 0.001 and `nan`, `1_000` or `0x10`
-stay text, which the schema then refuses by key.
+Only what is printed below as a number becomes one, so that `1e-3` is 0.001 and `nan`, `1_000` or
+`0x10` stay text, which the schema then refuses by key.
 """
 
 import math
@@ -86,7 +86,8 @@ class _Composer(yaml.SafeLoader):
 def _one_line(error: yaml.YAMLError) -> str:
     mark = getattr(error, "problem_mark", None)
     where = "" if mark is None else f"line {mark.line + 1}: "
-    return where + str(getattr(error, "problem", None) or str(error).splitlines()[0])
+    said = [getattr(error, name, None) for name in ("context", "problem")]
+    return where + (", ".join(filter(None, said)) or str(error).splitlines()[0])
 
 
 def _value(node: yaml.Node, source: str, key: str) -> Any:

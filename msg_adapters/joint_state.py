@@ -30,6 +30,10 @@ class JointSample(NamedTuple):
 class JointStateReader:
     """Reads messages whose joints may be reordered, missing or more than asked for.
 
+    Args:
+        names: The joints asked for.
+        with_effort: False leaves the effort unread, as absent.
+
     Attributes:
         names: The joints asked for, in the order of the arrays.
         present: Which of them the newest message carried, shape (n,) of bool.
@@ -37,14 +41,16 @@ class JointStateReader:
         extra: Joints of the newest message that were not asked for.
     """
 
-    def __init__(self, names: Sequence[str]) -> None:
+    def __init__(self, names: Sequence[str], *, with_effort: bool = True) -> None:
         self.names = tuple(names)
+        self._with_effort = with_effort
         self.present = np.zeros(len(names), dtype=np.bool_)
         self.missing: tuple[str, ...] = ()
         self.extra: tuple[str, ...] = ()
         self._absent = np.full(len(names), np.nan)
         self._absent.flags.writeable = False
         self._message_names: list[str] | None = None
+        self._in_order = False
         self._columns = np.empty(0, dtype=np.intp)
         self._rows = np.empty(0, dtype=np.intp)
 
@@ -55,18 +61,34 @@ class JointStateReader:
             msg: JointState of rclpy, rosbags, or anything with the same fields.
 
         Returns:
-            Fresh or read-only arrays, in the order of `names`.
+            Arrays in the order of `names`: fresh, read-only, or views of the message, which
+            nobody may refill as long as they are used.
 
         Raises:
             MessageError: Names empty or repeated, or an array neither empty nor as long as them.
         """
         if msg.name != self._message_names:
             self._learn(list(msg.name))
+        stamp = read_time(msg.header.stamp)
+        return self.arrange(stamp, msg.position, msg.velocity, msg.effort)
+
+    def arrange(self, stamp: int, position: Any, velocity: Any, effort: Any) -> JointSample:
+        """Arrays in the order of `names`, of a message with the names of the last `read`.
+
+        Args:
+            stamp: Header stamp [ns].
+            position: Doubles in the order of the message, or nothing.
+            velocity: The same.
+            effort: The same.
+
+        Raises:
+            MessageError: An array neither empty nor as long as the names.
+        """
         return JointSample(
-            read_time(msg.header.stamp),
-            self._pick(msg.position, "position"),
-            self._pick(msg.velocity, "velocity"),
-            self._pick(msg.effort, "effort"),
+            stamp,
+            self._pick(position, "position"),
+            self._pick(velocity, "velocity"),
+            self._pick(effort, "effort") if self._with_effort else self._absent,
         )
 
     def _learn(self, names: list[str]) -> None:
@@ -82,6 +104,7 @@ class JointStateReader:
         self.present = np.array([name in index for name in self.names], dtype=np.bool_)
         self.missing = tuple(name for name in self.names if name not in index)
         self.extra = tuple(name for name in names if name not in self.names)
+        self._in_order = tuple(names) == self.names
         self._message_names = names
 
     def _pick(self, values: Any, field: str) -> NDArray[np.float64]:
@@ -92,11 +115,13 @@ class JointStateReader:
             raise MessageError(
                 f"{field} has {len(values)} values for {len(self._message_names)} names"
             )
-        taken = np.frombuffer(values, dtype=np.float64)[self._columns]
-        if not self.missing:
-            return taken
-        picked = self._absent.copy()
-        picked[self._rows] = taken
+        given: NDArray[np.float64] = (
+            values if isinstance(values, np.ndarray) else np.frombuffer(values, np.float64)
+        )
+        if self._in_order:
+            return given
+        picked = np.full(len(self.names), np.nan)
+        picked[self._rows] = given[self._columns]
         return picked
 
 

@@ -133,7 +133,7 @@ def test_scene_builds_and_stays_within_its_joint_limits(name):
     for share in np.linspace(0.0, 1.0, 201):
         q = couplings.positions(lower[v] + share * (upper[v] - lower[v]))
         assert np.array_equal(q, np.clip(q, lower - 1e-12, upper + 1e-12))
-        assert np.all(np.abs(couplings.jacobian()) @ speed[v] <= speed + 1e-12)
+        assert np.all(np.abs(couplings.jacobian(q)) @ speed[v] <= speed + 1e-12)
 
 
 @pytest.mark.parametrize("name", LEGS)

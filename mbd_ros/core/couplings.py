@@ -1,13 +1,16 @@
 """Dependent joints: q = F(z), with G = dF/dz and the drift dG/dt z'.
 
-Every dependent joint follows one other joint, its parent, by a law f. Chains are walked joint by joint:
+Every dependent joint follows one other joint, its parent, by a law f. Chains are walked joint by
+joint:
 
     q_d = f(q_p),    v_d = f' v_p,    a_d = f' a_p + f'' v_p^2
 
-from the independent joints outwards gives F(z), G z' and G z'' + dG/dt z'; the same walk backwards,
-tau_p += f' tau_d, gives G' tau. After the backward walk tau_d is the coupling multiplier lam_d.
+from the independent joints outwards gives F(z), G z' and G z'' + dG/dt z'; the same walk
+backwards, tau_p += f' tau_d, gives G' tau. After the backward walk tau_d is the coupling
+multiplier lam_d.
 """
 
+import itertools
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -57,9 +60,7 @@ class PiecewisePolynomial:
         ModelError: Breaks not increasing, or rows of another number or length.
     """
 
-    def __init__(
-        self, breaks: Sequence[float], coefficients: Sequence[Sequence[float]]
-    ) -> None:
+    def __init__(self, breaks: Sequence[float], coefficients: Sequence[Sequence[float]]) -> None:
         _check_increasing(breaks, "breaks")
         if len(coefficients) != len(breaks) - 1:
             raise ModelError(
@@ -101,7 +102,9 @@ def natural_cubic_spline(x: Sequence[float], y: Sequence[float]) -> PiecewisePol
     system, right = np.eye(n), np.zeros(n)
     for i in range(1, n - 1):
         system[i, i - 1 : i + 2] = h[i - 1], 2.0 * (h[i - 1] + h[i]), h[i]
-        right[i] = 6.0 * ((values[i + 1] - values[i]) / h[i] - (values[i] - values[i - 1]) / h[i - 1])
+        right[i] = 6.0 * (
+            (values[i + 1] - values[i]) / h[i] - (values[i] - values[i - 1]) / h[i - 1]
+        )
     curvature = np.linalg.solve(system, right)
     cubic, quadratic = np.diff(curvature) / (6.0 * h), curvature[:-1] / 2.0
     slope = np.diff(values) / h - h * (2.0 * curvature[:-1] + curvature[1:]) / 6.0
@@ -114,11 +117,12 @@ def natural_cubic_spline(x: Sequence[float], y: Sequence[float]) -> PiecewisePol
 
 
 def _check_increasing(values: Sequence[float], name: str) -> None:
-    if len(values) < 2 or any(b <= a for a, b in zip(values, values[1:], strict=False)):
+    if len(values) < 2 or any(b <= a for a, b in itertools.pairwise(values)):
         raise ModelError(f"{name} must be at least two increasing numbers, got {list(values)}")
 
 
 Law = Polynomial | PiecewisePolynomial
+Slopes = list[Any]  # floats, or one array a joint for a batch
 
 
 class Coupling(NamedTuple):
@@ -155,8 +159,10 @@ class Couplings:
     """
 
     def __init__(self, robot: Robot, couplings: Mapping[str, Coupling] | None = None) -> None:
-        mimics = {m.joint: Coupling(m.parent, Polynomial([m.offset, m.factor])) for m in robot.mimics}
-        laws = {**mimics, **(couplings or {})}
+        laws = {
+            m.joint: Coupling(m.parent, Polynomial([m.offset, m.factor])) for m in robot.mimics
+        }
+        laws.update(couplings or {})
         for name, coupling in laws.items():
             _check_ends(robot, name, coupling.parent)
         order = _outwards(laws)
@@ -165,46 +171,51 @@ class Couplings:
         self.dependent = tuple(order)
         self.parents = {name: laws[name].parent for name in order}
         self._links = [_link(robot, child[name], laws[name]) for name in order]
-        self._slopes: list[Any] = [0.0] * len(order)
         dependent_q = [joint.q for joint in child.values()]
         self._dependent_v = np.array([joint.v for joint in child.values()], dtype=np.intp)
         self.q_index = np.setdiff1d(np.arange(robot.model.nq), dependent_q)
         self.v_index = np.setdiff1d(np.arange(robot.model.nv), self._dependent_v)
         self._nv = int(robot.model.nv)
 
-    def expand(self, q: Array, v: Array, a: Array) -> None:
+    def expand(self, q: Array, v: Array, a: Array, slopes: Slopes | None = None) -> Slopes:
         """Fill the dependent rows of q, v and a from the independent ones, in place.
 
         Args:
             q: Configuration, shape (nq,), or a batch (nq, n).
             v: Velocity, shape (nv,) or (nv, n).
             a: Acceleration, shape (nv,) or (nv, n).
+            slopes: What an earlier call returned, to be overwritten; a new list without it.
+
+        Returns:
+            The slope f' of every dependent joint at this configuration.
         """
+        slopes = [0.0] * len(self._links) if slopes is None else slopes
         q_of, v_of, a_of = (x.item if x.ndim == 1 else x.__getitem__ for x in (q, v, a))
         for i, (child_q, child_v, parent_q, parent_v, law) in enumerate(self._links):
             q[child_q], slope, curvature = law(q_of(parent_q))
             rate = v_of(parent_v)
             v[child_v] = slope * rate
             a[child_v] = slope * a_of(parent_v) + curvature * rate * rate
-            self._slopes[i] = slope
+            slopes[i] = slope
+        return slopes
 
-    def reduce(self, tau: Array) -> tuple[Array, Array]:
-        """G' tau and the multipliers, at the configuration of the last `expand`.
+    def reduce(self, tau: Array, slopes: Slopes) -> tuple[Array, Array]:
+        """G' tau and the multipliers.
 
         Args:
             tau: Generalized forces of all joints, shape (nv,) or (nv, n); overwritten.
+            slopes: What `expand` returned.
 
         Returns:
-            Forces of the independent coordinates, shape (nv_z,) or (nv_z, n), and the multiplier of
-            every dependent joint, shape (len(dependent),) or (len(dependent), n).
+            Forces of the independent coordinates, shape (nv_z,) or (nv_z, n), and the multiplier
+            of every dependent joint, shape (len(dependent),) or (len(dependent), n).
         """
-        for i in range(len(self._links) - 1, -1, -1):
-            link = self._links[i]
-            tau[link.parent_v] += self._slopes[i] * tau[link.child_v]
+        for slope, link in zip(reversed(slopes), reversed(self._links), strict=True):
+            tau[link.parent_v] += slope * tau[link.child_v]
         return tau[self.v_index], tau[self._dependent_v]
 
     def positions(self, z: Array) -> Array:
-        """F(z): all positions of the 1-coordinate joints of a fixed-base robot.
+        """F(z): all positions of a fixed-base robot, shape (nq,).
 
         Args:
             z: Independent positions [rad or m], shape (nz,).
@@ -214,11 +225,12 @@ class Couplings:
         self.expand(q, v, a)
         return q
 
-    def jacobian(self) -> Array:
-        """G = dF/dz at the configuration of the last `expand`, shape (nv, nv_z)."""
+    def jacobian(self, q: Array) -> Array:
+        """G = dF/dz at a configuration, shape (nv, nv_z)."""
         G = np.zeros((self._nv, len(self.v_index)))
         G[self.v_index, np.arange(len(self.v_index))] = 1.0
-        for slope, link in zip(self._slopes, self._links, strict=True):
+        for link in self._links:
+            _, slope, _ = link.law(q.item(link.parent_q))
             G[link.child_v] = slope * G[link.parent_v]
         return G
 

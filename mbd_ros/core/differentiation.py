@@ -22,8 +22,8 @@ _ONE_PERCENT = {2: 6.6384, 3: 8.4059}  # roots of exp(-x) sum_{k < order} x^k/k!
 class LowPass:
     """Critically damped low-pass (s/w + 1)^-order of several signals, with its derivatives.
 
-    A signal u that is linear between samples is followed exactly, whatever the step. Its steady response
-    is y_s = [u - delay u', u', 0], and the distance from that decays by
+    A signal u that is linear between samples is followed exactly, whatever the step. Its steady
+    response is y_s = [u - delay u', u', 0], and the distance from that decays by
     D = exp(-w h) (I + N h + N^2 h^2 / 2), N nilpotent. Hence one product a step,
 
         y+ = D y + (K+ - D K) [u, u+]
@@ -38,10 +38,10 @@ class LowPass:
     Attributes:
         delay: Lag behind slow signals, order / w [s].
         settling_time: Time until a step of the signal is followed to 1 % [s].
-        state: Filtered signal and its derivatives, shape (order, size); a live view.
+        state: Filtered signal and its derivatives, shape (order, size); a new array each step.
 
-    Source: D. G. E. Robertson, J. J. Dowling, J. Electromyogr. Kinesiol. 13, 2003, 569-573 (critically
-        damped filters and their cutoff); the exact step is the variation of constants.
+    Source: D. G. E. Robertson, J. J. Dowling, J. Electromyogr. Kinesiol. 13, 2003, 569-573
+        (critically damped filters and their cutoff); the exact step is the variation of constants.
     """
 
     def __init__(self, order: int, cutoff: float, size: int) -> None:
@@ -49,17 +49,18 @@ class LowPass:
         self.delay = order / self._w
         self.settling_time = _ONE_PERCENT[order] / self._w
         self._rows = np.zeros((order + 2, size))  # y, then u of the last and of this step
-        self.state, self._previous, self._newest = self._rows[:order], *self._rows[order:]
-        self._next = np.zeros((order, size))
+        self._kept, self._newest = self._rows[:-1], self._rows[-1]
+        self.state = np.zeros((order, size))
         self._terms = self._terms_of_step(order)
-        self._step, self._product = 0, np.zeros((order, order + 2))
+        self._step, self._product = 0, np.zeros((order + 1, order + 2))
 
     def start(self, signal: Array, slope: Array | float) -> None:
         """Begin in the steady response to a signal of that slope."""
-        self.state[:] = 0.0
-        self.state[0] = signal - self.delay * slope
-        self.state[1] = slope
-        self._previous[:] = signal
+        self._kept[:] = 0.0
+        self._kept[0] = signal - self.delay * slope
+        self._kept[1] = slope
+        self._kept[-1] = signal
+        self.state = self._kept[:-1].copy()
 
     def update(self, signal: Array, step: int) -> None:
         """Advance to a new sample.
@@ -75,12 +76,14 @@ class LowPass:
             weights.dot(self._terms, self._product.reshape(-1))
             self._step = step
         self._newest[:] = signal
-        self._product.dot(self._rows, self._next)
-        self.state[:] = self._next
-        self._previous[:] = signal
+        self._kept[:] = following = self._product.dot(self._rows)
+        self.state = following[:-1]
 
     def _terms_of_step(self, order: int) -> Array:
-        """Factors of e, e h, e h^2, e/h, 1 and 1/h in [D, K+ - D K], with e = exp(-w h)."""
+        """Factors of e, e h, e h^2, e/h, 1 and 1/h in [D, K+ - D K], with e = exp(-w h).
+
+        A last row keeps u+ as the u of the next step.
+        """
         N = np.diag(np.ones(order - 1), 1) + self._w * np.eye(order)
         N[-1] -= [math.comb(order, k) * self._w ** (order - k) for k in range(order)]
         I, N2, none = np.eye(order), N @ N / 2.0, np.zeros((order, order))  # noqa: E741
@@ -95,7 +98,10 @@ class LowPass:
             (none, newest),
             (none, slope),
         ]
-        return np.array([np.hstack(block).ravel() for block in blocks])
+        terms = np.zeros((len(blocks), order + 1, order + 2))
+        terms[:, :order] = [np.hstack(block) for block in blocks]
+        terms[4, -1, -1] = 1.0
+        return terms.reshape(len(blocks), -1)
 
 
 class Sample(Enum):
@@ -113,9 +119,9 @@ class Sample(Enum):
 class CausalDifferentiator:
     """Velocity and acceleration of joints from the past only, sample by sample.
 
-    The position passes unchanged. A joint whose velocity is measured keeps that velocity and gets its
-    acceleration from a second-order `LowPass`; any other gets both from a third-order one. What a
-    filter gives lags by its `delay`.
+    The position passes unchanged. A joint whose velocity is measured keeps that velocity and gets
+    its acceleration from a second-order `LowPass`; any other gets both from a third-order one.
+    What a filter gives lags by its `delay`.
 
     Args:
         cutoff: Half-power frequency of the filters [Hz], > 0.
@@ -144,10 +150,11 @@ class CausalDifferentiator:
             raise DataError(f"cutoff {cutoff} Hz must be finite and > 0")
         size = len(velocity_limit)
         self._wraps = wraps if wraps.any() else None
-        self._patience, self._rewind = patience, int(rewind / NANOSECOND)
+        self._patience, self._rewind = patience, round(rewind / NANOSECOND)
         self._of_position, self._of_velocity = LowPass(3, cutoff, size), LowPass(2, cutoff, size)
         self._measured = np.zeros(size, dtype=np.bool_)
-        self._per_limit, self._ones = 1.0 / velocity_limit, np.ones(size)
+        self._limit, self._ones = velocity_limit, np.ones(size)
+        self._smallest_limit = float(velocity_limit.min(initial=math.inf))
         self.position, self.velocity, self.acceleration = (np.zeros(size) for _ in range(3))
         self.reset()
 
@@ -175,11 +182,12 @@ class CausalDifferentiator:
 
         Args:
             stamp: Time [ns].
-            position: [rad or m], finite, shape (n,).
+            position: [rad or m], shape (n,).
             velocity: [rad/s or m/s], not finite where not measured, shape (n,).
 
         Returns:
-            What became of it. After OLD and JUMP the attributes are those of the last good sample.
+            What became of it. After OLD, JUMP and NOT_FINITE the attributes are those of the last
+            good sample.
         """
         if self._stamp is None:
             return self._start(stamp, position, velocity, Sample.USED)
@@ -192,24 +200,24 @@ class CausalDifferentiator:
         if self._wraps is not None:
             change -= np.where(self._wraps, TURN * np.rint(change / TURN), 0.0)
             position = np.where(self._wraps, self.position + change, position)
+        h = (step or self._last_step) * NANOSECOND
+        if not change.dot(change) < (self._smallest_limit * h) ** 2:  # else no joint is too fast
+            if not np.isfinite(change).all():
+                return Sample.NOT_FINITE
+            if (np.abs(change) > self._limit * h).any():
+                self._jumps += 1
+                if self._jumps < self._patience:
+                    return Sample.JUMP
+                return self._start(stamp, position, velocity, Sample.RESTARTED)
         if step == 0:
             self.position = position
             return Sample.DUPLICATE
-        if self._is_jump(change, step * NANOSECOND):
-            self._jumps += 1
-            if self._jumps < self._patience:
-                return Sample.JUMP
-            return self._start(stamp, position, velocity, Sample.RESTARTED)
         self._advance(stamp, step, position, velocity)
         return Sample.USED
 
-    def _is_jump(self, change: Array, h: float) -> bool:
-        share = change * self._per_limit
-        if share.dot(share) <= h * h:  # then no single share exceeds h
-            return False
-        return bool((np.abs(share) > h).any())
-
     def _start(self, stamp: int, position: Array, velocity: Array, outcome: Sample) -> Sample:
+        if not np.isfinite(position).all():
+            return Sample.NOT_FINITE
         self._measured = np.isfinite(velocity)
         self._all_measured = bool(self._measured.all())
         self.position = position
@@ -217,23 +225,25 @@ class CausalDifferentiator:
         self.acceleration = np.zeros_like(position)
         self._of_velocity.start(self.velocity, 0.0)
         self._position_runs = False
-        self._stamp, self._jumps = stamp, 0
+        self._stamp, self._jumps, self._last_step = stamp, 0, self._rewind
         return outcome
 
     def _advance(self, stamp: int, step: int, position: Array, velocity: Array) -> None:
         if self._all_measured and math.isfinite(velocity.dot(self._ones)):
             self._of_velocity.update(velocity, step)
-            self.velocity, self.acceleration = velocity, self._of_velocity.state[1].copy()
+            self.velocity, self.acceleration = velocity, self._of_velocity.state[1]
         else:
             self._derive(step, position, velocity)
         self.position, self._stamp, self._jumps = position, stamp, 0
+        self._last_step = step
 
     def _derive(self, step: int, position: Array, velocity: Array) -> None:
-        """A joint that once came without velocity is differentiated from its position until a reset."""
+        """A joint that came without velocity once is derived from its position until a reset."""
         measured = self._measured = self._measured & np.isfinite(velocity)
         self._all_measured = False
         if not self._position_runs:
-            self._of_position.start(self.position, (position - self.position) / (step * NANOSECOND))
+            slope = (position - self.position) / (step * NANOSECOND)
+            self._of_position.start(self.position, slope)
             self._position_runs = True
         self._of_position.update(position, step)
         _, derived_velocity, derived_acceleration = self._of_position.state
@@ -251,15 +261,16 @@ def zero_phase(
 ) -> tuple[Array, Array]:
     """Velocity and acceleration of a whole recording, without lag.
 
-    A polynomial of degree 4 is fitted by least squares to each sample and `half_width` neighbours on
-    either side; its derivatives at the sample are the result. The first and last `half_width` samples
-    use the outermost full window, which is no longer centred on them. Measured velocities are
-    kept and differentiated once.
+    A polynomial of degree 4 is fitted by least squares to each sample and `half_width` neighbours
+    on either side; its derivatives at the sample are the result. The first and last `half_width`
+    samples use the outermost full window, which is no longer centred on them. Measured velocities
+    are kept and differentiated once.
 
     Args:
         stamps: Sample times [ns], increasing, may be irregular, shape (n,).
         position: [rad or m], shape (n, m).
-        velocity: [rad/s or m/s], shape (n, m); a column with a NaN is not used. None: not measured.
+        velocity: [rad/s or m/s], shape (n, m); a column with a NaN is not used. None: not
+            measured.
         half_width: Neighbours on either side, 2 or more.
 
     Returns:

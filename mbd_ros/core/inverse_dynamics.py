@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.couplings import Couplings
+from mbd_ros.core.couplings import Couplings, Slopes
 from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
@@ -28,8 +28,9 @@ class Torques(NamedTuple):
     Attributes:
         tau: Force of every independent coordinate [N·m or N], shape (nv_z,) or (n, nv_z).
         multipliers: What the tendon, cam or gear of every dependent joint exerts on that joint
-            [N·m for a revolute joint, N for a prismatic one], shape (n_d,) or (n, n_d). Positive pushes
-            the joint in its positive direction. On its parent the coupling exerts -f' times as much.
+            [N·m for a revolute joint, N for a prismatic one], shape (n_d,) or (n, n_d). Positive
+            pushes the joint in its positive direction. On its parent the coupling exerts -f' times
+            as much.
     """
 
     tau: Array
@@ -65,7 +66,8 @@ class InverseDynamics:
         forces: Force terms of the scene.
 
     Attributes:
-        configuration: q = F(z) of the last `solve` of a coupled or loaded robot, a live view (nq,).
+        configuration: q = F(z) of the last `solve` of a coupled or loaded robot, a live view
+            (nq,).
     """
 
     def __init__(
@@ -81,9 +83,9 @@ class InverseDynamics:
         self.configuration = self._q = pin.neutral(robot.model)
         self._v, self._a = np.zeros(robot.model.nv), np.zeros(robot.model.nv)
         self._zero = np.zeros(robot.model.nv)
+        self._slopes: Slopes = [0.0] * len(couplings.dependent)
         self._no_multipliers = np.empty(0)
         self._is_free = not couplings.dependent and not wrenches and not forces
-        self._pool = pin.ModelPool(robot.model, 1)
         self._loads = pin.StdVec_Force()
         for _ in range(robot.model.njoints):
             self._loads.append(pin.Force.Zero())
@@ -102,11 +104,11 @@ class InverseDynamics:
         Returns:
             Fresh arrays.
         """
-        if self._is_free:
+        if self._is_free and len(wrenches) == 0:
             tau = pin.rnea(self._model, self._data, position, velocity, acceleration)
             return Torques(tau, self._no_multipliers)
         self._expand(position, velocity, acceleration)
-        return Torques(*self.couplings.reduce(self._full(wrenches)))
+        return Torques(*self.couplings.reduce(self._full(wrenches), self._slopes))
 
     def parts(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
@@ -120,7 +122,7 @@ class InverseDynamics:
         self._expand(position, velocity, np.zeros_like(acceleration))
         unaccelerated = pin.rnea(model, data, q, v, a)
         causes = (gravity, unaccelerated - gravity, unloaded - unaccelerated, total - unloaded)
-        return Parts(*(self.couplings.reduce(cause)[0] for cause in causes))
+        return Parts(*(self.couplings.reduce(cause, self._slopes)[0] for cause in causes))
 
     def batch(
         self,
@@ -146,23 +148,24 @@ class InverseDynamics:
             n, dependent = len(solved), len(self.couplings.dependent)
             tau = np.array([s.tau for s in solved]).reshape(n, velocity.shape[1])
             return Torques(tau, np.array([s.multipliers for s in solved]).reshape(n, dependent))
-        chunks = range(0, max(len(position), 1), _CHUNK)
+        chunks, pool = range(0, max(len(position), 1), _CHUNK), pin.ModelPool(self._model, 1)
         solved = [
-            self._chunk(*(x[i : i + _CHUNK] for x in (position, velocity, acceleration)))
+            self._chunk(pool, *(x[i : i + _CHUNK] for x in (position, velocity, acceleration)))
             for i in chunks
         ]
         return Torques(*(np.concatenate(rows) for rows in zip(*solved, strict=True)))
 
-    def _chunk(self, position: Array, velocity: Array, acceleration: Array) -> Torques:
+    def _chunk(self, pool: Any, position: Array, velocity: Array, acceleration: Array) -> Torques:
         """Unloaded torques of so many samples that they stay in the cache."""
         n, couplings = len(position), self.couplings
-        q, v, a = (np.empty((size, n)) for size in (self._model.nq, self._model.nv, self._model.nv))
+        nq, nv = self._model.nq, self._model.nv
+        q, v, a = np.empty((nq, n)), np.empty((nv, n)), np.empty((nv, n))
         q[couplings.q_index] = position.T
         v[couplings.v_index], a[couplings.v_index] = velocity.T, acceleration.T
-        couplings.expand(q, v, a)
-        tau = np.empty((self._model.nv, n), order="F")
-        pin.rneaInParallel(1, self._pool, *map(np.asfortranarray, (q, v, a)), tau)
-        reduced, multipliers = couplings.reduce(tau)
+        slopes = couplings.expand(q, v, a)
+        tau = np.empty((nv, n), order="F")
+        pin.rneaInParallel(1, pool, *map(np.asfortranarray, (q, v, a)), tau)
+        reduced, multipliers = couplings.reduce(tau, slopes)
         return Torques(reduced.T, multipliers.T)
 
     def _expand(self, position: Array, velocity: Array, acceleration: Array) -> None:
@@ -170,14 +173,15 @@ class InverseDynamics:
         self._q[couplings.q_index] = position
         self._v[couplings.v_index] = velocity
         self._a[couplings.v_index] = acceleration
-        couplings.expand(self._q, self._v, self._a)
+        couplings.expand(self._q, self._v, self._a, self._slopes)
 
     def _full(self, wrenches: Sequence[Array]) -> Array:
         """rnea(q, v, a) - sum J' w - sum f over all joints."""
         if len(wrenches) == 0 and not self.forces:
-            return pin.rnea(self._model, self._data, self._q, self._v, self._a)
+            bare: Array = pin.rnea(self._model, self._data, self._q, self._v, self._a)
+            return bare
         self._load(wrenches)
-        tau = pin.rnea(self._model, self._data, self._q, self._v, self._a, self._loads)
+        tau: Array = pin.rnea(self._model, self._data, self._q, self._v, self._a, self._loads)
         if self.forces:
             x = State(0.0, self._q, self._v)
             for term in self.forces:

@@ -1,7 +1,7 @@
 """URDF text -> a frozen robot on a Pinocchio model.
 
-Every joint has one coordinate here. A continuous joint, for which Pinocchio would keep (cos, sin), is
-read as a revolute joint without limits, so that its position is an unwrapped angle everywhere.
+Every joint has one coordinate here. A continuous joint, for which Pinocchio would keep (cos, sin),
+is read as a revolute joint without limits, so that its position is an unwrapped angle everywhere.
 """
 
 import math
@@ -137,7 +137,8 @@ def read_robot(
         rename: URDF joint name -> name used on topics.
 
     Raises:
-        ModelError: The description cannot be trusted, or an option names a joint that is not there.
+        ModelError: The description cannot be trusted, or an option names a joint that is not
+            there.
     """
     if base not in BASES:
         raise ModelError(f"base '{base}', accepted: {', '.join(BASES)}")
@@ -185,7 +186,7 @@ def _mimics(tree: ElementTree.Element, names: Mapping[str, str], source: str) ->
         element = joint.find("mimic")
         if element is None:
             continue
-        name, parent = names[joint.get("name", "")], element.get("joint")
+        name, parent = names[joint.get("name", "")], element.get("joint", "")
         if parent not in names:
             raise ModelError(f"{source}: joint '{name}': mimic of unknown joint '{parent}'")
         factor = numbers(element, "multiplier", "1")[0]

@@ -14,6 +14,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
 _NEVER = -(2**62)
+_UNUSED = (Sample.OLD, Sample.JUMP, Sample.NOT_FINITE)
 
 
 class Tuning(NamedTuple):
@@ -70,13 +71,16 @@ class TorqueEstimator:
 
     def __init__(self, robot: Robot, inverse: InverseDynamics, tuning: Tuning) -> None:
         if robot.floating:
-            raise ModelError("joint states do not carry the pose of a floating base; use base: fixed")
+            raise ModelError(
+                "joint states do not carry the pose of a floating base; use base: fixed"
+            )
         couplings = inverse.couplings
         self.names = couplings.independent + couplings.dependent
         self._inverse, self._n = inverse, len(couplings.independent)
         self._independent = [robot.joint(name) for name in couplings.independent]
         self._dependent_q = [robot.joint(name).q for name in couplings.dependent]
-        self._ones = np.ones(len(self.names))
+        self._ones = np.ones(self._n)
+        self._present, self._is_complete = np.zeros(len(self.names), dtype=np.bool_), False
         self.tune(tuning)
 
     def tune(self, tuning: Tuning) -> None:
@@ -90,14 +94,15 @@ class TorqueEstimator:
             patience=tuning.patience,
             rewind=tuning.rewind,
         )
-        self._max_age = int(tuning.max_age / NANOSECOND)
+        self._max_age = round(tuning.max_age / NANOSECOND)
         self.reset()
 
     def reset(self) -> None:
         """Forget the past."""
         self.differentiator.reset()
         self._position, self._velocity = np.zeros(self._n), np.full(self._n, np.nan)
-        self._seen, self._complete = np.full(self._n, _NEVER, dtype=np.int64), _NEVER
+        self._seen = np.full(self._n, _NEVER, dtype=np.int64)
+        self._complete: int | None = None  # stamp of a complete sample since the last partial one
 
     def observe(
         self, stamp: int, position: Array, velocity: Array, present: NDArray[np.bool_]
@@ -108,27 +113,29 @@ class TorqueEstimator:
             stamp: Time [ns].
             position: In the order of `names` [rad or m], NaN where absent.
             velocity: In the order of `names` [rad/s or m/s], NaN where absent.
-            present: Which of `names` the message carries, shape (len(names),).
+            present: Which of `names` the message carries, shape (len(names),); the same array as
+                long as that does not change.
 
         Returns:
             The sample with its derivatives, or why it cannot be used.
         """
         n = self._n
         z, v = position[:n], velocity[:n]
-        if math.isfinite(position.dot(self._ones)):
-            self._complete = stamp
-        elif not np.isfinite(z[present[:n]]).all():
-            return Sample.NOT_FINITE
-        elif present[:n].all():
+        if present is not self._present:
+            self._present, self._is_complete = present, bool(present[:n].all())
+        if self._is_complete:
             self._complete = stamp
         else:
+            if not np.isfinite(z[present[:n]]).all():
+                return Sample.NOT_FINITE
             z, v = self._hold(stamp, z, v, present[:n])
-            if stamp - int(self._seen.min()) > self._max_age:
+            if int(np.abs(stamp - self._seen).max()) > self._max_age:
+                self._position, self._velocity = z, v
                 return Sample.INCOMPLETE
-        self._position, self._velocity = z, v
         outcome = self.differentiator.update(stamp, z, v)
         if outcome in _UNUSED:
             return outcome
+        self._position, self._velocity = z, v
         d = self.differentiator
         return Observation(stamp, d.position, d.velocity, d.acceleration, position[n:])
 
@@ -136,11 +143,10 @@ class TorqueEstimator:
         self, stamp: int, z: Array, v: Array, present: NDArray[np.bool_]
     ) -> tuple[Array, Array]:
         """Position and velocity with the last known values where a joint is not present."""
-        np.maximum(self._seen, self._complete, out=self._seen)
+        if self._complete is not None:
+            self._seen[:], self._complete = self._complete, None
         self._seen[present] = stamp
-        self._position = np.where(present, z, self._position)
-        self._velocity = np.where(present, v, self._velocity)
-        return self._position, self._velocity
+        return np.where(present, z, self._position), np.where(present, v, self._velocity)
 
     def solve(self, x: Observation, wrenches: Sequence[Array] = ()) -> Torques | None:
         """Torques of an observation; None if they are not finite, after which the filters restart.
@@ -150,7 +156,7 @@ class TorqueEstimator:
             wrenches: One (6,) array for every load of the scene.
         """
         torques = self._inverse.solve(x.position, x.velocity, x.acceleration, wrenches)
-        if math.isfinite(torques.tau.sum()):
+        if math.isfinite(torques.tau.dot(self._ones)):
             return torques
         self.reset()
         return None
@@ -163,6 +169,3 @@ class TorqueEstimator:
         """
         off = x.dependent - self._inverse.configuration[self._dependent_q]
         return np.where(np.isfinite(off), off, 0.0)
-
-
-_UNUSED = frozenset({Sample.OLD, Sample.JUMP})

@@ -1,4 +1,4 @@
-"""URDF text -> a checked XML tree: strict numbers, a sound tree of links, inertias that can exist."""
+"""URDF text -> a checked XML tree: strict numbers, a sound tree, inertias that can exist."""
 
 import math
 import re
@@ -187,7 +187,8 @@ def _check_inertial(inertial: ElementTree.Element, moves: bool, where: str) -> b
     first, second, third = np.linalg.eigvalsh(tensor)
     if first <= 0:
         raise ModelError(
-            f"{where}: inertia is not positive definite, smallest principal moment {first:g} kg m^2"
+            f"{where}: inertia is not positive definite, "
+            f"smallest principal moment {first:g} kg m^2"
         )
     if first + second < third * (1 - _TRIANGLE_TOLERANCE):
         raise ModelError(
@@ -213,4 +214,6 @@ def _check_moving_mass(
             carried.add(name)
     empty = sorted(moving - carried)
     if empty:
-        raise ModelError(f"{source}: link '{empty[0]}' moves, but neither it nor what it carries has mass")
+        raise ModelError(
+            f"{source}: link '{empty[0]}' moves, but neither it nor what it carries has mass"
+        )

@@ -19,8 +19,8 @@ class ExternalWrench:
     Args:
         robot: Robot of the scene.
         frame: Link that carries the load.
-        expressed_in: Frame whose axes and, without `point`, whose origin the load refers to; `frame`
-            by default.
+        expressed_in: Frame whose axes and, without `point`, whose origin the load refers to;
+            `frame` by default.
         point: Point that the torque is taken about, in `expressed_in` [m], shape (3,).
         threshold: Force norm below which the load counts as zero [N], >= 0. A force plate whose
             centre of pressure is undefined at little load needs one.

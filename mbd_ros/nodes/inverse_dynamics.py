@@ -1,4 +1,4 @@
-"""Node `inverse_dynamics`: joint states and measured wrenches in, torques and coupling forces out."""
+"""Node `inverse_dynamics`: joint states and wrenches in, torques and coupling forces out."""
 
 import sys
 from collections import deque
@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from mbd_ros.core.differentiation import NANOSECOND
+from mbd_ros.core.differentiation import NANOSECOND, Sample
 from mbd_ros.core.torque_estimator import Observation
 from mbd_ros.errors import MbdError
 from mbd_ros.nodes.inverse_dynamics_parameters import PARAMETERS, tuning
@@ -26,6 +26,7 @@ from msg_adapters.wrench import read_wrench
 
 # Best effort also hears reliable publishers; the depth bridges a pause of kernel or collector.
 SENSOR = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+_NEVER = -(2**62)  # ns
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -39,8 +40,9 @@ class InverseDynamicsNode(Shell):
         super().__init__(argv)
         self._pipeline: Pipeline | None = None
         self._pending: deque[tuple[float, Observation]] = deque()
-        self._newest, self._answered, self._two_clocks, self._is_stampless = 0, 0, "", False
-        self._extra: tuple[str, ...] = ()
+        self._newest, self._answered, self._is_stampless = 0, 0, False
+        self._two_clocks = self._last_drop = ""
+        self._extra: set[str] = set()
         self._description: str | None = None
         self._description_topic: str | None = None
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -59,12 +61,13 @@ class InverseDynamicsNode(Shell):
             self.subscribe(WrenchStamped, topic, self._on_wrench(name), SENSOR)
         if self._pipeline.buffers:
             self.every(max(self.parameters.wrench_wait / 2.0, 1e-3), self._flush)
-        self.subscribe(JointState, "joint_states", self._on_state, SENSOR, single_publisher=True)
+        self.subscribe(
+            JointState, "joint_states", self._on_state, SENSOR, single_publisher=True, raw=True
+        )
 
     def activate_core(self) -> None:
         """Begin with an empty past."""
         self.reset("activated")
-        self._newest, self._answered, self._two_clocks = 0, 0, ""
 
     def retune(self, values: Any) -> None:
         """New tuning for the estimator; its filters start again."""
@@ -73,6 +76,8 @@ class InverseDynamicsNode(Shell):
 
     def reset(self, reason: str) -> None:
         """Empty filters, wrench buffers and the queue."""
+        self._newest, self._answered, self._agreed = 0, 0, _NEVER
+        self._two_clocks = self._last_drop = ""
         self._pending.clear()
         if self._pipeline is not None:
             self._pipeline.reset()
@@ -81,7 +86,7 @@ class InverseDynamicsNode(Shell):
         """State of the stream, then what the numbers contain."""
         assert self._pipeline is not None
         details = self._pipeline.details()
-        details["joints ignored"] = ", ".join(self._extra) or "none"
+        details["joints ignored"] = ", ".join(sorted(self._extra)) or "none"
         details["messages answered in the last second"] = str(self._answered)
         self._answered = 0
         level, text = self._stream_health()
@@ -94,39 +99,42 @@ class InverseDynamicsNode(Shell):
             return OK, ""
         if self._two_clocks:
             return STALE, self._two_clocks
+        dropped = f"; last one dropped: {self._last_drop}" if self._last_drop else ""
         if self._newest == 0:
-            return STALE, f"no joint state yet on {self.resolve_topic_name('joint_states')}"
+            topic = self.resolve_topic_name("joint_states")
+            return STALE, f"no joint state answered yet on {topic}{dropped}"
         age = (self.get_clock().now().nanoseconds - self._newest) * NANOSECOND
         if age > self.parameters.timeout:
-            return STALE, f"newest joint state is {age:.2f} s old"
+            return STALE, f"newest answered joint state is {age:.2f} s old{dropped}"
         return OK, ""
 
     # ------------------------------------------------------------------ messages
 
-    def _on_state(self, msg: Any) -> None:
+    def _on_state(self, cdr: bytes) -> None:
         pipeline = self._pipeline
         assert pipeline is not None
         try:
-            sample = pipeline.reader.read(msg)
+            sample = pipeline.reader.read(cdr)
         except MessageError as error:
-            self.drop("malformed", f"joint_states: {error}")
+            self._drop_state("malformed", f"joint_states: {error}")
             return
         stamp = sample.stamp or self._receive_time()
         if not self._same_clock(stamp):
             return
-        reader = pipeline.reader
+        reader = pipeline.joints
         x = pipeline.estimator.observe(stamp, sample.position, sample.velocity, reader.present)
         if not isinstance(x, Observation):
-            lacking = f" ({', '.join(reader.missing)})" if reader.missing else ""
-            self.drop(x.name.lower(), f"joint_states: {x.value}{lacking}")
+            lacking = f" ({', '.join(pipeline.held())})" if x is Sample.INCOMPLETE else ""
+            self._drop_state(x.name.lower(), f"joint_states: {x.value}{lacking}")
             return
-        if reader.extra != self._extra:
-            self._extra = reader.extra
-            self.get_logger().info(f"joints ignored: {', '.join(reader.extra) or 'none'}")
-        self._newest = stamp
+        if not self._extra.issuperset(reader.extra):
+            self._extra.update(reader.extra)
+            self.get_logger().info(f"joints ignored: {', '.join(sorted(self._extra))}")
         if not pipeline.buffers:
             self._answer(x, ())
             return
+        if stamp < self._newest:
+            pipeline.forget_wrenches_after(stamp)
         self._pending.append((monotonic() + self.parameters.wrench_wait, x))
         self._flush()
 
@@ -163,7 +171,7 @@ class InverseDynamicsNode(Shell):
             wrenches = {name: buffer.at(x.stamp) for name, buffer in buffers.items()}
             lacking = [name for name, wrench in wrenches.items() if wrench is None]
             if lacking:
-                self.drop("no_wrench", f"no wrench '{lacking[0]}' near the joint state")
+                self._drop_state("no_wrench", f"no wrench '{lacking[0]}' near the joint state")
             else:
                 self._answer(x, tuple(wrenches.values()))
 
@@ -171,13 +179,18 @@ class InverseDynamicsNode(Shell):
         assert self._pipeline is not None
         messages = self._pipeline.answer(x, wrenches)
         if messages is None:
-            self.drop("result", "the torques of a joint state are not finite")
+            self._drop_state("result", "the torques of a joint state are not finite")
             return
         torques, constraint_forces = messages
         self._torques.publish(torques)
         if constraint_forces is not None:
             self._constraint_forces.publish(constraint_forces)
+        self._newest, self._last_drop = x.stamp, ""
         self._answered += 1
+
+    def _drop_state(self, reason: str, text: str) -> None:
+        self._last_drop = text
+        self.drop(reason, text)
 
     # ------------------------------------------------------------------ time
 
@@ -188,10 +201,14 @@ class InverseDynamicsNode(Shell):
         return int(self.get_clock().now().nanoseconds)
 
     def _same_clock(self, stamp: int) -> bool:
+        """Whether stamp and node clock are one clock; asked again whenever the stamps moved on."""
+        tolerance = self.parameters.clock_tolerance
+        if not self._two_clocks and abs(stamp - self._agreed) * NANOSECOND < tolerance:
+            return True
         now = self.get_clock().now().nanoseconds
         ahead = (stamp - now) * NANOSECOND
-        if now == 0 or abs(ahead) <= self.parameters.clock_tolerance:
-            self._two_clocks = ""
+        if now == 0 or abs(ahead) <= tolerance:
+            self._two_clocks, self._agreed = "", stamp
             return True
         self._two_clocks = (
             f"joint state of {stamp * NANOSECOND:.3f} s, node clock {now * NANOSECOND:.3f} s: "
@@ -217,6 +234,8 @@ class InverseDynamicsNode(Shell):
             self._description = msg.data
             self.try_start()
             return
+        if msg.data == self._description:
+            return  # its publisher came back
         try:
             pipeline = Pipeline(self.parameters, msg.data)
         except MbdError as error:

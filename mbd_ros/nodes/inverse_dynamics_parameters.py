@@ -46,7 +46,7 @@ PARAMETERS = (
         "clock_tolerance",
         5.0,
         1e-3,
-        1e9,
+        1e10,
         "Difference of stamp and node clock from which they count as two clocks [s].",
     ),
     _tunable(

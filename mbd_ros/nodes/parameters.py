@@ -9,7 +9,6 @@ from typing import Any, NamedTuple, get_args, get_origin
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
-    IntegerRange,
     ParameterDescriptor,
     SetParametersResult,
 )
@@ -96,13 +95,10 @@ class Parameter(NamedTuple):
         described = ParameterDescriptor(
             description=self.text, additional_constraints=self.accepted(), read_only=self.read_only
         )
-        # Only doubles take an open end, and only scalars a range at all: `read` checks the rest.
+        # rclpy takes an open end for doubles only, and no range for lists: `read` checks all.
         if self.kind is float and (self.low, self.high) != (-math.inf, math.inf):
             limits = FloatingPointRange(from_value=float(self.low), to_value=float(self.high))
             described.floating_point_range = [limits]
-        if self.kind is int and math.isfinite(self.high - self.low):
-            limits = IntegerRange(from_value=int(self.low), to_value=int(self.high), step=1)
-            described.integer_range = [limits]
         return described
 
     def _read_one(self, kind: type, value: Any) -> Any:

@@ -1,9 +1,11 @@
-"""A built scene between messages: from an accepted sample to the messages that answer it."""
+"""A built scene between messages: from a serialized joint state to those that answer it."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from mbd_ros.core.differentiation import NANOSECOND
@@ -13,7 +15,9 @@ from mbd_ros.nodes.inverse_dynamics_parameters import tuning
 from mbd_ros.scene import load_scene
 from mbd_ros.scene_check import tier
 from msg_adapters.diagnostics import OK, WARN
-from msg_adapters.joint_state import JointStateReader, JointStateWriter
+from msg_adapters.errors import MessageError
+from msg_adapters.joint_state import JointStateReader
+from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
 
 
 class Pipeline:
@@ -26,7 +30,8 @@ class Pipeline:
     Attributes:
         scene: The scene.
         estimator: Samples to torques.
-        reader: Joint states to samples.
+        joints: Which joints the newest joint state carried.
+        reader: Serialized joint states to samples.
         buffers: Newest samples of every wrench, by name.
     """
 
@@ -36,10 +41,12 @@ class Pipeline:
         self.estimator = TorqueEstimator(
             self.scene.robot, self.scene.inverse_dynamics(), tuning(values)
         )
-        self.reader = JointStateReader(self.estimator.names)
-        self._torques = JointStateWriter(JointState(), couplings.independent)
-        self._forces = JointStateWriter(JointState(), couplings.dependent, ("position", "effort"))
-        ages = int(values.wrench_max_age / NANOSECOND), int(values.rewind / NANOSECOND)
+        self.joints = JointStateReader(self.estimator.names, with_effort=False)
+        self.reader = JointStateCdrReader(self.joints, _joint_state)
+        self._torques = JointStateCdrWriter(couplings.independent)
+        self._forces = JointStateCdrWriter(couplings.dependent, ("position", "effort"))
+        ages = round(values.wrench_max_age / NANOSECOND), round(values.rewind / NANOSECOND)
+        self._rewind = ages[1]
         self.buffers = {name: WrenchBuffer(*ages) for name in self.scene.wrenches}
         self._violation = np.zeros(len(couplings.dependent))
 
@@ -49,6 +56,12 @@ class Pipeline:
         for buffer in self.buffers.values():
             buffer.clear()
 
+    def forget_wrenches_after(self, stamp: int) -> None:
+        """Forget wrenches of the time before joint states began anew at `stamp` [ns]."""
+        for buffer in self.buffers.values():
+            if buffer.covers(stamp + self._rewind // 2):
+                buffer.clear()
+
     def answer(self, x: Observation, wrenches: Sequence[Any]) -> tuple[Any, Any] | None:
         """Messages for an observation; None if the torques are not finite.
 
@@ -57,8 +70,8 @@ class Pipeline:
             wrenches: One (6,) array for every load of the scene.
 
         Returns:
-            Kept messages: joint torques, and constraint forces (position = violation of the coupling,
-            effort = multiplier) or None without dependent joints.
+            Kept messages: joint torques, and constraint forces (position = violation of the
+            coupling, effort = multiplier) or None without dependent joints.
         """
         torques = self.estimator.solve(x, wrenches)
         if torques is None:
@@ -69,9 +82,7 @@ class Pipeline:
         if not self.scene.couplings.dependent:
             return answer, None
         self._violation = self.estimator.violation(x)
-        forces = self._forces.write(
-            x.stamp, position=self._violation, effort=torques.multipliers
-        )
+        forces = self._forces.write(x.stamp, position=self._violation, effort=torques.multipliers)
         return answer, forces
 
     def health(self, tolerance: float) -> tuple[int, str]:
@@ -89,16 +100,19 @@ class Pipeline:
             return WARN, f"off their couplings: {', '.join(off)}; the independent joints are used"
         return OK, "torques published"
 
+    def held(self) -> list[str]:
+        """Independent joints that the newest joint state lacked."""
+        return [name for name in self.joints.missing if name not in self._dependent]
+
     def details(self) -> dict[str, str]:
         """What the numbers contain and how they are made, for diagnostics."""
         robot, filters = self.scene.robot, self.estimator.differentiator
-        reconstructed = [name for name in self.reader.missing if name in self._dependent]
-        held = [name for name in self.reader.missing if name not in self._dependent]
+        reconstructed = [name for name in self.joints.missing if name in self._dependent]
         return {
             "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
             "joints dropped": ", ".join(robot.locked) or "none",
             "joints reconstructed": ", ".join(reconstructed) or "none",
-            "joints held": ", ".join(held) or "none",
+            "joints held": ", ".join(self.held()) or "none",
             "derivatives": f"causal, delay {filters.delay:.4f} s, "
             f"settled after {filters.settling_time:.4f} s",
             "largest coupling violation": f"{np.abs(self._violation).max(initial=0.0):.6g}",
@@ -108,3 +122,10 @@ class Pipeline:
     @property
     def _dependent(self) -> tuple[str, ...]:
         return self.scene.couplings.dependent
+
+
+def _joint_state(cdr: bytes) -> Any:
+    try:
+        return deserialize_message(cdr, JointState)
+    except rclpy_implementation.RMWError as error:
+        raise MessageError("its bytes are no JointState") from error

@@ -46,16 +46,14 @@ class Shell(LifeCycle):
         self._known_problems: set[str] = set()
         self._drops = Drops(self.get_logger().warning)
         self._declared = Declared(self, PARAMETERS + self.PARAMETERS, self._retune)
-        for line in self._declared.undeclared(self) + file_warnings(
-            argv, self.get_fully_qualified_name()
-        ):
+        unheard = file_warnings(argv, self.get_fully_qualified_name())
+        for line in self._declared.undeclared(self) + unheard:
             self.get_logger().warning(line)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._diagnostics = Diagnostics(self)
         self.create_timer(1.0, self._guarded(self.report, True), clock=self._steady)
-        backward = JumpThreshold(
-            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
-        )
+        least = Duration(nanoseconds=-1)
+        backward = JumpThreshold(min_forward=None, min_backward=least, on_clock_change=True)
         self._jump = self.get_clock().create_jump_callback(backward, post_callback=self._jumped)
 
     def retune(self, values: Any) -> None:
@@ -97,7 +95,7 @@ class Shell(LifeCycle):
             qos: Profile or depth.
             single_publisher: Report more than one publisher.
             always: Call in every state: robot_description comes before configuring.
-            raw: The callback takes serialized bytes.
+            raw: The callback takes the serialized bytes.
         """
         silent = SubscriptionEventCallbacks(use_default_callbacks=False)  # topic_problems tells
         subscription = self.create_subscription(
@@ -147,11 +145,7 @@ class Shell(LifeCycle):
         self._diagnostics.send(reasons, values)
 
     def close(self, error: BaseException | None) -> None:
-        """Last words: the safe command, one diagnostics entry, the shutdown transition.
-
-        Args:
-            error: What ends the process; None for a signal.
-        """
+        """Last words: safe command, diagnostics with `error` (None: a signal), shutdown."""
         if self.configured:
             self.safe_or_say()
         self.active = False
@@ -198,10 +192,9 @@ class Shell(LifeCycle):
             self.retune(values)
 
     def _jumped(self, jump: TimeJump) -> None:
-        if jump.clock_change in (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED):
-            reason = "the clock changed"
-        else:
-            reason = f"time jumped back by {-jump.delta.nanoseconds * 1e-9:.3f} s"
+        changes = (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED)
+        back = f"time jumped back by {-jump.delta.nanoseconds * 1e-9:.3f} s"
+        reason = "the clock changed" if jump.clock_change in changes else back
         self.get_logger().info(f"{reason}: starting afresh")
         if self.configured:
             self._guarded(self.reset, True)(reason)

@@ -1,6 +1,6 @@
 """Cost of inverse dynamics as ratios to bare Pinocchio calls and to a bare echo node; prints JSON.
 
-    python -m mbd_ros.report.bench_inverse [--seconds 10] [--leg SCENE]
+python -m mbd_ros.report.bench_inverse [--seconds 4] [--leg SCENE]
 """
 
 import argparse
@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.report.node_load import measure
+from mbd_ros.report.node_load import Load, measure
 from mbd_ros.scene import Scene, find_file, load_scene
 
-_SAMPLES = 100_000
+_SAMPLES, _ROUNDS = 100_000, 5
 
 
 def main() -> int:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=10.0, help="per node run at 1 kHz")
+    parser.add_argument("--seconds", type=float, default=4.0, help="per node run")
     parser.add_argument("--leg", type=Path, default=_embedded("prosthetic_leg_stance"))
     arguments = parser.parse_args()
     arm, leg = load_scene(_embedded("arm7")), load_scene(arguments.leg)
@@ -98,23 +98,34 @@ def _paired(first: Callable[[], Any], second: Callable[[], Any]) -> tuple[float,
 
 
 def _nodes(scene: Scene, seconds: float) -> dict[str, Any]:
+    """The node beside a bare echo: kept busy, and at 1 kHz, where either sleeps in between."""
     joints = scene.couplings.independent
+    echo = ["-m", "mbd_ros.report.echo_node"]
     ours = ["-m", "mbd_ros.nodes.inverse_dynamics", "--ros-args", "-p", f"scene:={scene.path}"]
-    runs = [
-        (
-            measure(["-m", "mbd_ros.report.echo_node"], joints, rate=1000.0, seconds=seconds),
-            measure(ours, joints, rate=1000.0, seconds=seconds),
+    streams = {"busy": {"in_flight": 4}, "at 1 kHz": {"rate": 1000.0}}
+    return {
+        stream: _side_by_side(
+            [
+                (
+                    measure(echo, joints, seconds=seconds, **how),
+                    measure(ours, joints, seconds=seconds, **how),
+                )
+                for _ in range(_ROUNDS)
+            ]
         )
-        for _ in range(3)
-    ]
-    echo, node = runs[0][0]._asdict(), runs[0][1]._asdict()
+        for stream, how in streams.items()
+    }
+
+
+def _side_by_side(rounds: list[tuple[Load, Load]]) -> dict[str, Any]:
     ratios = {
         f"{key}_over_echo": float(
-            np.median([getattr(n, key) / getattr(e, key) for e, n in runs])
+            np.median([getattr(node, key) / getattr(echo, key) for echo, node in rounds])
         )
         for key in ("main_thread_us", "process_us", "round_trip_us")
     }
-    return {"echo": echo, "inverse_dynamics": node, **ratios}
+    echo, node = rounds[-1]
+    return {**ratios, "last echo": echo._asdict(), "last inverse_dynamics": node._asdict()}
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A motion of the prosthetic arm as bag, through the live node, judged and plotted: `mbd-ros demo`."""
+"""A motion of the prosthetic arm through the live node, judged and plotted: `mbd-ros demo`."""
 
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The baseline of the node benchmark: a bare typed echo of JointState on SingleThreadedExecutor."""
+"""The baseline of the node benchmark: a bare typed echo on SingleThreadedExecutor."""
 
 import sys
 

@@ -1,5 +1,6 @@
 """What a node costs under a steady stream of joint states: CPU, round trip, losses."""
 
+import itertools
 import os
 import signal
 import subprocess
@@ -17,6 +18,7 @@ from sensor_msgs.msg import JointState
 from msg_adapters.joint_state import JointStateWriter
 from msg_adapters.time import read_time
 
+_MEASUREMENTS = itertools.count()
 _STREAM = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -41,17 +43,23 @@ class Load(NamedTuple):
 
 
 def measure(
-    arguments: Sequence[str], joints: Sequence[str], *, rate: float, seconds: float
+    arguments: Sequence[str],
+    joints: Sequence[str],
+    *,
+    seconds: float,
+    rate: float = 0.0,
+    in_flight: int = 1,
 ) -> Load:
-    """Start a node, send it joint states at a rate, count and time its answers.
+    """Start a node, send it joint states, count and time its answers.
 
     Args:
         arguments: Of the Python interpreter, such as `-m mbd_ros.nodes.inverse_dynamics`.
         joints: Names in the messages.
-        rate: Messages per second.
         seconds: Duration of the stream.
+        rate: Messages per second; 0 sends as fast as the node answers.
+        in_flight: Messages on the way at a time, without a rate.
     """
-    domain = 101 + os.getpid() % 100
+    domain = 101 + (os.getpid() + next(_MEASUREMENTS)) % 100  # nobody of the last one is heard
     environment = {
         **os.environ,
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -64,7 +72,10 @@ def measure(
     try:
         source.wait_for_answer(process)
         before = _cpu(process.pid)
-        source.stream(rate, seconds)
+        if rate > 0:
+            source.stream(rate, seconds)
+        else:
+            source.saturate(in_flight, seconds)
         after = _cpu(process.pid)
         return source.load([b - a for a, b in zip(before, after, strict=True)])
     finally:
@@ -106,6 +117,20 @@ class _Source:
             self._publish()
         self._spin_until(time.perf_counter() + 0.5)
 
+    def saturate(self, in_flight: int, seconds: float) -> None:
+        """Publish whenever an answer comes, or is lost."""
+        self._sent = 0
+        self._trips.clear()
+        end = time.perf_counter() + seconds
+        while time.perf_counter() < end:
+            while self._sent - len(self._trips) < in_flight:
+                self._publish()
+            answered = len(self._trips)
+            self._executor.spin_once(timeout_sec=0.2)
+            if len(self._trips) == answered:
+                break
+        self._spin_until(time.perf_counter() + 0.5)
+
     def load(self, cpu: Sequence[float]) -> Load:
         """What was measured since `stream` began."""
         main_thread, process = (1e6 * seconds / self._sent for seconds in cpu)
@@ -121,6 +146,7 @@ class _Source:
 
     def close(self) -> None:
         """Leave the graph."""
+        self._executor.remove_node(self._node)
         self._node.destroy_node()
 
     def _publish(self) -> None:

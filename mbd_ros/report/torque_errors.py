@@ -1,18 +1,21 @@
 """Estimated torques against a reference, joint by joint."""
 
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from mbd_ros.core.state import Array, Motion
+from mbd_ros.errors import DataError
 from mbd_ros.recordings import read_motion
 
 
 class TorqueErrors:
     """Root mean square errors of one recording of torques against another.
 
-    The reference is interpolated to the stamps of the estimate; samples outside of it are left out.
+    The reference is interpolated to the stamps of the estimate; samples outside of it are left
+    out.
 
     Args:
         estimate: Recording whose efforts are judged.
@@ -64,6 +67,8 @@ def compare(
         joints: Joints to compare.
         skip: Time left out at the start [s].
     """
+    if not 0 <= skip < math.inf:
+        raise DataError(f"skip {skip:g} s must be finite and >= 0")
     judged = read_motion(estimate[0], joints, topic=estimate[1], required=()).motion
     known = read_motion(reference[0], joints, topic=reference[1], required=()).motion
     if known.effort is None:
@@ -71,6 +76,9 @@ def compare(
         return
     yield f"against the effort on {reference[1]}, without the first {skip:g} s:"
     settled = TorqueErrors(judged, known, skip)
+    if not settled.samples:
+        yield "no sample is left to compare"
+        return
     yield from settled.lines()
     whole = TorqueErrors(judged, known, 0.0)
     yield f"overall with the first {skip:g} s: {100 * whole.overall:.3f} %"
@@ -90,4 +98,4 @@ def _interpolate(reference: Motion, column: int, stamps: np.ndarray) -> Array:
 
 
 def _rms(values: Array) -> Array:
-    return np.sqrt(np.mean(values**2, axis=0))
+    return np.sqrt(np.sum(values**2, axis=0) / max(len(values), 1))

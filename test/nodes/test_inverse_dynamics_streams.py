@@ -1,0 +1,350 @@
+"""Streams to the real node: what arrives in another order or form must not matter."""
+
+import sys
+import time
+
+import numpy as np
+import pytest
+from nodes.conftest import ROOT, NodeProcess
+from nodes.joint_stream import ACTIVE, DEEP, MS, SCENES, TARGET, WrenchStream, live
+from rcl_interfaces.srv import GetParameters
+from sensor_msgs.msg import JointState
+
+from mbd_ros.core.torque_estimator import Observation, TorqueEstimator, Tuning
+from msg_adapters.diagnostics import OK, STALE, WARN
+from msg_adapters.joint_state import write_joint_state
+from msg_adapters.time import read_time
+
+ARM = SCENES / "prosthetic_arm.yaml"
+LOAD = np.array([30.0, -20.0, 700.0, 4.0, -60.0, 2.0])
+
+
+@pytest.fixture(scope="module")
+def arm(domain, tmp_path_factory):
+    with live(domain + 100, tmp_path_factory.mktemp("arm"), ARM, timeout=2.0) as stream:
+        yield stream
+
+
+def motion(count, size, seed=7):
+    """A smooth motion with jittering stamps: offsets [ns], position, velocity."""
+    random = np.random.default_rng(seed)
+    offsets = np.cumsum(random.integers(2 * MS, 9 * MS, count))
+    t = offsets[:, None] * 1e-9
+    w = 2 * np.pi * random.uniform(0.3, 1.0, size)
+    reach = random.uniform(0.05, 0.2, size)
+    return offsets, 0.3 + reach * np.sin(w * t), reach * w * np.cos(w * t)
+
+
+def play(stream, offsets, message):
+    """Answers to `message(i, stamp)` for every offset, one at a time from empty filters."""
+    stream.reset()
+    begin = stream.begin
+    for i, offset in enumerate(offsets.tolist()):
+        stream.publish(message(i, begin + offset))
+        stream.answers(i + 1)
+    stamps = [read_time(answer.header.stamp) - begin for answer in stream.torques]
+    assert stamps == offsets.tolist()
+    if stream.scene.couplings.dependent:
+        stream.probe.spin_until(lambda: len(stream.forces) == len(stream.torques))
+    return efforts(stream.torques), efforts(stream.forces)
+
+
+def efforts(messages):
+    """Efforts of messages as one array."""
+    return np.array([message.effort for message in messages])
+
+
+def offline(scene, offsets, position, velocity, tuning=None):
+    """What the estimator gives for the same samples in one process."""
+    estimator = TorqueEstimator(scene.robot, scene.inverse_dynamics(), tuning or Tuning())
+    n, everywhere = len(scene.couplings.dependent), np.ones(len(estimator.names), dtype=bool)
+    everywhere[len(everywhere) - n :] = False
+    tau, multipliers = [], []
+    for offset, q, v in zip(offsets.tolist(), position, velocity, strict=True):
+        absent = np.full(n, np.nan)
+        x = estimator.observe(offset, np.r_[q, absent], np.r_[v, absent], everywhere)
+        assert isinstance(x, Observation)
+        torques = estimator.solve(x)
+        tau.append(torques.tau.copy())
+        multipliers.append(torques.multipliers.copy())
+    return np.array(tau), np.array(multipliers)
+
+
+# ---------------------------------------------------------------------- order and estimate
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+def test_live_estimate_is_the_offline_one_whatever_the_order_of_the_names(arm, with_velocity):
+    """Ordered, and shuffled from message to message, with joints that are not asked for."""
+    offsets, q, v = motion(60, 4)
+    v = v if with_velocity else np.full_like(v, np.nan)
+    expected = offline(arm.scene, offsets, q, v)
+
+    def ordered(i, stamp):
+        fields = {"velocity": v[i]} if with_velocity else {}
+        return write_joint_state(JointState(), stamp, arm.joints, position=q[i], **fields)
+
+    order = np.random.default_rng(1)
+
+    def shuffled(i, stamp):
+        names, chosen = [*arm.joints, "thumb"], order.permutation(5)
+        position, velocity = np.r_[q[i], 9.0][chosen], np.r_[v[i], 9.0][chosen]
+        return write_joint_state(
+            JointState(), stamp, [names[k] for k in chosen], position=position, velocity=velocity
+        )
+
+    for message in (ordered, shuffled):
+        for live_values, offline_values in zip(play(arm, offsets, message), expected, strict=True):
+            np.testing.assert_allclose(live_values, offline_values, rtol=0, atol=1e-12)
+
+
+def test_mimic_joints_absent_present_and_shuffled(data_dir, domain, tmp_path):
+    """The prosthetic hand: ten joints of which four follow another."""
+    urdf = data_dir / "models" / "psyonic_ability_hand_right_large.urdf"
+    scene = tmp_path / "hand.yaml"
+    scene.write_text(f"robot: {{urdf: {urdf}}}\n")
+    (folder := tmp_path / "node").mkdir()
+    with live(domain, folder, scene) as stream:
+        couplings, model = stream.scene.couplings, stream.scene.robot.model
+        assert len(couplings.dependent) == 4
+        offsets, z, w = motion(25, len(stream.joints))
+        q, v = (np.zeros((model.nq, len(offsets))) for _ in range(2))
+        q[couplings.q_index], v[couplings.v_index] = z.T, w.T
+        couplings.expand(q, v, np.zeros_like(v))
+        names = stream.joints + couplings.dependent
+        rows = [stream.scene.robot.joint(name).q for name in names]
+        order = np.random.default_rng(2)
+
+        def message(chosen):
+            def make(i, stamp):
+                these = chosen()
+                columns = [rows[k] for k in these]
+                return write_joint_state(
+                    JointState(),
+                    stamp,
+                    [names[k] for k in these],
+                    position=q[columns, i],
+                    velocity=v[columns, i],
+                )
+
+            return make
+
+        n, total = len(stream.joints), len(names)
+        expected = offline(stream.scene, offsets, z, w)
+        for chosen in (lambda: range(n), lambda: range(total), lambda: order.permutation(total)):
+            answers = play(stream, offsets, message(chosen))
+            for live_values, offline_values in zip(answers, expected, strict=True):
+                np.testing.assert_allclose(live_values, offline_values, rtol=0, atol=1e-12)
+        assert np.abs([force.position for force in stream.forces]).max() < 1e-12
+
+
+def test_two_partial_publishers_with_the_same_stamps(arm):
+    """The arm in one message, the wrist in another; each keeps the other's last position."""
+    arm.reset()
+    wrist = arm.probe.node.create_publisher(JointState, "/joint_states", DEEP)
+    arm.probe.spin_until(wrist.get_subscription_count)
+    arm.ask(0)
+    for k in range(1, 30):
+        for publisher, part in ((arm, slice(0, 2)), (wrist, slice(2, 4))):
+            count = len(arm.torques)
+            publisher.publish(
+                arm.message(
+                    k,
+                    name=arm.joints[part],
+                    position=arm.position(k)[part],
+                    velocity=arm.speed[part],
+                )
+            )
+            arm.answers(count + 1)
+        arm.check(arm.torques[-1], k)
+        assert list(arm.torques[-2].position[2:]) == list(arm.position(k - 1)[2:])
+    health = arm.probe.wait_health(lambda h: True)
+    assert health.level == WARN
+    assert "2 publishers" in health.message
+    arm.probe.node.destroy_publisher(wrist)
+    arm.ask(31)
+
+
+# ---------------------------------------------------------------------- while running
+
+
+def test_cutoff_changes_at_run_time(arm):
+    offsets, q, v = motion(40, 4)
+    nothing = np.full_like(v, np.nan)
+
+    def message(i, stamp):
+        return write_joint_state(JointState(), stamp, arm.joints, position=q[i])
+
+    try:
+        for cutoff in (5.0, 15.0):
+            assert arm.probe.set_parameter(arm.name, "cutoff", cutoff).successful
+            expected, _ = offline(arm.scene, offsets, q, nothing, Tuning(cutoff=cutoff))
+            answers, _ = play(arm, offsets, message)
+            np.testing.assert_allclose(answers, expected, rtol=0, atol=1e-12)
+            health = arm.probe.wait_health(lambda h: True)
+            filters = TorqueEstimator(
+                arm.scene.robot, arm.scene.inverse_dynamics(), Tuning(cutoff=cutoff)
+            ).differentiator
+            assert health.values["derivatives"].startswith(f"causal, delay {filters.delay:.4f} s")
+    finally:
+        assert arm.probe.set_parameter(arm.name, "cutoff", 5.0).successful
+
+
+def test_reset_service_forgets_the_past(arm):
+    """Without the reset the second position would be a glitch, with it it is a beginning."""
+    arm.reset()
+    arm.ask(0)
+    arm.reset(begin=arm.begin)
+    far = arm.position(1) + 0.8
+    arm.send(1, position=far)
+    answer = arm.answers(1)[0]
+    expected = arm.scene.inverse_dynamics().solve(far, arm.speed, np.zeros(4))
+    np.testing.assert_allclose(answer.effort, expected.tau, atol=1e-9)
+
+
+def test_deactivate_stops_the_output_and_activate_begins_afresh(arm):
+    arm.reset()
+    arm.ask(0)
+    assert arm.probe.change_state(arm.name, "deactivate")
+    for k in range(1, 5):
+        arm.send(k)
+    health = arm.probe.wait_health(lambda h: True)
+    assert (health.level, health.message) == (WARN, "inactive")
+    assert len(arm.torques) == 1
+    assert arm.probe.change_state(arm.name, "activate")
+    arm.begin = time.time_ns()
+    far = arm.position(0) + 0.8
+    arm.send(0, position=far)
+    assert list(arm.answers(2)[1].position) == list(far)
+
+
+def test_cleanup_and_configure_build_the_node_again(arm):
+    for label in ("deactivate", "cleanup", "configure", "activate"):
+        assert arm.probe.change_state(arm.name, label)
+    arm.connect()
+    arm.reset()
+    arm.ask(0)
+    arm.ask(1)
+    health = arm.probe.wait_health(lambda h: True)
+    assert (health.level, health.message) == (OK, "torques published")
+
+
+def test_the_shipped_parameter_file_works_from_any_folder(domain, probe, tmp_path, monkeypatch):
+    """And says what the parameters are by default."""
+    monkeypatch.chdir(tmp_path)
+    file = ROOT / "config" / "nodes" / "inverse_dynamics.yaml"
+    command = [sys.executable, *TARGET, "--ros-args", "--params-file", str(file)]
+    node = NodeProcess(command, domain)
+    try:
+        node.wait_for(ACTIVE)
+        request = GetParameters.Request(names=["cutoff", "max_age", "patience"])
+        values = probe.call(GetParameters, "/inverse_dynamics/get_parameters", request).values
+        tuning = Tuning()
+        assert [values[0].double_value, values[1].double_value] == [tuning.cutoff, tuning.max_age]
+        assert values[2].integer_value == tuning.patience
+        assert "WARN" not in node.log
+        assert node.stop() == 0
+    finally:
+        node.process.kill()
+
+
+def test_namespace_and_remapping(domain, tmp_path):
+    arguments = ["-r", "__ns:=/patient_7", "-r", "__node:=torques", "-r", "joint_states:=/imu/js"]
+    where = {"name": "/patient_7/torques", "topic": "/imu/js"}
+    with live(domain, tmp_path, ARM, arguments, **where) as stream:
+        stream.reset()
+        for k in range(5):
+            stream.ask(k)
+
+
+# ---------------------------------------------------------------------- wrenches
+
+
+@pytest.fixture(scope="module")
+def stance(domain, tmp_path_factory):
+    folder, scene = tmp_path_factory.mktemp("leg"), SCENES / "prosthetic_leg_stance.yaml"
+    with live(domain + 102, folder, scene, wrench_wait=0.3, timeout=2.0) as stream:
+        yield stream, WrenchStream(stream, "/force_plate")
+
+
+@pytest.mark.parametrize("order", ["before", "after", "interpolated"])
+def test_a_wrench_before_and_after_its_joint_state_give_the_same(stance, order):
+    stream, plate = stance
+    stream.reset()
+    plate.send(-1, LOAD)
+    for k in range(5):
+        load = LOAD * (1 + 0.1 * k)
+        if order == "before":
+            plate.send(k, load)
+            stream.probe.spin_for(0.02)
+            stream.send(k)
+        elif order == "after":
+            stream.send(k)
+            stream.probe.spin_for(0.02)
+            plate.send(k, load)
+        else:
+            stream.send(k)
+            plate.send(k - 0.5, load - 0.05 * LOAD)
+            plate.send(k + 0.5, load + 0.05 * LOAD)
+        answer = stream.answers(k + 1)[k]
+        stream.check(answer, k, [load])
+
+
+def test_joint_states_that_wait_are_answered_in_order(stance):
+    stream, plate = stance
+    stream.reset()
+    for k in range(10):
+        stream.send(k)
+    stream.probe.spin_for(0.05)
+    assert stream.torques == []
+    for k in range(10):
+        plate.send(k, LOAD * k)
+    for k, answer in enumerate(stream.answers(10)):
+        stream.check(answer, k, [LOAD * k])
+
+
+def test_a_late_wrench_is_replaced_by_the_last_one_after_the_wait(stance):
+    stream, plate = stance
+    stream.reset()
+    plate.send(0, LOAD)
+    stream.ask(0, [LOAD])
+    begin = time.monotonic()
+    stream.ask(5, [LOAD])  # 50 ms later, younger than wrench_max_age
+    assert time.monotonic() - begin > 0.28
+
+
+def test_a_stream_that_begins_anew_never_meets_the_wrenches_of_before(stance):
+    """Both streams jump back by 1.5 s, the joint state is heard first."""
+    stream, plate = stance
+    stream.reset()
+    for k in range(0, 160, 10):
+        plate.send(k, LOAD)
+        stream.probe.spin_for(0.01)
+    stream.ask(150, [LOAD])
+    stream.send(0)
+    stream.probe.spin_for(0.05)
+    assert len(stream.torques) == 1
+    plate.send(0, 2 * LOAD)
+    stream.check(stream.answers(2)[1], 0, [2 * LOAD])
+
+
+def test_reset_and_deactivation_empty_the_queue_and_the_buffers(stance):
+    stream, plate = stance
+    stream.reset()
+    plate.send(0, LOAD)
+    stream.ask(0, [LOAD])
+    stream.send(1)
+    stream.reset(begin=stream.begin)
+    stream.send(2)
+    stream.probe.spin_for(0.4)
+    assert stream.torques == []
+    assert stream.probe.change_state(stream.name, "deactivate")
+    plate.send(2, LOAD)
+    stream.probe.spin_for(0.05)
+    assert stream.probe.change_state(stream.name, "activate")
+    stream.send(3)
+    health = stream.probe.wait_health(lambda h: h.level == STALE)
+    assert "no joint state answered yet" in health.message
+    assert stream.torques == []
+    plate.send(4, LOAD)
+    stream.ask(4, [LOAD])

@@ -1,0 +1,326 @@
+"""`mbd-ros replay` and `mbd-ros demo` as a user runs them: processes, bags, exit codes."""
+
+import os
+import re
+import signal
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from nodes.conftest import ROOT
+
+from mbd_ros.bags import BagWriter, messages, new_message, topic_types
+from mbd_ros.scene import load_scene
+from msg_adapters.joint_state import write_joint_state
+from msg_adapters.time import read_time
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+TORQUES, FORCES = "/inverse_dynamics/joint_torques", "/inverse_dynamics/constraint_forces"
+ARM7 = ROOT / "config" / "scenes" / "arm7.yaml"
+SECOND = 10**9
+
+
+def command(*words):
+    """`mbd-ros` with words, and its environment."""
+    path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH")) if p)
+    return [sys.executable, "-m", "mbd_ros.cli", *map(str, words)], {
+        **os.environ,
+        "PYTHONPATH": path,
+    }
+
+
+def mbd_ros(*words, code=0):
+    """What a command prints on stdout and stderr, once it has ended with `code`."""
+    line, environment = command(*words)
+    ran = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=90)
+    assert ran.returncode == code, ran.stdout + ran.stderr
+    assert "Traceback" not in ran.stderr
+    return ran.stdout + ran.stderr
+
+
+def recorded(path, topic, field="effort"):
+    """Stamps and values of a JointState topic."""
+    rows = [
+        (read_time(m.header.stamp), getattr(m, field))
+        for _, _, m in messages(path, {topic: JOINT_STATE})
+    ]
+    return [stamp for stamp, _ in rows], np.array([values for _, values in rows])
+
+
+def record(path, rows, scene=ARM7, log_offset=0):
+    """A bag of joint states of the scene at 100 Hz; `rows` are positions of all joints."""
+    names = load_scene(scene).couplings.independent
+    with BagWriter(path) as bag:
+        for i, position in enumerate(rows):
+            stamp = 50 * SECOND + i * SECOND // 100
+            message = write_joint_state(
+                new_message(JOINT_STATE), stamp, names, position=np.asarray(position)
+            )
+            bag.write("/joint_states", JOINT_STATE, stamp + log_offset, message)
+    return path
+
+
+def slow_motion(count):
+    """Positions of seven joints."""
+    return 0.1 * np.sin(np.arange(count)[:, None] * 0.02 + np.arange(7))
+
+
+def panda_scene(data_dir, folder):
+    """The Panda whose bag calls its joints fer_joint1..7."""
+    urdf = data_dir / "panda_unisa_ros2bag" / "panda_nohand.urdf"
+    names = ", ".join(f"panda_joint{i}: fer_joint{i}" for i in range(1, 8))
+    path = folder / "panda.yaml"
+    path.write_text(f"robot:\n  urdf: {urdf}\n  rename: {{{names}}}\n")
+    return path
+
+
+def overall(text):
+    """The percentage in the line `overall ... %` of a table."""
+    return float(re.search(r"^overall ([0-9.]+) %", text, re.MULTILINE)[1])
+
+
+# ---------------------------------------------------------------------- real recordings
+
+
+def test_the_live_node_equals_the_offline_causal_result(data_dir, tmp_path):
+    """Walking with sliding knees and two force plates, sample by sample."""
+    gait = data_dir / "gait10dof_walk"
+    text = mbd_ros(
+        "replay", gait / "bag", gait / "scene.yaml", "-o", tmp_path / "live", "--rate", 0
+    )
+    assert "500 joint states played, 500 answered, 0 lost" in text
+    mbd_ros(
+        *("inverse", gait / "scene.yaml", gait / "bag", "-o", tmp_path / "offline"),
+        *("--derivatives", "causal"),
+    )
+    for live_topic, topic in ((TORQUES, "/joint_torques"), (FORCES, "/constraint_forces")):
+        stamps, live = recorded(tmp_path / "live", live_topic)
+        offline_stamps, offline = recorded(tmp_path / "offline", topic)
+        assert stamps == offline_stamps
+        assert len(stamps) == 500
+        np.testing.assert_allclose(live, offline, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["bag", "panda_exciting_trajectory.db3"])
+def test_a_real_panda_whose_joints_the_scene_renames(data_dir, tmp_path, name):
+    """4.65 % is what inverse dynamics without lag gives on this recording; 5.5 % accepted."""
+    bag = data_dir / "panda_unisa_ros2bag" / name
+    scene = panda_scene(data_dir, tmp_path)
+    text = mbd_ros("replay", bag, scene, "-o", tmp_path / "out", "--rate", 0)
+    assert "727 joint states played, 727 answered, 0 lost" in text
+    assert 3.0 < overall(text) <= 5.5
+    assert "fer_joint7" in text
+    assert len(recorded(tmp_path / "out", TORQUES)[0]) == 727
+
+
+def test_another_reference_topic_and_the_pace_of_the_bag(data_dir, tmp_path):
+    arm = data_dir / "arm26_elbow"
+    begin = time.monotonic()
+    text = mbd_ros(
+        *("replay", arm / "bag", arm / "scene.yaml", "-o", tmp_path / "out.mcap"),
+        *("--reference", "/reference_id", "--cutoff", 20),
+    )
+    assert time.monotonic() - begin > 1.0  # the bag lasts 1 s
+    assert "121 joint states played, 121 answered, 0 lost" in text
+    assert "against the effort on /reference_id" in text
+    assert 0.0 < overall(text) < 20.0
+    assert set(topic_types(tmp_path / "out.mcap")) == {TORQUES}
+
+
+def test_a_recorder_that_lives_in_another_time_than_the_robot(tmp_path):
+    """Stamps of a simulation, log times of the wall clock: what `ros2 bag record` makes."""
+    near = record(tmp_path / "near", slow_motion(60))
+    far = record(tmp_path / "far", slow_motion(60), log_offset=1_700_000_000 * SECOND)
+    efforts = []
+    for bag in (near, far):
+        mbd_ros("replay", bag, ARM7, "-o", tmp_path / "out", "--rate", 0)
+        stamps, effort = recorded(tmp_path / "out", TORQUES)
+        assert stamps[0] == 50 * SECOND
+        efforts.append(effort)
+    assert np.array_equal(*efforts)
+
+
+# ---------------------------------------------------------------------- what goes wrong
+
+
+def test_lost_messages_give_exit_code_1_and_no_endless_wait(tmp_path):
+    rows = slow_motion(300)
+    rows[[20, 150, 151]] = np.nan
+    bag = record(tmp_path / "bag", rows)
+    begin = time.monotonic()
+    text = mbd_ros("replay", bag, ARM7, "-o", tmp_path / "out", "--rate", 0, code=1)
+    assert "300 joint states played, 297 answered, 3 lost" in text
+    assert "joint_states: position NaN or infinite" in text
+    assert time.monotonic() - begin < 15.0
+
+
+def bad_topic(data_dir, folder):
+    bag = data_dir / "panda_unisa_ros2bag" / "bag"
+    return [
+        bag,
+        panda_scene(data_dir, folder),
+        "--topic",
+        "/nope",
+    ], "no topic /nope; there are: /joint_states"
+
+
+def cut_file(data_dir, folder):
+    bag = folder / "cut.mcap"
+    bag.write_bytes((data_dir / "panda_unisa_ros2bag" / "bag" / "bag.mcap").read_bytes()[:20000])
+    return [bag, panda_scene(data_dir, folder)], "cut.mcap: truncated, corrupt or not readable"
+
+
+def unreadable_message(data_dir, folder):
+    with BagWriter(folder / "bag") as bag:
+        for i in range(3):
+            bag.write("/joint_states", JOINT_STATE, i, b"\0\1\0\0" + struct.pack("<I", 2**31) * 9)
+    return [folder / "bag", ARM7], "topic /joint_states: unreadable message"
+
+
+def nothing_to_answer(data_dir, folder):
+    bag = record(folder / "bag", np.full((30, 7), np.nan))
+    return [bag, ARM7, "--rate", 0], (
+        "none of 30 joint states was answered: no joint state answered yet on /joint_states; "
+        "last one dropped: joint_states: position NaN or infinite"
+    )
+
+
+def floating_base(data_dir, folder):
+    bag = record(folder / "bag", slow_motion(30))
+    urdf = ROOT / "config" / "robots" / "arm7.urdf"
+    (folder / "scene.yaml").write_text(f"robot: {{urdf: {urdf}, base: floating}}\n")
+    reason = "the node did not start: joint states do not carry the pose of a floating base"
+    return [bag, folder / "scene.yaml"], reason
+
+
+def bad_cutoff(data_dir, folder):
+    bag = record(folder / "bag", slow_motion(30))
+    return [bag, ARM7, "--cutoff", 0], "the node did not start: parameter 'cutoff' is 0.0"
+
+
+def bad_rate(data_dir, folder):
+    bag = record(folder / "bag", slow_motion(30))
+    return [bag, ARM7, "--rate", -1], "rate -1 must be finite and >= 0"
+
+
+def table_as_output(data_dir, folder):
+    bag = record(folder / "bag", slow_motion(30))
+    return [bag, ARM7, "-o", folder / "out.csv"], "is no bag, expected a folder, .mcap or .db3"
+
+
+def output_over_the_input(data_dir, folder):
+    bag = record(folder / "bag", slow_motion(30))
+    return [bag, ARM7, "-o", bag], "the output would replace the bag that is played"
+
+
+PART = """
+import numpy as np
+from mbd_ros.errors import ModelError
+
+class Fuse:
+    def __init__(self, robot, *, kind):
+        self._nv, self._kind = robot.model.nv, kind
+
+    def force(self, data, x):
+        if x.q[0] > 0.05:
+            raise ModelError("the fuse is gone") if self._kind == "gone" else ValueError("a bug")
+        return np.zeros(self._nv)
+"""
+
+
+def _with_fuse(folder, kind):
+    (folder / "fuse.py").write_text(PART)
+    urdf = ROOT / "config" / "robots" / "arm7.urdf"
+    scene = folder / "scene.yaml"
+    scene.write_text(f"robot: {{urdf: {urdf}}}\nforces: [{{type: 'fuse:Fuse', kind: {kind}}}]\n")
+    return [record(folder / "bag", slow_motion(900)), scene]
+
+
+def node_that_crashes(data_dir, folder):
+    return _with_fuse(folder, "bug"), "ValueError('a bug')"
+
+
+def node_that_deactivates(data_dir, folder):
+    return _with_fuse(folder, "gone"), "the node is inactive: the fuse is gone"
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        bad_topic,
+        cut_file,
+        unreadable_message,
+        nothing_to_answer,
+        floating_base,
+        bad_cutoff,
+        bad_rate,
+        table_as_output,
+        output_over_the_input,
+        node_that_crashes,
+        node_that_deactivates,
+    ],
+    ids=lambda case: case.__name__,
+)
+def test_bad_input_gives_exit_code_2_its_reason_and_leaves_nothing(
+    case, data_dir, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    words, reason = case(data_dir, tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    if "-o" not in words:
+        words = [*words, "-o", tmp_path / "out"]
+    line, environment = command("replay", *words)
+    ran = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 2, ran.stderr
+    last = ran.stderr.splitlines()[-1]
+    assert last.startswith("mbd-ros replay: ")
+    assert reason in last
+    left = [path for path in sorted(tmp_path.rglob("*")) if "__pycache__" not in path.parts]
+    assert left == before
+
+
+@pytest.mark.parametrize("how", ["interrupt", "terminate", "terminal"])
+def test_a_signal_in_the_middle_leaves_neither_bag_nor_process(tmp_path, how):
+    """A terminal sends Ctrl-C to the node as well; `kill` only to the command."""
+    bag = record(tmp_path / "bag", slow_motion(3000))
+    line, environment = command("replay", bag, ARM7, "-o", tmp_path / "out")
+    with subprocess.Popen(
+        line, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as player:
+        for text in player.stderr:
+            if "]: active" in text:
+                break
+        time.sleep(1.5)
+        node = Path(f"/proc/{player.pid}/task/{player.pid}/children").read_text().split()
+        assert len(node) == 1
+        assert any(path.name.startswith(".out.") for path in tmp_path.iterdir())
+        if how == "terminal":
+            os.killpg(player.pid, signal.SIGINT)
+        else:
+            player.send_signal(signal.SIGINT if how == "interrupt" else signal.SIGTERM)
+        rest = player.stderr.read()
+        assert player.wait(10) == 130, rest
+    assert "interrupted" in rest
+    assert "Traceback" not in rest
+    assert not Path(f"/proc/{node[0]}").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["bag"]
+
+
+# ---------------------------------------------------------------------- demo
+
+
+def test_demo(tmp_path):
+    """Twice into the same folder: what is there from before is replaced."""
+    text = mbd_ros("demo", "-o", tmp_path / "demo")
+    assert "replayed through the live node: 1200 played, 1200 answered" in text
+    assert "wrist_flexion" in text
+    assert 0.0 < overall(text) < 5.0
+    picture = (tmp_path / "demo" / "torques.png").read_bytes()
+    assert picture.startswith(b"\x89PNG\r\n\x1a\n")
+    assert len(picture) > 20_000
+    assert {p.name for p in (tmp_path / "demo").iterdir()} == {"motion", "torques", "torques.png"}
+    assert set(topic_types(tmp_path / "demo" / "torques")) == {TORQUES, FORCES}

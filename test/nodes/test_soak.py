@@ -1,0 +1,36 @@
+"""The node under a stream of 1 kHz for a minute, and the benchmark that measures it."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from nodes.conftest import ROOT
+
+from mbd_ros.scene import load_scene
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", ["arm7", "prosthetic_arm"])
+def test_no_message_is_lost_at_1_khz_for_60_s(name):
+    from mbd_ros.report.node_load import measure
+
+    scene = load_scene(ROOT / "config" / "scenes" / f"{name}.yaml")
+    node = ["-m", "mbd_ros.nodes.inverse_dynamics", "--ros-args", "-p", f"scene:={scene.path}"]
+    load = measure(node, scene.couplings.independent, rate=1000.0, seconds=60.0)
+    assert load.sent == 60_000
+    assert load.answered == load.sent
+    assert load.worst_us < 100_000.0  # nothing waits in a queue
+
+
+@pytest.mark.soak
+def test_the_benchmark_prints_its_ratios_as_json():
+    command = [sys.executable, "-m", "mbd_ros.report.bench_inverse", "--seconds", "1"]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=ROOT)
+    assert ran.returncode == 0, ran.stderr
+    result = json.loads(ran.stdout)
+    assert result["arm"]["joints"] == 7
+    assert result["leg"]["wrenches"] == 1
+    for ratio in ("main_thread_us_over_echo", "process_us_over_echo", "round_trip_us_over_echo"):
+        assert 0.0 < result["node"][ratio] < 2.0
+    assert result["node"]["inverse_dynamics"]["answered"] == 1000

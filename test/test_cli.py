@@ -1,0 +1,186 @@
+"""`mbd-ros check` and `mbd-ros inverse` as a user meets them: words, exit codes, what is left."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbd_ros.cli import main
+from mbd_ros.tables import read_table, write_table
+
+SCENES = Path(__file__).parents[1] / "config/scenes"
+FULL = """\
+robot: {{urdf: {urdf}, locked: {{ankle: 0.1}}}}
+couplings: {{knee_slide_x: {{parent: knee, factor: 0.01}}}}
+external_wrenches: {{plate: {{frame: foot, expressed_in: world}}}}
+forces: [{{type: joint_spring, joint: knee, stiffness: 3}}]
+"""
+
+
+@pytest.fixture
+def motion(tmp_path):
+    """A swing of the pendulum at rest at 30 degrees: 0.5 m g sin(30 deg) = 2.4525 N·m."""
+    rows = np.column_stack([np.arange(5) / 10, np.full(5, np.pi / 6), np.zeros((5, 2))])
+    fields = ("position", "velocity", "acceleration")
+    write_table(tmp_path / "m.csv", ["time", *(f"hinge.{f}" for f in fields)], rows)
+    return tmp_path / "m.csv"
+
+
+def called(capsys, *words):
+    """Exit code, stdout and stderr."""
+    code = main([str(word) for word in words])
+    return code, *capsys.readouterr()
+
+
+def labelled(text):
+    """Lines of `check` by label."""
+    return dict(
+        re.split(r"\s+", line, maxsplit=1) for line in text.replace("left out", "out").splitlines()
+    )
+
+
+def test_check_says_what_is_built_and_what_is_not(capsys, tmp_path):
+    urdf = SCENES.parent / "robots/prosthetic_leg.urdf"
+    (tmp_path / "s.yaml").write_text(FULL.format(urdf=urdf), encoding="utf-8")
+    code, out, err = called(capsys, "check", tmp_path / "s.yaml")
+    said = labelled(out)
+    assert (code, err) == (0, "")
+    assert said["scene"] == str(tmp_path / "s.yaml")
+    assert said["robot"] == f"prosthetic_leg from {urdf}, fixed base"
+    assert said["gravity"].startswith("[ 0.  ,  0.  , -9.81] m/s^2")
+    assert said["joints"] == "4, degrees of freedom 3"
+    assert said["independent"] == "hip_flexion, knee_slide_y, knee"
+    assert said["dependent"] == "knee_slide_x <- knee (factor)"
+    assert said["locked"] == "ankle at 0.1"
+    assert said["wrench"] == "plate on foot, expressed in world, topic ~/wrench/plate"
+    assert said["force"].startswith("JointSpring at ")
+    assert said["tier"].startswith("reduced: dependent joints eliminated exactly")
+    assert said["out"] == "nothing"
+    assert re.fullmatch(r"one .* call \d+\.\d us, \d+\.\d x a bare rnea of 4 joints", said["cost"])
+
+
+@pytest.mark.parametrize(
+    ("name", "joints", "dependent", "tier"),
+    [
+        ("empty", "1, degrees of freedom 1", "none", "rnea: no dependent joint, one call"),
+        ("arm7", "7, degrees of freedom 7", "none", "rnea: no dependent joint, one call"),
+        ("prosthetic_arm", "5, degrees of freedom 4", "elbow <- shoulder_flexion (factor)", "red"),
+    ],
+)
+def test_check_of_the_scenes_that_come_along(capsys, name, joints, dependent, tier):
+    code, out, _ = called(capsys, "check", SCENES / f"{name}.yaml")
+    said = labelled(out)
+    assert code == 0
+    assert (said["joints"], said["dependent"]) == (joints, dependent)
+    assert said["tier"].startswith(tier)
+    assert {"external_wrenches", "forces"} <= set(said["out"].split("; "))
+
+
+def test_inverse_writes_torques_and_says_so(capsys, tmp_path, motion):
+    code, out, err = called(
+        capsys, "inverse", SCENES / "empty.yaml", motion, "-o", tmp_path / "o.csv"
+    )
+    assert (code, err) == (0, "")
+    assert out == f"5 samples, given derivatives -> {tmp_path / 'o.csv'}\n"
+    table = read_table(tmp_path / "o.csv")
+    effort = table.values[:, table.columns.index("hinge.effort")]
+    assert effort == pytest.approx(np.full(5, 0.5 * 9.81 * np.sin(np.pi / 6)), abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["o.csv", "o.csv.gz", "bag", "b.mcap", "b.db3"])
+def test_every_kind_of_output_holds_the_same_torques(capsys, tmp_path, motion, name):
+    words = "inverse", SCENES / "empty.yaml", motion, "--parts", "-o", tmp_path / name
+    assert called(capsys, *words)[0] == 0
+    if name.startswith("o.csv"):
+        table = read_table(tmp_path / name)
+        efforts = table.values[:, table.columns.index("hinge.gravity")]
+    else:
+        from mbd_ros.recordings import read_motion
+
+        efforts = read_motion(tmp_path / name, ["hinge"], topic="/joint_torques").motion.effort
+    assert efforts.ravel() == pytest.approx(np.full(5, 2.4525), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("check none.yaml", "mbd-ros check: none.yaml: scene file cannot be read: No such file"),
+        ("inverse none.yaml m.csv -o o.csv", "mbd-ros inverse: none.yaml: scene file cannot be"),
+        ("inverse SCENE none.csv -o o.csv", "none.csv: cannot be read (No such file or direc"),
+        ("inverse SCENE m.txt -o o.csv", "m.txt: neither a table (.csv, .csv.gz) nor a bag"),
+        ("inverse SCENE m.csv -o o.txt", "o.txt: neither a table (.csv, .csv.gz) nor a bag"),
+        ("inverse SCENE m.csv -o no/o.csv", "no/o.csv: directory no does not exist"),
+        ("inverse SCENE no/bag -o o.csv", "no/bag"),
+        ("inverse SCENE bad.csv -o o.csv", "bad.csv: line 2, column hinge.position: 'x' is not a"),
+        ("inverse SCENE p.csv -o o.csv", "p.csv: no velocity of hinge; choose --derivatives caus"),
+        ("inverse LEG m.csv -o o.csv", "m.csv: no column hip_flexion.position, knee.position, an"),
+        ("inverse SCENE m.csv -o o.csv --derivatives causal --cutoff 0", "cutoff 0.0 Hz must be"),
+        ("inverse SCENE m.csv -o o.csv --derivatives causal --cutoff nan", "cutoff nan Hz must"),
+        (
+            "inverse SCENE m.csv -o o.csv --derivatives zero-phase",
+            "at least 9 samples, there are 5",
+        ),
+        ("inverse SCENE p.csv -o o.csv --derivatives zero-phase --half-width 1", "width 1 need"),
+    ],
+)
+def test_bad_input_is_2_with_one_line_on_stderr_and_nothing_left(
+    capsys, tmp_path, motion, monkeypatch, words, message
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.csv").write_text("time,hinge.position\n0,x\n")
+    (tmp_path / "p.csv").write_text("time,hinge.position\n0,1\n1,2\n")
+    before = sorted(tmp_path.iterdir())
+    named = {"SCENE": SCENES / "empty.yaml", "LEG": SCENES / "prosthetic_leg.yaml"}
+    code, out, err = called(capsys, *(named.get(word, word) for word in words.split()))
+    assert (code, out) == (2, "")
+    assert message in err
+    assert err.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_failure_leaves_the_old_output_as_it_was(capsys, tmp_path, motion):
+    out = tmp_path / "o.csv"
+    out.write_text("mine")
+    assert called(capsys, "inverse", SCENES / "empty.yaml", tmp_path / "n.csv", "-o", out)[0] == 2
+    assert out.read_text() == "mine"
+    assert called(capsys, "inverse", SCENES / "empty.yaml", motion, "-o", out)[0] == 0
+    assert out.read_text().startswith("time,hinge.position")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "",
+        "fly",
+        "check",
+        "inverse a b",
+        "inverse a b -o c --derivatives best",
+        "check a --cutoff x",
+    ],
+)
+def test_words_that_make_no_command_are_2_with_the_usage(capsys, words):
+    with pytest.raises(SystemExit) as caught:
+        main(words.split())
+    assert caught.value.code == 2
+    assert capsys.readouterr().err.startswith("usage: mbd-ros")
+
+
+def test_the_process_itself_ends_with_those_codes(tmp_path, motion):
+    """A real process: no traceback, and a closed pipe at stdout is no reason for one."""
+    environment = {**os.environ, "PYTHONPATH": str(SCENES.parents[1])}
+
+    def run(*words):
+        command = [sys.executable, "-m", "mbd_ros.cli", *map(str, words)]
+        return subprocess.run(
+            command, capture_output=True, text=True, timeout=60, env=environment, check=False
+        )
+
+    bad = run("check", tmp_path / "none.yaml")
+    assert (bad.returncode, bad.stdout) == (2, "")
+    assert "Traceback" not in bad.stderr
+    good = run("inverse", SCENES / "empty.yaml", motion, "-o", tmp_path / "o.csv")
+    assert (good.returncode, good.stderr) == (0, "")

@@ -1,0 +1,242 @@
+"""Scene files: what they build, and how everything else is refused (faults 21, 24, 41, 44)."""
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbd_ros.core.urdf import MAX_CHARACTERS
+from mbd_ros.errors import SceneError
+from mbd_ros.scene import Scene, description_topic, load_scene
+
+ROOT = Path(__file__).parents[1]
+LEG = (ROOT / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
+FULL = """\
+robot:
+  urdf: leg.urdf
+  gravity: [0, 1.5, -9.81]
+  base: fixed
+  locked: {ankle: 0.1}
+  rename: {hip_flexion: hip}
+couplings:
+  knee_slide_x: {parent: knee, factor: 1e-2, offset: 0.001}
+  knee_slide_y: {parent: knee_slide_x, polynomial: [0.0, 0.1, -0.2]}
+external_wrenches:
+  foot: {frame: foot, expressed_in: world, topic: /plate, point: [0, 0, 0.1], threshold: 20}
+  hand: {frame: shank}
+forces:
+  - {type: joint_spring, joint: knee, stiffness: 30.0}
+  - {type: joint_friction, joint: hip, coulomb: 0.4}
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    (tmp_path / "leg.urdf").write_text(LEG, encoding="utf-8")
+
+    def scene(text):
+        (tmp_path / "scene.yaml").write_text(text, encoding="utf-8")
+        return tmp_path / "scene.yaml"
+
+    return scene
+
+
+def refusal(path, description=None):
+    with pytest.raises(SceneError) as caught:
+        load_scene(path, description)
+    assert str(caught.value).startswith(f"{path}: ")
+    return str(caught.value)
+
+
+def test_every_section_is_built(write, tmp_path):
+    scene = load_scene(write(FULL))
+    assert scene.source == str(tmp_path / "leg.urdf")
+    assert scene.robot.model.gravity.linear == pytest.approx([0, 1.5, -9.81])
+    assert scene.couplings.independent == ("hip", "knee")
+    assert scene.laws == {
+        "knee_slide_x": "knee (factor)",
+        "knee_slide_y": "knee_slide_x (polynomial)",
+    }
+    assert list(scene.wrenches) == ["foot", "hand"]
+    assert [w.topic for w in scene.wrenches.values()] == ["/plate", None]
+    assert [type(force).__name__ for force in scene.forces] == ["JointSpring", "JointFriction"]
+    assert scene.absent == ()
+    solver = scene.inverse_dynamics()
+    assert len(solver.solve(*np.ones((3, 2)), [np.ones(6)] * 2).multipliers) == 2
+
+
+@pytest.mark.parametrize("rest", ["", "couplings:\nforces:\n", "couplings: {}\nforces: []\n"])
+def test_empty_section_is_an_absent_one(write, rest):
+    scene = load_scene(write("robot: {urdf: leg.urdf}\n" + rest))
+    assert scene.absent == ("couplings", "external_wrenches", "forces")
+    assert (scene.laws, scene.forces, scene.wrenches) == ({}, (), {})
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("robot:\n", "robots:\n", "unknown key 'robots', accepted: robot, couplings, external_wr"),
+        ("urdf:", "urd:", "robot: unknown key 'urd', accepted: urdf, description_topic, gravity"),
+        ("urdf: leg.urdf", "", "robot: give either 'urdf' or 'description_topic'"),
+        ("leg.urdf", "leg.urdf\n  description_topic: a", "robot: give either 'urdf' or"),
+        ("leg.urdf", "log.urdf", "log.urdf: robot description cannot be read: No such file"),
+        ("leg.urdf", ".", "robot description is not a regular file"),
+        ("leg.urdf", "package://mbd_ros/no.urdf", "robot.urdf: package://mbd_ros/no.urdf not fou"),
+        ("leg.urdf", "package://mbd_ros//etc/passwd", "leaves the package"),
+        ("leg.urdf", "package://mbd_ros/../x.urdf", "leaves the package"),
+        ("leg.urdf", "package://../x.urdf", "leaves the package"),
+        ("[0, 1.5, -9.81]", "[0, 1.5]", "robot.gravity: expected 3 numbers, got [0.0, 1.5]"),
+        ("[0, 1.5, -9.81]", "[0, nan, 1]", "robot.gravity[1]: expected a number, got 'nan'"),
+        ("[0, 1.5, -9.81]", "[0, 1_0, 1]", "robot.gravity[1]: expected a number, got '1_0'"),
+        ("[0, 1.5, -9.81]", "[0, 0x1, 1]", "robot.gravity[1]: expected a number, got '0x1'"),
+        ("[0, 1.5, -9.81]", "[0, yes, 1]", "robot.gravity[1]: expected a number, got 'yes'"),
+        ("[0, 1.5, -9.81]", "[0, .inf, 1]", "robot.gravity[1]: expected a number, got '.inf'"),
+        ("[0, 1.5, -9.81]", "[0, 1e999, 1]", "robot.gravity[1]: 1e999 is not a finite number"),
+        ("base: fixed", "base: flying", "base 'flying', accepted: fixed, floating"),
+        ("ankle: 0.1", "ankle: x", "robot.locked.ankle: expected a number, got 'x'"),
+        ("ankle: 0.1", "ancle: 0.1", "locked: joint 'ancle' does not exist"),
+        ("hip_flexion: hip", "hip: a", "rename: no joint 'hip'; the robot has hip_flexion, "),
+        ("factor: 1e-2", "factor: 0", "knee_slide_x: factor is 0: the joint never moves"),
+        ("factor: 1e-2", "polynomial: [1]", "knee_slide_x: 'offset' goes with 'factor' only"),
+        ("factor: 1e-2", "factor: 2, spline: {}", "of factor, polynomial, spline, piecewise_pol"),
+        ("factor: 1e-2, offset: 0.001", "", "got none"),
+        ("polynomial: [0.0, 0.1, -0.2]", "polynomial: []", "polynomial has no coefficients"),
+        ("polynomial: [0.0", "polynomial: [.nan", "knee_slide_y.polynomial[0]: expected a number"),
+        ("polynomial: [0.0, 0.1, -0.2]", "spline: {x: [1]}", "slide_y.spline: key 'y' is missing"),
+        ("polynomial: [0.0, 0.1, -0.2]", "spline: {x: [1, 1], y: [1, 2]}", "two increasing"),
+        ("parent: knee_slide_x", "parent: nose", "couplings: coupling knee_slide_y <- nose: pare"),
+        ("parent: knee_slide_x", "parent: ankle", "parent: joint 'ankle' is locked at 0.1"),
+        ("parent: knee,", "parent: knee_slide_y,", "cycle: knee_slide_x <- knee_slide_y <- kn"),
+        ("parent: knee,", "parrent: knee,", "couplings.knee_slide_x: unknown key 'parrent', acc"),
+        ("knee_slide_x: {", "hip_flexion: {", "no joint 'hip_flexion'; the robot has hip, "),
+        ("frame: foot", "frame: feet", "wrenches.foot: no frame 'feet'; the links are world"),
+        ("expressed_in: world", "expressed_in: earth", "foot: no frame 'earth'; the links are"),
+        ("topic: /plate", "topic: 3", "external_wrenches.foot.topic: expected a word, got 3"),
+        ("threshold: 20", "threshold: -1", "wrenches.foot: threshold -1 N must be >= 0"),
+        ("threshold: 20", "treshold: 20", "foot: unknown key 'treshold', accepted: frame, expr"),
+        ("point: [0, 0, 0.1]", "point: [0]", "foot: point [0.0] must have 3 coordinates"),
+        ("type: joint_spring", "type: spring", "forces[0].type: unknown type 'spring', accepted:"),
+        ("type: joint_spring,", "", "forces[0].type: expected a word, got None"),
+        ("stiffness: 30.0", "stiffnes: 30.0", "forces[0]: unknown key 'stiffnes', accepted: jo"),
+        ("stiffness: 30.0", "stiffness: -3", "forces[0]: stiffness -3 and damping 0 must be >= 0"),
+        ("joint: hip", "joint: ankle", "forces[1]: joint 'ankle' is locked at 0.1"),
+        ("forces:\n", "forces: {}\nforce:\n", "unknown key 'force'"),
+        (FULL, "robot:", "robot: expected a mapping, got None"),
+        (FULL, "forces: []", "key 'robot' is missing"),
+        (FULL, "robot: {urdf: leg.urdf}\ncouplings: 0", "couplings: expected a mapping, got 0"),
+        (FULL, "robot: {urdf: leg.urdf}\nforces: {}", "forces: expected a list, got {}"),
+        (FULL, "robot: {urdf: leg.urdf}\nforces: [1]", "forces[0]: expected a mapping, got 1"),
+    ],
+)
+def test_one_wrong_thing_is_named_with_its_key(write, old, new, message):
+    assert old in FULL
+    assert message in refusal(write(FULL.replace(old, new, 1)))
+
+
+@pytest.mark.parametrize(
+    ("description", "message"),
+    [
+        (None, "the description comes from topic /rd, which only a node can read; give 'urdf'"),
+        ("", "robot: topic /rd: robot description is empty"),
+        ("  \n", "robot: topic /rd: robot description is empty"),
+        ("<robot", "robot: topic /rd: not well-formed XML"),
+        ("<!DOCTYPE a><robot/>", "robot: topic /rd: DOCTYPE and ENTITY declarations are refused"),
+        ("x" * (MAX_CHARACTERS + 1), f"robot: topic /rd: {MAX_CHARACTERS + 1} characters, accep"),
+        (LEG.replace('mass value="', 'mass value="-'), "topic /rd: link 'residual_limb': mass is"),
+    ],
+)
+def test_description_of_a_topic_is_checked_like_a_file(write, description, message):
+    path = write("robot: {description_topic: /rd}")
+    assert message in refusal(path, description)
+
+
+def test_description_of_a_topic_builds_the_robot(write):
+    path = write("robot: {description_topic: /rd}")
+    assert description_topic(path) == "/rd"
+    assert load_scene(path, LEG).source == "topic /rd"
+    assert description_topic(write(FULL)) is None
+
+
+@pytest.mark.parametrize("prefix", ["AMENT_PREFIX_PATH", "own"])
+def test_package_addresses_are_found(write, tmp_path, monkeypatch, prefix):
+    name = "package://mbd_ros/config/robots/pendulum.urdf"
+    if prefix == "AMENT_PREFIX_PATH":
+        share = tmp_path / "install/share/hip_description/urdf"
+        share.mkdir(parents=True)
+        (share / "hip.urdf").write_text(LEG, encoding="utf-8")
+        monkeypatch.setenv(prefix, f"/nowhere:{tmp_path / 'install'}")
+        name = "package://hip_description/urdf/hip.urdf"
+    scene = load_scene(write(f"robot: {{urdf: '{name}'}}"))
+    assert scene.source.endswith(name.rsplit("/", 1)[1])
+
+
+OUTSIDE = """
+import numpy as np
+class Push:
+    def __init__(self, robot, *, size: float):
+        self.tau = np.full(robot.model.nv, size)
+    def force(self, data, x):
+        return self.tau
+class Broken:
+    def __init__(self, robot):
+        pass
+"""
+
+
+def test_part_of_another_package_needs_no_line_here(write, tmp_path, monkeypatch):
+    (tmp_path / "outside_parts.py").write_text(OUTSIDE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    plain = load_scene(write("robot: {urdf: leg.urdf}")).inverse_dynamics()
+    text = "robot: {urdf: leg.urdf}\nforces: [{type: 'outside_parts:Push', size: 2}]"
+    pushed = load_scene(write(text)).inverse_dynamics()
+    x = np.zeros(5)
+    assert pushed.solve(x, x, x).tau == pytest.approx(plain.solve(x, x, x).tau - 2.0)
+    assert "forces[0]: unknown key 'sise', accepted: size" in refusal(
+        write(text.replace("size", "sise"))
+    )
+    assert "not a class with a method 'force'" in refusal(
+        write(text.replace("Push', size: 2", "Broken'"))
+    )
+
+
+def test_solvers_of_one_scene_do_not_disturb_each_other(write):
+    """Each has its own data, also when their calls alternate."""
+    scene = load_scene(write(FULL))
+    rng, loads = np.random.default_rng(0), [np.ones(6)] * 2
+    x, y = rng.normal(size=(2, 3, 2))
+    one, other = scene.inverse_dynamics(), scene.inverse_dynamics()
+    alone = one.solve(*x, loads)
+    other.batch(*y[:, None], [w[None] for w in loads])
+    other.solve(*y, loads)
+    again = one.solve(*x, loads)
+    assert np.array_equal(alone.tau, again.tau)
+    assert np.array_equal(alone.multipliers, again.multipliers)
+
+
+def damaged(text, dice):
+    """One to three words exchanged, or characters lost or doubled."""
+    words = ["nan", "1e999", "0", "-1", "{}", "[]", "null", "knee", "foot", "!!x", "&a", "*a", "'"]
+    words += ['"\\0"', "1" * 400, "true", "os:system", ":", ",", "\t", "\n", "é", "package://", ""]
+    for _ in range(dice.randint(1, 3)):
+        i = dice.randrange(len(text))
+        if dice.random() < 0.6:
+            start = max(text.rfind(" ", 0, i), text.rfind("\n", 0, i)) + 1
+            end = start + len(text[start:].split(maxsplit=1)[0]) if text[start:].split() else i
+            text = text[:start] + dice.choice(words) + text[end:]
+        else:
+            text = text[:i] + dice.choice(("", text[i] * 2)) + text[i + 1 :]
+    return text
+
+
+def test_random_damage_never_raises_anything_else(write):
+    """300 mutations of a whole scene: a SceneError that names the file, or a scene."""
+    dice, refused = random.Random(11), 0
+    for _ in range(300):
+        path = write(damaged(FULL, dice))
+        try:
+            assert isinstance(load_scene(path), Scene)
+        except SceneError as error:
+            assert str(error).startswith(f"{path}: ")
+            refused += 1
+    assert 150 < refused < 300

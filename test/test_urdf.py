@@ -1,0 +1,162 @@
+"""Robot descriptions that cannot be trusted are refused, and the message says where and why."""
+
+import itertools
+import random
+from pathlib import Path
+
+import pinocchio as pin
+import pytest
+
+from mbd_ros.core.robot import read_robot
+from mbd_ros.core.urdf import MAX_CHARACTERS, MAX_LINKS
+from mbd_ros.errors import ModelError
+
+LEG = (Path(__file__).parents[1] / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
+LINK = (
+    '<link name="{0}"><inertial><origin xyz="0 0 -0.2"/><mass value="2"/>'
+    '<inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+HINGE = (
+    '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/>'
+    '<origin xyz="0 0 1"/><axis xyz="0 1 0"/><limit effort="9" velocity="3"/></joint>'
+)
+ARM = (
+    '<robot name="arm"><link name="world"/>'
+    + HINGE.format("shoulder", "world", "upper")
+    + LINK.format("upper")
+    + HINGE.format("elbow", "upper", "fore")
+    + LINK.format("fore")
+    + "</robot>"
+)
+
+
+def refusal(text, **options):
+    """Message with which a description is refused."""
+    with pytest.raises(ModelError) as caught:
+        read_robot(text, source="arm.urdf", **options)
+    assert str(caught.value).startswith("arm.urdf: ")
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("base", ["fixed", "floating"])
+def test_sound_text_is_accepted(base):
+    assert [j.name for j in read_robot(ARM, base=base).joints] == ["shoulder", "elbow"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    [
+        ('value="2"', 'value="0"', ("link 'upper'", "mass is 0 kg", "expected > 0")),
+        ('value="2"', 'value="-1"', ("link 'upper'", "mass is -1 kg", "expected > 0")),
+        ('value="2"', 'value="nan"', ("link 'upper'", "<mass value='nan'>", "finite")),
+        ('value="2"', 'value="1e999"', ("link 'upper'", "'1e999'", "finite")),
+        ('value="2"', 'value="1_000"', ("link 'upper'", "'1_000'", "finite")),
+        ('value="2"', 'value="0x10"', ("link 'upper'", "'0x10'", "finite")),
+        ('value="2"', 'value="1,5"', ("link 'upper'", "'1,5'", "finite")),
+        ('value="2"', 'value="٢"', ("link 'upper'", "'٢'", "finite")),
+        ('value="2"', 'value=""', ("link 'upper'", "<mass value=''>", "finite")),
+        ('value="2"', 'value="1 2"', ("link 'upper'", "'1 2'", "a finite number")),
+        ('<mass value="2"/>', "", ("link 'upper'", "<mass> lacks value")),
+        ('ixx="0.02" ', "", ("link 'upper'", "<inertia> lacks ixx")),
+        (' ixy="0" ixz="0"', "", ("link 'upper'", "<inertia> lacks ixy, ixz")),
+        ('ixx="0.02"', 'ixx="inf"', ("link 'upper'", "<inertia ixx='inf'>")),
+        ('ixx="0.02"', 'ixx="-0.02"', ("link 'upper'", "not positive definite", "-0.02 kg m^2")),
+        ('ixx="0.02"', 'ixx="0"', ("link 'upper'", "not positive definite")),
+        ('ixy="0"', 'ixy="0.1"', ("link 'upper'", "not positive definite")),
+        ('ixx="0.02"', 'ixx="0.009"', ("'upper'", "triangle inequality", "0.009 + 0.03 < 0.04")),
+        ('xyz="0 0 -0.2"', 'xyz="0 0"', ("link 'upper'", "<origin xyz='0 0'>", "3 finite")),
+        ('xyz="0 0 1"', 'xyz="0 nan 1"', ("joint 'shoulder'", "<origin xyz='0 nan 1'>")),
+        ('xyz="0 1 0"', 'xyz="0 0 0"', ("joint 'shoulder'", "axis is zero")),
+        ('velocity="3"', 'velocity="fast"', ("joint 'shoulder'", "<limit velocity='fast'>")),
+        ('velocity="3"', "", ("joint 'shoulder'", "needs <limit> with effort and velocity")),
+        ('type="revolute"', 'type="planar"', ("'shoulder'", "type 'planar'", "continuous")),
+        ('parent link="world"', 'parent link="word"', ("'shoulder'", "parent link 'word'")),
+        ('<child link="fore"/>', "", ("joint 'elbow'", "child link 'None'")),
+        ('child link="fore"', 'child link="upper"', ("'upper' is the child of two joints",)),
+        ('parent link="world"', 'parent link="fore"', ("cycle through 'upper'",)),
+        ("</robot>", '<link name="lost"/></robot>', ("one root link, found world, lost",)),
+        ('parent link="upper"', 'parent link="fore"', ("cycle through 'fore'",)),
+        ('joint name="elbow"', 'joint name="shoulder"', ("<joint> name used twice: shoulder",)),
+        ('link name="fore"', 'link name="upper"', ("<link> name used twice: upper",)),
+        ('joint name="elbow"', "joint", ("a <joint> has no name",)),
+        ("</robot>", "", ("not well-formed XML",)),
+        ('<robot name="arm">', '<robot name="\ud800">', ("not well-formed XML",)),
+        ('<robot name="arm">', '<robot name="\0">', ("not well-formed XML",)),
+        ('<robot name="arm">', "<robot>", ("not contain a valid URDF",)),
+        ("</robot>", "<x>" * 5000 + "</x>" * 5000 + "</robot>", ("recursion",)),
+    ],
+)
+def test_one_wrong_thing_is_named(old, new, parts):
+    assert old in ARM
+    message = refusal(ARM.replace(old, new, 1))
+    assert all(part in message for part in parts), message
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("", "robot description is empty"),
+        (" \n", "robot description is empty"),
+        ("rubbish", "not well-formed XML"),
+        ("<robot name='a'/>", "no <link>"),
+        ("<html/>", "root element is <html>, expected <robot>"),
+        ("<!DOCTYPE robot>" + ARM, "DOCTYPE and ENTITY declarations are refused"),
+        ("<!doctype robot>" + ARM, "DOCTYPE and ENTITY declarations are refused"),
+        ('<!DOCTYPE r [<!ENTITY a "b">]>' + ARM, "DOCTYPE and ENTITY declarations are refused"),
+        ('<! ENTITY a SYSTEM "/etc/passwd">' + ARM, "DOCTYPE and ENTITY"),
+        (ARM + " " * MAX_CHARACTERS, f"accepted are {MAX_CHARACTERS}"),
+        ("<robot name='a'>" + "<link name='b'/>" * 500_000, "not well-formed"),
+        ("<robot name='a'>" + "<link name='b'/>" * 500_000 + "</robot>", f"are {MAX_LINKS}"),
+    ],
+)
+def test_hostile_text_is_refused_at_once(text, part):
+    assert part in refusal(text)
+
+
+def test_link_that_moves_without_any_mass_is_named():
+    tip = HINGE.format("wrist", "fore", "hand") + '<link name="hand"/></robot>'
+    assert "link 'hand' moves" in refusal(ARM.replace("</robot>", tip))
+    carried = tip.replace("</robot>", "") + HINGE.format("slide", "hand", "nail")
+    carried += LINK.format("nail") + "</robot>"
+    assert len(read_robot(ARM.replace("</robot>", carried)).joints) == 4
+
+
+def test_longest_accepted_chain_builds():
+    """Pinocchio's reader is recursive: what is accepted must not end the process."""
+    links = [f"l{i}" for i in range(MAX_LINKS)]
+    pairs = itertools.pairwise(links)
+    joints = "".join(HINGE.format(f"j{b}", a, b) + LINK.format(b) for a, b in pairs)
+    text = f'<robot name="chain"><link name="l0"/>{joints}</robot>'
+    assert read_robot(text).model.nv == MAX_LINKS - 1
+
+
+def test_every_mass_of_the_text_is_in_the_model():
+    """The reader below drops an <inertial> it cannot read with no more than a line on stderr."""
+    model = read_robot(LEG).model
+    masses = [float(part.split('"')[1]) for part in LEG.split("<mass value=")[1:]]
+    assert pin.computeTotalMass(model) == pytest.approx(sum(masses), rel=1e-12)
+
+
+def mutated(text, dice):
+    """The text with one to three small damages."""
+    for _ in range(dice.randint(1, 3)):
+        i = dice.randrange(len(text))
+        j = min(len(text), i + dice.choice((1, 1, 2, 5, 40)))
+        new = dice.choice(("", "", "<", '"', "nan", "-", "0", "</joint>", text[i:j] * 2, "\0"))
+        text = text[:i] + new + text[j:]
+    return text
+
+
+def test_random_damage_never_raises_anything_else():
+    """300 mutations: a ModelError, or a robot in which no mass was lost."""
+    dice, refused = random.Random(3), 0
+    for _ in range(300):
+        text = mutated(ARM, dice)
+        try:
+            robot = read_robot(text, source="arm.urdf")
+        except ModelError as error:
+            refused += str(error).startswith("arm.urdf: ")
+        else:
+            assert pin.computeTotalMass(robot.model) > 0
+            assert sum(i.mass > 0 for i in robot.model.inertias) == len(robot.joints), text
+    assert 100 < refused < 300
