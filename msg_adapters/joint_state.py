@@ -39,6 +39,7 @@ class JointStateReader:
         present: Which of them the newest message carried, shape (n,) of bool.
         missing: Those that it did not carry.
         extra: Joints of the newest message that were not asked for.
+        absent: NaN for every joint, read-only.
     """
 
     def __init__(self, names: Sequence[str], *, with_effort: bool = True) -> None:
@@ -47,8 +48,8 @@ class JointStateReader:
         self.present = np.zeros(len(names), dtype=np.bool_)
         self.missing: tuple[str, ...] = ()
         self.extra: tuple[str, ...] = ()
-        self._absent = np.full(len(names), np.nan)
-        self._absent.flags.writeable = False
+        self.absent = np.full(len(names), np.nan)
+        self.absent.flags.writeable = False
         self._message_names: list[str] | None = None
         self._in_order = False
         self._columns = np.empty(0, dtype=np.intp)
@@ -72,6 +73,14 @@ class JointStateReader:
         stamp = read_time(msg.header.stamp)
         return self.arrange(stamp, msg.position, msg.velocity, msg.effort)
 
+    def is_arranged(self, positions: int, velocities: int) -> bool:
+        """Whether arrays of these lengths, in the order of the last message, need no arranging.
+
+        Effort must not be asked for; it is `absent` then.
+        """
+        n = len(self.names)
+        return self._in_order and positions == velocities == n and not self._with_effort
+
     def arrange(self, stamp: int, position: Any, velocity: Any, effort: Any) -> JointSample:
         """Arrays in the order of `names`, of a message with the names of the last `read`.
 
@@ -88,7 +97,7 @@ class JointStateReader:
             stamp,
             self._pick(position, "position"),
             self._pick(velocity, "velocity"),
-            self._pick(effort, "effort") if self._with_effort else self._absent,
+            self._pick(effort, "effort") if self._with_effort else self.absent,
         )
 
     def _learn(self, names: list[str]) -> None:
@@ -109,7 +118,7 @@ class JointStateReader:
 
     def _pick(self, values: Any, field: str) -> NDArray[np.float64]:
         if len(values) == 0:
-            return self._absent
+            return self.absent
         assert self._message_names is not None
         if len(values) != len(self._message_names):
             raise MessageError(

@@ -33,14 +33,16 @@ class _Layout(NamedTuple):
     Attributes:
         size: Length of the whole message.
         texts: Bytes of frame_id and names.
-        counts: Offset and value of the three array lengths.
+        counts: The three array lengths.
+        marks: Offset and bytes of the first two; the third follows from the size.
         slices: Position, velocity and effort among the doubles that the whole body would be.
         doubles: How many these are.
     """
 
     size: int
     texts: bytes
-    counts: tuple[tuple[int, int], ...]
+    counts: tuple[int, ...]
+    marks: tuple[tuple[slice, bytes], ...]
     slices: tuple[slice, ...]
     doubles: int
 
@@ -48,10 +50,9 @@ class _Layout(NamedTuple):
         """Whether a message has this layout."""
         if len(cdr) != self.size or not body.startswith(self.texts, _STAMP.size):
             return False
-        for at, count in self.counts:
-            if _COUNT.unpack_from(body, at)[0] != count:
-                return False
-        return cdr.startswith(_LITTLE_ENDIAN)
+        (position, positions), (velocity, velocities) = self.marks
+        lengths_fit = body[position] == positions and body[velocity] == velocities
+        return lengths_fit and cdr.startswith(_LITTLE_ENDIAN)
 
 
 def _layout(cdr: bytes) -> _Layout:
@@ -63,17 +64,19 @@ def _layout(cdr: bytes) -> _Layout:
     for _ in range(names):
         at = _after_text(body, at)
     end_of_texts = at
-    counts, slices = [], []
+    counts, marks, slices = [], [], []
     for _ in FIELDS:
         (count,) = _COUNT.unpack_from(body, at)
-        counts.append((at, count))
+        counts.append(count)
+        marks.append((slice(at, at + _COUNT.size), body[at : at + _COUNT.size]))
         at += _COUNT.size
         if count:
             at = _aligned(at, 8)
         slices.append(slice(at // 8, at // 8 + count))
         at += 8 * count
     texts = body[_STAMP.size : end_of_texts]
-    return _Layout(len(cdr), texts, tuple(counts), tuple(slices), len(body) // 8)
+    arrays = tuple(counts), tuple(marks[:2]), tuple(slices)
+    return _Layout(len(cdr), texts, *arrays, len(body) // 8)
 
 
 def _aligned(at: int, to: int) -> int:
@@ -95,6 +98,7 @@ class JointStateCdrReader:
     def __init__(self, reader: JointStateReader, deserialize: Callable[[bytes], Any]) -> None:
         self._reader, self._deserialize = reader, deserialize
         self._layout: _Layout | None = None
+        self._is_arranged = False
 
     def read(self, cdr: bytes) -> JointSample:
         """Arrays of one message, as `JointStateReader.read`.
@@ -112,13 +116,15 @@ class JointStateCdrReader:
             sample = self._reader.read(self._deserialize(cdr))
             if cdr.startswith(_LITTLE_ENDIAN):
                 self._layout = _layout(cdr)
+                self._is_arranged = self._reader.is_arranged(*self._layout.counts[:2])
             return sample
         sec, nanosec = _STAMP.unpack_from(body)
+        stamp = sec * NANOSECONDS + nanosec
         doubles = np.frombuffer(body, np.float64, layout.doubles)
         position, velocity, effort = layout.slices
-        return self._reader.arrange(
-            sec * NANOSECONDS + nanosec, doubles[position], doubles[velocity], doubles[effort]
-        )
+        if self._is_arranged:
+            return JointSample(stamp, doubles[position], doubles[velocity], self._reader.absent)
+        return self._reader.arrange(stamp, doubles[position], doubles[velocity], doubles[effort])
 
 
 class JointStateCdrWriter:

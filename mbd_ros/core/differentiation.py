@@ -175,7 +175,7 @@ class CausalDifferentiator:
     def reset(self) -> None:
         """Forget everything; the next sample is a beginning."""
         self._stamp: int | None = None
-        self._jumps, self._all_measured = 0, False
+        self._jumps, self._last_step, self._all_measured = 0, 0, False
 
     def update(self, stamp: int, position: Array, velocity: Array) -> Sample:
         """Take the next sample.
@@ -212,7 +212,13 @@ class CausalDifferentiator:
         if step == 0:
             self.position = position
             return Sample.DUPLICATE
-        self._advance(stamp, step, position, velocity)
+        if self._all_measured and math.isfinite(velocity.dot(self._ones)):
+            self._of_velocity.update(velocity, step)
+            self.velocity, self.acceleration = velocity, self._of_velocity.state[1]
+        else:
+            self._derive(step, position, velocity)
+        self.position, self._stamp, self._jumps = position, stamp, 0
+        self._last_step = step
         return Sample.USED
 
     def _start(self, stamp: int, position: Array, velocity: Array, outcome: Sample) -> Sample:
@@ -227,15 +233,6 @@ class CausalDifferentiator:
         self._position_runs = False
         self._stamp, self._jumps, self._last_step = stamp, 0, self._rewind
         return outcome
-
-    def _advance(self, stamp: int, step: int, position: Array, velocity: Array) -> None:
-        if self._all_measured and math.isfinite(velocity.dot(self._ones)):
-            self._of_velocity.update(velocity, step)
-            self.velocity, self.acceleration = velocity, self._of_velocity.state[1]
-        else:
-            self._derive(step, position, velocity)
-        self.position, self._stamp, self._jumps = position, stamp, 0
-        self._last_step = step
 
     def _derive(self, step: int, position: Array, velocity: Array) -> None:
         """A joint that came without velocity once is derived from its position until a reset."""

@@ -24,8 +24,9 @@ from msg_adapters.diagnostics import OK, STALE
 from msg_adapters.errors import MessageError
 from msg_adapters.wrench import read_wrench
 
-# Best effort also hears reliable publishers; the depth bridges a pause of kernel or collector.
-SENSOR = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+# Best effort also hears reliable publishers; the depth bridges a pause of 0.5 s at 1 kHz, beyond which
+# the transport itself keeps no more.
+SENSOR = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
 _NEVER = -(2**62)  # ns
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 

@@ -102,7 +102,7 @@ def _nodes(scene: Scene, seconds: float) -> dict[str, Any]:
     joints = scene.couplings.independent
     echo = ["-m", "mbd_ros.report.echo_node"]
     ours = ["-m", "mbd_ros.nodes.inverse_dynamics", "--ros-args", "-p", f"scene:={scene.path}"]
-    streams = {"busy": {"in_flight": 4}, "at 1 kHz": {"rate": 1000.0}}
+    streams = {"busy": {"in_flight": 8}, "at 1 kHz": {"rate": 1000.0}}
     return {
         stream: _side_by_side(
             [
