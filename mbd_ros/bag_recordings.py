@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from mbd_ros.bags import BagWriter, messages, new_message
 from mbd_ros.core.state import Array, Motion, WrenchSamples
 from mbd_ros.errors import DataError
-from mbd_ros.recordings import Recording
-from mbd_ros.results import TorqueRecord
+from mbd_ros.records import Recording, TorqueRecord
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader, JointStateWriter
 from msg_adapters.wrench import WrenchSample, read_wrench

@@ -6,7 +6,7 @@ import sqlite3
 import struct
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, final
@@ -41,11 +41,10 @@ class BagWriter:
         with self._failing():
             check_target(self.path)
             self._room = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.", dir=self.path.parent))
-            try:
+            with ExitStack() as undo:
+                undo.callback(shutil.rmtree, self._room, ignore_errors=True)
                 self._open()
-            except BaseException:
-                shutil.rmtree(self._room, ignore_errors=True)
-                raise
+                undo.pop_all()
         return self
 
     def _open(self) -> None:

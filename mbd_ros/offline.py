@@ -7,15 +7,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.differentiation import NANOSECOND, CausalDifferentiator, zero_phase
+from mbd_ros.bag_paths import is_bag
+from mbd_ros.core.differentiation import CausalDifferentiator
 from mbd_ros.core.inverse_dynamics import Parts
-from mbd_ros.core.state import Array, Motion, WrenchSamples
+from mbd_ros.core.state import NANOSECOND, Array, Motion, WrenchSamples
 from mbd_ros.core.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.core.wrenches import at_stamps
+from mbd_ros.core.zero_phase import zero_phase
 from mbd_ros.errors import DataError
 from mbd_ros.progress import progress
-from mbd_ros.recordings import Recording, is_bag, read_motion, read_wrenches
-from mbd_ros.results import TorqueRecord, write_torques
+from mbd_ros.recordings import read_motion, read_wrenches
+from mbd_ros.records import Recording, TorqueRecord
+from mbd_ros.results import write_torques
 from mbd_ros.scene import Scene
 
 WRENCH_MAX_AGE = 0.1  # s

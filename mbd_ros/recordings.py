@@ -3,47 +3,17 @@
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.bag_paths import SUFFIXES
+from mbd_ros.bag_paths import is_bag
 from mbd_ros.core.state import Array, Motion, WrenchSamples
 from mbd_ros.errors import DataError
+from mbd_ros.records import Recording
 from mbd_ros.tables import Table, read_table
 
 TIME_LIMIT = 9e9  # s: int64 nanoseconds end at 9.22e9 s
-
-
-class Recording(NamedTuple):
-    """A motion and what was left out of it.
-
-    Attributes:
-        motion: The samples that can be used.
-        dropped: Messages left out, counted by reason.
-        by_log_time: Header stamps were zero, so stamps are the log times of the bag.
-    """
-
-    motion: Motion
-    dropped: Counter[str]
-    by_log_time: bool = False
-
-
-def is_bag(path: str | Path) -> bool:
-    """Whether a path names a bag (a folder, .mcap, .db3 or no suffix) or a table (.csv, .csv.gz).
-
-    Raises:
-        DataError: Another suffix.
-    """
-    path = Path(path)
-    if path.is_dir() or path.suffix in ("", *SUFFIXES):
-        return True
-    if path.name.endswith((".csv", ".csv.gz")):
-        return False
-    raise DataError(
-        f"{path}: neither a table (.csv, .csv.gz) nor a bag (a folder, {', '.join(SUFFIXES)})"
-    )
 
 
 def read_motion(

@@ -1,42 +1,12 @@
 """Torques into tables and bags."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbd_ros.core.state import Array
-from mbd_ros.recordings import is_bag
+from mbd_ros.bag_paths import is_bag
+from mbd_ros.records import TorqueRecord
 from mbd_ros.tables import write_table
-
-
-class TorqueRecord(NamedTuple):
-    """Result of inverse dynamics over a motion of n samples.
-
-    Attributes:
-        stamps: [ns], shape (n,), int64.
-        joints: Names of the independent joints.
-        position: [rad or m], shape (n, len(joints)).
-        velocity: [rad/s or m/s], same shape.
-        acceleration: [rad/s^2 or m/s^2], same shape.
-        effort: Torque or force of the independent joints [N·m or N], same shape.
-        dependent: Names of the dependent joints.
-        multiplier: Their coupling torque or force [N·m or N], shape (n, len(dependent)).
-        parts: Shares of `effort` by name (gravity, coriolis, ...), each of its shape.
-    """
-
-    stamps: NDArray[np.int64]
-    joints: tuple[str, ...]
-    position: Array
-    velocity: Array
-    acceleration: Array
-    effort: Array
-    dependent: tuple[str, ...]
-    multiplier: Array
-    parts: Mapping[str, Array] = MappingProxyType({})
 
 
 def write_torques(path: str | Path, torques: TorqueRecord) -> None:

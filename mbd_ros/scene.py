@@ -8,17 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from mbd_ros import schema
-from mbd_ros.core.couplings import (
-    Coupling,
-    Couplings,
-    Law,
-    PiecewisePolynomial,
-    Polynomial,
-    natural_cubic_spline,
-)
+from mbd_ros.core.couplings import Coupling, Couplings
 from mbd_ros.core.inverse_dynamics import InverseDynamics
+from mbd_ros.core.laws import Law, PiecewisePolynomial, Polynomial, natural_cubic_spline
 from mbd_ros.core.parts import ForceTerm
-from mbd_ros.core.robot import EARTH_GRAVITY, Robot, read_robot
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.robot_reader import EARTH_GRAVITY, read_robot
 from mbd_ros.core.urdf import MAX_CHARACTERS
 from mbd_ros.core.wrenches import ExternalWrench
 from mbd_ros.errors import ModelError, SceneError

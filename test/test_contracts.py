@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mbd_ros import schema
-from mbd_ros.core.robot import read_robot
+from mbd_ros.core.robot_reader import read_robot
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
 from mbd_ros.registry import METHODS, PARTS, resolve

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.core.couplings import Coupling, Couplings, Polynomial
+from mbd_ros.core.couplings import Coupling, Couplings
 from mbd_ros.core.inverse_dynamics import InverseDynamics
-from mbd_ros.core.robot import read_robot
+from mbd_ros.core.laws import Polynomial
+from mbd_ros.core.robot_reader import read_robot
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError
 from mbd_ros.forces.joint_friction import JointFriction

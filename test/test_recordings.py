@@ -9,12 +9,14 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from mbd_ros.bag_paths import is_bag
 from mbd_ros.bags import BagWriter, messages, new_message, topic_types
 from mbd_ros.core.state import WrenchSamples
 from mbd_ros.errors import DataError
 from mbd_ros.progress import progress
-from mbd_ros.recordings import is_bag, read_motion, read_wrenches
-from mbd_ros.results import TorqueRecord, write_torques
+from mbd_ros.recordings import read_motion, read_wrenches
+from mbd_ros.records import TorqueRecord
+from mbd_ros.results import write_torques
 from mbd_ros.tables import read_table
 from msg_adapters.time import write_time
 from msg_adapters.wrench import write_wrench

@@ -7,7 +7,7 @@ from pathlib import Path
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.robot import read_robot
+from mbd_ros.core.robot_reader import read_robot
 from mbd_ros.core.urdf import MAX_CHARACTERS, MAX_LINKS
 from mbd_ros.errors import ModelError
 

@@ -10,118 +10,16 @@ backwards, tau_p += f' tau_d, gives G' tau. After the backward walk tau_d is the
 multiplier lam_d.
 """
 
-import itertools
-from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.laws import Law, Polynomial
 from mbd_ros.core.robot import Joint, Robot
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
-
-def _horner(coefficients: Any, z: Any) -> tuple[Any, Any, Any]:
-    """Value, first and second derivative of a polynomial, highest power first."""
-    value = slope = half_curvature = 0.0 * z
-    for c in coefficients:
-        half_curvature = half_curvature * z + slope
-        slope = slope * z + value
-        value = value * z + c
-    return value, slope, 2.0 * half_curvature
-
-
-class Polynomial:
-    """q_d = c0 + c1 z + c2 z^2 + ...
-
-    Args:
-        coefficients: c0, c1, ... [rad or m, per power of the parent's rad or m], at least one.
-    """
-
-    def __init__(self, coefficients: Sequence[float]) -> None:
-        if len(coefficients) == 0:
-            raise ModelError("polynomial has no coefficients")
-        self._highest_first = tuple(float(c) for c in reversed(coefficients))
-
-    def __call__(self, z: Any) -> tuple[Any, Any, Any]:
-        """f(z), f'(z) and f''(z); z is a float or an array."""
-        return _horner(self._highest_first, z)
-
-
-class PiecewisePolynomial:
-    """One polynomial an interval; the outer pieces continue beyond the outer breaks.
-
-    Args:
-        breaks: Interval ends z_0 < z_1 < ... < z_n [rad or m].
-        coefficients: One row an interval, highest power first, in (z - left break).
-
-    Raises:
-        ModelError: Breaks not increasing, or rows of another number or length.
-    """
-
-    def __init__(self, breaks: Sequence[float], coefficients: Sequence[Sequence[float]]) -> None:
-        _check_increasing(breaks, "breaks")
-        if len(coefficients) != len(breaks) - 1:
-            raise ModelError(
-                f"{len(coefficients)} rows of coefficients for {len(breaks) - 1} intervals"
-            )
-        if len({len(row) for row in coefficients}) != 1 or len(coefficients[0]) == 0:
-            raise ModelError("rows of coefficients differ in length or are empty")
-        self._lefts = [float(b) for b in breaks[:-1]]
-        self._inner = self._lefts[1:]
-        self._rows = [tuple(float(c) for c in row) for row in coefficients]
-        self._left_array, self._row_array = np.array(self._lefts), np.array(self._rows)
-
-    def __call__(self, z: Any) -> tuple[Any, Any, Any]:
-        """f(z), f'(z) and f''(z); z is a float or an array."""
-        if isinstance(z, float):
-            piece = bisect_right(self._inner, z)
-            return _horner(self._rows[piece], z - self._lefts[piece])
-        pieces = np.searchsorted(self._inner, z, side="right")
-        return _horner(self._row_array[pieces].T, z - self._left_array[pieces])
-
-
-def natural_cubic_spline(x: Sequence[float], y: Sequence[float]) -> PiecewisePolynomial:
-    """Interpolating cubic spline with zero end curvature, continued by straight lines.
-
-    Args:
-        x: Positions of the parent, increasing, at least two [rad or m].
-        y: Positions of the dependent joint [rad or m].
-
-    Raises:
-        ModelError: Lengths differ or x does not increase.
-
-    Source: C. de Boor, A Practical Guide to Splines, 1978, ch. IV.
-    """
-    _check_increasing(x, "x")
-    if len(x) != len(y):
-        raise ModelError(f"spline has {len(x)} x and {len(y)} y")
-    knots, values = np.array(x, dtype=np.float64), np.array(y, dtype=np.float64)
-    h, n = np.diff(knots), len(knots)
-    system, right = np.eye(n), np.zeros(n)
-    for i in range(1, n - 1):
-        system[i, i - 1 : i + 2] = h[i - 1], 2.0 * (h[i - 1] + h[i]), h[i]
-        right[i] = 6.0 * (
-            (values[i + 1] - values[i]) / h[i] - (values[i] - values[i - 1]) / h[i - 1]
-        )
-    curvature = np.linalg.solve(system, right)
-    cubic, quadratic = np.diff(curvature) / (6.0 * h), curvature[:-1] / 2.0
-    slope = np.diff(values) / h - h * (2.0 * curvature[:-1] + curvature[1:]) / 6.0
-    inside = np.column_stack([cubic, quadratic, slope, values[:-1]])
-    end_slope = slope[-1] + h[-1] * (curvature[-2] + curvature[-1]) / 2.0
-    before = [0.0, 0.0, slope[0], values[0] - slope[0] * h[0]]
-    after = [0.0, 0.0, end_slope, values[-1]]
-    breaks = [knots[0] - h[0], *knots, knots[-1] + h[-1]]
-    return PiecewisePolynomial(breaks, [before, *inside.tolist(), after])
-
-
-def _check_increasing(values: Sequence[float], name: str) -> None:
-    if len(values) < 2 or any(b <= a for a, b in itertools.pairwise(values)):
-        raise ModelError(f"{name} must be at least two increasing numbers, got {list(values)}")
-
-
-Law = Polynomial | PiecewisePolynomial
 Slopes = list[Any]  # floats, or one array a joint for a batch
 
 
@@ -132,7 +30,9 @@ class Coupling(NamedTuple):
     law: Law
 
 
-class _Link(NamedTuple):
+class Link(NamedTuple):
+    """A coupling in indices of q and v."""
+
     child_q: int
     child_v: int
     parent_q: int
@@ -153,6 +53,7 @@ class Couplings:
         parents: Dependent joint -> its direct parent.
         q_index: Where z stands in q, shape (nz,); with a floating base its pose comes first.
         v_index: Where z' stands in v, shape (nv_z,).
+        links: The couplings in indices, parents before children.
 
     Raises:
         ModelError: Unknown, fixed or locked joint, or a cycle, with the path.
@@ -170,7 +71,7 @@ class Couplings:
         self.independent = tuple(j.name for j in robot.joints if j.name not in laws)
         self.dependent = tuple(order)
         self.parents = {name: laws[name].parent for name in order}
-        self._links = [_link(robot, child[name], laws[name]) for name in order]
+        self.links = [_link(robot, child[name], laws[name]) for name in order]
         dependent_q = [joint.q for joint in child.values()]
         self._dependent_v = np.array([joint.v for joint in child.values()], dtype=np.intp)
         self.q_index = np.setdiff1d(np.arange(robot.model.nq), dependent_q)
@@ -189,9 +90,9 @@ class Couplings:
         Returns:
             The slope f' of every dependent joint at this configuration.
         """
-        slopes = [0.0] * len(self._links) if slopes is None else slopes
+        slopes = [0.0] * len(self.links) if slopes is None else slopes
         q_of, v_of, a_of = (x.item if x.ndim == 1 else x.__getitem__ for x in (q, v, a))
-        for i, (child_q, child_v, parent_q, parent_v, law) in enumerate(self._links):
+        for i, (child_q, child_v, parent_q, parent_v, law) in enumerate(self.links):
             q[child_q], slope, curvature = law(q_of(parent_q))
             rate = v_of(parent_v)
             v[child_v] = slope * rate
@@ -210,7 +111,7 @@ class Couplings:
             Forces of the independent coordinates, shape (nv_z,) or (nv_z, n), and the multiplier
             of every dependent joint, shape (len(dependent),) or (len(dependent), n).
         """
-        for slope, link in zip(reversed(slopes), reversed(self._links), strict=True):
+        for slope, link in zip(reversed(slopes), reversed(self.links), strict=True):
             tau[link.parent_v] += slope * tau[link.child_v]
         return tau[self.v_index], tau[self._dependent_v]
 
@@ -229,7 +130,7 @@ class Couplings:
         """G = dF/dz at a configuration, shape (nv, nv_z)."""
         G = np.zeros((self._nv, len(self.v_index)))
         G[self.v_index, np.arange(len(self.v_index))] = 1.0
-        for link in self._links:
+        for link in self.links:
             _, slope, _ = link.law(q.item(link.parent_q))
             G[link.child_v] = slope * G[link.parent_v]
         return G
@@ -256,6 +157,6 @@ def _outwards(laws: Mapping[str, Coupling]) -> list[str]:
     return order
 
 
-def _link(robot: Robot, child: Joint, coupling: Coupling) -> _Link:
+def _link(robot: Robot, child: Joint, coupling: Coupling) -> Link:
     parent = robot.joint(coupling.parent)
-    return _Link(child.q, child.v, parent.q, parent.v, coupling.law)
+    return Link(child.q, child.v, parent.q, parent.v, coupling.law)

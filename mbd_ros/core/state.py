@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+NANOSECOND = 1.0e-9  # s
 
 
 class State(NamedTuple):

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.differentiation import NANOSECOND, CausalDifferentiator, Sample
+from mbd_ros.core.differentiation import CausalDifferentiator, Sample
 from mbd_ros.core.inverse_dynamics import InverseDynamics, Torques
 from mbd_ros.core.robot import Robot
-from mbd_ros.core.state import Array
+from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import ModelError
 
 _NEVER = -(2**62)

@@ -12,7 +12,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from mbd_ros.core.differentiation import NANOSECOND, Sample
+from mbd_ros.core.differentiation import Sample
+from mbd_ros.core.state import NANOSECOND
 from mbd_ros.core.torque_estimator import Observation
 from mbd_ros.errors import MbdError
 from mbd_ros.nodes.inverse_dynamics_parameters import PARAMETERS, tuning
@@ -24,8 +25,8 @@ from msg_adapters.diagnostics import OK, STALE
 from msg_adapters.errors import MessageError
 from msg_adapters.wrench import read_wrench
 
-# Best effort also hears reliable publishers; the depth bridges a pause of 0.5 s at 1 kHz, beyond which
-# the transport itself keeps no more.
+# Best effort also hears reliable publishers; the depth bridges a pause of 0.5 s at 1 kHz,
+# beyond which the transport itself keeps no more.
 SENSOR = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
 _NEVER = -(2**62)  # ns
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -8,7 +8,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
-from mbd_ros.core.differentiation import NANOSECOND
+from mbd_ros.core.state import NANOSECOND
 from mbd_ros.core.torque_estimator import Observation, TorqueEstimator
 from mbd_ros.core.wrenches import WrenchBuffer
 from mbd_ros.nodes.inverse_dynamics_parameters import tuning

