@@ -73,13 +73,14 @@ class JointStateReader:
         stamp = read_time(msg.header.stamp)
         return self.arrange(stamp, msg.position, msg.velocity, msg.effort)
 
-    def is_arranged(self, positions: int, velocities: int) -> bool:
+    def is_arranged(self, positions: int, velocities: int, efforts: int) -> bool:
         """Whether arrays of these lengths, in the order of the last message, need no arranging.
 
         Effort must not be asked for; it is `absent` then.
         """
         n = len(self.names)
-        return self._in_order and positions == velocities == n and not self._with_effort
+        read = self._in_order and positions == velocities == n
+        return read and not self._with_effort and efforts in (0, n)
 
     def arrange(self, stamp: int, position: Any, velocity: Any, effort: Any) -> JointSample:
         """Arrays in the order of `names`, of a message with the names of the last `read`.
@@ -97,7 +98,7 @@ class JointStateReader:
             stamp,
             self._pick(position, "position"),
             self._pick(velocity, "velocity"),
-            self._pick(effort, "effort") if self._with_effort else self.absent,
+            self._pick(effort, "effort"),
         )
 
     def _learn(self, names: list[str]) -> None:
@@ -117,13 +118,13 @@ class JointStateReader:
         self._message_names = names
 
     def _pick(self, values: Any, field: str) -> NDArray[np.float64]:
-        if len(values) == 0:
-            return self.absent
         assert self._message_names is not None
-        if len(values) != len(self._message_names):
+        if len(values) not in (0, len(self._message_names)):
             raise MessageError(
                 f"{field} has {len(values)} values for {len(self._message_names)} names"
             )
+        if len(values) == 0 or (field == "effort" and not self._with_effort):
+            return self.absent
         given: NDArray[np.float64] = (
             values if isinstance(values, np.ndarray) else np.frombuffer(values, np.float64)
         )

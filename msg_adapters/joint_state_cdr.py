@@ -116,7 +116,7 @@ class JointStateCdrReader:
             sample = self._reader.read(self._deserialize(cdr))
             if cdr.startswith(_LITTLE_ENDIAN):
                 self._layout = _layout(cdr)
-                self._is_arranged = self._reader.is_arranged(*self._layout.counts[:2])
+                self._is_arranged = self._reader.is_arranged(*self._layout.counts)
             return sample
         sec, nanosec = _STAMP.unpack_from(body)
         stamp = sec * NANOSECONDS + nanosec

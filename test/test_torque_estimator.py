@@ -163,3 +163,22 @@ def test_floating_base_is_refused():
     robot = read_robot(ARM, base="floating")
     with pytest.raises(ModelError, match="joint states do not carry the pose of a floating base"):
         TorqueEstimator(robot, InverseDynamics(robot, Couplings(robot)), Tuning())
+
+
+def test_two_publishers_whose_stamps_differ_by_microseconds_both_count():
+    """A joint moves as far as the time since its own last sample allows.
+
+    Between its messages it is held: steps of 10 ms, which the 5 Hz filters smooth to 5 %.
+    """
+    e, whole = estimator(), estimator()
+    for t in range(0, 400, 10):
+        stamp, position, velocity, present = sample(t)
+        expected = whole.observe(stamp, position, velocity, present)
+        first, second = np.zeros_like(present), present.copy()
+        first[0], second[0] = True, False
+        e.observe(stamp, position, velocity, first)
+        late = e.observe(stamp + 20_000, position, velocity, second)
+        if t > 100:
+            assert isinstance(late, Observation)
+            assert late.position == pytest.approx(expected.position, abs=1e-12)
+            assert late.velocity == pytest.approx(expected.velocity, rel=0.06)

@@ -89,13 +89,21 @@ class CausalDifferentiator:
         self._stamp: int | None = None
         self._jumps, self._last_step, self._all_measured = 0, 0, False
 
-    def update(self, stamp: int, position: Array, velocity: Array) -> Sample:
+    def update(
+        self,
+        stamp: int,
+        position: Array,
+        velocity: Array,
+        since: NDArray[np.int64] | None = None,
+    ) -> Sample:
         """Take the next sample.
 
         Args:
             stamp: Time [ns].
             position: [rad or m], shape (n,).
             velocity: [rad/s or m/s], not finite where not measured, shape (n,).
+            since: Time since the last sample of each joint [ns], shape (n,), where that is not the
+                last sample of all.
 
         Returns:
             What became of it. After OLD, JUMP and NOT_FINITE the attributes are those of the last
@@ -112,11 +120,13 @@ class CausalDifferentiator:
         if self._wraps is not None:
             change -= np.where(self._wraps, TURN * np.rint(change / TURN), 0.0)
             position = np.where(self._wraps, self.position + change, position)
-        h = (step or self._last_step) * NANOSECOND
+        least = step or self._last_step
+        h = least * NANOSECOND
         if not change.dot(change) < (self._smallest_limit * h) ** 2:  # else no joint is too fast
             if not np.isfinite(change).all():
                 return Sample.NOT_FINITE
-            if (np.abs(change) > self._limit * h).any():
+            elapsed = h if since is None else np.maximum(since, least) * NANOSECOND
+            if (np.abs(change) > self._limit * elapsed).any():
                 self._jumps += 1
                 if self._jumps < self._patience:
                     return Sample.JUMP

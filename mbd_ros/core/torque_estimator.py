@@ -14,7 +14,7 @@ from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import ModelError
 
 _NEVER = -(2**62)
-_UNUSED = (Sample.OLD, Sample.JUMP, Sample.NOT_FINITE)
+_UNUSED = (Sample.OLD, Sample.JUMP, Sample.NOT_FINITE, Sample.INCOMPLETE)
 
 
 class Tuning(NamedTuple):
@@ -124,29 +124,32 @@ class TorqueEstimator:
         if present is not self._present:
             self._present, self._is_complete = present, bool(present[:n].all())
         if self._is_complete:
-            self._complete = stamp
+            outcome = self.differentiator.update(stamp, z, v)
+            if outcome in _UNUSED:
+                return outcome
+            self._position, self._velocity, self._complete = z, v, stamp
         else:
-            if not np.isfinite(z[present[:n]]).all():
-                return Sample.NOT_FINITE
-            z, v = self._hold(stamp, z, v, present[:n])
-            if int(np.abs(stamp - self._seen).max()) > self._max_age:
-                self._position, self._velocity = z, v
-                return Sample.INCOMPLETE
-        outcome = self.differentiator.update(stamp, z, v)
-        if outcome in _UNUSED:
-            return outcome
-        self._position, self._velocity = z, v
+            outcome = self._take_part(stamp, z, v, present[:n])
+            if outcome in _UNUSED:
+                return outcome
         d = self.differentiator
         return Observation(stamp, d.position, d.velocity, d.acceleration, position[n:])
 
-    def _hold(
-        self, stamp: int, z: Array, v: Array, present: NDArray[np.bool_]
-    ) -> tuple[Array, Array]:
-        """Position and velocity with the last known values where a joint is not present."""
+    def _take_part(self, stamp: int, z: Array, v: Array, present: NDArray[np.bool_]) -> Sample:
+        """Take a sample that lacks joints: these keep their last position, for `max_age`."""
+        if not np.isfinite(z[present]).all():
+            return Sample.NOT_FINITE
         if self._complete is not None:
             self._seen[:], self._complete = self._complete, None
+        z, v = np.where(present, z, self._position), np.where(present, v, self._velocity)
+        since, outcome = stamp - self._seen, Sample.INCOMPLETE
+        if int(np.abs(since[~present]).max()) <= self._max_age:
+            outcome = self.differentiator.update(stamp, z, v, since)
+            if outcome in _UNUSED:
+                return outcome
+        self._position, self._velocity = z, v
         self._seen[present] = stamp
-        return np.where(present, z, self._position), np.where(present, v, self._velocity)
+        return outcome
 
     def solve(self, x: Observation, wrenches: Sequence[Array] = ()) -> Torques | None:
         """Torques of an observation; None if they are not finite, after which the filters restart.

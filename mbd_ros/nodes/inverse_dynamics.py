@@ -1,9 +1,7 @@
 """Node `inverse_dynamics`: joint states and wrenches in, torques and coupling forces out."""
 
 import sys
-from collections import deque
 from collections.abc import Callable, Sequence
-from time import monotonic
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
@@ -28,8 +26,8 @@ from msg_adapters.wrench import read_wrench
 # Best effort also hears reliable publishers; the depth bridges a pause of 0.5 s at 1 kHz,
 # beyond which the transport itself keeps no more.
 SENSOR = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
-_NEVER = -(2**62)  # ns
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_NEVER = -(2**62)  # ns
 
 
 class InverseDynamicsNode(Shell):
@@ -41,7 +39,6 @@ class InverseDynamicsNode(Shell):
     def __init__(self, argv: Sequence[str] = ()) -> None:
         super().__init__(argv)
         self._pipeline: Pipeline | None = None
-        self._pending: deque[tuple[float, Observation]] = deque()
         self._newest, self._answered, self._is_stampless = 0, 0, False
         self._two_clocks = self._last_drop = ""
         self._extra: set[str] = set()
@@ -61,7 +58,7 @@ class InverseDynamicsNode(Shell):
         for name, wrench in self._pipeline.scene.wrenches.items():
             topic = wrench.topic or f"~/wrench/{name}"
             self.subscribe(WrenchStamped, topic, self._on_wrench(name), SENSOR)
-        if self._pipeline.buffers:
+        if self._pipeline.scene.wrenches:
             self.every(max(self.parameters.wrench_wait / 2.0, 1e-3), self._flush)
         self.subscribe(
             JointState, "joint_states", self._on_state, SENSOR, single_publisher=True, raw=True
@@ -73,14 +70,13 @@ class InverseDynamicsNode(Shell):
 
     def retune(self, values: Any) -> None:
         """New tuning for the estimator; its filters start again."""
-        if self._pipeline is not None:
+        if self._pipeline is not None and tuning(values) != tuning(self.parameters):
             self._pipeline.estimator.tune(tuning(values))
 
     def reset(self, reason: str) -> None:
         """Empty filters, wrench buffers and the queue."""
         self._newest, self._answered, self._agreed = 0, 0, _NEVER
         self._two_clocks = self._last_drop = ""
-        self._pending.clear()
         if self._pipeline is not None:
             self._pipeline.reset()
 
@@ -132,18 +128,16 @@ class InverseDynamicsNode(Shell):
         if not self._extra.issuperset(reader.extra):
             self._extra.update(reader.extra)
             self.get_logger().info(f"joints ignored: {', '.join(sorted(self._extra))}")
-        if not pipeline.buffers:
+        if pipeline.scene.wrenches:
+            pipeline.queue.add(x, self.parameters.wrench_wait)
+            self._flush()
+        else:
             self._answer(x, ())
-            return
-        if stamp < self._newest:
-            pipeline.forget_wrenches_after(stamp)
-        self._pending.append((monotonic() + self.parameters.wrench_wait, x))
-        self._flush()
 
     def _on_wrench(self, name: str) -> Callable[[Any], None]:
         def take(msg: Any) -> None:
             assert self._pipeline is not None
-            buffer = self._pipeline.buffers[name]
+            buffer = self._pipeline.queue.buffers[name]
             expected = self._pipeline.scene.wrenches[name].load.expressed_in
             try:
                 sample = read_wrench(msg)
@@ -162,15 +156,9 @@ class InverseDynamicsNode(Shell):
         return take
 
     def _flush(self) -> None:
-        """Answer the joint states whose wrenches are there, or were waited for long enough."""
+        """Answer the joint states that wait for nothing more."""
         assert self._pipeline is not None
-        buffers = self._pipeline.buffers
-        while self._pending:
-            due, x = self._pending[0]
-            if monotonic() < due and not all(b.covers(x.stamp) for b in buffers.values()):
-                return
-            self._pending.popleft()
-            wrenches = {name: buffer.at(x.stamp) for name, buffer in buffers.items()}
+        for x, wrenches in self._pipeline.queue.take():
             lacking = [name for name, wrench in wrenches.items() if wrench is None]
             if lacking:
                 self._drop_state("no_wrench", f"no wrench '{lacking[0]}' near the joint state")
@@ -244,7 +232,6 @@ class InverseDynamicsNode(Shell):
             self.drop("robot_description", f"new robot description refused: {error}")
             return
         self._description, self._pipeline = msg.data, pipeline
-        self._pending.clear()
         self.get_logger().info("new robot description in use")
 
     def _on_reset(self, request: Any, response: Any) -> Any:

@@ -10,8 +10,8 @@ from sensor_msgs.msg import JointState
 
 from mbd_ros.core.state import NANOSECOND
 from mbd_ros.core.torque_estimator import Observation, TorqueEstimator
-from mbd_ros.core.wrenches import WrenchBuffer
 from mbd_ros.nodes.inverse_dynamics_parameters import tuning
+from mbd_ros.nodes.wrench_queue import WrenchQueue
 from mbd_ros.scene import load_scene
 from mbd_ros.scene_check import tier
 from msg_adapters.diagnostics import OK, WARN
@@ -32,7 +32,7 @@ class Pipeline:
         estimator: Samples to torques.
         joints: Which joints the newest joint state carried.
         reader: Serialized joint states to samples.
-        buffers: Newest samples of every wrench, by name.
+        queue: Observations that wait for their wrenches; unused without wrenches.
     """
 
     def __init__(self, values: Any, description: str | None) -> None:
@@ -46,21 +46,13 @@ class Pipeline:
         self._torques = JointStateCdrWriter(couplings.independent)
         self._forces = JointStateCdrWriter(couplings.dependent, ("position", "effort"))
         ages = round(values.wrench_max_age / NANOSECOND), round(values.rewind / NANOSECOND)
-        self._rewind = ages[1]
-        self.buffers = {name: WrenchBuffer(*ages) for name in self.scene.wrenches}
+        self.queue = WrenchQueue(self.scene.wrenches, *ages)
         self._violation = np.zeros(len(couplings.dependent))
 
     def reset(self) -> None:
         """Forget the past."""
         self.estimator.reset()
-        for buffer in self.buffers.values():
-            buffer.clear()
-
-    def forget_wrenches_after(self, stamp: int) -> None:
-        """Forget wrenches of the time before joint states began anew at `stamp` [ns]."""
-        for buffer in self.buffers.values():
-            if buffer.covers(stamp + self._rewind // 2):
-                buffer.clear()
+        self.queue.clear()
 
     def answer(self, x: Observation, wrenches: Sequence[Any]) -> tuple[Any, Any] | None:
         """Messages for an observation; None if the torques are not finite.
