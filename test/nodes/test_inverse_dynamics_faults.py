@@ -61,6 +61,7 @@ def assert_dropped(stream, reason, count):
     [
         ({"position": [0.3, 0.3, 0.3]}, "position has 3 values for 4 names"),
         ({"velocity": [0.3] * 5}, "velocity has 5 values for 4 names"),
+        ({"effort": [0.3] * 3}, "effort has 3 values for 4 names"),
         ({"name": [], "position": [], "velocity": []}, "name is empty"),
         ({"name": ["wrist_flexion"] * 4}, "name repeats wrist_flexion"),
     ],
@@ -158,7 +159,8 @@ def test_8_velocity_and_effort_that_are_nan_are_absent(arm):
     for k in range(2, 8):
         velocity = nothing if k % 2 else np.r_[math.inf, arm.speed[1:]]
         arm.ask(k, velocity=velocity, effort=nothing)
-    arm.ask(8, velocity=[])
+    answer = arm.ask(8, velocity=[])
+    assert np.isfinite(answer.effort).all()
 
 
 @pytest.mark.parametrize("bad", [NAN, math.inf, -math.inf])

@@ -253,8 +253,8 @@ def test_namespace_and_remapping(domain, tmp_path):
     where = {"name": "/patient_7/torques", "topic": "/imu/js"}
     with live(domain, tmp_path, ARM, arguments, **where) as stream:
         stream.reset()
-        for k in range(5):
-            stream.ask(k)
+        answers = [stream.ask(k) for k in range(5)]
+        assert len(answers) == len(stream.torques)
 
 
 # ---------------------------------------------------------------------- wrenches
@@ -288,6 +288,7 @@ def test_a_wrench_before_and_after_its_joint_state_give_the_same(stance, order):
             plate.send(k + 0.5, load + 0.05 * LOAD)
         answer = stream.answers(k + 1)[k]
         stream.check(answer, k, [load])
+    assert len(stream.torques) == 5
 
 
 def test_joint_states_that_wait_are_answered_in_order(stance):
