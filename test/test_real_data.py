@@ -8,9 +8,12 @@ import pinocchio as pin
 import pytest
 from scipy.interpolate import CubicSpline
 
+from mbd_ros.bags import new_message
 from mbd_ros.cli import main
+from mbd_ros.core.torque_estimator import TorqueEstimator, Tuning
 from mbd_ros.scene import load_scene
 from mbd_ros.tables import read_table
+from msg_adapters.joint_state import JointStateReader, write_joint_state
 
 
 def columns(path):
@@ -192,6 +195,38 @@ def test_hand_equals_pinocchios_own_mimic_model(data_dir, tmp_path):
             close = 1e-12 * np.abs(expected).max()
             assert inverse.solve(z[i], v[i], a[i]).tau == pytest.approx(expected, abs=close)
             assert batch[i] == pytest.approx(expected, abs=close)
+
+
+@pytest.mark.parametrize("form", ["absent", "present", "shuffled"])
+def test_prosthetic_hand_from_messages(data_dir, tmp_path, form):
+    """Mimic joints absent from, present in and shuffled within joint states: the same torques."""
+    path = data_dir / "models/psyonic_ability_hand_right_large.urdf"
+    (tmp_path / "hand.yaml").write_text(f"robot: {{urdf: {path}}}", encoding="utf-8")
+    scene, own = load_scene(tmp_path / "hand.yaml"), pin.buildModelFromUrdf(str(path), mimic=True)
+    couplings, rng = scene.couplings, np.random.default_rng(3)
+    z, v = rng.uniform(0, 1.7, 6), rng.normal(size=6)
+    q, rate, push = couplings.positions(z), np.zeros(10), np.zeros(10)
+    rate[couplings.v_index] = v
+    couplings.expand(q, rate, push)
+    names = [joint.name for joint in scene.robot.joints]
+    chosen = {"absent": couplings.v_index, "present": np.arange(10)}.get(form, rng.permutation(10))
+    message = write_joint_state(
+        new_message("sensor_msgs/msg/JointState"),
+        1,
+        [names[i] for i in chosen],
+        position=q[chosen],
+        velocity=rate[chosen],
+    )
+    estimator = TorqueEstimator(scene.robot, scene.inverse_dynamics(), Tuning())
+    reader = JointStateReader(estimator.names)
+    sample = reader.read(message)
+    x = estimator.observe(sample.stamp, sample.position, sample.velocity, reader.present)
+    order = [own.joints[own.getJointId(name)].idx_v for name in couplings.independent]
+    own_q, own_v = np.zeros((2, 6))
+    own_q[order], own_v[order] = z, v
+    expected = pin.rnea(own, own.createData(), own_q, own_v, np.zeros(6))[order]
+    assert estimator.solve(x).tau == pytest.approx(expected, abs=1e-12 * np.abs(expected).max())
+    assert estimator.violation(x) == pytest.approx(np.zeros(4), abs=1e-15)
 
 
 def potential(root, angles, gravity):
