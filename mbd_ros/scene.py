@@ -1,22 +1,21 @@
 """Scene file -> parts. An absent section is an absent feature: not built, not imported."""
 
-import os
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mbd_ros import schema
-from mbd_ros.core.couplings import Coupling, Couplings
+from mbd_ros.core.couplings import Couplings
 from mbd_ros.core.inverse_dynamics import InverseDynamics
-from mbd_ros.core.laws import Law, PiecewisePolynomial, Polynomial, natural_cubic_spline
 from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.robot_reader import EARTH_GRAVITY, read_robot
 from mbd_ros.core.urdf import MAX_CHARACTERS
 from mbd_ros.core.wrenches import ExternalWrench
+from mbd_ros.coupling_entries import coupling_laws
 from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.locate import find_file
 from mbd_ros.registry import resolve
 from mbd_ros.strict_yaml import read_mapping, read_text
 
@@ -87,7 +86,7 @@ def load_scene(path: str | Path, description: str | None = None) -> Scene:
     sections = _read_sections(path)
     entry = _robot_entry(path, sections)
     robot, source = _build_robot(path, entry, description)
-    laws = _coupling_laws(path, sections.get("couplings", {}))
+    laws = coupling_laws(path, sections.get("couplings", {}))
     try:
         couplings = Couplings(robot, {name: coupling for name, (coupling, _) in laws.items()})
     except ModelError as error:
@@ -167,76 +166,6 @@ def _read_urdf(path: Path, name: str) -> tuple[str, str]:
         return str(file), read_text(file, MAX_CHARACTERS, "robot description")
     except SceneError as error:
         raise SceneError(f"{where}: {error}") from error
-
-
-def find_file(folder: Path, name: str, where: str) -> Path:
-    """A file that a scene names, relative to its folder or as `package://<package>/<path>`.
-
-    Raises:
-        SceneError: The package is not installed.
-    """
-    if not name.startswith("package://"):
-        return folder / name
-    package, _, rest = name.removeprefix("package://").partition("/")
-    if ".." in (package, *Path(rest).parts) or Path(rest).is_absolute():
-        raise SceneError(f"{where}: {name} leaves the package")
-    prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
-    shares = [Path(prefix) / "share" / package for prefix in prefixes if prefix]
-    if package == "mbd_ros":
-        shares.append(Path(__file__).resolve().parent.parent)
-    for share in shares:
-        if (share / rest).is_file():
-            return share / rest
-    raise SceneError(f"{where}: {name} not found in {', '.join(map(str, shares))}")
-
-
-def _coupling_laws(path: Path, entries: Any) -> dict[str, tuple[Coupling, str]]:
-    entries = schema.value(entries, Mapping[str, Any], f"{path}: couplings")
-    return {
-        name: schema.call(_coupling, entry, f"{path}: couplings.{name}", path, name)
-        for name, entry in entries.items()
-    }
-
-
-def _coupling(
-    path: Path,
-    name: str,
-    *,
-    parent: str,
-    factor: float | None = None,
-    offset: float | None = None,
-    polynomial: Sequence[float] | None = None,
-    spline: Any = None,
-    piecewise_polynomial: Any = None,
-) -> tuple[Coupling, str]:
-    laws: dict[str, Any] = {
-        "factor": factor,
-        "polynomial": polynomial,
-        "spline": spline,
-        "piecewise_polynomial": piecewise_polynomial,
-    }
-    given = [kind for kind, law in laws.items() if law is not None]
-    if len(given) != 1:
-        raise ModelError(
-            f"give exactly one of {', '.join(laws)}; got {', '.join(given) or 'none'}"
-        )
-    if offset is not None and factor is None:
-        raise ModelError("'offset' goes with 'factor' only")
-    if factor == 0:
-        raise ModelError(f"factor is 0: the joint never moves; use robot.locked.{name} instead")
-    kind = given[0]
-    where = f"{path}: couplings.{name}.{kind}"
-    return Coupling(parent, _law(kind, laws[kind], offset or 0.0, where)), kind
-
-
-def _law(kind: str, entry: Any, offset: float, where: str) -> Law:
-    if kind == "factor":
-        return Polynomial([offset, entry])
-    if kind == "polynomial":
-        return Polynomial(entry)
-    curve = natural_cubic_spline if kind == "spline" else PiecewisePolynomial
-    law: Law = schema.call(curve, entry, where)
-    return law
 
 
 def _build_wrenches(path: Path, robot: Robot, entries: Any) -> dict[str, MeasuredWrench]:

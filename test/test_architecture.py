@@ -16,7 +16,18 @@ FILES = sorted(
 )
 
 CORE, NODES = "mbd_ros.core", "mbd_ros.nodes"
-SCENE = {f"mbd_ros.{m}" for m in ("registry", "scene", "scene_check", "schema", "strict_yaml")}
+SCENE = {
+    f"mbd_ros.{module}"
+    for module in (
+        "coupling_entries",
+        "locate",
+        "registry",
+        "scene",
+        "scene_check",
+        "schema",
+        "strict_yaml",
+    )
+}
 PART_FOLDERS = {
     f"mbd_ros.{folder}"
     for folder in (

@@ -1,0 +1,28 @@
+"""Files that a scene names."""
+
+import os
+import sys
+from pathlib import Path
+
+from mbd_ros.errors import SceneError
+
+
+def find_file(folder: Path, name: str, where: str) -> Path:
+    """A file that a scene names, relative to its folder or as `package://<package>/<path>`.
+
+    Raises:
+        SceneError: The package is not installed.
+    """
+    if not name.startswith("package://"):
+        return folder / name
+    package, _, rest = name.removeprefix("package://").partition("/")
+    if ".." in (package, *Path(rest).parts) or Path(rest).is_absolute():
+        raise SceneError(f"{where}: {name} leaves the package")
+    prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
+    shares = [Path(prefix) / "share" / package for prefix in prefixes if prefix]
+    if package == "mbd_ros":
+        shares.append(Path(__file__).resolve().parent.parent)
+    for share in shares:
+        if (share / rest).is_file():
+            return share / rest
+    raise SceneError(f"{where}: {name} not found in {', '.join(map(str, shares))}")
