@@ -1,6 +1,7 @@
 # `make test` and `make demo` need Python 3.10 to 3.13 and, the first time only, the network.
 # PYTHON=python3.12 chooses the interpreter; without it an existing .venv is kept as it is.
 
+export OMP_NUM_THREADS ?= 1
 BIN := .venv/bin
 COLCON_VENV := build/colcon_venv
 COLCON_WS := build/colcon_ws
@@ -55,6 +56,7 @@ soak: venv
 	$(BIN)/python -m pytest -m soak --timeout 0
 
 bench: venv
+	$(BIN)/python -m mbd_ros.report.bench_forward
 	$(BIN)/python -m mbd_ros.report.bench_inverse
 
 $(COLCON_VENV)/pinned: requirements/colcon.txt .venv/pinned

@@ -27,6 +27,7 @@ setup(
     maintainer="mbd_ros maintainers",
     maintainer_email="mbd_ros@users.noreply.github.com",
     packages=find_packages(include=[NAME, f"{NAME}.*", "msg_adapters"]),
+    package_data={f"{NAME}.report": ["*.json"]},
     data_files=shared_files(),
     python_requires=">=3.10",
     install_requires=[
@@ -35,13 +36,25 @@ setup(
         "matplotlib",
         "numpy",
         "pin",
+        "proxsuite",
+        "qpsolvers",
         "ros-jazzy-common-interfaces",
         "ros-jazzy-rclpy",
         "ros-jazzy-rmw-fastrtps-cpp",
         "rosbags",
     ],
     extras_require={
-        "dev": ["mypy", "pytest", "pytest-timeout", "ruff", "scipy", "setuptools", "types-PyYAML"]
+        "dev": [
+            "daqp",
+            "mypy",
+            "pytest",
+            "pytest-timeout",
+            "quadprog",
+            "ruff",
+            "scipy",
+            "setuptools",
+            "types-PyYAML",
+        ]
     },
     entry_points={
         "console_scripts": [

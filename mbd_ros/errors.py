@@ -15,3 +15,11 @@ class ModelError(MbdError):
 
 class DataError(MbdError):
     """A motion, wrench table or bag that cannot be used: names file, column or topic."""
+
+
+class SolveError(MbdError):
+    """Equations without a trustworthy solution: names the rows and the residuals."""
+
+
+class DivergedError(MbdError):
+    """A simulation that stopped being finite: names joint, time and last finite state."""

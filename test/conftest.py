@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # as the command line does, before OpenMP is loaded
+
 
 @pytest.fixture(scope="session")
 def data_dir():

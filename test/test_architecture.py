@@ -21,7 +21,9 @@ SCENE = {
     for module in (
         "coupling_entries",
         "locate",
+        "part_entries",
         "registry",
+        "robot_entry",
         "scene",
         "scene_check",
         "schema",
@@ -48,7 +50,7 @@ LAYERS = {
     "scene": SCENE,
     "nodes": {NODES},
 }
-MATH = {"numpy", "pinocchio"}
+MATH = {"numpy", "pinocchio", "eigenpy"}
 WORLD = {"time", "datetime", "logging", "os", "io", "pathlib", "shutil", "socket", "subprocess"}
 SHELL_ONLY = {"rclpy", "rosbags", "yaml", "matplotlib", "msg_adapters"}
 ALLOWED = {
@@ -99,7 +101,7 @@ def refused(path, found):
     name, here = found.name, layer(path)
     if name.startswith("."):
         return "is relative"
-    if here == "core" and within(name, {"proxsuite"}) and Path(path).name == "qp.py":
+    if here == "core" and within(name, {"proxsuite", "qpsolvers"}) and Path(path).name == "qp.py":
         return "is at module level" if found.at_module_level else None
     if here in ("core", "part") and within(name, WORLD | {"importlib"}):
         return "touches the world"

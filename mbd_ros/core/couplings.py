@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.laws import Law, Polynomial
+from mbd_ros.core.laws import Law, Linear
 from mbd_ros.core.robot import Joint, Robot
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
@@ -60,9 +60,7 @@ class Couplings:
     """
 
     def __init__(self, robot: Robot, couplings: Mapping[str, Coupling] | None = None) -> None:
-        laws = {
-            m.joint: Coupling(m.parent, Polynomial([m.offset, m.factor])) for m in robot.mimics
-        }
+        laws = {m.joint: Coupling(m.parent, Linear(m.factor, m.offset)) for m in robot.mimics}
         laws.update(couplings or {})
         for name, coupling in laws.items():
             _check_ends(robot, name, coupling.parent)

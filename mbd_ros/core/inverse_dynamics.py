@@ -79,6 +79,7 @@ class InverseDynamics:
     ) -> None:
         self.couplings = couplings
         self.wrenches, self.forces = tuple(wrenches), tuple(forces)
+        self._reads_frames = any(getattr(force, "reads_frames", False) for force in forces)
         self._model, self._data = robot.model, robot.model.createData()
         self.configuration = self._q = pin.neutral(robot.model)
         self._v, self._a = np.zeros(robot.model.nv), np.zeros(robot.model.nv)
@@ -183,6 +184,9 @@ class InverseDynamics:
         self._load(wrenches)
         tau: Array = pin.rnea(self._model, self._data, self._q, self._v, self._a, self._loads)
         if self.forces:
+            if self._reads_frames:
+                pin.forwardKinematics(self._model, self._data, self._q, self._v, self._zero)
+                pin.computeJointJacobians(self._model, self._data)
             x = State(0.0, self._q, self._v)
             for term in self.forces:
                 tau -= term.force(self._data, x)

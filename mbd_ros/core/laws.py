@@ -37,6 +37,22 @@ class Polynomial:
         return _horner(self._highest_first, z)
 
 
+class Linear:
+    """q_d = factor z + offset.
+
+    Args:
+        factor: [rad or m per rad or m].
+        offset: [rad or m].
+    """
+
+    def __init__(self, factor: float, offset: float = 0.0) -> None:
+        self._factor, self._offset = float(factor), float(offset)
+
+    def __call__(self, z: Any) -> tuple[Any, Any, Any]:
+        """f(z), f'(z) and f''(z); z is a float or an array."""
+        return self._factor * z + self._offset, self._factor, 0.0
+
+
 class PiecewisePolynomial:
     """One polynomial an interval; the outer pieces continue beyond the outer breaks.
 
@@ -109,4 +125,4 @@ def _check_increasing(values: Sequence[float], name: str) -> None:
         raise ModelError(f"{name} must be at least two increasing numbers, got {list(values)}")
 
 
-Law = Polynomial | PiecewisePolynomial
+Law = Linear | Polynomial | PiecewisePolynomial

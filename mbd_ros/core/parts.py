@@ -1,17 +1,141 @@
-"""What a part of a scene must offer."""
+"""What a part of a scene must offer.
 
-from typing import Any, Protocol
+A part reads `data`, never runs a Pinocchio algorithm that writes it, never changes its inputs, and
+keeps no memory of earlier states.
+"""
+
+import math
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
 
 from mbd_ros.core.state import Array, State
 
 
-class ForceTerm(Protocol):
-    """A generalized force that depends on the state.
+class ForceTerm:
+    """A generalized force that depends on time, configuration and velocity.
 
-    A part reads `data`, never runs a Pinocchio algorithm that writes it, and never changes its
-    inputs.
+    Attributes:
+        reads_frames: Whether `force` reads placements, velocities or joint Jacobians from `data`;
+            they are current then, and not refreshed for parts that do not ask.
     """
+
+    reads_frames: ClassVar[bool] = False
 
     def force(self, data: Any, x: State) -> Array:
         """Generalized force on the joints [N·m or N], shape (nv,)."""
-        ...
+        raise NotImplementedError
+
+    def potential(self, data: Any, x: State) -> float:
+        """Potential energy of what is conservative in the force [J]."""
+        return 0.0
+
+
+class Actuator:
+    """Commands -> torques of the joints that it drives.
+
+    Attributes:
+        joints: Topic names of the driven joints, one command each.
+    """
+
+    joints: tuple[str, ...]
+
+    def torque(self, u: Array, x: State) -> Array:
+        """Generalized force [N·m or N], shape (nv,).
+
+        Args:
+            u: Commands of `joints`, shape (len(joints),).
+            x: State.
+        """
+        raise NotImplementedError
+
+    def armature(self) -> Array:
+        """Inertia that the drive adds to the joints [kg·m^2 or kg], shape (nv,) or scalar 0."""
+        return np.zeros(1)
+
+
+class Row(NamedTuple):
+    """One scalar equation of a constraint, for whoever reads its multiplier.
+
+    Attributes:
+        name: Name of the equation, such as `knee_loop.x`.
+        unit: Unit of the multiplier: N, N·m, ..
+        frame: Frame in whose axes the multiplier stands; empty in joint space.
+    """
+
+    name: str
+    unit: str
+    frame: str = ""
+
+
+class Wrench(NamedTuple):
+    """What a constraint exerts on one body.
+
+    Attributes:
+        frame: The link.
+        point: Where the force acts, in the world [m], shape (3,).
+        force: In world axes [N], shape (3,).
+        torque: About `point`, in world axes [N·m], shape (3,).
+    """
+
+    frame: str
+    point: Array
+    force: Array
+    torque: Array
+
+
+class Constraint:
+    """Geometry of rows g(t, q) = 0 with the equation of motion M a + h = tau + J' lam.
+
+        g' = J v + rate(t),   g'' = J a + drift
+
+    Attributes:
+        rows: One entry a row.
+        reads_frames: Whether it reads placements, velocities, accelerations at zero joint
+            acceleration (for the drift) and joint Jacobians from `data`; they are current then.
+        bounds: Smallest and largest multiplier of every row, each (m,), or None where all are
+            free. With lam inside, g'' + kd g' + kp g = 0; at the lower bound it may be
+            positive, at the upper one negative.
+        gains: kp [1/s^2] and kd [1/s] of that condition; read for bounded rows only.
+    """
+
+    rows: tuple[Row, ...]
+    reads_frames: ClassVar[bool] = False
+    bounds: tuple[Array, Array] | None = None
+    gains: tuple[float, float] = (0.0, 0.0)
+
+    def residual(self, data: Any, x: State) -> Array:
+        """g(t, q), shape (m,)."""
+        raise NotImplementedError
+
+    def jacobian(self, data: Any, x: State) -> Array:
+        """J = dg/dq, shape (m, nv)."""
+        raise NotImplementedError
+
+    def drift(self, data: Any, x: State) -> Array:
+        """What of g'' does not depend on the acceleration, J' v included, shape (m,)."""
+        raise NotImplementedError
+
+    def accelerations(self, data: Any, x: State) -> tuple[Array, Array]:
+        """Both `jacobian` and `drift`; for parts where one costs less with the other."""
+        return self.jacobian(data, x), self.drift(data, x)
+
+    def rate(self, x: State) -> Array:
+        """What of g' does not depend on the velocity, shape (m,)."""
+        return np.zeros(len(self.rows))
+
+    def quick_margin(self, q: Array, v: Array, a: Array) -> float:
+        """A cheap lower bound of w = g'' + kd g' + kp g; for rows with lower bound 0 only.
+
+        No row acts where it is >= 0; then nothing else of the constraint is evaluated.
+
+        Args:
+            q: Configuration, shape (nq,).
+            v: Velocity, shape (nv,).
+            a: Acceleration without the bounded rows, shape (nv,).
+        """
+        return -math.inf
+
+    def wrenches(self, data: Any, x: State, lam: Array) -> tuple[Wrench, ...]:
+        """What the multipliers, shape (m,), exert on bodies; empty where no frame exists."""
+        return ()

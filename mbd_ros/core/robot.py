@@ -6,6 +6,7 @@ from typing import Any
 
 import pinocchio as pin
 
+from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
 
@@ -90,6 +91,10 @@ class Robot:
             raise ModelError(f"joint '{name}' is fixed")
         existing = ", ".join(joint.name for joint in self.joints)
         raise ModelError(f"no joint '{name}'; the robot has {existing}")
+
+    def neutral(self) -> Array:
+        """Configuration with every joint at 0 and the base at the origin, shape (nq,), fresh."""
+        return pin.neutral(self.model)
 
     def frame(self, name: str) -> int:
         """Index in the model of the link (or frame) of that name.

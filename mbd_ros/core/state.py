@@ -23,6 +23,18 @@ class State(NamedTuple):
     v: Array
 
 
+class Solution(NamedTuple):
+    """Accelerations of all joints and what the constraints exert.
+
+    Attributes:
+        a: Joint accelerations [rad/s^2 or m/s^2], shape (nv,).
+        multipliers: One a row of `System.multiplier_rows`, shape (m,).
+    """
+
+    a: Array
+    multipliers: Array
+
+
 class Motion(NamedTuple):
     """Sampled joint motion, one row a sample, one column a joint.
 

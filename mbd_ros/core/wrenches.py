@@ -43,7 +43,7 @@ class ExternalWrench:
         if threshold < 0:
             raise ModelError(f"threshold {threshold:g} N must be >= 0")
         self.frame, self.expressed_in = frame, expressed_in or frame
-        self.threshold = threshold
+        self.point, self.threshold = tuple(point), threshold
         frames = robot.model.frames
         self.body = int(frames[robot.frame(frame)].parentJoint)
         reference = frames[robot.frame(self.expressed_in)]

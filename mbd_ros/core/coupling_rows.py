@@ -1,0 +1,52 @@
+"""Dependent joints as rows: q_d - f(q_p) = 0, with the multiplier of the tendon."""
+
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.couplings import Couplings
+from mbd_ros.core.laws import Linear
+from mbd_ros.core.parts import Constraint, Row
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.state import Array, State
+
+
+class CouplingRows(Constraint):
+    """Every coupling of a scene as a row; its multiplier pushes the dependent joint.
+
+    Args:
+        robot: The robot.
+        couplings: Its dependent joints, in the order of the rows.
+    """
+
+    def __init__(self, robot: Robot, couplings: Couplings) -> None:
+        self._links = couplings.links
+        self.rows = tuple(Row(name, robot.joint(name).effort_unit) for name in couplings.dependent)
+        self._nv = int(robot.model.nv)
+        self._constant: tuple[Array, Array] | None = None
+        if all(isinstance(link.law, Linear) for link in couplings.links):
+            rest = State(0.0, robot.neutral(), np.zeros(self._nv))
+            self._constant = self.jacobian(None, rest), self.drift(None, rest)
+
+    def accelerations(self, data: Any, x: State) -> tuple[Array, Array]:
+        """Both `jacobian` and `drift`, which do not change where all laws are linear."""
+        return self._constant or (self.jacobian(data, x), self.drift(data, x))
+
+    def residual(self, data: Any, x: State) -> Array:
+        """q_d - f(q_p), shape (m,)."""
+        q = x.q.tolist()
+        return np.array([q[i.child_q] - i.law(q[i.parent_q])[0] for i in self._links])
+
+    def jacobian(self, data: Any, x: State) -> Array:
+        """1 at the dependent joint, -f' at its parent, shape (m, nv)."""
+        J = np.zeros((len(self._links), self._nv))
+        for row, i in enumerate(self._links):
+            J[row, i.child_v] = 1.0
+            J[row, i.parent_v] = -i.law(x.q.item(i.parent_q))[1]
+        return J
+
+    def drift(self, data: Any, x: State) -> Array:
+        """-f'' v_p^2, shape (m,)."""
+        return np.array(
+            [-i.law(x.q.item(i.parent_q))[2] * x.v.item(i.parent_v) ** 2 for i in self._links]
+        )

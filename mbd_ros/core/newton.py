@@ -1,0 +1,59 @@
+"""When an integrator that iterates stops correcting, and what it cannot serve."""
+
+import math
+from collections.abc import Callable
+
+from mbd_ros.core.system import System
+from mbd_ros.errors import ModelError
+
+FAILED = math.inf
+SLOW = 0.1  # contraction from which fresh derivatives pay
+_DEEPER = 1.0e-5  # of the tolerance: where the iteration aims while it still gains
+_LIMIT = 30
+_GAINS_NOTHING = 0.5  # contraction that means rounding once the tolerance is met
+_GROWS = 10.0
+
+
+def converge(correct: Callable[[], float], tolerance: float) -> float:
+    """Repeat a correction until the error it leaves is rounding.
+
+    With contraction r, corrections that remain sum to r / (1 - r) of the last one.
+
+    Args:
+        correct: Corrects once and returns the size of the correction.
+        tolerance: Size below which a correction may stop shrinking.
+
+    Returns:
+        Slowest contraction above the tolerance, 0 after a single correction; `FAILED` without
+        convergence, also for NaN.
+    """
+    last, slowest = correct(), 0.0
+    if last == 0.0:
+        return slowest
+    for _ in range(_LIMIT):
+        size = correct()
+        rate = size / last
+        if last > tolerance:
+            slowest = max(slowest, rate)
+        if rate < 1.0 and size * rate <= _DEEPER * tolerance * (1.0 - rate):
+            return slowest
+        if size <= tolerance and rate > _GAINS_NOTHING:
+            return slowest
+        if not rate < _GROWS:
+            return FAILED
+        last = size
+    return FAILED
+
+
+def refuse_bounded_rows(system: System, name: str) -> None:
+    """Raise if rows with bounded multipliers act, which methods of forces and rows do not see.
+
+    Raises:
+        ModelError: They do; names them.
+    """
+    if getattr(system, "bounded", None) is not None:
+        rows = ", ".join(row.name for row in system.multiplier_rows if row not in system.rows)
+        raise ModelError(
+            f"integrator {name} keeps bilateral rows only, the scene bounds {rows}; accepted: "
+            "any integrator that does not keep constraints itself, such as rk4"
+        )

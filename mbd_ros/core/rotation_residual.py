@@ -1,0 +1,146 @@
+"""How far two frames are turned against each other, in numbers that vanish only when they agree.
+
+R is the rotation from the axes of b to those of a; omega, the angular velocity of b relative to a,
+and its derivative alpha stand in the axes of a: R' = [omega] x R. Both residuals have the length
+2 sin(theta / 2) of the angle theta that is left, so that they do not vanish at 180 degrees, where
+sines and dot products of axes do. Their derivatives are exact up to there.
+"""
+
+import math
+from typing import Any, Protocol
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.state import Array
+
+_OPPOSITE = 1.0e-9  # 1 + cos(theta) below which two axes count as opposite
+
+
+class RotationResidual(Protocol):
+    """g(R) with g' = slope omega and g'' = slope alpha + drift.
+
+    Attributes:
+        names: What the multiplier of every row turns about, in the axes of a.
+    """
+
+    names: tuple[str, ...]
+
+    def residual(self, R: Array) -> Array:
+        """What is left to turn, g [rad], shape (m,)."""
+
+    def slope(self, R: Array) -> Array:
+        """From omega to g', shape (m, 3)."""
+
+    def drift(self, R: Array, omega: Array, alpha: Array) -> Array:
+        """Second derivative g'' at these angular velocities and accelerations, shape (m,)."""
+
+
+class FullRotation:
+    """Same axes: g = 2 e, where (e, w) is the quaternion of R with w >= 0.
+
+    g' = (w - [e] x) omega and g'' = (w - [e] x) alpha - |omega|^2 g / 4.
+
+    Source: R. Featherstone, Rigid Body Dynamics Algorithms, 2008, sec. 4.5 (rate of the Euler
+    parameters); differentiated once more.
+    """
+
+    names: tuple[str, ...] = ("rx", "ry", "rz")
+
+    def residual(self, R: Array) -> Array:
+        """What is left to turn, g [rad], shape (3,)."""
+        x, y, z, _ = _quaternion(R)
+        return np.array((2.0 * x, 2.0 * y, 2.0 * z))
+
+    def slope(self, R: Array) -> Array:
+        """From omega to g', shape (3, 3)."""
+        x, y, z, w = _quaternion(R)
+        return np.array(((w, z, -y), (-z, w, x), (y, -x, w)))
+
+    def drift(self, R: Array, omega: Array, alpha: Array) -> Array:
+        """Second derivative g'' at these angular velocities and accelerations, shape (3,)."""
+        x, y, z, w = _quaternion(R)
+        ax, ay, az = alpha.tolist()
+        bend = 0.5 * float(omega.dot(omega))
+        return np.array(
+            (
+                w * ax + z * ay - y * az - bend * x,
+                w * ay + x * az - z * ax - bend * y,
+                w * az + y * ax - x * ay - bend * z,
+            )
+        )
+
+
+class AxisRotation:
+    """One axis in common: g = s m, transverse components of m = e x c.
+
+    e is the axis in a, c = R e that of b, k = e . c, and s = sqrt(2 / (1 + k)) turns the length
+    sin(theta) of m into 2 sin(theta / 2). From c' = omega x c:
+
+        m' = k omega - (e . omega) c,   k' = -m . omega,
+        g' = s m' + s' m,               s' = -f k',   f = s / (2 + 2 k)
+
+    Args:
+        axis: x, y or z.
+    """
+
+    def __init__(self, axis: str) -> None:
+        along = "xyz".index(axis)
+        self._cycle = along, (along + 1) % 3, (along + 2) % 3  # right-handed: e, second, third
+        self._across = sorted(self._cycle[1:])
+        self.names: tuple[str, ...] = tuple("r" + "xyz"[i] for i in self._across)
+
+    def residual(self, R: Array) -> Array:
+        """What is left to turn, g [rad], shape (2,)."""
+        _, c2, c3, s = self._axis(R)
+        return self._rows(-s * c3, s * c2)
+
+    def slope(self, R: Array) -> Array:
+        """From omega to g', shape (2, 3)."""
+        k, c2, c3, s = self._axis(R)
+        f = 0.5 * s / (1.0 + k)
+        first, second, third = self._cycle
+        slope = np.empty((3, 3))
+        slope[second, first], slope[third, first] = -s * c2, -s * c3
+        slope[second, second], slope[third, third] = s * k + f * c3 * c3, s * k + f * c2 * c2
+        slope[second, third] = slope[third, second] = -f * c2 * c3
+        across: Array = slope[self._across]
+        return across
+
+    def drift(self, R: Array, omega: Array, alpha: Array) -> Array:
+        """Second derivative g'' at these angular velocities and accelerations, shape (2,)."""
+        k, c2, c3, s = self._axis(R)
+        first, second, third = self._cycle
+        turn = omega.tolist()
+        w1, w2, w3 = turn[first], turn[second], turn[third]
+        k_rate, c2_rate, c3_rate = c3 * w2 - c2 * w3, k * w3 - c3 * w1, c2 * w1 - k * w2
+        f = 0.5 * s / (1.0 + k)
+        bend = 1.5 * f * k_rate * k_rate / (1.0 + k) - f * (c3_rate * w2 - c2_rate * w3)
+        m2_rate, m3_rate = k * w2 - w1 * c2, k * w3 - w1 * c3
+        bent: Array = self.slope(R).dot(alpha) + self._rows(
+            s * (k_rate * w2 - w1 * c2_rate) - 2.0 * f * k_rate * m2_rate - bend * c3,
+            s * (k_rate * w3 - w1 * c3_rate) - 2.0 * f * k_rate * m3_rate + bend * c2,
+        )
+        return bent
+
+    def _axis(self, R: Array) -> tuple[float, float, float, float]:
+        """Components of c along the axis (k) and across it, and s."""
+        first, second, third = self._cycle
+        c = R[:, first].tolist()
+        k, c2, c3 = c[first], c[second], c[third]
+        if k < _OPPOSITE - 1.0:  # no direction is the shortest way back: one is as good as another
+            k = _OPPOSITE - 1.0
+            c2, c3 = math.sqrt(1.0 - k * k), 0.0
+        return k, c2, c3, math.sqrt(2.0 / (1.0 + k))
+
+    def _rows(self, second: float, third: float) -> Array:
+        """Components across the axis in the order of x, y, z."""
+        if self._cycle[1] < self._cycle[2]:
+            return np.array((second, third))
+        return np.array((third, second))
+
+
+def _quaternion(R: Array) -> Any:
+    """x, y, z, w as floats, w >= 0."""
+    coefficients = pin.Quaternion(R).coeffs().tolist()
+    return [-c for c in coefficients] if coefficients[3] < 0.0 else coefficients

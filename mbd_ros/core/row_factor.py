@@ -1,0 +1,92 @@
+"""A = J M^-1 J' factorised, with its rank."""
+
+import eigenpy
+import numpy as np
+
+from mbd_ros.core.state import Array
+from mbd_ros.errors import SolveError
+
+NEARLY_SINGULAR = 1.0e-9  # eigenvalues of the scaled A: singular values of the rows below 3e-5
+REDUNDANT = 1.0e-13  # what rounding leaves of a zero eigenvalue
+_ZERO_ROW = 1.0e-20  # of the largest row: what rounding leaves of J = 0, squared
+CONTRADICTION = 1.0e-5  # of the terms that should cancel; directions below 1e-6 count as null
+_ZERO = 1.0e-12
+
+
+class RowFactor:
+    """Solves A lam = r with A = J M^-1 J', rows scaled by the size that they have had so far.
+
+    Well-conditioned rows go through a Cholesky factor. Otherwise the eigenvalues decide:
+    directions below `NEARLY_SINGULAR` are left out, because at a toggle they would turn rounding
+    into motion, and among redundant rows lam has the smallest norm.
+
+    Args:
+        M: Mass matrix, shape (nv, nv).
+        J: Rows, shape (m, nv).
+        size: Largest A_ii of each row so far, (m,): a row that vanishes at a toggle is told from
+            one that is small everywhere. Without it, A_ii itself.
+
+    Attributes:
+        X: M^-1 J', shape (nv, m).
+        A: J M^-1 J', shape (m, m).
+        size: Largest A_ii of each row so far, this one included, shape (m,).
+        rank: Rows that are independent.
+        condition: Square root of the condition number of the scaled A, that is, the condition
+            number of the scaled rows in the mass metric; inf for redundant rows.
+    """
+
+    def __init__(self, M: Array, J: Array, size: Array | None = None) -> None:
+        self.X = eigenpy.LLT(M).solve(J.T).reshape(J.T.shape)  # eigenpy flattens one column
+        self.A = J.dot(self.X)
+        diagonal = self.A.diagonal()
+        self.size = diagonal if size is None else np.maximum(diagonal, size)
+        floor = _ZERO_ROW * float(self.size.max(initial=0.0)) or 1.0
+        self._scale = 1.0 / np.sqrt(np.maximum(self.size, floor))
+        scaled = self._scale[:, None] * self.A * self._scale
+        self.rank = len(J)
+        self._cholesky = eigenpy.LLT(scaled)
+        reciprocal = self._cholesky.rcond() if self._cholesky.info().name == "Success" else 0.0
+        self.condition = reciprocal**-0.5 if reciprocal > 0 else np.inf
+        self._is_regular = reciprocal > NEARLY_SINGULAR
+        if not self._is_regular:
+            self._decompose(scaled)
+
+    def _decompose(self, scaled: Array) -> None:
+        if not np.isfinite(scaled).all():
+            raise SolveError("constraint rows or masses are not finite")
+        values, vectors = np.linalg.eigh(scaled)
+        largest = max(float(values[-1]), 1.0e-300)
+        kept = values > NEARLY_SINGULAR * largest
+        null = values <= REDUNDANT * max(len(values), 10) * largest
+        self.rank = len(values) - int(np.count_nonzero(null))
+        self.condition = float(np.sqrt(largest / values[0])) if not null.any() else np.inf
+        self._inverse = (vectors[:, kept] / values[kept]).dot(vectors[:, kept].T)
+        self._null = vectors[:, null]
+        self._silent, _ = np.linalg.qr(self._scale[:, None] * self._null)
+
+    def solve(self, r: Array) -> Array:
+        """The lam with A lam = r, of smallest norm among redundant rows, shape as r."""
+        if self._is_regular:
+            return self._scaled(self._cholesky.solve(self._scaled(r)).reshape(r.shape))
+        lam = self._scaled(self._inverse.dot(self._scaled(r)))
+        return lam - self._silent.dot(self._silent.T.dot(lam))
+
+    def contradiction(self, r: Array, drift: Array, motion: float) -> int | None:
+        """The row that most contradicts the others in A lam = r, or None.
+
+        Args:
+            r: Right-hand side -(J a + drift), shape (m,).
+            drift: Its part that does not depend on a, shape (m,).
+            motion: Norm of a in the mass metric, which no scaled row exceeds.
+        """
+        if self._is_regular or self._null.shape[1] == 0:
+            return None
+        left = self._null.T.dot(self._scale * r)
+        worst = int(np.argmax(np.abs(left)))
+        size = motion + float(np.abs(self._scale * drift).max())
+        if abs(left[worst]) <= CONTRADICTION * size + _ZERO:
+            return None
+        return int(np.argmax(np.abs(self._null[:, worst])))
+
+    def _scaled(self, r: Array) -> Array:
+        return self._scale * r if r.ndim == 1 else self._scale[:, None] * r

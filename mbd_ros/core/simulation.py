@@ -1,0 +1,113 @@
+"""A system, an integrator and a stabilization at work."""
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from mbd_ros.core.assembly import assemble
+from mbd_ros.core.stabilizing import Stabilization
+from mbd_ros.core.state import Array, State
+from mbd_ros.core.stepping import Integrator
+from mbd_ros.core.system import System
+from mbd_ros.errors import DivergedError, ModelError, SolveError
+
+Commands = Callable[[float], Array]
+_SHOWN = 8  # joints in a message
+_ROUNDING = 1.0e-9  # of dt: two times that are meant to be the same
+
+
+class Simulation:
+    """Predicts motion from forces and commands.
+
+    Args:
+        system: The system; its rows are corrected as the stabilization demands.
+        integrator: The method.
+        stabilization: What keeps the rows; idle where the integrator keeps them itself.
+        dt: Step of a fixed-step method, and interval of the output [s], > 0.
+
+    Attributes:
+        steps: Steps taken so far.
+    """
+
+    def __init__(
+        self, system: System, integrator: Integrator, stabilization: Stabilization, dt: float
+    ) -> None:
+        if not dt > 0:
+            raise ModelError(f"dt {dt:g} s must be > 0")
+        self.system, self.integrator, self.dt = system, integrator, dt
+        self.stabilization = stabilization
+        system.correct_rows(*stabilization.gains(dt))
+        self.stepper = integrator.prepare(system, dt)
+        self.steps = 0
+        self._is_corrected = bool(system.rows) and not integrator.keeps_constraints
+
+    def start(self, x: State) -> State:
+        """The nearest consistent state of the integrated coordinates to a state of all joints.
+
+        Raises:
+            SolveError: The mechanism cannot be assembled near it.
+        """
+        self.stepper.restart()
+        return assemble(self.system, self.system.reduce(x))
+
+    def run(self, x: State, duration: float, commands: Commands | None = None) -> Iterator[State]:
+        """States of all joints every dt, the first one included.
+
+        Args:
+            x: State of all joints; moved onto the constraints first.
+            duration: [s], >= 0; a last shorter interval ends exactly there.
+            commands: Time [s] -> commands, read every dt and held until the next.
+
+        Raises:
+            DivergedError: The state is no longer finite.
+            SolveError: The mechanism cannot be assembled, or equations contradict one another.
+        """
+        y = self.start(x)
+        yield self.system.expand(y)
+        begin, count = y.t, math.ceil(duration / self.dt - _ROUNDING)
+        last, u, k = begin + duration, None, 1
+        slack = _ROUNDING * self.dt
+        while k <= count:
+            due = min(begin + k * self.dt, last)
+            if commands is not None and y.t > due - self.dt - slack:
+                u = commands(due - self.dt if k > 1 else begin)
+            late = abs(begin + (k - 1) * self.dt - y.t)
+            is_rounded = 0.2 * slack < late < 1.0e3 * slack  # a sum of steps, to be put right
+            y_next = self._step(y, u, due if is_rounded or commands is not None else last)
+            while k <= count and due < y_next.t - slack:
+                yield self.system.expand(self._corrected(self.stepper.interpolate(due)))
+                k += 1
+                due = min(begin + k * self.dt, last)
+            y = self._corrected(y_next)
+            if k <= count and due <= y.t + slack:
+                yield self.system.expand(y)
+                k += 1
+
+    def _corrected(self, y: State) -> State:
+        return self.stabilization.correct(self.system, y) if self._is_corrected else y
+
+    def _step(self, y: State, u: Array | None, end: float) -> State:
+        self.steps += 1
+        try:
+            after = self.stepper.step(y, u, end)
+        except (DivergedError, SolveError) as error:
+            raise type(error)(f"{error}; {_last_finite(self.system, y)}") from error
+        if math.isfinite(after.v.dot(after.v)) and math.isfinite(after.q.dot(after.q)):
+            return after
+        lost = int(np.count_nonzero(~np.isfinite(after.v)))
+        raise DivergedError(
+            f"diverged at t = {after.t:.9g} s: {lost} of {len(after.v)} velocities are not "
+            f"finite; {_last_finite(self.system, y)}; try a smaller dt"
+        )
+
+
+def _last_finite(system: System, y: State) -> str:
+    """The fastest joint, time and positions of the last finite state."""
+    x, joints = system.expand(y), system.robot.joints
+    wild = max(joints, key=lambda joint: abs(float(x.v[joint.v])))
+    values = ", ".join(f"{j.name} {x.q[j.q]:.4g}" for j in joints[:_SHOWN])
+    return (
+        f"last finite state at t = {y.t:.9g} s: fastest joint {wild.name} with "
+        f"{x.v[wild.v]:.3g}/s; positions {values}{', ..' if len(joints) > _SHOWN else ''}"
+    )

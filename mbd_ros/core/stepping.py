@@ -1,0 +1,51 @@
+"""What integrators offer: a method is a value, the stepper that it prepares owns the workspace."""
+
+import math
+from typing import Any, ClassVar
+
+from mbd_ros.core.state import Array, State
+
+
+class Stepper:
+    """A method at work on one system with one step size."""
+
+    def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
+        """Advance by one step.
+
+        Args:
+            x: State to start from; normally what the last step returned.
+            u: Commands, held over the step; None without actuators.
+            end: Time that the step does not go beyond [s].
+
+        Raises:
+            DivergedError: The state is no longer finite, or an iteration does not converge.
+        """
+        raise NotImplementedError
+
+    def restart(self) -> None:
+        """Forget everything that was kept from earlier steps."""
+
+    def interpolate(self, t: float) -> State:
+        """State at a time inside the last step, for methods with dense output."""
+        raise NotImplementedError
+
+
+class Integrator:
+    """A method of numerical integration.
+
+    Attributes:
+        order: Order of convergence for smooth motion.
+        dense: Whether its steppers can interpolate.
+        keeps_constraints: Whether the method itself keeps the constraints, so that no
+            stabilization acts.
+        is_explicit: Whether stiff forces limit the step.
+    """
+
+    order: int
+    dense: ClassVar[bool] = False
+    keeps_constraints: ClassVar[bool] = False
+    is_explicit: ClassVar[bool] = True
+
+    def prepare(self, system: Any, dt: float) -> Stepper:
+        """A stepper for one system and one step size [s]."""
+        raise NotImplementedError

@@ -1,0 +1,199 @@
+"""Forward dynamics of an open chain: M(q) a + h(q, v) = tau."""
+
+from functools import partial
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.bounded_rows import BoundedRows
+from mbd_ros.core.chart import chart_rate
+from mbd_ros.core.constraint_rows import ConstraintRows
+from mbd_ros.core.loads import Loads
+from mbd_ros.core.mass_check import check_mass
+from mbd_ros.core.parts import Row, Wrench
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.row_factor import RowFactor
+from mbd_ros.core.state import Array, Solution, State
+
+WORLD = pin.Convention.WORLD
+
+
+class System:
+    """Acceleration from state and command by the articulated-body algorithm.
+
+    The base of the other tiers. One instance owns one Pinocchio `Data`: not for two threads.
+
+    Args:
+        robot: The robot.
+        loads: What acts on its joints.
+        constraints: Bilateral rows; this class solves for none, but can say how they are violated.
+        bounded: Rows with bounded multipliers, solved for by Gauss's principle.
+
+    Attributes:
+        tier: Name of the way of solving.
+        nq: Size of the configuration that is integrated.
+        nv: Size of its velocity.
+        is_flat: Whether that configuration is a vector space with q' = v.
+        rows: Bilateral rows that an integrator may have to keep.
+        multiplier_rows: What the multipliers of a `Solution` are.
+        evaluations: How often the acceleration was asked for.
+        condition: Condition number of the rows in the mass metric when last factorised; 1
+            without rows.
+    """
+
+    tier = "aba"
+
+    def __init__(
+        self,
+        robot: Robot,
+        loads: Loads,
+        constraints: ConstraintRows | None = None,
+        bounded: BoundedRows | None = None,
+    ) -> None:
+        self.robot, self.loads = robot, loads
+        self.constraints = constraints or ConstraintRows((), robot.model.nv)
+        self.bounded = bounded
+        self.model, self.data = robot.model, robot.model.createData()
+        self.nq, self.nv = int(self.model.nq), int(self.model.nv)
+        self.is_flat = not robot.floating
+        self.rows: tuple[Row, ...] = self.constraints.rows
+        self.multiplier_rows: tuple[Row, ...] = () if bounded is None else bounded.rows
+        self.evaluations = 0
+        self.condition = 1.0
+        self._row_size: Array | None = None
+        self._zero = np.zeros(self.model.nv)
+        self._aba = partial(pin.aba, self.model, self.data)
+        self._is_free = loads.is_empty and bounded is None
+        self._none = np.zeros(0)
+        check_mass(robot, self._full_mass(robot.neutral()))
+
+    def acceleration(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """Acceleration of the integrated coordinates [rad/s^2 or m/s^2], shape (nv,)."""
+        self.evaluations += 1
+        if self._is_free:
+            return self._aba(q, v, self._zero, WORLD)
+        a = self._aba(q, v, self._tau(t, q, v, u), WORLD)
+        return a if self.bounded is None else self.bounded.accelerate(self, t, q, v, a)
+
+    def solve(self, x: State, u: Array | None = None) -> Solution:
+        """Accelerations and multipliers of all joints at a state of the integrated coordinates."""
+        a = self.acceleration(*x, u)
+        return Solution(a, self._none if self.bounded is None else self.bounded.multipliers)
+
+    def wrenches(self, x: State, multipliers: Array) -> tuple[Wrench, ...]:
+        """What bilateral constraints exert on bodies.
+
+        Args:
+            x: State of the integrated coordinates.
+            multipliers: Those of `solve` at this state.
+        """
+        self.refresh(x.q, x.v)
+        return self.constraints.wrenches(self.data, x, multipliers[: len(self.rows)])
+
+    def mass(self, q: Array) -> Array:
+        """Mass matrix of the integrated coordinates, symmetric, shape (nv, nv)."""
+        return self._full_mass(q)
+
+    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """Tau - h: generalized force without the constraints, shape (nv,)."""
+        self.evaluations += 1
+        return self._tau(t, q, v, u) - pin.nonLinearEffects(self.model, self.data, q, v)
+
+    def residual(self, t: float, q: Array) -> Array:
+        """g(t, q) of the bilateral rows, shape (m,)."""
+        return self.constraints.residual(self.data, self._placed(t, q))
+
+    def jacobian(self, t: float, q: Array) -> Array:
+        """dg/dq, shape (m, nv)."""
+        return self.constraints.jacobian(self.data, self._placed(t, q))
+
+    def rate(self, t: float, q: Array) -> Array:
+        """dg/dt, shape (m,)."""
+        return self.constraints.rate(State(t, q, self._zero))
+
+    def factorise(self, M: Array, J: Array) -> RowFactor:
+        """Factor of the bilateral rows; brings `condition` up to date.
+
+        Args:
+            M: Mass matrix, shape (nv, nv).
+            J: Jacobian of the rows, shape (m, nv).
+        """
+        factor = RowFactor(M, J, self._row_size)
+        self._row_size, self.condition = factor.size, factor.condition
+        return factor
+
+    def integrate(self, q: Array, dq: Array) -> Array:
+        """Configuration q (+) dq, shape (nq,)."""
+        return q + dq if self.is_flat else pin.integrate(self.model, q, dq)
+
+    def difference(self, q0: Array, q1: Array) -> Array:
+        """The dq with q0 (+) dq = q1, shape (nv,)."""
+        return q1 - q0 if self.is_flat else pin.difference(self.model, q0, q1)
+
+    def chart_rate(self, dq: Array, v: Array) -> Array:
+        """Rate of dq in q = q0 (+) dq while q moves with v, shape (nv,)."""
+        return v if self.is_flat else chart_rate(dq, v)
+
+    def correct_rows(self, kp: float, kd: float) -> None:
+        """Demand g'' + kd g' + kp g = 0 of the bilateral rows; kp [1/s^2], kd [1/s]."""
+        self.constraints.correct_free_rows(kp, kd)
+        if self.bounded is not None:
+            self.bounded.constraints.correct_free_rows(kp, kd)
+
+    def expand(self, x: State) -> State:
+        """State of all joints from that of the integrated coordinates."""
+        return x
+
+    def reduce(self, x: State) -> State:
+        """State of the integrated coordinates from that of all joints."""
+        return x
+
+    def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+        """q, v and a of all joints at the state of the last evaluation."""
+        return q, v, a
+
+    def integrated(self, a: Array) -> Array:
+        """Accelerations of the integrated coordinates among those of all joints."""
+        return a
+
+    def respond(self, q: Array, forces: Array) -> Array:
+        """Accelerations of all joints that forces on them add, constraints kept.
+
+        Args:
+            q: Configuration of the integrated coordinates at the last evaluation.
+            forces: One generalized force a column, shape (nv of the robot, k).
+
+        Returns:
+            Shape (nv of the robot, k).
+        """
+        return pin.computeMinverse(self.model, self.data, q).dot(forces)
+
+    def energy(self, x: State) -> float:
+        """Kinetic and potential energy [J] at a state of the integrated coordinates."""
+        full = self.expand(x)
+        stored = float(pin.computeMechanicalEnergy(self.model, self.data, full.q, full.v))
+        if self.loads.reads_frames:
+            self.refresh(full.q, full.v)
+        return stored + self.loads.potential(self.data, full)
+
+    def refresh(self, q: Array, v: Array) -> None:
+        """Placements, velocities, velocity-dependent accelerations and joint Jacobians."""
+        pin.forwardKinematics(self.model, self.data, q, v, self._zero)
+        pin.computeJointJacobians(self.model, self.data)
+
+    def _tau(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
+        """Loads at a state of all joints."""
+        if self.loads.is_empty:
+            return self._zero
+        if self.loads.reads_frames:
+            self.refresh(q, v)
+        return self.loads.total(self.data, State(t, q, v), u)
+
+    def _placed(self, t: float, q: Array) -> State:
+        """State at rest of all joints, with `data` as the rows need it."""
+        if self.constraints.reads_frames:
+            self.refresh(q, self._zero)
+        return State(t, q, self._zero)
+
+    def _full_mass(self, q: Array) -> Array:
+        return pin.crba(self.model, self.data, q, WORLD)

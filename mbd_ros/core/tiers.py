@@ -1,0 +1,83 @@
+"""Which way of solving a scene needs: chosen once, at build."""
+
+from collections.abc import Sequence
+
+from mbd_ros.core.bilateral_system import BilateralSystem
+from mbd_ros.core.bounded_rows import BoundedRows
+from mbd_ros.core.constraint_rows import ConstraintRows
+from mbd_ros.core.coupling_rows import CouplingRows
+from mbd_ros.core.couplings import Couplings
+from mbd_ros.core.loads import Loads
+from mbd_ros.core.parts import Constraint
+from mbd_ros.core.reduced_system import ReducedSystem
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.system import System
+from mbd_ros.errors import ModelError
+
+TIERS = ("auto", "aba", "reduced", "kkt", "qp")
+
+
+def build_system(
+    robot: Robot,
+    couplings: Couplings,
+    constraints: Sequence[Constraint],
+    loads: Loads,
+    tier: str = "auto",
+    backend: str = "proxqp",
+) -> System:
+    """The system of a scene in the cheapest tier that it needs, or in the one that is asked for.
+
+    aba: no rows. reduced: couplings only, eliminated. kkt: bilateral rows, couplings among them.
+    qp: bounded rows on top of any of these; when asked for, all rows go through the QP.
+
+    Args:
+        robot: The robot.
+        couplings: Its dependent joints.
+        constraints: Constraints of the scene.
+        loads: Forces and actuators.
+        tier: One of `TIERS`.
+        backend: Solver of the QP, see `qp.BoxQp`.
+
+    Raises:
+        ModelError: The tier cannot serve these rows, or a package is missing.
+    """
+    bilateral = [part for part in constraints if part.bounds is None]
+    bounded = [part for part in constraints if part.bounds is not None]
+    _check(tier, couplings, bilateral, bounded)
+    nv = robot.model.nv
+    coupled: list[Constraint] = [CouplingRows(robot, couplings)] if couplings.dependent else []
+    if tier == "qp" and (coupled or constraints):
+        every = ConstraintRows([*coupled, *constraints], nv)
+        rows = ConstraintRows([*coupled, *bilateral], nv)
+        return System(robot, loads, rows, BoundedRows(every, nv, backend))
+    limits = BoundedRows(ConstraintRows(bounded, nv), nv, backend) if bounded else None
+    if bilateral or (tier == "kkt" and coupled):
+        rows = ConstraintRows([*coupled, *bilateral], nv)
+        return BilateralSystem(robot, loads, rows, limits)
+    if coupled:
+        return ReducedSystem(robot, loads, couplings, limits)
+    return System(robot, loads, bounded=limits)
+
+
+def _check(
+    tier: str,
+    couplings: Couplings,
+    bilateral: Sequence[Constraint],
+    bounded: Sequence[Constraint],
+) -> None:
+    if tier not in TIERS:
+        raise ModelError(f"unknown solver type '{tier}', accepted: {', '.join(TIERS)}")
+    names = [row.name for part in (*bilateral, *bounded) for row in part.rows]
+    if tier == "aba" and (couplings.dependent or names):
+        rows = ", ".join([*couplings.dependent, *names])
+        raise ModelError(f"solver aba takes no rows, the scene has {rows}")
+    if tier == "reduced" and (bilateral or bounded):
+        raise ModelError(f"solver reduced takes couplings only, the scene has {', '.join(names)}")
+    if tier == "kkt" and bounded:
+        rows = ", ".join(row.name for part in bounded for row in part.rows)
+        raise ModelError(f"solver kkt takes no bounded rows, the scene has {rows}")
+
+
+def tier_of(system: System) -> str:
+    """Name of the tier that was chosen."""
+    return system.tier if system.bounded is None else f"qp over {system.tier}"
