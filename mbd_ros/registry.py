@@ -8,12 +8,55 @@ from typing import Any
 from mbd_ros.errors import SceneError
 
 PARTS: Mapping[str, Mapping[str, str]] = {
+    "actuators": {
+        "geared_motor": "mbd_ros.actuators.geared_motor:GearedMotor",
+        "ideal": "mbd_ros.actuators.ideal:Ideal",
+        "series_elastic": "mbd_ros.actuators.series_elastic:SeriesElastic",
+    },
+    "constraints": {
+        "distance": "mbd_ros.constraints.distance:Distance",
+        "dry_friction": "mbd_ros.constraints.dry_friction:DryFriction",
+        "frame_anchor": "mbd_ros.constraints.frame_anchor:FrameAnchor",
+        "joint_stop": "mbd_ros.constraints.joint_stop:JointStop",
+        "loop_closure": "mbd_ros.constraints.loop_closure:LoopClosure",
+        "point_on_plane": "mbd_ros.constraints.point_on_plane:PointOnPlane",
+        "prescribed_motion": "mbd_ros.constraints.prescribed_motion:PrescribedMotion",
+        "screw": "mbd_ros.constraints.screw:Screw",
+    },
     "forces": {
+        "applied_wrench": "mbd_ros.forces.applied_wrench:AppliedWrench",
+        "gravity_compensation": "mbd_ros.forces.gravity_compensation:GravityCompensation",
         "joint_friction": "mbd_ros.forces.joint_friction:JointFriction",
         "joint_spring": "mbd_ros.forces.joint_spring:JointSpring",
+        "joint_torque": "mbd_ros.forces.joint_torque:JointTorque",
+        "point_spring": "mbd_ros.forces.point_spring:PointSpring",
+        "prescribed_torque": "mbd_ros.forces.prescribed_torque:PrescribedTorque",
+        "prescribed_wrench": "mbd_ros.forces.prescribed_wrench:PrescribedWrench",
+    },
+    "integrators": {
+        "adams": "mbd_ros.integrators.adams:Adams",
+        "dop853": "mbd_ros.integrators.dop853:Dop853",
+        "dopri5": "mbd_ros.integrators.dopri5:Dopri5",
+        "gauss_legendre": "mbd_ros.integrators.gauss_legendre:GaussLegendre",
+        "generalized_alpha": "mbd_ros.integrators.generalized_alpha:GeneralizedAlpha",
+        "rattle": "mbd_ros.integrators.rattle:Rattle",
+        "rk4": "mbd_ros.integrators.rk4:Rk4",
+        "semi_implicit_euler": "mbd_ros.integrators.semi_implicit_euler:SemiImplicitEuler",
+        "shake": "mbd_ros.integrators.shake:Shake",
+    },
+    "stabilization": {
+        "baumgarte": "mbd_ros.stabilization.baumgarte:Baumgarte",
+        "none": "mbd_ros.stabilization.none:NoStabilization",
+        "projection": "mbd_ros.stabilization.projection:Projection",
     },
 }
-METHODS = {"forces": "force"}  # what the parts of a section must have
+METHODS = {  # what the parts of a section must have
+    "actuators": "torque",
+    "constraints": "residual",
+    "forces": "force",
+    "integrators": "prepare",
+    "stabilization": "correct",
+}
 
 
 def resolve(section: str, name: str, where: str) -> Any:

@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
 
-class JointFriction:
+class JointFriction(ForceTerm):
     """tau = -coulomb tanh(v / smoothing) - viscous v. No stiction: a joint at rest creeps.
 
     Args:

@@ -4,12 +4,13 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
 
-class JointSpring:
+class JointSpring(ForceTerm):
     """Linear spring and damper: tau = stiffness (rest - q) - damping v. No limits, no backlash.
 
     Args:
@@ -43,3 +44,8 @@ class JointSpring:
         stretch, rate = x.q[self.joint.q] - self._rest, x.v[self.joint.v]
         tau[self.joint.v] = -self._stiffness * stretch - self._damping * rate
         return tau
+
+    def potential(self, data: Any, x: State) -> float:
+        """Energy of the spring, zero at rest [J]."""
+        stretch = float(x.q[self.joint.q]) - self._rest
+        return 0.5 * self._stiffness * stretch * stretch

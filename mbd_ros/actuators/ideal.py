@@ -1,0 +1,44 @@
+"""Motors that give the torque they are asked for."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from mbd_ros.core.parts import Actuator
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+
+class Ideal(Actuator):
+    """tau = u, at most `limit` in either direction. No inertia, friction or delay.
+
+    Args:
+        robot: Robot of the scene.
+        joints: Driven joints, one command [N·m or N] each, in this order.
+        limit: Largest torque or force of every joint [N·m or N], > 0; without it there is none.
+            The effort limits of the URDF are not read.
+
+    Raises:
+        ModelError: No joint, an unknown or repeated one, or a limit that is not positive.
+    """
+
+    example = {"joints": ["knee", "ankle"], "limit": 100.0}
+
+    def __init__(self, robot: Robot, *, joints: Sequence[str], limit: float = math.inf) -> None:
+        if not limit > 0:
+            raise ModelError(f"limit {limit:g} must be > 0")
+        if not joints or len(set(joints)) != len(joints):
+            raise ModelError(f"joints {list(joints)} must be one or more different joints")
+        self.joints = tuple(joints)
+        self._v = np.array([robot.joint(name).v for name in joints])
+        self._limit, self._nv = limit, int(robot.model.nv)
+
+    def torque(self, u: Array, x: State) -> Array:
+        """Generalized force, shape (nv,), of the commands [N·m or N], shape (len(joints),)."""
+        tau = np.zeros(self._nv)
+        if self._limit < math.inf:
+            u = np.minimum(np.maximum(u, -self._limit), self._limit)
+        tau[self._v] = u
+        return tau

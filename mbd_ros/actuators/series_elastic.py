@@ -1,0 +1,59 @@
+"""Motor with a spring between gear and joint."""
+
+import math
+
+import numpy as np
+
+from mbd_ros.core.parts import Actuator
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+
+class SeriesElastic(Actuator):
+    """Spring to a commanded position: tau = stiffness (u - q) - damping v, at most `limit`.
+
+    The motor side follows its command at once and with any force; its inertia, speed and torque
+    limits are left out, and so is the velocity of the command in the damping.
+
+    Args:
+        robot: Robot of the scene.
+        joint: Driven joint; its command is the motor-side end of the spring, as a position of
+            the joint [rad or m].
+        stiffness: [N·m/rad or N/m], > 0.
+        damping: [N·m·s/rad or N·s/m], >= 0.
+        limit: Largest torque or force of the joint, damping included [N·m or N], > 0; without it
+            there is none.
+
+    Raises:
+        ModelError: Unknown joint, or a value out of its range.
+    """
+
+    example = {"joint": "ankle", "stiffness": 300.0, "damping": 1.0, "limit": 100.0}
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        joint: str,
+        stiffness: float,
+        damping: float = 0.0,
+        limit: float = math.inf,
+    ) -> None:
+        if not (0 < stiffness < math.inf and 0 <= damping < math.inf):
+            raise ModelError(
+                f"stiffness {stiffness:g} must be > 0 and damping {damping:g} >= 0, both finite"
+            )
+        if not limit > 0:
+            raise ModelError(f"limit {limit:g} must be > 0")
+        self.joint, self.joints = robot.joint(joint), (joint,)
+        self._stiffness, self._damping, self._limit = stiffness, damping, limit
+        self._nv = int(robot.model.nv)
+
+    def torque(self, u: Array, x: State) -> Array:
+        """Generalized force, shape (nv,), of the commanded position [rad or m], shape (1,)."""
+        tau = np.zeros(self._nv)
+        stretch, rate = float(u[0] - x.q[self.joint.q]), float(x.v[self.joint.v])
+        wanted = self._stiffness * stretch - self._damping * rate
+        tau[self.joint.v] = max(min(wanted, self._limit), -self._limit)
+        return tau

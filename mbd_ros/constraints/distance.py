@@ -1,0 +1,108 @@
+"""Two points at a fixed distance."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.frame_pair import FramePair
+from mbd_ros.core.frame_point import FramePoint
+from mbd_ros.core.parts import Constraint, Row, Wrench
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+_COINCIDENT = 1.0e-9  # share of the distance below which the line has no direction
+_ANY_DIRECTION = np.array((1.0, 0.0, 0.0))
+
+
+class Distance(Constraint):
+    """Massless bar with ball joints: g = |p_b - p_a| - distance.
+
+    A positive multiplier is a force that pushes the points apart, a negative one the tension of
+    the bar. While the points coincide the bar points along x of the world, so that everything
+    stays finite; that is no configuration of the bar.
+
+    Args:
+        robot: Robot of the scene.
+        frame_a: Link (or frame) of one end; the root link or `universe` for a point at rest.
+        frame_b: Link (or frame) of the other end.
+        distance: Length of the bar [m], > 0.
+        point_a: End in `frame_a` [m], shape (3,).
+        point_b: End in `frame_b` [m], shape (3,).
+
+    Raises:
+        ModelError: Unknown frame, both ends on one body, or a value out of its range.
+    """
+
+    reads_frames = True
+    example = {"frame_a": "world", "frame_b": "foot", "distance": 0.9}
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        frame_a: str,
+        frame_b: str,
+        distance: float,
+        point_a: Sequence[float] = (0.0, 0.0, 0.0),
+        point_b: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        if not 0 < distance < math.inf:
+            raise ModelError(f"distance {distance:g} m must be finite and > 0")
+        a = FramePoint(robot, frame_a, point_a, keys=("point_a", ""))
+        b = FramePoint(robot, frame_b, point_b, keys=("point_b", ""))
+        self._a, self._b, self._moves = a, b, np.abs(FramePair(robot.model, a, b).columns)
+        self._distance, self._shortest = distance, _COINCIDENT * distance
+        self.rows = (Row(f"{frame_a}-{frame_b}.distance", "N"),)
+
+    def residual(self, data: Any, x: State) -> Array:
+        """How much too long the bar is, g [m], shape (1,)."""
+        line = self._b.position(data) - self._a.position(data)
+        return np.array((math.hypot(*line.tolist()) - self._distance,))
+
+    def jacobian(self, data: Any, x: State) -> Array:
+        """Rate of the distance with every joint, shape (1, nv)."""
+        return self._jacobian(data, self._direction(data)[0])
+
+    def drift(self, data: Any, x: State) -> Array:
+        """Second rate of the distance at zero joint acceleration, shape (1,).
+
+        n . (p_b'' - p_a'') + (|v|^2 - (n . v)^2) / |p_b - p_a| with v = p_b' - p_a'.
+        """
+        return self._drift(data, *self._direction(data))
+
+    def accelerations(self, data: Any, x: State) -> tuple[Array, Array]:
+        """Both `jacobian` and `drift`, for one direction."""
+        n, length = self._direction(data)
+        return self._jacobian(data, n), self._drift(data, n, length)
+
+    def _jacobian(self, data: Any, n: Array) -> Array:
+        jacobian: Array = n.dot(self._b.jacobian(data))
+        if self._a.joint:
+            # Zero, not a small difference, where both ends are carried.
+            jacobian = (jacobian - n.dot(self._a.jacobian(data))) * self._moves
+        return jacobian.reshape(1, -1)
+
+    def _drift(self, data: Any, n: Array, length: float) -> Array:
+        bent = n.dot(self._b.acceleration(data) - self._a.acceleration(data))
+        if length > self._shortest:
+            v = self._b.velocity(data) - self._a.velocity(data)
+            across = v - n * n.dot(v)
+            bent += across.dot(across) / length
+        return np.array((bent,))
+
+    def wrenches(self, data: Any, x: State, lam: Array) -> tuple[Wrench, ...]:
+        """Forces at the ends of the bar."""
+        force, free = self._direction(data)[0] * lam.item(0), np.zeros(3)
+        return (
+            Wrench(self._a.frame, self._a.position(data), -force, free),
+            Wrench(self._b.frame, self._b.position(data), force, free),
+        )
+
+    def _direction(self, data: Any) -> tuple[Array, float]:
+        """Unit vector from end a to end b, and how far they are apart [m]."""
+        line = self._b.position(data) - self._a.position(data)
+        length = math.hypot(*line.tolist())
+        return (line / length if length > self._shortest else _ANY_DIRECTION), length

@@ -1,0 +1,57 @@
+"""Dry friction with exact stiction."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.parts import Constraint, Row
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+
+class DryFriction(Constraint):
+    """Coulomb friction of a joint, exact at rest: g' = v, |multiplier| <= limit.
+
+    The joint sticks while a torque within the limit can hold it, without creep: what velocity is
+    left then decays with `time_constant`. Otherwise it slips against the full limit. Static and
+    kinetic friction are the same; it does not depend on the load of the joint.
+
+    Args:
+        robot: Robot of the scene.
+        joint: Joint with friction.
+        limit: Largest friction [N·m or N], > 0.
+        time_constant: With which a slow joint comes to rest [s], > 0; a step of some
+            milliseconds stays stable with one that is longer than the step.
+
+    Raises:
+        ModelError: Unknown joint, or a value out of its range.
+    """
+
+    example = {"joint": "ankle", "limit": 0.8, "time_constant": 0.005}
+
+    def __init__(
+        self, robot: Robot, *, joint: str, limit: float, time_constant: float = 0.002
+    ) -> None:
+        for key, value in (("limit", limit), ("time_constant", time_constant)):
+            if not 0 < value < math.inf:
+                raise ModelError(f"{key} {value:g} must be finite and > 0")
+        self.joint = robot.joint(joint)
+        self.bounds = np.array((-limit,)), np.array((limit,))
+        self.gains = (0.0, 1.0 / time_constant)
+        self.rows = (Row(f"{joint}.friction", self.joint.effort_unit),)
+        self._zero, self._jacobian = np.zeros(1), np.zeros((1, robot.model.nv))
+        self._jacobian[0, self.joint.v] = 1.0
+
+    def residual(self, data: Any, x: State) -> Array:
+        """Zero: any position will do, shape (1,)."""
+        return self._zero
+
+    def jacobian(self, data: Any, x: State) -> Array:
+        """1 at the joint, shape (1, nv)."""
+        return self._jacobian
+
+    def drift(self, data: Any, x: State) -> Array:
+        """Zero, shape (1,)."""
+        return self._zero

@@ -1,0 +1,65 @@
+"""A link held at a place in the world."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.frame_pair import FramePair
+from mbd_ros.core.frame_point import FramePoint, checked_vector
+from mbd_ros.core.pair_rows import PairRows
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.rotation_residual import FullRotation
+from mbd_ros.errors import ModelError
+
+
+class FrameAnchor(PairRows):
+    """Holds a frame at a place in the world, in world axes.
+
+        g = p - position, then 2 sin(theta / 2) along the axis of the rotation that is left
+
+    Multipliers are force and torque on the link at the anchored point. The rotational rows are
+    exact up to 180 degrees and do not vanish there.
+
+    Args:
+        robot: Robot of the scene.
+        frame: Link (or frame) that is held.
+        position: Where its point is held, in the world [m], shape (3,).
+        point: The point in `frame` [m], shape (3,).
+        rpy: Axes of the held frame in `frame`, roll, pitch, yaw [rad], shape (3,).
+        orientation: How these axes are held in the world, roll, pitch, yaw [rad], shape (3,).
+        kind: `full`: six rows; `point`: free to turn, three rows, without `orientation`.
+
+    Raises:
+        ModelError: Unknown frame or one that does not move, or a value that is not accepted.
+    """
+
+    example = {
+        "frame": "foot",
+        "position": [0.1, 0.006, 0.1],
+        "orientation": [0.0, 0.2, 0.0],
+        "kind": "full",
+    }
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        frame: str,
+        position: Sequence[float],
+        point: Sequence[float] = (0.0, 0.0, 0.0),
+        rpy: Sequence[float] = (0.0, 0.0, 0.0),
+        orientation: Sequence[float] | None = None,
+        kind: str = "full",
+    ) -> None:
+        if kind not in ("full", "point"):
+            raise ModelError(f"kind '{kind}', accepted: full, point")
+        if (orientation is None) == (kind == "full"):
+            raise ModelError("orientation goes with kind full, which cannot do without it")
+        place = FramePoint(robot, "universe", position, keys=("position", ""))
+        held = FramePoint(robot, frame, point, rpy)
+        if orientation is not None:
+            wanted = pin.rpy.rpyToMatrix(checked_vector("orientation", orientation))
+            held.place = held.place * pin.SE3(wanted.T, np.zeros(3))  # has the axes of the world
+        pair = FramePair(robot.model, place, held)
+        super().__init__(pair, "xyz", FullRotation() if kind == "full" else None)

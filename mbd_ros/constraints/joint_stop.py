@@ -1,0 +1,146 @@
+"""Ends of the range of joints."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.parts import Constraint, Row
+from mbd_ros.core.robot import Joint, Robot
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+_FAR = 1.0e200  # stands for no end where infinity times 0 would be NaN
+
+
+class JointStop(Constraint):
+    """Inelastic ends of the range of joints, one row a joint.
+
+        g = q - lower (J = +e) or g = upper - q (J = -e),   0 <= multiplier
+
+    The row of a joint stands for the end that the joint heads for, the one with the smaller
+    g + 2 T g'; at rest that is the nearer one. A stop acts as soon as g'' + 2 g' / T + g / T^2
+    would be negative: the joint comes to the end exponentially and does not bounce. A positive
+    multiplier pushes the joint away from the end.
+
+    Args:
+        robot: Robot of the scene.
+        joint: The joint with stops, or else `joints`.
+        joints: Several joints, or [all] for every one with a limit in the robot description.
+        lower: Lower end [rad or m]; that of the robot description by default.
+        upper: Upper end [rad or m]; that of the robot description by default.
+        time_constant: T with which a joint comes to an end [s], > 0.
+
+    Raises:
+        ModelError: Unknown joint, one without any end, or a value that is not accepted.
+    """
+
+    example = {"joint": "ankle", "lower": -0.3, "upper": 0.35, "time_constant": 0.02}
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        joint: str | None = None,
+        joints: Sequence[str] | None = None,
+        lower: float | None = None,
+        upper: float | None = None,
+        time_constant: float = 0.01,
+    ) -> None:
+        if not 0 < time_constant < math.inf:
+            raise ModelError(f"time_constant {time_constant:g} s must be finite and > 0")
+        stopped = _stopped(robot, joint, joints)
+        ends = [_ends(one, lower, upper) for one in stopped]
+        n, kp, kd = len(stopped), 1.0 / time_constant**2, 2.0 / time_constant
+        self.joints = tuple(one.name for one in stopped)
+        self.rows = tuple(Row(f"{one.name}.stop", one.effort_unit) for one in stopped)
+        self.bounds, self.gains = (np.zeros(n), np.full(n, math.inf)), (kp, kd)
+        self._lower, self._upper = np.array(ends).T
+        self._q, self._v = _where([one.q for one in stopped]), _where([one.v for one in stopped])
+        self._each, self._at = np.arange(n), np.array([one.v for one in stopped])
+        self._ahead, self._zero, self._nv = kd / kp, np.zeros(n), int(robot.model.nv)
+        self._is_floating = robot.floating
+        self._rows = _margin_rows(robot, stopped, ends)
+        self._q_row, self._v_row, self._a_row = self._rows[:3]
+        condition = np.array(((kp, kd, 1.0, -kp, 0.0), (-kp, -kd, -1.0, 0.0, kp)))
+        self._margins = np.empty((2, len(robot.joints)))
+        flat = self._margins.reshape(-1)
+        self._combine, self._smallest, self._item = condition.dot, flat.argmin, flat.item
+
+    def quick_margin(self, q: Array, v: Array, a: Array) -> float:
+        """Smallest g'' + kd g' + kp g of both ends of all joints; positive while none acts.
+
+        Args:
+            q: Configuration of all joints, shape (nq,).
+            v: Velocity, shape (nv,).
+            a: Acceleration without the stops, shape (nv,).
+        """
+        if self._is_floating:
+            q, v, a = q[7:], v[6:], a[6:]
+        self._q_row[:] = q
+        self._v_row[:] = v
+        self._a_row[:] = a
+        self._combine(self._rows, self._margins)
+        return self._item(self._smallest())
+
+    def residual(self, data: Any, x: State) -> Array:
+        """Gap to the end that every joint heads for [rad or m], shape (m,)."""
+        q = x.q[self._q]
+        gap: Array = np.where(self._heads_down(x), q - self._lower, self._upper - q)
+        return gap
+
+    def jacobian(self, data: Any, x: State) -> Array:
+        """1 or -1 at the joint of every row, shape (m, nv)."""
+        J = np.zeros((len(self.rows), self._nv))
+        J[self._each, self._at] = np.where(self._heads_down(x), 1.0, -1.0)
+        return J
+
+    def drift(self, data: Any, x: State) -> Array:
+        """Zero, shape (m,)."""
+        return self._zero
+
+    def _heads_down(self, x: State) -> Any:
+        ahead = x.q[self._q] + self._ahead * x.v[self._v]
+        return ahead - self._lower <= self._upper - ahead
+
+
+def _stopped(robot: Robot, joint: str | None, joints: Sequence[str] | None) -> list[Joint]:
+    if (joint is None) == (joints is None):
+        raise ModelError("give either 'joint' or 'joints'")
+    if joints is None:
+        assert joint is not None
+        return [robot.joint(joint)]
+    if list(joints) == ["all"]:
+        limited = [j for j in robot.joints if math.isfinite(j.lower) or math.isfinite(j.upper)]
+        if not limited:
+            raise ModelError("joints [all]: no joint has a limit in the robot description")
+        return limited
+    if not joints or len(set(joints)) < len(joints):
+        raise ModelError(f"joints {list(joints)} must be [all] or different joints")
+    return [robot.joint(name) for name in joints]
+
+
+def _ends(joint: Joint, lower: float | None, upper: float | None) -> tuple[float, float]:
+    low, high = joint.lower if lower is None else lower, joint.upper if upper is None else upper
+    if math.isinf(low) and math.isinf(high):
+        raise ModelError(f"joint '{joint.name}' has no limits, give lower or upper")
+    if not low < high:
+        raise ModelError(f"joint '{joint.name}': lower {low:g} must be less than upper {high:g}")
+    return low, high
+
+
+def _where(indices: list[int]) -> Any:
+    """A slice where one will do: it costs a third of an index array."""
+    first, last = indices[0], indices[0] + len(indices)
+    return slice(first, last) if indices == list(range(first, last)) else np.array(indices)
+
+
+def _margin_rows(robot: Robot, stopped: list[Joint], ends: list[tuple[float, float]]) -> Array:
+    """Room for q, v and a of all joints above lower and upper ends, shape (5, joints)."""
+    rows = np.zeros((5, len(robot.joints)))
+    rows[3], rows[4] = -_FAR, _FAR
+    for joint, (lower, upper) in zip(stopped, ends, strict=True):
+        column = robot.joints.index(joint)
+        rows[3, column], rows[4, column] = max(lower, -_FAR), min(upper, _FAR)
+    return rows

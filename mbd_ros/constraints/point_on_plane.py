@@ -1,0 +1,64 @@
+"""A point that stays on a plane."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.frame_pair import FramePair
+from mbd_ros.core.frame_point import FramePoint, checked_vector
+from mbd_ros.core.pair_rows import PairRows
+from mbd_ros.core.parts import Row
+from mbd_ros.core.robot import Robot
+from mbd_ros.errors import ModelError
+
+
+class PointOnPlane(PairRows):
+    """Frictionless guide: g = n . (p - p0), a point of one link in a plane of another.
+
+    The plane moves with its link. A positive multiplier pushes the point along the normal and the
+    plane the other way. It holds from both sides.
+
+    Args:
+        robot: Robot of the scene.
+        frame: Link (or frame) that carries the point.
+        plane_frame: Link (or frame) that carries the plane.
+        normal: Normal of the plane in `plane_frame`, of any length, shape (3,).
+        point: The point in `frame` [m], shape (3,).
+        plane_point: Any point of the plane in `plane_frame` [m], shape (3,).
+
+    Raises:
+        ModelError: Unknown frame, frames that do not move against each other, or a normal without
+            direction.
+    """
+
+    example = {"frame": "heel", "plane_frame": "world", "normal": [0.1, 0.0, 1.0]}
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        frame: str,
+        plane_frame: str,
+        normal: Sequence[float],
+        point: Sequence[float] = (0.0, 0.0, 0.0),
+        plane_point: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        along = checked_vector("normal", normal)
+        size = float(np.abs(along).max())
+        if size == 0.0:
+            raise ModelError(f"normal {normal} must have a direction")
+        along = along / size  # so that its square neither vanishes nor overflows
+        plane = FramePoint(robot, plane_frame, plane_point, keys=("plane_point", ""))
+        plane.place = plane.place * pin.SE3(_turned(along / np.linalg.norm(along)), np.zeros(3))
+        pair = FramePair(robot.model, plane, FramePoint(robot, frame, point))
+        super().__init__(pair, "z")
+        self.rows = (Row(f"{plane_frame}-{frame}.normal", "N", plane_frame),)
+
+
+def _turned(normal: np.ndarray) -> np.ndarray:
+    """A rotation whose z axis is the normal."""
+    x = np.eye(3)[int(np.argmin(np.abs(normal)))]
+    x = x - normal * normal.dot(x)
+    x /= np.linalg.norm(x)
+    return np.column_stack((x, pin.skew(normal).dot(x), normal))

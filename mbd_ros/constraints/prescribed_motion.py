@@ -1,0 +1,133 @@
+"""A joint that follows a function of time."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.laws import Polynomial, natural_cubic_spline
+from mbd_ros.core.parts import Constraint, Row
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+Motion = Callable[[float], tuple[float, float, float]]
+_HARMONIC = ("amplitude", "angular_frequency", "offset", "phase")
+
+
+class PrescribedMotion(Constraint):
+    """Rheonomic row: g = q - f(t), by exactly one of three functions.
+
+    The multiplier is the effort of the ideal drive that does it. With a finite `limit` the drive
+    gives way when that is not enough, and comes back to its motion as g'' + 2 g' / T + g / T^2 =
+    0 demands as soon as it can.
+
+    Args:
+        robot: Robot of the scene.
+        joint: Joint that moves as told.
+        polynomial: c0, c1, ... of f = c0 + c1 t + c2 t^2 + ... [rad or m, per power of s].
+        harmonic: f = offset + amplitude sin(angular_frequency t + phase); amplitude [rad or m] and
+            angular_frequency [rad/s], and if not 0 offset [rad or m] and phase [rad].
+        spline: Times x [s] and positions y [rad or m] of a natural cubic spline, which straight
+            lines continue.
+        limit: Largest effort of the drive [N·m or N], > 0.
+        time_constant: T of a drive with a finite limit [s], > 0.
+
+    Raises:
+        ModelError: Unknown joint, not exactly one function, or a value that is not accepted.
+    """
+
+    example = {
+        "joint": "hip_flexion",
+        "harmonic": {"offset": 0.2, "amplitude": 0.3, "angular_frequency": 6.0, "phase": 0.5},
+        "limit": 100.0,
+    }
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        joint: str,
+        polynomial: Sequence[float] | None = None,
+        harmonic: Mapping[str, float] | None = None,
+        spline: Mapping[str, Sequence[float]] | None = None,
+        limit: float = math.inf,
+        time_constant: float = 0.02,
+    ) -> None:
+        if not limit > 0:
+            raise ModelError(f"limit {limit:g} must be > 0")
+        if not 0 < time_constant < math.inf:
+            raise ModelError(f"time_constant {time_constant:g} s must be finite and > 0")
+        self.joint = robot.joint(joint)
+        self._motion = _motion(polynomial, harmonic, spline)
+        if limit < math.inf:
+            self.bounds = np.array((-limit,)), np.array((limit,))
+            self.gains = (1.0 / time_constant**2, 2.0 / time_constant)
+        self.rows = (Row(f"{joint}.motion", self.joint.effort_unit),)
+        self._jacobian = np.zeros((1, robot.model.nv))
+        self._jacobian[0, self.joint.v] = 1.0
+
+    def residual(self, data: Any, x: State) -> Array:
+        """How far the joint is off its motion, q - f(t) [rad or m], shape (1,)."""
+        return np.array((x.q.item(self.joint.q) - self._motion(float(x.t))[0],))
+
+    def jacobian(self, data: Any, x: State) -> Array:
+        """1 at the joint, shape (1, nv)."""
+        return self._jacobian
+
+    def rate(self, x: State) -> Array:
+        """-f', shape (1,)."""
+        return np.array((-self._motion(float(x.t))[1],))
+
+    def drift(self, data: Any, x: State) -> Array:
+        """-f'', shape (1,)."""
+        return np.array((-self._motion(float(x.t))[2],))
+
+
+def _motion(
+    polynomial: Sequence[float] | None,
+    harmonic: Mapping[str, float] | None,
+    spline: Mapping[str, Sequence[float]] | None,
+) -> Motion:
+    laws = {"polynomial": polynomial, "harmonic": harmonic, "spline": spline}
+    given = [key for key, law in laws.items() if law is not None]
+    if len(given) != 1:
+        raise ModelError(
+            f"give exactly one of {', '.join(laws)}; got {', '.join(given) or 'none'}"
+        )
+    if harmonic is not None:
+        return _harmonic(harmonic)
+    if spline is not None:
+        if set(spline) != {"x", "y"}:
+            raise ModelError(f"spline has {', '.join(spline) or 'nothing'}, accepted: x and y")
+        _check_finite("spline", [*spline["x"], *spline["y"]])
+        return natural_cubic_spline(spline["x"], spline["y"])
+    assert polynomial is not None
+    _check_finite("polynomial", polynomial)
+    return Polynomial(polynomial)
+
+
+def _harmonic(given: Mapping[str, float]) -> Motion:
+    for key in given:
+        if key not in _HARMONIC:
+            raise ModelError(f"harmonic has '{key}', accepted: {', '.join(_HARMONIC)}")
+    for key in _HARMONIC[:2]:
+        if key not in given:
+            raise ModelError(f"harmonic lacks {key}")
+    _check_finite("harmonic", list(given.values()))
+    amplitude, frequency = given["amplitude"], given["angular_frequency"]
+    offset, phase = given.get("offset", 0.0), given.get("phase", 0.0)
+
+    def motion(t: float) -> tuple[float, float, float]:
+        angle = frequency * t + phase
+        swing = amplitude * math.sin(angle)
+        slope = amplitude * frequency * math.cos(angle)
+        return offset + swing, slope, -frequency * frequency * swing
+
+    return motion
+
+
+def _check_finite(key: str, values: Sequence[float]) -> None:
+    if not np.isfinite(values).all():
+        raise ModelError(f"{key} {list(values)} must be finite numbers")

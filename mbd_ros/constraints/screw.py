@@ -1,0 +1,62 @@
+"""Rotation coupled to translation."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.parts import Constraint, Row
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+
+class Screw(Constraint):
+    """Lossless screw: q_joint - pitch / (2 pi) q_parent - offset = 0.
+
+    The multiplier is the axial force of the screw; a positive one pushes the sliding joint in its
+    positive direction and brakes the turning one by pitch / (2 pi) times as much.
+
+    Args:
+        robot: Robot of the scene.
+        joint: Prismatic joint that the screw moves.
+        parent: Revolute or continuous joint that turns it.
+        pitch: Travel of a turn [m], not 0; < 0 for a left-handed screw.
+        offset: Position of `joint` at `parent` = 0 [m].
+
+    Raises:
+        ModelError: Joints of other kinds, or a value out of its range.
+    """
+
+    example = {"joint": "knee_slide_y", "parent": "knee", "pitch": 0.005}
+
+    def __init__(
+        self, robot: Robot, *, joint: str, parent: str, pitch: float, offset: float = 0.0
+    ) -> None:
+        slider, turner = robot.joint(joint), robot.joint(parent)
+        if slider.kind != "prismatic":
+            raise ModelError(f"joint '{joint}' is {slider.kind}, accepted: prismatic")
+        if turner.kind == "prismatic":
+            raise ModelError(f"parent '{parent}' is prismatic, accepted: revolute, continuous")
+        if pitch == 0 or not math.isfinite(pitch):
+            raise ModelError(f"pitch {pitch:g} m must be finite and not 0")
+        if not math.isfinite(offset):
+            raise ModelError(f"offset {offset:g} m must be finite")
+        self._slider, self._turner = slider.q, turner.q
+        self._lead, self._offset = pitch / (2.0 * math.pi), offset
+        self._jacobian, self._drift = np.zeros((1, robot.model.nv)), np.zeros(1)
+        self._jacobian[0, slider.v], self._jacobian[0, turner.v] = 1.0, -self._lead
+        self.rows = (Row(f"{joint}.screw", "N"),)
+
+    def residual(self, data: Any, x: State) -> Array:
+        """How far the slider is off the thread, g [m], shape (1,)."""
+        q = x.q
+        return np.array((q.item(self._slider) - self._lead * q.item(self._turner) - self._offset,))
+
+    def jacobian(self, data: Any, x: State) -> Array:
+        """Constant, shape (1, nv)."""
+        return self._jacobian
+
+    def drift(self, data: Any, x: State) -> Array:
+        """Zero, shape (1,)."""
+        return self._drift

@@ -1,0 +1,78 @@
+"""Constant wrench on a link."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+AXES = {"world": pin.LOCAL_WORLD_ALIGNED, "frame": pin.LOCAL}
+
+
+class AppliedWrench(ForceTerm):
+    """Constant force and torque at a point of a link: tau = J' (force, torque).
+
+    The point travels with the link. In world axes the load keeps its direction, in those of the
+    frame it turns with the link (a thruster).
+
+    Args:
+        robot: Robot of the scene.
+        frame: Link (or frame) that carries the load.
+        force: [N], shape (3,).
+        torque: [N·m], shape (3,).
+        point: Where the force acts, in `frame` [m], shape (3,).
+        expressed_in: Axes of force and torque: `world`, or `frame` for those of the link.
+
+    Raises:
+        ModelError: Unknown frame or one that cannot move, unknown axes, or a vector that is not 3
+            finite numbers.
+    """
+
+    reads_frames = True
+    example = {"frame": "foot", "force": [10.0, 0.0, 50.0], "point": [0.1, 0.0, 0.0]}
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        frame: str,
+        force: Sequence[float] = (0.0, 0.0, 0.0),
+        torque: Sequence[float] = (0.0, 0.0, 0.0),
+        point: Sequence[float] = (0.0, 0.0, 0.0),
+        expressed_in: str = "world",
+    ) -> None:
+        for key, vector in (("force", force), ("torque", torque), ("point", point)):
+            if np.shape(vector) != (3,) or not np.isfinite(vector).all():
+                raise ModelError(f"{key} {vector} must be 3 finite numbers")
+        if expressed_in not in AXES:
+            raise ModelError(f"expressed_in '{expressed_in}', accepted: {', '.join(AXES)}")
+        link = robot.model.frames[robot.frame(frame)]
+        if link.parentJoint == 0:
+            raise ModelError(f"frame '{frame}' does not move, a load on it changes nothing")
+        self._model, self._joint = robot.model, int(link.parentJoint)
+        self._placement = link.placement * pin.SE3(np.eye(3), np.array(point, dtype=np.float64))
+        self._axes, self._turns = AXES[expressed_in], expressed_in == "frame"
+        self._wrench = np.array([*force, *torque], dtype=np.float64)
+
+    def force(self, data: Any, x: State) -> Array:
+        """Generalized force, shape (nv,)."""
+        jacobian = pin.getFrameJacobian(
+            self._model, data, self._joint, self._placement, self._axes
+        )
+        tau: Array = self._wrench.dot(jacobian.reshape(6, -1))  # with one joint it is a vector
+        return tau
+
+    def potential(self, data: Any, x: State) -> float:
+        """Energy whose slope a force of constant direction is, -force . point [J].
+
+        Zero for a load that turns with the link; the torque has none in three dimensions.
+        """
+        if self._turns:
+            return 0.0
+        place = data.oMi[self._joint].act(self._placement.translation)
+        return -float(self._wrench[:3].dot(place))

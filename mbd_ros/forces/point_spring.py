@@ -1,0 +1,111 @@
+"""Spring and damper between two points."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+_AXES = pin.LOCAL_WORLD_ALIGNED
+
+
+class PointSpring(ForceTerm):
+    """Massless spring and damper between two points at the distance d.
+
+        F = stiffness (d - length) + damping d',   tau = -F grad d
+
+    Pulls the points together where F > 0 and pushes them apart where F < 0 (it does not go slack
+    as a rope does). With d = 0 the line has no direction, and F is zero; only for `length` 0 and
+    without damping is that the limit of what happens nearby.
+
+    Args:
+        robot: Robot of the scene.
+        frame_a: Link (or frame) of one end; the root link or `universe` for a point at rest.
+        frame_b: Link (or frame) of the other end.
+        point_a: End in `frame_a` [m], shape (3,).
+        point_b: End in `frame_b` [m], shape (3,).
+        stiffness: [N/m], >= 0.
+        damping: [N·s/m], >= 0.
+        length: Distance without spring force [m], >= 0.
+
+    Raises:
+        ModelError: Unknown frame, both ends on one body, or a value out of its range.
+    """
+
+    reads_frames = True
+    example = {"frame_a": "world", "frame_b": "foot", "stiffness": 200.0, "length": 0.1}
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        frame_a: str,
+        frame_b: str,
+        point_a: Sequence[float] = (0.0, 0.0, 0.0),
+        point_b: Sequence[float] = (0.0, 0.0, 0.0),
+        stiffness: float = 0.0,
+        damping: float = 0.0,
+        length: float = 0.0,
+    ) -> None:
+        if not all(0 <= value < math.inf for value in (stiffness, damping, length)):
+            raise ModelError(
+                f"stiffness {stiffness:g}, damping {damping:g} and length {length:g} must be "
+                "finite and >= 0"
+            )
+        ends = [_end(robot, frame_a, "point_a", point_a), _end(robot, frame_b, "point_b", point_b)]
+        (self._joint_a, self._at_a), (self._joint_b, self._at_b) = sorted(ends, key=lambda e: e[0])
+        if self._joint_a == self._joint_b:  # sorted: only end a can be at rest
+            raise ModelError(f"frames '{frame_a}' and '{frame_b}' do not move against each other")
+        self._stiffness, self._damping, self._length = stiffness, damping, length
+        self._model, self._nv = robot.model, int(robot.model.nv)
+        self._point_a, self._point_b = self._at_a.translation, self._at_b.translation
+
+    def force(self, data: Any, x: State) -> Array:
+        """Generalized force, shape (nv,)."""
+        line = self._line(data)
+        distance = math.hypot(*line.tolist())
+        if distance == 0.0:
+            return np.zeros(self._nv)
+        direction = line / distance
+        slope: Array = direction.dot(self._jacobian(data, self._joint_b, self._at_b))
+        if self._joint_a:
+            slope = slope - direction.dot(self._jacobian(data, self._joint_a, self._at_a))
+        pull = self._stiffness * (distance - self._length) + self._damping * float(slope.dot(x.v))
+        tau: Array = slope * -pull
+        return tau
+
+    def potential(self, data: Any, x: State) -> float:
+        """Energy of the spring, zero at its length [J]."""
+        stretch = math.hypot(*self._line(data).tolist()) - self._length
+        return 0.5 * self._stiffness * stretch * stretch
+
+    def _jacobian(self, data: Any, joint: int, at: Any) -> Array:
+        """From joint velocities to that of an end, in the world, shape (3, nv)."""
+        whole = pin.getFrameJacobian(self._model, data, joint, at, _AXES)
+        part: Array = whole.reshape(6, self._nv)[:3]  # with one joint it comes as a vector
+        return part
+
+    def _line(self, data: Any) -> Array:
+        """From end a to end b, in the world [m], shape (3,)."""
+        places = data.oMi
+        begin, end = (
+            places[self._joint_a].act(self._point_a),
+            places[self._joint_b].act(self._point_b),
+        )
+        line: Array = end - begin
+        return line
+
+
+def _end(robot: Robot, frame: str, key: str, point: Sequence[float]) -> tuple[int, Any]:
+    """Joint that carries an end, and the end in the frame of that joint."""
+    if np.shape(point) != (3,) or not np.isfinite(point).all():
+        raise ModelError(f"{key} {point} must be 3 finite numbers")
+    link = robot.model.frames[robot.frame(frame)]
+    at = link.placement * pin.SE3(np.eye(3), np.array(point, dtype=np.float64))
+    return int(link.parentJoint), at

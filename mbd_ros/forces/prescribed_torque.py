@@ -1,0 +1,55 @@
+"""Torques prescribed in time."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+
+class PrescribedTorque(ForceTerm):
+    """Generalized forces from a table in time: linear between samples, zero outside.
+
+    Args:
+        robot: Robot of the scene.
+        joints: Driven joints.
+        times: Sample times [s], increasing, at least two.
+        torque: One row a sample, one column a joint [N·m or N].
+    """
+
+    example = {"joints": ["knee"], "times": [0.0, 1.0], "torque": [[1.0], [5.0]]}
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        joints: Sequence[str],
+        times: Sequence[float],
+        torque: Sequence[Sequence[float]],
+    ) -> None:
+        self._times = np.array(times, dtype=np.float64)
+        if len(self._times) < 2 or not (np.diff(self._times) > 0).all():
+            raise ModelError("times must be at least two increasing numbers")
+        if len(torque) != len(times) or any(len(row) != len(joints) for row in torque):
+            raise ModelError(
+                f"torque must have {len(times)} rows, one a time, of {len(joints)} numbers, one a "
+                "joint"
+            )
+        self._torque = np.array(torque, dtype=np.float64)
+        self._index = [robot.joint(name).v for name in joints]
+        self._nv = int(robot.model.nv)
+
+    def force(self, data: Any, x: State) -> Array:
+        """Generalized force at the time of the state, shape (nv,)."""
+        tau, times = np.zeros(self._nv), self._times
+        if times[0] <= x.t <= times[-1]:
+            i = min(int(np.searchsorted(times, x.t, side="right")), len(times) - 1)
+            share = (x.t - times[i - 1]) / (times[i] - times[i - 1])
+            tau[self._index] = self._torque[i - 1] + share * (
+                self._torque[i] - self._torque[i - 1]
+            )
+        return tau

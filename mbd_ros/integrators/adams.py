@@ -1,0 +1,161 @@
+"""Explicit Adams methods."""
+
+import math
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.dop853_tableau import DOP853
+from mbd_ros.core.nystrom_stages import new_state
+from mbd_ros.core.runge_kutta import RungeKutta
+from mbd_ros.core.state import Array, State
+from mbd_ros.core.step_length import NEAR, clip
+from mbd_ros.core.stepping import Integrator, Stepper
+from mbd_ros.core.tableau import RK4
+from mbd_ros.errors import ModelError
+
+_ORDERS = range(2, 9)
+
+
+class Adams(Integrator):
+    """Adams-Bashforth: one evaluation a step, from the polynomial through the last accelerations.
+
+        v+ = v + h sum_j b_j a_(n-j),   q+ = q + h v + h^2 sum_j d_j a_(n-j)
+
+    Runge-Kutta steps start it, at first and after every discontinuity, a new command included:
+    it pays on smooth stretches. Not for floating bases. With decay rates or frequencies r [1/s]
+    it is stable for r dt up to about 0.3 at order 4 and 0.04 at order 6; undamped vibrations
+    grow slowly from order 5 on. Hence 4 is the default; orders 6 to 8 are for accuracy at small
+    dt.
+
+    Source: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 1993, III.1; III.10
+    for the position (Störmer).
+
+    Args:
+        order: 2 .. 8.
+    """
+
+    example = {"order": 4}
+
+    def __init__(self, *, order: int = 4) -> None:
+        if order not in _ORDERS:
+            raise ModelError(f"order {order} is outside {_ORDERS[0]} .. {_ORDERS[-1]}")
+        self.order = order
+
+    def prepare(self, system: Any, dt: float) -> "AdamsStepper":
+        """The stepper for one system and one step size [s].
+
+        Raises:
+            ModelError: The base floats.
+        """
+        if not system.is_flat:
+            raise ModelError("adams takes no floating base, use rk4, dopri5 or dop853")
+        return AdamsStepper(system, self.order, dt)
+
+
+class AdamsStepper(Stepper):
+    """Adams-Bashforth steps.
+
+    With B = [q; v; a; ..] a step is one product. The accelerations keep their rows and the oldest
+    is overwritten, so there is one matrix for every place that the newest may have. [q; v] stands
+    before or after them in turn: a step reads the one and writes the other.
+
+    Args:
+        system: The system; its configurations are a vector space.
+        order: How many accelerations a step uses.
+        dt: Length of a step [s].
+    """
+
+    def __init__(self, system: Any, order: int, dt: float) -> None:
+        self._acceleration, self._needed = system.acceleration, order - 1
+        self._dt, self._near = dt, NEAR * dt
+        # Errors of the first steps do not add up: one order less than that of the method will do.
+        self._starter = RungeKutta(system, RK4 if order <= 5 else DOP853, dt)
+        slots = _slots(order, int(system.nv), dt)
+        self._next_slot = cycle(slots).__next__
+        self._known = 0
+        self._last: State | None = None  # what the last step returned while the method starts
+        self._ready: State | None = None  # the same, once there are enough accelerations
+        self._held: bytes | None = None
+
+    def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
+        """Advance by dt, or to `end` if that is nearer; x itself at or after `end`."""
+        t, q, v = x
+        held = None if u is None else u.tobytes()
+        if x is not self._ready or held != self._held or t + self._near > end:
+            return self._slow_step(x, u, end, held)
+        row, product, before, after, after_q, after_v = self._next_slot()
+        row[...] = self._acceleration(t, q, v, u)
+        product(before, after)
+        self._ready = x = new_state(State, (t + self._dt, after_q(), after_v()))
+        return x
+
+    def restart(self) -> None:
+        """Forget the accelerations of earlier steps."""
+        self._known, self._last, self._ready, self._held = 0, None, None, None
+        self._starter.restart()
+
+    def _slow_step(self, x: State, u: Array | None, end: float, held: bytes | None) -> State:
+        """A step that starts the method, or that ends at `end`."""
+        h, t = clip(x.t, self._dt, end)
+        if h <= 0.0:
+            return x
+        # Commands count by value, since a controller may reuse its array.
+        is_new = held != self._held or (x is not self._ready and x is not self._last)
+        if h == self._dt and not is_new and x is self._ready:
+            self._ready = after = self.step(x, u)._replace(t=t)
+            return after
+        if is_new or h != self._dt:
+            self.restart()
+            self._held = held
+        after = self._starter.step(x, u, end)
+        if h == self._dt:
+            self._keep(after)
+        return after
+
+    def _keep(self, after: State) -> None:
+        """Take over what a starting step has found."""
+        row, _, _, head, _, _ = self._next_slot()
+        row[...] = self._starter.stages.first
+        self._known += 1
+        self._last = after
+        if self._known >= self._needed:
+            head[0], head[1] = after.q, after.v
+            self._last, self._ready = None, after
+
+
+def _slots(order: int, nv: int, dt: float) -> list[tuple[Any, ...]]:
+    """What the steps need in turn, until everything is back in place.
+
+    Returns:
+        Row of the newest acceleration, product with the matrix of the step, B as it reads it,
+        [q; v] that it writes, copies of these two.
+    """
+    B, ages = np.zeros((4 + order, nv)), np.arange(order)
+    position, velocity = _weights(order, dt)
+    slots = []
+    for step in range(2 * order):
+        newest, is_even = step % order, step % 2 == 0
+        age = (newest - ages) % order
+        parts = [np.array([[1.0, dt], [0.0, 1.0]]), np.array([position[age], velocity[age]])]
+        before, after = (B[:-2], B[-2:]) if is_even else (B[2:], B[:2])
+        matrix = np.ascontiguousarray(np.hstack(parts if is_even else parts[::-1]))
+        row, (q, v) = B[2 + newest], after
+        slots.append((row, matrix.dot, before, after, q.copy, v.copy))
+    return slots
+
+
+def _weights(order: int, dt: float) -> tuple[Array, Array]:
+    """Weights of the accelerations by age in the changes of q and v.
+
+    Integrals of the Lagrange polynomials over the step.
+    """
+    ages = np.arange(order)
+    position, velocity = np.zeros(order), np.zeros(order)
+    for age in ages:
+        basis = np.poly(-np.delete(ages, age))
+        basis = basis / np.polyval(basis, -age)
+        velocity[age] = dt * np.polyval(np.polyint(basis), 1.0)
+        position[age] = dt * dt * np.polyval(np.polyint(basis, 2), 1.0)
+    return position, velocity

@@ -1,0 +1,22 @@
+"""The classical Runge-Kutta method."""
+
+from typing import Any, ClassVar
+
+from mbd_ros.core.runge_kutta import RungeKutta
+from mbd_ros.core.stepping import Integrator
+from mbd_ros.core.tableau import RK4
+
+
+class Rk4(Integrator):
+    """Explicit Runge-Kutta method of order 4 with four evaluations a step of length dt.
+
+    Dense output of order 3, by the cubic through both ends of a step.
+    """
+
+    order: ClassVar[int] = 4
+    dense: ClassVar[bool] = True
+    example: ClassVar[dict[str, Any]] = {}
+
+    def prepare(self, system: Any, dt: float) -> RungeKutta:
+        """The stepper for one system and one step size [s]."""
+        return RungeKutta(system, RK4, dt)

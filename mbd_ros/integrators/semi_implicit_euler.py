@@ -1,0 +1,46 @@
+"""The semi-implicit Euler method."""
+
+import math
+from typing import Any, ClassVar
+
+from mbd_ros.core.state import Array, State
+from mbd_ros.core.step_length import clip
+from mbd_ros.core.stepping import Integrator, Stepper
+
+
+class SemiImplicitEuler(Integrator):
+    """Velocity first, then the configuration with the new velocity.
+
+        v+ = v + dt a(t, q, v, u),   q+ = q (+) dt v+
+
+    Symplectic where M is constant and forces do not depend on v: the energy error stays bounded.
+
+    Source: Hairer, Lubich, Wanner, Geometric Numerical Integration, 2006, I.1.2 and VI.3.
+    """
+
+    order: ClassVar[int] = 1
+    example: ClassVar[dict[str, Any]] = {}
+
+    def prepare(self, system: Any, dt: float) -> "SemiImplicitEulerStepper":
+        """The stepper for one system and one step size [s]."""
+        return SemiImplicitEulerStepper(system, dt)
+
+
+class SemiImplicitEulerStepper(Stepper):
+    """Steps of the semi-implicit Euler method.
+
+    Args:
+        system: The system.
+        dt: Length of a step [s].
+    """
+
+    def __init__(self, system: Any, dt: float) -> None:
+        self._system, self._dt = system, dt
+
+    def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
+        """Advance by dt, or to `end` if that is nearer; x itself at or after `end`."""
+        h, t = clip(x.t, self._dt, end)
+        if h <= 0.0:
+            return x
+        v = x.v + h * self._system.acceleration(x.t, x.q, x.v, u)
+        return State(t, self._system.integrate(x.q, h * v), v)
