@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 from mbd_ros.bags import BagWriter, messages, new_message
 from mbd_ros.core.state import Array, Motion, WrenchSamples
 from mbd_ros.errors import DataError
-from mbd_ros.records import Recording, TorqueRecord
+from mbd_ros.records import Recording, SimulationRecord, TorqueRecord
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader, JointStateWriter
+from msg_adapters.multi_array import write_multi_array
 from msg_adapters.wrench import WrenchSample, read_wrench
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
+MULTI_ARRAY = "std_msgs/msg/Float64MultiArray"
 
 
 def bag_motion(path: Path, joints: Sequence[str], topic: str, needed: Sequence[str]) -> Recording:
@@ -133,19 +135,41 @@ def _wrench_samples(
 
 
 def write_bag_torques(path: Path, torques: TorqueRecord) -> None:
-    """See `recordings.write_torques`."""
+    """See `results.write_torques`."""
     measured = {f: getattr(torques, f) for f in ("position", "velocity", "effort")}
     streams = {"/joint_torques": (torques.joints, measured)}
     if torques.dependent:
         streams["/constraint_forces"] = (torques.dependent, {"effort": torques.multiplier})
     for part, effort in torques.parts.items():
         streams[f"/joint_torques/{part}"] = (torques.joints, {"effort": effort})
+    with BagWriter(path) as bag:
+        _write_joint_states(bag, torques.stamps, streams)
+
+
+def write_bag_simulation(path: Path, record: SimulationRecord) -> None:
+    """See `results.write_simulation`."""
+    motion = {f: getattr(record, f) for f in ("position", "velocity", "effort")}
+    streams = {"/joint_states": (record.joints, motion)}
+    if record.rows:
+        streams["/constraint_forces"] = (record.rows, {"effort": record.multiplier})
+    message = new_message(MULTI_ARRAY)
+    with BagWriter(path) as bag:
+        _write_joint_states(bag, record.stamps, streams)
+        for stamp, balance in zip(record.stamps.tolist(), record.balance, strict=True):
+            filled = write_multi_array(message, balance)
+            bag.write("/energy_and_drift", MULTI_ARRAY, stamp, filled)
+
+
+def _write_joint_states(
+    bag: BagWriter,
+    stamps: NDArray[np.int64],
+    streams: Mapping[str, tuple[tuple[str, ...], Mapping[str, Array]]],
+) -> None:
     writers = {
         topic: JointStateWriter(new_message(JOINT_STATE), names, tuple(fields))
         for topic, (names, fields) in streams.items()
     }
-    with BagWriter(path) as bag:
-        for i, stamp in enumerate(torques.stamps.tolist()):
-            for topic, (_, fields) in streams.items():
-                row = {field: values[i] for field, values in fields.items()}
-                bag.write(topic, JOINT_STATE, stamp, writers[topic].write(stamp, **row))
+    for i, stamp in enumerate(stamps.tolist()):
+        for topic, (_, fields) in streams.items():
+            row = {field: values[i] for field, values in fields.items()}
+            bag.write(topic, JOINT_STATE, stamp, writers[topic].write(stamp, **row))

@@ -1,13 +1,15 @@
-"""mbd-ros: check | inverse | replay | demo."""
+"""mbd-ros: check | inverse | simulate | replay | demo."""
 
 import argparse
 import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from mbd_ros.errors import MbdError
+from mbd_ros.errors import DataError, MbdError
 
+_RUN_ARGUMENTS = ("out", "origin", "start", "efforts", "wrenches")
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -20,6 +22,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         0 ok, 1 a check failed, 2 bad input.
     """
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # two threads stall each other in small products
     arguments = _parser().parse_args(argv)
     try:
         return int(arguments.run(arguments))
@@ -41,6 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True)
     _add_check(commands)
     _add_inverse(commands)
+    _add_simulate(commands)
     _add_replay(commands)
     _add_demo(commands)
     return parser
@@ -72,6 +76,22 @@ def _add_inverse(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
     inverse.add_argument("--half-width", type=int, default=4, help="samples, zero-phase only")
     inverse.add_argument("--topic", default="/joint_states", help="JointState topic of a bag")
     inverse.set_defaults(run=_inverse)
+
+
+def _add_simulate(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    simulate = commands.add_parser("simulate", help="motion from forces, with constraint forces")
+    simulate.add_argument("scene", type=Path)
+    simulate.add_argument("-t", "--time", type=float, required=True, help="seconds to simulate")
+    simulate.add_argument("-o", "--out", type=Path, required=True, help="CSV (.gz) or bag")
+    simulate.add_argument("--integrator", help="in place of that of the scene")
+    simulate.add_argument("--tolerance", type=float, help="error control of that integrator")
+    simulate.add_argument("--dt", type=float, help="step, and interval of the output [s]")
+    simulate.add_argument("--solver", help="tier in place of that of the scene")
+    simulate.add_argument("--from", dest="origin", type=Path, help="CSV or bag with the state")
+    simulate.add_argument("--start", type=float, default=0.0, help="time to begin at [s]")
+    simulate.add_argument("--efforts", type=Path, help="CSV or bag: of actuators, else joints")
+    simulate.add_argument("--wrenches", type=Path, help="CSV or bag of the external loads")
+    simulate.set_defaults(run=_simulate)
 
 
 def _add_replay(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -125,6 +145,34 @@ def _inverse(arguments: argparse.Namespace) -> int:
     )
     for line in lines:
         print(line)
+    return OK
+
+
+def _simulate(arguments: argparse.Namespace) -> int:
+    from mbd_ros.scene import load_scene
+    from mbd_ros.simulate import Interrupted, simulate
+    from mbd_ros.simulation_inputs import Run
+
+    options: dict[str, Any] = {} if arguments.dt is None else {"dt": arguments.dt}
+    if arguments.integrator:
+        options["integrator"] = {"type": arguments.integrator}
+        if arguments.tolerance is not None:
+            options["integrator"]["tolerance"] = arguments.tolerance
+    elif arguments.tolerance is not None:
+        raise DataError("--tolerance goes with --integrator")
+    if arguments.solver:
+        options["solver"] = {"type": arguments.solver}
+    run = Run(
+        duration=arguments.time,
+        options=options,
+        **{name: getattr(arguments, name) for name in _RUN_ARGUMENTS},
+    )
+    try:
+        for line in simulate(load_scene(arguments.scene), run):
+            print(line)
+    except Interrupted as error:
+        print(f"mbd-ros simulate: {error}", file=sys.stderr)
+        return FAILED
     return OK
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from mbd_ros import schema
 from mbd_ros.core.couplings import Coupling
-from mbd_ros.core.laws import Law, PiecewisePolynomial, Polynomial, natural_cubic_spline
+from mbd_ros.core.laws import Law, Linear, PiecewisePolynomial, Polynomial, natural_cubic_spline
 from mbd_ros.errors import ModelError
 
 
@@ -60,7 +60,7 @@ def _coupling(
 
 def _law(kind: str, entry: Any, offset: float, where: str) -> Law:
     if kind == "factor":
-        return Polynomial([offset, entry])
+        return Linear(entry, offset)
     if kind == "polynomial":
         return Polynomial(entry)
     curve = natural_cubic_spline if kind == "spline" else PiecewisePolynomial

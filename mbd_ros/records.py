@@ -49,3 +49,31 @@ class TorqueRecord(NamedTuple):
     dependent: tuple[str, ...]
     multiplier: Array
     parts: Mapping[str, Array] = MappingProxyType({})
+
+
+class SimulationRecord(NamedTuple):
+    """A simulated motion of n samples.
+
+    Attributes:
+        stamps: [ns], shape (n,), int64.
+        times: The same [s], not rounded.
+        joints: Names of all joints.
+        position: [rad or m], shape (n, len(joints)).
+        velocity: [rad/s or m/s], same shape.
+        acceleration: [rad/s^2 or m/s^2], same shape.
+        effort: What the actuators exert [N·m or N], same shape.
+        rows: Names of the constraint rows.
+        multiplier: Their multipliers, shape (n, len(rows)).
+        balance: Energy [J] and the largest position and velocity drift, shape (n, 3).
+    """
+
+    stamps: NDArray[np.int64]
+    times: Array
+    joints: tuple[str, ...]
+    position: Array
+    velocity: Array
+    acceleration: Array
+    effort: Array
+    rows: tuple[str, ...]
+    multiplier: Array
+    balance: Array

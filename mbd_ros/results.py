@@ -1,11 +1,11 @@
-"""Torques into tables and bags."""
+"""Torques and simulated motions into tables and bags."""
 
 from pathlib import Path
 
 import numpy as np
 
 from mbd_ros.bag_paths import is_bag
-from mbd_ros.records import TorqueRecord
+from mbd_ros.records import SimulationRecord, TorqueRecord
 from mbd_ros.tables import write_table
 
 
@@ -32,4 +32,28 @@ def write_torques(path: str | Path, torques: TorqueRecord) -> None:
     columns = [f"{joint}.{field}" for field in fields for joint in torques.joints]
     columns += [f"{joint}.multiplier" for joint in torques.dependent]
     values = np.column_stack([torques.stamps / 1e9, *fields.values(), torques.multiplier])
+    write_table(path, ["time", *columns], values)
+
+
+def write_simulation(path: str | Path, record: SimulationRecord) -> None:
+    """Write a simulated motion as table or bag; nothing is left behind if that fails.
+
+    A table has `<joint>.position`, `.velocity`, `.acceleration`, `.effort`, `<row>.multiplier`,
+    `energy`, `drift.position` and `drift.velocity`. A bag has JointState topics /joint_states and
+    /constraint_forces (effort = multiplier) and a Float64MultiArray /energy_and_drift.
+
+    Raises:
+        DataError: A place that cannot be written to.
+    """
+    if is_bag(path):
+        from mbd_ros.bag_recordings import write_bag_simulation
+
+        write_bag_simulation(Path(path), record)
+        return
+    fields = ("position", "velocity", "acceleration", "effort")
+    columns = [f"{joint}.{field}" for field in fields for joint in record.joints]
+    columns += [f"{row}.multiplier" for row in record.rows]
+    columns += ["energy", "drift.position", "drift.velocity"]
+    motion = [getattr(record, field) for field in fields]
+    values = np.column_stack([record.times, *motion, record.multiplier, record.balance])
     write_table(path, ["time", *columns], values)

@@ -1,33 +1,51 @@
 """Scene file -> parts. An absent section is an absent feature: not built, not imported."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from mbd_ros import schema
 from mbd_ros.core.couplings import Couplings
 from mbd_ros.core.inverse_dynamics import InverseDynamics
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.loads import Loads
+from mbd_ros.core.parts import Actuator, Constraint, ForceTerm
 from mbd_ros.core.robot import Robot
-from mbd_ros.core.robot_reader import EARTH_GRAVITY, read_robot
-from mbd_ros.core.urdf import MAX_CHARACTERS
-from mbd_ros.core.wrenches import ExternalWrench
+from mbd_ros.core.simulation import Simulation
+from mbd_ros.core.stabilizing import Stabilization
+from mbd_ros.core.state import State
+from mbd_ros.core.stepping import Integrator
+from mbd_ros.core.system import System
+from mbd_ros.core.tiers import build_system
 from mbd_ros.coupling_entries import coupling_laws
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.locate import find_file
-from mbd_ros.registry import resolve
-from mbd_ros.strict_yaml import read_mapping, read_text
+from mbd_ros.part_entries import (
+    MeasuredWrench,
+    Solver,
+    build_part,
+    build_parts,
+    build_wrenches,
+    initial_state,
+)
+from mbd_ros.robot_entry import build_robot, read_entry
+from mbd_ros.strict_yaml import read_mapping
 
-SECTIONS = ("robot", "couplings", "external_wrenches", "forces")
-
-
-@dataclass(frozen=True)
-class MeasuredWrench:
-    """An external load and the topic that carries it; None stands for `~/wrench/<name>`."""
-
-    load: ExternalWrench
-    topic: str | None
+SECTIONS = (
+    "robot",
+    "couplings",
+    "external_wrenches",
+    "constraints",
+    "forces",
+    "actuators",
+    "stabilization",
+    "solver",
+    "integrator",
+    "dt",
+    "initial",
+)
+DEFAULT_INTEGRATOR = {"type": "dopri5"}
+DEFAULT_DT = 1.0e-3  # s
 
 
 @dataclass(frozen=True)
@@ -37,11 +55,18 @@ class Scene:
     Attributes:
         path: The file.
         source: File or topic of the robot description.
-        robot: The robot.
+        robot: The robot, with the inertia of its drives.
         couplings: Its dependent joints.
         laws: Dependent joint -> parent and kind of law, for people.
         wrenches: External loads by name.
+        constraints: Constraints besides the couplings.
         forces: Force terms.
+        actuators: Actuators, in the order of their commands.
+        stabilization: What keeps the constraints; None leaves the choice to `simulation`.
+        solver: How the equations are solved.
+        integrator: Method; None leaves the choice to `simulation`.
+        dt: Step [s].
+        initial: State of all joints at the start, as the file gives it.
         absent: Sections that the file leaves out.
     """
 
@@ -51,25 +76,87 @@ class Scene:
     couplings: Couplings
     laws: Mapping[str, str]
     wrenches: Mapping[str, MeasuredWrench]
+    constraints: tuple[Constraint, ...]
     forces: tuple[ForceTerm, ...]
+    actuators: tuple[Actuator, ...]
+    stabilization: Stabilization | None
+    solver: Solver
+    integrator: Integrator | None
+    dt: float
+    initial: State
     absent: tuple[str, ...]
 
+    @property
+    def has_loops(self) -> bool:
+        """Whether bilateral constraints act besides the couplings."""
+        return any(part.bounds is None for part in self.constraints)
+
     def inverse_dynamics(self) -> InverseDynamics:
-        """A solver with its own Pinocchio data."""
+        """A solver with its own Pinocchio data.
+
+        Raises:
+            SceneError: The scene has loops, which would make its torques wrong.
+        """
+        if self.has_loops:
+            raise SceneError(f"{self.path}: constraints: inverse dynamics takes no loops yet")
         loads = [wrench.load for wrench in self.wrenches.values()]
         return InverseDynamics(self.robot, self.couplings, loads, self.forces)
 
+    def system(
+        self, forces: Sequence[ForceTerm] = (), solver: Mapping[str, str] | None = None
+    ) -> System:
+        """Forward dynamics with its own Pinocchio data.
 
-@dataclass(frozen=True)
-class _RobotEntry:
-    """The `robot` section."""
+        Args:
+            forces: Force terms besides those of the scene.
+            solver: Entry that replaces that of the scene.
 
-    urdf: str | None = None
-    description_topic: str | None = None
-    gravity: Sequence[float] = EARTH_GRAVITY
-    base: str = "fixed"
-    locked: Mapping[str, float] | None = None
-    rename: Mapping[str, str] | None = None
+        Raises:
+            SceneError: The tier cannot serve the scene, or a package is missing.
+        """
+        where = f"{self.path}: solver"
+        chosen = self.solver if solver is None else schema.call(Solver, dict(solver), where)
+        loads = Loads(self.robot.model.nv, (*self.forces, *forces), self.actuators)
+        try:
+            return build_system(
+                self.robot, self.couplings, self.constraints, loads, chosen.type, chosen.backend
+            )
+        except ModelError as error:
+            raise SceneError(f"{where}: {error}") from error
+
+    def simulation(
+        self,
+        *,
+        integrator: Mapping[str, Any] | None = None,
+        dt: float | None = None,
+        stabilization: Mapping[str, Any] | None = None,
+        solver: Mapping[str, str] | None = None,
+        forces: Sequence[ForceTerm] = (),
+    ) -> Simulation:
+        """A simulation with its own Pinocchio data.
+
+        Args:
+            integrator: Entry that replaces that of the scene.
+            dt: Step that replaces that of the scene [s].
+            stabilization: Entry that replaces that of the scene.
+            solver: Entry that replaces that of the scene.
+            forces: Force terms besides those of the scene.
+
+        Raises:
+            SceneError: Names file and key.
+        """
+        system = self.system(forces, solver)
+        method, correction = self.integrator, self.stabilization
+        if integrator is not None or method is None:
+            given = integrator or DEFAULT_INTEGRATOR
+            method = build_part("integrators", given, f"{self.path}: integrator")
+        if stabilization is not None or correction is None:
+            given = stabilization or {"type": "projection" if system.rows else "none"}
+            correction = build_part("stabilization", given, f"{self.path}: stabilization")
+        try:
+            return Simulation(system, method, correction, self.dt if dt is None else dt)
+        except ModelError as error:
+            raise SceneError(f"{self.path}: {error}") from error
 
 
 def load_scene(path: str | Path, description: str | None = None) -> Scene:
@@ -83,24 +170,27 @@ def load_scene(path: str | Path, description: str | None = None) -> Scene:
         SceneError: Names file, key, what is wrong and what is accepted.
     """
     path = find_file(Path(), str(path), "scene")
-    sections = _read_sections(path)
-    entry = _robot_entry(path, sections)
-    robot, source = _build_robot(path, entry, description)
-    laws = coupling_laws(path, sections.get("couplings", {}))
-    try:
-        couplings = Couplings(robot, {name: coupling for name, (coupling, _) in laws.items()})
-    except ModelError as error:
-        raise SceneError(f"{path}: couplings: {error}") from error
-    kinds = {m.joint: "URDF mimic" for m in robot.mimics} | {n: k for n, (_, k) in laws.items()}
+    given = _read_sections(path)
+    robot, source = build_robot(path, read_entry(path, given["robot"]), description)
+    couplings, laws = _build_couplings(path, robot, given.get("couplings", {}))
+    actuators = build_parts(path, "actuators", robot, given.get("actuators", []))
+    robot = _with_armature(robot, actuators)
     return Scene(
         path=path,
         source=source,
         robot=robot,
         couplings=couplings,
-        laws={n: f"{couplings.parents[n]} ({kinds[n]})" for n in couplings.dependent},
-        wrenches=_build_wrenches(path, robot, sections.get("external_wrenches", {})),
-        forces=_build_parts(path, "forces", robot, sections.get("forces", [])),
-        absent=tuple(section for section in SECTIONS if not sections.get(section)),
+        laws=laws,
+        wrenches=build_wrenches(path, robot, given.get("external_wrenches", {})),
+        constraints=build_parts(path, "constraints", robot, given.get("constraints", [])),
+        forces=build_parts(path, "forces", robot, given.get("forces", [])),
+        actuators=actuators,
+        stabilization=_single(path, "stabilization", "stabilization", given),
+        solver=schema.call(Solver, given.get("solver", {}), f"{path}: solver"),
+        integrator=_single(path, "integrator", "integrators", given),
+        dt=_step(path, given.get("dt", DEFAULT_DT)),
+        initial=initial_state(path, robot, couplings, given.get("initial", {})),
+        absent=tuple(section for section in SECTIONS if not given.get(section)),
     )
 
 
@@ -111,7 +201,7 @@ def description_topic(path: str | Path) -> str | None:
         SceneError: The file cannot be read, or its robot section is wrong.
     """
     path = find_file(Path(), str(path), "scene")
-    return _robot_entry(path, _read_sections(path)).description_topic
+    return read_entry(path, _read_sections(path)["robot"]).description_topic
 
 
 def _read_sections(path: Path) -> dict[str, Any]:
@@ -126,64 +216,34 @@ def _read_sections(path: Path) -> dict[str, Any]:
     }
 
 
-def _robot_entry(path: Path, sections: Mapping[str, Any]) -> _RobotEntry:
-    entry: _RobotEntry = schema.call(_RobotEntry, sections["robot"], f"{path}: robot")
-    if (entry.urdf is None) == (entry.description_topic is None):
-        raise SceneError(f"{path}: robot: give either 'urdf' or 'description_topic'")
-    if len(entry.gravity) != 3:
-        raise SceneError(f"{path}: robot.gravity: expected 3 numbers, got {entry.gravity}")
-    return entry
-
-
-def _build_robot(path: Path, entry: _RobotEntry, description: str | None) -> tuple[Robot, str]:
-    if entry.urdf is not None:
-        source, text = _read_urdf(path, entry.urdf)
-    elif description is not None:
-        source, text = f"topic {entry.description_topic}", description
-    else:
-        raise SceneError(
-            f"{path}: robot: the description comes from topic {entry.description_topic}, which "
-            "only a node can read; give 'urdf' to use the scene offline"
-        )
+def _build_couplings(
+    path: Path, robot: Robot, section: Any
+) -> tuple[Couplings, Mapping[str, str]]:
+    laws = coupling_laws(path, section)
     try:
-        robot = read_robot(
-            text,
-            source=source,
-            gravity=entry.gravity,
-            base=entry.base,
-            locked=entry.locked,
-            rename=entry.rename,
-        )
+        couplings = Couplings(robot, {name: coupling for name, (coupling, _) in laws.items()})
     except ModelError as error:
-        raise SceneError(f"{path}: robot: {error}") from error
-    return robot, source
+        raise SceneError(f"{path}: couplings: {error}") from error
+    kinds = {m.joint: "URDF mimic" for m in robot.mimics} | {n: k for n, (_, k) in laws.items()}
+    return couplings, {n: f"{couplings.parents[n]} ({kinds[n]})" for n in couplings.dependent}
 
 
-def _read_urdf(path: Path, name: str) -> tuple[str, str]:
-    where = f"{path}: robot.urdf"
-    file = find_file(path.parent, name, where)
-    try:
-        return str(file), read_text(file, MAX_CHARACTERS, "robot description")
-    except SceneError as error:
-        raise SceneError(f"{where}: {error}") from error
+def _single(path: Path, key: str, section: str, given: Mapping[str, Any]) -> Any:
+    return build_part(section, given[key], f"{path}: {key}") if key in given else None
 
 
-def _build_wrenches(path: Path, robot: Robot, entries: Any) -> dict[str, MeasuredWrench]:
-    entries = schema.value(entries, Mapping[str, Any], f"{path}: external_wrenches")
-    wrenches = {}
-    for name, entry in entries.items():
-        where = f"{path}: external_wrenches.{name}"
-        entry = dict(schema.value(entry, Mapping[str, Any], where))
-        topic = schema.value(entry.pop("topic", None), str | None, f"{where}.topic")
-        wrenches[name] = MeasuredWrench(schema.call(ExternalWrench, entry, where, robot), topic)
-    return wrenches
+def _step(path: Path, given: Any) -> float:
+    dt: float = schema.value(given, float, f"{path}: dt")
+    if not dt > 0:
+        raise SceneError(f"{path}: dt: {dt:g} s must be > 0")
+    return dt
 
 
-def _build_parts(path: Path, section: str, robot: Robot, entries: Any) -> tuple[Any, ...]:
-    parts = []
-    for i, given in enumerate(schema.value(entries, Sequence[Any], f"{path}: {section}")):
-        where = f"{path}: {section}[{i}]"
-        entry = dict(schema.value(given, Mapping[str, Any], where))
-        name = schema.value(entry.pop("type", None), str, f"{where}.type")
-        parts.append(schema.call(resolve(section, name, f"{where}.type"), entry, where, robot))
-    return tuple(parts)
+def _with_armature(robot: Robot, actuators: Sequence[Actuator]) -> Robot:
+    """The robot with the inertia that its drives add to the joints."""
+    added = sum(actuator.armature() for actuator in actuators)
+    if not actuators or not added.any():
+        return robot
+    model = robot.model.copy()
+    model.armature = model.armature + added
+    return replace(robot, model=model)

@@ -6,10 +6,22 @@ from collections.abc import Iterator
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.assembly import assemble
 from mbd_ros.core.inverse_dynamics import InverseDynamics
-from mbd_ros.scene import Scene
+from mbd_ros.core.linearization import fastest_rate
+from mbd_ros.core.row_factor import RowFactor
+from mbd_ros.core.system import System
+from mbd_ros.core.tiers import tier_of
+from mbd_ros.scene import DEFAULT_INTEGRATOR, Scene
 
 _CALLS, _REPEATS = 2000, 5
+_STABLE = 2.5  # rate times step; between the limits of RK4, DOPRI5 and DOP853
+_TOGGLE = 1.0e6  # condition number of the rows
+_TIERS = {
+    "aba": "open chain, articulated-body algorithm",
+    "reduced": "couplings eliminated exactly, q = F(z)",
+    "kkt": "bilateral rows, one factorised solve",
+}
 
 
 def describe(scene: Scene) -> Iterator[str]:
@@ -28,7 +40,10 @@ def describe(scene: Scene) -> Iterator[str]:
     yield _line("robot", f"{robot.name} from {scene.source}, {base} base")
     yield _line("gravity", f"{gravity} m/s^2, included in every torque")
     free = couplings.independent
-    yield _line("joints", f"{len(robot.joints)}, degrees of freedom {len(couplings.v_index)}")
+    system = scene.system()
+    factor = _row_factor(scene, system) if system.rows else None
+    freedom = len(couplings.v_index) if factor is None else system.nv - factor.rank
+    yield _line("joints", f"{len(robot.joints)}, degrees of freedom {freedom}")
     yield _line("independent", ", ".join(free) or "none")
     yield _line("dependent", "; ".join(f"{d} <- {law}" for d, law in scene.laws.items()) or "none")
     if robot.locked:
@@ -39,15 +54,83 @@ def describe(scene: Scene) -> Iterator[str]:
         topic = wrench.topic or f"~/wrench/{name}"
         text = f"{name} on {load.frame}, expressed in {load.expressed_in}, topic {topic}"
         yield _line("wrench", text)
-    for force in scene.forces:
-        yield _line("force", f"{type(force).__name__} at {getattr(force, 'joint', force)}")
-    yield _line("tier", tier(scene))
+    yield from _parts(scene)
+    yield _line("inverse", tier(scene))
+    yield _line("forward", _forward(scene, system))
+    yield from _warnings(scene, system, factor)
     yield _line("left out", "; ".join((*scene.absent, *robot.ignored)) or "nothing")
-    yield _line("cost", _cost(scene))
+    costs = [] if scene.has_loops else [_cost(scene)]
+    yield _line("cost", "; ".join([*costs, _forward_cost(scene, system)]))
+
+
+def _parts(scene: Scene) -> Iterator[str]:
+    for label, parts in (("force", scene.forces), ("actuator", scene.actuators)):
+        for part in parts:
+            where = getattr(part, "joints", None) or [getattr(part, "joint", None)]
+            names = ", ".join(str(getattr(joint, "name", joint)) for joint in where if joint)
+            yield _line(label, f"{_name(part)}{f' at {names}' if names else ''}")
+    for constraint in scene.constraints:
+        rows = ", ".join(f"{row.name} [{row.unit}]" for row in constraint.rows)
+        law = "bilateral" if constraint.bounds is None else "bounded"
+        yield _line("constraint", f"{_name(constraint)}, {law}: {rows}")
+
+
+def _forward(scene: Scene, system: System) -> str:
+    """The tier, the method and the step."""
+    rows = f", {len(system.rows)} rows" if system.rows else ""
+    method = "integrator" if scene.integrator is None else type(scene.integrator).__name__
+    default = f" {DEFAULT_INTEGRATOR['type']} by default" if scene.integrator is None else ""
+    text = f"{tier_of(system)}: {_TIERS[system.tier]}{rows}; {method}{default}, dt {scene.dt:g} s"
+    if system.rows:
+        kept = scene.stabilization
+        text += f"; stabilization {'projection by default' if kept is None else _name(kept)}"
+    return text
+
+
+def _name(part: object) -> str:
+    return type(part).__name__
+
+
+def _warnings(scene: Scene, system: System, factor: RowFactor | None) -> Iterator[str]:
+    floor = getattr(scene.stabilization, "floor", None)
+    if system.rows and floor is not None and floor(scene.dt) > scene.stabilization.time_constant:
+        used = f"time constant {scene.stabilization.time_constant:g} s raised to 2 dt"
+        yield _line("warning", f"Baumgarte: {used} = {floor(scene.dt):g} s")
+    if factor is not None:
+        yield from _rank_lines(factor)
+    explicit = scene.integrator is None or scene.integrator.is_explicit
+    rate = fastest_rate(system, assemble(system, system.reduce(scene.initial)))
+    if explicit and rate * scene.dt > _STABLE:
+        limit = f"explicit methods need dt < {_STABLE / rate:.2g} s, gauss_legendre does not"
+        yield _line("warning", f"stiff: fastest rate {rate:.3g} 1/s at dt {scene.dt:g} s; {limit}")
+    driven = [scene.robot.joint(name) for part in scene.actuators for name in part.joints]
+    without = [joint.name for joint in driven if joint.max_effort == 0.0]
+    if without:
+        yield _line("warning", f"no authority: effort limit 0 of {', '.join(without)}")
+
+
+def _row_factor(scene: Scene, system: System) -> RowFactor:
+    """Rows at the assembled start; a mechanism that cannot be assembled is an error."""
+    x = assemble(system, system.reduce(scene.initial))
+    return system.factorise(system.mass(x.q), system.jacobian(x.t, x.q))
+
+
+def _rank_lines(factor: RowFactor) -> Iterator[str]:
+    """How many of the rows are independent, and how well conditioned they are."""
+    rows = len(factor.A)
+    if factor.rank < rows:
+        text = f"rank {factor.rank} of {rows} rows: redundant, multipliers of smallest norm"
+        yield _line("rank", text)
+        return
+    yield _line("rank", f"{rows} of {rows} rows, condition number {factor.condition:.2g}")
+    if factor.condition > _TOGGLE:
+        yield _line("warning", "near a toggle position: multipliers are unreliable here")
 
 
 def tier(scene: Scene) -> str:
-    """How the equations are solved."""
+    """How inverse dynamics is solved."""
+    if scene.has_loops:
+        return "not yet for scenes with loops"
     if not scene.couplings.dependent:
         return "rnea: no dependent joint, one call"
     return "reduced: dependent joints eliminated exactly, q = F(z)"
@@ -67,6 +150,14 @@ def _cost(scene: Scene) -> str:
         f"one inverse-dynamics call {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare rnea of "
         f"{len(robot.joints)} joints"
     )
+
+
+def _forward_cost(scene: Scene, system: System) -> str:
+    x = system.reduce(scene.initial)
+    model, data, zero = system.model, system.model.createData(), np.zeros(system.model.nv)
+    bare = _best(lambda: pin.aba(model, data, scene.initial.q, scene.initial.v, zero))
+    ours = _best(lambda: system.acceleration(*x))
+    return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"
 
 
 def _typical_call(inverse: InverseDynamics, scene: Scene, q: np.ndarray, v: np.ndarray) -> object:

@@ -1,0 +1,122 @@
+"""Forward simulation of a scene into a file: `mbd-ros simulate`."""
+
+import time
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from mbd_ros.bag_paths import is_bag
+from mbd_ros.core.assembly import drift
+from mbd_ros.core.simulation import Commands, Simulation
+from mbd_ros.core.state import NANOSECOND, State
+from mbd_ros.core.tiers import tier_of
+from mbd_ros.errors import DataError, DivergedError, MbdError, SolveError
+from mbd_ros.progress import progress
+from mbd_ros.records import SimulationRecord
+from mbd_ros.results import write_simulation
+from mbd_ros.scene import Scene
+from mbd_ros.simulation_inputs import Run, drives, initial_state
+
+
+class Interrupted(MbdError):
+    """A simulation that ended early; what it had reached is in a file of its own."""
+
+
+def simulate(scene: Scene, run: Run) -> Iterator[str]:
+    """Simulate and write states, multipliers, energy and drift.
+
+    Yields:
+        The summary, a line each.
+
+    Raises:
+        Interrupted: The state diverged or equations have no solution; the states so far are in
+            `<out>.diverged`, named in the message.
+        MbdError: Input that cannot be used.
+    """
+    if not run.duration > 0:
+        raise DataError(f"duration {run.duration:g} s must be > 0")
+    if scene.robot.floating:
+        raise DataError(f"{scene.path}: robot.base: files carry no pose of a floating base")
+    is_bag(run.out)
+    commands, forces = drives(scene, run)
+    simulation = scene.simulation(forces=forces, **run.options)
+    x = initial_state(scene, run)
+    begin = time.perf_counter()
+    states, failure = _states(simulation, x, run, commands)
+    wall = time.perf_counter() - begin
+    if failure is not None and not states:
+        raise failure
+    evaluations = simulation.system.evaluations
+    record = _record(simulation, states, commands)
+    if failure is not None:
+        kept = run.out.with_name(f"{run.out.stem}.diverged{run.out.suffix}")
+        write_simulation(kept, record)
+        raise Interrupted(f"{failure}; {len(states)} states so far are in {kept}")
+    write_simulation(run.out, record)
+    if scene.wrenches and run.wrenches is None:
+        yield f"unloaded: {', '.join(scene.wrenches)}; --wrenches FILE brings their values"
+    yield from _summary(simulation, record, wall, evaluations)
+    yield f"{len(states)} states -> {run.out}"
+
+
+def _states(
+    simulation: Simulation, x: State, run: Run, commands: Commands | None
+) -> tuple[list[State], MbdError | None]:
+    states: list[State] = []
+    count = round(run.duration / simulation.dt)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # a divergence says so itself
+            states.extend(progress(simulation.run(x, run.duration, commands), count, "simulate"))
+    except (DivergedError, SolveError) as error:
+        return states, error
+    return states, None
+
+
+def _record(
+    simulation: Simulation, states: Sequence[State], commands: Commands | None
+) -> SimulationRecord:
+    system, names = simulation.system, simulation.system.robot.joints
+    loads, model = system.loads, system.model
+    rows, multipliers, balance = [], [], []
+    for x in states:
+        y = system.reduce(x)
+        u = None if commands is None else commands(x.t)
+        a, lam = system.solve(y, u)
+        driven = loads.actuator_torque(x, u)
+        rows.append((x.q, x.v, a, driven))
+        multipliers.append(lam)
+        balance.append((system.energy(y), *drift(system, y)))
+    q_index, v_index = [j.q for j in names], [j.v for j in names]
+    stacked = [np.array(column) for column in zip(*rows, strict=True)]
+    return SimulationRecord(
+        stamps=np.round(np.array([x.t for x in states]) / NANOSECOND).astype(np.int64),
+        times=np.array([x.t for x in states]),
+        joints=tuple(joint.name for joint in names),
+        position=stacked[0][:, q_index],
+        velocity=stacked[1][:, v_index],
+        acceleration=stacked[2][:, v_index],
+        effort=stacked[3].reshape(len(states), model.nv)[:, v_index],
+        rows=tuple(row.name for row in system.multiplier_rows),
+        multiplier=np.array(multipliers).reshape(len(states), len(system.multiplier_rows)),
+        balance=np.array(balance),
+    )
+
+
+def _summary(
+    simulation: Simulation, record: SimulationRecord, wall: float, evaluations: int
+) -> Iterator[str]:
+    duration = record.times[-1] - record.times[0]
+    energy, position, velocity = record.balance.T
+    change = float(np.abs(energy - energy[0]).max())
+    per_step = evaluations / max(simulation.steps, 1)
+    method = type(simulation.integrator).__name__
+    yield (
+        f"{method}, tier {tier_of(simulation.system)}: {simulation.steps} steps, {evaluations} "
+        f"evaluations ({per_step:.2f} a step)"
+    )
+    yield f"{wall:.3f} s for {duration:g} s, real-time factor {duration / max(wall, 1e-9):.1f}"
+    yield f"energy {energy[0]:.6g} J, largest change {change:.3g} J"
+    yield f"largest drift: position {position.max():.2g}, velocity {velocity.max():.2g}"
+    if simulation.system.bounded is not None:
+        s = simulation.system.bounded.qp.statistics
+        yield f"QP: {s.solves} solves, {s.cold} cold, {s.damped} damped, {s.failed} failed"
