@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mbd_ros.cli import main
+from mbd_ros.scene import load_scene
 from mbd_ros.tables import read_table, write_table
 
 SCENES = Path(__file__).parents[1] / "config/scenes"
@@ -57,10 +58,17 @@ def test_check_says_what_is_built_and_what_is_not(capsys, tmp_path):
     assert said["dependent"] == "knee_slide_x <- knee (factor)"
     assert said["locked"] == "ankle at 0.1"
     assert said["wrench"] == "plate on foot, expressed in world, topic ~/wrench/plate"
-    assert said["force"].startswith("JointSpring at ")
-    assert said["tier"].startswith("reduced: dependent joints eliminated exactly")
-    assert said["out"] == "nothing"
-    assert re.fullmatch(r"one .* call \d+\.\d us, \d+\.\d x a bare rnea of 4 joints", said["cost"])
+    assert said["force"] == "JointSpring at knee"
+    assert said["inverse"].startswith("reduced: dependent joints eliminated exactly")
+    assert said["forward"] == (
+        "reduced: couplings eliminated exactly, q = F(z); integrator dopri5 by default, dt 0.001 s"
+    )
+    assert said["out"] == (
+        "constraints; actuators; stabilization; solver; integrator; dt; initial"
+    )
+    inverse, forward = said["cost"].split("; ")
+    assert re.fullmatch(r"one .* call \d+\.\d us, \d+\.\d x a bare rnea of 4 joints", inverse)
+    assert re.fullmatch(r"one acceleration \d+\.\d us, \d+\.\d x a bare aba", forward)
 
 
 @pytest.mark.parametrize(
@@ -76,8 +84,82 @@ def test_check_of_the_scenes_that_come_along(capsys, name, joints, dependent, ti
     said = labelled(out)
     assert code == 0
     assert (said["joints"], said["dependent"]) == (joints, dependent)
-    assert said["tier"].startswith(tier)
+    assert said["inverse"].startswith(tier)
     assert {"external_wrenches", "forces"} <= set(said["out"].split("; "))
+
+
+MANY = """\
+robot: {{urdf: {robots}/benchmark/four_bar.urdf, gravity: [0, -9.81, 0]}}
+actuators: [{{type: ideal, joints: [crank]}}]
+constraints:
+- {{type: loop_closure, frame_a: world, point_a: [0.99, 0, 0], frame_b: rocker_link,
+   point_b: [-1, 0, 0], directions: xy}}
+{more}
+stabilization: {{type: baumgarte, time_constant: 1e-4}}
+integrator: {{type: rk4}}
+initial: {{position: {{crank: 1.5707963267948966, coupler: -1.57, rocker: 1.56}}}}
+"""
+
+
+def test_check_says_how_a_closed_chain_is_solved(capsys, tmp_path):
+    (tmp_path / "s.yaml").write_text(MANY.format(robots=SCENES / "../robots", more=""))
+    code, out, err = called(capsys, "check", tmp_path / "s.yaml")
+    said = labelled(out)
+    assert (code, err) == (0, "")
+    assert said["actuator"] == "Ideal at crank"
+    closure = "LoopClosure, bilateral: world-rocker_link.x [N], world-rocker_link.y [N]"
+    assert said["constraint"] == closure
+    assert said["forward"].startswith(
+        "kkt: bilateral rows, one factorised solve, 2 rows; Rk4, dt 0"
+    )
+    assert said["forward"].endswith("stabilization Baumgarte")
+    assert "warning     Baumgarte: time constant 0.0001 s raised to 2 dt = 0.002 s\n" in out
+    assert said["joints"] == "3, degrees of freedom 1"
+    assert re.fullmatch(r"2 of 2 rows, condition number \d.*", said["rank"])
+
+
+def test_check_says_redundancy_toggle_bounds_and_missing_authority(capsys, tmp_path):
+    robots, scene = SCENES / "../robots", tmp_path / "s.yaml"
+    twice = MANY.partition("constraints:\n")[2].partition("{more}")[0].format()
+    scene.write_text(MANY.format(robots=robots, more=twice), encoding="utf-8")
+    rank = labelled(called(capsys, "check", scene)[1])["rank"]
+    assert rank == "rank 2 of 4 rows: redundant, multipliers of smallest norm"
+    stop = "- {type: joint_stop, joint: crank, lower: -9, upper: 9}"
+    scene.write_text(MANY.format(robots=robots, more=stop), encoding="utf-8")
+    assert labelled(called(capsys, "check", scene)[1])["forward"].startswith("qp over kkt: ")
+    urdf = (robots / "pendulum.urdf").read_text(encoding="utf-8")
+    (tmp_path / "weak.urdf").write_text(re.sub(r'effort="[^"]*"', 'effort="0"', urdf))
+    actuator = "actuators: [{type: ideal, joints: [hinge]}]\n"
+    scene.write_text("robot: {urdf: weak.urdf}\n" + actuator, encoding="utf-8")
+    warning = labelled(called(capsys, "check", scene)[1])["warning"]
+    assert warning == "no authority: effort limit 0 of hinge"
+
+
+@pytest.mark.parametrize(
+    ("integrator", "dt", "warned"),
+    [("rk4", 1e-3, True), ("rk4", 1e-4, False), ("gauss_legendre", 1e-3, False)],
+)
+def test_check_says_which_step_a_stiff_scene_needs(capsys, tmp_path, integrator, dt, warned):
+    """A spring on a joint: rate = sqrt(stiffness / inertia) = sqrt(1e7 / inertia)."""
+    (tmp_path / "s.yaml").write_text(
+        f"robot: {{urdf: {SCENES}/../robots/pendulum.urdf}}\ndt: {dt}\n"
+        "forces: [{type: joint_spring, joint: hinge, stiffness: 1e7}]\n"
+        f"integrator: {{type: {integrator}}}\n",
+        encoding="utf-8",
+    )
+    out = called(capsys, "check", tmp_path / "s.yaml")[1]
+    inertia = load_scene(tmp_path / "s.yaml").system().mass(np.zeros(1))[0, 0]
+    rate = (1e7 / inertia) ** 0.5
+    assert (f"stiff: fastest rate {rate:.3g} 1/s at dt {dt:g} s" in out) == warned
+    assert (f"need dt < {2.5 / rate:.2g} s" in out) == warned
+
+
+def test_check_refuses_a_mechanism_that_does_not_close(capsys, tmp_path):
+    text = MANY.format(robots=SCENES / "../robots", more="").replace("[0.99", "[9.0")
+    (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
+    code, _, err = called(capsys, "check", tmp_path / "s.yaml")
+    assert code == 2
+    assert "cannot be assembled near this position: row world-rocker_link.x" in err
 
 
 def test_inverse_writes_torques_and_says_so(capsys, tmp_path, motion):

@@ -4,17 +4,32 @@ import inspect
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from mbd_ros import schema
+from mbd_ros.core.parts import Actuator, Constraint, ForceTerm
 from mbd_ros.core.robot_reader import read_robot
+from mbd_ros.core.stabilizing import Stabilization
 from mbd_ros.core.state import State
+from mbd_ros.core.stepping import Integrator
 from mbd_ros.errors import SceneError
 from mbd_ros.registry import METHODS, PARTS, resolve
 
 LEG = (Path(__file__).parents[1] / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
 NAMES = [(section, name) for section, names in PARTS.items() for name in names]
+CONTRACTS = {
+    "actuators": Actuator,
+    "constraints": Constraint,
+    "forces": ForceTerm,
+    "integrators": Integrator,
+    "stabilization": Stabilization,
+}
+OF_A_ROBOT = ("actuators", "constraints", "forces")
 every_part = pytest.mark.parametrize(("section", "name"), NAMES)
+every_part_of_a_robot = pytest.mark.parametrize(
+    ("section", "name"), [pair for pair in NAMES if pair[0] in OF_A_ROBOT]
+)
 
 
 @pytest.fixture(scope="module")
@@ -22,13 +37,27 @@ def robot():
     return read_robot(LEG)
 
 
+@pytest.fixture(params=[0.0, 0.4])
+def moment(request, robot):
+    """Data as a part finds it, and a state."""
+    data, rng = robot.model.createData(), np.random.default_rng(0)
+    x = State(request.param, *rng.normal(size=(2, robot.model.nv)))
+    pin.forwardKinematics(robot.model, data, x.q, x.v, np.zeros(robot.model.nv))
+    pin.computeJointJacobians(robot.model, data)
+    return data, x
+
+
+def context(section, robot):
+    return (robot,) if section in OF_A_ROBOT else ()
+
+
 def built(section, name, robot):
     part = resolve(section, name, "here")
-    return schema.call(part, dict(part.example), f"{section}.{name}", robot)
+    return schema.call(part, dict(part.example), f"{section}.{name}", *context(section, robot))
 
 
 def test_every_section_of_the_registry_has_a_contract():
-    assert set(METHODS) == set(PARTS)
+    assert set(METHODS) == set(PARTS) == set(CONTRACTS)
     assert NAMES
 
 
@@ -36,52 +65,108 @@ def test_every_section_of_the_registry_has_a_contract():
 def test_part_lives_in_a_file_of_its_name_in_the_folder_of_its_section(section, name):
     part = resolve(section, name, "here")
     assert part.__module__ == f"mbd_ros.{section}.{name}"
-    assert part.__name__ == "".join(word.capitalize() for word in name.split("_"))
+    assert part.__name__ in (
+        "".join(word.capitalize() for word in name.split("_")),
+        "NoStabilization",
+    )
+    assert issubclass(part, CONTRACTS[section])
 
 
 @every_part
-def test_constructor_takes_a_robot_and_then_documented_keywords(section, name):
+def test_constructor_takes_documented_keywords_only(section, name):
     part = resolve(section, name, "here")
-    first, *rest = inspect.signature(part).parameters.values()
-    assert first.name == "robot"
-    assert all(p.kind is p.KEYWORD_ONLY for p in rest)
-    assert all(p.annotation is not p.empty for p in rest)
-    assert all(f"{p.name}: " in part.__doc__ for p in rest)
+    parameters = list(inspect.signature(part).parameters.values())
+    if section in OF_A_ROBOT:
+        first = parameters.pop(0)
+        assert first.name == "robot"
+    assert all(p.kind is p.KEYWORD_ONLY for p in parameters)
+    assert all(p.annotation is not p.empty for p in parameters)
+    assert all(f"{p.name}: " in part.__doc__ for p in parameters)
 
 
 @every_part
 def test_example_builds_and_a_typo_in_it_is_named(section, name, robot):
     assert built(section, name, robot)
-    part = resolve(section, name, "here")
-    for key in part.example:
-        typo = {**part.example, f"{key}_": part.example[key]}
-        with pytest.raises(SceneError, match=rf"here: unknown key '{key}_', accepted: .*{key}"):
-            schema.call(part, typo, "here", robot)
-        wrong = {**part.example, key: ["x"]}
-        with pytest.raises(SceneError, match=rf"here\.{key}: expected a .*, got \['x'\]"):
-            schema.call(part, wrong, "here", robot)
+    part, given = resolve(section, name, "here"), context(section, robot)
+    for key in (*part.example, "nosuch"):
+        typo = {**part.example, f"{key}_": 1.0}
+        with pytest.raises(SceneError, match=rf"here: unknown key '{key}_', accepted: "):
+            schema.call(part, typo, "here", *given)
 
 
 @every_part
-def test_unknown_joint_is_named_with_those_that_exist(section, name, robot):
+def test_a_value_of_a_wrong_kind_is_named(section, name, robot):
     part = resolve(section, name, "here")
-    with pytest.raises(SceneError, match="here: no joint 'nose'; the robot has hip_flexion, "):
-        schema.call(part, {**part.example, "joint": "nose"}, "here", robot)
+    for key in part.example:
+        wrong = {**part.example, key: [{"x": "y"}]}
+        with pytest.raises(SceneError, match=rf"here\.{key}(\[0\])?: expected .*, got .*"):
+            schema.call(part, wrong, "here", *context(section, robot))
+
+
+@every_part_of_a_robot
+def test_unknown_names_are_answered_with_those_that_exist(section, name, robot):
+    part = resolve(section, name, "here")
+    for key, value in part.example.items():
+        if key in ("joint", "joints", "parent"):
+            wrong = {**part.example, key: "nose" if isinstance(value, str) else ["nose"]}
+            with pytest.raises(SceneError, match="here: no joint 'nose'; the robot has hip_flex"):
+                schema.call(part, wrong, "here", robot)
+        elif key in ("frame", "frame_a", "frame_b", "plane_frame"):
+            wrong = {**part.example, key: "nose"}
+            with pytest.raises(SceneError, match="here: no frame 'nose'; the links are"):
+                schema.call(part, wrong, "here", robot)
 
 
 @pytest.mark.parametrize("name", PARTS["forces"])
-def test_force_is_fresh_finite_and_changes_nothing(name, robot):
-    part, data, rng = built("forces", name, robot), robot.model.createData(), np.random
-    x = State(0.0, *rng.default_rng(0).normal(size=(2, robot.model.nv)))
+def test_force_is_fresh_finite_and_changes_nothing(name, robot, moment):
+    part, (data, x) = built("forces", name, robot), moment
+    check_value(lambda: part.force(data, x), (robot.model.nv,), x)
+    assert x.t == 0.0 or part.force(data, x).any()
+    assert np.isfinite(part.potential(data, x))
+
+
+@pytest.mark.parametrize("name", PARTS["actuators"])
+def test_torque_is_fresh_finite_and_changes_nothing(name, robot, moment):
+    part, (_, x) = built("actuators", name, robot), moment
+    u = np.linspace(0.5, 1.0, len(part.joints))
+    check_value(lambda: part.torque(u, x), (robot.model.nv,), x)
+    assert part.torque(u, x).any()
+    driven = [robot.joint(joint).v for joint in part.joints]
+    assert not np.delete(part.torque(u, x), driven).any()
+    assert (part.armature() >= 0.0).all()
+
+
+@pytest.mark.parametrize("name", PARTS["constraints"])
+def test_rows_are_finite_consistent_in_size_and_named(name, robot, moment):
+    part, (data, x) = built("constraints", name, robot), moment
+    m, before = len(part.rows), (x.q.copy(), x.v.copy())
+    assert part.residual(data, x).shape == part.drift(data, x).shape == part.rate(x).shape == (m,)
+    assert part.jacobian(data, x).shape == (m, robot.model.nv)
+    values = (part.residual, part.drift, part.jacobian)
+    assert all(np.isfinite(value(data, x)).all() for value in values)
+    assert part.jacobian(data, x).any()
+    assert len({row.name for row in part.rows}) == m
+    assert all(row.name and row.unit in ("N", "N·m") for row in part.rows)
+    for wrench in part.wrenches(data, x, np.ones(m)):
+        assert robot.frame(wrench.frame) >= 0
+        assert np.isfinite([*wrench.point, *wrench.force, *wrench.torque]).all()
+    if part.bounds is not None:
+        lower, upper = part.bounds
+        assert lower.shape == upper.shape == (m,)
+        assert (lower < upper).all()
+    assert np.array_equal(x.q, before[0])
+    assert np.array_equal(x.v, before[1])
+
+
+def check_value(call, shape, x):
     before = x.q.copy(), x.v.copy()
-    first, second = part.force(data, x), part.force(data, x)
-    assert first.shape == (robot.model.nv,)
+    first, second = call(), call()
+    assert first.shape == shape
     assert np.isfinite(first).all()
-    assert first.any()
     assert np.array_equal(first, second)
     assert first is not second
     first[:] = 7.0
-    assert np.array_equal(part.force(data, x), second)
+    assert np.array_equal(call(), second)
     assert np.array_equal(x.q, before[0])
     assert np.array_equal(x.v, before[1])
 
@@ -89,7 +174,10 @@ def test_force_is_fresh_finite_and_changes_nothing(name, robot):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("joint_sprong", "here: unknown type 'joint_sprong', accepted: joint_friction, joint_spr"),
+        (
+            "joint_sprong",
+            "here: unknown type 'joint_sprong', accepted: applied_wrench, gravity_co",
+        ),
         ("", "here: unknown type ''"),
         (":Spring", "here: unknown type ':Spring'"),
         ("my_parts:", "here: unknown type 'my_parts:'"),

@@ -8,7 +8,7 @@ import pytest
 
 from mbd_ros.core.urdf import MAX_CHARACTERS
 from mbd_ros.errors import SceneError
-from mbd_ros.scene import Scene, description_topic, load_scene
+from mbd_ros.scene import SECTIONS, Scene, description_topic, load_scene
 
 ROOT = Path(__file__).parents[1]
 LEG = (ROOT / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
@@ -28,6 +28,15 @@ external_wrenches:
 forces:
   - {type: joint_spring, joint: knee, stiffness: 30.0}
   - {type: joint_friction, joint: hip, coulomb: 0.4}
+constraints:
+  - {type: joint_stop, joint: knee, lower: -1.5}
+actuators:
+  - {type: geared_motor, joint: knee, ratio: 10.0, rotor_inertia: 1e-3}
+stabilization: {type: none}
+solver: {type: auto, backend: proxqp}
+integrator: {type: rk4}
+dt: 5e-4
+initial: {position: {knee: -0.5}, velocity: {hip: 1.0}}
 """
 
 
@@ -61,6 +70,16 @@ def test_every_section_is_built(write, tmp_path):
     assert list(scene.wrenches) == ["foot", "hand"]
     assert [w.topic for w in scene.wrenches.values()] == ["/plate", None]
     assert [type(force).__name__ for force in scene.forces] == ["JointSpring", "JointFriction"]
+    assert [type(part).__name__ for part in scene.constraints] == ["JointStop"]
+    assert [part.joints for part in scene.actuators] == [("knee",)]
+    knee = scene.robot.joint("knee")
+    assert scene.robot.model.armature[knee.v] == pytest.approx(0.1)
+    assert (scene.solver.type, scene.dt) == ("auto", 5e-4)
+    assert type(scene.integrator).__name__ == "Rk4"
+    assert type(scene.stabilization).__name__ == "NoStabilization"
+    slide = scene.robot.joint("knee_slide_x")
+    assert scene.initial.q[[knee.q, slide.q]] == pytest.approx([-0.5, -0.004])
+    assert scene.initial.v[scene.robot.joint("hip").v] == 1.0
     assert scene.absent == ()
     solver = scene.inverse_dynamics()
     assert len(solver.solve(*np.ones((3, 2)), [np.ones(6)] * 2).multipliers) == 2
@@ -69,13 +88,27 @@ def test_every_section_is_built(write, tmp_path):
 @pytest.mark.parametrize("rest", ["", "couplings:\nforces:\n", "couplings: {}\nforces: []\n"])
 def test_empty_section_is_an_absent_one(write, rest):
     scene = load_scene(write("robot: {urdf: leg.urdf}\n" + rest))
-    assert scene.absent == ("couplings", "external_wrenches", "forces")
+    assert scene.absent == SECTIONS[1:]
     assert (scene.laws, scene.forces, scene.wrenches) == ({}, (), {})
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
+        ("dt: 5e-4", "dt: 0", "dt: 0 s must be > 0"),
+        ("dt: 5e-4", "dt: fast", "dt: expected a number, got 'fast'"),
+        ("type: rk4", "type: rk5", "integrator.type: unknown type 'rk5', accepted: adams, dop"),
+        ("type: rk4", "type: rk4, tolerance: 1", "integrator: unknown key 'tolerance', accepted:"),
+        ("type: none", "kind: none", "stabilization.type: expected a word, got None"),
+        ("type: auto", "type: fast", "solver: unknown solver type 'fast', accepted: auto, aba"),
+        ("{knee: -0.5}", "{nose: 1}", "initial.position: no joint 'nose'; the robot has hip,"),
+        (
+            "{knee: -0.5}",
+            "{knee_slide_x: 1}",
+            "initial.position.knee_slide_x: follows knee, leave",
+        ),
+        ("lower: -1.5", "lower: 9.0", "constraints[0]: joint 'knee': lower 9 must be less than u"),
+        ("ratio: 10.0", "ratio: 0.0", "actuators[0]: ratio 0"),
         ("robot:\n", "robots:\n", "unknown key 'robots', accepted: robot, couplings, external_wr"),
         ("urdf:", "urd:", "robot: unknown key 'urd', accepted: urdf, description_topic, gravity"),
         ("urdf: leg.urdf", "", "robot: give either 'urdf' or 'description_topic'"),

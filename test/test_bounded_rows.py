@@ -1,0 +1,154 @@
+"""Stops, dry friction and limited drives by Gauss's principle."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbd_ros.core.couplings import Coupling, Couplings
+from mbd_ros.core.laws import Linear
+from mbd_ros.core.loads import Loads
+from mbd_ros.core.robot_reader import read_robot
+from mbd_ros.core.state import State
+from mbd_ros.core.tiers import build_system, tier_of
+from mbd_ros.part_entries import build_part
+from mbd_ros.scene import load_scene
+
+ROOT = Path(__file__).parents[1]
+ARM = (ROOT / "config/robots/arm7.urdf").read_text(encoding="utf-8")
+PENDULUM = (ROOT / "config/robots/pendulum.urdf").read_text(encoding="utf-8")
+STOPS = {"type": "joint_stop", "joints": ["all"]}
+LOOP = {"type": "loop_closure", "frame_a": "base", "frame_b": "link7", "directions": "xz"}
+COUPLED = {"joint4": Coupling("joint2", Linear(0.5))}
+
+
+def arm(entries, *, torque=None, coupled=False, **options):
+    robot = read_robot(ARM)
+    parts = [build_part("constraints", entry, "test", robot) for entry in entries]
+    forces = []
+    if torque is not None:
+        names = [joint.name for joint in robot.joints]
+        table = {"joints": names, "times": [-1.0, 1e3], "torque": [torque.tolist()] * 2}
+        forces = [build_part("forces", {"type": "prescribed_torque", **table}, "test", robot)]
+    couplings = Couplings(robot, COUPLED if coupled else None)
+    return build_system(robot, couplings, parts, Loads(7, forces), **options)
+
+
+def near_the_stops(robot, rng):
+    """A state with some joints at or beyond an end of their range."""
+    lower = np.array([joint.lower for joint in robot.joints])
+    upper = np.array([joint.upper for joint in robot.joints])
+    share = rng.choice([-0.001, 0.001, 0.5, 0.999, 1.001], size=7)
+    return State(0.0, lower + share * (upper - lower), rng.normal(size=7))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_active_stops_agree_with_another_solver_of_the_primal_problem(seed):
+    """min 1/2 (a - a_free)' M (a - a_free) subject to J a + b >= 0, by daqp."""
+    qpsolvers = pytest.importorskip("qpsolvers")
+    rng = np.random.default_rng(seed)
+    torque = 60.0 * rng.normal(size=7)
+    free, stopped = arm([], torque=torque), arm([STOPS], torque=torque)
+    x = near_the_stops(free.robot, rng)
+    M, a_free = free.mass(x.q), free.acceleration(*x)
+    J, b = stopped.bounded.constraints.conditions(stopped.data, x)
+    expected = qpsolvers.solve_qp(M, -M @ a_free, -J, b, solver="daqp")
+    found = stopped.solve(x)
+    assert np.abs(found.a - expected).max() <= 1e-7 * (1.0 + np.abs(expected).max())
+    assert (J @ found.a + b >= -1e-8 * (1.0 + np.abs(b))).all()
+    assert (found.multipliers >= 0.0).all()
+    assert M @ (found.a - a_free) == pytest.approx(J.T @ found.multipliers, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"coupled": True}, {"coupled": True, "tier": "qp"}, {"tier": "qp"}]
+)
+def test_stops_agree_in_every_tier_below(options):
+    """The same scene with couplings eliminated, as rows, and all rows in the QP."""
+    rng = np.random.default_rng(3)
+    torque = 60.0 * rng.normal(size=7)
+    entries = [STOPS] if options.get("coupled") else [LOOP, STOPS]
+    system = arm(entries, torque=torque, **options)
+    other = arm(entries, torque=torque, coupled=options.get("coupled", False), backend="daqp")
+    x = near_the_stops(system.robot, rng)
+    y = other.reduce(x)
+    full = other.expand(y)
+    found, expected = system.solve(system.reduce(full)), other.solve(y)
+    assert np.abs(found.a - expected.a).max() <= 1e-9 * (1.0 + np.abs(expected.a).max())
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+def test_stop_that_is_out_of_reach_changes_no_bit(coupled):
+    far = {"type": "joint_stop", "joints": ["all"], "lower": -50.0, "upper": 50.0}
+    without, with_stops = arm([], coupled=coupled), arm([far], coupled=coupled)
+    assert tier_of(with_stops) == f"qp over {without.tier}"
+    x = without.reduce(State(0.0, np.full(7, 0.2), np.ones(7)))
+    found, expected = with_stops.solve(x), without.solve(x)
+    assert np.array_equal(found.a, expected.a)
+    assert not found.multipliers[-7:].any()
+    assert with_stops.bounded.qp.statistics.solves == 0
+
+
+def simulate(path, entries, duration, dt=1e-3, **course):
+    robot = f"robot: {{urdf: {ROOT / 'config/robots/pendulum.urdf'}}}\n"
+    initial = f"initial: {{position: {{hinge: {course.get('position', 0.0)}}}}}\n"
+    path.write_text(robot + f"constraints: [{entries}]\ndt: {dt}\n" + initial, encoding="utf-8")
+    loaded = load_scene(path)
+    simulation = loaded.simulation(integrator={"type": "rk4"})
+    return simulation, list(simulation.run(loaded.initial, duration))
+
+
+def test_pendulum_comes_to_rest_at_its_stop(tmp_path):
+    stop = "{type: joint_stop, joint: hinge, lower: 0.2, upper: 3.0}"
+    simulation, states = simulate(tmp_path / "s.yaml", stop, 2.0, position=1.0)
+    q = np.array([x.q[0] for x in states])
+    assert q.min() >= 0.2 - 1e-9
+    assert abs(q[-1] - 0.2) <= 1e-6
+    assert abs(states[-1].v[0]) <= 1e-6
+    _, lam = simulation.system.solve(states[-1])
+    free = simulation.system.applied(0.0, states[-1].q, states[-1].v)
+    assert lam == pytest.approx(-free, rel=1e-3)
+    assert lam[0] > 0.0
+
+
+def test_dry_friction_sticks_below_its_limit_and_slides_at_it():
+    """One joint: M a = tau - limit sign(v), or a = 0 at rest while |tau| <= limit."""
+    robot = read_robot(PENDULUM)
+    rub = build_part(
+        "constraints", {"type": "dry_friction", "joint": "hinge", "limit": 2.0}, "t", robot
+    )
+    system = build_system(robot, Couplings(robot), [rub], Loads(1))
+    for angle in np.linspace(-1.5, 1.5, 13):
+        q, rest = np.array([angle]), np.zeros(1)
+        pull, M = float(system.applied(0.0, q, rest)[0]), float(system.mass(q)[0, 0])
+        a, lam = system.solve(State(0.0, q, rest))
+        if abs(pull) <= 2.0:
+            assert (a[0], lam[0]) == pytest.approx((0.0, -pull), abs=1e-9)
+        else:
+            assert lam[0] == pytest.approx(-np.copysign(2.0, pull), abs=1e-9)
+            assert a[0] == pytest.approx((pull + lam[0]) / M, abs=1e-9)
+        a, lam = system.solve(State(0.0, q, np.array([5.0])))
+        assert lam[0] == pytest.approx(-2.0, abs=1e-9)
+
+
+def test_drive_with_a_limit_follows_until_its_effort_ends():
+    robot = read_robot(PENDULUM)
+    course = {"type": "prescribed_motion", "joint": "hinge", "polynomial": [0.4]}
+    pull = None
+    for limit, held in ((1e3, True), (0.01, False)):
+        drive = build_part("constraints", {**course, "limit": limit}, "t", robot)
+        system = build_system(robot, Couplings(robot), [drive], Loads(1))
+        x = State(0.0, np.array([0.4]), np.zeros(1))
+        a, lam = system.solve(x)
+        pull = float(system.applied(*x)[0])
+        assert lam[0] == pytest.approx(-pull if held else -np.copysign(limit, pull), abs=1e-9)
+        assert (abs(a[0]) <= 1e-9) == held
+
+
+def test_active_rows_are_remembered_and_the_qp_is_called_only_when_they_change():
+    system = arm([STOPS])
+    q = np.zeros(7)
+    q[1] = system.robot.joints[1].upper + 1e-3
+    for _ in range(10):
+        system.acceleration(0.0, q, np.zeros(7))
+    assert system.bounded.qp.statistics.solves == 1

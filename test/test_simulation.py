@@ -1,0 +1,173 @@
+"""Simulations: stabilizations, outputs, commands, divergence, and the gait that is known."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbd_ros.core.assembly import drift
+from mbd_ros.core.state import State
+from mbd_ros.errors import DivergedError, SceneError
+from mbd_ros.scene import load_scene
+
+ROOT = Path(__file__).parents[1]
+SCENES = ROOT / "config/scenes"
+
+
+def run(name, duration, **options):
+    loaded = load_scene(SCENES / f"{name}.yaml")
+    simulation = loaded.simulation(**options)
+    return simulation, list(simulation.run(loaded.initial, duration))
+
+
+def worst_drift(simulation, states):
+    drifts = [drift(simulation.system, simulation.system.reduce(x)) for x in states]
+    return np.array(drifts).max(axis=0)
+
+
+@pytest.mark.parametrize(
+    "name", ["four_bar_leg", "benchmark/a03_andrews", "benchmark/a04_bricard"]
+)
+def test_projection_keeps_position_and_velocity_at_rounding(name):
+    duration = {"benchmark/a03_andrews": 0.01}.get(name, 0.2)
+    position, velocity = worst_drift(*run(name, duration))
+    assert position <= 1e-12
+    assert velocity <= 1e-11
+
+
+@pytest.mark.parametrize("tier", ["reduced", "kkt", "qp"])
+@pytest.mark.parametrize("name", ["prosthetic_arm", "prosthetic_leg"])
+def test_couplings_hold_in_every_tier_and_all_move_alike(name, tier):
+    loaded = load_scene(SCENES / f"{name}.yaml")
+    _, expected = run(name, 0.1)
+    _, states = run(name, 0.1, solver={"type": tier})
+    for x, y in zip(states, expected, strict=True):
+        q, v = x.q.copy(), x.v.copy()
+        loaded.couplings.expand(q, v, np.zeros_like(v))
+        assert np.abs(q - x.q).max() <= 1e-12
+        assert np.abs(v - x.v).max() <= 1e-12 * (1.0 + np.abs(v).max())
+        assert np.abs(x.q - y.q).max() <= 1e-9
+
+
+def test_drift_without_stabilization_with_baumgarte_and_with_projection():
+    """Free drift grows; feedback bounds it; projection removes it."""
+    name, options = "four_bar_leg", {"integrator": {"type": "rk4"}, "dt": 5e-3}
+    kinds = {
+        "none": {"type": "none"},
+        "baumgarte": {"type": "baumgarte", "time_constant": 0.05},
+        "projection": {"type": "projection"},
+    }
+    left = {k: worst_drift(*run(name, 1.0, stabilization=s, **options)) for k, s in kinds.items()}
+    assert left["projection"][0] <= 1e-12
+    assert left["baumgarte"][0] <= 0.5 * left["none"][0]
+    assert left["none"][0] > 1e-10
+
+
+def test_baumgarte_below_two_steps_is_raised():
+    short = {"type": "baumgarte", "time_constant": 1e-4}
+    simulation, states = run("four_bar_leg", 0.1, stabilization=short)
+    assert simulation.stabilization.floor(simulation.dt) == 2e-3
+    assert worst_drift(simulation, states)[0] <= 1e-6
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        {"type": "rk4"},
+        {"type": "dopri5", "tolerance": 1e-9},
+        {"type": "dop853", "tolerance": 1e-9},
+    ],
+)
+def test_states_come_every_dt_and_at_the_end(integrator):
+    _, states = run("arm7", 0.0255, integrator=integrator, dt=0.01)
+    assert [x.t for x in states] == pytest.approx([0.0, 0.01, 0.02, 0.0255], abs=1e-12)
+
+
+def test_dense_output_is_as_good_as_the_steps():
+    _, fine = run("arm7", 0.3, integrator={"type": "dop853"}, dt=1e-3)
+    _, dense = run("arm7", 0.3, integrator={"type": "dop853", "tolerance": 1e-10}, dt=1e-2)
+    for x, y in zip(fine[::10], dense, strict=True):
+        assert np.abs(x.q - y.q).max() <= 1e-8
+
+
+def commanded(tmp_path, joint="hinge"):
+    file = tmp_path / "driven.yaml"
+    urdf = ROOT / "config/robots/pendulum.urdf"
+    file.write_text(
+        f"robot: {{urdf: {urdf}}}\nactuators: [{{type: ideal, joints: [{joint}], limit: 5.0}}]\n",
+        encoding="utf-8",
+    )
+    return load_scene(file)
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "adams", "dop853", "semi_implicit_euler"])
+def test_commands_are_held_between_outputs(tmp_path, integrator):
+    """Two halves with their own command, run as two simulations, are one run with a switch."""
+    loaded = commanded(tmp_path)
+
+    def simulation():
+        return loaded.simulation(integrator={"type": integrator}, dt=1e-3)
+
+    switched = simulation().run(
+        loaded.initial, 0.2, lambda t: np.array([3.0 if t < 0.0999 else -2.0])
+    )
+    *_, expected = switched
+    *_, middle = simulation().run(loaded.initial, 0.1, lambda t: np.array([3.0]))
+    *_, found = simulation().run(middle, 0.1, lambda t: np.array([-2.0]))
+    tolerance = 1e-7 if integrator == "adams" else 1e-12  # Adams starts anew in the second run
+    assert np.abs(found.q - expected.q).max() <= tolerance
+
+
+def collect(states, seen):
+    for x in states:
+        seen.append(x)  # one by one, to have those before an error
+
+
+def test_divergence_names_joint_time_and_last_finite_state(tmp_path):
+    file = tmp_path / "stiff.yaml"
+    urdf = ROOT / "config/robots/pendulum.urdf"
+    file.write_text(
+        f"robot: {{urdf: {urdf}}}\n"
+        "forces: [{type: joint_spring, joint: hinge, stiffness: 1e9}]\n"
+        "initial: {position: {hinge: 0.1}}\nintegrator: {type: rk4}\ndt: 0.1\n",
+        encoding="utf-8",
+    )
+    loaded, seen = load_scene(file), []
+    message = r"diverged at t = .*; last finite state at t = .*: fastest joint hinge"
+    with pytest.raises(DivergedError, match=message):
+        collect(loaded.simulation().run(loaded.initial, 100.0), seen)
+    assert len(seen) > 1
+    assert all(np.isfinite([*x.q, *x.v]).all() for x in seen)
+
+
+def test_dt_that_is_none_is_refused():
+    loaded = load_scene(SCENES / "arm7.yaml")
+    for dt in (0.0, -1e-3, float("nan")):
+        with pytest.raises(SceneError, match=r"arm7\.yaml: dt .* s must be > 0"):
+            loaded.simulation(dt=dt)
+
+
+def test_stop_out_of_reach_leaves_the_simulation_as_it_is(tmp_path):
+    text = (SCENES / "prosthetic_arm.yaml").read_text(encoding="utf-8")
+    robots = str((SCENES / "../robots").resolve())
+    text = text.replace("../robots", robots) + "\ninitial: {velocity: {shoulder_flexion: 0.5}}\n"
+    (tmp_path / "plain.yaml").write_text(text, encoding="utf-8")
+    stop = (
+        "constraints: [{type: joint_stop, joint: shoulder_flexion, lower: -50.0, upper: 50.0}]\n"
+    )
+    (tmp_path / "stopped.yaml").write_text(text + stop, encoding="utf-8")
+    ends = []
+    for name in ("plain", "stopped"):
+        loaded = load_scene(tmp_path / f"{name}.yaml")
+        ends.append(list(loaded.simulation().run(loaded.initial, 0.2))[-1])
+    assert np.array_equal(ends[0].q, ends[1].q)
+    assert np.array_equal(ends[0].v, ends[1].v)
+
+
+def test_run_starts_from_the_nearest_consistent_state():
+    loaded = load_scene(SCENES / "four_bar_leg.yaml")
+    simulation = loaded.simulation()
+    x = State(0.0, loaded.initial.q + 0.02, loaded.initial.v + 0.5)
+    first = next(iter(simulation.run(x, 0.01)))
+    left = drift(simulation.system, first)
+    assert max(left) <= 1e-12

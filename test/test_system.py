@@ -1,0 +1,273 @@
+"""Forward dynamics in all tiers: identities, other tiers, dense linear algebra."""
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from mbd_ros.core.assembly import assemble, project
+from mbd_ros.core.couplings import Couplings
+from mbd_ros.core.loads import Loads
+from mbd_ros.core.robot_reader import read_robot
+from mbd_ros.core.state import State
+from mbd_ros.core.tiers import build_system, tier_of
+from mbd_ros.errors import ModelError, SceneError, SolveError
+from mbd_ros.part_entries import build_part
+from mbd_ros.scene import load_scene
+
+ROOT = Path(__file__).parents[1]
+SCENES = ROOT / "config/scenes"
+COUPLED = ["prosthetic_arm", "prosthetic_leg"]
+LOOPS = [
+    "four_bar_leg",
+    "benchmark/a02_four_bars_2",
+    "benchmark/a03_andrews",
+    "benchmark/a04_bricard",
+]
+PENDULUM = (ROOT / "config/robots/pendulum.urdf").read_text(encoding="utf-8")
+ARM = (ROOT / "config/robots/arm7.urdf").read_text(encoding="utf-8")
+
+
+def scene(name):
+    return load_scene(SCENES / f"{name}.yaml")
+
+
+def state(loaded, system, seed=0):
+    """A consistent state near the initial one, moving."""
+    rng = np.random.default_rng(seed)
+    x = loaded.initial
+    q = system.model.nq and pin.integrate(system.model, x.q, 0.05 * rng.normal(size=len(x.v)))
+    y = system.reduce(State(x.t, q, x.v + rng.normal(size=len(x.v))))
+    return assemble(system, y)
+
+
+def with_parts(urdf, entries, tier="auto", **options):
+    robot = read_robot(urdf)
+    parts = [build_part("constraints", entry, "test", robot) for entry in entries]
+    return build_system(robot, Couplings(robot), parts, Loads(robot.model.nv), tier, **options)
+
+
+def drop_effort(loaded, size):
+    """A torque on every joint, as the difference of two loads."""
+    return build_part(
+        "forces",
+        {
+            "type": "prescribed_torque",
+            "joints": [joint.name for joint in loaded.robot.joints],
+            "times": [-1.0, 10.0],
+            "torque": [size.tolist()] * 2,
+        },
+        "test",
+        loaded.robot,
+    )
+
+
+@pytest.mark.parametrize("name", [*COUPLED, *LOOPS])
+def test_all_tiers_agree(name):
+    loaded = scene(name)
+    systems = {tier: loaded.system(solver={"type": tier}) for tier in ("auto", "kkt", "qp")}
+    x = systems["auto"].expand(state(loaded, systems["auto"]))
+    solutions = {tier: s.solve(s.reduce(x)) for tier, s in systems.items()}
+    expected = solutions["kkt"]
+    size = 1.0 + np.abs(expected.a).max()
+    for tier, found in solutions.items():
+        assert np.abs(found.a - expected.a).max() <= 1e-9 * size, tier
+        if name != "benchmark/a04_bricard":  # redundant: only the minimum norm is unique
+            force = 1.0 + np.abs(expected.multipliers).max()
+            assert np.abs(found.multipliers - expected.multipliers).max() <= 1e-9 * force, tier
+
+
+@pytest.mark.parametrize(
+    ("name", "tier"),
+    [
+        ("arm7", "aba"),
+        ("prosthetic_arm", "reduced"),
+        ("four_bar_leg", "kkt"),
+        ("benchmark/a04_bricard", "kkt"),
+    ],
+)
+def test_tier_is_the_cheapest_that_serves(name, tier):
+    assert tier_of(scene(name).system()) == tier
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_loops_agree_with_a_dense_least_squares_solution(name):
+    """[M J'; J 0] [a; -lam] = [tau - h; -drift] by numpy's SVD, which gives the smallest norm."""
+    loaded = scene(name)
+    system = loaded.system()
+    x = state(loaded, system)
+    found = system.solve(x)
+    M, J = system.mass(x.q), system.jacobian(x.t, x.q)
+    applied = system.applied(x.t, x.q, x.v)
+    system.refresh(x.q, x.v)
+    drift = system.constraints.accelerations(system.data, x)[1]
+    free = np.linalg.solve(M, applied)
+    A = J @ np.linalg.solve(M, J.T)
+    lam = np.linalg.lstsq(A, -(J @ free + drift), rcond=1e-10)[0]
+    a = free + np.linalg.solve(M, J.T @ lam)
+    assert np.abs(found.a - a).max() <= 1e-9 * (1.0 + np.abs(a).max())
+    assert np.abs(found.multipliers - lam).max() <= 1e-8 * (1.0 + np.abs(lam).max())
+    assert np.abs(J @ found.a + drift).max() <= 1e-9 * (1.0 + np.abs(drift).max())
+
+
+@pytest.mark.parametrize("name", ["arm7", *COUPLED])
+def test_inverse_dynamics_of_the_acceleration_returns_the_torque(name):
+    loaded = scene(name)
+    tau = np.random.default_rng(1).normal(size=loaded.robot.model.nv)
+    system = loaded.system([drop_effort(loaded, tau)])
+    y = state(loaded, system)
+    z = system.acceleration(*y)
+    found = loaded.inverse_dynamics().solve(y.q, y.v, z)
+    slopes = loaded.couplings.expand(system.expand(y).q, tau.copy(), tau.copy())
+    expected, _ = loaded.couplings.reduce(tau.copy(), slopes)
+    assert np.abs(found.tau - expected).max() <= 1e-9
+
+
+def test_coupling_multipliers_are_those_of_inverse_dynamics():
+    loaded = scene("prosthetic_leg")
+    for tier in ("auto", "kkt"):
+        system = loaded.system(solver={"type": tier})
+        y = state(loaded, loaded.system())
+        full = loaded.system().expand(y)
+        a, lam = system.solve(system.reduce(full))
+        z = a[loaded.couplings.v_index]
+        found = loaded.inverse_dynamics().solve(y.q, y.v, z)
+        assert np.abs(found.multipliers - lam).max() <= 1e-9
+        assert np.abs(found.tau).max() <= 1e-9
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_constraint_forces_do_no_work(name):
+    loaded = scene(name)
+    system = loaded.system()
+    for seed in range(5):
+        x = state(loaded, system, seed)
+        lam = system.solve(x).multipliers
+        J = system.jacobian(x.t, x.q)
+        powers = (J.T @ lam) * x.v
+        assert abs(powers.sum()) <= 1e-10 * (np.abs(powers).sum() + 1e-3)
+
+
+STRUT = {"type": "distance", "frame_a": "base", "frame_b": "link7", "distance": 0.9}
+
+
+def test_duplicated_rows_share_the_force_and_change_nothing_else():
+    once, thrice = with_parts(ARM, [STRUT]), with_parts(ARM, [STRUT] * 3)
+    x = assemble(once, State(0.0, np.full(7, 0.3), np.ones(7)))
+    one, three = once.solve(x), thrice.solve(x)
+    assert np.abs(one.a - three.a).max() <= 1e-10 * np.abs(one.a).max()
+    assert three.multipliers == pytest.approx(np.full(3, one.multipliers[0] / 3), rel=1e-10)
+
+
+def test_a_row_that_nothing_moves_carries_nothing():
+    idle = {"type": "loop_closure", "frame_a": "base", "frame_b": "link1", "directions": "x"}
+    with_idle, without = with_parts(ARM, [idle, STRUT]), with_parts(ARM, [STRUT])
+    x = assemble(without, State(0.0, np.full(7, 0.3), np.ones(7)))
+    found, expected = with_idle.solve(x), without.solve(x)
+    assert np.abs(with_idle.jacobian(0.0, x.q)[0]).max() <= 1e-15
+    assert np.abs(found.a - expected.a).max() <= 1e-10 * np.abs(expected.a).max()
+    assert found.multipliers == pytest.approx([0.0, *expected.multipliers], abs=1e-9)
+
+
+def motion(**course):
+    return {"type": "prescribed_motion", "joint": "hinge", **course}
+
+
+def test_rows_that_contradict_each_other_are_refused():
+    system = with_parts(
+        PENDULUM, [motion(polynomial=[0.0, 1.0]), motion(polynomial=[0.0, 1.0, 1.0])]
+    )
+    with pytest.raises(SolveError, match=r"row hinge\.motion contradicts the other rows"):
+        system.solve(State(0.0, np.zeros(1), np.ones(1)))
+    two = with_parts(ARM, [STRUT, {**STRUT, "distance": 0.5}])
+    with pytest.raises(
+        SolveError, match=r"cannot be assembled near this position: row base-link7"
+    ):
+        assemble(two, State(0.0, np.full(7, 0.3), np.zeros(7)))
+    faster = with_parts(PENDULUM, [motion(polynomial=[0.0, 1.0]), motion(polynomial=[0.0, 2.0])])
+    with pytest.raises(SolveError, match=r"no consistent velocity: row hinge\.motion"):
+        assemble(faster, State(0.0, np.zeros(1), np.ones(1)))
+
+
+def test_toggle_position_is_finite_and_flagged():
+    """Both cranks of the four-bars level: every link on one line, one degree of freedom more."""
+    loaded = scene("benchmark/a02_four_bars_2")
+    system = loaded.system()
+    q = loaded.initial.q.copy()
+    level = {"crank_0": np.pi / 2, "crank_1": np.pi / 2, "crank_2": np.pi / 2}
+    for name, angle in {**level, "coupler_0": -np.pi / 2, "coupler_1": -np.pi / 2}.items():
+        q[loaded.robot.joint(name).q] = np.sign(loaded.initial.v[0]) * -angle
+    assert assemble(system, loaded.initial) is not None
+    assert system.condition < 10.0
+    x = project(system, State(0.0, q, loaded.initial.v))
+    assert system.condition > 1e6
+    assert np.abs(x.q - q).max() <= 1e-12
+    solution = system.solve(x)
+    assert np.isfinite(solution.a).all()
+    assert np.isfinite(solution.multipliers).all()
+    assert np.abs(solution.multipliers).max() <= 1e3  # tens of newtons hold the links
+
+
+def test_hundred_bodies_closed_to_a_loop():
+    loaded = load_scene(SCENES / "benchmark/x06_chain.yaml")
+    robot = loaded.robot
+    strut = {"type": "distance", "frame_a": "universe", "frame_b": "link_100", "distance": 0.5}
+    part = build_part("constraints", strut, "test", robot)
+    system = build_system(robot, Couplings(robot), [part], Loads(robot.model.nv))
+    q = np.where(np.arange(100) % 2, 1.0, -1.0)
+    q[0] = 0.5
+    x = assemble(system, State(0.0, q, np.zeros(100)))
+    a, lam = system.solve(x)
+    M, J = system.mass(x.q), system.jacobian(0.0, x.q)
+    left = M @ a - system.applied(0.0, x.q, x.v) - J.T @ lam
+    assert np.abs(system.residual(0.0, x.q)).max() <= 1e-12
+    assert np.abs(left).max() <= 1e-9
+    assert abs(lam[0]) > 0.01
+
+
+@pytest.mark.parametrize(
+    ("tier", "message"),
+    [
+        ("aba", "solver aba takes no rows, the scene has hinge.stop"),
+        ("reduced", "solver reduced takes couplings only, the scene has hinge.stop"),
+        ("kkt", "solver kkt takes no bounded rows, the scene has hinge.stop"),
+        ("simplex", "unknown solver type 'simplex', accepted: auto, aba, reduced, kkt, qp"),
+    ],
+)
+def test_tier_that_cannot_serve_is_refused(tier, message):
+    stop = {"type": "joint_stop", "joint": "hinge", "upper": 0.5, "lower": -0.5}
+    with pytest.raises(ModelError, match=message):
+        with_parts(PENDULUM, [stop], tier)
+
+
+def test_solver_section_of_a_scene_names_the_file(tmp_path):
+    file = tmp_path / "scene.yaml"
+    urdf = ROOT / "config/robots/prosthetic_arm.urdf"
+    file.write_text(
+        f"robot: {{urdf: {urdf}}}\n"
+        "couplings: {elbow: {parent: shoulder_flexion, factor: 1.0}}\n"
+        "solver: {type: aba}\n",
+        encoding="utf-8",
+    )
+    with pytest.raises(SceneError, match=r"scene\.yaml: solver: solver aba takes no rows"):
+        load_scene(file).system()
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_wrenches_of_the_constraints_are_their_generalized_force(name):
+    """Sum of J_i' w_i over the bodies, with J_i at the point of attack, equals J' lam."""
+    loaded = scene(name)
+    system = loaded.system()
+    x = state(loaded, system)
+    lam = system.solve(x).multipliers
+    J, model, data = system.jacobian(x.t, x.q), system.model, system.data
+    total = np.zeros(model.nv)
+    wrenches = system.wrenches(x, lam)
+    for frame, point, force, torque in wrenches:
+        body = model.frames[loaded.robot.frame(frame)].parentJoint
+        place = pin.SE3(np.eye(3), data.oMi[body].actInv(point))
+        at_point = pin.getFrameJacobian(model, data, body, place, pin.LOCAL_WORLD_ALIGNED)
+        total += at_point.T @ np.concatenate([force, torque])
+    assert np.abs(total - J.T @ lam).max() <= 1e-10 * (1.0 + np.abs(lam).max())
+    assert np.abs(sum(w.force for w in wrenches)).max() <= 1e-10 * (1.0 + np.abs(lam).max())
