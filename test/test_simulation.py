@@ -7,6 +7,7 @@ import pytest
 
 from mbd_ros.core.assembly import drift
 from mbd_ros.core.state import State
+from mbd_ros.core.tiers import tier_of
 from mbd_ros.errors import DivergedError, SceneError
 from mbd_ros.scene import load_scene
 
@@ -147,21 +148,56 @@ def test_dt_that_is_none_is_refused():
             loaded.simulation(dt=dt)
 
 
-def test_stop_out_of_reach_leaves_the_simulation_as_it_is(tmp_path):
-    text = (SCENES / "prosthetic_arm.yaml").read_text(encoding="utf-8")
-    robots = str((SCENES / "../robots").resolve())
-    text = text.replace("../robots", robots) + "\ninitial: {velocity: {shoulder_flexion: 0.5}}\n"
-    (tmp_path / "plain.yaml").write_text(text, encoding="utf-8")
-    stop = (
-        "constraints: [{type: joint_stop, joint: shoulder_flexion, lower: -50.0, upper: 50.0}]\n"
+@pytest.mark.parametrize(
+    "name", ["prosthetic_arm", "arm7", "four_bar_leg", "benchmark/a04_bricard"]
+)
+def test_stops_out_of_reach_leave_the_simulation_as_it_is(tmp_path, name):
+    text = (SCENES / f"{name}.yaml").read_text(encoding="utf-8")
+    text = text.replace("../../robots", "../robots").replace(
+        "../robots", str(ROOT / "config/robots")
     )
-    (tmp_path / "stopped.yaml").write_text(text + stop, encoding="utf-8")
-    ends = []
-    for name in ("plain", "stopped"):
-        loaded = load_scene(tmp_path / f"{name}.yaml")
-        ends.append(list(loaded.simulation().run(loaded.initial, 0.2))[-1])
+    stop = "- {type: joint_stop, joints: [all], lower: -50.0, upper: 50.0}\n"
+    head = "" if "constraints:" in text else "constraints:\n"
+    lines = text.rstrip().partition("constraints:\n")
+    stopped = (
+        f"{lines[0]}constraints:\n{stop}{lines[2]}\n" if not head else f"{text}\n{head}{stop}"
+    )
+    (tmp_path / "plain.yaml").write_text(text, encoding="utf-8")
+    (tmp_path / "stopped.yaml").write_text(stopped, encoding="utf-8")
+    ends, tiers = [], []
+    for file in ("plain", "stopped"):
+        loaded = load_scene(tmp_path / f"{file}.yaml")
+        simulation = loaded.simulation(integrator={"type": "rk4"}, dt=1e-3)
+        ends.append(list(simulation.run(loaded.initial, 0.1))[-1])
+        tiers.append(tier_of(simulation.system))
+    assert tiers[1] == f"qp over {tiers[0]}"
     assert np.array_equal(ends[0].q, ends[1].q)
     assert np.array_equal(ends[0].v, ends[1].v)
+
+
+@pytest.mark.parametrize("tier", ["reduced", "kkt"])
+@pytest.mark.parametrize(
+    ("integrator", "order", "dt"),
+    [
+        ({"type": "rk4"}, 4, 2e-3),
+        ({"type": "dopri5"}, 5, 5e-3),
+        ({"type": "adams", "order": 6}, 6, 1e-3),
+        ({"type": "gauss_legendre", "stages": 2}, 4, 4e-3),
+    ],
+)
+def test_coupled_arm_keeps_the_order_of_every_method(integrator, order, dt, tier):
+    """Elbow coupled to the shoulder; error of the end against DOP853 with a tenth of the step."""
+    loaded = load_scene(SCENES / "prosthetic_arm.yaml")
+    x = loaded.initial._replace(v=loaded.initial.v + 1.0)
+
+    def end(method, step):
+        simulation = loaded.simulation(integrator=method, dt=step, solver={"type": tier})
+        return list(simulation.run(x, 0.2))[-1].q
+
+    exact = end({"type": "dop853"}, dt / 10)
+    errors = [np.abs(end(integrator, step) - exact).max() for step in (2 * dt, dt)]
+    assert errors[1] > 1e-13
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.6)
 
 
 def test_run_starts_from_the_nearest_consistent_state():

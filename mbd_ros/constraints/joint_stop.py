@@ -27,7 +27,8 @@ class JointStop(Constraint):
     Args:
         robot: Robot of the scene.
         joint: The joint with stops, or else `joints`.
-        joints: Several joints, or [all] for every one with a limit in the robot description.
+        joints: Several joints, or [all]: every one with a limit in the robot description, or every
+            one at all with `lower` or `upper`.
         lower: Lower end [rad or m]; that of the robot description by default.
         upper: Upper end [rad or m]; that of the robot description by default.
         time_constant: T with which a joint comes to an end [s], > 0.
@@ -50,7 +51,7 @@ class JointStop(Constraint):
     ) -> None:
         if not 0 < time_constant < math.inf:
             raise ModelError(f"time_constant {time_constant:g} s must be finite and > 0")
-        stopped = _stopped(robot, joint, joints)
+        stopped = _stopped(robot, joint, joints, lower is None and upper is None)
         ends = [_ends(one, lower, upper) for one in stopped]
         n, kp, kd = len(stopped), 1.0 / time_constant**2, 2.0 / time_constant
         self.joints = tuple(one.name for one in stopped)
@@ -105,13 +106,17 @@ class JointStop(Constraint):
         return ahead - self._lower <= self._upper - ahead
 
 
-def _stopped(robot: Robot, joint: str | None, joints: Sequence[str] | None) -> list[Joint]:
+def _stopped(
+    robot: Robot, joint: str | None, joints: Sequence[str] | None, by_description: bool
+) -> list[Joint]:
     if (joint is None) == (joints is None):
         raise ModelError("give either 'joint' or 'joints'")
     if joints is None:
         assert joint is not None
         return [robot.joint(joint)]
     if list(joints) == ["all"]:
+        if not by_description:
+            return list(robot.joints)
         limited = [j for j in robot.joints if math.isfinite(j.lower) or math.isfinite(j.upper)]
         if not limited:
             raise ModelError("joints [all]: no joint has a limit in the robot description")

@@ -80,6 +80,8 @@ class Simulation:
                 k += 1
                 due = min(begin + k * self.dt, last)
             y = self._corrected(y_next)
+            if y is not y_next:
+                self.stepper.continue_from(y)
             if k <= count and due <= y.t + slack:
                 yield self.system.expand(y)
                 k += 1

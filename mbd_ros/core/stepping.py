@@ -25,6 +25,9 @@ class Stepper:
     def restart(self) -> None:
         """Forget everything that was kept from earlier steps."""
 
+    def continue_from(self, x: State) -> None:
+        """Go on from a state that stabilization has made of the last one, history kept."""
+
     def interpolate(self, t: float) -> State:
         """State at a time inside the last step, for methods with dense output."""
         raise NotImplementedError

@@ -77,6 +77,7 @@ class AdamsStepper(Stepper):
         self._known = 0
         self._last: State | None = None  # what the last step returned while the method starts
         self._ready: State | None = None  # the same, once there are enough accelerations
+        self._head = np.zeros((2, int(system.nv)))  # [q; v] from which the next step starts
         self._held: bytes | None = None
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
@@ -88,6 +89,7 @@ class AdamsStepper(Stepper):
         row, product, before, after, after_q, after_v = self._next_slot()
         row[...] = self._acceleration(t, q, v, u)
         product(before, after)
+        self._head = after
         self._ready = x = new_state(State, (t + self._dt, after_q(), after_v()))
         return x
 
@@ -95,6 +97,14 @@ class AdamsStepper(Stepper):
         """Forget the accelerations of earlier steps."""
         self._known, self._last, self._ready, self._held = 0, None, None, None
         self._starter.restart()
+
+    def continue_from(self, x: State) -> None:
+        """Go on from a state that stabilization has made of the last one, history kept."""
+        if self._ready is not None:
+            self._head[0], self._head[1] = x.q, x.v
+            self._ready = x
+        elif self._last is not None:
+            self._last = x
 
     def _slow_step(self, x: State, u: Array | None, end: float, held: bytes | None) -> State:
         """A step that starts the method, or that ends at `end`."""
@@ -122,6 +132,7 @@ class AdamsStepper(Stepper):
         self._last = after
         if self._known >= self._needed:
             head[0], head[1] = after.q, after.v
+            self._head = head
             self._last, self._ready = None, after
 
 
