@@ -6,7 +6,8 @@ import time
 import numpy as np
 import pytest
 
-from mbd_ros.core.qp import BoxQp, complementarity
+from mbd_ros.core.active_set import complementarity
+from mbd_ros.core.qp import BoxQp
 from mbd_ros.errors import ModelError, SolveError
 
 

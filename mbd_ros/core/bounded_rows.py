@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.active_set import complementarity, on_active_set
 from mbd_ros.core.constraint_rows import ConstraintRows
-from mbd_ros.core.qp import BoxQp, complementarity, on_active_set
+from mbd_ros.core.qp import BoxQp
 from mbd_ros.core.state import Array, State
 
 _EXACT = 1.0e-11  # complementarity residual of the right active set, relative

@@ -8,10 +8,9 @@ and w <= 0 at the upper one. Source: P. Lötstedt, SIAM J. Sci. Stat. Comput. 5 
 
 from typing import Any, NamedTuple
 
-import eigenpy
 import numpy as np
-from numpy.typing import NDArray
 
+from mbd_ros.core.active_set import complementarity, polish
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError, SolveError
 
@@ -26,9 +25,6 @@ _SETTINGS = {
 }
 _INFINITE = 1.0e20  # what ProxQP takes for no bound
 _TINY = 1.0e-300
-_POLISHED = 1.0e-12  # complementarity residual beyond which nothing is to be gained
-_RANK = 1.0e-13
-_NOTHING = 1.0e-12  # terms of that size are none
 
 
 class Statistics(NamedTuple):
@@ -95,7 +91,7 @@ class BoxQp:
             if rung:
                 self._count(rung)
             lam = np.clip(unit * start(*scaled), lower, upper)
-            lam = np.clip(polish(A, b, lower, upper, lam), lower, upper)
+            lam = polish(A, b, lower, upper, lam)
             residual = complementarity(A, b, lower, upper, lam)
             if residual <= _TOLERANCE:
                 self._previous = lam / unit
@@ -120,53 +116,6 @@ class BoxQp:
 
     def _count(self, what: str) -> None:
         self.statistics = self.statistics._replace(**{what: getattr(self.statistics, what) + 1})
-
-
-def complementarity(A: Array, b: Array, lower: Array, upper: Array, lam: Array) -> float:
-    """Largest violation of the optimality conditions, relative to the terms in A lam + b.
-
-    It is the natural residual: how far a gradient step, kept in the bounds, moves.
-    """
-    size = np.abs(A).dot(np.abs(lam)) + np.abs(b) + _NOTHING
-    moved = (lam - _stepped(A, b, lower, upper, lam)) * np.maximum(A.diagonal(), _TINY)
-    worst = float((np.abs(moved) / size).max())
-    return worst if worst < np.inf else np.inf
-
-
-def _stepped(A: Array, b: Array, lower: Array, upper: Array, lam: Array) -> Array:
-    """Lam after a gradient step of the length of its diagonal entry, kept in the bounds."""
-    target = lam - (A.dot(lam) + b) / np.maximum(A.diagonal(), _TINY)
-    return np.minimum(np.maximum(target, lower), upper)
-
-
-def polish(A: Array, b: Array, lower: Array, upper: Array, lam: Array) -> Array:
-    """The exact solution of the active set of lam, if it passes as one; else lam itself."""
-    stepped = _stepped(A, b, lower, upper, lam)
-    free = (stepped > lower) & (stepped < upper)
-    exact = on_active_set(A, b, stepped, free)
-    if complementarity(A, b, lower, upper, exact) <= _POLISHED:
-        return exact
-    rows, least = free.nonzero()[0], np.where(free, 0.0, stepped)
-    right = -(A.dot(least) + b)[rows]
-    least[rows] = np.linalg.lstsq(A[np.ix_(rows, rows)], right, rcond=_RANK)[0]
-    better = complementarity(A, b, lower, upper, least) < complementarity(A, b, lower, upper, lam)
-    return least if better else lam
-
-
-def on_active_set(A: Array, b: Array, bound: Array, free: NDArray[np.bool_]) -> Array:
-    """Lam with A lam + b = 0 in the free rows and lam = `bound` in the others, shape (n,).
-
-    Singular rows give what their factor leaves: whoever asks judges the result.
-    """
-    rows = free.nonzero()[0]
-    if len(rows) == len(b):
-        return -eigenpy.LDLT(A).solve(b).reshape(-1)
-    lam = np.where(free, 0.0, bound)
-    if len(rows):
-        A_rows = A[rows]
-        right = A_rows.dot(lam) + b[rows]
-        lam[rows] = -eigenpy.LDLT(A_rows[:, rows]).solve(right).reshape(-1)
-    return lam
 
 
 def _proxqp(n: int) -> Any:
