@@ -9,14 +9,13 @@ import pinocchio as pin
 from mbd_ros.core.assembly import assemble
 from mbd_ros.core.inverse_dynamics import InverseDynamics
 from mbd_ros.core.linearization import fastest_rate
-from mbd_ros.core.row_factor import RowFactor
+from mbd_ros.core.row_factor import TOGGLE, RowFactor
 from mbd_ros.core.system import System
 from mbd_ros.core.tiers import tier_of
 from mbd_ros.scene import DEFAULT_INTEGRATOR, Scene
 
 _CALLS, _REPEATS = 2000, 5
 _STABLE = 2.5  # rate times step; between the limits of RK4, DOPRI5 and DOP853
-_TOGGLE = 1.0e6  # condition number of the rows
 _TIERS = {
     "aba": "open chain, articulated-body algorithm",
     "reduced": "couplings eliminated exactly, q = F(z)",
@@ -123,7 +122,7 @@ def _rank_lines(factor: RowFactor) -> Iterator[str]:
         yield _line("rank", text)
         return
     yield _line("rank", f"{rows} of {rows} rows, condition number {factor.condition:.2g}")
-    if factor.condition > _TOGGLE:
+    if factor.condition > TOGGLE:
         yield _line("warning", "near a toggle position: multipliers are unreliable here")
 
 

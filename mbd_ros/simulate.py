@@ -7,6 +7,7 @@ import numpy as np
 
 from mbd_ros.bag_paths import is_bag
 from mbd_ros.core.assembly import drift
+from mbd_ros.core.row_factor import TOGGLE
 from mbd_ros.core.simulation import Commands, Simulation
 from mbd_ros.core.state import NANOSECOND, State
 from mbd_ros.core.tiers import tier_of
@@ -117,6 +118,10 @@ def _summary(
     yield f"{wall:.3f} s for {duration:g} s, real-time factor {duration / max(wall, 1e-9):.1f}"
     yield f"energy {energy[0]:.6g} J, largest change {change:.3g} J"
     yield f"largest drift: position {position.max():.2g}, velocity {velocity.max():.2g}"
+    condition, t = simulation.worst
+    if 1.0 < condition < np.inf:
+        doubt = "; near a toggle, multipliers there are unreliable" if condition > TOGGLE else ""
+        yield f"condition number of the rows up to {condition:.2g}, at t = {t:g} s{doubt}"
     if simulation.system.bounded is not None:
         s = simulation.system.bounded.qp.statistics
         yield f"QP: {s.solves} solves, {s.cold} cold, {s.damped} damped, {s.failed} failed"

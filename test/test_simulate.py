@@ -63,6 +63,16 @@ def test_table_holds_motion_multipliers_energy_and_drift(capsys, tmp_path):
     assert said.endswith(f"101 states -> {out}\n")
 
 
+def test_toggle_is_said(capsys, tmp_path):
+    """Both four-bars stretch at 0.71436 s; the condition number grows as 1 / distance."""
+    scene = SCENES / "benchmark/a02_four_bars_2.yaml"
+    words = ["-t", 0.8, "-o", tmp_path / "out.csv", "--dt"]
+    said = called(capsys, "simulate", scene, *words, 1e-3)[1]
+    (found,) = re.findall(r"rows up to (\S+), at t = (\S+) s$", said, flags=re.MULTILINE)
+    assert float(found[1]) == pytest.approx(0.7143555, abs=1e-3)
+    assert 1e2 < float(found[0]) < 1e6
+
+
 def test_bag_holds_the_same(capsys, tmp_path):
     scene = SCENES / "four_bar_leg.yaml"
     called(capsys, "simulate", scene, "-t", 0.05, "-o", tmp_path / "out.csv")

@@ -9,6 +9,7 @@ from mbd_ros.errors import SolveError
 NEARLY_SINGULAR = 1.0e-9  # eigenvalues of the scaled A: singular values of the rows below 3e-5
 REDUNDANT = 1.0e-13  # what rounding leaves of a zero eigenvalue
 _ZERO_ROW = 1.0e-20  # of the largest row: what rounding leaves of J = 0, squared
+TOGGLE = 1.0e6  # condition number beyond which multipliers are unreliable
 CONTRADICTION = 1.0e-5  # of the terms that should cancel; directions below 1e-6 count as null
 _ZERO = 1.0e-12
 

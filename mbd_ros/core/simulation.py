@@ -28,6 +28,8 @@ class Simulation:
 
     Attributes:
         steps: Steps taken so far.
+        worst: Largest condition number of the rows after a step, inf where they are redundant,
+            and its time [s]. Beyond some 1e6, near a toggle, multipliers are unreliable.
     """
 
     def __init__(
@@ -40,6 +42,7 @@ class Simulation:
         system.correct_rows(*stabilization.gains(dt))
         self.stepper = integrator.prepare(system, dt)
         self.steps = 0
+        self.worst = (1.0, 0.0)
         self._is_corrected = bool(system.rows) and not integrator.keeps_constraints
 
     def start(self, x: State) -> State:
@@ -87,7 +90,12 @@ class Simulation:
                 k += 1
 
     def _corrected(self, y: State) -> State:
-        return self.stabilization.correct(self.system, y) if self._is_corrected else y
+        if not self._is_corrected:
+            return y
+        corrected = self.stabilization.correct(self.system, y)
+        if self.system.condition > self.worst[0]:
+            self.worst = self.system.condition, y.t
+        return corrected
 
     def _step(self, y: State, u: Array | None, end: float) -> State:
         self.steps += 1
