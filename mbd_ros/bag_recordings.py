@@ -136,8 +136,14 @@ def _wrench_samples(
 
 def write_bag_torques(path: Path, torques: TorqueRecord) -> None:
     """See `results.write_torques`."""
-    measured = {f: getattr(torques, f) for f in ("position", "velocity", "effort")}
-    streams = {"/joint_torques": (torques.joints, measured)}
+    motion = {f: getattr(torques, f) for f in ("position", "velocity")}
+    if torques.driven is None:
+        streams = {"/joint_torques": (torques.joints, {**motion, "effort": torques.effort})}
+    else:
+        at = [torques.joints.index(joint) for joint in torques.driven]
+        driven = {field: values[:, at] for field, values in motion.items()}
+        streams = {"/joint_states": (torques.joints, motion)}
+        streams["/joint_torques"] = (torques.driven, {**driven, "effort": torques.effort})
     if torques.dependent:
         streams["/constraint_forces"] = (torques.dependent, {"effort": torques.multiplier})
     for part, effort in torques.parts.items():

@@ -10,18 +10,18 @@ import numpy as np
 from mbd_ros.bag_paths import is_bag
 from mbd_ros.core.differentiation import CausalDifferentiator
 from mbd_ros.core.inverse_dynamics import Parts
-from mbd_ros.core.state import NANOSECOND, Array, Motion, WrenchSamples
+from mbd_ros.core.state import Array, Motion, WrenchSamples
 from mbd_ros.core.torque_estimator import Observation, TorqueEstimator, Tuning
-from mbd_ros.core.wrenches import at_stamps
 from mbd_ros.core.zero_phase import zero_phase
 from mbd_ros.errors import DataError
+from mbd_ros.offline_loops import close_loops, solve_loops
+from mbd_ros.offline_wrenches import read_loads, wrench_at
 from mbd_ros.progress import progress
-from mbd_ros.recordings import read_motion, read_wrenches
+from mbd_ros.recordings import read_motion
 from mbd_ros.records import Recording, TorqueRecord
 from mbd_ros.results import write_torques
 from mbd_ros.scene import Scene
 
-WRENCH_MAX_AGE = 0.1  # s
 _CHUNK = 1000  # samples between two signs of progress
 
 
@@ -58,22 +58,30 @@ def inverse_dynamics_of(
         derivatives: Where velocity and acceleration come from.
         wrenches: Table or bag of the external loads; a bag motion carries its own.
         topic: JointState topic of a bag.
-        with_parts: Also write the torques by cause.
+        with_parts: Also write the torques by cause; not for scenes with loops, where a cause
+            alone may be out of reach of the actuators.
 
     Yields:
         What was done and what was left out, a line each.
 
     Raises:
         DataError: Something cannot be read, does not fit the scene, or cannot be written.
+        SolveError: A mechanism with loops cannot be assembled, or its actuators cannot produce
+            the motion.
     """
     is_bag(out)
-    couplings = scene.couplings
+    if with_parts and scene.has_loops:
+        raise DataError(f"{scene.path}: --parts goes with scenes without loops only")
+    needed = () if scene.has_loops else scene.couplings.independent
     estimator = TorqueEstimator(
         scene.robot, scene.inverse_dynamics(), Tuning(cutoff=derivatives.cutoff)
     )
-    recording = read_motion(motion, estimator.names, topic=topic, required=couplings.independent)
+    recording = read_motion(motion, estimator.names, topic=topic, required=needed)
+    if scene.has_loops:
+        recording, remarks = close_loops(scene, motion, recording)
+        yield from remarks
     yield from _left_out(motion, recording)
-    loads, dropped = _read_loads(scene, motion, wrenches)
+    loads, dropped = read_loads(scene, motion, wrenches)
     if derivatives.source == "causal":
         samples = _observe(estimator, recording.motion, dropped)
         yield _causal_line(estimator.differentiator, derivatives.cutoff)
@@ -82,12 +90,19 @@ def inverse_dynamics_of(
     yield from (f"{count} samples left out: {reason}" for reason, count in dropped.items())
     if not samples:
         raise DataError(f"{motion}: no sample can be used")
-    record = _solve(scene, estimator, samples, loads, with_parts)
+    remarks = []
+    if scene.has_loops:
+        stamps = np.array([x.stamp for x in samples], dtype=np.int64)
+        wrenches_at = [wrench_at(name, load, stamps) for name, load in loads.items()]
+        record, remarks = solve_loops(scene, motion, samples, wrenches_at)
+    else:
+        record = _solve(scene, samples, loads, with_parts)
     if not np.isfinite(record.effort).all():
         row = int(np.flatnonzero(~np.isfinite(record.effort).all(axis=1))[0])
         raise DataError(f"{motion}: torques at {record.stamps[row] / 1e9} s are not finite")
     write_torques(out, record)
     yield from _violations(scene, samples)
+    yield from remarks
     yield f"{len(samples)} samples, {derivatives.source} derivatives -> {out}"
 
 
@@ -96,30 +111,6 @@ def _left_out(motion: Path, recording: Recording) -> Iterator[str]:
         yield f"{motion}: {count} messages left out: {reason}"
     if recording.by_log_time:
         yield f"{motion}: stamps are 0, the times of the log are used"
-
-
-def _read_loads(
-    scene: Scene, motion: Path, wrenches: Path | None
-) -> tuple[dict[str, WrenchSamples], Counter[str]]:
-    dropped: Counter[str] = Counter()
-    if not scene.wrenches:
-        return {}, dropped
-    path = wrenches or motion
-    if not is_bag(path) and wrenches is None:
-        raise DataError(
-            f"{scene.path}: external_wrenches {', '.join(scene.wrenches)}: a table of joints does "
-            "not carry them; give --wrenches FILE"
-        )
-    topics = {name: wrench.topic for name, wrench in scene.wrenches.items()}
-    loads = read_wrenches(path, topics, dropped=dropped)
-    for name, samples in loads.items():
-        expected = scene.wrenches[name].load.expressed_in
-        if samples.frame_id not in ("", expected):
-            raise DataError(
-                f"{path}: wrench '{name}' is in frame '{samples.frame_id}', the scene expects "
-                f"'{expected}'"
-            )
-    return loads, dropped
 
 
 def _observe(
@@ -184,7 +175,6 @@ def _given(scene: Scene, path: Path, values: Array | None, field: str) -> Array:
 
 def _solve(
     scene: Scene,
-    estimator: TorqueEstimator,
     samples: Sequence[Observation],
     loads: dict[str, WrenchSamples],
     with_parts: bool,
@@ -194,7 +184,7 @@ def _solve(
         np.array([getattr(x, field) for x in samples])
         for field in ("position", "velocity", "acceleration")
     )
-    wrenches = [_wrench_at(name, load, stamps) for name, load in loads.items()]
+    wrenches = [wrench_at(name, load, stamps) for name, load in loads.items()]
     inverse = scene.inverse_dynamics()
     chunks = [slice(i, i + _CHUNK) for i in range(0, len(stamps), _CHUNK)]
     solved = [
@@ -211,17 +201,6 @@ def _solve(
     return TorqueRecord(
         stamps, couplings.independent, z, v, a, tau, couplings.dependent, multipliers, parts
     )
-
-
-def _wrench_at(name: str, samples: WrenchSamples, stamps: np.ndarray) -> Array:
-    wrench = at_stamps(samples, stamps, round(WRENCH_MAX_AGE / NANOSECOND))
-    lacking = np.flatnonzero(np.isnan(wrench[:, 0]))
-    if len(lacking):
-        raise DataError(
-            f"wrench '{name}' covers {samples.stamps[0] / 1e9} to {samples.stamps[-1] / 1e9} s, "
-            f"not the motion at {stamps[lacking[0]] / 1e9} s"
-        )
-    return wrench
 
 
 def _violations(scene: Scene, samples: Sequence[Observation]) -> Iterator[str]:

@@ -30,14 +30,15 @@ class TorqueRecord(NamedTuple):
 
     Attributes:
         stamps: [ns], shape (n,), int64.
-        joints: Names of the independent joints.
+        joints: Names of the independent joints; of all joints of a scene with loops.
         position: [rad or m], shape (n, len(joints)).
         velocity: [rad/s or m/s], same shape.
         acceleration: [rad/s^2 or m/s^2], same shape.
-        effort: Torque or force of the independent joints [N·m or N], same shape.
-        dependent: Names of the dependent joints.
-        multiplier: Their coupling torque or force [N·m or N], shape (n, len(dependent)).
+        effort: Torque or force of `joints`, or of `driven` [N·m or N], shape (n, len(..)).
+        dependent: Names of the dependent joints, or of the constraint rows.
+        multiplier: Their torque or force [N·m or N], shape (n, len(dependent)).
         parts: Shares of `effort` by name (gravity, coriolis, ...), each of its shape.
+        driven: Joints that `effort` belongs to; None: `joints`.
     """
 
     stamps: NDArray[np.int64]
@@ -49,6 +50,7 @@ class TorqueRecord(NamedTuple):
     dependent: tuple[str, ...]
     multiplier: Array
     parts: Mapping[str, Array] = MappingProxyType({})
+    driven: tuple[str, ...] | None = None
 
 
 class SimulationRecord(NamedTuple):

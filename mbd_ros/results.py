@@ -15,7 +15,8 @@ def write_torques(path: str | Path, torques: TorqueRecord) -> None:
     A table has `<joint>.position`, `.velocity`, `.acceleration`, `.effort` and one column a part
     of the independent joints, and `<joint>.multiplier` of the dependent ones. A bag has JointState
     topics /joint_torques, /joint_torques/<part> and /constraint_forces (effort = multiplier), and
-    no accelerations.
+    no accelerations. Of a scene with loops there is the motion of all joints, in a bag as
+    /joint_states, the effort of the actuated ones, and `<row>.multiplier` of every constraint row.
 
     Raises:
         DataError: A place that cannot be written to.
@@ -25,13 +26,14 @@ def write_torques(path: str | Path, torques: TorqueRecord) -> None:
 
         write_bag_torques(Path(path), torques)
         return
-    fields = {
-        **{f: getattr(torques, f) for f in ("position", "velocity", "acceleration", "effort")},
-        **torques.parts,
-    }
-    columns = [f"{joint}.{field}" for field in fields for joint in torques.joints]
+    motion = {f: getattr(torques, f) for f in ("position", "velocity", "acceleration")}
+    efforts = {"effort": torques.effort, **torques.parts}
+    driven = torques.joints if torques.driven is None else torques.driven
+    columns = [f"{joint}.{field}" for field in motion for joint in torques.joints]
+    columns += [f"{joint}.{field}" for field in efforts for joint in driven]
     columns += [f"{joint}.multiplier" for joint in torques.dependent]
-    values = np.column_stack([torques.stamps / 1e9, *fields.values(), torques.multiplier])
+    fields = (*motion.values(), *efforts.values())
+    values = np.column_stack([torques.stamps / 1e9, *fields, torques.multiplier])
     write_table(path, ["time", *columns], values)
 
 

@@ -6,11 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from mbd_ros import schema
+from mbd_ros.core.closed_loop import ClosedLoopInverseDynamics
 from mbd_ros.core.couplings import Couplings
 from mbd_ros.core.inverse_dynamics import InverseDynamics
 from mbd_ros.core.loads import Loads
+from mbd_ros.core.observed_loops import ObservedLoops
 from mbd_ros.core.parts import Actuator, Constraint, ForceTerm
 from mbd_ros.core.robot import Robot
+from mbd_ros.core.safe_command import SafeCommand
 from mbd_ros.core.simulation import Simulation
 from mbd_ros.core.stabilizing import Stabilization
 from mbd_ros.core.state import State
@@ -43,6 +46,7 @@ SECTIONS = (
     "integrator",
     "dt",
     "initial",
+    "safe",
 )
 DEFAULT_INTEGRATOR = {"type": "dopri5"}
 DEFAULT_DT = 1.0e-3  # s
@@ -67,6 +71,7 @@ class Scene:
         integrator: Method; None leaves the choice to `simulation`.
         dt: Step [s].
         initial: State of all joints at the start, as the file gives it.
+        safe: What the actuators do without a command.
         absent: Sections that the file leaves out.
     """
 
@@ -84,6 +89,7 @@ class Scene:
     integrator: Integrator | None
     dt: float
     initial: State
+    safe: SafeCommand
     absent: tuple[str, ...]
 
     @property
@@ -91,16 +97,34 @@ class Scene:
         """Whether bilateral constraints act besides the couplings."""
         return any(part.bounds is None for part in self.constraints)
 
-    def inverse_dynamics(self) -> InverseDynamics:
-        """A solver with its own Pinocchio data.
+    @property
+    def actuated(self) -> tuple[str, ...]:
+        """Joints with an actuator; without any, all independent ones that no drive moves."""
+        if self.actuators:
+            return tuple(dict.fromkeys(name for part in self.actuators for name in part.joints))
+        driven = {name for part in self.constraints for name in part.driven}
+        return tuple(name for name in self.couplings.independent if name not in driven)
 
-        Raises:
-            SceneError: The scene has loops, which would make its torques wrong.
-        """
+    def inverse_dynamics(self) -> InverseDynamics | ObservedLoops:
+        """A solver with its own Pinocchio data, for the independent joints."""
         if self.has_loops:
-            raise SceneError(f"{self.path}: constraints: inverse dynamics takes no loops yet")
+            return ObservedLoops(self.closed_loop())
         loads = [wrench.load for wrench in self.wrenches.values()]
         return InverseDynamics(self.robot, self.couplings, loads, self.forces)
+
+    def closed_loop(self) -> ClosedLoopInverseDynamics:
+        """A solver for the efforts of `actuated` and all multipliers, with its own data.
+
+        Raises:
+            SceneError: Joints move nothing with mass.
+        """
+        loads = [wrench.load for wrench in self.wrenches.values()]
+        try:
+            return ClosedLoopInverseDynamics(
+                self.robot, self.couplings, self.constraints, self.actuated, loads, self.forces
+            )
+        except ModelError as error:
+            raise SceneError(f"{self.path}: {error}") from error
 
     def system(
         self, forces: Sequence[ForceTerm] = (), solver: Mapping[str, str] | None = None
@@ -190,6 +214,7 @@ def load_scene(path: str | Path, description: str | None = None) -> Scene:
         integrator=_single(path, "integrator", "integrators", given),
         dt=_step(path, given.get("dt", DEFAULT_DT)),
         initial=initial_state(path, robot, couplings, given.get("initial", {})),
+        safe=schema.call(SafeCommand, given.get("safe", {}), f"{path}: safe"),
         absent=tuple(section for section in SECTIONS if not given.get(section)),
     )
 

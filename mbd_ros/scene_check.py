@@ -2,6 +2,7 @@
 
 import timeit
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -9,12 +10,13 @@ import pinocchio as pin
 from mbd_ros.core.assembly import assemble
 from mbd_ros.core.inverse_dynamics import InverseDynamics
 from mbd_ros.core.linearization import fastest_rate
+from mbd_ros.core.loop_torques import listed
 from mbd_ros.core.row_factor import TOGGLE, RowFactor
 from mbd_ros.core.system import System
 from mbd_ros.core.tiers import tier_of
 from mbd_ros.scene import DEFAULT_INTEGRATOR, Scene
 
-_CALLS, _REPEATS = 2000, 5
+_CALLS, _FEW, _REPEATS = 2000, 100, 5
 _STABLE = 2.5  # rate times step; between the limits of RK4, DOPRI5 and DOP853
 _TIERS = {
     "aba": "open chain, articulated-body algorithm",
@@ -55,11 +57,13 @@ def describe(scene: Scene) -> Iterator[str]:
         yield _line("wrench", text)
     yield from _parts(scene)
     yield _line("inverse", tier(scene))
+    if scene.has_loops:
+        yield from _reach(scene, system)
     yield _line("forward", _forward(scene, system))
     yield from _warnings(scene, system, factor)
     yield _line("left out", "; ".join((*scene.absent, *robot.ignored)) or "nothing")
-    costs = [] if scene.has_loops else [_cost(scene)]
-    yield _line("cost", "; ".join([*costs, _forward_cost(scene, system)]))
+    cost = _loop_cost(scene, system) if scene.has_loops else _cost(scene)
+    yield _line("cost", f"{cost}; {_forward_cost(scene, system)}")
 
 
 def _parts(scene: Scene) -> Iterator[str]:
@@ -129,10 +133,26 @@ def _rank_lines(factor: RowFactor) -> Iterator[str]:
 def tier(scene: Scene) -> str:
     """How inverse dynamics is solved."""
     if scene.has_loops:
-        return "not yet for scenes with loops"
+        return "loops: efforts and multipliers by rank, of smallest norm where undetermined"
     if not scene.couplings.dependent:
         return "rnea: no dependent joint, one call"
     return "reduced: dependent joints eliminated exactly, q = F(z)"
+
+
+def _reach(scene: Scene, system: System) -> Iterator[str]:
+    """What the actuators can do at the assembled start, for inverse dynamics."""
+    x = system.expand(assemble(system, system.reduce(scene.initial)))
+    reach = scene.closed_loop().reach(x)
+    names = listed(scene.actuated) or "none"
+    reason = "" if scene.actuators else "; no actuators section: every independent joint"
+    yield _line("actuated", f"{names}{reason}; {reach.driven} of {reach.freedom} motions driven")
+    if reach.null_space:
+        text = f"dimension {reach.null_space}: {listed(reach.undetermined)}"
+        yield _line("null space", f"{text} are not determined by a motion")
+    if reach.undriven:
+        joints = ", ".join(reach.undriven)
+        text = f"nothing drives {joints}: inverse takes motions that need nothing there"
+        yield _line("warning", text)
 
 
 def _line(label: str, text: str) -> str:
@@ -151,6 +171,14 @@ def _cost(scene: Scene) -> str:
     )
 
 
+def _loop_cost(scene: Scene, system: System) -> str:
+    x = system.expand(assemble(system, system.reduce(scene.initial)))
+    every = replace(scene, actuators=()).closed_loop()  # so that no fixed base is out of reach
+    x, a = every.consistent(x, np.zeros(scene.robot.model.nv))
+    call = (lambda: every.reach(x)) if scene.robot.floating else (lambda: every.solve(x, a))
+    return f"one inverse-dynamics call {_best(call, _FEW) * 1e6:.0f} us"
+
+
 def _forward_cost(scene: Scene, system: System) -> str:
     x = system.reduce(scene.initial)
     model, data, zero = system.model, system.model.createData(), np.zeros(system.model.nv)
@@ -165,6 +193,6 @@ def _typical_call(inverse: InverseDynamics, scene: Scene, q: np.ndarray, v: np.n
     return lambda: inverse.solve(z, w, w, loads)
 
 
-def _best(call: object) -> float:
+def _best(call: object, calls: int = _CALLS) -> float:
     timer = timeit.Timer(call)  # type: ignore[arg-type]
-    return min(timer.repeat(_REPEATS, _CALLS)) / _CALLS
+    return min(timer.repeat(_REPEATS, calls)) / calls

@@ -37,6 +37,7 @@ solver: {type: auto, backend: proxqp}
 integrator: {type: rk4}
 dt: 5e-4
 initial: {position: {knee: -0.5}, velocity: {hip: 1.0}}
+safe: {type: damping, gain: 2}
 """
 
 
@@ -80,6 +81,7 @@ def test_every_section_is_built(write, tmp_path):
     slide = scene.robot.joint("knee_slide_x")
     assert scene.initial.q[[knee.q, slide.q]] == pytest.approx([-0.5, -0.004])
     assert scene.initial.v[scene.robot.joint("hip").v] == 1.0
+    assert (scene.safe.type, scene.safe.gain) == ("damping", 2.0)
     assert scene.absent == ()
     solver = scene.inverse_dynamics()
     assert len(solver.solve(*np.ones((3, 2)), [np.ones(6)] * 2).multipliers) == 2

@@ -77,6 +77,10 @@ class GearedMotor(Actuator):
         tau[self.joint.v] = lossless * self._efficiency**direction - self._viscous * rate
         return tau
 
+    def command(self, torque: Array, x: State) -> Array:
+        """Motor torque of the lossless gear [N·m], shape (1,)."""
+        return torque / self._ratio
+
     def armature(self) -> Array:
         """Inertia of the rotor at the joint [kg·m^2 or kg], shape (nv,)."""
         inertia: Array = self._armature.copy()

@@ -57,3 +57,8 @@ class SeriesElastic(Actuator):
         wanted = self._stiffness * stretch - self._damping * rate
         tau[self.joint.v] = max(min(wanted, self._limit), -self._limit)
         return tau
+
+    def command(self, torque: Array, x: State) -> Array:
+        """Motor-side end of the spring that gives the torque, shape (1,)."""
+        wanted = torque + self._damping * x.v[self.joint.v]
+        return x.q[self.joint.q] + wanted / self._stiffness

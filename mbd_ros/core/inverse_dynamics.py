@@ -11,14 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.body_loads import BodyLoads
 from mbd_ros.core.couplings import Couplings, Slopes
 from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.wrenches import ExternalWrench
-from mbd_ros.errors import ModelError
 
-_UNLOADED = pin.Force.Zero()
 _CHUNK = 2048  # samples
 
 
@@ -87,9 +86,7 @@ class InverseDynamics:
         self._slopes: Slopes = [0.0] * len(couplings.dependent)
         self._no_multipliers = np.empty(0)
         self._is_free = not couplings.dependent and not wrenches and not forces
-        self._loads = pin.StdVec_Force()
-        for _ in range(robot.model.njoints):
-            self._loads.append(pin.Force.Zero())
+        self._loads = BodyLoads(robot, self.wrenches)
 
     def solve(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
@@ -181,24 +178,15 @@ class InverseDynamics:
         if len(wrenches) == 0 and not self.forces:
             bare: Array = pin.rnea(self._model, self._data, self._q, self._v, self._a)
             return bare
-        self._load(wrenches)
-        tau: Array = pin.rnea(self._model, self._data, self._q, self._v, self._a, self._loads)
+        model, data, forces = self._model, self._data, self._loads.forces
+        pin.forwardKinematics(model, data, self._q)
+        self._loads.set(data, wrenches)
+        tau: Array = pin.rnea(model, data, self._q, self._v, self._a, forces)
         if self.forces:
             if self._reads_frames:
-                pin.forwardKinematics(self._model, self._data, self._q, self._v, self._zero)
-                pin.computeJointJacobians(self._model, self._data)
+                pin.forwardKinematics(model, data, self._q, self._v, self._zero)
+                pin.computeJointJacobians(model, data)
             x = State(0.0, self._q, self._v)
             for term in self.forces:
                 tau -= term.force(self._data, x)
         return tau
-
-    def _load(self, wrenches: Sequence[Array]) -> None:
-        if len(wrenches) not in (0, len(self.wrenches)):
-            raise ModelError(f"{len(wrenches)} wrenches given, the scene has {len(self.wrenches)}")
-        loads, data = self._loads, self._data
-        pin.forwardKinematics(self._model, data, self._q)
-        for load in self.wrenches:
-            loads[load.body] = _UNLOADED
-        for load, wrench in zip(self.wrenches, wrenches, strict=False):
-            if load.is_loaded(wrench):
-                loads[load.body] = loads[load.body] + load.in_body(data, wrench)

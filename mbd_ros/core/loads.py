@@ -56,6 +56,11 @@ class Loads:
             tau = tau + actuator.torque(u[mine], x)
         return tau
 
+    def command(self, torque: Array, x: State) -> Array:
+        """Commands that ask the actuators for torques of `commands` [N·m or N], shape (nu,)."""
+        pairs = zip(self.actuators, self._slices, strict=True)
+        return np.concatenate([self._idle[:0], *(a.command(torque[s], x) for a, s in pairs)])
+
     def potential(self, data: Any, x: State) -> float:
         """Potential energy of the conservative force terms [J]."""
         return sum(f.potential(data, x) for f in self.forces if isinstance(f, ForceTerm))

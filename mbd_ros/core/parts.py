@@ -30,6 +30,10 @@ class ForceTerm:
         """Potential energy of what is conservative in the force [J]."""
         return 0.0
 
+    def wrenches(self, data: Any, x: State) -> "tuple[Wrench, ...]":
+        """What it exerts on bodies; empty where it acts in joints, between parent and child."""
+        return ()
+
 
 class Actuator:
     """Commands -> torques of the joints that it drives.
@@ -48,6 +52,16 @@ class Actuator:
             x: State.
         """
         raise NotImplementedError
+
+    def command(self, torque: Array, x: State) -> Array:
+        """Commands that ask for a torque, shape (len(joints),); here the torque itself.
+
+        Args:
+            torque: Of `joints` [N·m or N], shape (len(joints),). What the actuator loses or
+                cannot give is not made up for.
+            x: State.
+        """
+        return torque
 
     def armature(self) -> Array:
         """Inertia that the drive adds to the joints [kg·m^2 or kg], shape (nv,) or scalar 0."""
@@ -97,12 +111,15 @@ class Constraint:
             free. With lam inside, g'' + kd g' + kp g = 0; at the lower bound it may be
             positive, at the upper one negative.
         gains: kp [1/s^2] and kd [1/s] of that condition; read for bounded rows only.
+        driven: Joints whose drives exert the multipliers, one a row, or none: inverse dynamics
+            then asks for the multipliers and demands nothing of the motion.
     """
 
     rows: tuple[Row, ...]
     reads_frames: ClassVar[bool] = False
     bounds: tuple[Array, Array] | None = None
     gains: tuple[float, float] = (0.0, 0.0)
+    driven: tuple[str, ...] = ()
 
     def residual(self, data: Any, x: State) -> Array:
         """g(t, q), shape (m,)."""

@@ -89,6 +89,22 @@ class Simulation:
                 yield self.system.expand(y)
                 k += 1
 
+    def advance(self, y: State, u: Array | None, due: float) -> State:
+        """State of the integrated coordinates at a time, in as many steps as the method needs.
+
+        Args:
+            y: What `start` or the last `advance` returned.
+            u: Commands, held until then.
+            due: [s]; y itself at or after it.
+
+        Raises:
+            DivergedError: The state is no longer finite.
+            SolveError: Equations contradict one another.
+        """
+        while y.t < due - _ROUNDING * self.dt:
+            y = self._corrected(self._step(y, u, due))
+        return y
+
     def _corrected(self, y: State) -> State:
         if not self._is_corrected:
             return y
@@ -102,17 +118,17 @@ class Simulation:
         try:
             after = self.stepper.step(y, u, end)
         except (DivergedError, SolveError) as error:
-            raise type(error)(f"{error}; {_last_finite(self.system, y)}") from error
+            raise type(error)(f"{error}; {last_finite(self.system, y)}") from error
         if math.isfinite(after.v.dot(after.v)) and math.isfinite(after.q.dot(after.q)):
             return after
         lost = int(np.count_nonzero(~np.isfinite(after.v)))
         raise DivergedError(
             f"diverged at t = {after.t:.9g} s: {lost} of {len(after.v)} velocities are not "
-            f"finite; {_last_finite(self.system, y)}; try a smaller dt"
+            f"finite; {last_finite(self.system, y)}; try a smaller dt"
         )
 
 
-def _last_finite(system: System, y: State) -> str:
+def last_finite(system: System, y: State) -> str:
     """The fastest joint, time and positions of the last finite state."""
     x, joints = system.expand(y), system.robot.joints
     wild = max(joints, key=lambda joint: abs(float(x.v[joint.v])))

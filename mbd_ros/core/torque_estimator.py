@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.differentiation import CausalDifferentiator, Sample
 from mbd_ros.core.inverse_dynamics import InverseDynamics, Torques
+from mbd_ros.core.observed_loops import ObservedLoops
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import ModelError
@@ -69,7 +70,9 @@ class TorqueEstimator:
         ModelError: The base floats: joint states do not carry its pose.
     """
 
-    def __init__(self, robot: Robot, inverse: InverseDynamics, tuning: Tuning) -> None:
+    def __init__(
+        self, robot: Robot, inverse: InverseDynamics | ObservedLoops, tuning: Tuning
+    ) -> None:
         if robot.floating:
             raise ModelError(
                 "joint states do not carry the pose of a floating base; use base: fixed"

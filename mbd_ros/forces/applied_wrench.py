@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.parts import ForceTerm, Wrench
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -54,7 +54,7 @@ class AppliedWrench(ForceTerm):
         link = robot.model.frames[robot.frame(frame)]
         if link.parentJoint == 0:
             raise ModelError(f"frame '{frame}' does not move, a load on it changes nothing")
-        self._model, self._joint = robot.model, int(link.parentJoint)
+        self._model, self._joint, self._frame = robot.model, int(link.parentJoint), frame
         self._placement = link.placement * pin.SE3(np.eye(3), np.array(point, dtype=np.float64))
         self._axes, self._turns = AXES[expressed_in], expressed_in == "frame"
         self._wrench = np.array([*force, *torque], dtype=np.float64)
@@ -66,6 +66,13 @@ class AppliedWrench(ForceTerm):
         )
         tau: Array = self._wrench.dot(jacobian.reshape(6, -1))  # with one joint it is a vector
         return tau
+
+    def wrenches(self, data: Any, x: State) -> tuple[Wrench, ...]:
+        """The load on the link."""
+        at = data.oMi[self._joint] * self._placement
+        axes = at.rotation if self._turns else np.eye(3)
+        force, torque = axes.dot(self._wrench[:3]), axes.dot(self._wrench[3:])
+        return (Wrench(self._frame, at.translation, force, torque),)
 
     def potential(self, data: Any, x: State) -> float:
         """Energy whose slope a force of constant direction is, -force . point [J].

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.parts import ForceTerm, Wrench
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -59,7 +59,9 @@ class PointSpring(ForceTerm):
                 "finite and >= 0"
             )
         ends = [_end(robot, frame_a, "point_a", point_a), _end(robot, frame_b, "point_b", point_b)]
-        (self._joint_a, self._at_a), (self._joint_b, self._at_b) = sorted(ends, key=lambda e: e[0])
+        a, b = sorted(ends, key=lambda end: end[0])
+        (self._joint_a, self._at_a, frame), (self._joint_b, self._at_b, other) = a, b
+        self._frames = frame, other
         if self._joint_a == self._joint_b:  # sorted: only end a can be at rest
             raise ModelError(f"frames '{frame_a}' and '{frame_b}' do not move against each other")
         self._stiffness, self._damping, self._length = stiffness, damping, length
@@ -68,17 +70,31 @@ class PointSpring(ForceTerm):
 
     def force(self, data: Any, x: State) -> Array:
         """Generalized force, shape (nv,)."""
+        _, slope, pull = self._tension(data, x)
+        tau: Array = slope * -pull
+        return tau
+
+    def wrenches(self, data: Any, x: State) -> tuple[Wrench, ...]:
+        """Forces at the ends of the spring."""
+        direction, _, pull = self._tension(data, x)
+        force, free, places = direction * pull, np.zeros(3), data.oMi
+        return (
+            Wrench(self._frames[0], places[self._joint_a].act(self._point_a), force, free),
+            Wrench(self._frames[1], places[self._joint_b].act(self._point_b), -force, free),
+        )
+
+    def _tension(self, data: Any, x: State) -> tuple[Array, Array, float]:
+        """From end a to end b, rate of the distance with every joint, and F [N]."""
         line = self._line(data)
         distance = math.hypot(*line.tolist())
         if distance == 0.0:
-            return np.zeros(self._nv)
+            return line, np.zeros(self._nv), 0.0
         direction = line / distance
         slope: Array = direction.dot(self._jacobian(data, self._joint_b, self._at_b))
         if self._joint_a:
             slope = slope - direction.dot(self._jacobian(data, self._joint_a, self._at_a))
-        pull = self._stiffness * (distance - self._length) + self._damping * float(slope.dot(x.v))
-        tau: Array = slope * -pull
-        return tau
+        stretch = distance - self._length
+        return direction, slope, self._stiffness * stretch + self._damping * float(slope.dot(x.v))
 
     def potential(self, data: Any, x: State) -> float:
         """Energy of the spring, zero at its length [J]."""
@@ -102,10 +118,10 @@ class PointSpring(ForceTerm):
         return line
 
 
-def _end(robot: Robot, frame: str, key: str, point: Sequence[float]) -> tuple[int, Any]:
-    """Joint that carries an end, and the end in the frame of that joint."""
+def _end(robot: Robot, frame: str, key: str, point: Sequence[float]) -> tuple[int, Any, str]:
+    """Joint that carries an end, the end in the frame of that joint, and the link."""
     if np.shape(point) != (3,) or not np.isfinite(point).all():
         raise ModelError(f"{key} {point} must be 3 finite numbers")
     link = robot.model.frames[robot.frame(frame)]
     at = link.placement * pin.SE3(np.eye(3), np.array(point, dtype=np.float64))
-    return int(link.parentJoint), at
+    return int(link.parentJoint), at, frame

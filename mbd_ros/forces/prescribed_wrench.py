@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.parts import ForceTerm, Wrench
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.wrenches import ExternalWrench
@@ -80,6 +80,16 @@ class PrescribedWrench(ForceTerm):
         load = self._load.in_body(data, wrench).vector
         tau: Array = load.dot(jacobian.reshape(6, self._nv))  # with one joint it is a vector
         return tau
+
+    def wrenches(self, data: Any, x: State) -> tuple[Wrench, ...]:
+        """The load on the link, about the origin of the joint that carries it."""
+        wrench = self.wrench(x.t)
+        if not self._load.is_loaded(wrench):
+            return ()
+        place = data.oMi[self._load.body]
+        load = self._load.in_body(data, wrench)
+        force, torque = place.rotation.dot(load.linear), place.rotation.dot(load.angular)
+        return (Wrench(self._load.frame, place.translation, force, torque),)
 
 
 def _table(times: Sequence[float], wrenches: Sequence[Sequence[float]]) -> tuple[Array, Array]:

@@ -1,0 +1,61 @@
+"""The command in force: the last one, or the safe one when no other comes."""
+
+import math
+
+from mbd_ros.core.state import Array
+
+_ROUNDING = 1.0e-9  # s
+
+
+class CommandWatch:
+    """Holds the last command and hands over to the safe one after `timeout`, within `ramp`.
+
+        u = (1 - weight) held + weight safe
+
+    The weight never jumps, so that neither handing over nor coming back is a bump. All times are
+    those of the simulation: while it stands, nothing times out. Before the first command the
+    safe one acts; a first command within `timeout` acts at once.
+
+    Args:
+        timeout: How long a command is held without a successor [s], > 0.
+        ramp: Duration of the hand-over [s], >= 0.
+
+    Attributes:
+        timeout: See above; may change at any time.
+        ramp: See above; may change at any time.
+        held: The last command, shape (nu,); None before the first.
+        weight: Share of the safe command, 0 .. 1.
+        age: Time since the last command, or since the start [s].
+        received: Commands taken.
+        superseded: Those of them that another one replaced before a tick used them.
+    """
+
+    def __init__(self, timeout: float, ramp: float) -> None:
+        self.timeout, self.ramp = timeout, ramp
+        self.received = self.superseded = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the commands; the counts stay."""
+        self.held: Array | None = None
+        self.weight, self.age = 0.0, 0.0
+        self._is_new = False
+
+    def take(self, u: Array) -> None:
+        """A new command, shape (nu,), not to be changed by the caller any more."""
+        self.received += 1
+        self.superseded += self._is_new
+        self.held, self.age, self._is_new = u, 0.0, True
+
+    def begin(self, period: float) -> None:
+        """A tick of that length [s] begins: the weight of the safe command for it."""
+        self._is_new = False
+        step = period / self.ramp if self.ramp > 0.0 else math.inf
+        late = self.age >= self.timeout - _ROUNDING
+        self.weight = min(max(self.weight + (step if late else -step), 0.0), 1.0)
+        self.age += period
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether the safe command takes part."""
+        return self.held is None or self.weight > 0.0

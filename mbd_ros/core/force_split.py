@@ -1,0 +1,163 @@
+"""A force on all joints split into efforts of actuators and multipliers of constraints.
+
+    E e + J' lam = b
+
+With the motions Z that the rows allow, J Z = 0 and Z' M Z = 1, the multipliers drop out:
+Z' E e = Z' b. Source: Y. Nakamura, M. Ghodoussi, IEEE Trans. Robotics and Automation 5 (1989)
+294, doi:10.1109/70.34765; there with Z from the derivative of the joint positions.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.state import Array
+from mbd_ros.errors import SolveError
+
+SINGULAR = 1.0e-7  # of the largest singular value, columns scaled; a closed loop is at 1e-13
+_NOTHING = 1.0e-3  # norm of rates below which they count as rest
+_TAKES_PART = 1.0e-6  # share of an unknown in the null space; rounding leaves 1e-9 there
+
+
+class Split(NamedTuple):
+    """What a force on all joints consists of.
+
+    Attributes:
+        efforts: e [N·m or N], shape (ne,).
+        multipliers: lam, shape (m,).
+        left: What neither can exert, as an acceleration of the motions that the rows allow:
+            M^-1 (b - E e - J' lam), shape (nv,).
+        share: Norm of that in the mass metric, the square root of a work per mass.
+    """
+
+    efforts: Array
+    multipliers: Array
+    left: Array
+    share: float
+
+
+class ForceSplit:
+    """Factors of one state.
+
+    Efforts first: among the e that fit, the one of smallest Euclidean norm in SI numbers, which
+    does not depend on how the constraints are written down; then, for this e, the lam of
+    smallest norm. Ranks are those of columns scaled in the metric M^-1, so that units play no
+    role in them.
+
+    Args:
+        M: Mass matrix, shape (nv, nv).
+        E: Force of every effort, one a column, shape (nv, ne).
+        J: Rows, shape (m, nv).
+        size: Norm of each column of E and J' so far: one that vanishes at a toggle is told from
+            one that is small everywhere. Without it, those of these matrices.
+
+    Attributes:
+        size: Largest norm of each column so far, these included, shape (ne + m,).
+        freedom: Motions that the rows allow.
+        driven: How many of them the efforts reach.
+        null_space: Dimension of the (e, lam) that exert nothing together.
+        condition: Largest ratio of singular values; beyond 1e6 the result is unreliable.
+
+    Raises:
+        SolveError: The mass matrix is singular or not finite.
+    """
+
+    def __init__(self, M: Array, E: Array, J: Array, size: Array | None = None) -> None:
+        self._E, self._J, n = E, J, E.shape[1]
+        try:
+            self._L = np.linalg.cholesky(M)
+            columns = np.linalg.solve(self._L, np.concatenate((E, J.T), axis=1))
+            norm = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+            self.size = norm if size is None else np.maximum(norm, size)
+            scale = 1.0 / np.where(self.size > 0.0, self.size, 1.0)
+            columns *= scale
+            self._rows = _Inverse(columns[:, n:], scale[n:])
+            self._Z = self._rows.outside
+            self._efforts = _Inverse(self._Z.T.dot(columns[:, :n]), scale[:n])
+        except np.linalg.LinAlgError as error:
+            raise SolveError("the mass matrix or the rows are singular or not finite") from error
+        self.freedom, self.driven = self._Z.shape[1], self._efforts.rank
+        self.null_space = n - self.driven + len(J) - self._rows.rank
+        self.condition = max(self._rows.condition, self._efforts.condition)
+
+    def solve(self, b: Array) -> Split:
+        """Efforts and multipliers of a force on all joints, shape (nv,)."""
+        e, lam = self._solve(b)
+        more_e, more_lam = self._solve(b - self._E.dot(e) - self._J.T.dot(lam))
+        e, lam = e + more_e, lam + more_lam
+        left = np.linalg.solve(self._L, b - self._E.dot(e) - self._J.T.dot(lam))
+        share = float(np.linalg.norm(left))
+        return Split(e, lam, np.linalg.solve(self._L.T, left), share)
+
+    def norm(self, b: Array) -> float:
+        """Size of a force on all joints in the metric of `Split.share`."""
+        return float(np.linalg.norm(np.linalg.solve(self._L, b)))
+
+    def undetermined(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which efforts and which multipliers take part in the null space, (ne,) and (m,)."""
+        efforts = self._efforts.null
+        forced = np.linalg.solve(self._L, self._E.dot(efforts))
+        rows = np.concatenate((self._rows.solve(forced), self._rows.null), axis=1)
+        n = len(efforts)
+        shares = (
+            np.linalg.norm(x * size[:, None], axis=1)
+            for x, size in ((efforts, self.size[:n]), (rows, self.size[n:]))
+        )
+        of_efforts, of_rows = (share > _TAKES_PART for share in shares)
+        return of_efforts, of_rows
+
+    def undriven(self) -> Array:
+        """Motions that the rows allow and no effort reaches, Z' M Z = 1, one a column."""
+        return np.linalg.solve(self._L.T, self._Z.dot(self._efforts.outside))
+
+    def violation(self, r: Array, terms: Array) -> float:
+        """How far rates of the rows are from zero, toggles apart.
+
+        Args:
+            r: Rates, shape (m,).
+            terms: Size of the terms that should cancel in them, shape (m,).
+
+        Returns:
+            Their norm as a share of that of the terms.
+        """
+        off = float(np.linalg.norm(self._rows.within(r)))
+        return off / max(self._rows.size(terms), _NOTHING)
+
+    def _solve(self, b: Array) -> tuple[Array, Array]:
+        weighted = np.linalg.solve(self._L, b)
+        e = self._efforts.solve(self._Z.T.dot(weighted))
+        rest = np.linalg.solve(self._L, b - self._E.dot(e))
+        return e, self._rows.solve(rest)
+
+
+class _Inverse:
+    """Pseudoinverse of a matrix A, given as W = A scale, with the null space of A.
+
+    Attributes:
+        outside: Orthonormal directions that A does not reach, one a column.
+        null: Combinations of columns of A that cancel, orthonormal before scaling.
+    """
+
+    def __init__(self, W: Array, scale: Array) -> None:
+        U, s, Vt = np.linalg.svd(W)
+        rank = int(np.count_nonzero(s > SINGULAR * max(1.0, s.max(initial=0.0))))
+        self.rank, self.outside = rank, U[:, rank:]
+        self.condition = float(s[0] / s[rank - 1]) if rank else 1.0
+        self._reached, self._V, self._scale = U[:, :rank], Vt[:rank].T, scale
+        self._inverse = scale[:, None] * self._V / s[:rank]
+        self.null = scale[:, None] * Vt[rank:].T
+        self._silent, _ = np.linalg.qr(self.null)
+
+    def solve(self, b: Array) -> Array:
+        """The x of smallest norm with A x nearest to b, shape (n,) or (n, k)."""
+        x = self._inverse.dot(self._reached.T.dot(b))
+        return x - self._silent.dot(self._silent.T.dot(x))
+
+    def within(self, r: Array) -> Array:
+        """The part of r, scaled, that A' can change."""
+        return self._V.T.dot(self._scale * r)
+
+    def size(self, r: Array) -> float:
+        """Norm of r, scaled."""
+        return float(np.linalg.norm(self._scale * r))
