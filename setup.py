@@ -60,6 +60,8 @@ setup(
         "console_scripts": [
             "mbd-ros = mbd_ros.cli:main",
             "inverse_dynamics = mbd_ros.nodes.inverse_dynamics:main",
+            "joint_state_projector = mbd_ros.nodes.joint_state_projector:main",
+            "simulator = mbd_ros.nodes.simulator:main",
         ]
     },
 )

@@ -102,7 +102,7 @@ def test_every_entry_point_of_the_wheel_loads(wheel):
     parser = ConfigParser()
     parser.read_string(read(wheel, "entry_points.txt"))
     scripts = dict(parser["console_scripts"])
-    assert scripts.keys() == {"mbd-ros", "inverse_dynamics"}
+    assert scripts.keys() == {"mbd-ros", "inverse_dynamics", "joint_state_projector", "simulator"}
     for name, target in scripts.items():
         point = importlib.metadata.EntryPoint(name, target, "console_scripts")
         assert callable(point.load())

@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 from mbd_ros.core.differentiation import Sample
 from mbd_ros.core.state import NANOSECOND
 from mbd_ros.core.torque_estimator import Observation
-from mbd_ros.errors import MbdError
+from mbd_ros.errors import MbdError, SolveError
 from mbd_ros.nodes.inverse_dynamics_parameters import PARAMETERS, tuning
 from mbd_ros.nodes.pipeline import Pipeline
 from mbd_ros.nodes.process import run
@@ -167,7 +167,11 @@ class InverseDynamicsNode(Shell):
 
     def _answer(self, x: Observation, wrenches: Sequence[Any]) -> None:
         assert self._pipeline is not None
-        messages = self._pipeline.answer(x, wrenches)
+        try:
+            messages = self._pipeline.answer(x, wrenches)
+        except SolveError as error:
+            self._drop_state("unsolved", str(error))
+            return
         if messages is None:
             self._drop_state("result", "the torques of a joint state are not finite")
             return

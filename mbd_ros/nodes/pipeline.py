@@ -8,6 +8,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
+from mbd_ros.core.observed_loops import ObservedLoops
 from mbd_ros.core.state import NANOSECOND
 from mbd_ros.core.torque_estimator import Observation, TorqueEstimator
 from mbd_ros.nodes.inverse_dynamics_parameters import tuning
@@ -38,9 +39,9 @@ class Pipeline:
     def __init__(self, values: Any, description: str | None) -> None:
         self.scene = load_scene(values.scene, description)
         couplings = self.scene.couplings
-        self.estimator = TorqueEstimator(
-            self.scene.robot, self.scene.inverse_dynamics(), tuning(values)
-        )
+        inverse = self.scene.inverse_dynamics()
+        self.estimator = TorqueEstimator(self.scene.robot, inverse, tuning(values))
+        self._loops = inverse if isinstance(inverse, ObservedLoops) else None
         self.joints = JointStateReader(self.estimator.names, with_effort=False)
         self.reader = JointStateCdrReader(self.joints, _joint_state)
         self._torques = JointStateCdrWriter(couplings.independent)
@@ -78,7 +79,7 @@ class Pipeline:
         return answer, forces
 
     def health(self, tolerance: float) -> tuple[int, str]:
-        """WARN where a measured dependent joint is off its coupling.
+        """WARN where a measured joint is off its coupling, or off the loops.
 
         Args:
             tolerance: Accepted distance [rad or m].
@@ -90,6 +91,8 @@ class Pipeline:
         ]
         if off:
             return WARN, f"off their couplings: {', '.join(off)}; the independent joints are used"
+        if self._loops is not None and self._loops.moved > tolerance:
+            return WARN, f"off the loops by {self._loops.moved:.4g}; the nearest state is used"
         return OK, "torques published"
 
     def held(self) -> list[str]:
@@ -109,7 +112,7 @@ class Pipeline:
             f"settled after {filters.settling_time:.4f} s",
             "largest coupling violation": f"{np.abs(self._violation).max(initial=0.0):.6g}",
             "solver tier": tier(self.scene),
-        }
+        } | ({} if self._loops is None else {"off the loops": f"{self._loops.moved:.6g}"})
 
     @property
     def _dependent(self) -> tuple[str, ...]:

@@ -12,7 +12,6 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 
 from mbd_ros.nodes.shell import Shell
 
@@ -57,8 +56,7 @@ def run(node_class: type[Shell], argv: Sequence[str] | None = None) -> int:
         node.try_start()
         while not stop.name:
             node.raise_crash()
-            # spin_once would arm a timer for each callback, not one for all within PATIENCE.
-            executor.spin_until_future_complete(Future(), timeout_sec=PATIENCE)
+            node.drive(executor, PATIENCE)
     return 0
 
 

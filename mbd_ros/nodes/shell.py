@@ -7,9 +7,11 @@ from rclpy.clock import Clock, ClockChange, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.executors import Executor
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
+from rclpy.task import Future
 from rclpy.timer import Timer
 
 from mbd_ros.errors import MbdError
@@ -126,6 +128,11 @@ class Shell(LifeCycle):
         """Configure and activate, if `autostart` is set and the node is unconfigured."""
         if self.parameters.autostart:
             self.start()
+
+    def drive(self, executor: Executor, patience: float) -> None:
+        """Handle callbacks for `patience` [s]; a node that ticks does so here."""
+        # spin_once would arm a timer for each callback, not one for all within `patience`.
+        executor.spin_until_future_complete(Future(), timeout_sec=patience)
 
     def report(self) -> None:
         """Publish the diagnostics of this moment."""

@@ -1,0 +1,171 @@
+"""What nodes that answer joint states share: stamps, clocks, robot description, reset."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from mbd_ros.core.state import NANOSECOND
+from mbd_ros.errors import MbdError
+from mbd_ros.nodes.shell import Shell
+from mbd_ros.scene import description_topic
+from msg_adapters.diagnostics import OK, STALE
+
+# Best effort also hears reliable publishers; the depth bridges a pause of 0.5 s at 1 kHz,
+# beyond which the transport itself keeps no more.
+SENSOR = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_NEVER = -(2**62)  # ns
+
+
+class JointStateNode(Shell):
+    """Hears `joint_states` and judges their stamps; subclasses answer.
+
+    Subclasses override `build`, `forget` and `take`. Parameters must hold scene, timeout and
+    clock_tolerance.
+    """
+
+    def __init__(self, argv: Sequence[str] = ()) -> None:
+        super().__init__(argv)
+        self._newest, self._answered, self._is_stampless = 0, 0, False
+        self._two_clocks = self._last_drop = ""
+        self._extra: set[str] = set()
+        self._is_built = False
+        self._description: str | None = None
+        self._description_topic: str | None = None
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        if self.parameters.scene:
+            self._listen_for_description()
+
+    def build(self, description: str | None) -> None:
+        """Replace the scene and what was built from it, or raise an MbdError and keep it.
+
+        Args:
+            description: URDF, where the scene takes it from a topic.
+        """
+        raise NotImplementedError
+
+    def forget(self) -> None:
+        """Empty filters."""
+
+    def take(self, cdr: bytes) -> None:
+        """Answer a serialized joint state."""
+        raise NotImplementedError
+
+    def configure_core(self) -> None:
+        """Build, and listen."""
+        if self._description_topic is not None and self._description is None:
+            raise MbdError(f"waiting for the robot description on {self._description_topic}")
+        self.build(self._description)
+        self._is_built = True
+        self.subscribe(
+            JointState, "joint_states", self.take, SENSOR, single_publisher=True, raw=True
+        )
+
+    def activate_core(self) -> None:
+        """Begin with an empty past."""
+        self.reset("activated")
+
+    def reset(self, reason: str) -> None:
+        """Empty filters, forget what was answered."""
+        self._newest, self._answered, self._agreed = 0, 0, _NEVER
+        self._two_clocks = self._last_drop = ""
+        if self._is_built:
+            self.forget()
+
+    def stream_details(self) -> dict[str, str]:
+        """Of the last second, for diagnostics."""
+        answered, self._answered = self._answered, 0
+        return {
+            "joints ignored": ", ".join(sorted(self._extra)) or "none",
+            "messages answered in the last second": str(answered),
+        }
+
+    def stream_health(self) -> tuple[int, str]:
+        """STALE where nothing is answered, with the reason."""
+        if not self.active:
+            return OK, ""
+        if self._two_clocks:
+            return STALE, self._two_clocks
+        dropped = f"; last one dropped: {self._last_drop}" if self._last_drop else ""
+        if self._newest == 0:
+            topic = self.resolve_topic_name("joint_states")
+            return STALE, f"no joint state answered yet on {topic}{dropped}"
+        age = (self.get_clock().now().nanoseconds - self._newest) * NANOSECOND
+        if age > self.parameters.timeout:
+            return STALE, f"newest answered joint state is {age:.2f} s old{dropped}"
+        return OK, ""
+
+    def stamp_of(self, stamp: int) -> int | None:
+        """The stamp [ns], receive time instead of 0; None if it is of another clock."""
+        stamp = stamp or self._receive_time()
+        return stamp if self._same_clock(stamp) else None
+
+    def note_answer(self, stamp: int, extra: tuple[str, ...]) -> None:
+        """Remember that a joint state was answered, and the joints of it that were not used."""
+        self._newest, self._last_drop = stamp, ""
+        self._answered += 1
+        if not self._extra.issuperset(extra):
+            self._extra.update(extra)
+            self.get_logger().info(f"joints ignored: {', '.join(sorted(self._extra))}")
+
+    def drop_state(self, reason: str, text: str) -> None:
+        """Count a joint state that is not answered."""
+        self._last_drop = f"joint_states: {text}"
+        self.drop(reason, self._last_drop)
+
+    def _receive_time(self) -> int:
+        if not self._is_stampless:
+            self._is_stampless = True
+            self.get_logger().warning("stamp 0 in joint states: receive time is used")
+        return int(self.get_clock().now().nanoseconds)
+
+    def _same_clock(self, stamp: int) -> bool:
+        """Whether stamp and node clock are one clock; asked again whenever the stamps moved on."""
+        tolerance = self.parameters.clock_tolerance
+        if not self._two_clocks and abs(stamp - self._agreed) * NANOSECOND < tolerance:
+            return True
+        now = self.get_clock().now().nanoseconds
+        ahead = (stamp - now) * NANOSECOND
+        if now == 0 or abs(ahead) <= tolerance:
+            self._two_clocks, self._agreed = "", stamp
+            return True
+        self._two_clocks = (
+            f"joint state of {stamp * NANOSECOND:.3f} s, node clock {now * NANOSECOND:.3f} s: "
+            "two clocks; does use_sim_time fit the publisher?"
+        )
+        self.drop("two_clocks", self._two_clocks)
+        return False
+
+    def _listen_for_description(self) -> None:
+        try:
+            self._description_topic = description_topic(self.parameters.scene)
+        except MbdError:
+            return  # configure_core says it
+        if self._description_topic is not None:
+            topic = self._description_topic
+            self.subscribe(String, topic, self._on_description, LATCHED, always=True)
+
+    def _on_description(self, msg: Any) -> None:
+        """Start with the first description; a later one replaces the robot whole or is refused."""
+        if not self._is_built or not self.configured:
+            self._description = msg.data
+            self.try_start()
+            return
+        if msg.data == self._description:
+            return  # its publisher came back
+        try:
+            self.build(msg.data)
+        except MbdError as error:
+            self.drop("robot_description", f"new robot description refused: {error}")
+            return
+        self._description = msg.data
+        self.get_logger().info("new robot description in use")
+
+    def _on_reset(self, request: Any, response: Any) -> Any:
+        self.reset("asked to")
+        response.success, response.message = True, "filters are empty"
+        return response

@@ -1,0 +1,99 @@
+"""Node `joint_state_projector`: measured joint states in, the nearest consistent ones out."""
+
+import sys
+from typing import Any
+
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from mbd_ros.core.differentiation import Sample
+from mbd_ros.errors import SolveError
+from mbd_ros.nodes.joint_state_node import JointStateNode
+from mbd_ros.nodes.joint_state_projector_parameters import PARAMETERS, tuning
+from mbd_ros.nodes.process import run
+from mbd_ros.nodes.projector_pipeline import ProjectorPipeline
+from msg_adapters.diagnostics import OK
+from msg_adapters.errors import MessageError
+
+DEPTH = 100  # a reader may be away for 0.1 s at 1 kHz
+
+
+class JointStateProjectorNode(JointStateNode):
+    """Answers every joint state with the nearest one on the constraints and within limits."""
+
+    NAME = "joint_state_projector"
+    PARAMETERS = PARAMETERS
+    _pipeline: ProjectorPipeline
+
+    def build(self, description: str | None) -> None:
+        """Build the scene."""
+        self._pipeline = ProjectorPipeline(self.parameters, description)
+        self._failures = 0
+
+    def configure_core(self) -> None:
+        """Build the scene and its topics."""
+        self._states = self.publish_to(JointState, "~/joint_states", DEPTH)
+        self._forces = self.publish_to(JointState, "~/constraint_forces", DEPTH)
+        self._violation = self.publish_to(Float64MultiArray, "~/violation", DEPTH)
+        super().configure_core()
+
+    def forget(self) -> None:
+        """Empty filters; missing joints start from the initial state of the scene again."""
+        self._pipeline.forget()
+        self._failures = 0
+
+    def retune(self, values: Any) -> None:
+        """New tuning; filters start again."""
+        if tuning(values) != tuning(self.parameters):
+            self._pipeline.reconstructor.tune(tuning(values))
+
+    def health(self) -> tuple[int, str, dict[str, str]]:
+        """State of the stream, then how the measurement fits the mechanism."""
+        details = {**self._pipeline.details(), **self.stream_details()}
+        level, text = self.stream_health()
+        if level == OK:
+            level, text = self._pipeline.health(self.parameters.violation_tolerance)
+        return level, text, details
+
+    def take(self, cdr: bytes) -> None:
+        """Project one joint state."""
+        pipeline = self._pipeline
+        try:
+            sample = pipeline.reader.read(cdr)
+        except MessageError as error:
+            self.drop_state("malformed", str(error))
+            return
+        stamp = self.stamp_of(sample.stamp)
+        if stamp is None:
+            return
+        try:
+            answer = pipeline.answer(stamp, sample)
+        except SolveError as error:
+            self._drop_unsolved(error)
+            return
+        if isinstance(answer, Sample):
+            held = ", ".join(pipeline.reconstructor.held)
+            lacking = f" ({held})" if answer is Sample.INCOMPLETE else ""
+            self.drop_state(answer.name.lower(), f"{answer.value}{lacking}")
+            return
+        self._failures = 0
+        self._states.publish(answer.states)
+        if answer.forces is not None:
+            self._forces.publish(answer.forces)
+        self._violation.publish(answer.violation)
+        self.note_answer(stamp, pipeline.joints.extra)
+
+    def _drop_unsolved(self, error: SolveError) -> None:
+        self._failures += 1
+        if self._failures >= self.parameters.failures:
+            raise SolveError(f"{self._failures} joint states in a row: {error}") from error
+        self.drop_state("unsolved", str(error))
+
+
+def main() -> int:
+    """Entry point `joint_state_projector`."""
+    return run(JointStateProjectorNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,129 @@
+"""A built scene between commands and the messages that show its motion."""
+
+from typing import Any
+
+from geometry_msgs.msg import Point
+from pinocchio import FrameType
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from visualization_msgs.msg import Marker, MarkerArray
+
+from mbd_ros.core.command_watch import CommandWatch
+from mbd_ros.core.live_simulation import LiveSimulation
+from mbd_ros.core.tiers import tier_of
+from mbd_ros.nodes.parameters import ParameterError
+from mbd_ros.scene import Scene, load_scene
+from msg_adapters.commands import CommandReader
+from msg_adapters.joint_motion import JointMotionWriter
+from msg_adapters.joint_state_cdr import JointStateCdrWriter
+from msg_adapters.markers import Arrow, ArrowWriter
+from msg_adapters.time import NANOSECONDS
+
+
+class Plant:
+    """What the node `simulator` builds when it is configured.
+
+    Args:
+        values: Parameters of the node.
+
+    Attributes:
+        scene: The scene.
+        live: The simulation.
+        reader: Messages to commands.
+        has_actuators: Whether anything can be commanded.
+        rows: Names of the constraint rows.
+
+    Raises:
+        MbdError: The scene, `joints` or `rate` do not fit.
+    """
+
+    def __init__(self, values: Any) -> None:
+        self.scene = scene = load_scene(values.scene)
+        driven = [name for actuator in scene.actuators for name in actuator.joints]
+        joints = _command_order(values.joints, driven)
+        self.has_actuators = bool(driven)
+        self.reader = CommandReader(joints, driven)
+        watch = CommandWatch(values.command_timeout, values.safe_ramp)
+        self.live = LiveSimulation(
+            scene.simulation, scene.initial, 1.0 / values.rate, watch, scene.safe
+        )
+        names = [joint.name for joint in scene.robot.joints]
+        self.rows = [row.name for row in self.live.simulation.system.multiplier_rows]
+        self._states = JointStateCdrWriter(names)
+        self._forces = JointStateCdrWriter(self.rows, ("effort",))
+        self._motion = JointMotionWriter(JointTrajectory(), JointTrajectoryPoint(), names)
+        self._arrows = ArrowWriter(MarkerArray(), Marker, Point, _root_link(scene))
+
+    @property
+    def time(self) -> int:
+        """Simulated time [ns]."""
+        return round(self.live.now.t * NANOSECONDS)
+
+    def joint_states(self, stamp: int) -> bytes:
+        """Serialized JointState of the newest state."""
+        now = self.live.now
+        return self._states.write(
+            stamp, position=now.position, velocity=now.velocity, effort=now.effort
+        )
+
+    def constraint_forces(self, stamp: int) -> bytes:
+        """Serialized JointState with the multipliers."""
+        return self._forces.write(stamp, effort=self.live.now.multipliers)
+
+    def motion(self, stamp: int) -> Any:
+        """JointTrajectory whose point is the newest state with accelerations."""
+        now = self.live.now
+        return self._motion.write(stamp, now.position, now.velocity, now.acceleration, now.effort)
+
+    def markers(self, stamp: int, length: float) -> Any:
+        """MarkerArray of what loops, bars and anchors exert; `length` is [m/N]."""
+        arrows = [Arrow(w.frame, w.point, w.force) for w in self.live.wrenches()]
+        return self._arrows.write(stamp, arrows, length)
+
+    def details(self) -> dict[str, str]:
+        """What the motion contains and how it is made, for diagnostics."""
+        robot, live, watch = self.scene.robot, self.live, self.live.watch
+        system, drift = live.simulation.system, live.drift()
+        unloaded = ", ".join(self.scene.wrenches)
+        details = {
+            "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
+            "joints dropped": ", ".join(robot.locked) or "none",
+            "external wrenches left out": unloaded or "none",
+            "solver tier": tier_of(system),
+            "simulated time": f"{live.now.t:.9g}",
+            "drift of positions": f"{drift.position:.3g}",
+            "drift of velocities": f"{drift.velocity:.3g}",
+            "commands received": str(watch.received),
+            "commands superseded before a tick": str(watch.superseded),
+            "age of the last command": "none" if watch.held is None else f"{watch.age:.6g}",
+            "share of the safe command": "1" if watch.held is None else f"{watch.weight:.6g}",
+            "safe command": str(self.scene.safe),
+        }
+        if system.bounded is not None:
+            s = system.bounded.qp.statistics
+            details["QP"] = (
+                f"{s.solves} solves, {s.cold} cold, {s.damped} damped, {s.failed} failed"
+            )
+        return details
+
+
+def _command_order(given: tuple[str, ...], driven: list[str]) -> list[str]:
+    """Order of the values in a command, checked."""
+    have = ", ".join(driven) or "none"
+    twice = sorted({name for name in driven if driven.count(name) > 1})
+    if twice:
+        raise ParameterError(
+            f"actuators: {', '.join(twice)} driven twice: a command by name would be ambiguous"
+        )
+    if given and sorted(given) != sorted(driven):
+        raise ParameterError(
+            f"parameter 'joints' is {', '.join(given)}; accepted: all joints that the scene "
+            f"actuates, each once: {have}"
+        )
+    return list(given) or driven
+
+
+def _root_link(scene: Scene) -> str:
+    """Link that stands where the world is."""
+    frames = scene.robot.model.frames
+    links = [f.name for f in frames if f.type == FrameType.BODY and f.parentJoint == 0]
+    return str(links[0]) if links else "world"

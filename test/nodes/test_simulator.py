@@ -1,0 +1,331 @@
+"""The simulator in real time, in lock step and in a loop with inverse dynamics, over DDS."""
+
+import signal
+import sys
+import time
+
+import numpy as np
+import pytest
+from nodes.conftest import ROOT, NodeProcess
+from nodes.joint_stream import ACTIVE, parameter_file
+from nodes.simulation_client import (
+    ARM,
+    DAMPED,
+    DEEP,
+    JOINTS,
+    NAME,
+    PENDULUM,
+    STOP,
+    simulated,
+    streamed,
+    swinging,
+)
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from visualization_msgs.msg import MarkerArray
+
+from mbd_ros.bags import BagWriter, messages, raw_messages
+from mbd_ros.core.command_watch import CommandWatch
+from mbd_ros.core.live_simulation import LiveSimulation
+from mbd_ros.scene import load_scene
+from msg_adapters.clock import read_clock
+from msg_adapters.diagnostics import OK, WARN
+from msg_adapters.joint_state import read_joint_state, write_joint_state
+from msg_adapters.multi_array import write_multi_array
+
+TICK = 1e-3
+MS = 1_000_000
+VECTOR, STATE = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"
+
+
+def scene_of(folder, text):
+    """The scene that a text describes, in this process."""
+    path = folder / "local.yaml"
+    path.write_text(text, encoding="utf-8")
+    return load_scene(path)
+
+
+# ---------------------------------------------------------------------- real time
+
+
+@pytest.mark.soak  # a busy machine decides
+@pytest.mark.parametrize("seconds", [60.0])
+def test_real_time_at_1_khz(domain, tmp_path, seconds):
+    """No command is lost, joint states come at their rate, stamps are ticks to the nanosecond."""
+    with simulated(domain, tmp_path, ARM, publish_clock="true") as client:
+        before = client.probe.wait_health(lambda h: h.values["state"] == "active")
+        first = len(client.states)
+        sent = streamed(client, seconds, 1000.0)
+        client.probe.spin_for(0.05)
+        arrivals, stamps = np.array(client.arrivals[first:]), client.stamps()[first:]
+        health = client.probe.wait_health(lambda h: h.values["commands received"] == str(sent))
+        assert before.values["commands received"] == "0"
+        assert len(arrivals) / (arrivals[-1] - arrivals[0]) == pytest.approx(1000.0, rel=0.01)
+        assert set(np.diff(stamps)) == {MS}
+        assert int(health.values["overruns"]) >= 0
+        assert float(health.values["time given up"]) == 0.0
+        assert "dropped.command" not in health.values
+
+
+def test_without_a_clock_of_its_own_stamps_are_those_of_the_node(domain, tmp_path):
+    with simulated(domain, tmp_path, PENDULUM, stop=signal.SIGTERM) as client:
+        client.probe.spin_for(0.5)
+        stamps = client.stamps()
+        assert abs(stamps[-1] - time.time_ns()) < 200 * MS
+        assert np.median(np.diff(stamps)) == pytest.approx(MS, abs=1000)
+
+
+def test_real_time_factors_pause_and_reset(domain, tmp_path):
+    with simulated(domain, tmp_path, ARM, publish_clock="true") as client:
+        clocks = []
+        keep = client.probe.node.create_subscription(Clock, "/clock", clocks.append, DEEP)
+        client.probe.spin_until(keep.get_publisher_count)
+
+        def factor(asked):
+            """The first of six windows of 0.5 s that is undisturbed enough to have it."""
+            for _ in range(6):
+                client.probe.spin_for(0.1)
+                first = len(client.states)
+                client.probe.spin_for(0.5)
+                stamps, arrivals = client.stamps()[first:], client.arrivals[first:]
+                assert set(np.diff(stamps)) == {MS}
+                reached = (stamps[-1] - stamps[0]) * 1e-9 / (arrivals[-1] - arrivals[0])
+                if reached == pytest.approx(asked, rel=0.03):
+                    break
+            return reached
+
+        for asked in (0.5, 2):
+            assert client.probe.set_parameter(NAME, "real_time_factor", asked).successful
+            assert factor(asked) == pytest.approx(asked, rel=0.03)
+        assert client.probe.set_parameter(NAME, "real_time_factor", 0.0).successful
+        first = len(client.states)
+        client.probe.spin_for(0.4)
+        stamps, arrivals = client.stamps()[first:], client.arrivals[first:]
+        assert stamps[-1] - stamps[0] > 1.2e9 * (arrivals[-1] - arrivals[0])
+        client.pause(True)
+        client.probe.spin_for(0.1)
+        first, ticked = len(client.states), len(clocks)
+        health = client.probe.wait_health(lambda h: "paused" in h.message)
+        assert health.values["real-time factor reached"] == "standing"
+        busy = client.node.cpu_seconds()
+        client.probe.spin_for(0.5)
+        assert client.node.cpu_seconds() - busy < 0.05
+        assert len(client.states) == first
+        standing = {read_clock(message) for message in clocks[ticked:]}
+        assert standing == {client.newest.stamp}  # repeated, for who comes late
+        client.reset()
+        assert client.newest.stamp == 0
+        np.testing.assert_array_equal(client.newest.position, [0.0, 0.0, 0.175, 0.0, 0.0])
+        assert client.probe.set_parameter(NAME, "real_time_factor", 1.0).successful
+        client.pause(False)
+        assert factor(1.0) == pytest.approx(1.0, rel=0.03)
+        for value in (-1.0, float("nan")):
+            result = client.probe.set_parameter(NAME, "real_time_factor", value)
+            assert not result.successful
+
+
+def test_a_simulation_that_is_too_slow_says_so_and_stretches_no_step(domain, tmp_path):
+    """Ticks of 20 us in real time: overruns, WARN; every tick is 20 us all the same."""
+    with simulated(
+        domain, tmp_path, ARM + "dt: 2e-5\n", rate=50_000.0, publish_clock="true"
+    ) as client:
+        health = client.probe.wait_health(lambda h: "lagging" in h.message)
+        assert health.level == WARN
+        assert "instead of 1, " in health.message
+        assert int(health.values["overruns"]) > 1000
+        assert 0.01 < float(health.values["real-time factor reached"]) < 0.9
+        assert float(health.values["time given up"]) > 0.1
+        client.pause(True)
+        stamps = [client.newest.stamp]
+        stamps += [client.step().stamp for _ in range(20)]
+        assert set(np.diff(stamps)) == {20_000}
+
+
+# ---------------------------------------------------------------------- lock step
+
+
+def played(client, bag, out, by_service):
+    """Play a bag of commands in lock step, a tick a command; record the joint states."""
+    first = len(client.states)
+    commands = [m for _, _, m in messages(bag, {f"{NAME}/commands": VECTOR})]
+    for message in commands:
+        client.command(message.data)
+        if by_service:
+            client.step()
+    client.probe.spin_until(lambda: len(client.states) >= first + len(commands))
+    with BagWriter(out) as writer:
+        for k in range(first, len(client.states)):
+            writer.write("/joint_states", STATE, client.sample(k).stamp, client.states[k])
+    return [(raw.log_time, raw.cdr) for raw in raw_messages(out)]
+
+
+def test_lock_step_gives_the_same_bag_twice(domain, tmp_path):
+    """By ~/step, by `lock_step` as fast as DDS brings them, after a reset, in another process.
+
+    A stop acts, so that the QP has a history to forget. And it is the run in this process.
+    """
+    from mbd_ros.bags import new_message
+
+    bag, count = tmp_path / "commands", 120
+    with BagWriter(bag) as writer:
+        for k in range(count):
+            message = write_multi_array(new_message(VECTOR), swinging(k * TICK))
+            writer.write(f"{NAME}/commands", VECTOR, k * MS, message)
+    text, recordings = ARM + STOP, []
+    for mode, factor in (("paused", 1.0), ("lock_step", 0.0)):
+        (folder := tmp_path / mode).mkdir()
+        options = {mode: "true", "publish_clock": "true", "real_time_factor": factor}
+        with simulated(domain, folder, text, **options) as client:
+            for out in ("first", "second"):
+                recordings.append(played(client, bag, folder / out, mode == "paused"))
+                client.reset()
+    assert len(recordings[0]) == count
+    for recording in recordings[1:]:
+        assert recording == recordings[0]
+    scene = scene_of(tmp_path, text)
+    live = LiveSimulation(
+        scene.simulation, scene.initial, TICK, CommandWatch(0.1, 0.1), scene.safe
+    )
+    last = list(messages(tmp_path / "paused" / "first", {"/joint_states": STATE}))
+    for k, (_, stamp, message) in enumerate(last):
+        live.watch.take(swinging(k * TICK))
+        now, sample = live.tick(), read_joint_state(message)
+        assert stamp == sample.stamp == (k + 1) * MS
+        for field in ("position", "velocity", "effort"):
+            np.testing.assert_allclose(
+                getattr(sample, field), getattr(now, field), rtol=0, atol=1e-12
+            )
+
+
+def test_commands_by_vector_and_by_name_in_any_order(domain, tmp_path):
+    order = list(JOINTS[::-1])
+    with simulated(domain, tmp_path, ARM, paused="true", joints=order) as client:
+        client.command([4.0, 3.0, 2.0, 1.0])
+        expected = {"elbow": 0.0, **dict(zip(order, [4.0, 3.0, 2.0, 1.0], strict=True))}
+        scene = scene_of(tmp_path, ARM)
+        names = [joint.name for joint in scene.robot.joints]
+        np.testing.assert_array_equal(client.step().effort, [expected[name] for name in names])
+        for chosen in (JOINTS, order):
+            values = np.array([1.0 + JOINTS.index(name) for name in chosen])
+            client.publish(write_joint_state(JointState(), 0, chosen, effort=values))
+            effort = dict(zip(names, client.step().effort, strict=True))
+            assert [effort[name] for name in JOINTS] == [1.0, 2.0, 3.0, 4.0]
+        refused = client.probe.set_parameter(NAME, "joints", list(JOINTS))
+        assert "read-only" in refused.reason
+
+
+def test_a_step_needs_a_pause(domain, tmp_path):
+    with simulated(domain, tmp_path, PENDULUM) as client:
+        assert client.refused_step() == "not paused: call ~/pause first"
+        client.pause(True)
+        client.step()
+        assert client.probe.change_state(NAME, "deactivate")
+        assert client.refused_step() == "the node is inactive"
+        client.probe.spin_for(0.1)
+        first = len(client.states)
+        client.probe.spin_for(0.2)
+        assert len(client.states) == first
+        assert client.probe.change_state(NAME, "activate")
+        client.step()
+
+
+# ---------------------------------------------------------------------- forces
+
+
+def test_constraint_forces_and_markers(domain, tmp_path):
+    """The loop of the four-bar leg: multipliers by row, an arrow for each of the two bodies."""
+    text = (ROOT / "config/scenes/four_bar_leg.yaml").read_text(encoding="utf-8")
+    text = text.replace("../robots", str(ROOT / "config/robots"))
+    with simulated(domain, tmp_path, text, publish_clock="true", marker_rate=50.0) as client:
+        forces, arrays = [], []
+        create = client.probe.node.create_subscription
+        create(JointState, f"{NAME}/constraint_forces", forces.append, DEEP)
+        create(MarkerArray, f"{NAME}/markers", arrays.append, DEEP)
+        client.probe.spin_until(lambda: forces and len(arrays) > 2)
+        scene = scene_of(tmp_path, text)
+        system = scene.system()
+        assert tuple(forces[0].name) == tuple(row.name for row in system.multiplier_rows)
+        assert len(forces[0].effort) == 2
+        assert np.abs(forces[-1].effort).max() > 0.1
+        upper, lower = arrays[-1].markers
+        assert {upper.ns, lower.ns} == {"posterior_bar", "shank"}
+        tails = [np.array([m.points[0].x, m.points[0].y, m.points[0].z]) for m in (upper, lower)]
+        heads = [np.array([m.points[1].x, m.points[1].y, m.points[1].z]) for m in (upper, lower)]
+        np.testing.assert_allclose(tails[0], tails[1], atol=1e-9)
+        np.testing.assert_allclose(heads[0] - tails[0], tails[1] - heads[1], atol=1e-12)
+        health = client.probe.wait_health(lambda h: h.level == OK)
+        assert health.values["solver tier"] == "kkt"
+        assert float(health.values["drift of positions"]) < 1e-12
+        assert float(health.values["drift of velocities"]) < 1e-11
+
+
+# ---------------------------------------------------------------------- loop
+
+
+def test_inverse_dynamics_of_the_simulated_motion_gives_the_commands_back(domain, tmp_path):
+    """Exact with the accelerations of the simulator, late by the filter with causal ones."""
+    text = ARM + DAMPED
+    with simulated(domain, tmp_path, text, publish_clock="true", lock_step="true") as client:
+        scene = scene_of(tmp_path, text)
+        (folder := tmp_path / "inverse").mkdir()
+        options = {"use_sim_time": "true", "cutoff": 20.0, "timeout": 5.0}
+        file = parameter_file(folder, {"scene": scene.path, **options})
+        target = [sys.executable, "-m", "mbd_ros.nodes.inverse_dynamics"]
+        node = NodeProcess([*target, "--ros-args", "--params-file", str(file)], domain)
+        try:
+            node.wait_for(ACTIVE)
+            torques = []
+            topic = "/inverse_dynamics/joint_torques"
+            create = client.probe.node.create_subscription
+            keep = create(JointState, topic, torques.append, DEEP)
+            client.probe.spin_until(keep.get_publisher_count)
+            client.follow()
+            while not torques:  # until all nodes know each other
+                client.reset()
+            client.probe.spin_for(0.2)
+            torques.clear()
+            client.motions.clear()
+            for k in range(1500):  # an answer each, so that best effort loses nothing
+                client.command(swinging(k * TICK))
+                client.probe.spin_until(lambda k=k: len(torques) > k)
+            stated = "derivatives"
+            health = client.probe.wait_health(lambda h: stated in h.values)
+            assert node.stop() == 0
+        finally:
+            if node.process.poll() is None:
+                node.process.kill()
+                node.wait()
+        delay = float(health.values[stated].split("delay ")[1].split(" s")[0])
+        compare(scene, client.motions, torques, delay)
+
+
+def compare(scene, motions, torques, delay):
+    inverse, z = scene.inverse_dynamics(), scene.couplings.v_index
+    assert len(motions) == 1500
+    commanded, exact = [], []
+    for motion in motions:
+        solved = inverse.solve(motion.position[z], motion.velocity[z], motion.acceleration[z])
+        exact.append(solved.tau)
+        commanded.append(motion.effort[z])
+    np.testing.assert_array_equal(commanded, [swinging(k * TICK) for k in range(1500)])
+    np.testing.assert_allclose(exact, commanded, rtol=0, atol=1e-6)
+
+    at = {motion.stamp: motion for motion in motions}
+    samples = [read_joint_state(m) for m in torques]
+    samples = [s for s in samples if s.stamp in at and s.stamp > 500 * MS]
+    assert len(samples) == 1000
+    estimated = np.array([s.effort for s in samples])
+
+    def late(lag):
+        """Torques with accelerations that are `lag` old [ms]."""
+        rows = []
+        for sample in samples:
+            now, then = at[sample.stamp], at.get(sample.stamp - lag * MS)
+            a = np.full(len(z), np.nan) if then is None else then.acceleration[z]
+            rows.append(inverse.solve(now.position[z], now.velocity[z], a).tau)
+        return np.array(rows)
+
+    lags = range(0, round(2e3 * delay) + 1)
+    errors = [np.nanstd((late(lag) - estimated)[:, 0]) for lag in lags]
+    assert 1e-3 * int(np.argmin(errors)) == pytest.approx(delay, abs=max(2e-3, 0.1 * delay))
+    assert min(errors) < 0.1 * errors[0], errors

@@ -1,0 +1,223 @@
+"""What the simulator does about bad commands, lost ones, bad parameters and divergence."""
+
+import math
+import signal
+
+import numpy as np
+import pytest
+from nodes.simulation_client import (
+    ARM,
+    DEEP,
+    JOINTS,
+    NAME,
+    PENDULUM,
+    TARGET,
+    simulated,
+    streamed,
+)
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+
+from msg_adapters.diagnostics import ERROR, OK, WARN
+from msg_adapters.joint_state import write_joint_state
+
+NAN = math.nan
+GOOD = [0.4, 0.3, 0.002, 0.001]
+SHOWN = [*GOOD[:2], 0.0, *GOOD[2:]]  # as efforts: the elbow has no actuator
+# Commands of the pendulum fade within 10 ms, 20 ms after the last one.
+QUICK = {"command_timeout": 0.02, "safe_ramp": 0.01}
+
+
+def efforts(names, values):
+    """A JointState with these names and efforts, of whatever length."""
+    message = JointState(name=list(names))
+    message.effort = [float(value) for value in values]
+    return message
+
+
+# ---------------------------------------------------------------------- bad commands
+
+
+BAD = (
+    Float64MultiArray(data=[1.0]),
+    Float64MultiArray(data=[1.0] * 5),
+    Float64MultiArray(),
+    Float64MultiArray(data=[1.0, NAN, 1.0, 1.0]),
+    Float64MultiArray(data=[1.0, math.inf, 1.0, 1.0]),
+    efforts([], []),
+    efforts(JOINTS, []),
+    efforts(JOINTS, [1, 2, 3]),
+    efforts(JOINTS, [1, 2, 3, NAN]),
+    efforts([*JOINTS[:3], JOINTS[0]], [1] * 4),
+    efforts([*JOINTS[:3], "thumb"], [1] * 4),
+    efforts([*JOINTS, "elbow"], [1] * 5),
+    efforts(JOINTS[1:], [1] * 3),
+)
+
+
+def test_a_bad_command_is_dropped_counted_and_the_last_good_one_held(domain, tmp_path):
+    """Wrong lengths, NaN, infinities, names unknown, repeated or missing; one warning for all."""
+    with simulated(domain, tmp_path, ARM, paused="true", command_timeout=1e6) as client:
+        for k, message in enumerate(BAD):
+            good = (1.0 + 0.1 * k) * np.array(GOOD)
+            client.command(good)
+            np.testing.assert_array_equal(client.step().effort, np.insert(good, 2, 0.0))
+            client.publish(message)
+            np.testing.assert_array_equal(client.step().effort, np.insert(good, 2, 0.0))
+        count = str(len(BAD))
+        health = client.probe.wait_health(lambda h: h.values.get("dropped.command") == count)
+        assert (health.level, health.values["commands received"]) == (OK, count)
+        text = "~/commands: data has 1 values, expected 4; the last good command is held"
+        assert client.node.log.count("is held") == 1
+        assert f"{text} (dropped for 'command': 1)" in client.node.log
+
+
+def test_commands_of_best_effort_are_named_as_incompatible(domain, tmp_path):
+    with simulated(domain, tmp_path, PENDULUM) as client:
+        qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        client.probe.node.create_publisher(Float64MultiArray, f"{NAME}/commands", qos)
+        health = client.probe.wait_health(lambda h: "incompatible QoS" in h.message)
+        assert f"{NAME}/commands: incompatible QoS with node 'probe'" in health.message
+        assert health.level == WARN
+
+
+# ---------------------------------------------------------------------- lost commands
+
+
+def test_18_a_stream_that_stops_fades_and_comes_back_without_a_bump(domain, tmp_path):
+    """Tick by tick: held for 20 ms, damping within 10 ms, and back within 10 ms."""
+    text = PENDULUM + "safe: {type: damping, gain: 0.5}\n"
+    with simulated(domain, tmp_path, text, paused="true", **QUICK) as client:
+        client.command([0.3])
+        shown = [client.step() for _ in range(60)]
+        effort = [sample.effort[0] for sample in shown]
+        assert effort[:20] == [0.3] * 20
+        faded = [-0.5 * sample.velocity[0] for sample in shown[29:-1]]
+        np.testing.assert_allclose(effort[30:], faded, rtol=0.05)
+        assert np.abs(np.diff(effort)).max() < 0.1 * 0.3 + 0.02 + 0.1 * np.abs(faded).max()
+        for _ in range(15):
+            client.command([0.3])
+            effort.append(client.step().effort[0])
+        assert effort[-5:] == [0.3] * 5
+        assert np.abs(np.diff(effort)).max() < 0.1 * (0.3 + 2.0 * np.abs(faded).max())
+
+
+def test_18_a_stream_that_stops_in_real_time_is_reported_until_it_comes_back(domain, tmp_path):
+    with simulated(domain, tmp_path, ARM) as client:
+        health = client.probe.wait_health(lambda h: h.level == WARN)
+        assert "no command yet, instead: damping with gain 1; simulating" in health.message
+        streamed(client, 1.3, 100.0, lambda t: GOOD)
+        assert "no command" not in client.probe.health[-1].message
+        np.testing.assert_array_equal(client.newest.effort, SHOWN)
+        health = client.probe.wait_health(lambda h: "no command for " in h.message)
+        assert health.level == WARN
+        assert float(health.values["age of the last command"]) > 0.1
+        for value in (0.0, NAN):
+            assert not client.probe.set_parameter(NAME, "command_timeout", value).successful
+        assert client.probe.set_parameter(NAME, "command_timeout", 1000).successful
+        client.probe.wait_health(lambda h: h.level == OK)
+        np.testing.assert_array_equal(client.newest.effort, SHOWN)
+
+
+def test_17_a_pause_is_no_loss_of_commands(domain, tmp_path):
+    with simulated(domain, tmp_path, PENDULUM, paused="true", command_timeout=0.1) as client:
+        client.command([0.2])
+        client.step()
+        client.probe.spin_for(1.0)
+        health = client.probe.wait_health(lambda h: True)
+        assert (health.level, health.message) == (OK, "paused, t = 0.001 s")
+        assert client.step().effort.tolist() == [0.2]
+
+
+# ---------------------------------------------------------------------- divergence
+
+
+@pytest.mark.parametrize("paused", ["true", "false"])
+def test_32_divergence_deactivates_with_joint_and_time_and_resumes_after_a_reset(
+    domain, tmp_path, paused
+):
+    text = PENDULUM + "integrator: {type: rk4}\n"
+    with simulated(domain, tmp_path, text, paused=paused, publish_clock="true") as client:
+        client.command([0.1])
+        if paused == "true":
+            client.step()
+        client.command([1e308])
+        if paused == "true":
+            client.probe.spin_for(0.05)
+            for _ in range(5):
+                response = client.probe.call(Trigger, f"{NAME}/step", Trigger.Request())
+            assert not response.success
+            assert "diverged at t = " in response.message
+        health = client.probe.wait_health(lambda h: h.level == ERROR)
+        assert "diverged at t = " in health.message
+        assert "hinge" in health.message
+        assert health.values["state"] == "inactive"
+        kept = client.newest.stamp * 1e-9
+        assert float(health.values["simulated time"]) == pytest.approx(kept, abs=1e-9)
+        count = len(client.states)
+        client.probe.spin_for(0.3)
+        assert len(client.states) == count
+        assert not client.probe.change_state(NAME, "activate")
+        health = client.probe.wait_health(lambda h: h.level == ERROR)
+        assert "; call ~/reset first" in health.message
+        client.reset()
+        assert client.probe.change_state(NAME, "activate")
+        client.probe.spin_until(lambda: len(client.states) > count)
+        if paused == "true":
+            client.command([0.1])
+            assert client.step().stamp == 1_000_000
+        else:
+            client.probe.spin_until(lambda: client.newest.stamp > 0)
+
+
+# ---------------------------------------------------------------------- parameters, life cycle
+
+
+@pytest.mark.parametrize(
+    ("scene", "parameters", "reason"),
+    [
+        (PENDULUM, "rate: 1500.0", "a tick of 0.000666667 s is no whole number of steps of dt"),
+        (PENDULUM, "joints: [knee]", "parameter 'joints' is knee; accepted: all joints that the"),
+        (
+            PENDULUM.replace("}]\n", "}, {type: ideal, joints: [hinge]}]\n", 1),
+            "paused: true",
+            "actuators: hinge driven twice",
+        ),
+    ],
+)
+def test_what_does_not_fit_leaves_the_node_unconfigured(
+    start_node, probe, tmp_path, scene, parameters, reason
+):
+    (path := tmp_path / "scene.yaml").write_text(scene, encoding="utf-8")
+    text = f"/**:\n  ros__parameters:\n    scene: {path}\n    {parameters}\n"
+    node = start_node(text, target=TARGET)
+    health = probe.wait_health(lambda h: h.level == ERROR)
+    assert reason in health.message
+    assert health.values["state"] == "unconfigured"
+    for service, request, kind in (
+        ("step", Trigger.Request(), Trigger),
+        ("reset", Trigger.Request(), Trigger),
+        ("pause", SetBool.Request(data=True), SetBool),
+    ):
+        response = probe.call(kind, f"{NAME}/{service}", request)
+        assert not response.success
+        assert response.message
+    assert node.stop(signal.SIGTERM) == 0
+    assert "Traceback" not in node.log
+
+
+def test_the_whole_life_cycle_twice(domain, tmp_path):
+    with simulated(domain, tmp_path, PENDULUM, publish_clock="true") as client:
+        for label in ("deactivate", "cleanup", "configure", "activate") * 2:
+            assert client.probe.change_state(NAME, label)
+        client.probe.spin_until(client._states.get_publisher_count)
+        count = len(client.states)
+        client.probe.spin_until(lambda: len(client.states) > count + 100)
+        publisher = client.probe.node.create_publisher(JointState, f"{NAME}/joint_commands", DEEP)
+        client.probe.spin_until(publisher.get_subscription_count)
+        message = write_joint_state(JointState(), 0, ["hinge"], effort=np.array([0.1]))
+        client.probe.spin_for(0.2)
+        publisher.publish(message)
+        client.probe.spin_until(lambda: client.newest.effort[0] == 0.1)
