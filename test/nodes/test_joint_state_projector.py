@@ -24,6 +24,9 @@ from msg_adapters.diagnostics import ERROR, OK, STALE, WARN
 from msg_adapters.joint_state import JointStateWriter, write_joint_state
 from msg_adapters.time import read_time, write_time
 
+# A command and a service, or a stream and its reader, race on a busy machine.
+pytestmark = pytest.mark.soak
+
 NAME = "/joint_state_projector"
 TARGET = ("-m", "mbd_ros.nodes.joint_state_projector")
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

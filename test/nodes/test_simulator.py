@@ -33,6 +33,9 @@ from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import read_joint_state, write_joint_state
 from msg_adapters.multi_array import write_multi_array
 
+# A command and a service, or a stream and its reader, race on a busy machine.
+pytestmark = pytest.mark.soak
+
 TICK = 1e-3
 MS = 1_000_000
 VECTOR, STATE = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"

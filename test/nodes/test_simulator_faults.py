@@ -23,6 +23,9 @@ from std_srvs.srv import SetBool, Trigger
 from msg_adapters.diagnostics import ERROR, OK, WARN
 from msg_adapters.joint_state import write_joint_state
 
+# A command and a service, or a stream and its reader, race on a busy machine.
+pytestmark = pytest.mark.soak
+
 NAN = math.nan
 GOOD = [0.4, 0.3, 0.002, 0.001]
 SHOWN = [*GOOD[:2], 0.0, *GOOD[2:]]  # as efforts: the elbow has no actuator
