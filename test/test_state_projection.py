@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 import qpsolvers
 
+from mbd_ros.core.coupled_joints import CoupledJoints
+from mbd_ros.core.couplings import Link
+from mbd_ros.core.laws import Linear, Polynomial
 from mbd_ros.core.loads import Loads
 from mbd_ros.core.pushing_bounds import PushingBounds
 from mbd_ros.core.qp import Statistics
@@ -199,6 +202,69 @@ def test_large_errors_still_give_the_nearest_state():
             assert_consistent(ours, ours.project(m), m)
 
 
+@pytest.mark.parametrize("name", [LEG, ARM, FOUR_BAR])
+def test_large_errors_within_limits_still_give_the_nearest_state(name):
+    """Half a radian or metre on every joint; linear rows there often contradict the limits."""
+    scene, ours = projector(name)
+    x0 = ours.project(measured(scene.initial.q)).x
+    rng = np.random.default_rng(7)
+    acted = 0
+    for _ in range(60):
+        shift, v = 0.5 * rng.normal(size=ours.system.nv), rng.normal(size=ours.system.nv)
+        m = measured(x0.q + shift, v)
+        found = ours.project(m)
+        assert_consistent(ours, found, m)
+        acted += found.limit_multipliers.any()
+    assert acted >= 5
+
+
+@pytest.mark.parametrize("name", [LEG, ARM])
+@pytest.mark.parametrize("missing", [(), ("dependent",)])
+def test_couplings_in_their_own_coordinates_are_the_same_as_rows(name, missing):
+    """At limits and off them; two limits of the arm are one, so that their multipliers differ."""
+    scene, ours = projector(name)
+    missing = scene.couplings.dependent[:1] if missing else ()
+    x0 = ours.project(measured(scene.initial.q)).x
+    rng = np.random.default_rng(8)
+    for size in np.repeat([1e-4, 1e-2, 0.1], 20):
+        q = x0.q + size * rng.normal(size=ours.system.nv)
+        m = measured(q, rng.normal(size=ours.system.nv), missing, scene)
+        prepared, rows = ours.prepare(m), ours._on_rows.rows(0.0, q)
+        metrics = prepared.metric, prepared.of_velocity
+        coupled = ours._coupled.find(m.x, *(metric.W for metric in metrics))
+        general = ours._on_rows.find(m.x, *metrics, rows)
+        for field in ("q", "v", "lam", "mu")[: 4 if name == LEG else 2]:
+            expected = getattr(general, field)
+            np.testing.assert_allclose(getattr(coupled, field), expected, rtol=0, atol=1e-9)
+
+
+def test_chained_couplings_and_their_derivatives():
+    """Derivatives by differences; a law that is no spline, so that these are exact to 1e-9."""
+    laws = [Polynomial([0.1, 0.5, -0.3]), Polynomial([0.0, 1.0, 2.0]), Linear(-2.0, 0.3)]
+    edges = [(1, 0), (3, 1), (4, 3)]  # joints 0 and 2 are free
+    links = [Link(c, c, p, p, law) for (c, p), law in zip(edges, laws, strict=True)]
+    joints, h = CoupledJoints(5, links), 1e-4
+    assert joints.free.tolist() == [0, 2]
+    assert joints.ancestry.argmax(axis=1).tolist() == [0, 0, 1, 0, 0]
+    at = [joints.at(np.array([z, 9.0, 0.7, 9.0, 9.0])) for z in (0.4 - h, 0.4, 0.4 + h)]
+    before, place, after = at
+    follows = joints.ancestry[:, 0] == 1.0
+    first = np.where(follows, (after.q - before.q) / (2 * h), 1.0)
+    np.testing.assert_allclose(place.slope, first, rtol=0, atol=1e-7)
+    second = np.where(follows, (after.slope - before.slope) / (2 * h), 0.0)
+    np.testing.assert_allclose(place.curvature, second, rtol=0, atol=1e-7)
+    g, rate = joints.violation(place.q, place.slope)
+    assert not g.any() and np.abs(rate).max() <= 1e-15
+    forces = np.arange(1.0, 6.0)
+    J = np.zeros((3, 5))
+    for row, (child, parent) in enumerate(edges):
+        J[row, [child, parent]] = 1.0, -place.link_slopes[row]
+    left = forces - J.T @ joints.multipliers(forces, place.link_slopes)
+    np.testing.assert_allclose(left[[1, 3, 4]], 0.0, atol=1e-14)
+    G = joints.ancestry * place.slope[:, None]
+    np.testing.assert_allclose(left[joints.free], G.T @ forces, rtol=1e-14)
+
+
 # ---------------------------------------------------------------------- cost of nothing
 
 
@@ -331,8 +397,9 @@ def test_limits_that_contradict_the_rows_are_refused():
     lower, upper = ours.lower.copy(), ours.upper.copy()
     lower[slide.v] = upper[slide.v] = 0.004  # the spline never goes there
     _, ours = projector(LEG, (lower, upper))
-    with pytest.raises(SolveError, match=r"limits contradict|no consistent state|off its"):
+    with pytest.raises(SolveError, match=r"limits contradict|no consistent state|off its") as e:
         ours.project(measured(q, v))
+    assert f"limit of knee_slide_y by {q[slide.q] - 0.004:.3g}" in str(e.value)
 
 
 def test_pushing_bounds_equal_quadprog_also_where_they_depend():

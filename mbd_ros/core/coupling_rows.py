@@ -17,10 +17,13 @@ class CouplingRows(Constraint):
     Args:
         robot: The robot.
         couplings: Its dependent joints, in the order of the rows.
+
+    Attributes:
+        links: They in indices, parents before children.
     """
 
     def __init__(self, robot: Robot, couplings: Couplings) -> None:
-        self._links = couplings.links
+        self.links = couplings.links
         self.rows = tuple(Row(name, robot.joint(name).effort_unit) for name in couplings.dependent)
         self._nv = int(robot.model.nv)
         self._constant: tuple[Array, Array] | None = None
@@ -35,18 +38,17 @@ class CouplingRows(Constraint):
     def residual(self, data: Any, x: State) -> Array:
         """q_d - f(q_p), shape (m,)."""
         q = x.q.tolist()
-        return np.array([q[i.child_q] - i.law(q[i.parent_q])[0] for i in self._links])
+        return np.array([q[i.child_q] - i.law(q[i.parent_q])[0] for i in self.links])
 
     def jacobian(self, data: Any, x: State) -> Array:
         """1 at the dependent joint, -f' at its parent, shape (m, nv)."""
-        J = np.zeros((len(self._links), self._nv))
-        for row, i in enumerate(self._links):
+        J = np.zeros((len(self.links), self._nv))
+        for row, i in enumerate(self.links):
             J[row, i.child_v] = 1.0
             J[row, i.parent_v] = -i.law(x.q.item(i.parent_q))[1]
         return J
 
     def drift(self, data: Any, x: State) -> Array:
         """-f'' v_p^2, shape (m,)."""
-        return np.array(
-            [-i.law(x.q.item(i.parent_q))[2] * x.v.item(i.parent_v) ** 2 for i in self._links]
-        )
+        q, v = x.q.tolist(), x.v.tolist()  # floats: their squares by ** would not overflow to inf
+        return np.array([-i.law(q[i.parent_q])[2] * v[i.parent_v] * v[i.parent_v] for i in self.links])

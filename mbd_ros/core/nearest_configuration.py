@@ -10,13 +10,14 @@ import math
 
 import numpy as np
 
+from mbd_ros.core.limit_forces import LimitForces
 from mbd_ros.core.nearest_point import Metric, Move, NearestPoint, is_convex, row_weight
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.system import System
 from mbd_ros.errors import SolveError
 
 _QUICK, _PATIENT = 30, 60  # quadratic programs of either way
-_NEAREST = 1.0e-11  # step that no longer brings the configuration nearer [rad or m]
+NEAREST = 1.0e-11  # step that no longer brings the configuration nearer [rad or m]
 _ACCURATE = 1.0e-9  # step after which nothing of second order in it counts
 _STEP = 0.5  # largest step of one joint in one iteration [rad or m], so that the branch is kept
 _SLOW = 0.1  # step over the last one from which second derivatives of the rows pay
@@ -24,9 +25,8 @@ _STIFF = 1.0e3  # of the rows beside second derivatives that are convex along th
 _HALF = 1.0e-5  # of the step of their difference quotients [rad or m]
 _SMALLEST_SHARE = 1.0e-6
 _LANDED = 1.0e-13  # |g| [rad or m]
-_ON_MANIFOLD = 1.0e-12  # the same, accepted
+ON_MANIFOLD = 1.0e-12  # the same, accepted
 _LANDING = 50  # Newton steps
-_OPTIMAL = 1.0e-8  # accepted residual of the optimality condition, relative
 _ROUNDING = 1.0e-14
 Rows = tuple[Array, Array]  # g and J
 
@@ -34,20 +34,19 @@ Rows = tuple[Array, Array]  # g and J
 class NearestConfiguration:
     """Full steps first; where they do not converge, downhill along the manifold.
 
+    Whoever asks checks the answer.
+
     Args:
         system: All joints of a fixed-base robot.
         lower: Smallest positions [rad or m], shape (nv,).
         upper: Largest positions [rad or m], shape (nv,).
-
-    Attributes:
-        program: The quadratic program, with its statistics.
+        limits: Their forces.
     """
 
-    def __init__(self, system: System, lower: Array, upper: Array) -> None:
+    def __init__(self, system: System, lower: Array, upper: Array, limits: LimitForces) -> None:
         self._system, self._lower, self._upper = system, lower, upper
-        bounded = bool(np.isfinite(lower).any() or np.isfinite(upper).any())
-        self.program = NearestPoint(system.nv, bounded)
-        self._zero = np.zeros(system.nv)
+        self._program = NearestPoint(system.nv, limits)
+        self._zero, self._far = np.zeros(system.nv), np.full(system.nv, np.inf)
 
     def rows(self, t: float, q: Array) -> Rows:
         """Residual g and Jacobian J, shapes (m,) and (m, nv).
@@ -66,63 +65,75 @@ class NearestConfiguration:
 
     def find(
         self, t: float, measured: Array, metric: Metric, rows: Rows
-    ) -> tuple[Array, Move, Array, int]:
+    ) -> tuple[Array, Move, Rows, int] | None:
         """The nearest configuration.
 
         Args:
             t: Time [s].
-            measured: q_m, and where to start from, shape (nv,).
+            measured: q_m; where it is beyond limits, the search begins at them, shape (nv,).
             metric: W.
             rows: What `rows` gives for q_m.
 
         Returns:
-            q, its multipliers, J at q, and the number of quadratic programs.
+            q, its multipliers, g and J at q, and the number of quadratic programs; None where
+            none is found.
 
         Raises:
-            SolveError: There is none near it, limits and rows contradict one another, or the
-                answer does not pass the check.
+            SolveError: Rows or masses are not finite on the way.
         """
-        found = self._full_steps(t, measured, metric, rows) or self._downhill(t, measured, metric)
+        start = self._clipped(measured)
+        if (start != measured).any():
+            rows = self.rows(t, start)
+        found = self._full_steps(t, measured, start, metric, rows)
+        found = found or self._downhill(t, measured, start, metric)
         if found is None:
-            gap = float(np.abs(rows[0]).max(initial=0.0))
-            raise SolveError(
-                f"no consistent state near the measured one, which is {gap:.3g} rad or m off its "
-                "constraints"
-            )
+            return None
         move, iterations = found
-        q = np.minimum(np.maximum(measured + move.p, self._lower), self._upper)
-        return q, move, self._checked(t, measured, q, metric, move), iterations
+        q = self._clipped(measured + move.p)
+        rows = self.rows(t, q)
+        if largest(rows[0]) > ON_MANIFOLD:  # limits are kept relative to what pulls at them
+            landed = self._landed(t, q, metric)
+            q = q if landed is None else self._clipped(landed)
+            rows = self.rows(t, q)
+        return q, move, rows, iterations
 
     def _full_steps(
-        self, t: float, measured: Array, metric: Metric, rows: Rows
+        self, t: float, measured: Array, q: Array, metric: Metric, rows: Rows
     ) -> tuple[Move, int] | None:
-        q, last, H = measured, np.inf, metric
+        last, H = np.inf, metric
         for iteration in range(1, _QUICK + 1):
-            move = self._towards(q, measured, metric, H, rows)
-            largest = float(np.abs(move.p).max(initial=0.0))
-            ahead = largest * min(1.0, largest / last)  # the next step
-            if ahead <= _NEAREST and largest <= _ACCURATE:
+            move = self._towards(q, metric.W.dot(q - measured), H, rows)
+            if move is None:
+                return None
+            length = largest(move.p)
+            ahead = length * min(1.0, length / last)  # the next step
+            if ahead <= NEAREST and length <= _ACCURATE:
                 return move._replace(p=q + move.p - measured), iteration
-            q = q + move.p * min(1.0, _STEP / largest)
+            q = q + move.p * min(1.0, _STEP / length)
             rows = self.rows(t, q)
-            H = metric if largest < _SLOW * last else self._curved(t, q, move.lam, metric)
-            last = largest
+            H = metric if length < _SLOW * last else self._curved(t, q, move.lam, metric)
+            last = length
         return None
 
-    def _downhill(self, t: float, measured: Array, metric: Metric) -> tuple[Move, int] | None:
+    def _downhill(
+        self, t: float, measured: Array, start: Array, metric: Metric
+    ) -> tuple[Move, int] | None:
         """Every iterate on the manifold and nearer than the last one."""
-        q, share, H = self._landed(t, measured, metric), 1.0, metric
-        if q is None:
+        landed, share, H = self._landed(t, start, metric), 1.0, metric
+        if landed is None:
             return None
+        q = landed
         for iteration in range(_QUICK + 1, _QUICK + _PATIENT + 1):
-            move = self._towards(q, measured, metric, H, self.rows(t, q))
-            largest = float(np.abs(move.p).max(initial=0.0))
-            if largest <= _NEAREST:
-                return move._replace(p=q + move.p - measured), iteration
             away = q - measured
+            move = self._towards(q, metric.W.dot(away), H, self.rows(t, q))
+            if move is None:
+                return None
+            length = largest(move.p)
+            if length <= NEAREST:
+                return move._replace(p=q + move.p - measured), iteration
             least = (1.0 + _ROUNDING) * away.dot(metric.W.dot(away))
             while share > _SMALLEST_SHARE:
-                there = self._landed(t, q + move.p * min(share, _STEP / largest), metric)
+                there = self._landed(t, q + move.p * min(share, _STEP / length), metric)
                 if there is not None:
                     away = there - measured
                     if away.dot(metric.W.dot(away)) <= least:
@@ -134,11 +145,13 @@ class NearestConfiguration:
             H = self._curved(t, q, move.lam, metric)
         return None
 
-    def _towards(self, q: Array, measured: Array, metric: Metric, H: Metric, rows: Rows) -> Move:
-        """The step from q, with H for the second derivatives."""
+    def _towards(self, q: Array, pull: Array, H: Metric, rows: Rows) -> Move | None:
+        """The step from q, with H for the second derivatives; None where limits forbid any."""
         g, J = rows
-        pull = metric.W.dot(q - measured)
-        return self.program.solve(H, pull, J, -g, self._lower - q, self._upper - q)
+        try:
+            return self._program.solve(H, pull, J, -g, self._lower - q, self._upper - q)
+        except SolveError:
+            return None
 
     def _curved(self, t: float, q: Array, lam: Array, metric: Metric) -> Metric:
         """W less what the rows curve, where that is still convex along them; else W."""
@@ -159,26 +172,22 @@ class NearestConfiguration:
         """Newton's method on g with the shortest steps; None if it does not close."""
         for _ in range(_LANDING):
             g, J = self.rows(t, q)
-            if float(np.abs(g).max(initial=0.0)) <= _LANDED:
+            if largest(g) <= _LANDED:
                 return q
-            limits = self._lower - q, self._upper - q
-            p = self.program.solve(metric, self._zero, J, -g, *limits).p
-            largest = float(np.abs(p).max(initial=0.0))
-            if not largest > _LANDED:
+            move = self._towards(q, self._zero, metric, (g, J))
+            if move is None:  # a later linearisation may know a way back
+                move = self._program.solve(metric, self._zero, J, -g, -self._far, self._far)
+            length = largest(move.p)
+            if not length > _LANDED:
                 break
-            q = q + p * min(1.0, _STEP / largest)
+            q = q + move.p * min(1.0, _STEP / length)
         g, _ = self.rows(t, q)
-        return q if float(np.abs(g).max(initial=0.0)) <= _ON_MANIFOLD else None
+        return q if largest(g) <= ON_MANIFOLD else None
 
-    def _checked(self, t: float, measured: Array, q: Array, metric: Metric, move: Move) -> Array:
-        """J at an answer that is on the manifold and the nearest there."""
-        g, J = self.rows(t, q)
-        gap = float(np.abs(g).max(initial=0.0))
-        if not gap <= _ON_MANIFOLD:
-            raise SolveError(f"the projected state is {gap:.1e} rad or m off its constraints")
-        pull = metric.W.dot(q - measured)
-        left = float(np.abs(pull - J.T.dot(move.lam) - move.mu).max(initial=0.0))
-        size = _OPTIMAL * float(np.abs(pull).max(initial=0.0))
-        if not left <= size + _NEAREST * float(np.abs(metric.W).max(initial=0.0)):
-            raise SolveError(f"the projected state is not the nearest one: residual {left:.1e}")
-        return J
+    def _clipped(self, q: Array) -> Array:
+        return np.minimum(np.maximum(q, self._lower), self._upper)
+
+
+def largest(values: Array) -> float:
+    """Largest absolute value, 0 of none."""
+    return float(np.abs(values).max(initial=0.0))

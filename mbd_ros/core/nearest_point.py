@@ -10,13 +10,10 @@ import eigenpy
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.pushing_bounds import PushingBounds
-from mbd_ros.core.qp import Statistics
+from mbd_ros.core.limit_forces import LimitForces
 from mbd_ros.core.row_factor import RowFactor
 from mbd_ros.core.state import Array
 
-_CLOSED = 1.0e-12  # of the largest gap: what may be left where the same bounds act again
-_BLOCKED = 1.0e-12  # what the rows leave of the mobility of a joint that they fix
 _SHARE = 0.1  # of a free direction from which a joint counts as free
 
 
@@ -91,31 +88,37 @@ class Move(NamedTuple):
     condition: float
 
 
+class Nearest(NamedTuple):
+    """The nearest state, checked.
+
+    Attributes:
+        q: Configuration, shape (n,).
+        v: Velocity, shape (n,).
+        lam: Multipliers of the rows that kept q, shape (m,).
+        mu: Multipliers of the limits that kept q, shape (n,).
+        iterations: Steps to q.
+        condition: Condition number of the rows in the metric; 1 where none had to be factorised.
+    """
+
+    q: Array
+    v: Array
+    lam: Array
+    mu: Array
+    iterations: int
+    condition: float
+
+
 class NearestPoint:
     """Solves the problem above: one factorisation, and a QP only where a bound is violated.
 
-    The QP is in the multipliers of the bounds, with the rows eliminated. The bounds that acted
-    last are tried before it.
-
     Args:
         n: Number of joints.
-        bounded: Whether bounds may ever be finite; without, no QP solver is imported.
-
-    Attributes:
-        bounded_solves: How often a bound acted.
+        limits: Forces of the bounds.
     """
 
-    def __init__(self, n: int, bounded: bool) -> None:
-        self._pushers = PushingBounds(2 * n) if bounded else None
-        self._acting, self._signs = np.zeros(0, dtype=np.intp), np.zeros(0)
-        self._sides = np.repeat([1.0, -1.0], n)
-        self._zero, self._none, self._identity = np.zeros(n), np.zeros(0), np.eye(n)
-        self.bounded_solves = 0
-
-    @property
-    def statistics(self) -> Statistics:
-        """How the QPs went."""
-        return Statistics() if self._pushers is None else self._pushers.statistics
+    def __init__(self, n: int, limits: LimitForces) -> None:
+        self._limits = limits
+        self._zero = np.zeros(n)
 
     def solve(self, metric: Metric, f: Array, J: Array, c: Array, low: Array, high: Array) -> Move:
         """The optimum; arguments as in the problem above.
@@ -127,74 +130,43 @@ class NearestPoint:
         if weight is not None:  # nothing changes where J p = c
             rows = J.T * weight
             W, f = W + rows.dot(J), f - rows.dot(c)
-        cholesky = eigenpy.LLT(W)
-        factor = RowFactor(W, J) if len(J) else None
-        free = -_solve(cholesky, f)
-        p, lam = self._onto_rows(factor, J, c, free)
-        mu = self._zero
-        if self._pushers is not None and ((p < low).any() or (p > high).any()):
-            self.bounded_solves += 1
-            same = self._as_before(cholesky, factor, p, low, high)
-            mu = self._bound_forces(cholesky, factor, p, low, high) if same is None else same
-            self._acting = mu.nonzero()[0]
-            self._signs = np.sign(mu[self._acting])
-            p, lam = self._onto_rows(factor, J, c, free + _solve(cholesky, mu))
-        return Move(p, lam, mu, 1.0 if factor is None else factor.condition)
-
-    def _onto_rows(
-        self, factor: RowFactor | None, J: Array, c: Array, p: Array
-    ) -> tuple[Array, Array]:
-        """P moved onto the rows, and their multipliers."""
-        if factor is None:
-            return p, self._none
-        lam = factor.solve(c - J.dot(p))
-        return p + factor.X.dot(lam), lam
-
-    def _as_before(
-        self, cholesky: Any, factor: RowFactor | None, p: Array, low: Array, high: Array
-    ) -> Array | None:
-        """Mu if the bounds that acted last are the right ones, else None."""
-        rows, sign = self._acting, self._signs
-        if not len(rows):
-            return None
-        pushes = self._identity[:, rows] * sign
-        moves = _compliance(cholesky, factor, pushes)
-        bound = np.where(sign > 0.0, low[rows], high[rows])
-        gap = sign * (p[rows] - bound)
-        force = -_solve(eigenpy.LDLT(sign[:, None] * moves[rows]), gap)
-        if not ((force >= 0.0) & (force < np.inf)).all():
-            return None
-        moved = p + moves.dot(force)
-        slack = _CLOSED * float(np.abs(gap).max())
-        closed = np.abs(moved[rows] - bound) <= slack
-        if not (closed.all() and (moved >= low - slack).all() and (moved <= high + slack).all()):
-            return None
-        return pushes.dot(force)
-
-    def _bound_forces(
-        self, cholesky: Any, factor: RowFactor | None, p: Array, low: Array, high: Array
-    ) -> Array:
-        """Mu that keeps p within the bounds: a force >= 0 at each lower and each upper one."""
-        assert self._pushers is not None
-        mobility = np.tile(_solve(cholesky, self._identity).diagonal(), 2)
-        P = _compliance(cholesky, factor, self._identity)
-        gap = np.concatenate([p - low, high - p])
-        A = self._sides[:, None] * np.tile(0.5 * (P + P.T), (2, 2)) * self._sides
-        movable = np.isfinite(gap) & (A.diagonal() > _BLOCKED * mobility)
-        scale = np.where(movable, 1.0 / np.sqrt(np.where(movable, A.diagonal(), 1.0)), 0.0)
-        scaled = scale[:, None] * A * scale, scale * np.where(movable, gap, 0.0)
-        force = scale * self._pushers.solve(*scaled)
-        return force[: len(p)] - force[len(p) :]
+        on_rows = _OnRows(W, J)
+        free = -_solve(on_rows.cholesky, f)
+        p, lam = on_rows.nearest(c, free)
+        mu = self._limits.solve(on_rows, p, low, high)
+        if mu is not None:
+            p, lam = on_rows.nearest(c, free + _solve(on_rows.cholesky, mu))
+        return Move(p, lam, self._zero if mu is None else mu, on_rows.condition)
 
 
-def _compliance(cholesky: Any, factor: RowFactor | None, forces: Array) -> Array:
-    """Moves that forces cause, one a column, rows kept."""
-    moves = _solve(cholesky, forces)
-    if factor is not None:
-        moves -= factor.X.dot(factor.solve(factor.X.T.dot(forces)))
-    return moves
+class _OnRows:
+    """Moves that keep J p."""
+
+    def __init__(self, W: Array, J: Array) -> None:
+        self._J, self.cholesky = J, eigenpy.LLT(W)
+        self._factor = RowFactor(W, J) if len(J) else None
+        self.condition = 1.0 if self._factor is None else self._factor.condition
+
+    def nearest(self, c: Array, p: Array) -> tuple[Array, Array]:
+        """P moved onto J p = c, and the multipliers of the rows."""
+        if self._factor is None:
+            return p, np.zeros(0)
+        lam = self._factor.solve(c - self._J.dot(p))
+        return p + self._factor.X.dot(lam), lam
+
+    def moves(self, forces: Array) -> Array:
+        """Moves that forces cause, one a column."""
+        moves = _solve(self.cholesky, forces)
+        if self._factor is not None:
+            moves -= self._factor.X.dot(self._factor.solve(self._factor.X.T.dot(forces)))
+        return moves
+
+    def mobility(self) -> Array:
+        """Moves per force of each joint if there were no rows, shape (n,)."""
+        return np.array(_solve(self.cholesky, np.eye(len(self._J.T))).diagonal())
 
 
 def _solve(factored: Any, right: Array) -> Array:
     """Solution of the shape of `right`; eigenpy flattens one column and not one number."""
-    return factored.solve(right).reshape(right.shape)
+    solution: Array = factored.solve(right).reshape(right.shape)
+    return solution

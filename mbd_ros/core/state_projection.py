@@ -13,15 +13,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.nearest_configuration import NearestConfiguration, Rows
-from mbd_ros.core.nearest_point import Metric, NearestPoint, metric_of
+from mbd_ros.core.coupled_joints import CoupledJoints
+from mbd_ros.core.coupling_rows import CouplingRows
+from mbd_ros.core.limit_forces import LimitForces
+from mbd_ros.core.nearest_configuration import Rows
+from mbd_ros.core.nearest_coupled import NearestCoupled
+from mbd_ros.core.nearest_on_rows import NearestOnRows
+from mbd_ros.core.nearest_point import Metric, metric_of
 from mbd_ros.core.qp import Statistics
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.system import System
-from mbd_ros.errors import ModelError, SolveError
-
-_CONSISTENT = 1.0e-12  # accepted |g'| per unit of velocity
-_REACHED = 1.0e-9  # distance from a limit that counts as reached [rad or m]
+from mbd_ros.errors import ModelError
 
 
 class Measurement(NamedTuple):
@@ -39,10 +41,19 @@ class Measurement(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """What a projection begins with: rows and metric at the measurement."""
+    """What a projection begins with.
 
-    rows: Rows
+    Attributes:
+        metric: Of positions.
+        of_velocity: Of velocities.
+        is_whole: Whether all of both was measured.
+        rows: At the measurement; None where they need not be formed.
+    """
+
     metric: Metric
+    of_velocity: Metric
+    is_whole: bool
+    rows: Rows | None = None
 
 
 class Projection(NamedTuple):
@@ -59,8 +70,8 @@ class Projection(NamedTuple):
         rate: g' likewise [1/s], shape (m,).
         excess: How far it is beyond a limit, negative below a lower one, shape (nv,).
         undetermined: Joints that neither measurement nor rows place: they stay, shape (nv,).
-        iterations: Quadratic programs that the position took.
-        condition: Condition number of the rows in the metric.
+        iterations: Steps that the position took, of Newton's method or quadratic programs.
+        condition: Condition number of the rows in the metric; 1 where couplings are all there is.
     """
 
     x: State
@@ -104,26 +115,40 @@ class StateProjector:
         self.lower, self.upper = np.full(n, -np.inf), np.full(n, np.inf)
         for joint in joints if limits else ():
             self.lower[joint.v], self.upper[joint.v] = joint.lower, joint.upper
-        self._position = NearestConfiguration(system, self.lower, self.upper)
-        self._zero = np.zeros(n)
-        self._velocity = NearestPoint(n, bool(np.isfinite([self.lower, self.upper]).any()))
+        is_bounded = bool(np.isfinite([self.lower, self.upper]).any())
+        self._limits = LimitForces(n, is_bounded), LimitForces(n, is_bounded)
+        self._on_rows = NearestOnRows(system, self.lower, self.upper, *self._limits)
+        self._none = np.zeros(n, dtype=np.bool_)
+        parts = [part for part in system.constraints.parts if isinstance(part, CouplingRows)]
+        self._coupled: NearestCoupled | None = None
+        if n and len(parts) == len(system.constraints.parts):
+            couplings = CoupledJoints(n, [link for part in parts for link in part.links])
+            self._coupled = NearestCoupled(couplings, self.lower, self.upper, *self._limits)
 
     @property
     def statistics(self) -> tuple[int, Statistics]:
         """How often a limit acted, and how the QPs for that went."""
-        parts = self._position.program, self._velocity
-        counts = zip(*(part.statistics for part in parts), strict=True)
-        return sum(p.bounded_solves for p in parts), Statistics(*(sum(c) for c in counts))
+        counts = zip(*(limits.statistics for limits in self._limits), strict=True)
+        solves = sum(limits.solves for limits in self._limits)
+        return solves, Statistics(*(sum(count) for count in counts))
 
     def prepare(self, m: Measurement) -> Prepared:
-        """Rows and metric at a measurement, with the joints that nothing determines.
+        """Metrics of a measurement, with the joints that nothing determines.
 
         Raises:
             SolveError: The rows are not finite there.
         """
-        rows = self._position.rows(m.x.t, m.x.q)
-        M = self.system.mass(m.x.q)
-        return Prepared(rows, metric_of(M, rows[1], m.known, self._amplification))
+        x, M = m.x, self.system.mass(m.x.q)
+        is_same = m.known is m.known_velocity or bool((m.known == m.known_velocity).all())
+        is_whole = is_same and bool(m.known.all())
+        if is_whole and self._coupled is not None:
+            metric = Metric(M, None, self._none)
+            return Prepared(metric, metric, is_whole)
+        rows = self._on_rows.rows(x.t, x.q)
+        metric = of_velocity = metric_of(M, rows[1], m.known, self._amplification)
+        if not is_same:
+            of_velocity = metric_of(M, rows[1], m.known_velocity, self._amplification)
+        return Prepared(metric, of_velocity, is_whole, rows)
 
     def project(self, m: Measurement, prepared: Prepared | None = None) -> Projection:
         """The nearest consistent state.
@@ -136,30 +161,22 @@ class StateProjector:
             SolveError: There is none near the measurement, limits and rows contradict one
                 another, or the answer does not pass the check.
         """
-        x, (rows, metric) = m.x, prepared or self.prepare(m)
-        q, move, J, iterations = self._position.find(x.t, x.q, metric, rows)
-        v = self._nearest_velocity(m, q, J, metric)
-        raw = State(x.t, np.where(m.known, x.q, q), np.where(m.known_velocity, x.v, v))
-        gap, J = rows if m.known.all() else self._position.rows(x.t, raw.q)
-        rate = J.dot(raw.v) + self.system.rate(x.t, raw.q)
+        x, (metric, of_velocity, is_whole, rows) = m.x, prepared or self.prepare(m)
+        near = None
+        if self._coupled is not None:
+            near = self._coupled.find(x, metric.W, of_velocity.W)
+        if near is None:
+            rows = rows or self._on_rows.rows(x.t, x.q)
+            near = self._on_rows.find(x, metric, of_velocity, rows)
+        raw, q, v = x, near.q, near.v
+        if not is_whole:
+            raw = State(x.t, np.where(m.known, x.q, q), np.where(m.known_velocity, x.v, v))
+        if self._coupled is not None:
+            gap, rate = self._coupled.violation(raw)
+        else:
+            gap, rate = self._on_rows.violation(raw, rows if is_whole else None)
         excess = raw.q - np.minimum(np.maximum(raw.q, self.lower), self.upper)
         return Projection(
-            *(State(x.t, q, v), move.lam, move.mu, gap, rate, excess),
-            *(metric.undetermined, iterations, move.condition),
+            *(State(x.t, q, v), near.lam, near.mu, gap, rate, excess),
+            *(metric.undetermined, near.iterations, near.condition),
         )
-
-    def _nearest_velocity(self, m: Measurement, q: Array, J: Array, metric: Metric) -> Array:
-        x = m.x
-        if (m.known_velocity != m.known).any():
-            M = self.system.mass(x.q)
-            metric = metric_of(M, J, m.known_velocity, self._amplification)
-        rate, low, high = self.system.rate(x.t, q), -np.inf, np.inf
-        floor = np.where(q <= self.lower + _REACHED, 0.0, low)
-        ceiling = np.where(q >= self.upper - _REACHED, 0.0, high)
-        c = -(J.dot(x.v) + rate)
-        move = self._velocity.solve(metric, self._zero, J, c, floor - x.v, ceiling - x.v)
-        v = np.minimum(np.maximum(x.v + move.p, floor), ceiling)
-        left = float(np.abs(J.dot(v) + rate).max(initial=0.0))
-        if not left <= _CONSISTENT * (1.0 + float(np.abs(x.v).max(initial=0.0))):
-            raise SolveError(f"no consistent velocity: the rows keep a rate of {left:.1e} 1/s")
-        return v

@@ -1,5 +1,7 @@
 """Samples of some joints -> states of all joints, consistent and within limits."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,6 +50,7 @@ class StateReconstructor:
         self.names = tuple(joint.name for joint in joints)
         self._joints, self._projector = joints, projector
         self._couplings = couplings
+        self._all, self._ones = np.ones(len(joints), dtype=np.bool_), np.ones(len(joints))
         self._independent = np.zeros(len(joints), dtype=np.bool_)
         self._independent[couplings.v_index] = True
         self._start = self._assembled(initial)
@@ -94,10 +97,13 @@ class StateReconstructor:
         Raises:
             SolveError: There is none; the next sample is a beginning for the filters.
         """
-        known = present & (self._independent | np.isfinite(position))
-        q, is_speed = self._filled(position, known), np.isfinite(velocity)
-        measured = known & (self._independent | is_speed)  # or derived, where independent
-        v = np.where(measured, np.where(is_speed, velocity, np.nan), self._last.v)
+        q, v, known, measured = position, velocity, self._all, self._all
+        total = position.dot(self._ones) + velocity.dot(self._ones)
+        if not (math.isfinite(total) and present.all()):
+            known = present & (self._independent | np.isfinite(position))
+            q, is_speed = self._filled(position, known), np.isfinite(velocity)
+            measured = known & (self._independent | is_speed)  # or derived, where independent
+            v = np.where(measured, np.where(is_speed, velocity, np.nan), self._last.v)
         try:
             found = self._take(stamp, q, v, known, measured)
         except SolveError:
@@ -115,10 +121,10 @@ class StateReconstructor:
         """Judge a sample whose holes are filled, then project it."""
         self.missing = self.held = ()
         prepared, d = None, self._differentiator
-        if not known.all():
+        if not (known is self._all or known.all()):
             if not np.isfinite(q).all():
                 return Sample.NOT_FINITE
-            prepared = self._prepared(stamp, q, known)
+            prepared = self._prepared(stamp, q, known, measured)
             if prepared is None:
                 self._seen[known] = stamp
                 return Sample.INCOMPLETE
@@ -129,10 +135,12 @@ class StateReconstructor:
         x = State(stamp * NANOSECOND, d.position, d.velocity)
         return self._project(Measurement(x, known, measured), prepared, q)
 
-    def _prepared(self, stamp: int, q: Array, known: NDArray[np.bool_]) -> Prepared | None:
+    def _prepared(
+        self, stamp: int, q: Array, known: NDArray[np.bool_], measured: NDArray[np.bool_]
+    ) -> Prepared | None:
         """Note what is missing; None where it is neither determined nor was known not long ago."""
         self.missing = self._named(~known)
-        m = Measurement(State(stamp * NANOSECOND, q, self._last.v), known, known)
+        m = Measurement(State(stamp * NANOSECOND, q, self._last.v), known, measured)
         prepared = self._projector.prepare(m)
         free = prepared.metric.undetermined if self._is_placed else ~known
         self.held = self._named(free)
@@ -141,17 +149,18 @@ class StateReconstructor:
 
     def _project(self, m: Measurement, prepared: Prepared | None, filled: Array) -> Projection:
         """In small strides, where joints have to follow on their branch."""
+        if prepared is None:
+            self._measured = m.x.q
+            return self._projector.project(m)
         begin = self._measured
         change = np.where(m.known, m.x.q - begin, 0.0)
-        strides = 1 if prepared is None else _strides(change)
-        reached = self._last.q
+        strides, reached = _strides(change), self._last.q
         for i in range(1, strides):
             q = self._filled(begin + (i / strides) * change, m.known, reached)
             reached = self._projector.project(m._replace(x=m.x._replace(q=q))).x.q
         self._measured = q = self._filled(m.x.q, m.known, reached)
-        is_same = prepared is not None and (q == filled).all()
         m = m._replace(x=m.x._replace(q=q))
-        return self._projector.project(m, prepared if is_same else None)
+        return self._projector.project(m, prepared if (q == filled).all() else None)
 
     def _assembled(self, initial: State) -> State:
         """The consistent state from which missing joints start, if the mechanism closes there."""

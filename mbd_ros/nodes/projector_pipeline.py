@@ -6,10 +6,10 @@ import numpy as np
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
 from mbd_ros.core.differentiation import Sample
 from mbd_ros.core.loads import Loads
+from mbd_ros.core.state import Array
 from mbd_ros.core.state_projection import Projection, StateProjector
 from mbd_ros.core.state_reconstruction import StateReconstructor
 from mbd_ros.core.tiers import build_system
@@ -19,7 +19,7 @@ from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
-from msg_adapters.multi_array import write_multi_array
+from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 
 _TOGGLE = 1.0e6  # condition number from which multipliers are unreliable
 
@@ -30,12 +30,12 @@ class Answer(NamedTuple):
     Attributes:
         states: All joints, serialized.
         forces: One entry a row and a limit, serialized; None without any.
-        violation: Float64MultiArray of three numbers.
+        violation: Float64MultiArray of three numbers, serialized.
     """
 
     states: bytes
     forces: bytes | None
-    violation: Any
+    violation: bytes
 
 
 class ProjectorPipeline:
@@ -72,7 +72,8 @@ class ProjectorPipeline:
         self._rows += tuple(f"{names[i]}.limit" for i in self._limited)
         self._states = JointStateCdrWriter(names, ("position", "velocity"))
         self._forces = JointStateCdrWriter(self._rows)
-        self._violation = Float64MultiArray()
+        self._no_rates = np.zeros(len(self._limited))
+        self._violation = MultiArrayCdrWriter(3)
         self.forget()
 
     def forget(self) -> None:
@@ -80,7 +81,7 @@ class ProjectorPipeline:
         self.reconstructor.reset()
         self._newest: Projection | None = None
         self._off = np.zeros(len(self._rows))
-        self._worst = np.zeros(3)
+        self._worst = [0.0, 0.0, 0.0]
 
     def answer(self, stamp: int, sample: JointSample) -> Answer | Sample:
         """Messages for a sample, or why it cannot be used.
@@ -99,18 +100,17 @@ class ProjectorPipeline:
             return found
         self._newest, excess = found, found.excess[self._limited]
         self._off = np.concatenate([found.gap, excess])
-        worst = (np.abs(part).max(initial=0.0) for part in (found.gap, found.rate, excess))
-        self._worst = np.array([*worst])
+        self._worst = [_largest(part) for part in (found.gap, found.rate, excess)]
         forces = None
         if self._rows:
             forces = self._forces.write(
                 stamp,
                 position=self._off,
-                velocity=np.concatenate([found.rate, np.zeros(len(excess))]),
+                velocity=np.concatenate([found.rate, self._no_rates]),
                 effort=np.concatenate([found.multipliers, found.limit_multipliers[self._limited]]),
             )
         states = self._states.write(stamp, position=found.x.q, velocity=found.x.v)
-        return Answer(states, forces, write_multi_array(self._violation, self._worst))
+        return Answer(states, forces, self._violation.write(self._worst))
 
     def health(self, tolerance: float) -> tuple[int, str]:
         """WARN where the measurement is off a constraint or beyond a limit, or near a toggle.
@@ -143,7 +143,7 @@ class ProjectorPipeline:
             "largest position violation": position,
             "largest velocity violation": velocity,
             "largest excess beyond a limit": excess,
-            "quadratic programs of the last state": str(newest.iterations if newest else 0),
+            "iterations of the last state": str(newest.iterations if newest else 0),
             "condition number": f"{newest.condition:.3g}" if newest else "none yet",
             "solves with acting limits": str(solves),
             "QP": ", ".join(f"{key} {count}" for key, count in qp._asdict().items()),
@@ -155,6 +155,10 @@ class ProjectorPipeline:
             return []
         pairs = zip(self.reconstructor.names, self._newest.limit_multipliers, strict=True)
         return [name for name, force in pairs if force != 0.0]
+
+
+def _largest(values: Array) -> float:
+    return max(map(abs, values.tolist()), default=0.0)
 
 
 def _joint_state(cdr: bytes) -> Any:
