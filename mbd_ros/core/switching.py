@@ -1,0 +1,54 @@
+"""What a force that jumps at surfaces must offer."""
+
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.state import Array, State
+
+
+class DiscontinuousForce(ForceTerm):
+    """A force that is smooth except where h_i(t, q, v) = 0.
+
+        tau = blend(signs),   signs_i = sign h_i off the surfaces, in -1 .. 1 on them
+
+    `blend` is affine in `signs`, and with fixed signs smooth across the surfaces. So the convex
+    combination of Filippov, the equivalent control of Utkin and the multilinear blend of the 2^k
+    sides are one and the same motion.
+
+    Source: A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, 1988, §4.
+
+    Attributes:
+        surfaces: Names of the surfaces, for messages.
+    """
+
+    surfaces: tuple[str, ...]
+
+    def heights(self, data: Any, x: State) -> Array:
+        """The h_i, shape (k,); in any unit."""
+        raise NotImplementedError
+
+    def rates(self, data: Any, x: State, a: Array) -> Array:
+        """The dh_i/dt, affine in the acceleration, shape (k,).
+
+        Args:
+            data: Pinocchio data, as for `force`.
+            x: State.
+            a: Accelerations of all joints [rad/s^2 or m/s^2], shape (nv,).
+        """
+        raise NotImplementedError
+
+    def blend(self, data: Any, x: State, signs: Array) -> Array:
+        """Generalized force between the sides [N·m or N], shape (nv,).
+
+        Args:
+            data: Pinocchio data, as for `force`.
+            x: State.
+            signs: One a surface, shape (k,): 1 above it, -1 below.
+        """
+        raise NotImplementedError
+
+    def force(self, data: Any, x: State) -> Array:
+        """By the signs of the heights, for methods that do not know of surfaces, shape (nv,)."""
+        return self.blend(data, x, np.sign(self.heights(data, x)))

@@ -1,0 +1,98 @@
+"""Forces that jump at a surface of positions, velocities and time."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.laws import Polynomial
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.state import Array, State
+from mbd_ros.core.switching import DiscontinuousForce
+from mbd_ros.errors import ModelError
+
+
+class SwitchingForce(DiscontinuousForce):
+    """Constant forces above and others below h = 0.
+
+        h = sum p_j(q_j) + sum r_j(v_j) + w(t)
+
+    A relay is velocity {joint: [0, 1]}, above {joint: -K}, below {joint: K}: dry friction.
+
+    Args:
+        robot: Robot of the scene.
+        above: Joint -> force where h > 0 [N·m or N].
+        below: Joint -> force where h < 0 [N·m or N].
+        velocity: Joint -> coefficients c0, c1, .. of the polynomial r_j in its velocity.
+        position: Joint -> coefficients of p_j in its position.
+        time: Coefficients of w.
+
+    Raises:
+        ModelError: Unknown joint, no surface, no force that switches, or no number.
+    """
+
+    example = {
+        "velocity": {"ankle": [0.0, 1.0]},
+        "above": {"ankle": -0.4},
+        "below": {"ankle": 0.4},
+    }
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        above: Mapping[str, float],
+        below: Mapping[str, float],
+        velocity: Mapping[str, Sequence[float]] | None = None,
+        position: Mapping[str, Sequence[float]] | None = None,
+        time: Sequence[float] | None = None,
+    ) -> None:
+        velocity, position, time = velocity or {}, position or {}, time or [0.0]
+        _check_finite(above.values(), below.values(), time, *velocity.values(), *position.values())
+        if not velocity and not position:
+            raise ModelError("a surface needs velocity or position, joint -> coefficients")
+        self._rate_terms = [(robot.joint(name).v, Polynomial(c)) for name, c in velocity.items()]
+        joints = {name: robot.joint(name) for name in position}
+        self._place_terms = [
+            (joints[n].q, joints[n].v, Polynomial(c)) for n, c in position.items()
+        ]
+        self._time = Polynomial(time)
+        upper, lower = (_generalized(robot, side) for side in (above, below))
+        self._middle, self._half = 0.5 * (upper + lower), 0.5 * (upper - lower)
+        if not self._half.any():
+            raise ModelError("above and below are the same: nothing switches")
+        self.joints = tuple(robot.joint(name) for name in {**above, **below})
+        self.surfaces = ("h of " + ", ".join(dict.fromkeys([*velocity, *position])),)
+
+    def heights(self, data: Any, x: State) -> Array:
+        """The h at a state, shape (1,)."""
+        h = self._time(x.t)[0]
+        h += sum(law(x.v.item(v))[0] for v, law in self._rate_terms)
+        h += sum(law(x.q.item(q))[0] for q, _, law in self._place_terms)
+        return np.array([h])
+
+    def rates(self, data: Any, x: State, a: Array) -> Array:
+        """The dh/dt = w' + sum p_j' v_j + sum r_j' a_j, shape (1,)."""
+        rate = self._time(x.t)[1]
+        rate += sum(law(x.v.item(v))[1] * a.item(v) for v, law in self._rate_terms)
+        rate += sum(law(x.q.item(q))[1] * x.v.item(v) for q, v, law in self._place_terms)
+        return np.array([rate])
+
+    def blend(self, data: Any, x: State, signs: Array) -> Array:
+        """The (1 + s) / 2 above + (1 - s) / 2 below, shape (nv,)."""
+        tau: Array = self._middle + signs.item(0) * self._half
+        return tau
+
+
+def _generalized(robot: Robot, forces: Mapping[str, float]) -> Array:
+    tau = np.zeros(int(robot.model.nv))
+    for name, force in forces.items():
+        tau[robot.joint(name).v] = force
+    return tau
+
+
+def _check_finite(*groups: Any) -> None:
+    for number in (float(number) for group in groups for number in group):
+        if not math.isfinite(number):
+            raise ModelError(f"{number} must be finite")

@@ -1,0 +1,61 @@
+"""Filippov solutions of systems with forces that switch at surfaces."""
+
+from typing import Any, ClassVar
+
+from mbd_ros.core.adaptive_runge_kutta import check_tolerance, runge_kutta
+from mbd_ros.core.dop853_tableau import DOP853
+from mbd_ros.core.sliding_field import SlidingField
+from mbd_ros.core.stepping import Integrator, Stepper
+from mbd_ros.core.switching import DiscontinuousForce
+from mbd_ros.core.switching_steps import SwitchingSteps
+from mbd_ros.errors import ModelError
+
+
+class Filippov(Integrator):
+    """DOP853 from event to event, with sliding on the surfaces that attract.
+
+    Steps end to rounding where a surface is reached or sliding ends. On a surface that attracts
+    from both sides the motion is that of Filippov's convex combination, and stays on the surface
+    to rounding; on several at once it is that of the equivalent control. Without switching forces
+    it is DOP853.
+
+    It refuses to choose where the solution is not unique (surfaces that repel), where none goes
+    on, and where events accumulate, each by a SolveError; and, when built, bounded rows beside
+    switching forces. It does not slide where only the second derivative of a height jumps
+    (heights of positions alone): it crosses such surfaces.
+
+    Source: A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, 1988, §4;
+    L. Dieci, L. Lopez, SIAM J. Numer. Anal. 47, 2009, 2023-2051.
+
+    Args:
+        tolerance: Relative and absolute, 1e-13 .. 0.1, as for `dop853`. None: steps of length dt,
+            but for those that end at an event.
+    """
+
+    order: ClassVar[int] = 8
+    dense: ClassVar[bool] = True
+    example = {"tolerance": 1e-9}
+
+    def __init__(self, *, tolerance: float | None = None) -> None:
+        check_tolerance(tolerance)
+        self.tolerance = tolerance
+
+    def prepare(self, system: Any, dt: float) -> Stepper:
+        """The stepper for one system and one step size [s], or with a tolerance first guess.
+
+        The loads of a system with switching forces are replaced by ones that know the modes.
+
+        Raises:
+            ModelError: Switching forces beside bounded rows.
+        """
+        switching = [f for f in system.loads.forces if isinstance(f, DiscontinuousForce)]
+        if not switching:
+            return runge_kutta(system, DOP853, dt, self.tolerance)
+        if system.bounded is not None:
+            rows = ", ".join(row.name for row in system.bounded.rows)
+            raise ModelError(
+                f"filippov: switching forces beside bounded rows ({rows}) are not solved for; use "
+                "a switching force for friction, or another integrator"
+            )
+        field = SlidingField(system)
+        return SwitchingSteps(field, runge_kutta(field, DOP853, dt, self.tolerance), dt)
