@@ -23,6 +23,13 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "prescribed_motion": "mbd_ros.constraints.prescribed_motion:PrescribedMotion",
         "screw": "mbd_ros.constraints.screw:Screw",
     },
+    "controllers": {
+        "computed_torque": "mbd_ros.controllers.computed_torque:ComputedTorque",
+        "gravity_compensation": "mbd_ros.controllers.gravity_compensation:GravityCompensation",
+        "qp_tracking": "mbd_ros.controllers.qp_tracking:QpTracking",
+        "sliding_mode": "mbd_ros.controllers.sliding_mode:SlidingMode",
+        "super_twisting": "mbd_ros.controllers.super_twisting:SuperTwisting",
+    },
     "forces": {
         "applied_wrench": "mbd_ros.forces.applied_wrench:AppliedWrench",
         "gravity_compensation": "mbd_ros.forces.gravity_compensation:GravityCompensation",
@@ -32,11 +39,13 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "point_spring": "mbd_ros.forces.point_spring:PointSpring",
         "prescribed_torque": "mbd_ros.forces.prescribed_torque:PrescribedTorque",
         "prescribed_wrench": "mbd_ros.forces.prescribed_wrench:PrescribedWrench",
+        "switching_force": "mbd_ros.forces.switching_force:SwitchingForce",
     },
     "integrators": {
         "adams": "mbd_ros.integrators.adams:Adams",
         "dop853": "mbd_ros.integrators.dop853:Dop853",
         "dopri5": "mbd_ros.integrators.dopri5:Dopri5",
+        "filippov": "mbd_ros.integrators.filippov:Filippov",
         "gauss_legendre": "mbd_ros.integrators.gauss_legendre:GaussLegendre",
         "generalized_alpha": "mbd_ros.integrators.generalized_alpha:GeneralizedAlpha",
         "rattle": "mbd_ros.integrators.rattle:Rattle",
@@ -53,6 +62,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
 METHODS = {  # what the parts of a section must have
     "actuators": "torque",
     "constraints": "residual",
+    "controllers": "effort",
     "forces": "force",
     "integrators": "prepare",
     "stabilization": "correct",
@@ -63,7 +73,7 @@ def resolve(section: str, name: str, where: str) -> Any:
     """The class behind `type: name` in a section of a scene.
 
     Args:
-        section: Key of the scene, such as `forces`.
+        section: Key of the scene, such as `forces`, or `controllers`.
         name: A name of the registry, or `package.module:Class` of code outside this package.
         where: File and key, for the messages.
 

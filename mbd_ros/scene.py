@@ -7,6 +7,7 @@ from typing import Any
 
 from mbd_ros import schema
 from mbd_ros.core.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.control import ControlledJoints
 from mbd_ros.core.couplings import Couplings
 from mbd_ros.core.inverse_dynamics import InverseDynamics
 from mbd_ros.core.loads import Loads
@@ -147,6 +148,20 @@ class Scene:
             )
         except ModelError as error:
             raise SceneError(f"{where}: {error}") from error
+
+    def controlled_joints(self) -> ControlledJoints:
+        """The actuated joints as a controller sees them, with their own Pinocchio data.
+
+        Raises:
+            SceneError: No joint can be controlled.
+        """
+        bilateral = [part for part in self.constraints if part.bounds is None]
+        loads = Loads(self.robot.model.nv, self.forces)
+        try:
+            system = build_system(self.robot, self.couplings, bilateral, loads)
+            return ControlledJoints(system, self.actuated)
+        except ModelError as error:
+            raise SceneError(f"{self.path}: {error}") from error
 
     def simulation(
         self,

@@ -8,11 +8,15 @@ import pinocchio as pin
 import pytest
 
 from mbd_ros import schema
+from mbd_ros.core.control import ControlledJoints, Controller, EffortBox, Reference
+from mbd_ros.core.couplings import Couplings
+from mbd_ros.core.loads import Loads
 from mbd_ros.core.parts import Actuator, Constraint, ForceTerm
 from mbd_ros.core.robot_reader import read_robot
 from mbd_ros.core.stabilizing import Stabilization
 from mbd_ros.core.state import State
 from mbd_ros.core.stepping import Integrator
+from mbd_ros.core.tiers import build_system
 from mbd_ros.errors import SceneError
 from mbd_ros.registry import METHODS, PARTS, resolve
 
@@ -21,11 +25,13 @@ NAMES = [(section, name) for section, names in PARTS.items() for name in names]
 CONTRACTS = {
     "actuators": Actuator,
     "constraints": Constraint,
+    "controllers": Controller,
     "forces": ForceTerm,
     "integrators": Integrator,
     "stabilization": Stabilization,
 }
 OF_A_ROBOT = ("actuators", "constraints", "forces")
+FIRST = {**dict.fromkeys(OF_A_ROBOT, "robot"), "controllers": "joints"}
 every_part = pytest.mark.parametrize(("section", "name"), NAMES)
 every_part_of_a_robot = pytest.mark.parametrize(
     ("section", "name"), [pair for pair in NAMES if pair[0] in OF_A_ROBOT]
@@ -48,7 +54,15 @@ def moment(request, robot):
 
 
 def context(section, robot):
+    """What a part is given besides its entry."""
+    if section == "controllers":
+        return (controlled(robot),)
     return (robot,) if section in OF_A_ROBOT else ()
+
+
+def controlled(robot):
+    system = build_system(robot, Couplings(robot, {}), (), Loads(robot.model.nv))
+    return ControlledJoints(system, [joint.name for joint in robot.joints])
 
 
 def built(section, name, robot):
@@ -76,9 +90,8 @@ def test_part_lives_in_a_file_of_its_name_in_the_folder_of_its_section(section, 
 def test_constructor_takes_documented_keywords_only(section, name):
     part = resolve(section, name, "here")
     parameters = list(inspect.signature(part).parameters.values())
-    if section in OF_A_ROBOT:
-        first = parameters.pop(0)
-        assert first.name == "robot"
+    if section in FIRST:
+        assert parameters.pop(0).name == FIRST[section]
     assert all(p.kind is p.KEYWORD_ONLY for p in parameters)
     assert all(p.annotation is not p.empty for p in parameters)
     assert all(f"{p.name}: " in part.__doc__ for p in parameters)
@@ -134,6 +147,28 @@ def test_torque_is_fresh_finite_and_changes_nothing(name, robot, moment):
     driven = [robot.joint(joint).v for joint in part.joints]
     assert not np.delete(part.torque(u, x), driven).any()
     assert (part.armature() >= 0.0).all()
+
+
+@pytest.mark.parametrize("name", PARTS["controllers"])
+def test_control_is_finite_of_the_right_shape_and_changes_nothing(name, robot, moment):
+    joints, (_, x) = controlled(robot), moment
+    part = schema.call(
+        resolve("controllers", name, "here"),
+        dict(resolve("controllers", name, "here").example),
+        name,
+        joints,
+    )
+    n, memory = len(joints), part.begin()
+    ref, box = Reference(*np.ones((3, n))), EffortBox(np.full(n, -1e6), np.full(n, 1e6))
+    before = [values.copy() for values in (*x[1:], *ref, memory, *box)]
+    first, second = (part.effort(x, ref, memory, box) for _ in range(2))
+    assert first.effort.shape == first.s.shape == first.equivalent.shape == (n,)
+    assert first.memory_rate.shape == memory.shape
+    assert first.active.shape == (len(part.limit_names),) and first.active.dtype == bool
+    assert all(np.isfinite(values).all() for values in first)
+    assert first.effort.any() and first.effort is not second.effort
+    for now, values in zip((*x[1:], *ref, memory, *box), before, strict=True):
+        assert np.array_equal(now, values)
 
 
 @pytest.mark.parametrize("name", PARTS["constraints"])

@@ -98,18 +98,27 @@ def test_the_licence_travels_with_the_wheel(wheel):
     assert read(wheel, "LICENSE") == (ROOT / "LICENSE").read_text(encoding="utf-8")
 
 
+def is_node(path):
+    """Whether a file is a program: the thin one of a node."""
+    return 'if __name__ == "__main__"' in path.read_text(encoding="utf-8")
+
+
 def test_every_entry_point_of_the_wheel_loads(wheel):
     parser = ConfigParser()
     parser.read_string(read(wheel, "entry_points.txt"))
     scripts = dict(parser["console_scripts"])
-    assert scripts.keys() == {"mbd-ros", "inverse_dynamics", "joint_state_projector", "simulator"}
+    nodes = {path.stem for path in (ROOT / "mbd_ros/nodes").glob("*.py") if is_node(path)}
+    assert scripts.keys() == {"mbd-ros", *nodes}
     for name, target in scripts.items():
         point = importlib.metadata.EntryPoint(name, target, "console_scripts")
         assert callable(point.load())
 
 
 def test_every_requirement_has_an_exact_pin(wheel):
-    lines = (ROOT / "requirements/pins.txt").read_text(encoding="utf-8").splitlines()
+    texts = [
+        (ROOT / f"requirements/{n}.txt").read_text(encoding="utf-8") for n in ("pins", "report")
+    ]
+    lines = "".join(texts).splitlines()
     pins = [line for line in lines if not line.startswith("#")]
     exact = re.compile(r'[\w.-]+==[\w.]+(; python_version (<|>=) "3.11")?')
     assert [p for p in pins if not exact.fullmatch(p)] == []

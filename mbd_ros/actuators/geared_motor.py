@@ -81,6 +81,10 @@ class GearedMotor(Actuator):
         """Motor torque of the lossless gear [N·m], shape (1,)."""
         return torque / self._ratio
 
+    def limits(self) -> Array:
+        """Torque of the joint that the motor drives through a lossless gear [N·m], shape (1,)."""
+        return np.array([abs(self._ratio) * self._limit])
+
     def armature(self) -> Array:
         """Inertia of the rotor at the joint [kg·m^2 or kg], shape (nv,)."""
         inertia: Array = self._armature.copy()

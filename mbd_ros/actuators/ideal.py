@@ -42,3 +42,7 @@ class Ideal(Actuator):
             u = np.minimum(np.maximum(u, -self._limit), self._limit)
         tau[self._v] = u
         return tau
+
+    def limits(self) -> Array:
+        """`limit` of every joint [N·m or N], shape (len(joints),)."""
+        return np.full(len(self.joints), self._limit)

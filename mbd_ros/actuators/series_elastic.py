@@ -62,3 +62,7 @@ class SeriesElastic(Actuator):
         """Motor-side end of the spring that gives the torque, shape (1,)."""
         wanted = torque + self._damping * x.v[self.joint.v]
         return x.q[self.joint.q] + wanted / self._stiffness
+
+    def limits(self) -> Array:
+        """`limit` of the joint [N·m or N], shape (1,)."""
+        return np.array([self._limit])

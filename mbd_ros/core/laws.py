@@ -46,11 +46,11 @@ class Linear:
     """
 
     def __init__(self, factor: float, offset: float = 0.0) -> None:
-        self._factor, self._offset = float(factor), float(offset)
+        self.factor, self.offset = float(factor), float(offset)
 
     def __call__(self, z: Any) -> tuple[Any, Any, Any]:
         """f(z), f'(z) and f''(z); z is a float or an array."""
-        return self._factor * z + self._offset, self._factor, 0.0
+        return self.factor * z + self.offset, self.factor, 0.0
 
 
 class PiecewisePolynomial:

@@ -63,6 +63,10 @@ class Actuator:
         """
         return torque
 
+    def limits(self) -> Array:
+        """Largest torque of each of `joints` [N·m or N], shape (len(joints),), inf without."""
+        return np.full(len(self.joints), math.inf)
+
     def armature(self) -> Array:
         """Inertia that the drive adds to the joints [kg·m^2 or kg], shape (nv,) or scalar 0."""
         return np.zeros(1)

@@ -23,7 +23,7 @@ _SETTINGS = {
     "max_iter": 40,
     "max_iter_in": 60,
 }
-_INFINITE = 1.0e20  # what ProxQP takes for no bound
+INFINITE = 1.0e20  # what ProxQP takes for no bound
 _TINY = 1.0e-300
 
 
@@ -84,8 +84,8 @@ class BoxQp:
         scaled = (
             scale[:, None] * A * scale,
             scale * b / size,
-            np.maximum(lower / unit, -_INFINITE),
-            np.minimum(upper / unit, _INFINITE),
+            np.maximum(lower / unit, -INFINITE),
+            np.minimum(upper / unit, INFINITE),
         )
         for rung, start in (("", self._warm), ("cold", self._cold), ("damped", self._damped)):
             if rung:
@@ -118,23 +118,38 @@ class BoxQp:
         self.statistics = self.statistics._replace(**{what: getattr(self.statistics, what) + 1})
 
 
-def _proxqp(n: int) -> Any:
+def import_proxqp() -> Any:
+    """The module of ProxQP.
+
+    Raises:
+        ModelError: proxsuite is not installed.
+    """
     try:
         from proxsuite import proxqp
     except ImportError as error:
         raise ModelError("solver qp needs proxsuite: pip install proxsuite") from error
+    return proxqp
+
+
+def solve_cold(proxqp: Any, kept: Any, *problem: Any, **settings: float) -> None:
+    """Solve a fresh problem of ProxQP; later ones start from its result."""
+    for name, value in {**_SETTINGS, **settings}.items():
+        setattr(kept.settings, name, value)
+    kept.init(*problem)
+    kept.settings.initial_guess = proxqp.InitialGuess.EQUALITY_CONSTRAINED_INITIAL_GUESS
+    kept.solve()
+    kept.settings.initial_guess = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
+
+
+def _proxqp(n: int) -> Any:
+    proxqp = import_proxqp()
 
     def start(
         kept: Any, A: Array, b: Array, lower: Array, upper: Array, guess: Array | None
     ) -> tuple[Any, Array]:
         if kept is None:
             kept = proxqp.dense.QP(n, 0, 0, True)
-            for name, value in _SETTINGS.items():
-                setattr(kept.settings, name, value)
-            kept.init(A, b, None, None, None, None, None, lower, upper)
-            kept.settings.initial_guess = proxqp.InitialGuess.EQUALITY_CONSTRAINED_INITIAL_GUESS
-            kept.solve()
-            kept.settings.initial_guess = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
+            solve_cold(proxqp, kept, A, b, None, None, None, None, None, lower, upper)
         else:
             kept.update(A, b, None, None, None, None, None, lower, upper)
             kept.solve()

@@ -2,157 +2,34 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbd_ros.core.differentiation import CausalDifferentiator, Sample
 from mbd_ros.core.inverse_dynamics import InverseDynamics, Torques
+from mbd_ros.core.joint_observer import JointObserver
+from mbd_ros.core.joint_observer import Observation as Observation
+from mbd_ros.core.joint_observer import Tuning as Tuning
 from mbd_ros.core.observed_loops import ObservedLoops
 from mbd_ros.core.robot import Robot
-from mbd_ros.core.state import NANOSECOND, Array
-from mbd_ros.errors import ModelError
-
-_NEVER = -(2**62)
-_UNUSED = (Sample.OLD, Sample.JUMP, Sample.NOT_FINITE, Sample.INCOMPLETE)
+from mbd_ros.core.state import Array
 
 
-class Tuning(NamedTuple):
-    """How samples are judged and filtered.
-
-    Attributes:
-        cutoff: Half-power frequency of the derivative filters [Hz].
-        velocity_margin: Steps beyond margin x velocity limit x dt are encoder glitches.
-        patience: So many glitches in a row are believed.
-        max_age: How long a joint that messages lack keeps its last position [s].
-        rewind: A stamp older than the last by more than this is a new beginning [s].
-    """
-
-    cutoff: float = 5.0
-    velocity_margin: float = 2.0
-    patience: int = 5
-    max_age: float = 0.1
-    rewind: float = 1.0
-
-
-class Observation(NamedTuple):
-    """One accepted sample with its derivatives.
-
-    Attributes:
-        stamp: Time [ns].
-        position: Independent joints [rad or m], shape (n,).
-        velocity: [rad/s or m/s], shape (n,).
-        acceleration: [rad/s^2 or m/s^2], shape (n,).
-        dependent: Measured positions of the dependent joints, NaN where absent, shape (n_d,).
-    """
-
-    stamp: int
-    position: Array
-    velocity: Array
-    acceleration: Array
-    dependent: Array
-
-
-class TorqueEstimator:
+class TorqueEstimator(JointObserver):
     """Causal inverse dynamics on a stream of joint samples.
 
     Args:
         robot: The robot; fixed base.
         inverse: Solver, owned by the estimator from now on.
         tuning: How samples are judged and filtered.
-
-    Attributes:
-        names: Joints of a sample: the independent ones, then the dependent ones.
-        differentiator: Where velocity and acceleration come from.
-
-    Raises:
-        ModelError: The base floats: joint states do not carry its pose.
     """
 
     def __init__(
         self, robot: Robot, inverse: InverseDynamics | ObservedLoops, tuning: Tuning
     ) -> None:
-        if robot.floating:
-            raise ModelError(
-                "joint states do not carry the pose of a floating base; use base: fixed"
-            )
-        couplings = inverse.couplings
-        self.names = couplings.independent + couplings.dependent
-        self._inverse, self._n = inverse, len(couplings.independent)
-        self._independent = [robot.joint(name) for name in couplings.independent]
-        self._dependent_q = [robot.joint(name).q for name in couplings.dependent]
-        self._ones = np.ones(self._n)
-        self._present, self._is_complete = np.zeros(len(self.names), dtype=np.bool_), False
-        self.tune(tuning)
-
-    def tune(self, tuning: Tuning) -> None:
-        """Replace the tuning; the filters start again."""
-        limits = np.array([joint.max_velocity for joint in self._independent])
-        continuous = [joint.kind == "continuous" for joint in self._independent]
-        self.differentiator = CausalDifferentiator(
-            cutoff=tuning.cutoff,
-            velocity_limit=limits * tuning.velocity_margin,
-            wraps=np.array(continuous, dtype=np.bool_),
-            patience=tuning.patience,
-            rewind=tuning.rewind,
-        )
-        self._max_age = round(tuning.max_age / NANOSECOND)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the past."""
-        self.differentiator.reset()
-        self._position, self._velocity = np.zeros(self._n), np.full(self._n, np.nan)
-        self._seen = np.full(self._n, _NEVER, dtype=np.int64)
-        self._complete: int | None = None  # stamp of a complete sample since the last partial one
-
-    def observe(
-        self, stamp: int, position: Array, velocity: Array, present: NDArray[np.bool_]
-    ) -> Observation | Sample:
-        """Take a sample of the motion.
-
-        Args:
-            stamp: Time [ns].
-            position: In the order of `names` [rad or m], NaN where absent.
-            velocity: In the order of `names` [rad/s or m/s], NaN where absent.
-            present: Which of `names` the message carries, shape (len(names),); the same array as
-                long as that does not change.
-
-        Returns:
-            The sample with its derivatives, or why it cannot be used.
-        """
-        n = self._n
-        z, v = position[:n], velocity[:n]
-        if present is not self._present:
-            self._present, self._is_complete = present, bool(present[:n].all())
-        if self._is_complete:
-            outcome = self.differentiator.update(stamp, z, v)
-            if outcome in _UNUSED:
-                return outcome
-            self._position, self._velocity, self._complete = z, v, stamp
-        else:
-            outcome = self._take_part(stamp, z, v, present[:n])
-            if outcome in _UNUSED:
-                return outcome
-        d = self.differentiator
-        return Observation(stamp, d.position, d.velocity, d.acceleration, position[n:])
-
-    def _take_part(self, stamp: int, z: Array, v: Array, present: NDArray[np.bool_]) -> Sample:
-        """Take a sample that lacks joints: these keep their last position, for `max_age`."""
-        if not np.isfinite(z[present]).all():
-            return Sample.NOT_FINITE
-        if self._complete is not None:
-            self._seen[:], self._complete = self._complete, None
-        z, v = np.where(present, z, self._position), np.where(present, v, self._velocity)
-        since, outcome = stamp - self._seen, Sample.INCOMPLETE
-        if int(np.abs(since[~present]).max()) <= self._max_age:
-            outcome = self.differentiator.update(stamp, z, v, since)
-            if outcome in _UNUSED:
-                return outcome
-        self._position, self._velocity = z, v
-        self._seen[present] = stamp
-        return outcome
+        super().__init__(robot, inverse.couplings, tuning)
+        self._inverse = inverse
+        self._dependent_q = [robot.joint(name).q for name in inverse.couplings.dependent]
+        self._ones = np.ones(len(inverse.couplings.independent))
 
     def solve(self, x: Observation, wrenches: Sequence[Array] = ()) -> Torques | None:
         """Torques of an observation; None if they are not finite, after which the filters restart.

@@ -1,0 +1,56 @@
+"""Computed torque control."""
+
+import numpy as np
+
+from mbd_ros.core.control import (
+    Control,
+    ControlledJoints,
+    Controller,
+    EffortBox,
+    Gain,
+    Reference,
+    per_joint,
+)
+from mbd_ros.core.mobility_factor import MobilityFactor
+from mbd_ros.core.sliding import sliding_variable
+from mbd_ros.core.state import Array, State
+
+
+class ComputedTorque(Controller):
+    """Makes the errors of a true model those of a damped oscillator: e'' + kd e' + kp e = 0.
+
+        tau = A^+ (a_ref - kd e' - kp e - a_free)
+
+    Nothing in it withstands disturbances but kp: they leave e = d / kp. With lambda = kp / kd in
+    s = e' + lambda e the law is s' = lambda e' - kd s.
+
+    Args:
+        joints: What it controls.
+        kp: [1/s^2].
+        kd: [1/s]; 2 kp^(1/2) damps critically.
+
+    Source: J. Y. S. Luh, M. W. Walker, R. P. C. Paul, IEEE Trans. Autom. Control 25, 1980,
+        468-474.
+    """
+
+    example = {"kp": 100.0, "kd": 20.0}
+
+    def __init__(
+        self,
+        joints: ControlledJoints,
+        *,
+        kp: Gain,
+        kd: Gain,
+    ) -> None:
+        self.joints = joints
+        self._kd = per_joint(kd, len(joints), "kd")
+        self._bandwidth = per_joint(kp, len(joints), "kp") / self._kd
+
+    def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
+        """The control at a state; see `Controller.effort`."""
+        r = self.joints.response(x)
+        s, a_keep = sliding_variable(r, ref, self._bandwidth)
+        mobility = MobilityFactor(r.mobility)
+        equivalent = mobility.solve(a_keep - r.a_free)
+        effort = mobility.solve(ref.a - self._kd * s - r.a_free)
+        return Control(effort, s, equivalent, np.zeros(0), np.zeros(0, dtype=np.bool_))

@@ -1,0 +1,58 @@
+"""Springs and dampers about the reference, on top of what holds the mechanism at rest."""
+
+import numpy as np
+
+from mbd_ros.core.control import (
+    Control,
+    ControlledJoints,
+    Controller,
+    EffortBox,
+    Gain,
+    Reference,
+    per_joint,
+)
+from mbd_ros.core.mobility_factor import MobilityFactor
+from mbd_ros.core.sliding import sliding_variable
+from mbd_ros.core.state import Array, State
+
+
+class GravityCompensation(Controller):
+    """Holds the mechanism against gravity and the other forces at rest, softly.
+
+        tau = -A^+ a_free(q, v = 0) - stiffness e - damping e'
+
+    The first term, reported as the equivalent part, leaves the controlled joints without
+    acceleration from rest, couplings and loops kept. Nothing follows the acceleration of the
+    reference: this law is for holding and for slow motion. It is passive, hence stable for any
+    positive gains as long as the loop is much faster than damping over inertia.
+
+    Args:
+        joints: What it controls.
+        stiffness: [N·m/rad or N/m].
+        damping: [N·m·s/rad or N·s/m].
+
+    Source: M. Takegaki, S. Arimoto, J. Dyn. Syst. Meas. Control 103, 1981, 119-125.
+    """
+
+    example = {"stiffness": 1.0, "damping": 0.02}
+
+    def __init__(
+        self,
+        joints: ControlledJoints,
+        *,
+        stiffness: Gain,
+        damping: Gain,
+    ) -> None:
+        self.joints = joints
+        self._damping = per_joint(damping, len(joints), "damping")
+        self._bandwidth = per_joint(stiffness, len(joints), "stiffness") / self._damping
+
+    def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
+        """The control at a state; see `Controller.effort`."""
+        joints = self.joints
+        r = joints.response(x._replace(v=np.zeros_like(x.v)))
+        moving = r._replace(v=joints.velocities(x))
+        s, _ = sliding_variable(moving, ref, self._bandwidth)
+        equivalent = MobilityFactor(r.mobility).solve(-r.a_free)
+        effort = equivalent - self._damping * s
+        return Control(effort, s, equivalent, np.zeros(0), np.zeros(0, dtype=np.bool_))

@@ -1,0 +1,90 @@
+"""A least-squares problem in a box, with rows that yield: slow, but it always has an answer.
+
+min 1/2 |E x|² + 1/2 |excess of C x over its limits|² / compliance,   lower <= x <= upper
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.state import Array
+
+COMPLIANCES = (1.0e-2, 1.0e-5, 1.0e-8, 1.0e-11)
+_EVENTS = 60  # for each compliance
+_PULLS = 1.0e-9  # of the largest slope: one with which a bound holds nothing
+
+
+class BoxedRows:
+    """The problem above for compliances that fall to the last of `COMPLIANCES`.
+
+    A primal active-set method: from one point of the box towards the least cost on the bounds
+    that hold and the rows that are passed, up to the first bound or limit on the way.
+    Source: P. Stark, R. Parker, Computational Statistics 10 (1995), on bounds.
+
+    Args:
+        E: Square, regular, shape (n, n).
+        C: Rows that yield, shape (k, n).
+        low: Their limits, shape (k,), -inf without one.
+        high: Same, inf without one.
+    """
+
+    def __init__(self, E: Array, C: Array, low: Array, high: Array) -> None:
+        self._E, self._C, self._low, self._high = E, C, low, high
+
+    def solve(self, lower: Array, upper: Array) -> Array:
+        """The x of least cost in the box, or what is left of the way to it, shape (n,)."""
+        x = np.clip(np.zeros(len(lower)), lower, upper)
+        for compliance in COMPLIANCES:
+            x = self._descended(x, lower, upper, compliance**-0.5)
+        return x
+
+    def _descended(self, x: Array, lower: Array, upper: Array, stiffness: float) -> Array:
+        reached = self._C.dot(x)
+        passed = (reached > self._high).astype(np.int8) - (reached < self._low)
+        held = (x <= lower) | (x >= upper)
+        for _ in range(_EVENTS):
+            r, A = self._residuals(x, passed, stiffness)
+            step, free = np.zeros(len(x)), (~held).nonzero()[0]
+            step[free] = np.linalg.lstsq(A[:, free], -r, rcond=None)[0]
+            moves, reached = self._C.dot(step), self._C.dot(x)
+            to_bound = _way(x, step, lower, upper)
+            to_limit = _way(reached, moves, *self._pieces(passed))
+            first = float(min(to_bound.min(), to_limit.min(initial=np.inf)))
+            x = np.clip(x + min(first, 1.0) * step, lower, upper)
+            if first < 1.0:
+                if to_bound.min() <= first:
+                    held[to_bound.argmin()] = True
+                else:
+                    i = int(to_limit.argmin())
+                    passed[i] = 0 if passed[i] else np.sign(moves[i])
+                continue
+            r, A = self._residuals(x, passed, stiffness)
+            slope = A.T.dot(r)
+            pull = np.where(held, np.where(x <= lower, -slope, slope), 0.0)
+            pull[lower >= upper] = 0.0
+            if pull.max() <= _PULLS * np.abs(slope).max():
+                break
+            held[pull.argmax()] = False
+        return x
+
+    def _residuals(
+        self, x: Array, passed: NDArray[np.int8], stiffness: float
+    ) -> tuple[Array, Array]:
+        rows = passed.nonzero()[0]
+        limit = np.where(passed > 0, self._high, self._low)[rows]
+        excess = self._C[rows].dot(x) - limit
+        A = np.concatenate([self._E, stiffness * self._C[rows]])
+        return np.concatenate([self._E.dot(x), stiffness * excess]), A
+
+    def _pieces(self, passed: NDArray[np.int8]) -> tuple[Array, Array]:
+        """Where the quadratic that each row is on begins and ends."""
+        begin = np.where(passed == 0, self._low, np.where(passed > 0, self._high, -np.inf))
+        end = np.where(passed == 0, self._high, np.where(passed < 0, self._low, np.inf))
+        return begin, end
+
+
+def _way(x: Array, step: Array, begin: Array, end: Array) -> Array:
+    """Share of the step that each value may go, inf without an end."""
+    ahead = np.where(step > 0.0, end - x, begin - x)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(step == 0.0, np.inf, ahead / step)
+    return np.maximum(share, 0.0)

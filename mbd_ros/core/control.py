@@ -1,0 +1,200 @@
+"""What a controller is: torques of the actuated joints from a state and a reference."""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.state import Array, State
+from mbd_ros.core.system import System
+from mbd_ros.errors import ModelError
+
+Gain = float | Sequence[float]  # one for all joints, or one a joint
+
+
+class Reference(NamedTuple):
+    """Where the controlled joints should be, in the order of the controller.
+
+    Attributes:
+        q: [rad or m], shape (n,).
+        v: [rad/s or m/s], shape (n,).
+        a: [rad/s^2 or m/s^2], shape (n,).
+    """
+
+    q: Array
+    v: Array
+    a: Array
+
+
+class Response(NamedTuple):
+    """How the controlled joints answer torques, couplings and loops kept.
+
+        a = a_free + mobility tau
+
+    Attributes:
+        q: Their positions [rad or m], shape (n,).
+        v: Their velocities [rad/s or m/s], shape (n,).
+        a_free: Their accelerations without torque [rad/s^2 or m/s^2], shape (n,).
+        mobility: Accelerations per unit torque, symmetric, positive semidefinite, shape (n, n).
+    """
+
+    q: Array
+    v: Array
+    a_free: Array
+    mobility: Array
+
+
+class EffortBox(NamedTuple):
+    """Efforts that the next command may have: torque and torque-rate limits together.
+
+    Attributes:
+        lower: [N·m or N], shape (n,); -inf without a limit.
+        upper: [N·m or N], shape (n,); inf without a limit.
+    """
+
+    lower: Array
+    upper: Array
+
+
+class Control(NamedTuple):
+    """What a controller answers.
+
+    Attributes:
+        effort: Of the controlled joints [N·m or N], shape (n,).
+        s: Sliding variable e' + lambda e of each [rad/s or m/s], shape (n,).
+        equivalent: The part of `effort` that keeps s where it is [N·m or N], shape (n,).
+        memory_rate: Rate of change of the memory [1/s of its unit], shape (k,).
+        active: Which of `Controller.limit_names` hold the effort back; empty without limits.
+    """
+
+    effort: Array
+    s: Array
+    equivalent: Array
+    memory_rate: Array
+    active: NDArray[np.bool_]
+
+
+class ControlledJoints:
+    """The actuated joints of a scene as a controller sees them: free motion and mobility.
+
+        a_free = S (a at tau = 0),   mobility = S A S'
+
+    A is what generalized forces accelerate on the constraint manifold (`System.respond`), S picks
+    the controlled joints. Bounded rows (stops, dry friction) belong into the plant, not in here.
+
+    Args:
+        system: Dynamics without actuators and bounded rows; owned by this object from now on.
+        names: Controlled joints, in the order of efforts and references.
+
+    Attributes:
+        names: As given.
+        joints: Their descriptions, with limits.
+        system: As given.
+        newest: What `response` answered last; None before the first time.
+
+    Raises:
+        ModelError: No joint, an unknown one, one twice, or a floating base.
+    """
+
+    def __init__(self, system: System, names: Sequence[str]) -> None:
+        if not names or len(set(names)) != len(names):
+            raise ModelError(f"controlled joints {list(names)} must be one or more, each once")
+        if system.robot.floating:
+            raise ModelError("a controller needs joints on a fixed base; use base: fixed")
+        self.names, self.system = tuple(names), system
+        self.joints = tuple(system.robot.joint(name) for name in names)
+        self._q = np.array([joint.q for joint in self.joints])
+        self._v = np.array([joint.v for joint in self.joints])
+        self._selection = np.eye(system.robot.model.nv)[:, self._v]
+        self.newest: Response | None = None
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def positions(self, x: State) -> Array:
+        """Of the controlled joints [rad or m], shape (n,), fresh."""
+        return x.q[self._q]
+
+    def velocities(self, x: State) -> Array:
+        """Of the controlled joints [rad/s or m/s], shape (n,), fresh."""
+        return x.v[self._v]
+
+    def response(self, x: State, motion: tuple[Array, Array] | None = None) -> Response:
+        """At a consistent state of all joints; `motion` is `accelerations` if it is known."""
+        a, mobility = motion or self.accelerations(x)
+        self.newest = Response(x.q[self._q], x.v[self._v], a[self._v], mobility[self._v])
+        return self.newest
+
+    def accelerations(self, x: State) -> tuple[Array, Array]:
+        """Those of all joints without torque, shape (nv,), and per unit torque, (nv, n)."""
+        y = self.system.reduce(x)
+        return self.system.solve(y).a, self.system.respond(y.q, self._selection)
+
+
+class Controller:
+    """A control law; a value: new gains are a new controller for the same joints.
+
+    The keyword arguments of the constructor are its gains and the schema of whoever configures
+    it: floats for all joints, or sequences with one value a joint. A constructor raises a
+    ModelError that names the gain, what is wrong and what is accepted.
+
+    A law with states of its own (an integral) keeps none: it says how they change
+    (`Control.memory_rate`), and the loop integrates them, or freezes them.
+
+    Attributes:
+        joints: What it controls.
+        limit_names: Names of the limits that it keeps itself, one an entry of `Control.active`.
+        example: Gains with which the law works on a small arm.
+    """
+
+    example: ClassVar[dict[str, Any]]
+    limit_names: tuple[str, ...] = ()
+    joints: ControlledJoints
+
+    def begin(self) -> Array:
+        """Memory at the start, shape (k,); most laws have none."""
+        return np.zeros(0)
+
+    def details(self) -> dict[str, str]:
+        """What the law has to say of its work, for diagnostics."""
+        return {}
+
+    def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
+        """The control at a state.
+
+        Args:
+            x: Consistent state of all joints of the robot.
+            ref: Of the controlled joints.
+            memory: States of the law, shape (k,).
+            box: Efforts that the next command may have. Whoever sends the command clips it; a
+                law may use the box to do better than being clipped.
+        """
+        raise NotImplementedError
+
+
+def per_joint(
+    value: Gain, n: int, name: str, *, above: float = 0.0, least: float | None = None
+) -> Array:
+    """A gain as one value a joint, shape (n,), read-only.
+
+    Args:
+        value: One for all joints, or one a joint.
+        n: Number of joints.
+        name: Of the gain, for the message.
+        above: Every value must be greater.
+        least: Smallest value allowed, instead of `above`.
+
+    Raises:
+        ModelError: Another length, not finite, or too small.
+    """
+    given = np.array(value, dtype=np.float64)
+    if given.ndim and given.shape != (n,):
+        raise ModelError(f"{name} has {given.size} values; accepted: one, or one a joint ({n})")
+    gains = np.full(n, given)
+    is_enough = gains > above if least is None else gains >= least
+    if not (np.isfinite(gains).all() and is_enough.all()):
+        bound = f"> {above:g}" if least is None else f">= {least:g}"
+        raise ModelError(f"{name} {given.tolist()} must be finite and {bound}")
+    gains.flags.writeable = False
+    return gains

@@ -1,0 +1,136 @@
+"""Accelerations with which joints stay within their position and velocity limits."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.robot import Joint
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+_RESERVE = 2.0  # times the braking acceleration: makes up for what a held effort loses
+_NONE = 1.0e-300
+
+
+class AccelerationBox(NamedTuple):
+    """Accelerations that joints may have over the horizon.
+
+    Attributes:
+        lower: [rad/s^2 or m/s^2], shape (k,).
+        upper: Same.
+        position_below: Whether the lower one is of the position limit, not of the velocity limit.
+        position_above: Same of the upper one.
+    """
+
+    lower: Array
+    upper: Array
+    position_below: NDArray[np.bool_]
+    position_above: NDArray[np.bool_]
+
+
+class MotionLimits:
+    """Position and velocity limits of joints as limits of their accelerations, a horizon ahead.
+
+    An acceleration a is held for h. With the distance d to a position limit and the
+    velocity v towards it, it is allowed if the joint can still be stopped at the limit with its
+    braking acceleration B afterwards, and does not pass it before:
+
+        (v + h a)² <= 2 B (d - h v - h² a / 2)   where it still moves towards the limit then
+        v² <= -2 a d                             where it stops before
+        v + h a <= v_max
+
+    Who is within keeps within, with decelerations of at most B, if a is held exactly; a held
+    effort does not quite do so, and up to 2 B make up for it. From beyond a limit a joint is sent
+    back with at most 2 B, with a velocity in proportion to how far it is beyond.
+    Source: A. Del Prete, IEEE Robotics and Automation Letters 3(1), 281-288 (2018),
+    doi:10.1109/LRA.2017.2738321. Left out: whether the drives can brake with B.
+
+    Args:
+        joints: Joints; those without the limits that are kept are left out.
+        horizon: h [s], > 0; at least the period of the commands. Drives that need longer to turn
+            their torque round need a longer one.
+        braking: Time from the largest velocity to rest [s], >= horizon: B is the largest velocity
+            over it; without a velocity limit, the range over its square.
+        margin: Distance to keep from position limits [rad or m], >= 0.
+        position: Whether position limits are kept.
+        velocity: Whether velocity limits are kept.
+
+    Attributes:
+        joints: Joints that are limited.
+        has_position: Which of them have a position limit that is kept, shape (k,).
+        has_velocity: Same of velocity limits.
+
+    Raises:
+        ModelError: A value that is not accepted, or a margin wider than half a range.
+    """
+
+    def __init__(
+        self,
+        joints: Sequence[Joint],
+        *,
+        horizon: float,
+        braking: float,
+        margin: float,
+        position: bool,
+        velocity: bool,
+    ) -> None:
+        _check(horizon, braking, margin)
+        self.joints = tuple(joint for joint in joints if _is_limited(joint, position, velocity))
+        lower, upper, fastest = (
+            np.array([getattr(joint, name) for joint in self.joints], dtype=np.float64)
+            for name in ("lower", "upper", "max_velocity")
+        )
+        self._q = np.array([joint.q for joint in self.joints], dtype=np.intp)
+        self._v = np.array([joint.v for joint in self.joints], dtype=np.intp)
+        span = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+        most = np.where(np.isfinite(fastest), fastest / braking, span / braking**2)
+        self.has_position = position & (np.isfinite(lower) | np.isfinite(upper))
+        self.has_velocity = velocity & np.isfinite(fastest)
+        narrow = self.has_position & ~(upper - lower > 2.0 * margin)
+        if narrow.any():
+            joint = self.joints[int(narrow.argmax())]
+            raise ModelError(
+                f"position_margin {margin:g} leaves nothing of the range of {joint.name}, "
+                f"{joint.lower:g} to {joint.upper:g}"
+            )
+        ends = np.where(self.has_position, np.stack([upper, -lower]) - margin, np.inf)
+        self._ends, self._fastest = ends, np.where(self.has_velocity, fastest, np.inf)
+        self._B, self._h, self._braking = most, horizon, braking
+
+    def box(self, x: State) -> AccelerationBox:
+        """Limits at a state of all joints."""
+        h, B = self._h, self._B
+        q, v = x.q[self._q], x.v[self._v]
+        towards = np.stack([v, -v])  # its upper limits, and the mirror image of its lower ones
+        d = self._ends - np.stack([q, -q])
+        before_stop = 2.0 * d - h * towards
+        rest = np.sqrt(h * h * B * B + 4.0 * B * np.maximum(before_stop, 0.0)) - B * h
+        stop = -0.5 * towards * towards / np.maximum(d, _NONE)
+        back = (-np.minimum(-d / self._braking, self._fastest) - towards) / h
+        within = np.where(d > 0.0, stop, back)
+        at_position = np.where(before_stop >= 0.0, (0.5 * rest - towards) / h, within)
+        at_position = np.maximum(at_position, -_RESERVE * B)
+        at_speed = np.maximum((self._fastest - towards) / h, -_RESERVE * B)
+        high, low = np.minimum(at_position, at_speed)
+        low = -low
+        between = 0.5 * (low + high)
+        is_crossed = low > high  # too fast for so narrow a range
+        low, high = np.where(is_crossed, between, low), np.where(is_crossed, between, high)
+        above, below = at_position <= at_speed
+        return AccelerationBox(low, high, below, above)
+
+
+def _check(horizon: float, braking: float, margin: float) -> None:
+    if not 0.0 < horizon < np.inf:
+        raise ModelError(f"horizon {horizon:g} s must be finite and > 0")
+    if not horizon <= braking < np.inf:
+        raise ModelError(f"braking {braking:g} s must be finite and >= the horizon, {horizon:g} s")
+    if not 0.0 <= margin < np.inf:
+        raise ModelError(f"position_margin {margin:g} must be finite and >= 0")
+
+
+def _is_limited(joint: Joint, position: bool, velocity: bool) -> bool:
+    is_bounded = np.isfinite(joint.lower) or np.isfinite(joint.upper)
+    return bool((position and is_bounded) or (velocity and np.isfinite(joint.max_velocity)))

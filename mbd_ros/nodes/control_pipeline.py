@@ -1,0 +1,236 @@
+"""A built scene between messages: from a serialized joint state to a command."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from std_msgs.msg import Float64MultiArray
+
+from mbd_ros.core.chatter import ChatterMeter
+from mbd_ros.core.control import Reference
+from mbd_ros.core.control_loop import Command, ControlLoop
+from mbd_ros.core.differentiation import Sample
+from mbd_ros.core.guard import Guard
+from mbd_ros.core.guide import Guide, TargetError
+from mbd_ros.core.joint_observer import JointObserver, Observation
+from mbd_ros.core.loads import Loads
+from mbd_ros.core.observed_state import ObservedState
+from mbd_ros.core.reference_map import ReferenceMap, Selection
+from mbd_ros.core.state import NANOSECOND, Array, State
+from mbd_ros.nodes.controller_parameters import build_controller, gains, tuning
+from mbd_ros.nodes.joint_state_bytes import joint_state
+from mbd_ros.nodes.parameters import ParameterError
+from mbd_ros.scene import load_scene
+from msg_adapters.joint_state import JointSample, JointStateReader
+from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
+from msg_adapters.joint_trajectory import Trajectory
+from msg_adapters.multi_array import write_multi_array
+
+
+class Answer(NamedTuple):
+    """Kept messages that answer a joint state: commands, and the state of the loop."""
+
+    commands: Any
+    state: Any
+
+
+class ControlPipeline:
+    """What the node `controller` builds when it is configured.
+
+    Args:
+        values: Parameters of the node.
+        description: URDF, where the scene takes it from a topic.
+
+    Attributes:
+        scene: The scene.
+        loop: Reference, law and guard.
+        observer: Judges joint states.
+        joints: Which joints the newest joint state carried.
+        reader: Serialized joint states to samples.
+        x: The newest state; None before the first.
+
+    Raises:
+        MbdError: Scene, joints, limits or gains do not fit.
+    """
+
+    def __init__(self, values: Any, description: str | None) -> None:
+        self.scene = scene = load_scene(values.scene, description)
+        self._controlled = scene.controlled_joints()
+        names = self._controlled.names
+        self._loads = Loads(scene.robot.model.nv, (), scene.actuators)
+        self._order = _command_order(values.joints, names)
+        self._observed = ObservedState(self._controlled.system, scene.couplings)
+        self.observer = JointObserver(scene.robot, scene.couplings, tuning(values))
+        self.loop = ControlLoop(
+            build_controller(values, self._controlled),
+            Guide(self._controlled),
+            Guard(names, self._limits(values.effort_limit)),
+            scene.safe,
+            values.safe_ramp,
+            values.timeout,
+            ChatterMeter(len(names), values.chatter_cutoff),
+        )
+        self._tune(values)
+        self.joints = JointStateReader(self.observer.names, with_effort=False)
+        self.reader = JointStateCdrReader(self.joints, joint_state)
+        self._references = ReferenceMap(names, scene.couplings)
+        self._selections: dict[tuple[str, ...], Selection] = {}
+        self._commands, self._state = Float64MultiArray(), JointStateCdrWriter(names)
+        self.x: State | None = None
+        self._epoch = 0
+        self._violation = np.zeros(len(scene.couplings.dependent))
+
+    def retune(self, values: Any) -> None:
+        """New gains, limits and times; nothing changes where one of them is refused."""
+        if gains(values) != self._gains:
+            self.loop.replace(build_controller(values, self._controlled))
+        if tuning(values) != self._tuning:
+            self.observer.tune(tuning(values))
+        self._tune(values)
+
+    def _tune(self, values: Any) -> None:
+        guide, loop = self.loop.guide, self.loop
+        self._tuning, self._gains = tuning(values), gains(values)
+        guide.ramp, guide.ramp_speed = values.reference_ramp, values.reference_ramp_speed
+        guide.timeout = values.reference_timeout
+        loop.ramp, loop.guard.rate = values.safe_ramp, values.effort_rate or math.inf
+
+    def forget(self) -> None:
+        """Forget the past."""
+        self.observer.reset()
+        self.loop.restart()
+        self.x = None
+
+    def answer(self, stamp: int, sample: JointSample) -> Answer | Sample:
+        """Messages for a joint state, or why it cannot be used.
+
+        Raises:
+            SolveError: The law has no answer to the first state.
+        """
+        seen = self.observer.observe(stamp, sample.position, sample.velocity, self.joints.present)
+        if not isinstance(seen, Observation):
+            return seen
+        if self.x is None:
+            self._epoch = stamp
+        self.x = x = self._observed.state(self._seconds(stamp), seen.position, seen.velocity)
+        off = seen.dependent - self._observed.dependent
+        self._violation = np.where(np.isfinite(off), off, 0.0)
+        command = self.loop.update(x)
+        return Answer(self.commands(command.effort), self._loop_state(stamp, command))
+
+    def commands(self, effort: Array) -> Any:
+        """Kept message with what the actuators are told to give these efforts."""
+        if self._loads.actuators:
+            x = self.x if self.x is not None else self.scene.initial
+            effort = self._loads.command(effort, x)
+        return write_multi_array(self._commands, effort[self._order])
+
+    def _loop_state(self, stamp: int, command: Command) -> Any:
+        chatter = self.loop.chatter.rms
+        return self._state.write(stamp, position=command.error, velocity=command.s, effort=chatter)
+
+    def aim(self, names: tuple[str, ...], sample: JointSample) -> str:
+        """Take a reference of one moment, `sample` in the order of `names`; what to tell of it.
+
+        Raises:
+            TargetError: It is refused.
+        """
+        selection = self._selection(names)
+        rates = np.where(np.isfinite(sample.velocity), sample.velocity, 0.0)
+        q = selection.positions(sample.position)
+        self.loop.guide.aim(self._now(), Reference(q, selection.rates(rates), np.zeros(len(q))))
+        return selection.note
+
+    def follow(self, trajectory: Trajectory) -> str:
+        """Take a trajectory; what to tell of it.
+
+        Raises:
+            TargetError: It is refused.
+        """
+        selection, now = self._selection(trajectory.names), self._now()
+        begin = self._seconds(trajectory.stamp) if trajectory.stamp else now
+        parts = trajectory.velocity, trajectory.acceleration
+        v, a = (None if part is None else selection.rates(part) for part in parts)
+        q = selection.positions(trajectory.position)
+        self.loop.guide.follow(now, begin + trajectory.times, q, v, a)
+        return selection.note
+
+    def held(self) -> list[str]:
+        """Independent joints that the newest joint state lacked."""
+        dependent = self.scene.couplings.dependent
+        return [name for name in self.joints.missing if name not in dependent]
+
+    def off_couplings(self, tolerance: float) -> str:
+        """Measured joints that are further off their couplings or loops than accepted."""
+        dependent = self.scene.couplings.dependent
+        pairs = zip(dependent, self._violation, strict=True)
+        off = [f"{name} by {by:.4g}" for name, by in pairs if abs(by) > tolerance]
+        if self._observed.moved > tolerance:
+            off.append(f"loops by {self._observed.moved:.4g}")
+        return ", ".join(off)
+
+    def details(self) -> Mapping[str, str]:
+        """What the commands contain and how they are made, for diagnostics."""
+        robot, loop = self.scene.robot, self.loop
+        reconstructed = [n for n in self.joints.missing if n in self.scene.couplings.dependent]
+        s, active = np.zeros(1), np.zeros(0, dtype=np.bool_)
+        if loop.control is not None:
+            s, active = loop.control.s, loop.control.active
+        acting = [
+            n for n, is_one in zip(loop.controller.limit_names, active, strict=False) if is_one
+        ]
+        return {
+            "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
+            "joints dropped": ", ".join(robot.locked) or "none",
+            "joints reconstructed": ", ".join(reconstructed) or "none",
+            "joints held": ", ".join(self.held()) or "none",
+            "solver tier": self._controlled.system.tier,
+            "reference": loop.guide.state(self.x.t if self.x is not None else 0.0),
+            "largest |s|": f"{np.abs(s).max():.6g}",
+            "chatter": ", ".join(f"{value:.3g}" for value in loop.chatter.rms) + " N·m",
+            "share of the safe command": f"{loop.weight:.6g}",
+            "limits that act": ", ".join(acting) or "none",
+            "safe command": str(self.scene.safe),
+            "times gone safe": str(loop.lapses),
+            "updates without an answer of the law": str(loop.failures),
+            **loop.controller.details(),
+        }
+
+    def _seconds(self, stamp: int) -> float:
+        """Time since the first joint state [s]: a float of the epoch is good to 0.2 us only."""
+        return (stamp - self._epoch) * NANOSECOND
+
+    def _now(self) -> float:
+        """Time of the newest joint state [s]: the one in which references are followed."""
+        if self.x is None or self.loop.is_open:
+            raise TargetError("reference refused: no joint state yet, or none any more")
+        return self.x.t
+
+    def _selection(self, names: tuple[str, ...]) -> Selection:
+        if names not in self._selections:
+            self._selections = {names: self._references.select(names)}
+        return self._selections[names]
+
+    def _limits(self, given: tuple[float, ...]) -> Array:
+        """Effort limits: of the description, the actuators and the parameter, the smallest."""
+        names = self._controlled.names
+        limits = np.array([joint.max_effort for joint in self._controlled.joints])
+        if self.scene.actuators:
+            limits = np.minimum(limits, np.concatenate([a.limits() for a in self.scene.actuators]))
+        if given and len(given) != len(names):
+            raise ParameterError(
+                f"parameter 'effort_limit' has {len(given)} values; accepted: none, or one for "
+                f"each of {', '.join(names)}"
+            )
+        return np.minimum(limits, given) if given else limits
+
+
+def _command_order(given: tuple[str, ...], names: tuple[str, ...]) -> Any:
+    """Columns of the efforts in the order of the messages."""
+    if given and sorted(given) != sorted(names):
+        raise ParameterError(
+            f"parameter 'joints' is {', '.join(given)}; accepted: all actuated joints, each "
+            f"once: {', '.join(names)}"
+        )
+    return np.array([names.index(name) for name in given or names], dtype=np.intp)

@@ -1,0 +1,176 @@
+"""What both controller nodes do: joint states and a reference in, commands out."""
+
+import time
+from collections.abc import Sequence
+from time import perf_counter
+from typing import Any
+
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
+
+from mbd_ros.core.differentiation import Sample
+from mbd_ros.core.guide import TargetError
+from mbd_ros.core.state import NANOSECOND
+from mbd_ros.errors import SolveError
+from mbd_ros.nodes.control_pipeline import ControlPipeline
+from mbd_ros.nodes.joint_state_node import JointStateNode
+from msg_adapters.diagnostics import OK, WARN
+from msg_adapters.errors import MessageError
+from msg_adapters.joint_state import JointStateReader
+from msg_adapters.joint_trajectory import read_joint_trajectory
+
+WATCH = 0.01  # s between looks at the stream, and between commands while none comes
+COMMANDS = QoSProfile(depth=1)
+STATES = QoSProfile(depth=100)  # a recorder may be away for 0.1 s at 1 kHz
+
+
+class ControllerNode(JointStateNode):
+    """Answers every joint state with a command; without them the command goes safe.
+
+    Subclasses set `NAME` and `PARAMETERS`.
+    """
+
+    _pipeline: ControlPipeline
+
+    def __init__(self, argv: Sequence[str] = ()) -> None:
+        self._heard = self._lapsed = perf_counter()
+        self._heard_ros, self._is_heard = 0, True
+        self._notes: set[str] = set()
+        super().__init__(argv)
+
+    def build(self, description: str | None) -> None:
+        """Build the scene and the law; one that works goes on with the share of the safe one."""
+        pipeline = ControlPipeline(self.parameters, description)
+        if self.active:
+            pipeline.loop.take_over(self._pipeline.loop)
+        self._pipeline = pipeline
+
+    def configure_core(self) -> None:
+        """Build the scene and its topics."""
+        self._commands = self.publish_to(Float64MultiArray, "~/commands", COMMANDS)
+        self._states = self.publish_to(JointState, "~/state", STATES)
+        super().configure_core()
+        self.subscribe(JointState, "~/reference", self._on_reference, 10)
+        self.subscribe(JointTrajectory, "~/joint_trajectory", self._on_trajectory, 10)
+        self.every(WATCH, self._watch)
+        powerless = self._pipeline.loop.guard.powerless
+        if powerless:
+            self.get_logger().warning(f"no authority: effort limit 0 of {', '.join(powerless)}")
+
+    def forget(self) -> None:
+        """Hold the next state that comes."""
+        self._pipeline.forget()
+        self._heard = self._lapsed = perf_counter()
+
+    def retune(self, values: Any) -> None:
+        """New gains and times; a refusal leaves the old ones."""
+        self._pipeline.retune(values)
+
+    def safe(self) -> None:
+        """The safe command, at the newest state if it is fresh."""
+        pipeline = self._pipeline
+        is_fresh = self._silence() <= self.parameters.timeout
+        self._commands.publish(pipeline.commands(pipeline.loop.stop(is_fresh)))
+        self._commands.wait_for_all_acked(Duration(seconds=0.1))
+
+    def deactivate_core(self) -> None:
+        """Ramp down, then the safe command."""
+        loop = self._pipeline.loop
+        if not loop.is_open:
+            while (effort := loop.lapse(WATCH)) is not None:
+                self._commands.publish(self._pipeline.commands(effort))
+                time.sleep(WATCH)
+        self.safe()
+
+    def health(self) -> tuple[int, str, dict[str, str]]:
+        """State of the stream, then of the loop."""
+        pipeline = self._pipeline
+        details = {**pipeline.details(), **self.stream_details()}
+        level, text = self.stream_health()
+        if level != OK or not self.active:
+            return level, text, details
+        wrong = []
+        if not self._is_heard:
+            wrong.append("nobody hears the commands: integrals stand still")
+        if pipeline.loop.guard.powerless:
+            wrong.append(f"no authority over {', '.join(pipeline.loop.guard.powerless)}")
+        if off := pipeline.off_couplings(self.parameters.coupling_tolerance):
+            wrong.append(f"off their couplings: {off}; the independent joints are used")
+        if pipeline.loop.failures:
+            wrong.append(f"no answer of the law to {pipeline.loop.failures} states in a row")
+        return (WARN if wrong else OK), "; ".join(wrong) or "controlling", details
+
+    # ------------------------------------------------------------------ joint states
+
+    def take(self, cdr: bytes) -> None:
+        """Answer one joint state."""
+        pipeline = self._pipeline
+        try:
+            sample = pipeline.reader.read(cdr)
+        except MessageError as error:
+            self.drop_state("malformed", f"joint_states: {error}")
+            return
+        stamp = self.stamp_of(sample.stamp)
+        if stamp is None:
+            return
+        answer = pipeline.answer(stamp, sample)
+        if isinstance(answer, Sample):
+            lacking = f" ({', '.join(pipeline.held())})" if answer is Sample.INCOMPLETE else ""
+            self.drop_state(answer.name.lower(), f"joint_states: {answer.value}{lacking}")
+            return
+        self._commands.publish(answer.commands)
+        self._states.publish(answer.state)
+        self._heard, self._heard_ros = perf_counter(), self.get_clock().now().nanoseconds
+        self.note_answer(stamp)
+        self.note_extra(pipeline.joints.extra)
+        if pipeline.loop.failures >= self.parameters.failures:
+            raise SolveError(f"no answer of the law to {pipeline.loop.failures} states in a row")
+
+    def _watch(self) -> None:
+        """Ramp to the safe command where joint states stopped; see whether anybody listens."""
+        now = perf_counter()
+        since, self._lapsed = now - self._lapsed, now
+        loop = self._pipeline.loop
+        self._is_heard = self._commands.get_subscription_count() > 0
+        loop.is_frozen = not self._is_heard
+        if self._silence() > self.parameters.timeout:
+            effort = loop.lapse(since)
+            if effort is not None:
+                self._commands.publish(self._pipeline.commands(effort))
+
+    def _silence(self) -> float:
+        """For how long no joint state was answered [s]; a standing clock does not count.
+
+        Where the clock of a simulation has no publisher any more, steady time counts.
+        """
+        clock, steady = self.get_clock(), perf_counter() - self._heard
+        simulated = clock.clock_type == ClockType.ROS_TIME and clock.ros_time_is_active
+        if not simulated or not self.count_publishers("/clock"):
+            return steady
+        return (clock.now().nanoseconds - self._heard_ros) * NANOSECOND
+
+    # ------------------------------------------------------------------ references
+
+    def _on_reference(self, msg: Any) -> None:
+        try:
+            names = tuple(msg.name)
+            sample = JointStateReader(names, with_effort=False).read(msg)
+            self._note(self._pipeline.aim(names, sample))
+        except (MessageError, TargetError) as error:
+            self.drop("reference", f"{self.resolve_topic_name('~/reference')}: {error}")
+
+    def _on_trajectory(self, msg: Any) -> None:
+        try:
+            self._note(self._pipeline.follow(read_joint_trajectory(msg)))
+        except (MessageError, TargetError) as error:
+            self.drop("reference", f"{self.resolve_topic_name('~/joint_trajectory')}: {error}")
+
+    def _note(self, text: str) -> None:
+        """Say once what was mapped or left out of references."""
+        if text and text not in self._notes:
+            self._notes.add(text)
+            self.get_logger().info(f"references: {text}")

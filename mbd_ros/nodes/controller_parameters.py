@@ -1,0 +1,157 @@
+"""Parameters of the controller nodes, and the law that they describe."""
+
+import inspect
+from typing import Any
+
+from mbd_ros.core.chatter import DEFAULT_CUTOFF
+from mbd_ros.core.control import ControlledJoints, Controller
+from mbd_ros.errors import ModelError
+from mbd_ros.nodes.inverse_dynamics_parameters import PARAMETERS as INVERSE_DYNAMICS
+from mbd_ros.nodes.inverse_dynamics_parameters import tuning
+from mbd_ros.nodes.parameters import Parameter, ParameterError
+from mbd_ros.registry import resolve
+
+__all__ = ["QP", "SLIDING_MODE", "build_controller", "gains", "tuning"]
+_SHARED = (
+    *("scene", "cutoff", "velocity_margin", "patience", "max_age", "rewind"),
+    *("clock_tolerance", "coupling_tolerance"),
+)
+_EACH = "; one value, or one a joint"
+
+
+def _tunable(name: str, default: float, low: float, high: float, text: str) -> Parameter:
+    return Parameter(name, type(default), text, default, low=low, high=high, read_only=False)
+
+
+def _gain(name: str, default: float, text: str) -> Parameter:
+    return Parameter(
+        f"gains.{name}", list[float], text + _EACH, (default,), low=0.0, read_only=False
+    )
+
+
+_COMMON = (
+    *(parameter for parameter in INVERSE_DYNAMICS if parameter.name in _SHARED),
+    Parameter(
+        "joints", list[str], "Order of ~/commands; empty: that of the actuators of the scene.", ()
+    ),
+    Parameter(
+        "effort_limit",
+        list[float],
+        "Largest effort of each joint in the order of the actuators [N·m or N], beside the limits "
+        "of description and actuators; empty: these alone.",
+        (),
+        low=0.0,
+    ),
+    _tunable("effort_rate", 0.0, 0.0, 1e12, "Largest change of an effort [N·m/s]; 0: no limit."),
+    _tunable(
+        "timeout", 0.1, 1e-3, 60.0, "Silence of the joint states until the command goes safe [s]."
+    ),
+    _tunable("safe_ramp", 0.2, 0.0, 60.0, "Time in which control and safe command change [s]."),
+    _tunable("reference_ramp", 0.5, 0.0, 60.0, "Shortest time to a reference that jumps [s]."),
+    _tunable(
+        "reference_ramp_speed", 0.5, 1e-3, 1.0, "Share of the velocity limits for such ramps."
+    ),
+    _tunable(
+        "reference_timeout", 0.5, 1e-3, 60.0, "Age of a ~/reference from which it is held [s]."
+    ),
+    _tunable("failures", 20, 1, 1_000_000, "Failures of the law in a row that deactivate."),
+    Parameter(
+        "chatter_cutoff",
+        float,
+        "Frequency from which motion of a command counts as chatter [Hz].",
+        DEFAULT_CUTOFF,
+        low=1e-3,
+        high=1e6,
+    ),
+)
+
+SLIDING_MODE = (
+    *_COMMON,
+    Parameter(
+        "controller",
+        str,
+        "The law.",
+        "sliding_mode",
+        choices=("sliding_mode", "super_twisting", "computed_torque", "gravity_compensation"),
+    ),
+    _gain("bandwidth", 20.0, "lambda of s = e' + lambda e [1/s]: sliding_mode, super_twisting"),
+    _gain("gain", 60.0, "Reaching gain [rad/s^2 or m/s^2]: sliding_mode"),
+    _gain(
+        "boundary_layer",
+        0.5,
+        "Width of the boundary layer, at least gain x period [rad/s or m/s]: sliding_mode",
+    ),
+    Parameter(
+        "gains.law",
+        str,
+        "Reaching law: sliding_mode.",
+        "constant",
+        choices=("constant", "exponential", "power_rate"),
+        read_only=False,
+    ),
+    _gain("rate", 10.0, "Rate of the exponential law [1/s]: sliding_mode"),
+    _tunable("gains.power", 0.5, 1e-6, 1.0, "Exponent of the power-rate law: sliding_mode."),
+    _gain(
+        "disturbance_rate",
+        200.0,
+        "Bound of the rate of disturbing accelerations [rad/s^3 or m/s^3]: super_twisting",
+    ),
+    _gain("proportional", 3.0, "Factor of k1 [-]: super_twisting"),
+    _gain("integral", 2.5, "Factor of k2 [-], > 1: super_twisting"),
+    _gain("kp", 400.0, "Acceleration per error [1/s^2]: computed_torque"),
+    _gain("kd", 40.0, "Acceleration per velocity error [1/s]: computed_torque"),
+    _gain("stiffness", 50.0, "Torque per error [N·m/rad or N/m]: gravity_compensation"),
+    _gain("damping", 5.0, "Torque per velocity error [N·m·s/rad]: gravity_compensation"),
+)
+
+QP = (
+    *_COMMON,
+    Parameter("controller", str, "The law.", "qp_tracking", choices=("qp_tracking",)),
+    _gain("kp", 100.0, "Acceleration per error [1/s^2]"),
+    _gain("kd", 20.0, "Acceleration per velocity error [1/s]"),
+    _gain("weight", 1.0, "Cost of a squared acceleration error"),
+    _tunable(
+        "gains.horizon", 0.02, 1e-6, 10.0, "Time ahead for which limits of motion are kept [s]."
+    ),
+    _tunable("gains.braking", 0.2, 1e-6, 10.0, "Time from the largest velocity to rest [s]."),
+    _tunable("gains.position_margin", 0.0, 0.0, 10.0, "Distance to position limits [rad or m]."),
+    *(
+        Parameter(
+            f"gains.{which}_limits",
+            bool,
+            f"Keep the {which} limits of the robot description.",
+            True,
+            read_only=False,
+        )
+        for which in ("position", "velocity")
+    ),
+)
+
+
+def gains(values: Any) -> tuple[Any, ...]:
+    """Everything that the law is made of, to see whether it changed."""
+    return tuple(
+        value
+        for key, value in values._asdict().items()
+        if key.startswith(("gains_", "controller"))
+    )
+
+
+def build_controller(values: Any, joints: ControlledJoints) -> Controller:
+    """The law that the parameters describe.
+
+    Raises:
+        ParameterError: Names the gain, what is wrong and what is accepted.
+    """
+    law = resolve("controllers", values.controller, "parameter 'controller'")
+    names = list(inspect.signature(law).parameters)[1:]
+    given = {name: _unwrapped(getattr(values, f"gains_{name}")) for name in names}
+    try:
+        controller: Controller = law(joints, **given)
+    except ModelError as error:
+        raise ParameterError(f"parameters gains of {values.controller}: {error}") from error
+    return controller
+
+
+def _unwrapped(value: Any) -> Any:
+    return value[0] if isinstance(value, tuple) and len(value) == 1 else value

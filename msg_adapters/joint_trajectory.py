@@ -1,0 +1,63 @@
+"""trajectory_msgs/JointTrajectory -> arrays."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msg_adapters.errors import MessageError
+from msg_adapters.time import NANOSECONDS, read_time
+
+
+class Trajectory(NamedTuple):
+    """A course of joints through points.
+
+    Attributes:
+        stamp: Header stamp [ns]; 0 means now.
+        names: Joints, one a column.
+        times: Of the points after the stamp [s], shape (k,).
+        position: [rad or m], shape (k, n).
+        velocity: [rad/s or m/s], shape (k, n); None where no point gives one.
+        acceleration: [rad/s^2 or m/s^2], shape (k, n); None where no point gives one.
+    """
+
+    stamp: int
+    names: tuple[str, ...]
+    times: NDArray[np.float64]
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64] | None
+    acceleration: NDArray[np.float64] | None
+
+
+def read_joint_trajectory(msg: Any) -> Trajectory:
+    """Arrays of one message.
+
+    Raises:
+        MessageError: No points, or an array neither left out by all points nor as long as the
+            names in each.
+    """
+    names, points = tuple(msg.joint_names), msg.points
+    if not points or not names:
+        raise MessageError("no points" if names else "no joint names")
+    times = [p.time_from_start.sec + p.time_from_start.nanosec / NANOSECONDS for p in points]
+    position = _table(points, "positions", len(names))
+    if position is None:
+        raise MessageError("points without positions")
+    return Trajectory(
+        read_time(msg.header.stamp),
+        names,
+        np.array(times),
+        position,
+        _table(points, "velocities", len(names)),
+        _table(points, "accelerations", len(names)),
+    )
+
+
+def _table(points: Sequence[Any], field: str, size: int) -> NDArray[np.float64] | None:
+    lengths = {len(getattr(point, field)) for point in points}
+    if lengths == {0}:
+        return None
+    if lengths != {size}:
+        raise MessageError(f"{field} of {sorted(lengths)} values for {size} joint names")
+    return np.array([list(getattr(point, field)) for point in points], dtype=np.float64)

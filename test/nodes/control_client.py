@@ -1,0 +1,195 @@
+"""A live controller node and the test's side of its topics: the robot, and whoever leads it."""
+
+import signal
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from nodes.conftest import NodeProcess
+from nodes.joint_stream import ACTIVE, parameter_file
+from nodes.simulation_client import ARM, DEEP, JOINTS, QuickProbe
+from rclpy.duration import Duration
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
+
+from mbd_ros.scene import load_scene
+from msg_adapters.joint_state import JointSample, read_joint_state, write_joint_state
+
+KINDS = {"sliding": "sliding_mode_controller", "qp": "qp_controller"}
+POSE = np.array([0.5, 0.3, 0.2, 0.1])  # of JOINTS
+STEP = 10_000_000  # ns between two joint states
+
+
+class ControlClient:
+    """Sends joint states and references, and keeps what comes back.
+
+    Attributes:
+        commands: Vectors of ~/commands, as they came.
+        arrivals: When they came, on the clock of `perf_counter` [s].
+        states: Messages of ~/state.
+    """
+
+    def __init__(
+        self,
+        node: NodeProcess,
+        probe: QuickProbe,
+        scene: Path,
+        name: str,
+        plant: str,
+    ) -> None:
+        self.node, self.probe, self.name, self._plant = node, probe, f"/{name}", plant
+        self.scene = load_scene(scene)
+        self.commands: list[Any] = []
+        self.arrivals: list[float] = []
+        self.states: list[JointSample] = []
+        create, publish = probe.node.create_subscription, probe.node.create_publisher
+        topic = f"{plant or self.name}/commands"
+        self.hearing = create(Float64MultiArray, topic, self._keep, DEEP)
+        keep = self._keep_state
+        self._states = create(JointState, f"{self.name}/state", keep, DEEP)
+        topic = f"/{name}_test/joint_states" if plant else "/joint_states"
+        self._joints = publish(JointState, topic, DEEP)
+        self._references = publish(JointState, f"{self.name}/reference", DEEP)
+        self._trajectories = publish(JointTrajectory, f"{self.name}/joint_trajectory", DEEP)
+        self.stamp = time.time_ns()
+
+    def connect(self) -> None:
+        """Until both sides know each other."""
+        spin = self.probe.spin_until
+        spin(lambda: self.hearing.get_publisher_count() and self._states.get_publisher_count())
+        own = () if self._plant else (self._joints,)
+        for publisher in (*own, self._references, self._trajectories):
+            spin(publisher.get_subscription_count)
+        self.probe.spin_for(0.1)
+
+    def message(self, pose: Any = POSE, **changes: Any) -> Any:
+        """Joint state of the next stamp, at rest; `changes` replace its fields."""
+        self.stamp = changes.pop("stamp", max(self.stamp + STEP, time.time_ns()))
+        names = changes.pop("name", JOINTS)
+        fields = {"position": pose, "velocity": np.zeros(len(names)), **changes}
+        message = JointState(name=list(names))
+        write_joint_state(message, self.stamp, names)
+        for field, values in fields.items():
+            setattr(message, field, np.asarray(values, dtype=float).tolist())
+        return message
+
+    def publish(self, message: Any) -> None:
+        """Send a joint state."""
+        self._joints.publish(message)
+
+    def ask(self, pose: Any = POSE, **changes: Any) -> Any:
+        """The command that answers a joint state."""
+        seen, answered = len(self.commands), len(self.states)
+        message = self.message(pose, **changes)
+        self.publish(message)
+        self.probe.spin_until(lambda: len(self.states) > answered and len(self.commands) > seen)
+        assert self.states[-1].stamp == self.stamp
+        return self.commands[-1]
+
+    def stand(self, seconds: float, pose: Any = POSE) -> Any:
+        """Joint states at rest for a while, in real time; the last command."""
+        end = time.perf_counter() + seconds
+        while time.perf_counter() < end:
+            answer = self.ask(pose)
+            self.probe.spin_for(STEP * 1e-9)
+        return answer
+
+    def no_answer(self, message: Any) -> None:
+        """Send a joint state that must not be answered."""
+        answered = len(self.states)
+        self.publish(message)
+        assert self._joints.wait_for_all_acked(Duration(seconds=1))
+        self.probe.spin_for(0.03)
+        assert len(self.states) == answered
+
+    def refer(self, position: Sequence[float], names: Sequence[str] = JOINTS, **more: Any) -> None:
+        """Send a reference; it has arrived when this returns."""
+        message = JointState(name=list(names), position=[float(x) for x in position])
+        for field, values in more.items():
+            setattr(message, field, [float(x) for x in values])
+        self._references.publish(message)
+        self.probe.spin_for(0.05)
+
+    def lead(self, trajectory: Any) -> None:
+        """Send a trajectory; it has arrived when this returns."""
+        self._trajectories.publish(trajectory)
+        self.probe.spin_for(0.05)
+
+    def holding(self, pose: Any = POSE) -> Any:
+        """Torques that hold a pose, by inverse dynamics."""
+        q, zero = np.insert(pose, 2, 0.0)[[0, 1, 3, 4]], np.zeros(4)
+        return self.scene.inverse_dynamics().solve(q, zero, zero).tau
+
+    def dropped(self, reason: str) -> int:
+        """How many messages the newest diagnostics count as dropped for a reason."""
+        own = [h for h in self.probe.health if h.name == self.name]
+        return int(own[-1].values.get(f"dropped.{reason}", 0)) if own else 0
+
+    def wait_health(self, done: Any) -> Any:
+        """First status of the controller from now on that satisfies `done`."""
+        return self.probe.wait_health(lambda h: h.name == self.name and done(h))
+
+    def assert_finite(self) -> None:
+        """No NaN was ever published."""
+        assert all(np.isfinite(values).all() for values in self.commands)
+        for state in self.states:
+            assert all(np.isfinite(values).all() for values in state[1:])
+
+    def _keep(self, message: Any) -> None:
+        self.arrivals.append(time.perf_counter())
+        self.commands.append(np.array(message.data))
+
+    def _keep_state(self, message: Any) -> None:
+        self.states.append(read_joint_state(message))
+
+
+@contextmanager
+def controlled(
+    domain: int,
+    folder: Path,
+    scene: str = ARM,
+    *,
+    kind: str = "sliding",
+    plant: str = "",
+    stop: int | None = signal.SIGINT,
+    **parameters: Any,
+) -> Iterator[ControlClient]:
+    """A running controller, which must end with exit code 0 and without a traceback.
+
+    Args:
+        domain: Domain id.
+        folder: For scene and parameters.
+        scene: Text of the scene.
+        kind: Of `KINDS`.
+        plant: Node that takes the commands and sends joint states; empty: the test itself.
+        stop: Signal that ends it; None where the test does.
+        **parameters: Of the node; `__` in a name stands for a dot.
+    """
+    path = folder / f"control_scene_{len(list(folder.iterdir()))}.yaml"
+    path.write_text(scene, encoding="utf-8")
+    values = {name.replace("__", "."): value for name, value in parameters.items()}
+    file = parameter_file(folder, {"scene": path, **values})
+    target = ["-m", f"mbd_ros.nodes.{KINDS[kind]}"]
+    words = [*target, "--ros-args", "--params-file", str(file)]
+    if plant:
+        words += ["-r", f"~/commands:={plant}/commands"]
+    node = NodeProcess([sys.executable, *words], domain)
+    try:
+        with QuickProbe(domain) as probe:
+            client = ControlClient(node, probe, path, KINDS[kind], plant)
+            node.wait_for(ACTIVE)
+            client.connect()
+            yield client
+            client.assert_finite()
+            if stop is not None:
+                assert node.stop(stop) == 0, node.log
+                assert "Traceback" not in node.log
+    finally:
+        if node.process.poll() is None:
+            node.process.kill()
+            node.wait()

@@ -1,0 +1,171 @@
+"""Courses and guides: smooth, within limits, and exactly where they were told to be."""
+
+import numpy as np
+import pytest
+from mechanisms import double_pendulum
+
+from mbd_ros.core.control import ControlledJoints, Reference
+from mbd_ros.core.course import Course
+from mbd_ros.core.guide import Guide, TargetError
+from mbd_ros.core.loads import Loads
+from mbd_ros.core.robot_reader import read_robot
+from mbd_ros.core.system import System
+
+TIMES = np.array([0.0, 0.4, 1.0, 1.1])
+Q = np.array([[0.0, 1.0], [0.5, -1.0], [0.2, 0.0], [0.1, 0.3]])
+V = np.array([[0.0, 0.1], [0.5, -0.4], [-0.2, 0.0], [0.1, 0.3]])
+A = np.array([[1.0, 0.1], [0.0, -0.4], [-0.2, 2.0], [0.0, 0.3]])
+H = 1e-5
+
+
+def derivatives(course, t):
+    """Central differences of position [per s, per s^2]."""
+    before, now, after = (course.at(t + k * H).q for k in (-1, 0, 1))
+    return (after - before) / (2 * H), (after - 2 * now + before) / H**2
+
+
+@pytest.mark.parametrize(("v", "a"), [(None, None), (V, None), (V, A)])
+def test_a_course_passes_its_points_with_true_derivatives(v, a):
+    course = Course(TIMES, Q, v, a)
+    for k, t in enumerate(TIMES[:-1]):
+        ref = course.at(t)
+        np.testing.assert_allclose(ref.q, Q[k], atol=1e-14)
+        if v is not None:
+            np.testing.assert_allclose(ref.v, v[k], atol=1e-13)
+        if a is not None:
+            np.testing.assert_allclose(ref.a, a[k], atol=1e-11)
+    for t in (0.1, 0.39, 0.7, 1.05):
+        rate, curvature = derivatives(course, t)
+        np.testing.assert_allclose(course.at(t).v, rate, atol=1e-8)
+        np.testing.assert_allclose(course.at(t).a, curvature, atol=2e-4)
+    np.testing.assert_array_equal(course.at(-1.0).q, Q[0])
+    np.testing.assert_array_equal(course.at(9.0).q, Q[-1])
+    assert not course.at(9.0).v.any()
+
+
+def test_a_course_between_points_has_no_jumps():
+    """Velocity everywhere; acceleration too where the points give it."""
+    for v, a, fields in ((V, A, 3), (V, None, 2), (None, None, 2)):
+        course = Course(TIMES, Q, v, a)
+        for t in TIMES[1:-1]:
+            for field in range(fields):
+                before, after = course.at(t - 1e-12)[field], course.at(t + 1e-12)[field]
+                np.testing.assert_allclose(before, after, atol=1e-6)
+
+
+# ---------------------------------------------------------------------- guide
+
+
+@pytest.fixture
+def joints():
+    """Two joints from -99 to 99, at most 10/s."""
+    robot = read_robot(double_pendulum())
+    return ControlledJoints(System(robot, Loads(robot.model.nv)), ["joint_1", "joint_2"])
+
+
+def smooth(guide, begin, end, step=1e-3):
+    """Asserts that position and velocity never jump, and that velocity is the slope."""
+    times = np.arange(begin, end, step)
+    refs = [guide.at(t) for t in times]
+    q, v = np.array([ref.q for ref in refs]), np.array([ref.v for ref in refs])
+    a = np.abs([ref.a for ref in refs]).max()
+    np.testing.assert_allclose(np.diff(q, axis=0), 0.5 * step * (v[1:] + v[:-1]), atol=a * step**2)
+    return q, v
+
+
+def test_a_moving_joint_comes_to_rest_where_it_was_measured(joints):
+    guide = Guide(joints)
+    q, v = np.array([0.3, -0.2]), np.array([1.0, 0.0])
+    guide.hold(2.0, q, v)
+    np.testing.assert_allclose(guide.at(2.0).v, v, atol=1e-12)
+    positions, _ = smooth(guide, 2.0, 3.0)
+    np.testing.assert_allclose(positions[-1], q, atol=1e-12)
+    assert np.abs(positions - q).max() < 0.2
+
+
+def test_a_stream_of_targets_is_reached_one_interval_later(joints):
+    """A sine at 50 Hz; what is followed is the sine of 20 ms ago."""
+    guide = Guide(joints, ramp=0.05)
+    guide.hold(0.0, np.zeros(2), np.zeros(2))
+    wave = lambda t: Reference(  # noqa: E731
+        np.sin([3 * t, 2 * t]), np.array([3, 2]) * np.cos([3 * t, 2 * t]), np.zeros(2)
+    )
+    worst = 0.0
+    for k in range(1, 100):
+        t = 0.02 * k
+        guide.aim(t, wave(t))
+        smooth(guide, t, t + 0.02)
+        for part in (0.0, 0.25, 0.5, 0.99):
+            if k > 10:
+                off = guide.at(t + 0.02 * part).q - wave(t - 0.02 + 0.02 * part).q
+                worst = max(worst, np.abs(off).max())
+    assert worst < 1e-3
+    assert guide.state(t) == "target"
+    ends = guide.at(t + 5.0)
+    assert not ends.v.any()
+    assert "held" in guide.state(t + 5.0)
+    np.testing.assert_allclose(ends.q, wave(t).q + 0.25 * wave(t).v, atol=1e-12)
+
+
+def test_a_step_is_a_ramp_within_its_share_of_the_speed_limit(joints):
+    guide = Guide(joints, ramp=0.1, ramp_speed=0.5)
+    guide.hold(0.0, np.zeros(2), np.zeros(2))
+    guide.aim(0.0, Reference(np.array([3.0, -0.1]), np.zeros(2), np.zeros(2)))
+    q, v = smooth(guide, 0.0, 3.0)
+    assert np.abs(v).max() == pytest.approx(5.0, rel=1e-3)  # half of 10/s
+    np.testing.assert_allclose(q[-1], [3.0, -0.1], atol=1e-12)
+
+
+def test_a_trajectory_that_begins_elsewhere_is_joined_without_a_jump(joints):
+    guide = Guide(joints, ramp=0.2)
+    guide.hold(0.0, np.array([1.0, 1.0]), np.zeros(2))
+    guide.follow(0.0, TIMES, Q, V, A)  # begins now, at (0, 1)
+    np.testing.assert_allclose(guide.at(0.0).q, [1.0, 1.0], atol=1e-13)
+    smooth(guide, 0.0, 1.5)
+    course = Course(TIMES, Q, V, A)
+    for t in (0.5, 0.9, 1.05):
+        np.testing.assert_allclose(guide.at(t).q, course.at(t).q, atol=1e-12)
+    guide.follow(0.7, TIMES + 1.0, Q)  # begins later: goes there from where the reference is
+    smooth(guide, 0.7, 3.0)
+    np.testing.assert_allclose(guide.at(1.4).q, Q[1], atol=1e-12)
+    assert guide.state(1.4) == "trajectory"
+    assert "held" in guide.state(9.0)
+
+
+def test_after_a_break_the_reference_begins_where_the_joints_are(joints):
+    guide = Guide(joints)
+    guide.follow(0.0, TIMES, Q, V)
+    measured = np.array([0.4, 0.4]), np.array([0.1, -0.1])
+    guide.resume(0.5, *measured)
+    for given, expected in zip(guide.at(0.5)[:2], measured, strict=True):
+        np.testing.assert_allclose(given, expected, atol=1e-12)
+    smooth(guide, 0.5, 2.0)
+    np.testing.assert_allclose(guide.at(1.05).q, Course(TIMES, Q, V).at(1.05).q, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("q", "v", "message"),
+    [
+        ([100.0, 0.0], [0.0, 0.0], r"joint_1 at 100 .*accepted: -99 to 99"),
+        ([0.0, 0.0], [0.0, -11.0], r"joint_2 at -11/s .*accepted: up to 10/s"),
+        ([0.0, np.nan], [0.0, 0.0], "not finite"),
+    ],
+)
+def test_a_target_beyond_limits_is_refused_and_changes_nothing(joints, q, v, message):
+    guide = Guide(joints)
+    guide.hold(0.0, np.ones(2), np.zeros(2))
+    with pytest.raises(TargetError, match=message):
+        guide.aim(1.0, Reference(np.array(q), np.array(v), np.zeros(2)))
+    np.testing.assert_array_equal(guide.at(2.0).q, [1.0, 1.0])
+
+
+def test_a_trajectory_that_leaves_the_limits_between_its_points_is_refused(joints):
+    guide, times = Guide(joints), np.array([0.0, 10.0])
+    q, v = np.array([[98.0, 0.0], [98.0, 0.0]]), np.array([[9.0, 0.0], [-9.0, 0.0]])
+    with pytest.raises(TargetError, match=r"joint_1 at .* at t = .*accepted: -99 to 99"):
+        guide.follow(0.0, times, q, v)
+    with pytest.raises(TargetError, match="must increase"):
+        guide.follow(0.0, times[::-1], q)
+    with pytest.raises(TargetError, match=r"ended 1\.000 s ago"):
+        guide.follow(11.0, times, q)
+    assert guide.state(0.0) == "held"
