@@ -49,7 +49,11 @@ format: venv
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-report: venv
+.venv/report: requirements/report.txt .venv/installed
+	$(BIN)/python -m pip install --quiet -r requirements/report.txt
+	@touch $@
+
+report: venv .venv/report
 	$(BIN)/mbd-ros report -o report_out
 
 soak: venv
@@ -58,6 +62,8 @@ soak: venv
 bench: venv
 	$(BIN)/python -m mbd_ros.report.bench_forward
 	$(BIN)/python -m mbd_ros.report.bench_inverse
+	$(BIN)/python -m mbd_ros.report.bench_projector
+	$(BIN)/python -m mbd_ros.report.bench_controllers
 
 $(COLCON_VENV)/pinned: requirements/colcon.txt .venv/pinned
 	rm -rf $(COLCON_VENV) && $(BIN)/python -m venv $(COLCON_VENV)

@@ -27,7 +27,7 @@ setup(
     maintainer="mbd_ros maintainers",
     maintainer_email="mbd_ros@users.noreply.github.com",
     packages=find_packages(include=[NAME, f"{NAME}.*", "msg_adapters"]),
-    package_data={f"{NAME}.report": ["*.json"]},
+    package_data={f"{NAME}.report": ["*.css", "*.json"]},
     data_files=shared_files(),
     python_requires=">=3.10",
     install_requires=[
@@ -44,6 +44,8 @@ setup(
         "rosbags",
     ],
     extras_require={
+        "dask": ["dask[distributed]"],
+        "peers": ["drake", "mujoco"],
         "dev": [
             "daqp",
             "mypy",
@@ -54,14 +56,16 @@ setup(
             "scipy",
             "setuptools",
             "types-PyYAML",
-        ]
+        ],
     },
     entry_points={
         "console_scripts": [
             "mbd-ros = mbd_ros.cli:main",
             "inverse_dynamics = mbd_ros.nodes.inverse_dynamics:main",
             "joint_state_projector = mbd_ros.nodes.joint_state_projector:main",
+            "qp_controller = mbd_ros.nodes.qp_controller:main",
             "simulator = mbd_ros.nodes.simulator:main",
+            "sliding_mode_controller = mbd_ros.nodes.sliding_mode_controller:main",
         ]
     },
 )

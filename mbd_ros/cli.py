@@ -1,4 +1,4 @@
-"""mbd-ros: check | inverse | simulate | replay | demo."""
+"""mbd-ros: check | inverse | simulate | replay | demo | report."""
 
 import argparse
 import os
@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from mbd_ros.errors import DataError, MbdError
+from mbd_ros.inverse_command import add_inverse, add_tuning, inverse_lines
+from mbd_ros.report.command import add_report, report_lines
+from mbd_ros.report.demo_command import add_demo, demo_lines
 
 _RUN_ARGUMENTS = ("out", "origin", "start", "efforts", "wrenches")
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -43,10 +46,14 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(dest="command", required=True)
     _add_check(commands)
-    _add_inverse(commands)
+    add_inverse(commands)
+    commands.choices["inverse"].set_defaults(run=_inverse)
     _add_simulate(commands)
     _add_replay(commands)
-    _add_demo(commands)
+    add_demo(commands)
+    commands.choices["demo"].set_defaults(run=_demo)
+    add_report(commands)
+    commands.choices["report"].set_defaults(run=_report)
     return parser
 
 
@@ -54,28 +61,6 @@ def _add_check(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     check = commands.add_parser("check", help="what a scene builds, leaves out and costs")
     check.add_argument("scene", type=Path)
     check.set_defaults(run=_check)
-
-
-def _add_inverse(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    inverse = commands.add_parser("inverse", help="torques and coupling forces of a motion")
-    inverse.add_argument("scene", type=Path)
-    inverse.add_argument("motion", type=Path, help="CSV (.gz) or rosbag2 folder, .mcap or .db3")
-    inverse.add_argument("-o", "--out", type=Path, required=True, help="CSV (.gz) or bag")
-    inverse.add_argument("--wrenches", type=Path, help="CSV or bag; a bag motion carries its own")
-    inverse.add_argument(
-        "--derivatives",
-        choices=("given", "causal", "zero-phase"),
-        default="given",
-        help="given: the motion has them; causal: filtered, lagging, as the node does; "
-        "zero-phase: local polynomial fit that sees the future (default: %(default)s)",
-    )
-    inverse.add_argument(
-        "--parts", action="store_true", help="also gravity, coriolis, inertial, .."
-    )
-    _add_tuning(inverse)
-    inverse.add_argument("--half-width", type=int, default=4, help="samples, zero-phase only")
-    inverse.add_argument("--topic", default="/joint_states", help="JointState topic of a bag")
-    inverse.set_defaults(run=_inverse)
 
 
 def _add_simulate(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -104,21 +89,9 @@ def _add_replay(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     replay.add_argument(
         "--skip", type=float, default=0.5, help="seconds left out of the errors at the start"
     )
-    _add_tuning(replay)
+    add_tuning(replay)
     replay.add_argument("--topic", default="/joint_states", help="JointState topic of the bag")
     replay.set_defaults(run=_replay)
-
-
-def _add_tuning(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--cutoff", type=float, default=5.0, help="Hz, causal only")
-
-
-def _add_demo(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    demo = commands.add_parser(
-        "demo", help="the prosthetic arm through the live node, with a plot"
-    )
-    demo.add_argument("-o", "--out", type=Path, default=Path("demo_out"))
-    demo.set_defaults(run=_demo)
 
 
 def _check(arguments: argparse.Namespace) -> int:
@@ -131,19 +104,7 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _inverse(arguments: argparse.Namespace) -> int:
-    from mbd_ros.offline import Derivatives, inverse_dynamics_of
-    from mbd_ros.scene import load_scene
-
-    lines = inverse_dynamics_of(
-        load_scene(arguments.scene),
-        arguments.motion,
-        arguments.out,
-        derivatives=Derivatives(arguments.derivatives, arguments.cutoff, arguments.half_width),
-        wrenches=arguments.wrenches,
-        topic=arguments.topic,
-        with_parts=arguments.parts,
-    )
-    for line in lines:
+    for line in inverse_lines(arguments):
         print(line)
     return OK
 
@@ -192,10 +153,26 @@ def _replay(arguments: argparse.Namespace) -> int:
 
 
 def _demo(arguments: argparse.Namespace) -> int:
-    from mbd_ros.report.demo import demo
+    from mbd_ros.report.demo_processes import Failed
 
-    for line in demo(arguments.out):
-        print(line)
+    try:
+        for line in demo_lines(arguments):
+            print(line, flush=True)
+    except Failed as error:
+        print(f"mbd-ros demo: {error}", file=sys.stderr)
+        return FAILED
+    return OK
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from mbd_ros.report.compose import Wrong
+
+    try:
+        for line in report_lines(arguments):
+            print(line, flush=True)
+    except Wrong as error:
+        print(f"mbd-ros report: {error}", file=sys.stderr)
+        return FAILED
     return OK
 
 

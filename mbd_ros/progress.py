@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Iterable, Iterator
+from multiprocessing import parent_process
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -20,7 +21,7 @@ def progress(iterable: Iterable[T], total: int, label: str) -> Iterator[T]:
     Yields:
         The items, unchanged.
     """
-    if not sys.stderr.isatty():
+    if not sys.stderr.isatty() or parent_process() is not None:  # workers leave the line to it
         yield from iterable
         return
     due = 0.0

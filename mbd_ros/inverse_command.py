@@ -1,0 +1,52 @@
+"""Words of `mbd-ros inverse`."""
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+from mbd_ros.report.command import add_workers
+
+
+def add_inverse(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """The words that `inverse` understands."""
+    inverse = commands.add_parser("inverse", help="torques and coupling forces of a motion")
+    inverse.add_argument("scene", type=Path)
+    inverse.add_argument(
+        "motion", type=Path, nargs="+", help="CSV (.gz) or rosbag2 folder, .mcap or .db3"
+    )
+    inverse.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        required=True,
+        help="CSV (.gz) or bag; of several motions a folder",
+    )
+    inverse.add_argument("--wrenches", type=Path, help="CSV or bag; a bag motion carries its own")
+    inverse.add_argument(
+        "--derivatives",
+        choices=("given", "causal", "zero-phase"),
+        default="given",
+        help="given: the motion has them; causal: filtered, lagging, as the node does; "
+        "zero-phase: local polynomial fit that sees the future (default: %(default)s)",
+    )
+    inverse.add_argument(
+        "--parts", action="store_true", help="also gravity, coriolis, inertial, .."
+    )
+    add_tuning(inverse)
+    inverse.add_argument("--half-width", type=int, default=4, help="samples, zero-phase only")
+    inverse.add_argument("--topic", default="/joint_states", help="JointState topic of a bag")
+    add_workers(inverse)
+
+
+def add_tuning(parser: argparse.ArgumentParser) -> None:
+    """Of the filters that estimate derivatives."""
+    parser.add_argument("--cutoff", type=float, default=5.0, help="Hz, causal only")
+
+
+def inverse_lines(arguments: argparse.Namespace) -> Iterator[str]:
+    """Do what the words say, line by line."""
+    from mbd_ros.offline_batch import Batch, inverse_of_all, inverse_of_one
+
+    fields = (field for field in Batch._fields if field != "motions")
+    batch = Batch(arguments.motion, **{name: getattr(arguments, name) for name in fields})
+    return inverse_of_one(batch) if len(batch.motions) == 1 else inverse_of_all(batch)

@@ -1,0 +1,60 @@
+"""Words of `mbd-ros report`."""
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+from mbd_ros.errors import DataError
+from mbd_ros.report import items
+
+_README = "put the headlines of -o DIR into this file, between its two marks; nothing is run"
+
+
+def add_report(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """The words that `report` understands."""
+    report = commands.add_parser(
+        "report", help="error against run time, stability and cost, on one page"
+    )
+    report.add_argument("scenes", nargs="*", metavar="SCENE", help="default: all of this package")
+    report.add_argument("--quick", action="store_true", help="a small part, in two minutes")
+    report.add_argument("-o", "--out", type=Path, default=Path("report_out"), metavar="DIR")
+    report.add_argument(
+        "--only", nargs="+", choices=list(items.PARTS), metavar="KIND", help=", ".join(items.PARTS)
+    )
+    add_workers(report)
+    report.add_argument("--readme", type=Path, metavar="FILE", help=_README)
+
+
+def add_workers(parser: argparse.ArgumentParser) -> None:
+    """Where the work is done."""
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--scheduler", metavar="ADDRESS", help="of a Dask cluster: tcp://host:8786, or local:N"
+    )
+    where.add_argument("--workers", type=_count, metavar="N", help="processes (default: cores)")
+
+
+def report_lines(arguments: argparse.Namespace) -> Iterator[str]:
+    """Run what the words say, line by line."""
+    if arguments.readme is not None:
+        from mbd_ros.report.readme import put_headlines
+
+        if arguments.scenes or arguments.quick or arguments.only:
+            raise DataError("--readme takes the numbers of -o DIR as they are")
+        return put_headlines(arguments.readme, arguments.out)
+    from mbd_ros.report.compose import Order, report
+
+    return report(
+        Order(
+            **{
+                name: getattr(arguments, name) or default
+                for name, default in Order._field_defaults.items()
+            }
+        )
+    )
+
+
+def _count(text: str) -> int:
+    if not (text.isdecimal() and int(text)):
+        raise argparse.ArgumentTypeError(f"{text!r} is no number > 0")
+    return int(text)

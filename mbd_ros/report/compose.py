@@ -1,0 +1,168 @@
+"""From parts to a page: `mbd-ros report`."""
+
+import json
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime, timezone
+from io import BytesIO
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mbd_ros.errors import DataError, MbdError
+from mbd_ros.remaining import Remaining, spoken
+from mbd_ros.report import items
+from mbd_ros.report.items import Item, Section
+from mbd_ros.report.machine import git_state, machine, package_versions
+from mbd_ros.report.page import page
+from mbd_ros.report.program import changed, program
+from mbd_ros.report.store import Store
+from mbd_ros.report.work import collect, finish, label
+from mbd_ros.tables import replacing
+from mbd_ros.tasks import Result, open_workers
+
+_DPI = 150
+
+
+class Order(NamedTuple):
+    """What a user wants.
+
+    Attributes:
+        scenes: Files or package:// names; none for all of ours.
+        quick: The short version.
+        out: Folder for page, numbers, plots and results.
+        scheduler: Of a Dask cluster; None for processes of this machine.
+        workers: How many processes; None for one a core.
+        only: Kinds; none for all.
+    """
+
+    scenes: Sequence[str] = ()
+    quick: bool = False
+    out: Path = Path("report_out")
+    scheduler: str | None = None
+    workers: int | None = None
+    only: Sequence[str] = ()
+
+
+class Wrong(MbdError):
+    """A report that says what is wrong; its page is complete."""
+
+
+def report(order: Order) -> Iterator[str]:
+    """Do what has no result yet, then write page, numbers and plots.
+
+    Yields:
+        What happens, a line each.
+
+    Raises:
+        Wrong: A part or an item says that something is wrong.
+        DataError: Input that cannot be used.
+    """
+    program.cache_clear()  # of a process that made a report before
+    begin, facts = time.monotonic(), _facts(order)
+    store = Store(order.out)
+    kinds = [kind for kind in items.PARTS if not order.only or kind in order.only]
+    found = collect(kinds, [_scene(name) for name in order.scenes], order.quick)
+    work = [item for made in found.values() if isinstance(made, list) for item in made]
+    results = {label(item): r for item in work if (r := store.load(item)) is not None}
+    rest = [item for item in work if label(item) not in results]
+    yield f"{len(work)} items, {len(results)} of them done before"
+    if rest:
+        with open_workers(order.scheduler, order.workers) as workers:
+            expected = Remaining(rest, workers.count).seconds
+            yield f"{len(rest)} items by {workers.count} workers: about {spoken(expected)}"
+            results |= finish(rest, store, workers, elsewhere=_elsewhere(order))
+    sections = {kind: _section(kind, made, results) for kind, made in found.items()}
+    facts["duration"] = time.monotonic() - begin
+    facts["changed"] = [
+        kind for kind in {item.kind for item in rest} if changed(items.PARTS[kind])
+    ]
+    if facts["changed"]:
+        yield f"the sources changed while this ran: {', '.join(facts['changed'])}"
+    wrong = _write(order.out, facts, sections, [(item, results[label(item)]) for item in work])
+    yield f"{len(sections)} sections -> {order.out / 'index.html'}"
+    if wrong:
+        raise Wrong("\n".join([f"{len(wrong)} wrong:", *wrong]))
+
+
+def _facts(order: Order) -> dict[str, Any]:
+    return {
+        "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "quick": order.quick,
+        "scenes": list(order.scenes),
+        "machine": machine(),
+        "versions": package_versions(),
+        "git": git_state(),
+    }
+
+
+def _elsewhere(order: Order) -> bool:
+    return order.scheduler is not None and not order.scheduler.startswith("local:")
+
+
+def _scene(name: str) -> str:
+    """A name that means the same in every worker."""
+    if name.startswith("package://"):
+        return name
+    if not Path(name).is_file():
+        raise DataError(f"{name}: does not exist")
+    return str(Path(name).resolve())
+
+
+def _section(kind: str, made: list[Item] | Section, results: Mapping[str, Result]) -> Section:
+    if isinstance(made, Section):
+        return made
+    mine = [(item, results[label(item)]) for item in made]
+    failures = [f"{label(item)}: {r.failure}" for item, r in mine if r.failure]
+    section = items.part(kind).section([(item, r.value) for item, r in mine if not r.failure])
+    return section._replace(wrong=[*failures, *section.wrong])
+
+
+def _write(
+    folder: Path,
+    facts: dict[str, Any],
+    sections: Mapping[str, Section],
+    work: Sequence[tuple[Item, Result]],
+) -> list[str]:
+    """Plots first, page last; returns what is wrong."""
+    pictures = {}
+    for section in sections.values():
+        for name, figure in section.figures.items():
+            pictures[name] = _picture(figure)
+            with replacing(folder / f"{name}.png") as file:
+                file.write(pictures[name])
+    wrong = [f"{s.title}: {line}" for s in sections.values() for line in s.wrong]
+    facts["wrong"] = wrong
+    facts["timed"] = sum(item.alone for item, _ in work)
+    facts["cpus"] = sorted({r.cpu for item, r in work if item.alone})
+    facts["work"] = sum(result.seconds for _, result in work)
+    shown = {kind: s._replace(figures=list(s.figures))._asdict() for kind, s in sections.items()}
+    done = [_entry(item, result) for item, result in work]
+    numbers = json.dumps(plain({**facts, "sections": shown, "items": done}), indent=1)
+    with replacing(folder / "report.json") as file:
+        file.write(numbers.encode())
+    with replacing(folder / "index.html") as file:
+        file.write(page(facts, sections, pictures).encode())
+    return wrong
+
+
+def _entry(item: Item, result: Result) -> dict[str, Any]:
+    what = {"failure": result.failure} if result.failure else {"outcome": result.value}
+    return {**item._asdict(), **what, "took": result.seconds, "cpu": result.cpu}
+
+
+def _picture(figure: Any) -> bytes:
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def plain(value: Any) -> Any:
+    """The same for readers whose JSON has no NaN and no infinity: these become texts."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, Mapping):
+        return {key: plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    return value

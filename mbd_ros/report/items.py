@@ -1,0 +1,95 @@
+"""What a report is made of: independent pieces of work, and sections made of their results."""
+
+import importlib
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
+
+Spec = Mapping[str, Any]  # whatever JSON holds
+Outcome = dict[str, Any]  # whatever JSON holds
+
+PARTS: Mapping[str, str] = {  # kind of item -> module; their order is that of the sections
+    "precision": "mbd_ros.report.precision",
+    "peers": "mbd_ros.report.peers",
+    "stability": "mbd_ros.report.stability",
+    "long_runs": "mbd_ros.report.long_runs",
+    "left_out": "mbd_ros.report.left_out",
+}
+
+
+class Item(NamedTuple):
+    """One piece of work: independent of all others, and the same wherever it runs.
+
+    Attributes:
+        kind: A key of `PARTS`.
+        name: Unique within its kind; letters, digits, `_`, `-`, `.`.
+        spec: What `run` of its module takes; with `name` the identity of the result.
+        seconds: About how long it takes.
+        alone: It times something: no other item runs beside it, and its result is for one kind
+            of processor only.
+    """
+
+    kind: str
+    name: str
+    spec: Spec
+    seconds: float
+    alone: bool = False
+
+
+class Table(NamedTuple):
+    """A table of a section: texts, ready to be shown.
+
+    Below the last table whose title begins with `subject: ` stand the figures whose names end
+    with that subject, and the snippets whose titles begin with it.
+    """
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+class Section(NamedTuple):
+    """A part of the page.
+
+    Attributes:
+        title: Heading.
+        text: Paragraphs, plain text.
+        tables: Shown after the text.
+        figures: File name without ending -> matplotlib Figure; the rest is shown after the
+            tables.
+        wrong: Why the report fails; empty where everything is right.
+        snippets: Title -> lines that a user can paste into a scene.
+        headline: Titles of the tables, and names of the figures, that the README shows, too.
+    """
+
+    title: str
+    text: Sequence[str]
+    tables: Sequence[Table] = ()
+    figures: Mapping[str, Any] = {}
+    wrong: Sequence[str] = ()
+    snippets: Mapping[str, str] = {}
+    headline: Sequence[str] = ()
+
+
+class Part(Protocol):
+    """What a module of `PARTS` offers."""
+
+    def items(self, scenes: Sequence[str], quick: bool) -> list[Item]:
+        """The work: for the scenes that a user names, or where there are none for all of ours.
+
+        What needs an optional package that is not installed is left out.
+        """
+        ...
+
+    def run(self, spec: Spec) -> Outcome:
+        """Do one item; errors of the package are an outcome, not an exception."""
+        ...
+
+    def section(self, outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
+        """What the page says of those that did not fail; without any, why there are none."""
+        ...
+
+
+def part(kind: str) -> Part:
+    """The module of a kind."""
+    module: Any = importlib.import_module(PARTS[kind])
+    return module  # type: ignore[no-any-return]

@@ -1,0 +1,139 @@
+"""What a stored result depends on: sources, versions, and the files that its item names."""
+
+import ast
+import hashlib
+import importlib.metadata
+import importlib.util
+import platform
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+import mbd_ros
+from mbd_ros.errors import SceneError
+from mbd_ros.locate import find_file
+
+VERSIONS = ("numpy", "pin", "proxsuite", "scipy", "mujoco", "drake")
+_REPORT = "mbd_ros.report"
+_EMPTY = "package://mbd_ros/config/scenes/empty.yaml"
+
+
+def versions(names: Iterable[str] = VERSIONS) -> dict[str, str]:
+    """Versions of those packages that are installed."""
+    found = {"python": platform.python_version()}
+    for name in names:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+@cache
+def program(module: str) -> str:
+    """Hash of all that a part computes with.
+
+    These are the package without nodes and other parts of the report, its scenes and robots, and
+    the versions of the packages below. What only shows results is not among them.
+
+    Args:
+        module: That of the part.
+    """
+    root = Path(mbd_ros.__path__[0])
+    files = {path for path in root.rglob("*.py") if _computes(path.relative_to(root))}
+    files |= {*root.glob("report/*.json"), *_imported(module)}
+    config = find_file(Path(), _EMPTY, "report").parents[1]
+    files |= {path for path in config.rglob("*") if path.is_file()}
+    parts = [f"{name} {version}" for name, version in versions().items()]
+    return _hash([*parts, *sorted(_contents(files))])
+
+
+def changed(module: str) -> bool:
+    """Whether `program` of a part became another one since it was asked first."""
+    return program(module) != program.__wrapped__(module)
+
+
+def named_files(value: Any) -> dict[str, str]:
+    """Files that a spec names, and that scenes among them name, with hashes of their content."""
+    found: dict[str, str] = {}
+    for text in _strings(value):
+        _add(found, Path(), text)
+    return found
+
+
+def _computes(path: Path) -> bool:
+    return path.parts[0] not in ("nodes", "report", "cli.py")
+
+
+def _contents(files: Iterable[Path]) -> Iterator[str]:
+    for path in files:
+        yield f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}"
+
+
+def _hash(lines: Iterable[str]) -> str:
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+def _imported(module: str) -> set[Path]:
+    """Files of a module and of all modules of the report that it imports, directly or not."""
+    files, waiting, seen = set(), [module], set()
+    while waiting:
+        name = waiting.pop()
+        if name in seen:
+            continue
+        seen.add(name)
+        spec = importlib.util.find_spec(name)
+        if spec is None or spec.origin is None:
+            continue
+        files.add(Path(spec.origin))
+        for node in ast.walk(ast.parse(Path(spec.origin).read_text(encoding="utf-8"))):
+            waiting += [name for name in _names(node) if name.startswith(f"{_REPORT}.")]
+    return files
+
+
+def _names(node: ast.AST) -> list[str]:
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.ImportFrom):
+        within = [f"{node.module}.{alias.name}" for alias in node.names]
+        return within if node.module == _REPORT else [str(node.module)]
+    return []
+
+
+def _strings(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        for entry in value.values():
+            yield from _strings(entry)
+    elif isinstance(value, list | tuple):
+        for entry in value:
+            yield from _strings(entry)
+
+
+def _add(found: dict[str, str], folder: Path, text: str) -> None:
+    if not text or len(text) > 1000 or "\n" in text or "\0" in text:
+        return
+    try:
+        path = find_file(folder, text, "report")
+        if path.is_file() and str(path) not in found:
+            found[str(path)], named = _read(path)
+            for entry in named:
+                _add(found, path.parent, entry)
+    except (SceneError, OSError):  # a text that is no file
+        return
+
+
+@cache
+def _read(path: Path) -> tuple[str, list[str]]:
+    """Hash of a file, and the texts in it where it is YAML."""
+    content = path.read_bytes()
+    texts: list[str] = []
+    if path.suffix in (".yaml", ".yml"):
+        with suppress(yaml.YAMLError):
+            texts = list(_strings(yaml.safe_load(content)))
+    return hashlib.sha256(content).hexdigest(), texts

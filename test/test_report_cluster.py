@@ -1,0 +1,82 @@
+"""The report on Dask: the same as without, whatever happens to the workers."""
+
+import json
+import os
+import signal
+import threading
+import time
+
+import pytest
+from report_runs import ran, use_fake
+
+from mbd_ros.cli import main
+
+distributed = pytest.importorskip("distributed", reason="pip install 'mbd_ros[dask]'")
+
+
+@pytest.fixture(autouse=True)
+def fake(monkeypatch, tmp_path):
+    use_fake(monkeypatch, tmp_path)
+
+
+@pytest.fixture
+def cluster():
+    """Two workers behind an address."""
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50
+    ) as cluster:
+        yield cluster
+
+
+def outcome(folder):
+    loaded = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    return loaded["sections"], [(i["name"], i["outcome"]) for i in loaded["items"]]
+
+
+def test_one_worker_killed_during_the_sweep_changes_nothing(tmp_path, cluster):
+    killed = []
+
+    def kill():
+        while len(ran(tmp_path)) < 6:
+            time.sleep(0.02)
+        killed.append(next(iter(cluster.workers.values())).pid)
+        os.kill(killed[0], signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    words = ["report", "--scheduler", cluster.scheduler_address, "-o", str(tmp_path / "out")]
+    assert main(words) == 0
+    killer.join()
+    assert killed
+    assert ran(tmp_path)[:2] == [5, 6]  # those that time, one after the other
+    assert set(ran(tmp_path)) == set(range(12))
+    assert main(["report", "-o", str(tmp_path / "here")]) == 0
+    assert outcome(tmp_path / "out") == outcome(tmp_path / "here")
+
+
+@pytest.mark.soak
+def test_an_item_that_takes_every_worker_with_it_is_wrong(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("FAKE_FAULT", "segfault")
+    assert main(["report", "--scheduler", "local:2", "-o", str(tmp_path / "out")]) == 1
+    assert "fake/number-03: Dask gave it up" in capsys.readouterr().err
+    assert set(ran(tmp_path)) == set(range(12))
+
+
+def test_a_worker_with_other_sources_is_refused(tmp_path, monkeypatch, capsys, cluster):
+    monkeypatch.setattr("mbd_ros.report.work.program", lambda _: "0" * 64)
+    words = ["report", "--quick", "--scheduler", cluster.scheduler_address]
+    assert main([*words, "-o", str(tmp_path / "out")]) == 1
+    assert "this worker has other sources" in capsys.readouterr().err
+
+
+def test_without_dask_the_line_that_brings_it_is_said(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    assert main(["report", "--scheduler", "local:2", "-o", str(tmp_path / "out")]) == 2
+    assert "pip install 'mbd_ros[dask]'" in capsys.readouterr().err
+
+
+def test_an_address_without_an_answer_is_bad_input(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("mbd_ros.cluster._CONNECT", 1.0)
+    words = ["report", "--scheduler", "tcp://127.0.0.1:9", "-o", str(tmp_path / "out")]
+    assert main(words) == 2
+    assert "--scheduler tcp://127.0.0.1:9" in capsys.readouterr().err

@@ -1,0 +1,110 @@
+"""The page of a report in a browser without network, and what keeps together on it."""
+
+import re
+import shutil
+import sys
+
+import pytest
+
+from mbd_ros.remaining import Remaining, watched
+from mbd_ros.report.compose import plain
+from mbd_ros.report.items import Section, Table
+from mbd_ros.report.page import page
+from mbd_ros.tasks import Result, Task
+
+FACTS = {
+    "date": "2026-01-02T03:04:05+00:00",
+    "quick": False,
+    "scenes": [],
+    "wrong": [],
+    "machine": {"cpu": "a <cpu>", "cores": 2},
+    "git": {},
+    "changed": [],
+    "work": 5400.0,
+    "duration": 61.0,
+    "versions": {"numpy": "2"},
+    "timed": 0,
+    "cpus": [],
+}
+PIXEL = bytes.fromhex(
+    "89504e470d0a1a0a0000000d4948445200000001000000010806000000"
+    "1f15c4890000000d49444154789c6360606060000000050001a5f645400000000049454e44ae426082"
+)
+WORDS = ["converged 1e-9", "stopped: no step", "bounded", "WRONG: off by 3"]
+SECTION = Section(
+    "A & B",
+    ["Plain <b>text</b>."],
+    [
+        Table("arm: front", ["error", "state"], [[f"1e-{i}", w] for i, w in enumerate(WORDS)]),
+        Table("leg: front", [f"column {i}" for i in range(30)], [["long cell " * 5] * 30]),
+    ],
+    {"front_leg": None, "front_arm": None, "other": None},
+    (),
+    {"arm, 1e-6": "integrator: {type: rk4}", "any": "dt: 1.0e-3"},
+)
+PAGE = page(FACTS, {"ab": SECTION}, dict.fromkeys(SECTION.figures, PIXEL))
+
+
+def test_texts_are_texts():
+    assert "Plain &lt;b&gt;text&lt;/b&gt;." in PAGE
+    assert "a &lt;cpu&gt;" in PAGE
+    assert "<h2>A &amp; B</h2>" in PAGE
+
+
+def test_what_is_about_one_subject_stands_together():
+    found = re.findall(r'<h3>(.*?)</h3>|alt="(.*?)"', PAGE)
+    assert ["".join(pair) for pair in found] == [
+        *("arm: front", "front arm", "arm, 1e-6", "leg: front", "front leg", "other", "any")
+    ]
+
+
+def test_states_are_marked_and_numbers_aligned():
+    for state in ("converged", "stopped", "bounded", "wrong"):
+        assert f'<td class="{state}">' in PAGE
+    assert '<td class="number">1e-3</td>' in PAGE
+    assert '<th scope="col" class="number">error</th><th scope="col">state</th>' in PAGE
+
+
+def test_numbers_that_json_has_not_become_texts():
+    assert plain({"a": [float("nan"), (1, float("-inf"))]}) == {"a": ["nan", [1, "-inf"]]}
+
+
+def test_the_time_left_learns_from_what_was_done():
+    """Half of what was expected was needed, and what is alone is not shared among workers."""
+    tasks = [Task("a", "", {}, 100.0, alone=True), Task("b", "", {}, 100.0)]
+    remaining = Remaining([*tasks, *tasks], 2)
+    assert remaining.seconds == 300.0
+    remaining.count(tasks[0], Result(seconds=50.0))
+    assert remaining.seconds == pytest.approx(200.0 * 55 / 105)
+
+
+def test_progress_is_shown_on_a_terminal(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    tasks = [Task("a/b", "", {}, 60.0)] * 2
+    assert len(list(watched(((t, Result(seconds=60.0)) for t in tasks), tasks, 1))) == 2
+    said = capsys.readouterr().err
+    assert "50 %, 1 of 2, about 60 s left, last a/b" in said
+    assert said.endswith("\r\x1b[K")
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("width", [1280, 390])
+def test_a_browser_without_network_has_nothing_to_say(tmp_path, width):
+    playwright = pytest.importorskip("playwright.sync_api")
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None:
+        pytest.skip("no chromium")
+    (tmp_path / "index.html").write_text(PAGE, encoding="utf-8")
+    with playwright.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        context = browser.new_context(viewport={"width": width, "height": 800}, offline=True)
+        view, said, asked = context.new_page(), [], []
+        view.on("console", lambda message: said.append(message.text))
+        view.on("pageerror", lambda error: said.append(str(error)))
+        view.on("request", lambda request: asked.append(request.url))
+        view.goto(f"file://{tmp_path}/index.html")
+        assert view.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert view.evaluate("[...document.images].every(i => i.complete && i.naturalWidth)")
+        browser.close()
+    assert said == []
+    assert [url for url in asked if not url.startswith(("file:", "data:"))] == []
