@@ -100,7 +100,7 @@ def test_without_active_limits_the_plant_accelerates_as_wanted(name):
 
 
 def test_five_drives_of_three_freedoms_share_with_the_least_effort_in_any_metric():
-    scene = load_scene("config/scenes/four_bar_leg.yaml")
+    scene = load_scene("package://mbd_ros/config/scenes/four_bar_leg.yaml")
     joints = scene.controlled_joints()
     assert len(joints) == 5
     weight = np.array([1.0, 5.0, 0.2, 3.0, 1.0])

@@ -14,9 +14,13 @@ import numpy as np
 from mbd_ros.core.active_set import complementarity, on_active_set
 from mbd_ros.core.constraint_rows import ConstraintRows
 from mbd_ros.core.qp import BoxQp
+from mbd_ros.core.row_factor import CONTRADICTION, is_rounding
 from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
 
 _EXACT = 1.0e-11  # complementarity residual of the right active set, relative
+_SMALL = 1.0e-12  # A_ii [1/kg, 1/(kg m^2)] from which on a row is not looked at
+_SILENT = 1.0e-20  # of the largest A_ii: what rounding leaves of one that moves nothing
 
 
 class BoundedRows:
@@ -73,7 +77,8 @@ class BoundedRows:
             system.refresh(joint_q, joint_v)
         J, b = self.constraints.conditions(system.data, State(t, joint_q, joint_v))
         response = system.respond(q, J.T)
-        lam = self._multipliers(J.dot(response), J.dot(joint_a) + b)
+        A, w = self._without_silent(J, J.dot(response), J.dot(joint_a) + b)
+        lam = self._multipliers(A, w)
         self.multipliers, self.force = lam, J.T.dot(lam)
         return system.integrated(joint_a + response.dot(lam))
 
@@ -86,3 +91,26 @@ class BoundedRows:
         self._free = (lam > lower) & (lam < upper)
         self._bound = lam
         return lam
+
+    def _without_silent(self, J: Array, A: Array, w: Array) -> tuple[Array, Array]:
+        """A and w without rows that nothing moves, whose multipliers are then 0.
+
+        Raises:
+            SolveError: Such a row demands a motion.
+        """
+        size = A.diagonal()
+        if size.min() > _SMALL:
+            return A, w
+        largest = size.max(initial=0.0) or 1.0
+        silent = (size <= _SILENT * largest) | is_rounding(J)
+        if not silent.any():
+            return A, w
+        left = np.maximum(
+            np.where(self._upper > 0.0, -w, 0.0), np.where(self._lower < 0.0, w, 0.0)
+        )
+        left *= silent
+        worst = int(np.argmax(left))
+        if left[worst] > CONTRADICTION * (1.0 + float(np.abs(w).max())):
+            raise SolveError(f"nothing moves constraint row {self.rows[worst].name} as it demands")
+        kept = np.outer(~silent, ~silent)
+        return np.where(kept, A, np.diag(largest * silent)), np.where(silent, 0.0, w)

@@ -158,8 +158,7 @@ def with_and_without_limits(
 
 def _qp(name: str, count: int) -> dict[str, Any]:
     scene, joints = mechanism(name)
-    rng = np.random.default_rng(1)
-    result: dict[str, Any] = {}
+    rng, result = np.random.default_rng(1), dict[str, Any]()
     for kind in RATES:
         given = list(moments(scene, joints, rng, count, kind))
         spent, without, controller = with_and_without_limits(joints, given)
