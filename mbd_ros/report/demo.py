@@ -1,75 +1,140 @@
-"""A motion of the prosthetic arm through the live node, judged and plotted: `mbd-ros demo`."""
+"""A simulated robot controlled over topics, the inverse dynamics watching: `mbd-ros demo`."""
 
+import platform
 from collections.abc import Iterator
+from datetime import datetime, timezone
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any, NamedTuple
 
-import numpy as np
+from mbd_ros.errors import DataError
+from mbd_ros.report.demo_choices import LAWS, ROBOTS
+from mbd_ros.report.demo_files import (
+    DESCRIPTION,
+    GAINS,
+    MASS_SCALE,
+    MODEL,
+    PLANT,
+    RATE,
+    write_gains,
+    write_scenes,
+)
+from mbd_ros.report.demo_folder import replacing_folder
+from mbd_ros.report.demo_loop import CUTOFF, LoopRun, record_loop
+from mbd_ros.report.demo_numbers import DemoNumbers
+from mbd_ros.report.demo_page import Content, page
+from mbd_ros.report.demo_plot import overview, pictures
+from mbd_ros.report.demo_processes import Failed
+from mbd_ros.report.demo_signals import read_signals
+from mbd_ros.report.demo_tables import Table, lines, tables
+from mbd_ros.report.demo_task import DISTURBANCE_SHARE, course, disturbance
+from mbd_ros.scene import load_scene
 
-from mbd_ros.bags import BagWriter, new_message
-from mbd_ros.core.inverse_dynamics import Torques
-from mbd_ros.core.state import Array, Motion
-from mbd_ros.recordings import read_motion
-from mbd_ros.replay import CONSTRAINT_FORCES, JOINT_STATE, TORQUES, Replay, play
-from mbd_ros.report.torque_errors import compare
-from mbd_ros.report.torque_plot import plot_torques
-from mbd_ros.scene import Scene, load_scene
-from msg_adapters.joint_state import write_joint_state
-
-SCENE = "package://mbd_ros/config/scenes/prosthetic_arm.yaml"
-EXACT = "/exact_torques"
-_RATE, _SECONDS, _CUTOFF, _SKIP = 200, 6.0, 20.0, 0.2  # Hz, s, Hz, s
-_BEGIN = 1_000_000_000_000  # ns: a clock that shows 0 is one that never ran
+BAG, PICTURE, PAGE = "bag", "demo.png", "demo.html"
+SHORTEST, LONGEST = 2.0, 60.0  # s
+_NAMES = (BAG, PICTURE, PAGE, PLANT, MODEL, DESCRIPTION, GAINS)
+_PACKAGES = ("numpy", "pin", "ros-jazzy-rclpy")
 
 
-def demo(folder: Path) -> Iterator[str]:
-    """Run the demo.
+class Demo(NamedTuple):
+    """What to show.
 
-    Args:
-        folder: Where bags and plot go; created.
+    Attributes:
+        robot: A key of `ROBOTS`.
+        out: Folder for recording, scenes, picture and page.
+        time: Simulated time [s].
+        law: A key of `LAWS`.
+    """
+
+    robot: str
+    out: Path
+    time: float = 10.0
+    law: str = "sliding_mode"
+
+
+def demo(order: Demo) -> Iterator[str]:
+    """Run a demo.
 
     Yields:
-        What happens, then the error table.
+        What happens, then the summary.
+
+    Raises:
+        DataError: A time or a place that is not accepted.
+        Failed: A node died, the loop stood still (nothing is left), or a check is not met.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    scene = load_scene(SCENE)
-    recorded, answered, plot = folder / "motion", folder / "torques", folder / "torques.png"
-    motion, exact = _reaching(scene)
-    _record(recorded, scene, motion, exact)
-    yield f"recorded {len(motion.stamps)} joint states of {scene.robot.name} in {recorded}"
-    played, heard = play(Replay(recorded, scene.path, answered, 1.0, "/joint_states", _CUTOFF))
-    yield f"replayed through the live node: {played} played, {heard} answered -> {answered}"
-    joints = scene.couplings.independent
-    yield from compare((answered, TORQUES), (recorded, EXACT), joints, _SKIP)
-    live = read_motion(answered, joints, topic=TORQUES).motion
-    forces = read_motion(answered, scene.couplings.dependent, topic=CONSTRAINT_FORCES).motion
-    plot_torques(plot, scene.robot, live, forces, (motion.stamps, exact.tau))
-    yield f"torques and coupling force plotted in {plot}"
+    if not SHORTEST <= order.time <= LONGEST:
+        raise DataError(f"time {order.time:g} s: accepted are {SHORTEST:g} to {LONGEST:g} s")
+    with replacing_folder(order.out, _NAMES) as folder:
+        run, gains = _prepare(order, folder)
+        robot, law = ROBOTS[order.robot], order.law.replace("_", " ")
+        yield f"{robot.title}, {law}, {order.time:g} s over topics ..."
+        record_loop(run, folder / BAG)
+        for log in folder.glob("*.log"):
+            log.unlink()
+        numbers = DemoNumbers(read_signals(folder / BAG, run.controller), folder)
+        summary = tables(numbers)
+        failed = [f"{c.what}: {c.found}" for c in numbers.checks() if not c.is_met]
+        (folder / PICTURE).write_bytes(overview(numbers))
+        text = page(_content(order, numbers, summary, failed, gains))
+        (folder / PAGE).write_text(text, encoding="utf-8")
+    for table in summary:
+        yield from lines(table)
+    yield f"\nrecording, scenes, picture and page: {order.out}; open {PAGE} there"
+    if failed:
+        raise Failed("; ".join(failed))
 
 
-def _reaching(scene: Scene) -> tuple[Motion, Torques]:
-    """A smooth motion within the limits of the independent joints, and its exact torques."""
-    joints = [scene.robot.joint(name) for name in scene.couplings.independent]
-    middle = np.array([(j.lower + j.upper) / 2 for j in joints])
-    reach = np.array([0.4 * (j.upper - j.lower) for j in joints])
-    t = np.arange(int(_RATE * _SECONDS))[:, None] / _RATE
-    w = 2 * np.pi * (0.3 + 0.1 * np.arange(len(joints)))
-    position = middle + reach * np.sin(w * t)
-    velocity, acceleration = reach * w * np.cos(w * t), -reach * w**2 * np.sin(w * t)
-    exact = scene.inverse_dynamics().batch(position, velocity, acceleration)
-    stamps = _BEGIN + np.round(t[:, 0] * 1e9).astype(np.int64)
-    return Motion(scene.couplings.independent, stamps, position, velocity, acceleration), exact
+def _prepare(order: Demo, folder: Path) -> tuple[LoopRun, dict[str, Any]]:
+    """What is to run, with its files written, and the parameters of the controller."""
+    robot = ROBOTS[order.robot]
+    scene = load_scene(robot.scene)
+    joints = scene.controlled_joints()
+    reference = course(robot, joints.positions(scene.initial), order.time)
+    write_scenes(folder, robot, joints.names, disturbance(scene, reference))
+    gains = write_gains(folder, robot, order.law, scene)
+    rows = load_scene(folder / PLANT).simulation().system.multiplier_rows
+    run = LoopRun(
+        folder,
+        scene.path,
+        order.law,
+        joints.names,
+        reference,
+        order.time,
+        has_rows=bool(rows),
+        has_coupling=bool(scene.couplings.dependent),
+    )
+    return run, gains
 
 
-def _record(path: Path, scene: Scene, motion: Motion, exact: Torques) -> None:
-    assert motion.velocity is not None
-    rows = zip(motion.stamps.tolist(), motion.position, motion.velocity, exact.tau, strict=True)
-    with BagWriter(path) as bag:
-        for stamp, position, velocity, effort in rows:
-            _write(bag, "/joint_states", stamp, scene, position=position, velocity=velocity)
-            _write(bag, EXACT, stamp, scene, position=position, effort=effort)
-
-
-def _write(bag: BagWriter, topic: str, stamp: int, scene: Scene, **values: Array) -> None:
-    names = scene.couplings.independent
-    message = write_joint_state(new_message(JOINT_STATE), stamp, names, **values)
-    bag.write(topic, JOINT_STATE, stamp, message)
+def _content(
+    order: Demo,
+    numbers: DemoNumbers,
+    summary: list[Table],
+    failed: list[str],
+    gains: dict[str, Any],
+) -> Content:
+    robot, law = ROBOTS[order.robot], order.law.replace("_", " ")
+    begin = datetime.fromtimestamp(numbers.signals.states.log[0] * 1e-9, tz=timezone.utc)
+    lighter = f"{100 * abs(1 - MASS_SCALE):.0f} % too light"
+    share = f"{100 * DISTURBANCE_SHARE:.0f} %"
+    text = [
+        "Simulator, controller and inverse dynamics are processes of their own that talk over "
+        f"DDS. The model of the controller ({LAWS[order.law]}) is {lighter}, in every mass and "
+        "inertia. "
+        f"A sinusoidal torque of {share} of the largest gravity torque disturbs each joint; only "
+        "the simulator knows it. The inverse dynamics has the true masses: its estimate is the "
+        "command and the disturbance together.",
+        f"The simulator is in lock step at {RATE} Hz: every command advances time by one tick, "
+        "and the others live in its /clock. A loaded machine makes the demo slower, not "
+        "different; latencies and rates are those of this machine.",
+    ]
+    made = {
+        "Gains": ", ".join(f"{k.removeprefix('gains.')} {v}" for k, v in gains.items()),
+        "Inverse dynamics": f"causal derivatives, {CUTOFF:g} Hz",
+        "Files": ", ".join(_NAMES),
+        "Versions": ", ".join(f"{name} {version(name)}" for name in _PACKAGES),
+        "Machine": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
+    }
+    facts = f"{begin:%Y-%m-%d %H:%M} UTC, {law}, {order.time:g} s of simulated time."
+    title = f"Demo: {robot.title}"
+    return Content(title, facts, failed, text, pictures(numbers), summary, made)

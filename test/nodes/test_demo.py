@@ -1,0 +1,277 @@
+"""`mbd-ros demo` as a user runs it: processes over DDS, and numbers that are those of the bag."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from nodes.conftest import ROOT
+from scipy.interpolate import BPoly
+from test_demo import LAM, Task
+
+from mbd_ros.bags import messages
+from mbd_ros.report.demo_choices import ROBOTS
+from mbd_ros.report.demo_files import GAINS, MASS_SCALE, PLANT, RATE
+from mbd_ros.scene import load_scene
+from msg_adapters.time import read_time
+
+FILES = {"bag", "demo.png", "demo.html", "plant.yaml", "model.yaml", "model.urdf", GAINS}
+OWN = "/sliding_mode_controller"
+TORQUES, FORCES = "/inverse_dynamics/joint_torques", "/simulator/constraint_forces"
+
+
+def command(*words):
+    """`mbd-ros demo` with words, and its environment."""
+    path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH")) if p)
+    line = [sys.executable, "-m", "mbd_ros.cli", "demo", *map(str, words)]
+    return line, {**os.environ, "PYTHONPATH": path}
+
+
+def demo(*words, code=0):
+    """What a demo prints on stdout, once it has ended with `code`."""
+    line, environment = command(*words)
+    ran = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=110)
+    assert ran.returncode == code, ran.stdout + ran.stderr
+    assert ran.stderr == ""  # no progress where there is no terminal
+    return ran.stdout
+
+
+def row(text, title, name):
+    """Numbers of a row of a table in the output."""
+    table = text[text.index(title) :].split("\n\n")[0]
+    (line,) = [line for line in table.splitlines() if line.strip().startswith(f"{name} ")]
+    return [float(x) for x in re.findall(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?", line.split(name)[1])]
+
+
+class Bag:
+    """A recording, read without the code of the demo."""
+
+    def __init__(self, folder):
+        self.rows = {}
+        for topic, log, message in messages(folder / "bag"):
+            self.rows.setdefault(topic, []).append((log, message))
+
+    def stamped(self, topic, field, names=None):
+        """Stamps [s] and values of a JointState topic."""
+        rows = [message for _, message in self.rows[topic]]
+        columns = [list(rows[0].name).index(n) for n in names or rows[0].name]
+        stamps = np.array([read_time(m.header.stamp) for m in rows]) * 1e-9
+        return stamps, np.array([getattr(m, field) for m in rows])[:, columns]
+
+    def reference(self, times):
+        """Quintics through the points of the trajectory: positions at times [s]."""
+        ((_, message),) = self.rows[f"{OWN}/joint_trajectory"]
+        since = [p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for p in message.points]
+        points = [np.stack([p.positions, p.velocities, p.accelerations]) for p in message.points]
+        return BPoly.from_derivatives(since, points)(times)
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """A demo of 3 s, run twice into the same folder: output and folder."""
+    out = tmp_path_factory.mktemp("demo") / "out"
+    demo("--time", 2, "-o", out)
+    return demo("--time", 3, "-o", out), out
+
+
+def test_it_leaves_recording_scenes_picture_and_page(arm):
+    text, out = arm
+    assert [path.name for path in out.parent.iterdir()] == ["out"]
+    assert {path.name for path in out.iterdir()} == FILES
+    assert (out / "demo.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+    bag = Bag(out)
+    counts = {topic: len(rows) for topic, rows in bag.rows.items()}
+    assert counts["/joint_states"] >= 3 * RATE + 1
+    assert counts[f"{OWN}/state"] == counts["/joint_states"]
+    for topic in ("/simulator/commands", TORQUES, "/inverse_dynamics/constraint_forces", FORCES):
+        assert counts[topic] >= 0.98 * counts["/joint_states"]
+    assert "/clock" in counts and "/diagnostics" in counts
+    assert "NO" not in text[text.index("Checks") :]
+
+
+def test_time_is_that_of_the_simulation_tick_by_tick(arm):
+    """Nothing is skipped, and what the actuators exert is what was commanded the tick before."""
+    bag = Bag(arm[1])
+    stamps, effort = bag.stamped("/joint_states", "effort", ROBOT_JOINTS)
+    np.testing.assert_allclose(np.diff(stamps), 1 / RATE, atol=2e-9)
+    assert stamps[0] == 1e-9  # ROS reads 0 as no time at all
+    commands = np.array([m.data for _, m in bag.rows["/simulator/commands"]])
+    if len(commands) == len(stamps):
+        np.testing.assert_array_equal(effort[1:], commands[:-1])
+
+
+ROBOT_JOINTS = load_scene(ROBOTS["arm"].scene).actuated
+
+
+def test_the_tracking_errors_are_those_of_reference_and_joint_states(arm):
+    text, out = arm
+    bag = Bag(out)
+    stamps, position = bag.stamped("/joint_states", "position", ROBOT_JOINTS)
+    late = stamps >= 1.0
+    error = (position - bag.reference(stamps))[late]
+    for i, joint in enumerate(ROBOT_JOINTS):
+        rms, largest = row(text, "Tracking error", joint)[:2]
+        assert rms == pytest.approx(1e3 * np.sqrt(np.mean(error[:, i] ** 2)), rel=6e-3)
+        assert largest == pytest.approx(1e3 * np.abs(error[:, i]).max(), rel=6e-3)
+
+
+def test_the_steady_errors_are_within_the_boundary_layer_bound(arm, tmp_path):
+    """|e| <= phi d / (k g lambda), d along the reference, 10 % for moving off it and the hold."""
+    task = Task("arm", tmp_path, 3.0)
+    d = np.abs([m.disturbance for m in task.mismatches()]).max(axis=0)
+    gain, layer = (np.array(task.gains[f"gains.{n}"]) for n in ("gain", "boundary_layer"))
+    bound = 1.1 * layer * d / (gain * MASS_SCALE * LAM)
+    stamps, error = Bag(arm[1]).stamped(f"{OWN}/state", "position")
+    largest = np.abs(error[stamps >= 1.0]).max(axis=0)
+    assert np.all(largest < bound)
+    assert np.all(largest > 0.3 * bound)  # the bound is not idle
+
+
+def test_the_torque_numbers_are_those_of_the_bag(arm):
+    text, out = arm
+    bag = Bag(out)
+    stamps, estimate = bag.stamped(TORQUES, "effort", ROBOT_JOINTS)
+    states, effort = bag.stamped("/joint_states", "effort", ROBOT_JOINTS)
+    commands = {round(t * RATE): u for t, u in zip(states - 1 / RATE, effort, strict=True)}
+    late = [k for k, t in enumerate(stamps) if t >= 1.0 and round(t * RATE) in commands]
+    command = np.array([commands[round(stamps[k] * RATE)] for k in late])
+    part = yaml.safe_load((out / PLANT).read_text(encoding="utf-8"))["forces"][-1]
+    assert part["joints"] == list(ROBOT_JOINTS)
+    known = np.array(part["torque"]).T
+    added = np.array([np.interp(stamps[late], part["times"], column) for column in known]).T
+    difference = estimate[late] - command
+    for i, joint in enumerate(ROBOT_JOINTS):
+        span, rms, share, disturbance, rest, left = row(text, "Torque estimate", joint)
+        expected = [
+            np.sqrt(np.mean(x[:, i] ** 2)) for x in (difference, added, difference - added)
+        ]
+        assert [rms, disturbance] == pytest.approx(expected[:2], rel=6e-3)
+        assert rest == pytest.approx(expected[2], rel=6e-2)  # a difference of nearly equal curves
+        assert span == pytest.approx(np.ptp(command[:, i]), rel=2e-2)  # the last one acts no more
+        assert share == pytest.approx(100 * rms / span, rel=2e-2)
+        assert rest < 0.1 * rms and left < 3.0  # the disturbance explains it
+
+
+def test_coupling_forces_and_rates_are_those_of_the_bag(arm):
+    text, out = arm
+    bag = Bag(out)
+    stamps, force = bag.stamped(FORCES, "effort", ["elbow"])
+    late = force[stamps >= 1.0]
+    low, high, error = row(text, "Coupling and loop forces", "elbow [N·m]")
+    assert [low, high] == pytest.approx([late.min(), late.max()], rel=1e-3)
+    assert 0.0 < error < 0.05 * late.max()
+    logs = [log for log, _ in bag.rows["/joint_states"]]
+    count, rate, simulated = row(text, "Topics", "/joint_states")
+    assert (count, simulated) == (len(logs), pytest.approx(RATE, rel=1e-3))
+    assert rate == pytest.approx((count - 1) / (logs[-1] - logs[0]) * 1e9, rel=1e-3)
+    answers = [log for log, _ in bag.rows["/simulator/commands"]]
+    if len(answers) == len(logs):
+        took = (np.array(answers) - logs) * 1e-6
+        (median,) = row(text, "Loop", "joint state -> command, median")
+        assert median == pytest.approx(np.median(took), abs=6e-4)
+        assert 0.0 < median < 20.0
+
+
+def test_the_page_shows_the_same_numbers_and_needs_nothing_else(arm):
+    text, out = arm
+    html = (out / "demo.html").read_text(encoding="utf-8")
+    sources = re.findall(r"""(?:src|href|url|srcset)\s*[=(]\s*["']?([^"'\s>)]+)""", html)
+    assert sources and all(source.startswith("data:") for source in sources)
+    assert "<script" not in html and "@import" not in html
+    assert html.count("data:image/png;base64,") == 4
+    shown = re.sub(r"<[^>]+>", "\n", html.replace("<wbr>", ""))
+    for line in text.splitlines():
+        if line.startswith("  ") and not line.strip().startswith(("joint ->", "row ")):
+            for cell in re.split(r"\s{2,}", line.strip()):
+                assert cell.replace(">", "&gt;").replace("<", "&lt;") in shown
+
+
+@pytest.mark.parametrize(
+    ("robot", "law"), [("four_bar", "super_twisting"), ("leg", "qp_tracking")]
+)
+def test_other_robots_and_laws(robot, law, tmp_path):
+    text = demo(robot, "--time", 2, "--controller", law, "-o", tmp_path / "out")
+    assert "NO" not in text[text.index("Checks") :]
+    rms = row(text, "Tracking error", "ankle")[0]
+    assert rms < {"super_twisting": 0.5, "qp_tracking": 300.0}[law]  # mrad
+
+
+# ---------------------------------------------------------------------- failure
+
+
+def children(pid):
+    """Processes of the demo by node."""
+    found = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    names = [Path(f"/proc/{child}/cmdline").read_bytes().decode() for child in found]
+    nodes = [re.search(r"mbd_ros\.nodes\.(\w+)", name) for name in names]
+    return {node[1]: int(child) for node, child in zip(nodes, found, strict=True) if node}
+
+
+def interrupted(tmp_path, act):
+    """Exit code and stderr of a demo to which something happens while it runs."""
+    line, environment = command("--time", 60, "-o", tmp_path / "out")
+    with subprocess.Popen(
+        line,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as running:
+        end = time.monotonic() + 30.0
+        while len(nodes := children(running.pid)) < 3:
+            assert running.poll() is None and time.monotonic() < end
+            time.sleep(0.05)
+        time.sleep(6.0)  # nodes start, and time runs
+        act(running.pid, nodes)
+        said = running.stderr.read()
+        code = running.wait(30)
+    assert not any(Path(f"/proc/{pid}").exists() for pid in nodes.values())
+    assert list(tmp_path.iterdir()) == []
+    assert "Traceback" not in said
+    return code, said
+
+
+@pytest.mark.parametrize("how", ["terminal", "terminate"])
+def test_a_signal_leaves_neither_folder_nor_process(tmp_path, how):
+    """A terminal sends Ctrl-C to the nodes as well; `kill` only to the command."""
+
+    def act(pid, nodes):
+        if how == "terminal":
+            os.killpg(pid, signal.SIGINT)
+        else:
+            os.kill(pid, signal.SIGTERM)
+
+    assert interrupted(tmp_path, act) == (130, "interrupted\n")
+
+
+def test_a_node_that_dies_is_1_and_leaves_nothing(tmp_path):
+    code, said = interrupted(
+        tmp_path, lambda _, nodes: os.kill(nodes["simulator"], signal.SIGKILL)
+    )
+    assert code == 1
+    assert said.startswith("mbd-ros demo: node simulator ended with exit code -9")
+
+
+# ---------------------------------------------------------------------- parameter files
+
+
+@pytest.mark.parametrize("name", ["sliding_mode_controller", "qp_controller"])
+def test_the_parameter_file_holds_every_parameter_with_its_default(name):
+    from mbd_ros.nodes import controller_parameters
+
+    own = {"sliding_mode_controller": "SLIDING_MODE", "qp_controller": "QP"}[name]
+    declared = {p.name: p.default for p in getattr(controller_parameters, own)}
+    path = ROOT / f"config/nodes/{name}.yaml"
+    given = yaml.safe_load(path.read_text(encoding="utf-8"))["/**"]["ros__parameters"]
+    assert given.keys() == declared.keys()
+    for key in given.keys() - {"scene"}:
+        default = declared[key]
+        assert given[key] == (list(default) if isinstance(default, tuple) else default), key
+    assert load_scene(given["scene"]).actuators
