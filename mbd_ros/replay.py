@@ -1,7 +1,6 @@
 """A bag through the live node, which runs as its own process: `mbd-ros replay`."""
 
 import math
-import os
 import signal
 import subprocess
 import sys
@@ -11,10 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message
-from rclpy.signals import SignalHandlerOptions
 
 from mbd_ros.bag_player import (
     CLASSES,
@@ -28,6 +25,7 @@ from mbd_ros.bag_player import (
 )
 from mbd_ros.bags import BagWriter, RawMessage, raw_messages
 from mbd_ros.errors import DataError
+from mbd_ros.own_domain import own_domain
 from mbd_ros.scene import load_scene
 
 _STOP_TIMEOUT = 10.0  # s
@@ -79,7 +77,7 @@ def play(replay: Replay) -> tuple[int, int]:
     ]
     answers = (TORQUES, CONSTRAINT_FORCES) if scene.couplings.dependent else (TORQUES,)
     with (
-        _own_domain() as environment,
+        own_domain() as environment,
         BagWriter(replay.out) as bag,
         _node_process(replay, environment) as process,
     ):
@@ -101,21 +99,6 @@ def _message(bag: Path, raw: RawMessage) -> Any:
         return deserialize_message(raw.cdr, CLASSES[raw.msgtype])
     except rclpy_implementation.RMWError as error:
         raise DataError(f"{bag}: topic {raw.topic}: unreadable message ({error})") from error
-
-
-@contextmanager
-def _own_domain() -> Iterator[dict[str, str]]:
-    """Environment of a process on a DDS domain that this one has joined."""
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    domain = 1 + os.getpid() % 100
-    # rclpy's own handlers shut down the context in the middle of whatever runs.
-    rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-    on_terminate = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield {**os.environ, "ROS_DOMAIN_ID": str(domain)}
-    finally:
-        signal.signal(signal.SIGTERM, on_terminate)
-        rclpy.try_shutdown()
 
 
 @contextmanager

@@ -33,6 +33,7 @@ BEST = {problem.name: Run(SHORT.get(problem.name), DOP853) for problem in PROBLE
     "x02_four_bar_1e-4": Run(None, TO_1E12, 0.05),
     "x02_four_bar_1e-6": Run(None, TO_1E12, 0.05),
     "x06_chain": Run(None, DOP853, 5e-4),
+    "s01_parabola": Run(),  # forces switch: the scene's own filippov finds the events
 }
 
 

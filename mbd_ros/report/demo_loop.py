@@ -15,11 +15,12 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from mbd_ros.bags import BagWriter
+from mbd_ros.own_domain import own_domain
 from mbd_ros.progress import progress
 from mbd_ros.report import demo_topics as topics
 from mbd_ros.report.demo_choices import LAWS
 from mbd_ros.report.demo_files import GAINS, MODEL, PLANT, RATE
-from mbd_ros.report.demo_processes import Failed, NodeCommand, own_domain, running
+from mbd_ros.report.demo_processes import Failed, NodeCommand, running
 from mbd_ros.report.demo_recorder import Recorder
 from mbd_ros.report.demo_task import Course
 from msg_adapters.time import NANOSECONDS, read_time

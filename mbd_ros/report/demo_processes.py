@@ -1,6 +1,5 @@
 """The nodes of a demo: processes that are always stopped, on a DDS domain of their own."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -9,9 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
-
-import rclpy
-from rclpy.signals import SignalHandlerOptions
 
 from mbd_ros.errors import MbdError
 
@@ -115,29 +111,6 @@ def running(
         processes.stop()
     finally:
         processes.kill()
-
-
-@contextmanager
-def own_domain() -> Iterator[dict[str, str]]:
-    """Environment of processes on a DDS domain that this one has joined, on this machine only.
-
-    SIGTERM raises KeyboardInterrupt, as Ctrl-C does.
-    """
-    domain = 1 + os.getpid() % 100
-    before = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE")
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    # rclpy's own handlers shut down the context in the middle of whatever runs.
-    rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-    on_terminate = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield {**os.environ, "ROS_DOMAIN_ID": str(domain)}
-    finally:
-        signal.signal(signal.SIGTERM, on_terminate)
-        rclpy.try_shutdown()
-        if before is None:
-            del os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"]
-        else:
-            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = before
 
 
 def _words(command: NodeCommand) -> list[str]:

@@ -126,14 +126,19 @@ def _sums(*groups: str) -> Outputs:
     return outputs
 
 
-def _with_rates(*names: str) -> Outputs:
-    """Positions and then velocities of joints [m, m/s]."""
+def _rates(*names: str) -> Outputs:
+    """Velocities of joints [m/s or rad/s]."""
 
     def outputs(robot: Robot, x: State) -> Array:
-        joints = [robot.joint(name) for name in names]
-        return np.array([*(x.q[joint.q] for joint in joints), *(x.v[joint.v] for joint in joints)])
+        return np.array([x.v[robot.joint(name).v] for name in names])
 
     return outputs
+
+
+def _with_rates(*names: str) -> Outputs:
+    """Positions and then velocities of joints [m, m/s]."""
+    positions, rates = _sums(*names), _rates(*names)
+    return lambda robot, x: np.concatenate([positions(robot, x), rates(robot, x)])
 
 
 def _points(axes: str, *points: tuple[str, tuple[float, float, float]]) -> Outputs:
@@ -190,4 +195,5 @@ PROBLEMS = (
     Problem("x09_cranks_offset", "x09", _crank_angle(0.25)),
     Problem("x11_fast_pendulum", "x11_pendulum", _sums("hinge")),
     Problem("x11_fast_arm", "x11_arm", _sums(*_TWO)),
+    Problem("s01_parabola", "s01", _rates("x", "y")),
 )

@@ -1,4 +1,4 @@
-"""`mbd-ros replay` and `mbd-ros demo` as a user runs them: processes, bags, exit codes."""
+"""`mbd-ros replay` as a user runs it: processes, bags, exit codes."""
 
 import os
 import re
@@ -308,19 +308,3 @@ def test_a_signal_in_the_middle_leaves_neither_bag_nor_process(tmp_path, how):
     assert "Traceback" not in rest
     assert not Path(f"/proc/{node[0]}").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["bag"]
-
-
-# ---------------------------------------------------------------------- demo
-
-
-def test_demo(tmp_path):
-    """Twice into the same folder: what is there from before is replaced."""
-    text = mbd_ros("demo", "-o", tmp_path / "demo")
-    assert "replayed through the live node: 1200 played, 1200 answered" in text
-    assert "wrist_flexion" in text
-    assert 0.0 < overall(text) < 5.0
-    picture = (tmp_path / "demo" / "torques.png").read_bytes()
-    assert picture.startswith(b"\x89PNG\r\n\x1a\n")
-    assert len(picture) > 20_000
-    assert {p.name for p in (tmp_path / "demo").iterdir()} == {"motion", "torques", "torques.png"}
-    assert set(topic_types(tmp_path / "demo" / "torques")) == {TORQUES, FORCES}

@@ -1,0 +1,128 @@
+"""Work-precision: front and interpolation, converged motion, and what is found to be wrong."""
+
+import json
+
+import numpy as np
+import pytest
+
+from mbd_ros.core.constraint_rows import ConstraintRows
+from mbd_ros.report import left_out, precision
+from mbd_ros.report.choices import Choice, formulations, snippet
+from mbd_ros.report.converged import known
+from mbd_ros.report.items import Item
+from mbd_ros.report.pareto import Point, cheapest, cost_at, front
+from mbd_ros.report.rattle_check import approach
+from mbd_ros.report.reference_problems import PROBLEMS, SCENES
+from mbd_ros.scene import load_scene
+from mbd_ros.strict_yaml import read_mapping
+
+PENDULUM = f"{SCENES}/a01_pendulum_maximal.yaml"
+TIMES = (0.5, 1.0)
+POINTS = [Point(1.0, 1e-2), Point(10.0, 1e-4), Point(20.0, 1e-3), Point(100.0, 1e-6)]
+
+
+def timeless(outcome):
+    """An outcome without what a clock has measured."""
+    runs = outcome["runs"]
+    return [{k: v for k, v in run.items() if k not in ("seconds", "spread")} for run in runs]
+
+
+def item(family, quick=True):
+    (found,) = [i for i in precision.items([PENDULUM], quick) if i.name.endswith(f".{family}")]
+    return found
+
+
+@pytest.fixture(scope="module")
+def rk4():
+    work = item("rk4")
+    return work, json.loads(json.dumps(precision.run(work.spec)))
+
+
+def test_front_keeps_what_nothing_beats():
+    assert front(POINTS) == [0, 1, 3]
+    assert front([*POINTS, Point(5.0, np.nan), Point(0.5, np.inf), Point(1.0, 0.5)]) == [0, 1, 3]
+    assert front([]) == []
+
+
+def test_cost_between_two_runs_follows_a_power_law():
+    assert cost_at(POINTS, 1e-3) == pytest.approx(10**0.5)
+    assert cost_at(POINTS, 1e-4) == pytest.approx(10.0)
+    assert cost_at(POINTS, 1.0) == 1.0  # nothing is known of cheaper runs
+    assert cost_at(POINTS, 1e-7) is None
+
+
+def test_cheapest_run_is_one_that_was_made():
+    assert cheapest(POINTS, 1e-3) == 1
+    assert cheapest(POINTS, 1e-9) is None
+
+
+def test_converged_motion_agrees_with_the_closed_form_and_a_second_method():
+    motion = known(PENDULUM, TIMES)
+    assert motion.published < 1e-12 and motion.agreement < 1e-12 and not motion.is_wrong
+    assert motion.check.startswith("gauss_legendre")
+
+
+def test_errors_of_an_item_are_the_same_twice(rk4):
+    work, outcome = rk4
+    first = timeless(outcome)
+    assert json.dumps(first) == json.dumps(timeless(precision.run(work.spec)))
+    done = [run for run in first if "position" in run]
+    assert {run["solver"] for run in done} == {"auto", "qp"}
+    assert {run["stabilization"]["type"] for run in done} == {"projection", "baumgarte", "none"}
+    assert min(run["position"] for run in done) < 1e-6
+
+
+def test_section_names_the_cheapest_choice_as_lines_of_a_scene(rk4, tmp_path):
+    reference = item("reference")
+    section = precision.section([(reference, precision.run(reference.spec)), rk4])
+    assert section.wrong == [] and set(section.figures) == {"precision_a01_pendulum_maximal"}
+    lines = section.snippets["a01_pendulum_maximal, error 1e-06"]
+    file = tmp_path / "chosen.yaml"
+    file.write_text(f"{lines}\n", encoding="utf-8")
+    assert {"integrator", "dt", "stabilization"} <= set(read_mapping(file))
+
+
+def test_snippet_names_a_formulation_that_is_not_the_usual_one():
+    text = snippet(Choice("kkt", {"type": "none"}, {"type": "adams", "order": 6}, 1e-3))
+    assert text.splitlines() == [
+        "solver: {type: kkt}",
+        "stabilization: {type: none}",
+        "integrator: {type: adams, order: 6}",
+        "dt: 0.001",
+    ]
+
+
+def test_formulations_are_those_that_differ():
+    assert formulations(load_scene(PENDULUM)) == ["auto", "qp"]
+    coupled = load_scene(f"{SCENES}/arm7_swing_coupled.yaml")
+    assert formulations(coupled) == ["auto", "kkt", "qp"]
+    assert formulations(load_scene(f"{SCENES}/arm7_swing.yaml")) == ["auto"]
+
+
+@pytest.mark.parametrize("name", ["a01_pendulum_maximal", "x02_four_bar_1e-2"])
+def test_a_wrong_sign_in_a_drift_is_found(name, monkeypatch):
+    right = ConstraintRows.accelerations
+
+    def wrong(self, data, x):
+        J, drift = right(self, data, x)
+        return J, -drift
+
+    path, times = f"{SCENES}/{name}.yaml", TIMES[:1] if name.startswith("a01") else (0.25,)
+    assert not approach(load_scene(path), known.__wrapped__(path, times)).is_wrong
+    monkeypatch.setattr(ConstraintRows, "accelerations", wrong)
+    motion = known.__wrapped__(path, times)
+    assert motion.is_wrong  # the published motion
+    assert approach(load_scene(path), motion).is_wrong  # and without one
+
+
+def test_every_problem_is_in_the_report():
+    names = {i.name.split(".")[0] for i in precision.items([], False)}
+    assert {problem.name for problem in PROBLEMS} <= names
+
+
+def test_left_out_measures_parts_and_imports():
+    (work,) = left_out.items([PENDULUM], True)
+    outcome = json.loads(json.dumps(left_out.run(work.spec)))
+    assert "distance" in " ".join(outcome["parts"]) and "rclpy" not in outcome["libraries"]
+    assert 0 < outcome["rows"] < outcome["step"] and outcome["aba"] < outcome["evaluation"]
+    assert isinstance(work, Item) and left_out.section([(work, outcome)]).tables[0].rows
