@@ -125,3 +125,34 @@ def test_every_requirement_has_an_exact_pin(wheel):
     required = re.findall(r"^Requires-Dist: (.*)", read(wheel, "METADATA"), re.MULTILINE)
     assert len(required) > 10
     assert {plain(r) for r in required} - {plain(p) for p in pins} == set()
+
+
+def parameters_of(wheel, executable):
+    """Names of the parameters of the node behind an executable."""
+    parser = ConfigParser()
+    parser.read_string(read(wheel, "entry_points.txt"))
+    target = parser["console_scripts"][executable]
+    main = importlib.metadata.EntryPoint(executable, target, "console_scripts").load()
+    things = vars(sys.modules[main.__module__]).values()
+    (node,) = (thing for thing in things if getattr(thing, "NAME", "") == executable)
+    return {parameter.name for parameter in node.PARAMETERS} | {"use_sim_time"}
+
+
+@pytest.mark.parametrize("path", sorted(names("launch", "*.py")))
+def test_a_launch_file_names_what_there_is(wheel, path):
+    """Executables, parameters, arguments and files; launch itself comes with ROS only."""
+    tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
+    calls = [n for n in ast.walk(tree) if isinstance(n, ast.Call)]
+    named = [(getattr(call.func, "id", ""), call) for call in calls]
+    nodes = [{k.arg: k.value for k in c.keywords} for n, c in named if n == "LifecycleNode"]
+    assert nodes
+    for node in nodes:
+        executable = node["executable"].value
+        assert (node["package"].value, node["name"].value) == ("mbd_ros", executable)
+        (values,) = (e for e in node["parameters"].elts if isinstance(e, ast.Dict))
+        assert {key.value for key in values.keys} <= parameters_of(wheel, executable)
+    arguments = {c.args[0].value for n, c in named if n == "DeclareLaunchArgument"}
+    assert {c.args[0].value for n, c in named if n == "LaunchConfiguration"} == arguments
+    for name, call in named:
+        if name == "PathJoinSubstitution" and call.args[0].elts[0].id == "share":
+            assert ROOT.joinpath(*(part.value for part in call.args[0].elts[1:])).is_file()

@@ -23,7 +23,10 @@ class ObservedLoops:
         inverse: The solver.
         couplings: The dependent joints.
         configuration: Consistent configuration of the last sample, a live view (nq,).
+        rows: Names of the multipliers: the dependent joints, then the rows of the constraints.
         moved: How far a joint of the last sample was moved onto the constraints [rad or m].
+        gap: Residual of every row at the last sample as measured, shape (m,); 0 for drives and
+            for couplings, which say themselves how far a dependent joint is off.
     """
 
     def __init__(self, inverse: ClosedLoopInverseDynamics) -> None:
@@ -31,6 +34,12 @@ class ObservedLoops:
         self.configuration, self.moved = inverse.robot.neutral(), 0.0
         self._model = inverse.robot.model
         self._slopes: Slopes = [0.0] * len(inverse.couplings.links)
+        constraints = inverse.constraints
+        self.rows = tuple(row.name for row in constraints.rows)
+        self.gap, self._data = np.zeros(len(self.rows)), self._model.createData()
+        self._is_driven = np.zeros(len(self.rows), dtype=np.bool_)
+        for part, mine in zip(constraints.parts, constraints.slices, strict=True):
+            self._is_driven[mine] = bool(part.driven)
         self._v = [inverse.robot.joint(name).v for name in inverse.actuated]
 
     def measured(
@@ -63,13 +72,14 @@ class ObservedLoops:
             wrenches: One (6,) array [N, N·m] for every load of the scene; none means unloaded.
 
         Returns:
-            Fresh arrays; multipliers of the couplings alone.
+            Fresh arrays; multipliers of `rows`.
 
         Raises:
             SolveError: The mechanism cannot be assembled near this position, or the actuators
                 cannot produce the motion.
         """
         measured, given = self.measured(0.0, position, velocity, acceleration)
+        self.gap = self._residual(measured)
         x, a = self.inverse.consistent(measured, given)
         self.configuration[:] = x.q
         self.moved = float(np.abs(pin.difference(self._model, measured.q, x.q)).max(initial=0.0))
@@ -77,4 +87,10 @@ class ObservedLoops:
         tau = np.zeros(len(a))
         tau[self._v] = found.tau
         reduced, _ = self.couplings.reduce(tau, self._slopes)
-        return Torques(reduced, found.multipliers[: len(self.couplings.dependent)])
+        return Torques(reduced, found.multipliers)
+
+    def _residual(self, x: State) -> Array:
+        pin.forwardKinematics(self._model, self._data, x.q, x.v, np.zeros(len(x.v)))
+        pin.computeJointJacobians(self._model, self._data)
+        gap = self.inverse.constraints.residual(self._data, x)
+        return np.where(self._is_driven, 0.0, gap)

@@ -1,52 +1,37 @@
-"""What nodes that answer joint states share: stamps, clocks, robot description, reset."""
+"""What nodes that answer joint states share: stamps, clocks, reset."""
 
 from collections.abc import Sequence
 from typing import Any
 
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from mbd_ros.core.state import NANOSECOND
-from mbd_ros.errors import MbdError
-from mbd_ros.nodes.shell import Shell
-from mbd_ros.scene import description_topic
+from mbd_ros.nodes.scene_node import SceneNode
 from msg_adapters.diagnostics import OK, STALE
 
 # Best effort also hears reliable publishers; the depth bridges a pause of 0.5 s at 1 kHz,
 # beyond which the transport itself keeps no more.
 SENSOR = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _NEVER = -(2**62)  # ns
 
 
-class JointStateNode(Shell):
+class JointStateNode(SceneNode):
     """Hears `joint_states` and judges their stamps; subclasses answer.
 
     Subclasses override `build`, `forget` and `take`. Parameters must hold scene, timeout and
     clock_tolerance.
     """
 
+    STAMPED = "joint states"  # whose stamps count
+
     def __init__(self, argv: Sequence[str] = ()) -> None:
         super().__init__(argv)
         self._newest, self._answered, self._is_stampless = 0, 0, False
         self._two_clocks = self._last_drop = ""
         self._extra: set[str] = set()
-        self._is_built = False
-        self._description: str | None = None
-        self._description_topic: str | None = None
         self.create_service(Trigger, "~/reset", self._on_reset)
-        if self.parameters.scene:
-            self._listen_for_description()
-
-    def build(self, description: str | None) -> None:
-        """Replace the scene and what was built from it, or raise an MbdError and keep it.
-
-        Args:
-            description: URDF, where the scene takes it from a topic.
-        """
-        raise NotImplementedError
 
     def forget(self) -> None:
         """Empty filters."""
@@ -57,10 +42,7 @@ class JointStateNode(Shell):
 
     def configure_core(self) -> None:
         """Build, and listen."""
-        if self._description_topic is not None and self._description is None:
-            raise MbdError(f"waiting for the robot description on {self._description_topic}")
-        self.build(self._description)
-        self._is_built = True
+        super().configure_core()
         self.subscribe(
             JointState, "joint_states", self.take, SENSOR, single_publisher=True, raw=True
         )
@@ -73,7 +55,7 @@ class JointStateNode(Shell):
         """Empty filters, forget what was answered."""
         self._newest, self._answered, self._agreed = 0, 0, _NEVER
         self._two_clocks = self._last_drop = ""
-        if self._is_built:
+        if self.is_built:
             self.forget()
 
     def stream_details(self) -> dict[str, str]:
@@ -101,27 +83,31 @@ class JointStateNode(Shell):
 
     def stamp_of(self, stamp: int) -> int | None:
         """The stamp [ns], receive time instead of 0; None if it is of another clock."""
-        stamp = stamp or self._receive_time()
+        stamp = stamp or self.receive_time()
         return stamp if self._same_clock(stamp) else None
 
-    def note_answer(self, stamp: int, extra: tuple[str, ...]) -> None:
-        """Remember that a joint state was answered, and the joints of it that were not used."""
+    def receive_time(self) -> int:
+        """What stands for a stamp of 0 [ns]."""
+        if not self._is_stampless:
+            self._is_stampless = True
+            self.get_logger().warning(f"stamp 0 in {self.STAMPED}: receive time is used")
+        return int(self.get_clock().now().nanoseconds)
+
+    def note_answer(self, stamp: int) -> None:
+        """Remember that a joint state was answered."""
         self._newest, self._last_drop = stamp, ""
         self._answered += 1
+
+    def note_extra(self, extra: tuple[str, ...]) -> None:
+        """Remember joints of a joint state that are not used; list them once."""
         if not self._extra.issuperset(extra):
             self._extra.update(extra)
             self.get_logger().info(f"joints ignored: {', '.join(sorted(self._extra))}")
 
     def drop_state(self, reason: str, text: str) -> None:
         """Count a joint state that is not answered."""
-        self._last_drop = f"joint_states: {text}"
-        self.drop(reason, self._last_drop)
-
-    def _receive_time(self) -> int:
-        if not self._is_stampless:
-            self._is_stampless = True
-            self.get_logger().warning("stamp 0 in joint states: receive time is used")
-        return int(self.get_clock().now().nanoseconds)
+        self._last_drop = text
+        self.drop(reason, text)
 
     def _same_clock(self, stamp: int) -> bool:
         """Whether stamp and node clock are one clock; asked again whenever the stamps moved on."""
@@ -140,32 +126,7 @@ class JointStateNode(Shell):
         self.drop("two_clocks", self._two_clocks)
         return False
 
-    def _listen_for_description(self) -> None:
-        try:
-            self._description_topic = description_topic(self.parameters.scene)
-        except MbdError:
-            return  # configure_core says it
-        if self._description_topic is not None:
-            topic = self._description_topic
-            self.subscribe(String, topic, self._on_description, LATCHED, always=True)
-
-    def _on_description(self, msg: Any) -> None:
-        """Start with the first description; a later one replaces the robot whole or is refused."""
-        if not self._is_built or not self.configured:
-            self._description = msg.data
-            self.try_start()
-            return
-        if msg.data == self._description:
-            return  # its publisher came back
-        try:
-            self.build(msg.data)
-        except MbdError as error:
-            self.drop("robot_description", f"new robot description refused: {error}")
-            return
-        self._description = msg.data
-        self.get_logger().info("new robot description in use")
-
     def _on_reset(self, request: Any, response: Any) -> Any:
         self.reset("asked to")
-        response.success, response.message = True, "filters are empty"
+        response.success, response.message = True, "filters and buffers are empty"
         return response

@@ -61,7 +61,7 @@ class JointStateProjectorNode(JointStateNode):
         try:
             sample = pipeline.reader.read(cdr)
         except MessageError as error:
-            self.drop_state("malformed", str(error))
+            self.drop_state("malformed", f"joint_states: {error}")
             return
         stamp = self.stamp_of(sample.stamp)
         if stamp is None:
@@ -74,20 +74,21 @@ class JointStateProjectorNode(JointStateNode):
         if isinstance(answer, Sample):
             held = ", ".join(pipeline.reconstructor.held)
             lacking = f" ({held})" if answer is Sample.INCOMPLETE else ""
-            self.drop_state(answer.name.lower(), f"{answer.value}{lacking}")
+            self.drop_state(answer.name.lower(), f"joint_states: {answer.value}{lacking}")
             return
         self._failures = 0
         self._states.publish(answer.states)
         if answer.forces is not None:
             self._forces.publish(answer.forces)
         self._violation.publish(answer.violation)
-        self.note_answer(stamp, pipeline.joints.extra)
+        self.note_answer(stamp)
+        self.note_extra(pipeline.joints.extra)
 
     def _drop_unsolved(self, error: SolveError) -> None:
         self._failures += 1
         if self._failures >= self.parameters.failures:
             raise SolveError(f"{self._failures} joint states in a row: {error}") from error
-        self.drop_state("unsolved", str(error))
+        self.drop_state("unsolved", f"joint_states: {error}")
 
 
 def main() -> int:

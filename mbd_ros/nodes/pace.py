@@ -108,6 +108,24 @@ class Pace:
         return float(np.percentile(self._lateness, 99)) if self._lateness else 0.0
 
     @property
+    def lag(self) -> str:
+        """What became of the factor in this window."""
+        reached = f"real-time factor {self.reached:.3f} instead of {self.factor:g}"
+        return f"lagging: {reached}, {self.overruns} overruns"
+
+    def details(self, is_running: bool) -> dict[str, str]:
+        """How time was kept in this window, for diagnostics."""
+        asked = f"{self.factor:g}" if self.factor else "0 (as fast as possible)"
+        return {
+            "real-time factor asked": asked,
+            "real-time factor reached": f"{self.reached:.3f}" if is_running else "standing",
+            "ticks since the last report": str(self.ticks),
+            "lateness of 99 % of the ticks": f"{self.lateness:.6f}",
+            "overruns": str(self.overruns),
+            "time given up": f"{self.given_up:.3f}",
+        }
+
+    @property
     def is_lagging(self) -> bool:
         """Whether the factor was not kept in this window: time was given up, or is about to be."""
         late = perf_counter() - self.due

@@ -45,7 +45,9 @@ class Pipeline:
         self.joints = JointStateReader(self.estimator.names, with_effort=False)
         self.reader = JointStateCdrReader(self.joints, _joint_state)
         self._torques = JointStateCdrWriter(couplings.independent)
-        self._forces = JointStateCdrWriter(couplings.dependent, ("position", "effort"))
+        rows = couplings.dependent if self._loops is None else self._loops.rows
+        self._forces = JointStateCdrWriter(rows, ("position", "effort"))
+        self._has_rows = bool(rows)
         ages = round(values.wrench_max_age / NANOSECOND), round(values.rewind / NANOSECOND)
         self.queue = WrenchQueue(self.scene.wrenches, *ages)
         self._violation = np.zeros(len(couplings.dependent))
@@ -64,7 +66,7 @@ class Pipeline:
 
         Returns:
             Kept messages: joint torques, and constraint forces (position = violation of the
-            coupling, effort = multiplier) or None without dependent joints.
+            coupling or loop, effort = multiplier) or None without any.
         """
         torques = self.estimator.solve(x, wrenches)
         if torques is None:
@@ -72,11 +74,12 @@ class Pipeline:
         answer = self._torques.write(
             x.stamp, position=x.position, velocity=x.velocity, effort=torques.tau
         )
-        if not self.scene.couplings.dependent:
+        if not self._has_rows:
             return answer, None
-        self._violation = self.estimator.violation(x)
-        forces = self._forces.write(x.stamp, position=self._violation, effort=torques.multipliers)
-        return answer, forces
+        self._violation = off = self.estimator.violation(x)
+        if self._loops is not None:
+            off = np.concatenate([off, self._loops.gap[len(off) :]])
+        return answer, self._forces.write(x.stamp, position=off, effort=torques.multipliers)
 
     def health(self, tolerance: float) -> tuple[int, str]:
         """WARN where a measured joint is off its coupling, or off the loops.

@@ -24,6 +24,7 @@ class Plant:
 
     Args:
         values: Parameters of the node.
+        description: URDF, where the scene takes it from a topic.
 
     Attributes:
         scene: The scene.
@@ -36,8 +37,8 @@ class Plant:
         MbdError: The scene, `joints` or `rate` do not fit.
     """
 
-    def __init__(self, values: Any) -> None:
-        self.scene = scene = load_scene(values.scene)
+    def __init__(self, values: Any, description: str | None) -> None:
+        self.scene = scene = load_scene(values.scene, description)
         driven = [name for actuator in scene.actuators for name in actuator.joints]
         joints = _command_order(values.joints, driven)
         self.has_actuators = bool(driven)
@@ -55,8 +56,17 @@ class Plant:
 
     @property
     def time(self) -> int:
-        """Simulated time [ns]."""
-        return round(self.live.now.t * NANOSECONDS)
+        """Simulated time [ns]; 1 at the start, as ROS reads 0 as no time at all."""
+        return round(self.live.now.t * NANOSECONDS) or 1
+
+    @property
+    def silence(self) -> str:
+        """Since when no command acts, and what does instead; empty while one does."""
+        watch = self.live.watch
+        if not (self.has_actuators and watch.is_safe):
+            return ""
+        since = "yet" if watch.held is None else f"for {watch.age:.3g} s"
+        return f"no command {since}, instead: {self.scene.safe}"
 
     def joint_states(self, stamp: int) -> bytes:
         """Serialized JointState of the newest state."""

@@ -7,20 +7,17 @@ from typing import Any
 
 from rclpy.executors import Executor
 from rclpy.qos import HistoryPolicy, QoSProfile
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory
-from visualization_msgs.msg import MarkerArray
 
-from mbd_ros.errors import DivergedError
+from mbd_ros.errors import DivergedError, MbdError
 from mbd_ros.nodes.pace import Pace, wake_exactly
 from mbd_ros.nodes.plant import Plant
 from mbd_ros.nodes.process import run
-from mbd_ros.nodes.shell import Shell
+from mbd_ros.nodes.scene_node import SceneNode
+from mbd_ros.nodes.simulator_outputs import SimulatorOutputs
 from mbd_ros.nodes.simulator_parameters import PARAMETERS
-from msg_adapters.clock import write_clock
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.time import NANOSECONDS
@@ -29,19 +26,18 @@ from msg_adapters.time import NANOSECONDS
 # are waiting: a full reader then refuses them, and the writer sends them again.
 COMMANDS = QoSProfile(depth=500)
 EVERY_COMMAND = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-STATES = QoSProfile(depth=100)  # a recorder may be away for 0.1 s at 1 kHz
 CLOCK_REPEAT = 0.1  # s between messages of a standing clock, for who comes late
 
 
-class SimulatorNode(Shell):
+class SimulatorNode(SceneNode):
     """Advances a scene by one tick at a time and publishes every state."""
 
     NAME = "simulator"
     PARAMETERS = PARAMETERS
+    _plant: Plant
 
     def __init__(self, argv: Sequence[str] = ()) -> None:
         super().__init__(argv)
-        self._plant: Plant | None = None
         self._is_paused = False
         self._pace = Pace(1.0, 1.0)  # until configured
         self._tick = self._guarded(self._advance, False)
@@ -49,23 +45,25 @@ class SimulatorNode(Shell):
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(SetBool, "~/pause", self._on_pause)
 
+    def build(self, description: str | None) -> None:
+        """Build the scene."""
+        self._plant = Plant(self.parameters, description)
+
+    def replace(self, description: str) -> None:
+        """Keep the robot of a simulation that has begun; the next one takes the new robot."""
+        Plant(self.parameters, description)  # says what is wrong with it
+        self._description = description
+        raise MbdError("a simulation keeps its robot; clean up and configure to change it")
+
     def configure_core(self) -> None:
         """Build the scene and its topics."""
-        values = self.parameters
-        self._plant = plant = Plant(values)
+        super().configure_core()
+        values, plant = self.parameters, self._plant
         self._is_paused = values.paused
         self._pace = Pace(1.0 / values.rate, values.real_time_factor)
         wake_exactly()
-        self._states = self.publish_to(JointState, "joint_states", STATES)
-        self._motion = self.publish_to(JointTrajectory, "~/motion", STATES)
-        self._forces = self._markers = self._time_out = None
-        if plant.rows:
-            self._forces = self.publish_to(JointState, "~/constraint_forces", STATES)
-        if plant.live.wrenches():
-            self._markers, self._marked = self.publish_to(MarkerArray, "~/markers", 10), 0.0
-        if values.publish_clock:
-            self._time_out, self._time_message = self.publish_to(Clock, "/clock", 10), Clock()
-            self.every(CLOCK_REPEAT, self._repeat_clock)
+        self._outputs = SimulatorOutputs(self, plant)
+        self.every(CLOCK_REPEAT, lambda: self._is_running or self._outputs.repeat_clock())
         if plant.has_actuators:
             qos = EVERY_COMMAND if values.lock_step else COMMANDS
             for kind, topic, read in (
@@ -77,7 +75,6 @@ class SimulatorNode(Shell):
 
     def activate_core(self) -> None:
         """Go on from the state that was kept; show it at once."""
-        assert self._plant is not None
         if self._plant.live.fault:
             raise DivergedError(f"{self._plant.live.fault}; call ~/reset first")
         self._restart()
@@ -89,7 +86,6 @@ class SimulatorNode(Shell):
 
     def retune(self, values: Any) -> None:
         """New timeouts for the commands; another factor takes hold at once."""
-        assert self._plant is not None
         watch = self._plant.live.watch
         watch.timeout, watch.ramp = values.command_timeout, values.safe_ramp
         if values.real_time_factor != self._pace.factor:
@@ -111,70 +107,35 @@ class SimulatorNode(Shell):
 
     def health(self) -> tuple[int, str, dict[str, str]]:
         """Whether time is kept and commands come, then what the motion contains."""
-        assert self._plant is not None
         pace, live = self._pace, self._plant.live
-        asked = f"{pace.factor:g}" if pace.factor else "0 (as fast as possible)"
-        details = {
-            **self._plant.details(),
-            "real-time factor asked": asked,
-            "real-time factor reached": f"{pace.reached:.3f}" if self._is_running else "standing",
-            "ticks since the last report": str(pace.ticks),
-            "lateness of 99 % of the ticks": f"{pace.lateness:.6f}",
-            "overruns": str(pace.overruns),
-            "time given up": f"{pace.given_up:.3f}",
-        }
-        wrong = []
-        if self._is_running and pace.is_lagging:
-            reached = f"real-time factor {pace.reached:.3f} instead of {pace.factor:g}"
-            wrong.append(f"lagging: {reached}, {pace.overruns} overruns")
-        if self._plant.has_actuators and live.watch.is_safe:
-            since = "yet" if live.watch.held is None else f"for {live.watch.age:.3g} s"
-            wrong.append(f"no command {since}, instead: {self._plant.scene.safe}")
+        details = {**self._plant.details(), **pace.details(self._is_running)}
+        wrong = [pace.lag] if self._is_running and pace.is_lagging else []
+        wrong += [self._plant.silence] if self._plant.silence else []
         pace.open_window()
         standing = "paused" if self._is_paused else "waiting for a command"
         what = "simulating" if self._is_running else standing
         text = "; ".join([*wrong, f"{what}, t = {live.now.t:.9g} s"])
         return (WARN if wrong else OK), text, details
 
-    # ------------------------------------------------------------------ ticks
-
     @property
     def _is_running(self) -> bool:
         return self.active and not (self._is_paused or self.parameters.lock_step)
 
     def _advance(self) -> None:
-        assert self._plant is not None
         self._plant.live.tick()
         self._publish()
 
     def _publish(self) -> None:
         """Show the newest state."""
-        plant, stamp = self._plant, self._stamp()
-        assert plant is not None
-        if self._time_out is not None:
-            self._time_out.publish(write_clock(self._time_message, stamp))
-        self._states.publish(plant.joint_states(stamp))
-        if self._forces is not None:
-            self._forces.publish(plant.constraint_forces(stamp))
-        if self._motion.get_subscription_count():
-            self._motion.publish(plant.motion(stamp))
-        rate, now = self.parameters.marker_rate, perf_counter()
-        if self._markers is not None and rate > 0.0 and now >= self._marked + 1.0 / rate:
-            self._marked = now
-            self._markers.publish(plant.markers(stamp, self.parameters.marker_scale))
+        self._outputs.publish(self._stamp(), self.parameters)
 
     def _stamp(self) -> int:
         """Simulated time if it is published, else when the tick was due on the node clock [ns]."""
-        assert self._plant is not None
         if self.parameters.publish_clock:
             return self._plant.time
         if self._is_running and self._pace.factor > 0.0:
             return self._epoch + round(self._pace.due * NANOSECONDS)
         return int(self.get_clock().now().nanoseconds)
-
-    def _repeat_clock(self) -> None:
-        if self._time_out is not None and not self._is_running:
-            self._time_out.publish(self._time_message)
 
     def _restart(self, factor: float | None = None) -> None:
         """The time between ticks begins now."""
@@ -182,11 +143,8 @@ class SimulatorNode(Shell):
         self._epoch = self.get_clock().now().nanoseconds - round(self._pace.due * NANOSECONDS)
         self._pace.interrupt()
 
-    # ------------------------------------------------------------------ messages and services
-
     def _on_command(self, topic: str, read: Callable[[Any], Any]) -> Callable[[Any], None]:
         def take(msg: Any) -> None:
-            assert self._plant is not None
             try:
                 self._plant.live.watch.take(read(msg))
             except MessageError as error:
@@ -206,7 +164,7 @@ class SimulatorNode(Shell):
 
     def _on_reset(self, request: Any, response: Any) -> Any:
         response.success = self.configured
-        if self._plant is not None and self.configured:
+        if self.configured:
             self._plant.live.reset()
             self._restart()
             if self.active:
@@ -227,7 +185,6 @@ class SimulatorNode(Shell):
     def _answer(self, response: Any, done: str) -> Any:
         """Fill in what a service says: what it did, or why it could not."""
         if response.success:
-            assert self._plant is not None
             response.message = f"{done}, t = {self._plant.live.now.t:.9g} s"
         else:
             response.message = self.fault or f"the node is {self.state}"

@@ -26,6 +26,9 @@ from msg_adapters.diagnostics import Health, read_diagnostics  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 MINIMAL = Path(__file__).with_name("minimal_node.py")
+PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
+os.environ[PROFILES] = str(Path(__file__).with_name("quick_acks.xml"))  # read once, at first use
+DEADLINE = 30.0  # s, of what takes a moment: a busy machine is no failure
 
 
 class NodeProcess:
@@ -39,6 +42,7 @@ class NodeProcess:
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "PYTHONPATH": path,
         }
+        del environment[PROFILES]
         self.process = subprocess.Popen(
             command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
         )
@@ -56,7 +60,7 @@ class NodeProcess:
         """Everything written to stderr until now."""
         return "".join(self._lines)
 
-    def wait_for(self, text: str, timeout: float = 10.0) -> None:
+    def wait_for(self, text: str, timeout: float = DEADLINE) -> None:
         """Return when `text` was logged.
 
         Raises:
@@ -68,13 +72,13 @@ class NodeProcess:
             assert alive or text in self.log, f"never logged {text!r}:\n{self.log}"
             time.sleep(0.01)
 
-    def wait(self, timeout: float = 10.0) -> int:
+    def wait(self, timeout: float = DEADLINE) -> int:
         """Exit code, once the process has ended by itself."""
         code = self.process.wait(timeout)
         self._reader.join(timeout)
         return code
 
-    def stop(self, number: int = signal.SIGINT, timeout: float = 10.0) -> int:
+    def stop(self, number: int = signal.SIGINT, timeout: float = DEADLINE) -> int:
         """Exit code after a signal."""
         self.process.send_signal(number)
         return self.wait(timeout)
@@ -99,6 +103,7 @@ class Probe:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self.health: list[Health] = []
+        self._clients: dict[str, Any] = {}
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep, 10)
 
     def __enter__(self) -> "Probe":
@@ -109,7 +114,7 @@ class Probe:
         self.node.destroy_node()
         rclpy.shutdown(context=self._context)
 
-    def spin_until(self, done: Callable[[], Any], timeout: float = 10.0) -> Any:
+    def spin_until(self, done: Callable[[], Any], timeout: float = DEADLINE) -> Any:
         """First true value of `done()`.
 
         Raises:
@@ -127,20 +132,45 @@ class Probe:
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
 
-    def wait_health(self, done: Callable[[Health], Any], timeout: float = 10.0) -> Health:
+    def wait_health(self, done: Callable[[Health], Any], timeout: float = DEADLINE) -> Health:
         """First status from now on that satisfies `done`."""
         seen = len(self.health)
         found = self.spin_until(lambda: [h for h in self.health[seen:] if done(h)], timeout)
         return found[0]
 
     def call(self, kind: type, name: str, request: Any) -> Any:
-        """Response of a service."""
-        client = self.node.create_client(kind, name)
+        """Response of a service; all but `ChangeState` may hear the request twice."""
+        is_new = name not in self._clients
+        if is_new:
+            self._clients[name] = self.node.create_client(kind, name)
+        client = self._clients[name]
         self.spin_until(client.service_is_ready)
+        if kind is not ChangeState:
+            return self.ask_repeatedly(client, request)
+        if is_new:
+            self.ask_repeatedly(client, ChangeState.Request())  # of no transition: refused
+        return self.ask(client, request)
+
+    def ask(self, client: Any, request: Any) -> Any:
+        """Response to a request, sent once."""
         future = client.call_async(request)
         self.spin_until(future.done)
-        self.node.destroy_client(client)
         return future.result()
+
+    def ask_repeatedly(self, client: Any, request: Any) -> Any:
+        """Response to a request, sent every second until there is one.
+
+        A client knows a service a moment before the service knows the client, and rmw gives the
+        response to an unknown client up after 0.1 s.
+        """
+        end = time.monotonic() + DEADLINE
+        while time.monotonic() < end:
+            future, again = client.call_async(request), time.monotonic() + 1.0
+            while time.monotonic() < again and not future.done():
+                self._executor.spin_once(timeout_sec=0.02)
+            if future.done():
+                return future.result()
+        raise AssertionError(f"{client.srv_name}: no response")
 
     def set_parameter(self, node: str, name: str, value: Any) -> Any:
         """SetParametersResult of one change."""

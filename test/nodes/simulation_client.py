@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from nodes.conftest import ROOT, NodeProcess, Probe
+from nodes.conftest import DEADLINE, ROOT, NodeProcess, Probe
 from nodes.joint_stream import ACTIVE, parameter_file
+from rclpy.duration import Duration
 from rclpy.experimental import EventsExecutor
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
@@ -86,22 +87,44 @@ class Client:
         self._reset = probe.node.create_client(Trigger, f"{NAME}/reset")
         self._pause = probe.node.create_client(SetBool, f"{NAME}/pause")
 
-    def connect(self, has_actuators: bool) -> None:
-        """Until both sides know each other."""
+    def connect(self, has_actuators: bool, is_paused: bool) -> None:
+        """Until both sides know each other: the node shows the state that a reset leads to.
+
+        Commands need no such proof: what was sent before the node knew its sender comes later,
+        and `step` waits for it.
+        """
         spin = self.probe.spin_until
         spin(self._states.get_publisher_count)
         for publisher in (self._vectors, self._efforts) if has_actuators else ():
             spin(publisher.get_subscription_count)
         for service in (self._step, self._reset, self._pause):
             spin(service.service_is_ready)
-        self.probe.spin_for(0.1)
+        self.probe.ask_repeatedly(self._step, Trigger.Request())
+        self.probe.ask_repeatedly(self._pause, SetBool.Request(data=is_paused))
+        self.probe.ask_repeatedly(self._reset, Trigger.Request())
+        self.repeat(self._ask_reset, lambda: self.states)
 
     def follow(self) -> None:
-        """Subscribe to ~/motion."""
+        """Subscribe to ~/motion; at the initial state once motions come."""
         create, topic = self.probe.node.create_subscription, f"{NAME}/motion"
-        keep = create(JointTrajectory, topic, self._keep_motion, DEEP)
-        self.probe.spin_until(keep.get_publisher_count)
-        self.probe.spin_for(0.2)
+        create(JointTrajectory, topic, self._keep_motion, DEEP)
+        self.repeat(self._ask_reset, lambda: self.motions)
+
+    def repeat(self, act: Callable[[], None], done: Callable[[], Any]) -> None:
+        """Act until `done()`: a writer sends nothing to who it does not know yet."""
+        end = time.monotonic() + DEADLINE
+        while not done():
+            assert time.monotonic() < end
+            act()
+            self.probe.spin_for(0.02)
+
+    def settle(self) -> int:
+        """How many states there are, once none has come for 0.2 s."""
+        seen = -1
+        while seen < len(self.states):
+            seen = len(self.states)
+            self.probe.spin_for(0.2)
+        return seen
 
     def command(self, values: Sequence[float]) -> None:
         """Send a vector of commands, by whatever order the node takes."""
@@ -113,7 +136,7 @@ class Client:
         publisher.publish(message)
 
     def step(self) -> JointSample:
-        """One tick while paused; the state that it leads to."""
+        """One tick while paused, under the commands sent before; the state that it leads to."""
         seen = len(self.states)
         response = self._ask(self._step, Trigger.Request())
         assert response.success, response.message
@@ -130,11 +153,12 @@ class Client:
         """Pause, or go on."""
         assert self._ask(self._pause, SetBool.Request(data=is_paused)).success
 
-    def reset(self) -> None:
-        """Back to the initial state; waits until that is shown."""
-        response = self._ask(self._reset, Trigger.Request())
-        assert response.success, response.message
-        self.probe.spin_for(0.05)
+    def reset(self, is_active: bool = True) -> None:
+        """Back to the initial state; waits until that is shown, as an active node does."""
+        seen = len(self.states)
+        self._ask_reset()
+        if is_active:
+            self.probe.spin_until(lambda: len(self.states) > seen)
 
     @property
     def newest(self) -> JointSample:
@@ -155,10 +179,15 @@ class Client:
             for values in self.sample(k)[1:]:
                 assert np.isfinite(values).all()
 
+    def _ask_reset(self) -> None:
+        response = self._ask(self._reset, Trigger.Request())
+        assert response.success, response.message
+
     def _ask(self, client: Any, request: Any) -> Any:
-        future = client.call_async(request)
-        self.probe.spin_until(future.done)
-        return future.result()
+        """Response of a service, after the commands sent before: DDS orders no two topics."""
+        for publisher in (self._vectors, self._efforts):
+            assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE))
+        return self.probe.ask(client, request)
 
     def _keep(self, cdr: bytes) -> None:
         self.arrivals.append(time.perf_counter())
@@ -194,7 +223,7 @@ def simulated(
         with QuickProbe(domain) as probe:
             client = Client(node, probe)
             node.wait_for(ACTIVE)
-            client.connect("actuators" in scene)
+            client.connect("actuators" in scene, parameters.get("paused") == "true")
             yield client
             client.assert_finite()
             assert node.stop(stop) == 0, node.log

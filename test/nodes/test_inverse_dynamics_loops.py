@@ -49,9 +49,37 @@ def test_live_torques_are_those_of_the_estimator_in_one_process(leg):
     efforts, _ = play(leg, offsets, message)
     expected, _ = offline(leg.scene, offsets, q, v)
     np.testing.assert_allclose(efforts, expected, rtol=0, atol=1e-10)
+    _check_rows(leg, q)
     driven = {"hip_flexion", "knee_anterior", "ankle"}
     for joint, effort in zip(leg.joints, efforts.T, strict=True):
         assert effort.any() == (joint in driven)
+
+
+def _check_rows(leg, q):
+    """Multipliers by row explain the torques; the violation is that of what was measured."""
+    scene = leg.scene
+    inverse = scene.closed_loop()
+    leg.probe.spin_until(lambda: len(leg.forces) == len(leg.torques))
+    rows = tuple(row.name for row in inverse.constraints.rows)
+    order = [scene.robot.joint(name).q for name in leg.joints]
+    system = scene.system()
+    for force, torque, position in zip(leg.forces, leg.torques, q, strict=True):
+        assert force.header == torque.header
+        assert tuple(force.name) == rows and len(rows) == 2
+        measured = scene.initial.q.copy()
+        measured[order] = position
+        gap = system.residual(0.0, measured)
+        np.testing.assert_allclose(force.position, gap, rtol=0, atol=1e-12)
+        assert 0.0 < np.abs(gap).max() < 1e-3
+    still = np.zeros(scene.robot.model.nv)
+    leg.reset()
+    leg.send(0, position=q[0], velocity=np.zeros(len(leg.joints)))
+    leg.probe.spin_until(lambda: leg.forces)
+    measured[order] = q[0]
+    x, a = inverse.consistent(scene.initial._replace(q=measured, v=still), still)
+    expected = inverse.solve(x, a).multipliers
+    np.testing.assert_allclose(leg.forces[0].effort, expected, rtol=1e-9, atol=1e-9)
+    assert np.abs(expected).max() > 0.1
 
 
 def test_positions_that_cannot_be_assembled_are_dropped_and_the_node_lives(leg):

@@ -1,6 +1,7 @@
 """Ticks by the clock against an rclpy timer: same work, same executor, in turns in one run."""
 
 import gc
+import sys
 import time
 
 import numpy as np
@@ -78,34 +79,38 @@ def timed(executor, node, tick, count, begun):
     executor.remove_node(node)
 
 
-def jitter(begun):
-    """What 99 % of the intervals between ticks differ from the period by at most [s]."""
-    return float(np.percentile(np.abs(np.diff(begun) - PERIOD), 99))
+def deviations(begun):
+    """By how much the first 500 intervals between ticks differ from the period [s]."""
+    return np.abs(np.diff(begun) - PERIOD)[:499]
 
 
 @pytest.mark.parametrize("kind", [EventsExecutor, SingleThreadedExecutor])
-@pytest.mark.soak  # a busy machine decides
-@pytest.mark.parametrize("turns", [9])
-def test_ticks_jitter_at_most_half_as_much_as_those_of_a_timer(node, work, kind, turns):
-    """In the least disturbed of the turns of 0.1 s: what else runs here is not compared.
-
-    More turns are taken, up to 60, as long as the machine is too busy to tell.
-    """
+@pytest.mark.soak  # takes two minutes
+@pytest.mark.parametrize("turns", [60])
+def test_ticks_jitter_at_most_half_as_much_as_those_of_a_timer(node, work, kind, turns, capfd):
+    """In the median turn of 0.5 s, by turns: one that something else disturbs decides nothing."""
     executor, (tick, begun) = kind(context=node.context), work
     pace, paces, timers = Pace(PERIOD, 1.0), [], []
     gc.collect()
     gc.freeze()  # as the shell does
-    while len(paces) < turns or (len(paces) < 60 and min(paces) > 0.5 * min(timers)):
+    for _ in range(turns):
         begun.clear()
         wake_exactly()
-        paced(executor, node, tick, 100, pace)
-        paces.append(jitter(begun))
+        paced(executor, node, tick, 500, pace)
+        paces.append(deviations(begun))
         begun.clear()
         wake_exactly(False)
-        timed(executor, node, tick, 100, begun)
-        timers.append(jitter(begun))
+        timed(executor, node, tick, 500, begun)
+        timers.append(deviations(begun))
     gc.unfreeze()
-    assert min(paces) <= 0.5 * min(timers), (paces, timers)
+    ours, theirs = (np.median(np.percentile(each, 99, axis=1)) for each in (paces, timers))
+    with capfd.disabled():
+        pooled = [1e6 * np.percentile(each, 99) for each in (paces, timers)]
+        sys.stdout.write(
+            f"\njitter p99 [us], ours / rclpy timer: all ticks {pooled[0]:.1f} / {pooled[1]:.1f}, "
+            f"median turn {1e6 * ours:.1f} / {1e6 * theirs:.1f}\n"
+        )
+    assert ours <= 0.5 * theirs
 
 
 # ---------------------------------------------------------------------- bookkeeping

@@ -3,14 +3,13 @@
 import signal
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
-from nodes.conftest import ROOT, NodeProcess
-from nodes.joint_stream import ACTIVE, parameter_file
+from nodes.conftest import ROOT
 from nodes.simulation_client import (
     ARM,
-    DAMPED,
     DEEP,
     JOINTS,
     NAME,
@@ -20,6 +19,7 @@ from nodes.simulation_client import (
     streamed,
     swinging,
 )
+from nodes.timer_node import LINE
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
@@ -33,9 +33,7 @@ from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import read_joint_state, write_joint_state
 from msg_adapters.multi_array import write_multi_array
 
-# A command and a service, or a stream and its reader, race on a busy machine.
-pytestmark = pytest.mark.soak
-
+TIMER = Path(__file__).with_name("timer_node.py")
 TICK = 1e-3
 MS = 1_000_000
 VECTOR, STATE = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"
@@ -53,8 +51,12 @@ def scene_of(folder, text):
 
 @pytest.mark.soak  # a busy machine decides
 @pytest.mark.parametrize("seconds", [60.0])
-def test_real_time_at_1_khz(domain, tmp_path, seconds):
-    """No command is lost, joint states come at their rate, stamps are ticks to the nanosecond."""
+def test_real_time_at_1_khz(domain, start_node, tmp_path, capfd, seconds):
+    """No command is lost, joint states come at their rate, stamps are ticks to the nanosecond.
+
+    In the median second, ticks are at most half as late as those of an rclpy timer beside it.
+    """
+    timer = start_node(target=(str(TIMER),))
     with simulated(domain, tmp_path, ARM, publish_clock="true") as client:
         before = client.probe.wait_health(lambda h: h.values["state"] == "active")
         first = len(client.states)
@@ -68,63 +70,75 @@ def test_real_time_at_1_khz(domain, tmp_path, seconds):
         assert int(health.values["overruns"]) >= 0
         assert float(health.values["time given up"]) == 0.0
         assert "dropped.command" not in health.values
+        ours = lateness(client.probe.health, seconds)
+        timers = [float(line.rpartition(LINE)[2]) for line in timer.log.splitlines()]
+        timers = timers[-len(ours) :]
+        assert min(len(ours), len(timers)) > 0.9 * seconds
+        with capfd.disabled():
+            sys.stdout.write(f"\nlateness p99 of a second [us], simulator: {quartiles(ours)}, ")
+            sys.stdout.write(f"rclpy timer: {quartiles(timers)}\n")
+        assert np.median(ours) <= 0.5 * np.median(timers)
 
 
-def test_without_a_clock_of_its_own_stamps_are_those_of_the_node(domain, tmp_path):
+def lateness(healths, seconds):
+    """What the simulator says of the last `seconds`, a number a second [s]."""
+    own = [h for h in healths if h.name == NAME and "simulating" in h.message]
+    return [float(h.values["lateness of 99 % of the ticks"]) for h in own][-round(seconds) :]
+
+
+def quartiles(values):
+    return " / ".join(f"{1e6 * value:.1f}" for value in np.percentile(values, [25, 50, 75]))
+
+
+def test_stamps_of_the_node_clock_say_when_a_tick_was_due_by_the_real_time_factor(
+    domain, tmp_path
+):
+    """Never before that: what a busy machine delays, the stamps do not show."""
     with simulated(domain, tmp_path, PENDULUM, stop=signal.SIGTERM) as client:
-        client.probe.spin_for(0.5)
-        stamps = client.stamps()
-        assert abs(stamps[-1] - time.time_ns()) < 200 * MS
-        assert np.median(np.diff(stamps)) == pytest.approx(MS, abs=1000)
+        for asked in (1, 0.5, 2):
+            assert client.probe.set_parameter(NAME, "real_time_factor", asked).successful
+            first, begin = len(client.states), time.time_ns()
+            client.probe.spin_until(lambda n=first: len(client.states) > n + 200)
+            samples = [client.sample(k) for k in range(first, first + 200)]
+            stamps = np.array([sample.stamp for sample in samples])
+            # The last tick before the change may still be on its way.
+            assert begin - 1000 * MS < stamps[1] < stamps[-1] < time.time_ns()
+            assert np.median(np.diff(stamps)) == pytest.approx(MS / asked, abs=1000)
+        for value in (-1.0, float("nan")):
+            assert not client.probe.set_parameter(NAME, "real_time_factor", value).successful
 
 
-def test_real_time_factors_pause_and_reset(domain, tmp_path):
-    with simulated(domain, tmp_path, ARM, publish_clock="true") as client:
+def test_as_fast_as_possible_pause_and_reset(domain, tmp_path):
+    """With ticks of 10 ms, so that it is fast on a busy machine too."""
+    options = {"publish_clock": "true", "real_time_factor": 0.0, "rate": 100.0}
+    with simulated(domain, tmp_path, ARM, **options) as client:
         clocks = []
         keep = client.probe.node.create_subscription(Clock, "/clock", clocks.append, DEEP)
         client.probe.spin_until(keep.get_publisher_count)
-
-        def factor(asked):
-            """The first of six windows of 0.5 s that is undisturbed enough to have it."""
-            for _ in range(6):
-                client.probe.spin_for(0.1)
-                first = len(client.states)
-                client.probe.spin_for(0.5)
-                stamps, arrivals = client.stamps()[first:], client.arrivals[first:]
-                assert set(np.diff(stamps)) == {MS}
-                reached = (stamps[-1] - stamps[0]) * 1e-9 / (arrivals[-1] - arrivals[0])
-                if reached == pytest.approx(asked, rel=0.03):
-                    break
-            return reached
-
-        for asked in (0.5, 2):
-            assert client.probe.set_parameter(NAME, "real_time_factor", asked).successful
-            assert factor(asked) == pytest.approx(asked, rel=0.03)
-        assert client.probe.set_parameter(NAME, "real_time_factor", 0.0).successful
         first = len(client.states)
-        client.probe.spin_for(0.4)
+        client.probe.spin_for(0.3)
         stamps, arrivals = client.stamps()[first:], client.arrivals[first:]
         assert stamps[-1] - stamps[0] > 1.2e9 * (arrivals[-1] - arrivals[0])
         client.pause(True)
-        client.probe.spin_for(0.1)
-        first, ticked = len(client.states), len(clocks)
+        first, ticked = client.settle(), len(clocks)
+        busy = client.node.cpu_seconds()
         health = client.probe.wait_health(lambda h: "paused" in h.message)
         assert health.values["real-time factor reached"] == "standing"
-        busy = client.node.cpu_seconds()
-        client.probe.spin_for(0.5)
-        assert client.node.cpu_seconds() - busy < 0.05
+        client.probe.spin_for(0.3)
+        assert client.node.cpu_seconds() - busy < 0.1
         assert len(client.states) == first
+        client.probe.spin_until(lambda: len(clocks) > ticked)
         standing = {read_clock(message) for message in clocks[ticked:]}
         assert standing == {client.newest.stamp}  # repeated, for who comes late
         client.reset()
-        assert client.newest.stamp == 0
+        assert client.newest.stamp == 1  # ns: 0 would be none
         np.testing.assert_array_equal(client.newest.position, [0.0, 0.0, 0.175, 0.0, 0.0])
+        client.step()
+        first = len(client.states)
         assert client.probe.set_parameter(NAME, "real_time_factor", 1.0).successful
         client.pause(False)
-        assert factor(1.0) == pytest.approx(1.0, rel=0.03)
-        for value in (-1.0, float("nan")):
-            result = client.probe.set_parameter(NAME, "real_time_factor", value)
-            assert not result.successful
+        client.probe.spin_until(lambda: len(client.states) > first + 30)
+        assert set(np.diff(client.stamps()[first - 1 :])) == {10 * MS}
 
 
 def test_a_simulation_that_is_too_slow_says_so_and_stretches_no_step(domain, tmp_path):
@@ -135,7 +149,7 @@ def test_a_simulation_that_is_too_slow_says_so_and_stretches_no_step(domain, tmp
         health = client.probe.wait_health(lambda h: "lagging" in h.message)
         assert health.level == WARN
         assert "instead of 1, " in health.message
-        assert int(health.values["overruns"]) > 1000
+        assert int(health.values["overruns"]) > 10
         assert 0.01 < float(health.values["real-time factor reached"]) < 0.9
         assert float(health.values["time given up"]) > 0.1
         client.pause(True)
@@ -224,10 +238,7 @@ def test_a_step_needs_a_pause(domain, tmp_path):
         client.step()
         assert client.probe.change_state(NAME, "deactivate")
         assert client.refused_step() == "the node is inactive"
-        client.probe.spin_for(0.1)
-        first = len(client.states)
-        client.probe.spin_for(0.2)
-        assert len(client.states) == first
+        client.settle()
         assert client.probe.change_state(NAME, "activate")
         client.step()
 
@@ -245,6 +256,7 @@ def test_constraint_forces_and_markers(domain, tmp_path):
         create(JointState, f"{NAME}/constraint_forces", forces.append, DEEP)
         create(MarkerArray, f"{NAME}/markers", arrays.append, DEEP)
         client.probe.spin_until(lambda: forces and len(arrays) > 2)
+        client.pause(True)  # a busy machine lags, and says so
         scene = scene_of(tmp_path, text)
         system = scene.system()
         assert tuple(forces[0].name) == tuple(row.name for row in system.multiplier_rows)
@@ -260,75 +272,3 @@ def test_constraint_forces_and_markers(domain, tmp_path):
         assert health.values["solver tier"] == "kkt"
         assert float(health.values["drift of positions"]) < 1e-12
         assert float(health.values["drift of velocities"]) < 1e-11
-
-
-# ---------------------------------------------------------------------- loop
-
-
-def test_inverse_dynamics_of_the_simulated_motion_gives_the_commands_back(domain, tmp_path):
-    """Exact with the accelerations of the simulator, late by the filter with causal ones."""
-    text = ARM + DAMPED
-    with simulated(domain, tmp_path, text, publish_clock="true", lock_step="true") as client:
-        scene = scene_of(tmp_path, text)
-        (folder := tmp_path / "inverse").mkdir()
-        options = {"use_sim_time": "true", "cutoff": 20.0, "timeout": 5.0}
-        file = parameter_file(folder, {"scene": scene.path, **options})
-        target = [sys.executable, "-m", "mbd_ros.nodes.inverse_dynamics"]
-        node = NodeProcess([*target, "--ros-args", "--params-file", str(file)], domain)
-        try:
-            node.wait_for(ACTIVE)
-            torques = []
-            topic = "/inverse_dynamics/joint_torques"
-            create = client.probe.node.create_subscription
-            keep = create(JointState, topic, torques.append, DEEP)
-            client.probe.spin_until(keep.get_publisher_count)
-            client.follow()
-            while not torques:  # until all nodes know each other
-                client.reset()
-            client.probe.spin_for(0.2)
-            torques.clear()
-            client.motions.clear()
-            for k in range(1500):  # an answer each, so that best effort loses nothing
-                client.command(swinging(k * TICK))
-                client.probe.spin_until(lambda k=k: len(torques) > k)
-            stated = "derivatives"
-            health = client.probe.wait_health(lambda h: stated in h.values)
-            assert node.stop() == 0
-        finally:
-            if node.process.poll() is None:
-                node.process.kill()
-                node.wait()
-        delay = float(health.values[stated].split("delay ")[1].split(" s")[0])
-        compare(scene, client.motions, torques, delay)
-
-
-def compare(scene, motions, torques, delay):
-    inverse, z = scene.inverse_dynamics(), scene.couplings.v_index
-    assert len(motions) == 1500
-    commanded, exact = [], []
-    for motion in motions:
-        solved = inverse.solve(motion.position[z], motion.velocity[z], motion.acceleration[z])
-        exact.append(solved.tau)
-        commanded.append(motion.effort[z])
-    np.testing.assert_array_equal(commanded, [swinging(k * TICK) for k in range(1500)])
-    np.testing.assert_allclose(exact, commanded, rtol=0, atol=1e-6)
-
-    at = {motion.stamp: motion for motion in motions}
-    samples = [read_joint_state(m) for m in torques]
-    samples = [s for s in samples if s.stamp in at and s.stamp > 500 * MS]
-    assert len(samples) == 1000
-    estimated = np.array([s.effort for s in samples])
-
-    def late(lag):
-        """Torques with accelerations that are `lag` old [ms]."""
-        rows = []
-        for sample in samples:
-            now, then = at[sample.stamp], at.get(sample.stamp - lag * MS)
-            a = np.full(len(z), np.nan) if then is None else then.acceleration[z]
-            rows.append(inverse.solve(now.position[z], now.velocity[z], a).tau)
-        return np.array(rows)
-
-    lags = range(0, round(2e3 * delay) + 1)
-    errors = [np.nanstd((late(lag) - estimated)[:, 0]) for lag in lags]
-    assert 1e-3 * int(np.argmin(errors)) == pytest.approx(delay, abs=max(2e-3, 0.1 * delay))
-    assert min(errors) < 0.1 * errors[0], errors

@@ -2,9 +2,11 @@
 
 import math
 import signal
+import time
 
 import numpy as np
 import pytest
+from nodes.conftest import ROOT
 from nodes.simulation_client import (
     ARM,
     DEEP,
@@ -13,18 +15,16 @@ from nodes.simulation_client import (
     PENDULUM,
     TARGET,
     simulated,
-    streamed,
 )
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
+from mbd_ros.nodes.health import QUIET
+from mbd_ros.nodes.scene_node import LATCHED
 from msg_adapters.diagnostics import ERROR, OK, WARN
 from msg_adapters.joint_state import write_joint_state
-
-# A command and a service, or a stream and its reader, race on a busy machine.
-pytestmark = pytest.mark.soak
 
 NAN = math.nan
 GOOD = [0.4, 0.3, 0.002, 0.001]
@@ -63,6 +63,7 @@ BAD = (
 def test_a_bad_command_is_dropped_counted_and_the_last_good_one_held(domain, tmp_path):
     """Wrong lengths, NaN, infinities, names unknown, repeated or missing; one warning for all."""
     with simulated(domain, tmp_path, ARM, paused="true", command_timeout=1e6) as client:
+        begin = time.monotonic()
         for k, message in enumerate(BAD):
             good = (1.0 + 0.1 * k) * np.array(GOOD)
             client.command(good)
@@ -73,7 +74,7 @@ def test_a_bad_command_is_dropped_counted_and_the_last_good_one_held(domain, tmp
         health = client.probe.wait_health(lambda h: h.values.get("dropped.command") == count)
         assert (health.level, health.values["commands received"]) == (OK, count)
         text = "~/commands: data has 1 values, expected 4; the last good command is held"
-        assert client.node.log.count("is held") == 1
+        assert 1 <= client.node.log.count("is held") <= 1 + (time.monotonic() - begin) / QUIET
         assert f"{text} (dropped for 'command': 1)" in client.node.log
 
 
@@ -111,16 +112,23 @@ def test_18_a_stream_that_stops_in_real_time_is_reported_until_it_comes_back(dom
     with simulated(domain, tmp_path, ARM) as client:
         health = client.probe.wait_health(lambda h: h.level == WARN)
         assert "no command yet, instead: damping with gain 1; simulating" in health.message
-        streamed(client, 1.3, 100.0, lambda t: GOOD)
-        assert "no command" not in client.probe.health[-1].message
+        assert client.probe.set_parameter(NAME, "command_timeout", 2.0).successful
+        seen = len(client.probe.health)
+
+        def is_heard():
+            client.command(GOOD)
+            return any("no command" not in h.message for h in client.probe.health[seen:])
+
+        client.probe.spin_until(is_heard)
         np.testing.assert_array_equal(client.newest.effort, SHOWN)
+        assert client.probe.set_parameter(NAME, "command_timeout", 0.1).successful
         health = client.probe.wait_health(lambda h: "no command for " in h.message)
         assert health.level == WARN
         assert float(health.values["age of the last command"]) > 0.1
         for value in (0.0, NAN):
             assert not client.probe.set_parameter(NAME, "command_timeout", value).successful
         assert client.probe.set_parameter(NAME, "command_timeout", 1000).successful
-        client.probe.wait_health(lambda h: h.level == OK)
+        client.probe.spin_until(lambda: (client.newest.effort == SHOWN).all())
         np.testing.assert_array_equal(client.newest.effort, SHOWN)
 
 
@@ -128,7 +136,7 @@ def test_17_a_pause_is_no_loss_of_commands(domain, tmp_path):
     with simulated(domain, tmp_path, PENDULUM, paused="true", command_timeout=0.1) as client:
         client.command([0.2])
         client.step()
-        client.probe.spin_for(1.0)
+        client.probe.spin_for(0.2)  # twice the timeout
         health = client.probe.wait_health(lambda h: True)
         assert (health.level, health.message) == (OK, "paused, t = 0.001 s")
         assert client.step().effort.tolist() == [0.2]
@@ -148,7 +156,6 @@ def test_32_divergence_deactivates_with_joint_and_time_and_resumes_after_a_reset
             client.step()
         client.command([1e308])
         if paused == "true":
-            client.probe.spin_for(0.05)
             for _ in range(5):
                 response = client.probe.call(Trigger, f"{NAME}/step", Trigger.Request())
             assert not response.success
@@ -159,13 +166,11 @@ def test_32_divergence_deactivates_with_joint_and_time_and_resumes_after_a_reset
         assert health.values["state"] == "inactive"
         kept = client.newest.stamp * 1e-9
         assert float(health.values["simulated time"]) == pytest.approx(kept, abs=1e-9)
-        count = len(client.states)
-        client.probe.spin_for(0.3)
-        assert len(client.states) == count
+        count = client.settle()
         assert not client.probe.change_state(NAME, "activate")
         health = client.probe.wait_health(lambda h: h.level == ERROR)
         assert "; call ~/reset first" in health.message
-        client.reset()
+        client.reset(is_active=False)
         assert client.probe.change_state(NAME, "activate")
         client.probe.spin_until(lambda: len(client.states) > count)
         if paused == "true":
@@ -173,6 +178,33 @@ def test_32_divergence_deactivates_with_joint_and_time_and_resumes_after_a_reset
             assert client.step().stamp == 1_000_000
         else:
             client.probe.spin_until(lambda: client.newest.stamp > 0)
+
+
+# ---------------------------------------------------------------------- robot description
+
+
+def test_11_21_22_a_simulation_waits_for_its_robot_and_keeps_it(start_node, probe, tmp_path):
+    urdf = (ROOT / "config/robots/pendulum.urdf").read_text(encoding="utf-8")
+    scene = tmp_path / "scene.yaml"
+    scene.write_text("robot: {description_topic: robot_description}\n")
+    node = start_node(f"/**:\n  ros__parameters:\n    scene: {scene}\n", target=TARGET)
+    health = probe.wait_health(lambda h: h.level == ERROR)
+    assert "waiting for the robot description on robot_description" in health.message
+    states = []
+    probe.node.create_subscription(JointState, "/joint_states", states.append, DEEP)
+    publisher = probe.node.create_publisher(String, "/robot_description", LATCHED)
+    publisher.publish(String(data=urdf.replace("<mass", "<mess")))
+    probe.wait_health(lambda h: h.level == ERROR and "waiting" not in h.message)
+    publisher.publish(String(data=urdf))
+    probe.spin_until(lambda: states)
+    assert states[-1].name == ["hinge"]
+    publisher.publish(String(data=urdf.replace('"hinge"', '"pivot"')))
+    node.wait_for("new robot description refused: a simulation keeps its robot")
+    probe.wait_health(lambda h: h.values.get("dropped.robot_description") == "1")
+    for label in ("deactivate", "cleanup", "configure", "activate"):
+        assert probe.change_state(NAME, label)
+    probe.spin_until(lambda: states[-1].name == ["pivot"])
+    assert node.stop() == 0
 
 
 # ---------------------------------------------------------------------- parameters, life cycle
@@ -221,6 +253,9 @@ def test_the_whole_life_cycle_twice(domain, tmp_path):
         publisher = client.probe.node.create_publisher(JointState, f"{NAME}/joint_commands", DEEP)
         client.probe.spin_until(publisher.get_subscription_count)
         message = write_joint_state(JointState(), 0, ["hinge"], effort=np.array([0.1]))
-        client.probe.spin_for(0.2)
-        publisher.publish(message)
-        client.probe.spin_until(lambda: client.newest.effort[0] == 0.1)
+
+        def is_heard():
+            publisher.publish(message)
+            return client.newest.effort[0] == 0.1
+
+        client.probe.spin_until(is_heard)

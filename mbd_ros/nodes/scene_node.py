@@ -1,0 +1,72 @@
+"""A node made from a scene, whose robot description may come on a topic."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+
+from mbd_ros.errors import MbdError
+from mbd_ros.nodes.shell import Shell
+from mbd_ros.scene import description_topic
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class SceneNode(Shell):
+    """Builds a scene, once its robot description is there.
+
+    Subclasses override `build` and may override `replace`. Parameters must hold scene.
+    """
+
+    def __init__(self, argv: Sequence[str] = ()) -> None:
+        super().__init__(argv)
+        self.is_built = False
+        self._description: str | None = None
+        self._description_topic: str | None = None
+        if self.parameters.scene:
+            self._listen_for_description()
+
+    def build(self, description: str | None) -> None:
+        """Replace the scene and what was built from it, or raise an MbdError and keep it.
+
+        Args:
+            description: URDF, where the scene takes it from a topic.
+        """
+        raise NotImplementedError
+
+    def replace(self, description: str) -> None:
+        """Take another robot while configured, or raise an MbdError and keep the old one."""
+        self.build(description)
+
+    def configure_core(self) -> None:
+        """Build."""
+        if self._description_topic is not None and self._description is None:
+            raise MbdError(f"waiting for the robot description on {self._description_topic}")
+        self.build(self._description)
+        self.is_built = True
+
+    def _listen_for_description(self) -> None:
+        try:
+            self._description_topic = description_topic(self.parameters.scene)
+        except MbdError:
+            return  # configure_core says it
+        if self._description_topic is not None:
+            topic = self._description_topic
+            self.subscribe(String, topic, self._on_description, LATCHED, always=True)
+
+    def _on_description(self, msg: Any) -> None:
+        """Start with the first description; a later one replaces the robot whole or is refused."""
+        if not self.is_built or not self.configured:
+            self._description = msg.data
+            self.try_start()
+            return
+        if msg.data == self._description:
+            return  # its publisher came back
+        try:
+            self.replace(msg.data)
+        except MbdError as error:
+            self.drop("robot_description", f"new robot description refused: {error}")
+            return
+        self._description = msg.data
+        self.get_logger().info("new robot description in use")
