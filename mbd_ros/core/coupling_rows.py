@@ -51,4 +51,6 @@ class CouplingRows(Constraint):
     def drift(self, data: Any, x: State) -> Array:
         """-f'' v_p^2, shape (m,)."""
         q, v = x.q.tolist(), x.v.tolist()  # floats: their squares by ** would not overflow to inf
-        return np.array([-i.law(q[i.parent_q])[2] * v[i.parent_v] * v[i.parent_v] for i in self.links])
+        return np.array(
+            [-i.law(q[i.parent_q])[2] * v[i.parent_v] * v[i.parent_v] for i in self.links]
+        )

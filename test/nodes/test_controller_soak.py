@@ -1,6 +1,7 @@
 """Ten minutes of closed loop at 500 Hz: `make soak`."""
 
 import os
+import sys
 import time
 from pathlib import Path
 
@@ -70,9 +71,9 @@ def test_closed_loop_for_long(domain, tmp_path, seconds):
             health = client.wait_health(lambda h: h.message == "controlling")
             taken = min(12, len(used) // 2)
             growth = np.max(used[taken:], axis=0) - used[taken]
-            print(
+            sys.stdout.write(
                 f"{answered} states answered, {np.mean(latencies):.1f}/s; largest error "
-                f"{1e3 * worst:.3g} mrad; memory {used[taken]} MB, growth {growth} MB"
+                f"{1e3 * worst:.3g} mrad; memory {used[taken]} MB, growth {growth} MB\n"
             )
             assert health.values["times gone safe"] == "0"
             assert health.values["updates without an answer of the law"] == "0"
