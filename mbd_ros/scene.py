@@ -50,6 +50,7 @@ SECTIONS = (
     "safe",
 )
 DEFAULT_INTEGRATOR = {"type": "dopri5"}
+DEFAULT_STABLE = 1.3  # its `stable`, known without importing it
 DEFAULT_DT = 1.0e-3  # s
 
 

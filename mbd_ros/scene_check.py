@@ -14,10 +14,9 @@ from mbd_ros.core.loop_torques import listed
 from mbd_ros.core.row_factor import TOGGLE, RowFactor
 from mbd_ros.core.system import System
 from mbd_ros.core.tiers import tier_of
-from mbd_ros.scene import DEFAULT_INTEGRATOR, Scene
+from mbd_ros.scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE, Scene
 
 _CALLS, _FEW, _REPEATS = 2000, 100, 5
-_STABLE = 2.5  # rate times step; between the limits of RK4, DOPRI5 and DOP853
 _TIERS = {
     "aba": "open chain, articulated-body algorithm",
     "reduced": "couplings eliminated exactly, q = F(z)",
@@ -101,10 +100,13 @@ def _warnings(scene: Scene, system: System, factor: RowFactor | None) -> Iterato
         yield _line("warning", f"Baumgarte: {used} = {floor(scene.dt):g} s")
     if factor is not None:
         yield from _rank_lines(factor)
-    explicit = scene.integrator is None or scene.integrator.is_explicit
+    method = scene.integrator
+    stable = DEFAULT_STABLE if method is None else method.stable
     rate = fastest_rate(system, assemble(system, system.reduce(scene.initial)))
-    if explicit and rate * scene.dt > _STABLE:
-        limit = f"explicit methods need dt < {_STABLE / rate:.2g} s, gauss_legendre does not"
+    explicit = method is None or method.is_explicit
+    if explicit and rate * scene.dt > stable:
+        name = DEFAULT_INTEGRATOR["type"] if method is None else type(method).__name__
+        limit = f"steps of {name} need dt < {stable / rate:.2g} s, gauss_legendre does not"
         yield _line("warning", f"stiff: fastest rate {rate:.3g} 1/s at dt {scene.dt:g} s; {limit}")
     driven = [scene.robot.joint(name) for part in scene.actuators for name in part.joints]
     without = [joint.name for joint in driven if joint.max_effort == 0.0]

@@ -8,6 +8,7 @@ from mbd_ros.core.state import Array
 
 _TINY = 1.0e-300
 _NOTHING = 1.0e-12  # terms of that size are none
+_DWARFS = 1.0e5
 _POLISH_STEPS = 10
 _POLISHED = 1.0e-12  # complementarity residual beyond which nothing is to be gained
 _RANK = 1.0e-13
@@ -16,9 +17,12 @@ _RANK = 1.0e-13
 def complementarity(A: Array, b: Array, lower: Array, upper: Array, lam: Array) -> float:
     """Largest violation of the optimality conditions, relative to the terms in A lam + b.
 
-    It is the natural residual: how far a gradient step, kept in the bounds, moves.
+    It is the natural residual: how far a gradient step, kept in the bounds, moves. Multipliers
+    whose terms dwarf b come from a singular factor, and do not excuse what they leave.
     """
-    size = np.abs(A).dot(np.abs(lam)) + np.abs(b) + _NOTHING
+    given = np.abs(b)
+    terms = np.abs(A).dot(np.abs(lam))
+    size = np.minimum(terms, _DWARFS * given.max(initial=0.0)) + given + _NOTHING
     moved = (lam - _stepped(A, b, lower, upper, lam)) * np.maximum(A.diagonal(), _TINY)
     worst = float((np.abs(moved) / size).max())
     return worst if worst < np.inf else np.inf

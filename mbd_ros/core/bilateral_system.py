@@ -15,6 +15,7 @@ from mbd_ros.core.system import System
 from mbd_ros.errors import SolveError
 
 _NEAR_TOGGLE = 1.0e4  # condition number from which the eigenvalues decide
+_HELD = 1.0e-12  # of the free response: what rounding leaves where the rows hold a joint
 _EXACT = 1.0e-20  # square of the accepted residual of the rows, relative
 
 
@@ -66,7 +67,10 @@ class BilateralSystem(System):
         M, J = self._full_mass(q), self._row_jacobian
         factor = self.factorise(M, J)
         free = np.linalg.solve(M, forces)
-        return free - factor.X.dot(factor.solve(J.dot(free)))
+        moved = free - factor.X.dot(factor.solve(J.dot(free)))
+        held = np.abs(moved).max(axis=0) <= _HELD * np.abs(free).max(axis=0)
+        moved[:, held] = 0.0
+        return moved
 
     def _accelerate(
         self, t: float, q: Array, v: Array, u: Array | None, added: Array | None = None

@@ -69,7 +69,7 @@ class ReducedSystem(System):
             self._GT.dot(self._tau(t, self._q, self._v, u) - self._bias(), self._r)
         M = pin.crba(self.model, self.data, self._q, WORLD)
         self._GT.dot(M, self._half).dot(self._G, self._M)
-        a = eigenpy.LLT(self._M).solve(self._r)
+        a = eigenpy.LLT(self._M).solve(self._r).reshape(self.nv)  # eigenpy has its own for one
         return a if self.bounded is None else self.bounded.accelerate(self, t, q, v, a)
 
     def solve(self, x: State, u: Array | None = None) -> Solution:
@@ -113,7 +113,8 @@ class ReducedSystem(System):
 
     def respond(self, q: Array, forces: Array) -> Array:
         """Accelerations of all joints that forces on them add; as `System.respond`."""
-        return self._G.dot(eigenpy.LLT(self._M).solve(self._GT.dot(forces)))
+        reduced = self._GT.dot(forces)
+        return self._G.dot(eigenpy.LLT(self._M).solve(reduced).reshape(reduced.shape))
 
     def _expand(self, z: Array, w: Array) -> None:
         """Q = F(z), v = G w, a = dG/dt w, and G."""

@@ -2,6 +2,7 @@
 
 import eigenpy
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
@@ -12,6 +13,13 @@ _ZERO_ROW = 1.0e-20  # of the largest row: what rounding leaves of J = 0, square
 TOGGLE = 1.0e6  # condition number beyond which multipliers are unreliable
 CONTRADICTION = 1.0e-5  # of the terms that should cancel; directions below 1e-6 count as null
 _ZERO = 1.0e-12
+_ROUNDING = 1.0e-13  # [m/rad or 1]: no mechanism has rows as small as that
+_SMALL = 1.0e-12  # A_ii [1/kg, 1/(kg m^2)] from which on a row is not looked at
+
+
+def is_rounding(J: Array) -> NDArray[np.bool_]:
+    """Whether rows that no joint moves are all that rounding has left of them, shape (m,)."""
+    return np.abs(J).max(axis=1, initial=0.0) <= _ROUNDING
 
 
 class RowFactor:
@@ -40,6 +48,9 @@ class RowFactor:
         self.X = eigenpy.LLT(M).solve(J.T).reshape(J.T.shape)  # eigenpy flattens one column
         self.A = J.dot(self.X)
         diagonal = self.A.diagonal()
+        if diagonal.min(initial=1.0) < _SMALL and (silent := is_rounding(J)).any():
+            self.X[:, silent] = self.A[silent] = self.A[:, silent] = 0.0
+            diagonal = self.A.diagonal()
         self.size = diagonal if size is None else np.maximum(diagonal, size)
         floor = _ZERO_ROW * float(self.size.max(initial=0.0)) or 1.0
         self._scale = 1.0 / np.sqrt(np.maximum(self.size, floor))

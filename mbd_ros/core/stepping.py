@@ -42,12 +42,16 @@ class Integrator:
         keeps_constraints: Whether the method itself keeps the constraints, so that no
             stabilization acts.
         is_explicit: Whether stiff forces limit the step.
+        stable: Largest rate times dt, with the rate of `linearization.fastest_rate`, at which no
+            oscillation and no decay grows; beyond it an explicit method needs a shorter step. inf
+            where the method chooses its steps.
     """
 
     order: int
     dense: ClassVar[bool] = False
     keeps_constraints: ClassVar[bool] = False
     is_explicit: ClassVar[bool] = True
+    stable: float = 2.5
 
     def prepare(self, system: Any, dt: float) -> Stepper:
         """A stepper for one system and one step size [s]."""

@@ -1,5 +1,6 @@
 """Explicit Runge-Kutta method of order 8 by Dormand and Prince."""
 
+import math
 from typing import Any, ClassVar
 
 from mbd_ros.core.adaptive_runge_kutta import check_tolerance, runge_kutta
@@ -24,11 +25,14 @@ class Dop853(Integrator):
 
     order: ClassVar[int] = 8
     dense: ClassVar[bool] = True
+    stable = 5.5
     example = {"tolerance": 1e-9}
 
     def __init__(self, *, tolerance: float | None = None) -> None:
         check_tolerance(tolerance)
         self.tolerance = tolerance
+        if tolerance is not None:
+            self.stable = math.inf
 
     def prepare(self, system: Any, dt: float) -> RungeKutta:
         """The stepper for one system and one step size [s], or with a tolerance first guess."""

@@ -33,6 +33,7 @@ class Rattle(Integrator):
 
     order = 2
     keeps_constraints = True
+    stable = 2.0
     example: dict[str, Any] = {}
 
     def __init__(self, *, tolerance: float = 1.0e-13) -> None:

@@ -19,6 +19,7 @@ class SemiImplicitEuler(Integrator):
     """
 
     order: ClassVar[int] = 1
+    stable = 0.8  # critical damping; 2 without damping
     example: ClassVar[dict[str, Any]] = {}
 
     def prepare(self, system: Any, dt: float) -> "SemiImplicitEulerStepper":
