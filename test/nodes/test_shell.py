@@ -138,9 +138,7 @@ def test_life_cycle_over_its_services(start_node, probe):
     )
     assert probe.state("/minimal") == "unconfigured"
     assert not probe.change_state("/minimal", "activate")
-    assert "transition 'activate' is not possible while unconfigured; accepted: configure" in (
-        node.log
-    )
+    node.wait_for("transition 'activate' is not possible while unconfigured; accepted: configure")
     assert not probe.change_state("/minimal", "configure")
     assert probe.wait_health(lambda h: h.level == ERROR).message == "scene.yaml: no such file"
     assert probe.set_parameter("/minimal", "refuse", "").successful
