@@ -1,5 +1,6 @@
 """The node `joint_state_projector` over DDS; numbers in test names are those of faults.md."""
 
+import gc
 import math
 import signal
 import sys
@@ -9,7 +10,8 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from nodes.conftest import ROOT, NodeProcess, Probe
-from nodes.joint_stream import ACTIVE, DEEP, MS, parameter_file
+from nodes.joint_stream import ACTIVE, MS, parameter_file
+from nodes.simulation_client import DEEP
 from rclpy.experimental import EventsExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
@@ -324,6 +326,7 @@ def stream_at_1_khz(stream, seconds):
     stream.probe._executor.remove_node(stream.probe.node)
     executor.add_node(stream.probe.node)
     begin, count = time.perf_counter(), int(1000 * seconds)
+    gc.disable()  # a pause of the sender would become a burst
     try:
         for i in range(count):
             while (left := begin + 1e-3 * i - time.perf_counter()) > 0:
@@ -336,6 +339,7 @@ def stream_at_1_khz(stream, seconds):
         while len(stream.violations) < count and time.perf_counter() < end:
             executor.spin_once(timeout_sec=0.05)
     finally:
+        gc.enable()
         executor.remove_node(stream.probe.node)
         stream.probe._executor.add_node(stream.probe.node)
     return count
