@@ -1,8 +1,10 @@
 """Ticks by the clock against an rclpy timer: same work, same executor, in turns in one run."""
 
 import gc
+import resource
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -129,6 +131,22 @@ def test_callbacks_are_handled_while_waiting_and_a_change_ends_the_wait(node):
     begin = time.perf_counter()
     assert not pace.wait(executor)
     assert time.perf_counter() - begin < 0.03
+    executor.remove_node(node)
+
+
+@pytest.mark.parametrize("kind", [EventsExecutor, SingleThreadedExecutor])
+def test_waiting_costs_no_memory(node, kind):
+    executor, pace = kind(context=node.context), Pace(1e-3, 1.0)
+    executor.add_node(node)
+
+    def used(waits):
+        for _ in range(waits):
+            assert pace.idle(executor, 1e-5)
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return pages * resource.getpagesize()
+
+    begin = used(1_000)
+    assert used(20_000) - begin < 250_000
     executor.remove_node(node)
 
 
