@@ -58,6 +58,7 @@ class ReducedSystem(System):
         couplings.expand(self._q, self._v, self._a, self._slopes)
         self._half = np.zeros((self.nv, robot.model.nv))
         self._M, self._r = np.zeros((self.nv, self.nv)), np.zeros(self.nv)
+        self._cholesky = eigenpy.LLT(self.nv)
 
     def acceleration(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
         """Z'' [rad/s^2 or m/s^2], shape (nv,)."""
@@ -69,15 +70,14 @@ class ReducedSystem(System):
             self._GT.dot(self._tau(t, self._q, self._v, u) - self._bias(), self._r)
         M = pin.crba(self.model, self.data, self._q, WORLD)
         self._GT.dot(M, self._half).dot(self._G, self._M)
-        a = eigenpy.LLT(self._M).solve(self._r).reshape(self.nv)  # eigenpy has its own for one
+        self._cholesky.compute(self._M)
+        a = self._cholesky.solve(self._r).reshape(self.nv)  # eigenpy has its own for one
         return a if self.bounded is None else self.bounded.accelerate(self, t, q, v, a)
 
     def solve(self, x: State, u: Array | None = None) -> Solution:
         """Accelerations of all joints and the coupling multipliers."""
-        z_acceleration = self.acceleration(*x, u)
-        a = self._G.dot(z_acceleration) + self._a
-        needed = pin.rnea(self.model, self.data, self._q, self._v, a)
-        needed = needed - self._tau(x.t, self._q, self._v, u)
+        q, v, a = self.joint_motion(x.q, x.v, self.acceleration(*x, u))
+        needed = pin.rnea(self.model, self.data, q, v, a) - self._tau(x.t, q, v, u)
         if self.bounded is None:
             return Solution(a, self.couplings.reduce(needed, self._slopes)[1])
         lam = self.couplings.reduce(needed - self.bounded.force, self._slopes)[1]
@@ -114,7 +114,7 @@ class ReducedSystem(System):
     def respond(self, q: Array, forces: Array) -> Array:
         """Accelerations of all joints that forces on them add; as `System.respond`."""
         reduced = self._GT.dot(forces)
-        return self._G.dot(eigenpy.LLT(self._M).solve(reduced).reshape(reduced.shape))
+        return self._G.dot(self._cholesky.solve(reduced).reshape(reduced.shape))
 
     def _expand(self, z: Array, w: Array) -> None:
         """Q = F(z), v = G w, a = dG/dt w, and G."""

@@ -8,6 +8,7 @@ from mbd_ros.core.constraint_rows import ConstraintRows
 from mbd_ros.core.coupling_rows import CouplingRows
 from mbd_ros.core.couplings import Couplings
 from mbd_ros.core.loads import Loads
+from mbd_ros.core.mimic_system import MimicSystem, mimic_model
 from mbd_ros.core.parts import Constraint
 from mbd_ros.core.reduced_system import ReducedSystem
 from mbd_ros.core.robot import Robot
@@ -55,6 +56,9 @@ def build_system(
         rows = ConstraintRows([*coupled, *bilateral], nv)
         return BilateralSystem(robot, loads, rows, limits)
     if coupled:
+        mimics = mimic_model(robot, couplings)
+        if mimics is not None:
+            return MimicSystem(robot, loads, couplings, mimics, limits)
         return ReducedSystem(robot, loads, couplings, limits)
     return System(robot, loads, bounded=limits)
 

@@ -1,0 +1,73 @@
+"""Linear couplings as mimic joints against the elimination that takes any law."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mbd_ros.core.couplings import Coupling, Couplings
+from mbd_ros.core.laws import Linear, Polynomial
+from mbd_ros.core.loads import Loads
+from mbd_ros.core.mimic_system import MimicSystem, mimic_model
+from mbd_ros.core.reduced_system import ReducedSystem
+from mbd_ros.core.robot_reader import read_robot
+from mbd_ros.core.state import State
+from mbd_ros.core.tiers import build_system
+from mbd_ros.forces.joint_spring import JointSpring
+from mbd_ros.report.scene_text import joint, link, robot
+
+KINDS = ("continuous", "revolute", "prismatic", "revolute", "prismatic", "continuous")
+CHAIN = {"j2": Coupling("j0", Linear(-0.3, 0.1)), "j5": Coupling("j2", Linear(1.7, -0.4))}
+PAIR = {"j3": Coupling("j1", Linear(0.5, 1.5)), "j4": Coupling("j1", Linear(0.2))}
+
+
+@pytest.fixture
+def tree():
+    """Six joints of all kinds with rotor inertias."""
+    rng, elements = np.random.default_rng(3), []
+    for i, kind in enumerate(KINDS):
+        ends = (f"b{i - 1}" if i else "world", f"b{i}")
+        at, rpy, axis = rng.uniform(-0.4, 0.4, (3, 3))
+        elements.append(joint(f"j{i}", kind, ends, at, rpy, axis / np.linalg.norm(axis)))
+        elements.append(link(f"b{i}", 1.0 + i, rng.uniform(-0.1, 0.1, 3), np.eye(3) * 0.1))
+    found = read_robot(robot(*elements))
+    model = found.model.copy()
+    model.armature = rng.uniform(0.1, 2.0, model.nv)
+    return dataclasses.replace(found, model=model)
+
+
+def loads(robot, stiffness):
+    springs = [JointSpring(robot, joint=name, stiffness=stiffness) for name in ("j1", "j2")]
+    return Loads(robot.model.nv, springs if stiffness else ())
+
+
+@pytest.mark.parametrize("stiffness", [0.0, 40.0], ids=["free", "loaded"])
+@pytest.mark.parametrize("laws", [CHAIN, PAIR, CHAIN | PAIR], ids=["chain", "pair", "both"])
+def test_accelerations_and_multipliers_are_those_of_the_elimination(tree, laws, stiffness):
+    couplings = Couplings(tree, laws)
+    mimic = build_system(tree, couplings, [], loads(tree, stiffness))
+    general = ReducedSystem(tree, loads(tree, stiffness), couplings)
+    assert isinstance(mimic, MimicSystem)
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        x = State(0.0, *rng.normal(size=(2, general.nv)))
+        for ours, theirs in zip(mimic.solve(x), general.solve(x), strict=True):
+            assert ours == pytest.approx(theirs, rel=1e-11, abs=1e-11)
+        forces = rng.normal(size=(6, 2))
+        expected = general.respond(x.q, forces)
+        assert mimic.respond(x.q, forces) == pytest.approx(expected, rel=1e-11, abs=1e-11)
+
+
+@pytest.mark.parametrize(
+    "laws",
+    [
+        {"j2": Coupling("j3", Linear(0.5))},  # a parent further out
+        {"j2": Coupling("j0", Polynomial([0.0, 1.0, 0.2]))},
+        {f"j{i}": Coupling("j0", Linear(0.5)) for i in range(1, 6)},  # one coordinate left
+    ],
+    ids=["outer parent", "not linear", "one coordinate"],
+)
+def test_what_has_no_mimic_joint_is_eliminated_as_any_law(tree, laws):
+    couplings = Couplings(tree, laws)
+    assert mimic_model(tree, couplings) is None
+    assert type(build_system(tree, couplings, [], loads(tree, 0.0))) is ReducedSystem
