@@ -17,6 +17,7 @@ from mbd_ros.records import SimulationRecord
 from mbd_ros.results import write_simulation
 from mbd_ros.scene import Scene
 from mbd_ros.simulation_inputs import Run, drives, initial_state
+from mbd_ros.step_check import step_warnings
 
 
 class Interrupted(MbdError):
@@ -57,6 +58,8 @@ def simulate(scene: Scene, run: Run) -> Iterator[str]:
     if scene.wrenches and run.wrenches is None:
         yield f"unloaded: {', '.join(scene.wrenches)}; --wrenches FILE brings their values"
     yield from _summary(simulation, record, wall, evaluations)
+    found = step_warnings(simulation.system, simulation.integrator, simulation.dt, states)
+    yield from (f"warning: {text}" for text in found)
     yield f"{len(states)} states -> {run.out}"
 
 

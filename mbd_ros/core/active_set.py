@@ -23,7 +23,9 @@ def complementarity(A: Array, b: Array, lower: Array, upper: Array, lam: Array) 
     given = np.abs(b)
     terms = np.abs(A).dot(np.abs(lam))
     size = np.minimum(terms, _DWARFS * given.max(initial=0.0)) + given + _NOTHING
-    moved = (lam - _stepped(A, b, lower, upper, lam)) * np.maximum(A.diagonal(), _TINY)
+    diagonal = np.maximum(A.diagonal(), _TINY)
+    step = (A.dot(lam) + b) / diagonal  # kept apart from lam, which might swallow it
+    moved = np.minimum(np.maximum(step, lam - upper), lam - lower) * diagonal
     worst = float((np.abs(moved) / size).max())
     return worst if worst < np.inf else np.inf
 

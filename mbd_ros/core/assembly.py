@@ -18,6 +18,10 @@ _POSITION = 1.0e-13  # [m or rad]: some rounding errors of a mechanism of metres
 _ACCEPTED = 1.0e-9  # a residual that no longer shrinks but is still an assembled mechanism
 _NEAREST = 1.0e-10  # step that no longer brings the state nearer [rad or m]
 _SMALLEST_STEP = 1.0e-6
+_VELOCITY = 1.0e-12  # rate of the rows that is rounding [m/s or rad/s], relative above 1
+_CORRECTIONS, _VELOCITY_CORRECTIONS = 12, 3
+_SHRINKS, _STUCK = 0.1, 4  # when rows count as having turned; how often they may
+_OPEN = 1.0e-6  # what rows at a toggle may leave open [m or rad]
 _STEP = 0.5  # largest step of one joint in one iteration [rad or m], so that the branch is kept
 
 
@@ -47,20 +51,48 @@ def project(system: System, x: State) -> State:
 
     Rows that are dependent or at a toggle are left out there. `system.condition` is brought up to
     date.
+
+    Raises:
+        SolveError: The step has led too far away; names the row that stays open.
     """
     if not system.rows:
         return x
-    q, factor = x.q, None
-    for _ in range(3):
-        g = system.residual(x.t, q)
-        if factor is not None and np.abs(g).max() <= _POSITION:
-            break
-        if factor is None:
-            J = system.jacobian(x.t, q)
+    q, factor = _closed_nearby(system, x)
+    J, rate = system.jacobian(x.t, q), system.rate(x.t, q)
+    v, slow = x.v, _VELOCITY * (1.0 + float(np.abs(x.v).max()))
+    for attempt in range(_VELOCITY_CORRECTIONS):
+        if attempt == _VELOCITY_CORRECTIONS - 1:  # the rows have turned since they were factorised
             factor = system.factorise(system.mass(q), J)
+        v = v - factor.X.dot(factor.solve(J.dot(v) + rate))
+        if float(np.abs(J.dot(v) + rate).max()) <= slow:
+            break
+    return State(x.t, q, v)
+
+
+def _closed_nearby(system: System, x: State) -> tuple[Array, RowFactor]:
+    """Newton's method with the rows of the start for as long as they serve."""
+    q, g = x.q, system.residual(x.t, x.q)
+    factor = system.factorise(system.mass(q), system.jacobian(x.t, q))
+    last, stuck = float(np.abs(g).max()), 0
+    for _ in range(_CORRECTIONS):
         q = system.integrate(q, -factor.X.dot(factor.solve(g)))
-    assert factor is not None
-    return State(x.t, q, _consistent_velocity(system, x.t, q, x.v, factor))
+        g = system.residual(x.t, q)
+        worst = float(np.abs(g).max())
+        if worst <= _POSITION:
+            return q, factor
+        if not worst <= _SHRINKS * last:
+            stuck += 1
+            if worst <= _ACCEPTED or stuck == _STUCK or not worst < np.inf:
+                break
+            factor = system.factorise(system.mass(q), system.jacobian(x.t, q))
+        last = worst
+    if not worst <= _OPEN:
+        row = system.rows[int(np.argmax(np.abs(g)))].name
+        raise SolveError(
+            f"the step to t = {x.t:.9g} s leaves row {row} {worst:.3g} m or rad open, and it does "
+            "not close; try a smaller dt"
+        )
+    return q, factor
 
 
 def assemble(system: System, x: State) -> State:

@@ -14,6 +14,7 @@ from mbd_ros.errors import DivergedError
 
 _CHORD = 10  # corrections with the rows at the start of the step; more means that they turned
 _NEWTON = 20
+_ROUNDED = 1.0e-10  # |g| [m, rad] that may be all that rounding allows, if it no longer shrinks
 _FORESEEN = 1.0e-2  # of the tolerance: what a last correction, by its contraction, leaves
 _VELOCITY = 1.0e-10  # [m/s, rad/s], relative above 1: where the iteration of a(q, v) may stop
 
@@ -176,7 +177,7 @@ class ConstrainedVerlet:
         self, here: Configuration, w: Array, s: Array, drift: Drift
     ) -> tuple[Array, Array, Array]:
         """The same with fresh rows in every correction, for rows that turn within the step."""
-        (h, t), system, lift, worst = drift, self._system, here.lift, 0
+        (h, t), system, lift, worst, last = drift, self._system, here.lift, 0, np.inf
         for _ in range(_NEWTON):
             q = system.integrate(here.q, h * (w - lift.dot(s)))
             g = system.residual(t, q)
@@ -185,9 +186,11 @@ class ConstrainedVerlet:
                 break
             slope = h * system.jacobian(t, q).dot(lift)
             s = s + np.linalg.lstsq(slope, g, rcond=1.0e-12)[0]
-            if abs(g[worst]) <= self._tolerance:
+            size = abs(float(g[worst]))
+            if size <= self._tolerance or (size <= _ROUNDED and size >= 0.5 * last):
                 v = w - lift.dot(s)
                 return s, v, system.integrate(here.q, h * v)
+            last = size
         raise DivergedError(
             f"{self._name}: no step from t = {here.t:.9g} s by {h:g} s ends on the constraints; "
             f"row {system.rows[worst].name} stays {g[worst]:.3g} open; try a smaller dt"

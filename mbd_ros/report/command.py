@@ -12,7 +12,9 @@ _README = "put the headlines of -o DIR into this file, between its two marks; no
 
 def add_report(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """The words that `report` understands."""
-    report = commands.add_parser("report", help="error against run time and cost, on one page")
+    report = commands.add_parser(
+        "report", help="error against run time, stability and cost, on one page"
+    )
     report.add_argument("scenes", nargs="*", metavar="SCENE", help="default: all of this package")
     report.add_argument("--quick", action="store_true", help="a small part, in two minutes")
     report.add_argument("-o", "--out", type=Path, default=Path("report_out"), metavar="DIR")

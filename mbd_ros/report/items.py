@@ -10,6 +10,8 @@ Outcome = dict[str, Any]  # whatever JSON holds
 PARTS: Mapping[str, str] = {  # kind of item -> module; their order is that of the sections
     "precision": "mbd_ros.report.precision",
     "peers": "mbd_ros.report.peers",
+    "stability": "mbd_ros.report.stability",
+    "long_runs": "mbd_ros.report.long_runs",
     "left_out": "mbd_ros.report.left_out",
 }
 

@@ -1,5 +1,6 @@
 """Motion that two families of methods agree on, and for how long it can be told."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,7 +9,6 @@ import pinocchio as pin
 from mbd_ros.core.assembly import assemble
 from mbd_ros.core.linearization import fastest_rate
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.stepping import Integrator
 from mbd_ros.errors import MbdError
 from mbd_ros.report.scene_text import Entry
 from mbd_ros.scene import Scene
@@ -21,6 +21,7 @@ _THIRD = {
 }  # where Newton finds no stops
 _TOLERANCES = (1.0e-9, 1.0e-7)  # rows that jump may not allow the first
 _GROWTH = {"type": "dopri5", "tolerance": 1.0e-6}
+FINE = 4
 AGREED = 1.0e-4  # difference of the two, relative, up to which errors of cells can be told
 _TOLD = 1.0e3  # growth of a perturbation up to which a motion is compared
 _PERTURBATION = 1.0e-4
@@ -46,6 +47,7 @@ class Reference(NamedTuple):
     Attributes:
         grid: Its times.
         states: States of all joints, fewer than times if it stopped.
+        fine: The same at a quarter of the interval.
         horizon: How many of them can be compared with: up to there both methods agree, and a
             perturbation does not grow beyond 1e3.
         uncertain: Largest relative difference of both methods up to there.
@@ -58,6 +60,7 @@ class Reference(NamedTuple):
 
     grid: Grid
     states: list[State]
+    fine: list[State]
     horizon: int
     uncertain: float
     growth: float
@@ -68,10 +71,17 @@ class Reference(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """States on a grid, and why there are not more of them; empty if there are all."""
+    """A run.
+
+    Attributes:
+        states: Those on the grid.
+        reason: Why there are not more of them; empty if there are all.
+        every: All states, one a step.
+    """
 
     states: list[State]
     reason: str
+    every: Sequence[State] = ()
 
 
 def motion(
@@ -88,17 +98,16 @@ def motion(
         solver: Tier.
         **others: `start`: state to begin with; `stabilization`: entry.
     """
-    states: list[State] = []
+    found: list[State] = []
     every = max(1, round(grid.interval / dt))
     try:
         start = others.pop("start", scene.initial)
         simulation = scene.simulation(integrator=method, dt=dt, solver={"type": solver}, **others)
-        for i, x in enumerate(simulation.run(start, grid.span)):
-            if i % every == 0:
-                states.append(x)
+        for x in simulation.run(start, grid.span):
+            found.append(x)
     except MbdError as error:
-        return Motion(states, f"{type(error).__name__}: {error}")
-    return Motion(states, "")
+        return Motion(found[::every], f"{type(error).__name__}: {error}", found)
+    return Motion(found[::every], "", found)
 
 
 def reference(scene: Scene, grid: Grid) -> Reference:
@@ -108,27 +117,29 @@ def reference(scene: Scene, grid: Grid) -> Reference:
         MbdError: It cannot even begin.
     """
     rate = starting_rate(scene)
-    first = _first(scene, grid)
-    rates = rate, _largest_rate(scene, first.states, rate)
-    size = _size(scene, first.states)
-    difference, second = _second(scene, grid, first.states, size, rates[1])
-    growth = _growth(scene, grid, first.states, size)
+    found = first(scene, Grid(grid.interval / FINE, FINE * grid.count))
+    states = found.states[::FINE]
+    rates = rate, _largest_rate(scene, states, rate)
+    size = _size(scene, states)
+    difference, second = _second(scene, grid, states, size, rates[1])
+    growth = _growth(scene, grid, states, size)
     told = [d <= AGREED and g <= _TOLD for d, g in zip(difference, growth, strict=False)]
     horizon = told.index(False) if False in told else len(told)
     return Reference(
         grid=grid,
-        states=first.states,
+        states=states,
+        fine=found.states,
         horizon=horizon,
         uncertain=max(difference[:horizon], default=np.inf),
         growth=growth[horizon - 1] if horizon else np.inf,
         second=second,
         size=size,
-        reason=first.reason,
+        reason=found.reason,
         rates=rates,
     )
 
 
-def _first(scene: Scene, grid: Grid) -> Motion:
+def first(scene: Scene, grid: Grid) -> Motion:
     """Motion with the smallest tolerance that goes furthest."""
     found = Motion([], "")
     for tolerance in _TOLERANCES:
@@ -176,11 +187,6 @@ def starting_rate(scene: Scene) -> float:
     return max(fastest_rate(system, assemble(system, system.reduce(scene.initial))), 1.0e-3)
 
 
-def recommended(method: Integrator, rate: float) -> float:
-    """Longest step that `check` does not warn of [s]."""
-    return method.stable / rate
-
-
 def distance(scene: Scene, a: State, b: State, size: tuple[float, float]) -> float:
     """Difference of two states relative to the size of the motion; inf for NaN."""
     dq = pin.difference(scene.robot.model, a.q, b.q)
@@ -203,13 +209,11 @@ def _size(scene: Scene, states: list[State]) -> tuple[float, float]:
 def _growth(
     scene: Scene, grid: Grid, states: list[State], size: tuple[float, float]
 ) -> list[float]:
-    """How much a perturbation of the start grows, at every time."""
-    model, x = scene.robot.model, scene.initial
-    n = model.nv
-    signs: Array = np.where(np.arange(n) % 3 == 0, -1.0, 1.0)
-    q = pin.integrate(model, x.q, _PERTURBATION * size[0] * signs)
-    v = x.v + _PERTURBATION * size[1] * signs[::-1]
-    near = motion(scene, _GROWTH, grid.interval, grid, start=State(x.t, q, v)).states
+    """How much a perturbation of the first velocities grows, at every time."""
+    x = scene.initial
+    signs: Array = np.where(np.arange(len(x.v)) % 3 == 0, -1.0, 1.0)
+    v = x.v + _PERTURBATION * size[1] * signs
+    near = motion(scene, _GROWTH, grid.interval, grid, start=State(x.t, x.q, v)).states
     away = [distance(scene, a, b, size) for a, b in zip(states, near, strict=False)]
     first = max(away[0], 1.0e-3 * _PERTURBATION) if away else 1.0
     return list(np.maximum.accumulate([d / first for d in away])) if away else []

@@ -1,0 +1,78 @@
+"""Whether a motion was too fast for the step that computed it: what `simulate` warns of."""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from mbd_ros.core.linearization import fastest_rate
+from mbd_ros.core.row_factor import RowFactor
+from mbd_ros.core.state import State
+from mbd_ros.core.stepping import Integrator
+from mbd_ros.core.system import System
+
+_LOOKS = 8  # states whose fastest rate is found, and the last one
+_TURN = 0.5  # change of velocity in a step, of the largest one in the motion
+_FOLD = 30.0  # rise of the condition number of the rows that a toggle makes
+_SLACK = 1.0e-9
+
+
+def step_warnings(
+    system: System, method: Integrator, dt: float, states: Sequence[State]
+) -> Iterator[str]:
+    """What speaks against the step; nothing for methods that choose their steps.
+
+    Args:
+        system: The system.
+        method: What integrated it.
+        dt: Step [s].
+        states: States of all joints, one a step.
+    """
+    if method.stable == math.inf or not states:
+        return
+    name = type(method).__name__
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        if method.is_explicit:
+            yield from _stiffness(system, name, method.stable, dt, states)
+        speeds = np.array([x.v for x in states])
+        turns = np.abs(np.diff(speeds, axis=0)).max(axis=1, initial=0.0)
+        turns = turns / max(float(np.abs(speeds).max()), 1.0e-300)
+        k = int(np.argmax(turns)) if len(turns) else 0
+        if len(turns) and not turns[k] <= _TURN:
+            yield (
+                f"velocities change by {turns[k]:.0%} of the largest one in the step to t = "
+                f"{states[k + 1].t:.6g} s: the step does not resolve the motion"
+            )
+        yield from _folds(system, states)
+
+
+def _stiffness(
+    system: System, name: str, stable: float, dt: float, states: Sequence[State]
+) -> Iterator[str]:
+    some = (*states[:: max(1, len(states) // _LOOKS)], states[-1])
+    rate, t = max((fastest_rate(system, system.reduce(x)), x.t) for x in some)
+    if not rate * dt <= stable * (1.0 + _SLACK):
+        yield (
+            f"stiff: fastest rate {rate:.3g} 1/s at t = {t:.6g} s; steps of {name} need dt < "
+            f"{stable / rate:.2g} s there"
+        )
+
+
+def _folds(system: System, states: Sequence[State]) -> Iterator[str]:
+    """Where the mechanism nearly folds: beyond, it may be on another branch."""
+    if not system.rows:
+        return
+    conditions, size = [], None
+    for x in states:
+        y = system.reduce(x)
+        factor = RowFactor(system.mass(y.q), system.jacobian(y.t, y.q), size)
+        size = factor.size  # a row that vanishes at a toggle is told from one that is small
+        conditions.append(factor.condition)
+    known = [c for c in conditions if c < math.inf]
+    if known and max(known) > _FOLD * min(known):
+        t = states[conditions.index(max(known))].t
+        yield (
+            f"near a toggle at t = {t:.6g} s: the condition number of the rows rises "
+            f"{max(known) / min(known):.0f}-fold; a step too long may leave the branch there, a "
+            "smaller dt or a tolerance tells"
+        )

@@ -1,0 +1,125 @@
+"""What the stability map found: rows that nothing moves, one coordinate, one row, long steps."""
+
+import numpy as np
+import pytest
+
+from mbd_ros.core.active_set import complementarity
+from mbd_ros.core.assembly import assemble, drift, project
+from mbd_ros.core.couplings import Couplings
+from mbd_ros.core.linearization import fastest_rate
+from mbd_ros.core.row_factor import RowFactor
+from mbd_ros.core.state import State
+from mbd_ros.errors import SolveError
+from mbd_ros.report.extreme_scenes import mechanism, rods
+from mbd_ros.report.witness import Witness
+
+STOP = {"type": "joint_stop", "joint": "j0", "upper": 0.1}
+FRICTION = {"type": "dry_friction", "joint": "j1", "limit": 0.1}
+ONE = {"j1": {"parent": "j0", "factor": 0.5}}
+BOTH = {**ONE, "j2": {"parent": "j0", "polynomial": [0.1, 0.3, 0.2]}}
+
+
+@pytest.mark.parametrize("bounded", [[], [STOP], [STOP, FRICTION]])
+@pytest.mark.parametrize("couplings", [ONE, BOTH], ids=["two coordinates", "one coordinate"])
+def test_eliminated_and_kept_couplings_agree_beside_bounded_rows(couplings, bounded):
+    start = {"position": {"j0": 0.09}, "velocity": {"j0": 2.0}}
+    sections = {"couplings": couplings, "constraints": bounded, "initial": start}
+    loaded = mechanism({k: v for k, v in sections.items() if v}, *rods((1.0, 1.0, 1.0)))()
+    found = []
+    for tier in ("auto", "qp"):
+        system = loaded.scene.system(solver={"type": tier})
+        y = system.reduce(loaded.scene.initial)
+        assert system.acceleration(*y).shape == (system.nv,)
+        found.append(system.solve(y))
+        assert Witness(loaded).complaints(system, y) == []
+    assert found[0].a == pytest.approx(found[1].a, rel=1e-9)
+    assert found[0].multipliers == pytest.approx(found[1].multipliers, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("tier", ["kkt", "qp"])
+def test_a_row_that_no_joint_moves_changes_nothing(tier):
+    """Rods in the x-y plane do not leave it: z is kept already, and J is what rounding leaves."""
+    closure = {"type": "loop_closure", "kind": "point", "directions": "z", "frame_a": "world"}
+    closure |= {"frame_b": "b1", "point_b": [0.3, 0.2, 1e-17], "point_a": [0.1, 0.2, 0.0]}
+    start = {"position": {"j0": 0.4, "j1": 1.1}, "velocity": {"j0": 2.0, "j1": -3.0}}
+    free = mechanism({"initial": start}, *rods((1.0, 1.0)))().scene
+    held = mechanism({"initial": start, "constraints": [closure]}, *rods((1.0, 1.0)))().scene
+    system = held.system(solver={"type": tier})
+    a, lam = system.solve(assemble(system, held.initial))
+    assert a == pytest.approx(free.system().acceleration(*free.initial), rel=1e-12)
+    assert lam == pytest.approx([0.0])
+
+
+def test_rows_of_rounding_have_no_rank():
+    J = np.array([[0.0, 3e-17], [0.2, 0.1]])
+    factor = RowFactor(np.eye(2), J)
+    assert factor.rank == 1
+    assert factor.solve(np.array([1e-17, 1.0]))[0] == 0.0
+    assert RowFactor(np.eye(2), J[:1]).rank == 0
+
+
+def test_a_stop_that_rows_hold_still_is_left_alone_unless_it_must_act():
+    def accelerate(upper):
+        held = {"type": "prescribed_motion", "joint": "j0", "polynomial": [0.2]}
+        stop = {"type": "joint_stop", "joint": "j0", "upper": upper}
+        other = {"type": "joint_stop", "joint": "j1", "upper": 0.0}  # acts
+        sections = {"constraints": [held, stop, other], "initial": {"position": {"j0": 0.2}}}
+        scene = mechanism(sections, *rods((1.0, 1.0)))().scene
+        system = scene.system()
+        return system.acceleration(*scene.initial._replace(v=np.array([0.0, 1.0])))
+
+    assert accelerate(0.3)[0] == pytest.approx(0.0, abs=1e-9)
+    with pytest.raises(SolveError, match=r"nothing moves constraint row j0.stop"):
+        accelerate(0.1)
+
+
+def test_huge_multipliers_do_not_excuse_what_they_leave():
+    A, b = np.array([[1.0, 1.0], [1.0, 1.0]]), np.array([1.0, 0.9])
+    free = np.full(2, np.inf)
+    assert complementarity(A, b, -free, free, np.array([1e17, -1e17])) > 1e-7
+
+
+def four_bar():
+    closure = {"type": "loop_closure", "kind": "point", "directions": "xy", "frame_a": "world"}
+    closure |= {"point_a": [1.3, 0.0, 0.0], "frame_b": "b2", "point_b": [1.0, 0.0, 0.0]}
+    start = {"position": {"j0": 1.5708, "j1": -1.6174, "j2": -1.218}}
+    sections = {"constraints": [closure], "initial": start}
+    return mechanism(sections, *rods((1.0, 1.0, 1.0)))().scene
+
+
+def test_projection_closes_positions_and_velocities_after_a_long_step():
+    scene = four_bar()
+    system = scene.system()
+    x = assemble(system, scene.initial)
+    far = State(0.0, x.q + np.array([0.2, -0.1, 0.15]), np.array([5.0, -3.0, 2.0]))
+    assert drift(system, project(system, far)) <= (1e-13, 1e-11)
+
+
+def test_projection_from_beyond_reach_is_an_error_with_row_and_time():
+    scene = four_bar()
+    system = scene.system()
+    away = State(0.5, scene.initial.q + np.array([2.0, -3.0, 5.0]), scene.initial.v)
+    with np.errstate(all="ignore"):
+        try:
+            landed = project(system, away)
+        except SolveError as error:
+            assert "t = 0.5 s" in str(error)
+            assert "world-b2" in str(error)
+        else:
+            assert drift(system, landed).position <= 1e-6
+
+
+def test_bounded_rows_count_in_the_fastest_rate():
+    stop = {"type": "joint_stop", "joint": "j0", "upper": 2.0, "time_constant": 0.001}
+    scene = mechanism({"constraints": [stop]}, *rods((1.0,)))().scene
+    assert fastest_rate(scene.system(), scene.initial) == pytest.approx(1000.0)
+
+
+def test_coupling_rows_overflow_to_infinity():
+    scene = mechanism({"couplings": BOTH}, *rods((1.0, 1.0, 1.0)))().scene
+    assert isinstance(scene.couplings, Couplings)
+    system = scene.system(solver={"type": "kkt"})
+    part = system.constraints.parts[0]
+    fast = State(0.0, scene.initial.q, np.full(3, 1e200))
+    with np.errstate(over="ignore"):
+        assert np.isinf(part.drift(None, fast)[1])
