@@ -21,12 +21,11 @@ CHAIN = {"j2": Coupling("j0", Linear(-0.3, 0.1)), "j5": Coupling("j2", Linear(1.
 PAIR = {"j3": Coupling("j1", Linear(0.5, 1.5)), "j4": Coupling("j1", Linear(0.2))}
 
 
-@pytest.fixture
-def tree():
+def tree(parents=range(-1, 5)):
     """Six joints of all kinds with rotor inertias."""
     rng, elements = np.random.default_rng(3), []
-    for i, kind in enumerate(KINDS):
-        ends = (f"b{i - 1}" if i else "world", f"b{i}")
+    for i, (kind, parent) in enumerate(zip(KINDS, parents, strict=True)):
+        ends = (f"b{parent}" if i else "world", f"b{i}")
         at, rpy, axis = rng.uniform(-0.4, 0.4, (3, 3))
         elements.append(joint(f"j{i}", kind, ends, at, rpy, axis / np.linalg.norm(axis)))
         elements.append(link(f"b{i}", 1.0 + i, rng.uniform(-0.1, 0.1, 3), np.eye(3) * 0.1))
@@ -43,10 +42,11 @@ def loads(robot, stiffness):
 
 @pytest.mark.parametrize("stiffness", [0.0, 40.0], ids=["free", "loaded"])
 @pytest.mark.parametrize("laws", [CHAIN, PAIR, CHAIN | PAIR], ids=["chain", "pair", "both"])
-def test_accelerations_and_multipliers_are_those_of_the_elimination(tree, laws, stiffness):
-    couplings = Couplings(tree, laws)
-    mimic = build_system(tree, couplings, [], loads(tree, stiffness))
-    general = ReducedSystem(tree, loads(tree, stiffness), couplings)
+def test_accelerations_and_multipliers_are_those_of_the_elimination(laws, stiffness):
+    robot = tree()
+    couplings = Couplings(robot, laws)
+    mimic = build_system(robot, couplings, [], loads(robot, stiffness))
+    general = ReducedSystem(robot, loads(robot, stiffness), couplings)
     assert isinstance(mimic, MimicSystem)
     rng = np.random.default_rng(5)
     for _ in range(20):
@@ -59,15 +59,17 @@ def test_accelerations_and_multipliers_are_those_of_the_elimination(tree, laws, 
 
 
 @pytest.mark.parametrize(
-    "laws",
+    ("laws", "parents"),
     [
-        {"j2": Coupling("j3", Linear(0.5))},  # a parent further out
-        {"j2": Coupling("j0", Polynomial([0.0, 1.0, 0.2]))},
-        {f"j{i}": Coupling("j0", Linear(0.5)) for i in range(1, 6)},  # one coordinate left
+        ({"j2": Coupling("j3", Linear(0.5))}, range(-1, 5)),
+        ({"j2": Coupling("j0", Polynomial([0.0, 1.0, 0.2]))}, range(-1, 5)),
+        ({f"j{i}": Coupling("j0", Linear(0.5)) for i in range(1, 6)}, range(-1, 5)),
+        ({"j1": Coupling("j0", Linear(0.5))}, (-1, 0, 1, 1, 3, 4)),
     ],
-    ids=["outer parent", "not linear", "one coordinate"],
+    ids=["parent further out", "not linear", "one coordinate left", "branches beyond"],
 )
-def test_what_has_no_mimic_joint_is_eliminated_as_any_law(tree, laws):
-    couplings = Couplings(tree, laws)
-    assert mimic_model(tree, couplings) is None
-    assert type(build_system(tree, couplings, [], loads(tree, 0.0))) is ReducedSystem
+def test_what_has_no_mimic_joint_is_eliminated_as_any_law(laws, parents):
+    robot = tree(parents)
+    couplings = Couplings(robot, laws)
+    assert mimic_model(robot, couplings) is None
+    assert type(build_system(robot, couplings, [], loads(robot, 0.0))) is ReducedSystem

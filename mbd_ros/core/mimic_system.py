@@ -15,6 +15,8 @@ from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array
 from mbd_ros.core.system import WORLD
 
+_SAME = 1.0e-12
+
 
 class MimicSystem(ReducedSystem):
     """A `ReducedSystem` whose M and h Pinocchio makes in the independent coordinates at once.
@@ -61,7 +63,8 @@ class MimicSystem(ReducedSystem):
 def mimic_model(robot: Robot, couplings: Couplings) -> Any:
     """A model with mimic joints for dependent ones, or None where Pinocchio does not have them.
 
-    It has them for linear couplings of a fixed base to joints that come before in the model. With
+    It has them for linear couplings of a fixed base to joints that come before in the model. Where
+    the links beyond a mimic joint branch, `crba` of Pinocchio 4.1 is wrong: hence a check. With
     one coordinate left there is nothing to gain, and eigenpy has shapes of its own.
     """
     if robot.floating or len(couplings.v_index) == 1:
@@ -82,4 +85,14 @@ def mimic_model(robot: Robot, couplings: Couplings) -> Any:
         model = pin.transformJointIntoMimic(model, parent, child, law.factor, law.offset)
         armature[ancestor] += law.factor**2 * armature[link.child_v]
     model.armature = armature[couplings.v_index]  # Pinocchio leaves that of mimic joints out
-    return model
+    return model if _is_right(model, robot.model, couplings) else None
+
+
+def _is_right(mimic: Any, full: Any, couplings: Couplings) -> bool:
+    """Whether both models have the same reduced mass matrix at some configuration."""
+    z = np.linspace(0.3, 1.1, len(couplings.q_index))
+    q = couplings.positions(z)
+    G, M = couplings.jacobian(q), pin.crba(full, full.createData(), q, WORLD)
+    expected = G.T.dot(M).dot(G)
+    away = pin.crba(mimic, mimic.createData(), z, WORLD) - expected
+    return bool(np.abs(away).max() <= _SAME * np.abs(expected).max())
