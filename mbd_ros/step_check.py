@@ -10,8 +10,10 @@ from mbd_ros.core.row_factor import RowFactor
 from mbd_ros.core.state import State
 from mbd_ros.core.stepping import Integrator
 from mbd_ros.core.system import System
+from mbd_ros.errors import SolveError
 
 _LOOKS = 8  # states whose fastest rate is found, and the last one
+_FOLD_LOOKS = 2_000  # states whose rows are factorised
 _TURN = 0.5  # change of velocity in a step, of the largest one in the motion
 _FOLD = 30.0  # rise of the condition number of the rows that a toggle makes
 _SLACK = 1.0e-9
@@ -50,7 +52,7 @@ def _stiffness(
     system: System, name: str, stable: float, dt: float, states: Sequence[State]
 ) -> Iterator[str]:
     some = (*states[:: max(1, len(states) // _LOOKS)], states[-1])
-    rate, t = max((fastest_rate(system, system.reduce(x)), x.t) for x in some)
+    rate, t = max((_rate(system, x), x.t) for x in some)
     if not rate * dt <= stable * (1.0 + _SLACK):
         yield (
             f"stiff: fastest rate {rate:.3g} 1/s at t = {t:.6g} s; steps of {name} need dt < "
@@ -58,19 +60,27 @@ def _stiffness(
         )
 
 
+def _rate(system: System, x: State) -> float:
+    """Fastest rate [1/s]; 0 where a state nearby has no acceleration and nothing can be told."""
+    try:
+        return fastest_rate(system, system.reduce(x))
+    except SolveError:
+        return 0.0
+
+
 def _folds(system: System, states: Sequence[State]) -> Iterator[str]:
     """Where the mechanism nearly folds: beyond, it may be on another branch."""
     if not system.rows:
         return
-    conditions, size = [], None
-    for x in states:
+    looked, conditions, size = states[:: 1 + len(states) // _FOLD_LOOKS], [], None
+    for x in looked:
         y = system.reduce(x)
         factor = RowFactor(system.mass(y.q), system.jacobian(y.t, y.q), size)
         size = factor.size  # a row that vanishes at a toggle is told from one that is small
         conditions.append(factor.condition)
     known = [c for c in conditions if c < math.inf]
     if known and max(known) > _FOLD * min(known):
-        t = states[conditions.index(max(known))].t
+        t = looked[conditions.index(max(known))].t
         yield (
             f"near a toggle at t = {t:.6g} s: the condition number of the rows rises "
             f"{max(known) / min(known):.0f}-fold; a step too long may leave the branch there, a "

@@ -5,8 +5,9 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
+from mbd_ros import step_check
 from mbd_ros.core.linearization import fastest_rate
-from mbd_ros.errors import MbdError
+from mbd_ros.errors import MbdError, SolveError
 from mbd_ros.part_entries import build_part
 from mbd_ros.report.extreme_scenes import mechanism, rods
 from mbd_ros.scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE, load_scene
@@ -64,6 +65,23 @@ def test_an_implicit_step_that_does_not_resolve_the_motion_is_warned_of():
     said = found(swing(), {"type": "gauss_legendre"}, 0.02, 0.4)
     assert any("does not resolve the motion" in text for text in said)
     assert found(swing(), {"type": "gauss_legendre"}, 0.001, 0.2) == []
+
+
+def test_a_state_without_a_rate_nearby_is_passed_over(monkeypatch):
+    scene = swing()
+    simulation = scene.simulation(integrator={"type": "rk4"}, dt=0.05)
+    states = [scene.initial] * 20
+
+    def failing(system, x):
+        if not rates:
+            raise SolveError("QP not solved")
+        return rates.pop()
+
+    monkeypatch.setattr(step_check, "fastest_rate", failing)
+    rates = [100.0]
+    told = list(step_warnings(simulation.system, simulation.integrator, 0.05, states))
+    assert any("fastest rate 100 1/s" in text for text in told)
+    assert not list(step_warnings(simulation.system, simulation.integrator, 0.05, states))
 
 
 def test_a_near_toggle_is_warned_of():
