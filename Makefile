@@ -34,7 +34,7 @@ venv: .venv/installed
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
 
-test: venv
+test: venv .venv/report
 	$(BIN)/python -m pytest
 
 demo: venv

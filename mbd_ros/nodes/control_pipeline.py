@@ -113,6 +113,8 @@ class ControlPipeline:
             return seen
         if self.x is None:
             self._epoch = stamp
+        elif self._seconds(stamp) < self.x.t:
+            self.loop.is_open = True  # the stamps began anew: go on from what is measured
         self.x = x = self._observed.state(self._seconds(stamp), seen.position, seen.velocity)
         off = seen.dependent - self._observed.dependent
         self._violation = np.where(np.isfinite(off), off, 0.0)
