@@ -39,7 +39,9 @@ def task(name):
 def test_a_peer_that_is_missing_is_named_with_its_install_line(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert peers.items([], False) == []
-    text = " ".join(peers.section([]).text)
+    section = peers.section([])
+    assert section.tables == () and section.headline == ()
+    text = " ".join(section.text)
     assert "pip install mujoco" in text and "pip install drake" in text
 
 
@@ -50,15 +52,37 @@ def test_ratio_is_taken_at_equal_error():
     assert ratio(ours, theirs, 1e-8) is None
 
 
-def test_a_demand_that_does_not_hold_is_said():
-    def runs(package, cost):
-        known_run = {"package": package, "setup": "x", "solver": "auto", "stabilization": None}
-        known_run |= {"integrator": {"type": "rk4"}, "dt": 1e-3, "seconds": cost}
-        return known_run | {"position": 1e-9, "configuration": 1e-9}
+def outcome_of(*costs):
+    """One run a package, all equally precise; costs in ms per simulated s."""
+    runs = []
+    for package, cost in costs:
+        run = {"package": package, "setup": "x", "solver": "auto", "stabilization": None}
+        run |= {"integrator": {"type": "rk4"}, "dt": 1e-3, "seconds": 1e-3 * cost}
+        runs.append(run | {"position": 5e-7, "configuration": 5e-7})
+    return {"runs": runs, "agreement": 1e-12, "check": "x", "setups": []}
 
-    outcome = {"runs": [runs("mbd_ros", 1.0), runs("MuJoCo", 2.0)], "agreement": 1e-12}
-    section = compose([("arm7_swing", outcome | {"check": "x", "setups": []})], [])
-    assert any("does not hold" in row[-1] for row in section.tables[0].rows)
+
+def test_costs_stand_side_by_side():
+    outcome = outcome_of(("mbd_ros", 2.0), ("MuJoCo", 5.0))
+    section = compose([("arm7_swing", outcome), ("leg", outcome_of(("mbd_ros", 1.0)))], [])
+    table = section.tables[0]
+    assert table.title in section.headline
+    assert table.columns == ("scene", "error", "mbd_ros", "MuJoCo")
+    assert table.rows[1] == ["arm7_swing", "1e-6", "2 ms", "5 ms, 2.5 x"]
+    assert table.rows[2] == ["arm7_swing", "1e-8", "not reached", "reaches 5.0e-07 only"]
+    assert table.rows[4] == ["leg", "1e-6", "1 ms", "-"]
+
+
+@pytest.mark.parametrize(("cost", "judged"), [(2.9, "does not hold"), (3.1, "holds")])
+def test_a_demand_is_held_against_the_best_peer(cost, judged):
+    outcome = outcome_of(("mbd_ros", 1.0), ("MuJoCo", cost), ("Drake", 50.0))
+    tables = {table.title: table.rows for table in compose([("arm7_swing", outcome)], []).tables}
+    assert tables["Demands"] == [["arm7_swing", "1e-6", f"{cost:.1f}", "3", judged]]
+    outcome["runs"][0]["position"] = 1e-3  # less precise than peers
+    missed = {t.title: t.rows for t in compose([("arm7_swing", outcome)], []).tables}
+    assert missed["Demands"][0][2:] == ["0.0", "3", "does not hold"]
+    quick = compose([("arm7_swing", outcome | {"quick": True})], [])
+    assert "Demands" not in [table.title for table in quick.tables]
 
 
 def test_scenes_of_a_user_have_no_peers():

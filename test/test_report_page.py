@@ -10,6 +10,7 @@ from mbd_ros.remaining import Remaining, watched
 from mbd_ros.report.compose import plain
 from mbd_ros.report.items import Section, Table
 from mbd_ros.report.page import page
+from mbd_ros.report.page_section import section_lines
 from mbd_ros.tasks import Result, Task
 
 FACTS = {
@@ -65,6 +66,38 @@ def test_states_are_marked_and_numbers_aligned():
     assert '<th scope="col" class="number">error</th><th scope="col">state</th>' in PAGE
 
 
+def html(*tables, **parts):
+    return "".join(
+        section_lines("k", Section("S", (), tables, **parts), dict.fromkeys("ab", PIXEL))
+    )
+
+
+def test_a_subject_that_begins_like_another_keeps_what_is_its_own():
+    tables = [Table(f"{name}: front", ["n"], [["1"]]) for name in ("arm", "arm_coupled")]
+    shown = html(*tables, snippets={"arm_coupled, 1e-6": "dt: 1", "arm, 1e-6": "dt: 2"})
+    places = [shown.index(text) for text in ("arm: front", "dt: 2", "arm_coupled: front", "dt: 1")]
+    assert places == sorted(places)
+
+
+def test_a_first_column_stays_in_sight_unless_it_is_text():
+    assert '<th scope="row">arm_<wbr>coupled</th>' in html(Table("t", ["n"], [["arm_coupled"]]))
+    reasons = html(Table("t", ["reason"], [["short"], ["a reason that is a long sentence " * 2]]))
+    assert "<td>short</td>" in reasons and 'scope="row"' not in reasons
+
+
+def test_pictures_pan_only_where_they_are_wide():
+    """A picture of 1200 x 2400 is wide and tall, one of 930 x 930 scales."""
+    for size, look in (((1200, 2400), ' class="wide tall"'), ((1200, 800), ' class="wide"')):
+        assert f"<figure{look}>" in picture(*size)
+    assert "<figure><img" in picture(930, 930)
+
+
+def picture(wide, high):
+    png = PIXEL[:16] + wide.to_bytes(4, "big") + high.to_bytes(4, "big") + PIXEL[24:]
+    section = Section("S", (), figures={"map": None})
+    return "".join(section_lines("k", section, {"map": png}))
+
+
 def test_numbers_that_json_has_not_become_texts():
     assert plain({"a": [float("nan"), (1, float("-inf"))]}) == {"a": ["nan", [1, "-inf"]]}
 
@@ -88,7 +121,7 @@ def test_progress_is_shown_on_a_terminal(monkeypatch, capsys):
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize("width", [1280, 360])
 def test_a_browser_without_network_has_nothing_to_say(tmp_path, width):
     playwright = pytest.importorskip("playwright.sync_api")
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")

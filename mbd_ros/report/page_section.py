@@ -14,6 +14,8 @@ _NOTHING = ("", "-", "–", "—")
 _STATES = ("converged", "bounded", "stopped", "wrong")
 _WIDE = 1000  # pixels; what has more is panned on a phone
 _MANY = 3  # subjects that deserve links
+_DENSE = 9  # columns; what has more is printed smaller
+_LABEL = 40  # characters; a first column with more is text and not a label that stays in sight
 
 
 def section_lines(kind: str, section: Section, pictures: Mapping[str, bytes]) -> Iterator[str]:
@@ -31,23 +33,43 @@ def section_lines(kind: str, section: Section, pictures: Mapping[str, bytes]) ->
     if section.wrong:
         lines = "".join(f"<li>{escape(line)}</li>" for line in section.wrong)
         yield f'<div class="verdict bad"><strong>Wrong</strong><ul>{lines}</ul></div>'
-    yield from (f"<p>{escape(text)}</p>" for text in section.text)
-    figures, snippets = list(section.figures), dict(section.snippets)
+    paragraphs = "".join(f"<p>{escape(text)}</p>" for text in section.text)
+    yield f'<div class="text">{paragraphs}</div>'
     subjects = [_subject(table) for table in section.tables]
-    yield from _links(kind, [s for s in dict.fromkeys(subjects) if s])
+    named = [s for s in dict.fromkeys(subjects) if s]
+    figures = {n: _longest(s for s in named if n.endswith(s)) for n in section.figures}
+    snippets = {t: _longest(s for s in named if t.startswith(s)) for t in section.snippets}
+    yield from _links(kind, named)
     for i, (table, subject) in enumerate(zip(section.tables, subjects, strict=True)):
         if subject and subject not in subjects[:i]:
             yield f'<div id="{_anchor(kind, subject)}"></div>'
         yield from _table(table)
         if subject and subject not in subjects[i + 1 :]:
-            for name in [name for name in figures if name.endswith(subject)]:
-                figures.remove(name)
-                yield _figure(name, pictures[name])
-            for title in [title for title in snippets if title.startswith(subject)]:
-                yield _snippet(title, snippets.pop(title))
-    yield from (_figure(name, pictures[name]) for name in figures)
-    yield from (_snippet(title, lines) for title, lines in snippets.items())
+            yield from _beside(section, pictures, _of(subject, figures), _of(subject, snippets))
+    yield from _beside(section, pictures, _of("", figures), _of("", snippets))
     yield "</section>"
+
+
+def _longest(subjects: Iterable[str]) -> str:
+    """The subject that is meant where one is part of another: arm, arm_coupled."""
+    return max(subjects, key=len, default="")
+
+
+def _of(subject: str, owners: Mapping[str, str]) -> list[str]:
+    return [name for name, owner in owners.items() if owner == subject]
+
+
+def _beside(
+    section: Section, pictures: Mapping[str, bytes], figures: list[str], snippets: list[str]
+) -> Iterator[str]:
+    """Pictures and lines, next to one another where there is room."""
+    if figures or snippets:
+        yield '<div class="beside">'
+        yield from (_figure(name, pictures[name]) for name in figures)
+        if snippets:
+            lines = (_snippet(title, section.snippets[title]) for title in snippets)
+            yield f'<div class="snippets">{"".join(lines)}</div>'
+        yield "</div>"
 
 
 def _subject(table: Table) -> str:
@@ -73,23 +95,27 @@ def _snippet(title: str, lines: str) -> str:
 def _figure(name: str, png: bytes) -> str:
     alt = escape(name.replace("_", " "), quote=True)
     wide, high = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))  # IHDR
+    looks = [*(["wide"] if wide > _WIDE else []), *(["tall"] if high > wide > _WIDE else [])]
     return (
-        f'<figure{_class(["wide"] if wide > _WIDE else [])}><img alt="{alt}" width="{wide}" '
-        f'height="{high}" src="data:image/png;base64,{b64encode(png).decode()}"></figure>'
+        f'<figure{_class(looks)}><img alt="{alt}" width="{wide}" height="{high}" '
+        f'src="data:image/png;base64,{b64encode(png).decode()}"></figure>'
     )
 
 
 def _table(table: Table) -> Iterator[str]:
     columns = [[row[i].strip() for row in table.rows] for i in range(len(table.columns))]
     numeric = [_is_numeric(cells) for cells in columns]
+    is_named = columns and not numeric[0] and all(len(text) <= _LABEL for text in columns[0])
     heads = (
         f'<th scope="col"{_class(["number"] if number else [])}>{escape(text)}</th>'
         for text, number in zip(table.columns, numeric, strict=True)
     )
-    yield f'<h3>{escape(table.title)}</h3><div class="scroll"><table>'
+    dense = _class(["dense"] if len(columns) > _DENSE else [])
+    yield f'<h3>{escape(table.title)}</h3><div class="scroll"><table{dense}>'
     yield f"<thead><tr>{''.join(heads)}</tr></thead><tbody>"
     for row in table.rows:
-        yield f"<tr>{''.join(_cells(row, numeric))}</tr>"
+        cells = [_cell(text, number) for text, number in zip(row, numeric, strict=True)]
+        yield f"<tr>{''.join([_label(row[0]), *cells[1:]] if is_named else cells)}</tr>"
     yield "</tbody></table></div>"
 
 
@@ -98,14 +124,14 @@ def _is_numeric(cells: Sequence[str]) -> bool:
     return bool(said) and all(_NUMBER.fullmatch(cell) for cell in said)
 
 
-def _cells(row: Sequence[str], numeric: Sequence[bool]) -> Iterator[str]:
-    for i, (text, number) in enumerate(zip(row, numeric, strict=True)):
-        if i == 0 and not number:
-            yield f'<th scope="row">{escape(text)}</th>'
-            continue
-        words = text.lower().split(maxsplit=1)
-        states = [state for state in _STATES if words and words[0].rstrip(":,;") == state]
-        yield f"<td{_class([*states, *(['number'] if number else [])])}>{escape(text)}</td>"
+def _label(text: str) -> str:
+    return f'<th scope="row">{escape(text).replace("_", "_<wbr>")}</th>'
+
+
+def _cell(text: str, is_numeric: bool) -> str:
+    words = text.lower().split(maxsplit=1)
+    states = [state for state in _STATES if words and words[0].rstrip(":,;") == state]
+    return f"<td{_class([*states, *(['number'] if is_numeric else [])])}>{escape(text)}</td>"
 
 
 def _class(names: Iterable[str]) -> str:
