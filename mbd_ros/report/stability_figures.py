@@ -42,6 +42,7 @@ _DASHES = {"rattle": "-", "gauss_legendre": "--", "generalized_alpha": "-.", "rk
 _LEAST = 1.0e-17  # shown instead of zero
 _COLUMNS = ("equations", *METHODS)
 _ROW_HEIGHT = 0.2  # inches
+_SIZE = 7.5  # pt
 
 
 def verdict_map(rows: Sequence[Mapping[str, Any]]) -> Figure:
@@ -60,17 +61,17 @@ def verdict_map(rows: Sequence[Mapping[str, Any]]) -> Figure:
             k = _COLUMNS.index(cell["method"])
             shade[i, k] = VERDICTS.index(cell["kind"])
             color = "white" if cell["kind"] == WRONG else "black"
-            axes.text(k, i, _symbol(cell), ha="center", va="center", fontsize=6, color=color)
+            axes.text(k, i, _symbol(cell), ha="center", va="center", fontsize=_SIZE, color=color)
     colors = ListedColormap([_COLORS[kind] for kind in VERDICTS])
     axes.imshow(shade, cmap=colors, vmin=-0.5, vmax=len(VERDICTS) - 0.5, aspect="auto")
-    axes.set_yticks(range(len(rows)), [_label(rows, i) for i in range(len(rows))], fontsize=6)
+    axes.set_yticks(range(len(rows)), [_label(rows, i) for i in range(len(rows))], fontsize=_SIZE)
     names = [name.replace("_", "\n") for name in _COLUMNS]
-    axes.set_xticks(range(len(_COLUMNS)), names, fontsize=6)
+    axes.set_xticks(range(len(_COLUMNS)), names, fontsize=_SIZE)
     axes.xaxis.tick_top()
     axes.tick_params(length=0)
     _separate(axes, rows)
     shown = [Patch(fc=_COLORS[k], ec="gray", label=f"{_SYMBOLS[k]} {k}".strip()) for k in VERDICTS]
-    figure.legend(handles=shown, loc="outside lower center", ncols=len(shown), fontsize=6)
+    figure.legend(handles=shown, loc="outside lower center", ncols=len(shown), fontsize=_SIZE)
     return figure
 
 
