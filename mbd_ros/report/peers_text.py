@@ -52,7 +52,8 @@ def compose(outcomes: Sequence[tuple[str, Mapping[str, Any]]], missing: Sequence
         )
     columns = ("scene", "package", "set-up", "position", "CPU ms per s")
     tables.append(Table("Finest runs", columns, finest))
-    return Section("Other packages", text, tables, figures, headline=(tables[0].title, *list(figures)[:1]))
+    headline = (tables[0].title, *list(figures)[:1])
+    return Section("Other packages", text, tables, figures, headline=headline)
 
 
 def ratio(ours: Sequence[Point], theirs: Sequence[Point], error: float) -> float | None:
