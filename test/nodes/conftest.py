@@ -138,6 +138,16 @@ class Probe:
         found = self.spin_until(lambda: [h for h in self.health[seen:] if done(h)], timeout)
         return found[0]
 
+    def meet(self, node: str) -> None:
+        """Until a node knows all publishers and subscriptions that were made here.
+
+        Who asks it a service that was made later: it learns of one after the other.
+        """
+        client = self.node.create_client(GetState, f"{node}/get_state")
+        self.spin_until(client.service_is_ready)
+        self.ask_repeatedly(client, GetState.Request())
+        self.node.destroy_client(client)
+
     def call(self, kind: type, name: str, request: Any) -> Any:
         """Response of a service; all but `ChangeState` may hear the request twice."""
         is_new = name not in self._clients
@@ -186,7 +196,7 @@ class Probe:
         return bool(self.call(ChangeState, f"{node}/change_state", request).success)
 
     def state(self, node: str) -> str:
-        """Label of the life cycle state."""
+        """Label of the life cycle state, when the node has handled all that was sent before."""
         response = self.call(GetState, f"{node}/get_state", GetState.Request())
         return str(response.current_state.label)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from nodes.conftest import NodeProcess
+from nodes.conftest import DEADLINE, NodeProcess
 from nodes.joint_stream import ACTIVE, parameter_file
 from nodes.simulation_client import ARM, DEEP, JOINTS, QuickProbe
 from rclpy.duration import Duration
@@ -32,6 +32,7 @@ class ControlClient:
         commands: Vectors of ~/commands, as they came.
         arrivals: When they came, on the clock of `perf_counter` [s].
         states: Messages of ~/state.
+        sent: When the last joint state was sent, on the same clock [s].
     """
 
     def __init__(
@@ -48,15 +49,13 @@ class ControlClient:
         self.arrivals: list[float] = []
         self.states: list[JointSample] = []
         create, publish = probe.node.create_subscription, probe.node.create_publisher
-        topic = f"{plant or self.name}/commands"
-        self.hearing = create(Float64MultiArray, topic, self._keep, DEEP)
-        keep = self._keep_state
-        self._states = create(JointState, f"{self.name}/state", keep, DEEP)
+        self.hear()
+        self._states = create(JointState, f"{self.name}/state", self._keep_state, DEEP)
         topic = f"/{name}_test/joint_states" if plant else "/joint_states"
         self._joints = publish(JointState, topic, DEEP)
         self._references = publish(JointState, f"{self.name}/reference", DEEP)
         self._trajectories = publish(JointTrajectory, f"{self.name}/joint_trajectory", DEEP)
-        self.stamp = time.time_ns()
+        self.stamp, self.sent = time.time_ns(), 0.0
 
     def connect(self) -> None:
         """Until both sides know each other."""
@@ -65,7 +64,17 @@ class ControlClient:
         own = () if self._plant else (self._joints,)
         for publisher in (*own, self._references, self._trajectories):
             spin(publisher.get_subscription_count)
-        self.probe.spin_for(0.1)
+        self.probe.meet(self.name)
+
+    def hear(self) -> None:
+        """Subscribe to the commands."""
+        topic = f"{self._plant or self.name}/commands"
+        create = self.probe.node.create_subscription
+        self.hearing = create(Float64MultiArray, topic, self._keep, DEEP)
+
+    def unhear(self) -> None:
+        """Let nobody hear the commands."""
+        self.probe.node.destroy_subscription(self.hearing)
 
     def message(self, pose: Any = POSE, **changes: Any) -> Any:
         """Joint state of the next stamp, at rest; `changes` replace its fields."""
@@ -80,6 +89,7 @@ class ControlClient:
 
     def publish(self, message: Any) -> None:
         """Send a joint state."""
+        self.sent = time.perf_counter()
         self._joints.publish(message)
 
     def ask(self, pose: Any = POSE, **changes: Any) -> Any:
@@ -91,47 +101,47 @@ class ControlClient:
         assert self.states[-1].stamp == self.stamp
         return self.commands[-1]
 
-    def stand(self, seconds: float, pose: Any = POSE) -> Any:
-        """Joint states at rest for a while, in real time; the last command."""
-        end = time.perf_counter() + seconds
-        while time.perf_counter() < end:
-            answer = self.ask(pose)
+    def stand(self, pose: Any = POSE) -> Any:
+        """Joint states at rest, in real time, until the law alone holds them; its command."""
+        full = self.holding(pose)
+
+        def is_full() -> bool:
             self.probe.spin_for(STEP * 1e-9)
-        return answer
+            return np.allclose(self.ask(pose), full, rtol=1e-9, atol=0.0)
+
+        self.probe.spin_until(is_full)
+        return self.commands[-1]
+
+    def handled(self) -> None:
+        """Until the node has handled what was sent, and what it said of that is here."""
+        self.probe.state(self.name)
 
     def no_answer(self, message: Any) -> None:
         """Send a joint state that must not be answered."""
         answered = len(self.states)
         self.publish(message)
-        assert self._joints.wait_for_all_acked(Duration(seconds=1))
-        self.probe.spin_for(0.03)
+        self.handled()
         assert len(self.states) == answered
 
     def refer(self, position: Sequence[float], names: Sequence[str] = JOINTS, **more: Any) -> None:
-        """Send a reference; it has arrived when this returns."""
+        """Send a reference; it was handled when this returns."""
         message = JointState(name=list(names), position=[float(x) for x in position])
         for field, values in more.items():
             setattr(message, field, [float(x) for x in values])
-        self._references.publish(message)
-        self.probe.spin_for(0.05)
+        self._send(self._references, message)
 
     def lead(self, trajectory: Any) -> None:
-        """Send a trajectory; it has arrived when this returns."""
-        self._trajectories.publish(trajectory)
-        self.probe.spin_for(0.05)
+        """Send a trajectory; it was handled when this returns."""
+        self._send(self._trajectories, trajectory)
 
     def holding(self, pose: Any = POSE) -> Any:
         """Torques that hold a pose, by inverse dynamics."""
         q, zero = np.insert(pose, 2, 0.0)[[0, 1, 3, 4]], np.zeros(4)
         return self.scene.inverse_dynamics().solve(q, zero, zero).tau
 
-    def dropped(self, reason: str) -> int:
-        """How many messages the newest diagnostics count as dropped for a reason."""
-        own = [h for h in self.probe.health if h.name == self.name]
-        return int(own[-1].values.get(f"dropped.{reason}", 0)) if own else 0
-
     def wait_health(self, done: Any) -> Any:
-        """First status of the controller from now on that satisfies `done`."""
+        """First status of the controller after all that was sent that satisfies `done`."""
+        self.handled()
         return self.probe.wait_health(lambda h: h.name == self.name and done(h))
 
     def assert_finite(self) -> None:
@@ -139,6 +149,11 @@ class ControlClient:
         assert all(np.isfinite(values).all() for values in self.commands)
         for state in self.states:
             assert all(np.isfinite(values).all() for values in state[1:])
+
+    def _send(self, publisher: Any, message: Any) -> None:
+        publisher.publish(message)
+        assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE))
+        self.handled()
 
     def _keep(self, message: Any) -> None:
         self.arrivals.append(time.perf_counter())

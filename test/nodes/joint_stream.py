@@ -73,6 +73,8 @@ class JointStream:
         probe.spin_until(self._publisher.get_subscription_count)
         probe.spin_until(lambda: all(s.get_publisher_count() for s in self._subscriptions))
         probe.wait_health(lambda h: h.name == self.name and h.values["state"] == "active")
+        probe.meet(self.name)
+        self.begin = time.time_ns()
 
     def reset(self, begin: int | None = None) -> None:
         """Empty the filters of the node; the motion begins now, or at `begin` [ns]."""
@@ -110,9 +112,9 @@ class JointStream:
         """Send sample k."""
         self.publish(self.message(k, **changes))
 
-    def answers(self, count: int, timeout: float = 5.0) -> list[Any]:
+    def answers(self, count: int) -> list[Any]:
         """The first `count` torques since the last reset."""
-        self.probe.spin_until(lambda: len(self.torques) >= count, timeout)
+        self.probe.spin_until(lambda: len(self.torques) >= count)
         return self.torques
 
     def ask(self, k: float, wrenches: Sequence[Any] = (), **changes: Any) -> Any:
@@ -157,6 +159,7 @@ class WrenchStream:
         self._stream = stream
         self._publisher = stream.probe.node.create_publisher(WrenchStamped, topic, DEEP)
         stream.probe.spin_until(self._publisher.get_subscription_count)
+        stream.probe.meet(stream.name)
 
     def send(self, k: float, wrench: Sequence[float], frame: str = "world") -> None:
         """Send a wrench with the stamp of sample k."""

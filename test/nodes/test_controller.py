@@ -7,6 +7,8 @@ import pytest
 from builtin_interfaces.msg import Duration
 from nodes.control_client import KINDS, POSE, controlled
 from nodes.simulation_client import ARM, JOINTS
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from msg_adapters.diagnostics import OK
@@ -55,27 +57,27 @@ def test_the_order_of_joints_and_of_messages_is_free(domain, tmp_path):
 # ---------------------------------------------------------------------- references
 
 
-def followed(client, pose):
-    """Where the reference is, from the tracking error of a joint at rest at `pose`."""
-    client.ask(pose)
-    return pose - client.states[-1].position
+def followed(client, stamp):
+    """Where the reference is at a stamp, from the tracking error of joints at rest at POSE."""
+    client.ask(POSE, stamp=stamp)
+    return POSE - client.states[-1].position
 
 
 def test_a_target_is_reached_along_a_ramp_and_held(domain, tmp_path):
     ramp = {"reference_ramp": 0.2, "reference_ramp_speed": 1.0}
     with controlled(domain, tmp_path, **AT_ONCE, **ramp) as client:
         client.ask()
+        begin, second = client.stamp, 1_000_000_000
         client.refer([0.6, 0.4, 0.2, 0.0])
-        client.stamp += 100_000_000
-        middle = followed(client, POSE)
+        middle = followed(client, begin + second // 10)
         assert 0.5 < middle[0] < 0.6
-        client.stamp += 1_000_000_000
-        np.testing.assert_allclose(followed(client, POSE), [0.6, 0.4, 0.2, 0.0], atol=1e-12)
+        end = followed(client, begin + second)
+        np.testing.assert_allclose(end, [0.6, 0.4, 0.2, 0.0], atol=1e-12)
         elbow = 1.75 * 0.7 + 0.175
         client.refer([elbow, 0.4, 0.2, 0.0], ["elbow", *JOINTS[1:]])
-        client.stamp += 1_000_000_000
-        np.testing.assert_allclose(followed(client, POSE), [0.7, 0.4, 0.2, 0.0], atol=1e-12)
-        assert "references: shoulder_flexion from elbow" in client.node.log
+        end = followed(client, begin + 2 * second)
+        np.testing.assert_allclose(end, [0.7, 0.4, 0.2, 0.0], atol=1e-12)
+        client.node.wait_for("references: shoulder_flexion from elbow")
         client.wait_health(lambda h: "held" in h.values["reference"])
 
 
@@ -97,8 +99,8 @@ def test_a_trajectory_is_followed_through_its_points(domain, tmp_path):
         points = [POSE + np.array([0.1, 0, 0, 0]), POSE + np.array([0.1, 0.2, 0, 0]), POSE]
         client.lead(trajectory(points))
         for k, point in enumerate(points, 1):
-            client.ask(stamp=begin + k * 500_000_000)
-            np.testing.assert_allclose(POSE - client.states[-1].position, point, atol=1e-9)
+            there = followed(client, begin + k * 500_000_000)
+            np.testing.assert_allclose(there, point, atol=1e-9)
         client.wait_health(lambda h: h.values["reference"] == "end of the trajectory: held")
 
 
@@ -106,7 +108,8 @@ def test_a_bad_reference_is_dropped_and_the_old_one_held(domain, tmp_path):
     """NaN, wrong size, joints missing or unknown, beyond limits, too fast, over (fault 35)."""
     with controlled(domain, tmp_path, **AT_ONCE) as client:
         client.refer(POSE)
-        assert "no joint state yet" in client.node.log
+        first = f"{client.name}/reference: reference refused: no joint state yet"
+        client.node.wait_for(first)
         client.ask()
         bad = [
             ([0.5, np.nan, 0.2, 0.1], JOINTS, {}),
@@ -127,41 +130,87 @@ def test_a_bad_reference_is_dropped_and_the_old_one_held(domain, tmp_path):
         client.wait_health(lambda h: h.values.get("dropped.reference") == count)
         client.stamp += 2_000_000_000
         np.testing.assert_allclose(client.ask(), client.holding(), rtol=1e-9, atol=1e-9)
-        first = "~/reference: reference refused: no joint state yet"
-        assert first.replace("~", client.name) in client.node.log
 
 
 # ---------------------------------------------------------------------- gains
 
 
-def test_gains_change_while_running_and_nonsense_is_refused(domain, tmp_path):
-    """Faults 36 and 37: wrong type, NaN, length, sign, unknown name; the old gains stay."""
-    with controlled(domain, tmp_path, **AT_ONCE, gains__boundary_layer=[10.0]) as client:
+NONSENSE = {
+    "sliding": (
+        ("gains.gain", "much", "type"),
+        ("gains.gain", [float("nan")], "finite"),
+        ("gains.gain", [-1.0], "accepted"),
+        ("gains.gain", [0.0], "gain .* must be finite and > 0"),
+        ("gains.gain", [1.0, 2.0], "gain has 2 values; accepted: one, or one a joint .4."),
+        ("gains.gains", [1.0], "gains.gain"),
+        ("gains.law", "linear", "one of constant, exponential, power_rate"),
+        ("controller", "super_twisting", "read-only"),
+    ),
+    "qp": (
+        ("gains.kp", 1.0, "type"),
+        ("gains.kp", [100.0, float("nan"), 100.0, 100.0], "finite"),
+        ("gains.kp", [0.0], "kp .* must be finite and > 0"),
+        ("gains.kp", [1.0] * 5, "kp has 5 values; accepted: one, or one a joint .4."),
+        ("gains.kpp", [1.0], "gains.kp"),
+        ("gains.horizon", float("inf"), "out of range"),
+        ("gains.velocity_limits", [True], "type"),
+        ("timeout", 0.0, "out of range"),
+    ),
+}
+GAIN = {"sliding": ("gains.gain", [120.0] * 4), "qp": ("gains.kp", [200.0])}
+AHEAD = POSE + np.array([0.01, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nonsense_is_refused_with_the_reason_and_the_old_gains_stay(domain, tmp_path, kind):
+    """Fault 36: wrong type, NaN, length, sign, unknown name."""
+    with controlled(domain, tmp_path, kind=kind, **AT_ONCE) as client:
         client.ask()
-        ahead = POSE + np.array([0.01, 0.0, 0.0, 0.0])
-        before = client.ask(ahead)
-        for name, value, reason in (
-            ("gains.gain", "much", "type"),
-            ("gains.gain", [float("nan")], "finite"),
-            ("gains.gain", [-1.0], "accepted"),
-            ("gains.gain", [0.0], "gain .* must be finite and > 0"),
-            ("gains.gain", [1.0, 2.0], "gain has 2 values; accepted: one, or one a joint .4."),
-            ("gains.gains", [1.0], "gains.gain"),
-            ("gains.law", "linear", "one of constant, exponential, power_rate"),
-            ("controller", "super_twisting", "read-only"),
-        ):
+        before = client.ask(AHEAD)
+        for name, value, reason in NONSENSE[kind]:
             result = client.probe.set_parameter(client.name, name, value)
             assert not result.successful
             assert re.search(reason, result.reason), result.reason
-        np.testing.assert_allclose(client.ask(ahead), before, rtol=1e-12)
-        assert client.probe.set_parameter(client.name, "gains.gain", [120.0] * 4).successful
+        np.testing.assert_allclose(client.ask(AHEAD), before, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_gains_that_change_within_a_stream_take_hold_between_two_states(domain, tmp_path, kind):
+    """Fault 37: each of 100 states is answered by the old law or by the new one, in this order."""
+    with controlled(domain, tmp_path, kind=kind, **AT_ONCE) as client:
+        remote = AsyncParameterClient(client.probe.node, client.name)
+        client.probe.spin_until(remote.services_are_ready)
+        client.probe.meet(client.name)
+        client.ask()
+        before, seen, answered = client.ask(AHEAD), len(client.commands), len(client.states)
+        for k in range(100):
+            client.publish(client.message(AHEAD))
+            if k == 50:
+                name, value = GAIN[kind]
+                change = remote.set_parameters([Parameter(name, value=value)])
+        client.probe.spin_until(lambda: len(client.states) == answered + 100 and change.done())
+        assert change.result().results[0].successful
+        client.handled()
+        stream, after = np.array(client.commands[seen:]), client.ask(AHEAD)
+        assert len(stream) == 100
+        old, new = (np.isclose(stream, law, rtol=1e-9).all(axis=1) for law in (before, after))
+        assert 0 < old.sum() < 100
+        assert (new == ~old).all()
+        assert (np.diff(old.astype(int)) <= 0).all()
+
+
+def test_the_new_gain_is_that_of_the_formula(domain, tmp_path):
+    with controlled(domain, tmp_path, **AT_ONCE, gains__boundary_layer=[10.0]) as client:
+        client.ask()
+        before = client.ask(AHEAD)
+        assert client.probe.set_parameter(client.name, *GAIN["sliding"]).successful
         s = client.states[-1].velocity[0]
         mobility = client.scene.controlled_joints()
         x = mobility.system.expand(mobility.system.reduce(client.scene.initial))
         assert s == pytest.approx(20.0 * 0.01)
-        changed = client.ask(ahead) - before
+        changed = client.ask(AHEAD) - before
         q = x.q.copy()
-        for name, value in zip((*JOINTS, "elbow"), (*ahead, 1.75 * ahead[0] + 0.175), strict=True):
+        for name, value in zip((*JOINTS, "elbow"), (*AHEAD, 1.75 * AHEAD[0] + 0.175), strict=True):
             q[client.scene.robot.joint(name).q] = value
         inverse = np.linalg.inv(mobility.response(x._replace(q=q)).mobility)
         np.testing.assert_allclose(changed, -inverse[:, 0] * 60.0 * s / 10.0, rtol=1e-9)

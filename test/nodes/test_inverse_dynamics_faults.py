@@ -27,7 +27,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 def running_arm(domain, tmp_path_factory):
     """On a domain of its own, where the nodes of single tests are not heard."""
     folder, scene = tmp_path_factory.mktemp("arm"), SCENES / "prosthetic_arm.yaml"
-    with live(domain + 100, folder, scene, timeout=2.0) as stream:
+    with live(domain + 100, folder, scene, timeout=5.0) as stream:
         yield stream
 
 
@@ -86,12 +86,14 @@ def test_1_malformed_is_the_only_thing_that_comes(domain, tmp_path):
         ):
             names = stream.joints[:-1]
             fields = {"name": names, "position": [0.1] * 6, "velocity": [0.0] * 6}
+            stream.reset()  # sample 0 is of now
             stream.send(0, **(changes or fields))
             health = stream.probe.wait_health(lambda h, key=reason: f"dropped.{key}" in h.values)
             assert health.level == STALE
             expected = "no joint state answered yet on /joint_states; last one dropped: "
             assert health.message.startswith(expected)
             assert text.replace("arm7_joint7", stream.joints[-1]) in health.message
+        stream.reset()
         stream.ask(1)
 
 
@@ -171,7 +173,7 @@ def test_9_a_position_that_is_not_finite_is_dropped(arm, bad):
     arm.ask(3)
     assert len(arm.torques) == 2
     check()
-    assert "joint_states: position NaN or infinite" in arm.node.log
+    arm.node.wait_for("joint_states: position NaN or infinite")
 
 
 def test_9_positions_without_any_values_are_dropped(arm):
@@ -194,7 +196,7 @@ def test_10_a_glitch_is_dropped_and_believed_when_it_stays(arm):
     expected = arm.scene.inverse_dynamics().solve(q, arm.speed, np.zeros(4))
     np.testing.assert_allclose(answer.effort, expected.tau, atol=1e-9)
     check()
-    assert "joint_states: jump beyond the velocity limit" in arm.node.log
+    arm.node.wait_for("joint_states: jump beyond the velocity limit")
 
 
 @pytest.mark.parametrize("cdr", [bytes(4), bytes([0, 1, 0, 0]) + b"\xff" * 40])
@@ -235,7 +237,7 @@ def test_13_an_old_stamp_is_dropped_and_a_far_older_one_is_a_new_beginning(arm):
         arm.send(k)
     arm.ask(21)
     check()
-    assert "joint_states: stamp older than the last" in arm.node.log
+    arm.node.wait_for("joint_states: stamp older than the last")
     arm.ask(-150)  # 1.7 s back, rewind is 1 s
     arm.ask(-149)
 
@@ -271,16 +273,14 @@ def test_15_a_stamp_of_another_clock_is_stale_with_both_times_and_a_hint(arm, ho
 
 def test_19_two_publishers_are_named_until_one_is_gone(arm):
     second = arm.probe.node.create_publisher(JointState, "/joint_states", DEEP)
-    health = arm.probe.wait_health(lambda h: h.level == WARN)
-    assert "/joint_states: 2 publishers (probe, probe), one was expected" in health.message
+    arm.probe.meet(arm.name)
     arm.ask(1)
+    health = arm.probe.wait_health(lambda h: True)
+    assert health.level == WARN
+    assert "/joint_states: 2 publishers (probe, probe), one was expected" in health.message
+    arm.ask(2)
     arm.probe.node.destroy_publisher(second)
-
-    def works_again(health):
-        arm.send(0, stamp=time.time_ns())
-        return health.level == OK
-
-    arm.probe.wait_health(works_again)
+    arm.probe.wait_health(lambda h: h.level == OK)
 
 
 @pytest.mark.parametrize(
@@ -294,9 +294,9 @@ def test_19_two_publishers_are_named_until_one_is_gone(arm):
 def test_20_only_an_incompatible_subscriber_is_named(arm, qos, reason):
     topic = f"{arm.name}/joint_torques"
     other = arm.probe.node.create_subscription(JointState, topic, lambda _: None, qos)
-    arm.probe.spin_until(lambda: arm.probe.node.count_subscribers(topic) == 2)
-    arm.probe.spin_for(0.2)
+    arm.probe.meet(arm.name)
     arm.send(1, stamp=time.time_ns())
+    arm.answers(2)
     health = arm.probe.wait_health(lambda h: True)
     arm.probe.node.destroy_subscription(other)
     if reason is None:
@@ -304,7 +304,7 @@ def test_20_only_an_incompatible_subscriber_is_named(arm, qos, reason):
     else:
         assert f"{topic}: incompatible QoS with node 'probe': " in health.message
         assert reason.lower() in health.message.lower()
-    arm.probe.spin_until(lambda: arm.probe.node.count_subscribers(topic) == 1)
+    arm.probe.meet(arm.name)  # it has forgotten the other one
 
 
 # ---------------------------------------------------------------------- parameters
@@ -374,12 +374,13 @@ def test_16_17_38_clock_that_jumps_back_and_stands(domain, tmp_path):
     ) as stream:
         clock = stream.probe.node.create_publisher(Clock, "/clock", 10)
         stream.probe.spin_until(clock.get_subscription_count)
+        stream.probe.meet(where["name"])
 
         def set_clock(second):
             message = Clock()
             write_time(message.clock, int(second * 1e9))
             clock.publish(message)
-            stream.probe.spin_for(0.1)
+            stream.probe.state(where["name"])  # handled
 
         stream.reset(begin=100 * 10**9)
         stream.ask(0)  # before the first /clock
@@ -441,7 +442,7 @@ def test_39_exceptions_in_a_callback(domain, tmp_path, monkeypatch):
         assert health.message == "the fuse of joint 1 is gone"
         assert health.values["state"] == "inactive"
         stream.send(2)
-        stream.probe.spin_for(0.2)
+        assert stream.probe.state(stream.name) == "inactive"
         assert len(stream.torques) == 1
         assert stream.probe.change_state(stream.name, "activate")
         stream.ask(3)
@@ -515,15 +516,15 @@ def _swap(stream, publisher, scene):
     assert "triangle inequality" in stream.node.log
     stream.ask(5)
     publisher.publish(String(data=GOOD))
-    stream.probe.spin_for(0.1)
+    stream.probe.state(stream.name)  # handled
     assert "new robot description in use" not in stream.node.log
     publisher.publish(String(data=URDF.format(com=0.3, mass=2.0)))
     stream.node.wait_for("new robot description in use")
     heavier = JointStream(
         stream.node, stream.probe, scene, description=URDF.format(com=0.3, mass=2.0)
     )
-    heavier.begin = stream.begin
     heavier.connect()
+    heavier.begin = stream.begin
     heavier.ask(6)
     heavier.ask(7)
 
@@ -562,6 +563,8 @@ def test_42_force_plate(domain, tmp_path):
         faint = [3.0, 0.0, 19.0, 1e6, 1e6, 1e6]  # centre of pressure kilometres away
         plate.send(4, faint)
         stream.ask(4, [np.zeros(6)])
+        health = stream.probe.wait_health(lambda h: True)
+        before = int(health.values["dropped.no_wrench"])
         stream.send(14.5)  # 105 ms after the last wrench, wrench_max_age is 100 ms
-        stream.probe.wait_health(lambda h: int(h.values["dropped.no_wrench"]) >= 2)
+        stream.probe.wait_health(lambda h: int(h.values["dropped.no_wrench"]) > before)
         assert len(stream.torques) == 3
