@@ -115,6 +115,13 @@ def test_headline_is_what_to_take_and_what_it_costs():
     assert list(section.snippets) == ["arm, error 1e-3", "arm, error 1e-6"]
 
 
+def test_how_far_times_may_be_off_is_said():
+    runs = [{**RUNS[0], "spread": spread} for spread in [0.02] * 98 + [0.5, 0.04, 0.03]]
+    text = compose({"arm": {"times": [1.0], "runs": runs}}).text
+    assert "99 of 100 runs agree within 4%" in text[-1]
+    assert "spread" not in compose({"arm": {"times": [1.0], "runs": []}}).text[-1].lower()
+
+
 def test_choices_that_are_the_same_are_pasted_once():
     section = compose({"arm": {"times": [1.0], "runs": RUNS[2:]}})
     assert list(section.snippets) == ["arm, error 1e-3 and 1e-6"]

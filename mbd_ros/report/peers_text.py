@@ -5,7 +5,7 @@ from typing import Any
 
 from mbd_ros.report.items import Section, Table
 from mbd_ros.report.pareto import Point, cost_at
-from mbd_ros.report.precision_text import finished, points_of, power, shown
+from mbd_ros.report.precision_text import finished, points_of, power, repeatable, shown
 from mbd_ros.report.work_precision import diagram
 
 OURS = "mbd_ros"
@@ -45,6 +45,7 @@ def compose(outcomes: Sequence[tuple[str, Mapping[str, Any]]], missing: Sequence
         figures[f"peers_{name}"] = _figure(name, groups)
     if not compared:
         return Section("Other packages", text)
+    text += repeatable([run for _, outcome in outcomes for run in outcome.get("runs", ())])
     tables = [_costs(compared)]
     if demands:
         tables.append(

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from mbd_ros.report.choices import Choice, of_record, snippet
 from mbd_ros.report.items import Section, Table
 from mbd_ros.report.pareto import Point, cheapest, front
@@ -62,12 +64,25 @@ def compose(scenes: Mapping[str, Mapping[str, Any]]) -> Section:
         figures[f"precision_{name}"] = diagram(title, done, points)
         snippets |= _snippets(name, done, points)
     tables.append(_references(scenes))
-    return Section("Error against run time", _TEXT, tables, figures, wrong, snippets, (_HEADLINE,))
+    text = [*_TEXT, *repeatable([run for entry in scenes.values() for run in entry["runs"]])]
+    return Section("Error against run time", text, tables, figures, wrong, snippets, (_HEADLINE,))
 
 
 def finished(runs: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Those that have an error and a time."""
     return [run for run in runs if "seconds" in run]
+
+
+def repeatable(runs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """How far times may be off, as a paragraph; none without runs."""
+    spreads = [run["spread"] for run in finished(runs)]
+    if not spreads:
+        return []
+    share = float(np.percentile(spreads, 99))
+    return [
+        f"Spread: the repeats of 99 of 100 runs agree within {share:.0%}. As much may lie between "
+        "the times of two reports on one machine; errors are the same to the last digit."
+    ]
 
 
 def points_of(runs: Sequence[Mapping[str, Any]], agreement: float | None) -> list[Point]:
