@@ -67,13 +67,8 @@ def _on(grid: Grid, dt: float) -> float:
 
 class _Run:
     def __init__(self, case: Case, method: str, tier: str, others: Entry) -> None:
-        self._case, self._entry, self._tier, self._others = (
-            case,
-            METHODS[method],
-            tier,
-            dict(others),
-        )
-        self._method = integrator(method)
+        self._case, self._tier, self._others = case, tier, dict(others)
+        self._entry, self._method = METHODS[method], integrator(method)
         self._is_adaptive = self._method.stable == math.inf
 
     def verdict(self, dt: float) -> Verdict:
