@@ -1,11 +1,14 @@
 """What several test files need."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # as the command line does, before OpenMP is loaded
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # what shells do to background jobs
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # processes of tests inherit it
 
 
 @pytest.fixture(scope="session")
