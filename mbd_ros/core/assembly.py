@@ -63,7 +63,7 @@ def project(system: System, x: State) -> State:
     for attempt in range(_VELOCITY_CORRECTIONS):
         if attempt == _VELOCITY_CORRECTIONS - 1:  # the rows have turned since they were factorised
             factor = system.factorise(system.mass(q), J)
-        v = v - factor.X.dot(factor.solve(J.dot(v) + rate))
+        v = _consistent_velocity(v, J, rate, factor)
         if float(np.abs(J.dot(v) + rate).max()) <= slow:
             break
     return State(x.t, q, v)
@@ -108,14 +108,14 @@ def assemble(system: System, x: State) -> State:
     if not system.rows:
         return x
     q = _nearest_configuration(system, x)
-    factor = system.factorise(system.mass(q), system.jacobian(x.t, q))
-    v = _consistent_velocity(system, x.t, q, x.v, factor)
-    rate = system.jacobian(x.t, q).dot(v) + system.rate(x.t, q)
-    worst = int(np.argmax(np.abs(rate)))
-    if not abs(rate[worst]) <= _ACCEPTED * (1.0 + float(np.abs(x.v).max())):
+    J, rate = system.jacobian(x.t, q), system.rate(x.t, q)
+    v = _consistent_velocity(x.v, J, rate, system.factorise(system.mass(q), J))
+    left = J.dot(v) + rate
+    worst = int(np.argmax(np.abs(left)))
+    if not abs(left[worst]) <= _ACCEPTED * (1.0 + float(np.abs(x.v).max())):
         raise SolveError(
             f"no consistent velocity: row {system.rows[worst].name} keeps a rate of "
-            f"{rate[worst]:.3g} per second; it contradicts the other rows"
+            f"{left[worst]:.3g} per second; it contradicts the other rows"
         )
     return State(x.t, q, v)
 
@@ -171,6 +171,5 @@ def _not_assembled(system: System, x: State) -> SolveError:
     )
 
 
-def _consistent_velocity(system: System, t: float, q: Array, v: Array, factor: RowFactor) -> Array:
-    J = system.jacobian(t, q)
-    return v - factor.X.dot(factor.solve(J.dot(v) + system.rate(t, q)))
+def _consistent_velocity(v: Array, J: Array, rate: Array, factor: RowFactor) -> Array:
+    return v - factor.X.dot(factor.solve(J.dot(v) + rate))

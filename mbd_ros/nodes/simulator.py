@@ -63,7 +63,8 @@ class SimulatorNode(SceneNode):
         self._pace = Pace(1.0 / values.rate, values.real_time_factor)
         wake_exactly()
         self._outputs = SimulatorOutputs(self, plant)
-        self.every(CLOCK_REPEAT, lambda: self._is_running or self._outputs.repeat_clock())
+        if values.publish_clock:
+            self.every(CLOCK_REPEAT, lambda: self._is_running or self._outputs.repeat_clock())
         if plant.has_actuators:
             qos = EVERY_COMMAND if values.lock_step else COMMANDS
             for kind, topic, read in (

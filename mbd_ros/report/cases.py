@@ -1,10 +1,12 @@
 """A scene, what its motion must be, and what a method can make of it."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from mbd_ros.errors import MbdError
 from mbd_ros.part_entries import build_part
 from mbd_ros.report.reference_motion import Grid, Reference, reference
 from mbd_ros.report.scene_text import Entry, LoadedScene
@@ -38,6 +40,12 @@ class Verdict(NamedTuple):
     kind: str
     error: float
     text: str = ""
+
+
+def raised(error: Exception) -> Verdict:
+    """A stop where it is an error of this package; any other exception is what is looked for."""
+    kind = STOPPED if isinstance(error, MbdError) else WRONG
+    return Verdict(kind, math.inf, f"{type(error).__name__}: {error}")
 
 
 class Case:

@@ -7,8 +7,7 @@ import pinocchio as pin
 
 from mbd_ros.core.assembly import assemble
 from mbd_ros.core.state import State
-from mbd_ros.errors import MbdError
-from mbd_ros.report.cases import CLOSED, CONVERGED, STOPPED, WRONG, Case, Verdict
+from mbd_ros.report.cases import CLOSED, CONVERGED, WRONG, Case, Verdict, raised
 from mbd_ros.report.reference_motion import FINE, Grid, first
 
 _BALANCED = 1.0e-5  # of the energies that change hands
@@ -39,10 +38,8 @@ def equations(case: Case, tiers: list[str]) -> Verdict:
         lost, allowed = imbalance(case)
         if not lost <= allowed:  # a stop or friction may begin between two points
             lost, allowed = imbalance(case, _FINER)
-    except MbdError as error:
-        return Verdict(STOPPED, math.inf, f"{type(error).__name__}: {error}")
-    except Exception as mistake:  # noqa: BLE001 - any other exception is what is looked for
-        return Verdict(WRONG, math.inf, f"{type(mistake).__name__}: {mistake}")
+    except Exception as error:  # noqa: BLE001 - every exception is a verdict
+        return raised(error)
     if not lost <= allowed:
         text = f"energy changes by {lost:.3g} J more than work explains, {allowed:.2g} J allowed"
         return Verdict(WRONG, math.inf, text)

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.errors import MbdError
-from mbd_ros.report.cases import METHODS, STOPPED, WRONG, Case, Verdict
+from mbd_ros.report.cases import METHODS, WRONG, Case, Verdict, raised
 from mbd_ros.report.equations import equations
 from mbd_ros.report.extreme_scenes import Extreme, extremes, item_name
 from mbd_ros.report.items import Item, Outcome, Section, Spec
@@ -101,12 +100,8 @@ def _row(
             verdict = Verdict(WRONG, math.inf, "accelerations at the start are not finite")
             return {"cells": [_cell("equations", verdict)]}
         case = Case(loaded, grid or usual_grid(loaded))
-    except MbdError as error:
-        verdict = Verdict(STOPPED, math.inf, f"{type(error).__name__}: {error}")
-        return {"cells": [_cell("equations", verdict)]}
-    except Exception as mistake:  # noqa: BLE001 - any other exception is what is looked for
-        verdict = Verdict(WRONG, math.inf, f"{type(mistake).__name__}: {mistake}")
-        return {"cells": [_cell("equations", verdict)]}
+    except Exception as error:  # noqa: BLE001 - every exception is a verdict
+        return {"cells": [_cell("equations", raised(error))]}
     known = case.reference
     return {
         "known_until": known.grid.interval * max(0, known.horizon - 1),
