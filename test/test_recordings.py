@@ -5,6 +5,7 @@ import pty
 import sys
 import time
 from collections import Counter
+from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
@@ -310,27 +311,35 @@ def test_recorded_walk_is_the_same_in_table_and_bag(data_dir):
         )
 
 
-def test_progress_on_a_terminal_is_rare_and_cleared(monkeypatch):
+@contextmanager
+def terminal_as_stderr(monkeypatch):
+    """Yield the list that holds, after the block, all that stderr, a terminal, was sent."""
     master, slave = pty.openpty()
-    began = time.monotonic()
+    shown: list[bytes] = []
     with os.fdopen(slave, "w") as terminal, monkeypatch.context() as patch:
         patch.setattr(sys, "stderr", terminal)
+        yield shown
+    with os.fdopen(master, "rb", buffering=0) as screen, suppress(OSError):
+        # the kernel hands the writes over piece by piece, and ends them with an input/output error
+        while piece := screen.read(4096):
+            shown.append(piece)
+
+
+def test_progress_on_a_terminal_is_rare_and_cleared(monkeypatch):
+    began = time.monotonic()
+    with terminal_as_stderr(monkeypatch) as shown:
         assert list(progress(range(1000), 1000, "reading")) == list(range(1000))
-    periods = (time.monotonic() - began) / 0.2
-    written = os.read(master, 10_000)
-    os.close(master)
+        periods = (time.monotonic() - began) / 0.2
+    written = b"".join(shown)
     assert written.startswith(b"\rreading 0 %\r") and written.endswith(b"\r\x1b[K")
     assert written.count(b"%") <= 1 + periods
 
 
 def test_progress_shows_the_share_that_is_done(monkeypatch):
     monkeypatch.setattr("mbd_ros.progress.PERIOD", 0.0)
-    master, slave = pty.openpty()
-    with os.fdopen(slave, "w") as terminal, monkeypatch.context() as patch:
-        patch.setattr(sys, "stderr", terminal)
+    with terminal_as_stderr(monkeypatch) as shown:
         assert sum(1 for _ in progress("abcd", 4, "x")) == 4
-    assert os.read(master, 1000).startswith(b"\rx 0 %\rx 25 %\rx 50 %\rx 75 %")
-    os.close(master)
+    assert b"".join(shown).startswith(b"\rx 0 %\rx 25 %\rx 50 %\rx 75 %")
 
 
 def test_progress_without_a_terminal_is_silent(capfd):
