@@ -4,6 +4,7 @@
 is played to the controller once the nodes are up. What they say is recorded in `record`.
 """
 
+from launch.action import Action
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, TimerAction
 from launch.substitutions import Command, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import LifecycleNode, Node
@@ -24,55 +25,10 @@ START = 5.0  # s until the nodes are up
 def generate_launch_description() -> LaunchDescription:
     """Plant, controller with wrong masses, inverse dynamics, reference, recorder and RViz."""
     share = FindPackageShare("mbd_ros")
-    folder = LaunchConfiguration("folder")
     arm = PathJoinSubstitution([share, "config", "scenes", "controlled_arm.yaml"])
     urdf = PathJoinSubstitution([share, "config", "robots", "prosthetic_arm.urdf"])
-    plant, model, gains, bag = (
-        PathJoinSubstitution([folder, name])
-        for name in ("plant.yaml", "model.yaml", "controller.yaml", "bag")
-    )
-    simulator = LifecycleNode(
-        package="mbd_ros",
-        executable="simulator",
-        name="simulator",
-        namespace="",
-        output="screen",
-        parameters=[{"scene": plant, "rate": 500.0}],
-    )
-    controller = LifecycleNode(
-        package="mbd_ros",
-        executable="sliding_mode_controller",
-        name="sliding_mode_controller",
-        namespace="",
-        output="screen",
-        parameters=[gains, {"scene": model}],
-        remappings=[("~/commands", "/simulator/commands")],
-    )
-    inverse_dynamics = LifecycleNode(
-        package="mbd_ros",
-        executable="inverse_dynamics",
-        name="inverse_dynamics",
-        namespace="",
-        output="screen",
-        parameters=[{"scene": LaunchConfiguration("watched"), "cutoff": 20.0}],
-    )
-    description = ParameterValue(Command(["cat ", LaunchConfiguration("urdf")]), value_type=str)
-    frames = Node(
-        package="robot_state_publisher",
-        executable="robot_state_publisher",
-        parameters=[{"robot_description": description}],
-    )
-    rviz = Node(
-        package="rviz2",
-        executable="rviz2",
-        arguments=[
-            *("-d", PathJoinSubstitution([share, "config", "rviz", "demo.rviz"])),
-            *("-f", LaunchConfiguration("fixed_frame")),
-        ],
-    )
-    record = LaunchConfiguration("record")
-    recorder = ExecuteProcess(cmd=["ros2", "bag", "record", "-s", "mcap", "-o", record, *RECORDED])
-    reference = ExecuteProcess(cmd=["ros2", "bag", "play", bag, "--topics", REFERENCE])
+    layout = PathJoinSubstitution([share, "config", "rviz", "demo.rviz"])
+    folder = LaunchConfiguration("folder")
     return LaunchDescription(
         [
             DeclareLaunchArgument("folder", default_value="demo_out"),
@@ -80,12 +36,62 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("urdf", default_value=urdf),
             DeclareLaunchArgument("fixed_frame", default_value="torso"),
             DeclareLaunchArgument("record", default_value="live_bag", description="New bag"),
-            simulator,
-            controller,
-            inverse_dynamics,
-            frames,
-            rviz,
-            recorder,
-            TimerAction(period=START, actions=[reference]),
+            *loop(folder),
+            *view(layout),
+            *bags(folder),
         ]
     )
+
+
+def loop(folder: LaunchConfiguration) -> list[Action]:
+    """The closed loop, and the inverse dynamics that watches it."""
+    plant, model, gains = (
+        PathJoinSubstitution([folder, name])
+        for name in ("plant.yaml", "model.yaml", "controller.yaml")
+    )
+    return [
+        LifecycleNode(
+            package="mbd_ros",
+            executable="simulator",
+            name="simulator",
+            namespace="",
+            output="screen",
+            parameters=[{"scene": plant, "rate": 500.0}],
+        ),
+        LifecycleNode(
+            package="mbd_ros",
+            executable="sliding_mode_controller",
+            name="sliding_mode_controller",
+            namespace="",
+            output="screen",
+            parameters=[gains, {"scene": model}],
+            remappings=[("~/commands", "/simulator/commands")],
+        ),
+        LifecycleNode(
+            package="mbd_ros",
+            executable="inverse_dynamics",
+            name="inverse_dynamics",
+            namespace="",
+            output="screen",
+            parameters=[{"scene": LaunchConfiguration("watched"), "cutoff": 20.0}],
+        ),
+    ]
+
+
+def view(layout: PathJoinSubstitution) -> list[Action]:
+    """Frames of the links, and RViz."""
+    command = Command(["cat ", LaunchConfiguration("urdf")])
+    description = {"robot_description": ParameterValue(command, value_type=str)}
+    publisher, fixed = "robot_state_publisher", LaunchConfiguration("fixed_frame")
+    return [
+        Node(package=publisher, executable=publisher, parameters=[description]),
+        Node(package="rviz2", executable="rviz2", arguments=["-d", layout, "-f", fixed]),
+    ]
+
+
+def bags(folder: LaunchConfiguration) -> list[Action]:
+    """What records the topics, and what plays the reference once the nodes are up."""
+    bag, record = PathJoinSubstitution([folder, "bag"]), LaunchConfiguration("record")
+    recorder = ExecuteProcess(cmd=["ros2", "bag", "record", "-s", "mcap", "-o", record, *RECORDED])
+    reference = ExecuteProcess(cmd=["ros2", "bag", "play", bag, "--topics", REFERENCE])
+    return [recorder, TimerAction(period=START, actions=[reference])]

@@ -1,42 +1,25 @@
 """Inverse dynamics of a recorded motion: `mbd-ros inverse`."""
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from mbd_ros.bag_paths import is_bag
-from mbd_ros.core.differentiation import CausalDifferentiator
+from mbd_ros.built_scene import Scene
 from mbd_ros.core.inverse_dynamics import Parts
-from mbd_ros.core.state import Array, Motion, WrenchSamples
+from mbd_ros.core.state import WrenchSamples
 from mbd_ros.core.torque_estimator import Observation, TorqueEstimator, Tuning
-from mbd_ros.core.zero_phase import zero_phase
 from mbd_ros.errors import DataError
+from mbd_ros.offline_derivatives import Derivatives, causal_line, differentiate, observe
 from mbd_ros.offline_loops import close_loops, solve_loops
 from mbd_ros.offline_wrenches import read_loads, wrench_at
 from mbd_ros.progress import progress
 from mbd_ros.recordings import read_motion
 from mbd_ros.records import Recording, TorqueRecord
 from mbd_ros.results import write_torques
-from mbd_ros.scene import Scene
 
 _CHUNK = 1000  # samples between two signs of progress
-
-
-class Derivatives(NamedTuple):
-    """Where velocity and acceleration come from.
-
-    Attributes:
-        source: given, causal or zero-phase.
-        cutoff: Half-power frequency of the causal filters [Hz].
-        half_width: Samples on either side of a zero-phase fit.
-    """
-
-    source: str
-    cutoff: float = Tuning().cutoff
-    half_width: int = 4
 
 
 def inverse_dynamics_of(
@@ -83,10 +66,10 @@ def inverse_dynamics_of(
     yield from _left_out(motion, recording)
     loads, dropped = read_loads(scene, motion, wrenches)
     if derivatives.source == "causal":
-        samples = _observe(estimator, recording.motion, dropped)
-        yield _causal_line(estimator.differentiator, derivatives.cutoff)
+        samples = observe(estimator, recording.motion, dropped)
+        yield causal_line(estimator.differentiator, derivatives.cutoff)
     else:
-        samples = _differentiate(scene, motion, recording.motion, derivatives)
+        samples = differentiate(scene, motion, recording.motion, derivatives)
     yield from (f"{count} samples left out: {reason}" for reason, count in dropped.items())
     if not samples:
         raise DataError(f"{motion}: no sample can be used")
@@ -111,66 +94,6 @@ def _left_out(motion: Path, recording: Recording) -> Iterator[str]:
         yield f"{motion}: {count} messages left out: {reason}"
     if recording.by_log_time:
         yield f"{motion}: stamps are 0, the times of the log are used"
-
-
-def _observe(
-    estimator: TorqueEstimator, motion: Motion, dropped: Counter[str]
-) -> list[Observation]:
-    velocity = motion.velocity
-    if velocity is None:
-        velocity = np.full_like(motion.position, np.nan)
-    present = np.isfinite(motion.position)
-    observed = []
-    rows = zip(motion.stamps.tolist(), motion.position, velocity, present, strict=True)
-    for row in progress(rows, len(motion.stamps), "filtering"):
-        x = estimator.observe(*row)
-        if isinstance(x, Observation):
-            observed.append(x)
-        else:
-            dropped[x.value] += 1
-    return observed
-
-
-def _causal_line(filters: CausalDifferentiator, cutoff: float) -> str:
-    return (
-        f"causal derivatives at {cutoff:g} Hz lag by {filters.delay:.4f} s and settle within "
-        f"{filters.settling_time:.4f} s"
-    )
-
-
-def _differentiate(
-    scene: Scene, path: Path, motion: Motion, derivatives: Derivatives
-) -> list[Observation]:
-    n = len(scene.couplings.independent)
-    position = motion.position[:, :n].copy()
-    wraps = [scene.robot.joint(j).kind == "continuous" for j in scene.couplings.independent]
-    position[:, wraps] = np.unwrap(position[:, wraps], axis=0)
-    if derivatives.source == "given":
-        velocity = _given(scene, path, motion.velocity, "velocity")
-        acceleration = _given(scene, path, motion.acceleration, "acceleration")
-    else:
-        measured = None if motion.velocity is None else motion.velocity[:, :n]
-        velocity, acceleration = zero_phase(
-            motion.stamps, position, measured, half_width=derivatives.half_width
-        )
-    dependent = motion.position[:, n:]
-    rows = zip(motion.stamps.tolist(), position, velocity, acceleration, dependent, strict=True)
-    return [Observation(*row) for row in rows]
-
-
-def _given(scene: Scene, path: Path, values: Array | None, field: str) -> Array:
-    names = scene.couplings.independent
-    lacking = [
-        name
-        for i, name in enumerate(names)
-        if values is None or not np.isfinite(values[:, i]).all()
-    ]
-    if values is None or lacking:
-        raise DataError(
-            f"{path}: no {field} of {', '.join(lacking)}; "
-            "choose --derivatives causal or zero-phase"
-        )
-    return values[:, : len(names)]
 
 
 def _solve(

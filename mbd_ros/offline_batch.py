@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mbd_ros.errors import DataError, MbdError
-from mbd_ros.offline import Derivatives, inverse_dynamics_of
+from mbd_ros.offline import inverse_dynamics_of
+from mbd_ros.offline_derivatives import Derivatives
 from mbd_ros.remaining import watched
 from mbd_ros.scene import load_scene
 from mbd_ros.tasks import Task, do_all, open_workers

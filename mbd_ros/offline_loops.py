@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mbd_ros.built_scene import Scene
 from mbd_ros.core.loop_motion import LoopMotion, Mask
 from mbd_ros.core.loop_torques import LoopTorques, listed
 from mbd_ros.core.robot import Joint
@@ -13,7 +14,6 @@ from mbd_ros.core.torque_estimator import Observation
 from mbd_ros.errors import DataError, SolveError
 from mbd_ros.progress import progress
 from mbd_ros.records import Recording, TorqueRecord
-from mbd_ros.scene import Scene
 
 FOLD = 1.0e3  # condition number beyond which joints no longer tell the branches apart
 TOGGLE = 1.0e6  # condition number beyond which multipliers are unreliable

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from mbd_ros.bag_paths import is_bag
+from mbd_ros.built_scene import Scene
 from mbd_ros.core.state import NANOSECOND, Array, WrenchSamples
 from mbd_ros.core.wrenches import at_stamps
 from mbd_ros.errors import DataError
 from mbd_ros.recordings import read_wrenches
-from mbd_ros.scene import Scene
 
 WRENCH_MAX_AGE = 0.1  # s
 

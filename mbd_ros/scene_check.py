@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE, Scene
 from mbd_ros.core.assembly import assemble
 from mbd_ros.core.inverse_dynamics import InverseDynamics
 from mbd_ros.core.linearization import fastest_rate
@@ -14,7 +15,6 @@ from mbd_ros.core.loop_torques import listed
 from mbd_ros.core.row_factor import TOGGLE, RowFactor
 from mbd_ros.core.system import System
 from mbd_ros.core.tiers import tier_of
-from mbd_ros.scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE, Scene
 
 _CALLS, _FEW, _REPEATS = 2000, 100, 5
 _TIERS = {

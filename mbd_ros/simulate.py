@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from mbd_ros.bag_paths import is_bag
+from mbd_ros.built_scene import Scene
 from mbd_ros.core.assembly import drift
 from mbd_ros.core.row_factor import TOGGLE
 from mbd_ros.core.simulation import Commands, Simulation
@@ -15,7 +16,6 @@ from mbd_ros.errors import DataError, DivergedError, MbdError, SolveError
 from mbd_ros.progress import progress
 from mbd_ros.records import SimulationRecord
 from mbd_ros.results import write_simulation
-from mbd_ros.scene import Scene
 from mbd_ros.simulation_inputs import Run, drives, initial_state
 from mbd_ros.step_check import step_warnings
 

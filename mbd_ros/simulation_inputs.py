@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.built_scene import Scene
 from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.simulation import Commands
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State
 from mbd_ros.errors import DataError
 from mbd_ros.recordings import read_motion, read_wrenches
 from mbd_ros.registry import resolve
-from mbd_ros.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ CORE, NODES = "mbd_ros.core", "mbd_ros.nodes"
 SCENE = {
     f"mbd_ros.{module}"
     for module in (
+        "built_scene",
         "coupling_entries",
         "locate",
         "part_entries",

@@ -9,7 +9,8 @@ from mbd_ros.bags import BagWriter, new_message
 from mbd_ros.core.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.core.wrenches import WrenchBuffer
 from mbd_ros.errors import DataError, ModelError
-from mbd_ros.offline import Derivatives, inverse_dynamics_of
+from mbd_ros.offline import inverse_dynamics_of
+from mbd_ros.offline_derivatives import Derivatives
 from mbd_ros.scene import load_scene
 from mbd_ros.tables import read_table, write_table
 from msg_adapters.joint_state import write_joint_state

@@ -20,8 +20,9 @@ from mbd_ros.report.cases import METHODS, Case
 from mbd_ros.report.equations import equations
 from mbd_ros.report.extreme_scenes import extremes, mechanism, rods
 from mbd_ros.report.items import Item
+from mbd_ros.report.motion import Grid
 from mbd_ros.report.random_scenes import random_scene
-from mbd_ros.report.reference_motion import Grid, starting_rate
+from mbd_ros.report.reference_motion import starting_rate
 from mbd_ros.report.scene_text import load
 from mbd_ros.report.verdicts import judge
 from mbd_ros.report.witness import Witness

@@ -13,7 +13,8 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.robot import Joint, Mimic, Robot
-from mbd_ros.core.urdf import numbers, parse_urdf
+from mbd_ros.core.urdf import parse_urdf
+from mbd_ros.core.urdf_reading import numbers
 from mbd_ros.errors import ModelError
 
 EARTH_GRAVITY = (0.0, 0.0, -9.81)

@@ -8,7 +8,6 @@ import numpy as np
 from std_msgs.msg import Float64MultiArray
 
 from mbd_ros.core.chatter import ChatterMeter
-from mbd_ros.core.control import Reference
 from mbd_ros.core.control_loop import Command, ControlLoop
 from mbd_ros.core.differentiation import Sample
 from mbd_ros.core.guard import Guard
@@ -16,11 +15,16 @@ from mbd_ros.core.guide import Guide, TargetError
 from mbd_ros.core.joint_observer import JointObserver, Observation
 from mbd_ros.core.loads import Loads
 from mbd_ros.core.observed_state import ObservedState
-from mbd_ros.core.reference_map import ReferenceMap, Selection
 from mbd_ros.core.state import NANOSECOND, Array, State
-from mbd_ros.nodes.controller_parameters import build_controller, gains, tuning
+from mbd_ros.nodes.controller_parameters import (
+    build_controller,
+    command_order,
+    effort_limits,
+    gains,
+)
+from mbd_ros.nodes.inverse_dynamics_parameters import tuning
 from mbd_ros.nodes.joint_state_bytes import joint_state
-from mbd_ros.nodes.parameters import ParameterError
+from mbd_ros.nodes.references import References
 from mbd_ros.scene import load_scene
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
@@ -59,13 +63,13 @@ class ControlPipeline:
         self._controlled = scene.controlled_joints()
         names = self._controlled.names
         self._loads = Loads(scene.robot.model.nv, (), scene.actuators)
-        self._order = _command_order(values.joints, names)
+        self._order = command_order(values.joints, names)
         self._observed = ObservedState(self._controlled.system, scene.couplings)
         self.observer = JointObserver(scene.robot, scene.couplings, tuning(values))
         self.loop = ControlLoop(
             build_controller(values, self._controlled),
             Guide(self._controlled),
-            Guard(names, self._limits(values.effort_limit)),
+            Guard(names, effort_limits(values, self._controlled, scene.actuators)),
             scene.safe,
             values.safe_ramp,
             values.timeout,
@@ -74,8 +78,7 @@ class ControlPipeline:
         self._tune(values)
         self.joints = JointStateReader(self.observer.names, with_effort=False)
         self.reader = JointStateCdrReader(self.joints, joint_state)
-        self._references = ReferenceMap(names, scene.couplings)
-        self._selections: dict[tuple[str, ...], Selection] = {}
+        self._references = References(self.loop.guide, names, scene.couplings)
         self._commands, self._state = Float64MultiArray(), JointStateCdrWriter(names)
         self.x: State | None = None
         self._epoch = 0
@@ -138,11 +141,7 @@ class ControlPipeline:
         Raises:
             TargetError: It is refused.
         """
-        selection = self._selection(names)
-        rates = np.where(np.isfinite(sample.velocity), sample.velocity, 0.0)
-        q = selection.positions(sample.position)
-        self.loop.guide.aim(self._now(), Reference(q, selection.rates(rates), np.zeros(len(q))))
-        return selection.note
+        return self._references.aim(self._now(), names, sample)
 
     def follow(self, trajectory: Trajectory) -> str:
         """Take a trajectory; what to tell of it.
@@ -150,13 +149,9 @@ class ControlPipeline:
         Raises:
             TargetError: It is refused.
         """
-        selection, now = self._selection(trajectory.names), self._now()
+        now = self._now()
         begin = self._seconds(trajectory.stamp) if trajectory.stamp else now
-        parts = trajectory.velocity, trajectory.acceleration
-        v, a = (None if part is None else selection.rates(part) for part in parts)
-        q = selection.positions(trajectory.position)
-        self.loop.guide.follow(now, begin + trajectory.times, q, v, a)
-        return selection.note
+        return self._references.follow(now, begin, trajectory)
 
     def held(self) -> list[str]:
         """Independent joints that the newest joint state lacked."""
@@ -208,31 +203,3 @@ class ControlPipeline:
         if self.x is None or self.loop.is_open:
             raise TargetError("reference refused: no joint state yet, or none any more")
         return self.x.t
-
-    def _selection(self, names: tuple[str, ...]) -> Selection:
-        if names not in self._selections:
-            self._selections = {names: self._references.select(names)}
-        return self._selections[names]
-
-    def _limits(self, given: tuple[float, ...]) -> Array:
-        """Effort limits: of the description, the actuators and the parameter, the smallest."""
-        names = self._controlled.names
-        limits = np.array([joint.max_effort for joint in self._controlled.joints])
-        if self.scene.actuators:
-            limits = np.minimum(limits, np.concatenate([a.limits() for a in self.scene.actuators]))
-        if given and len(given) != len(names):
-            raise ParameterError(
-                f"parameter 'effort_limit' has {len(given)} values; accepted: none, or one for "
-                f"each of {', '.join(names)}"
-            )
-        return np.minimum(limits, given) if given else limits
-
-
-def _command_order(given: tuple[str, ...], names: tuple[str, ...]) -> Any:
-    """Columns of the efforts in the order of the messages."""
-    if given and sorted(given) != sorted(names):
-        raise ParameterError(
-            f"parameter 'joints' is {', '.join(given)}; accepted: all actuated joints, each "
-            f"once: {', '.join(names)}"
-        )
-    return np.array([names.index(name) for name in given or names], dtype=np.intp)

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from time import perf_counter
 from typing import Any
 
-from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -14,7 +13,6 @@ from trajectory_msgs.msg import JointTrajectory
 
 from mbd_ros.core.differentiation import Sample
 from mbd_ros.core.guide import TargetError
-from mbd_ros.core.state import NANOSECOND
 from mbd_ros.errors import SolveError
 from mbd_ros.nodes.control_pipeline import ControlPipeline
 from mbd_ros.nodes.joint_state_node import JointStateNode
@@ -37,8 +35,7 @@ class ControllerNode(JointStateNode):
     _pipeline: ControlPipeline
 
     def __init__(self, argv: Sequence[str] = ()) -> None:
-        self._heard = self._lapsed = perf_counter()
-        self._heard_ros, self._is_heard = 0, True
+        self._lapsed, self._is_heard = perf_counter(), True
         self._notes: set[str] = set()
         super().__init__(argv)
 
@@ -64,7 +61,7 @@ class ControllerNode(JointStateNode):
     def forget(self) -> None:
         """Hold the next state that comes."""
         self._pipeline.forget()
-        self._heard = self._lapsed = perf_counter()
+        self._lapsed = perf_counter()
 
     def retune(self, values: Any) -> None:
         """New gains and times; a refusal leaves the old ones."""
@@ -73,7 +70,7 @@ class ControllerNode(JointStateNode):
     def safe(self) -> None:
         """The safe command, at the newest state if it is fresh."""
         pipeline = self._pipeline
-        is_fresh = self._silence() <= self.parameters.timeout
+        is_fresh = self.silence() <= self.parameters.timeout
         self._commands.publish(pipeline.commands(pipeline.loop.stop(is_fresh)))
         self._commands.wait_for_all_acked(Duration(seconds=0.1))
 
@@ -124,7 +121,6 @@ class ControllerNode(JointStateNode):
             return
         self._commands.publish(answer.commands)
         self._states.publish(answer.state)
-        self._heard, self._heard_ros = perf_counter(), self.get_clock().now().nanoseconds
         self.note_answer(stamp)
         self.note_extra(pipeline.joints.extra)
         if pipeline.loop.failures >= self.parameters.failures:
@@ -137,21 +133,10 @@ class ControllerNode(JointStateNode):
         loop = self._pipeline.loop
         self._is_heard = self._commands.get_subscription_count() > 0
         loop.is_frozen = not self._is_heard
-        if self._silence() > self.parameters.timeout:
+        if self.silence() > self.parameters.timeout:
             effort = loop.lapse(since)
             if effort is not None:
                 self._commands.publish(self._pipeline.commands(effort))
-
-    def _silence(self) -> float:
-        """For how long no joint state was answered [s]; a standing clock does not count.
-
-        Where the clock of a simulation has no publisher any more, steady time counts.
-        """
-        clock, steady = self.get_clock(), perf_counter() - self._heard
-        simulated = clock.clock_type == ClockType.ROS_TIME and clock.ros_time_is_active
-        if not simulated or not self.count_publishers("/clock"):
-            return steady
-        return (clock.now().nanoseconds - self._heard_ros) * NANOSECOND
 
     # ------------------------------------------------------------------ references
 

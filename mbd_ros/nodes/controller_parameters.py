@@ -1,17 +1,21 @@
 """Parameters of the controller nodes, and the law that they describe."""
 
 import inspect
+from collections.abc import Sequence
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.chatter import DEFAULT_CUTOFF
 from mbd_ros.core.control import ControlledJoints, Controller
+from mbd_ros.core.parts import Actuator
+from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 from mbd_ros.nodes.inverse_dynamics_parameters import PARAMETERS as INVERSE_DYNAMICS
-from mbd_ros.nodes.inverse_dynamics_parameters import tuning
 from mbd_ros.nodes.parameters import Parameter, ParameterError
 from mbd_ros.registry import resolve
 
-__all__ = ["QP", "SLIDING_MODE", "build_controller", "gains", "tuning"]
 _SHARED = (
     *("scene", "cutoff", "velocity_margin", "patience", "max_age", "rewind"),
     *("clock_tolerance", "coupling_tolerance"),
@@ -151,6 +155,38 @@ def build_controller(values: Any, joints: ControlledJoints) -> Controller:
     except ModelError as error:
         raise ParameterError(f"parameters gains of {values.controller}: {error}") from error
     return controller
+
+
+def effort_limits(values: Any, joints: ControlledJoints, actuators: Sequence[Actuator]) -> Array:
+    """Effort limits: of the description, the actuators and the parameter, the smallest.
+
+    Raises:
+        ParameterError: Not one value a joint.
+    """
+    given: tuple[float, ...] = values.effort_limit
+    limits = np.array([joint.max_effort for joint in joints.joints])
+    if actuators:
+        limits = np.minimum(limits, np.concatenate([a.limits() for a in actuators]))
+    if given and len(given) != len(limits):
+        raise ParameterError(
+            f"parameter 'effort_limit' has {len(given)} values; accepted: none, or one for "
+            f"each of {', '.join(joints.names)}"
+        )
+    return np.minimum(limits, given) if given else limits
+
+
+def command_order(given: tuple[str, ...], names: tuple[str, ...]) -> NDArray[np.intp]:
+    """Columns of the efforts in the order of the messages.
+
+    Raises:
+        ParameterError: Not the actuated joints.
+    """
+    if given and sorted(given) != sorted(names):
+        raise ParameterError(
+            f"parameter 'joints' is {', '.join(given)}; accepted: all actuated joints, each "
+            f"once: {', '.join(names)}"
+        )
+    return np.array([names.index(name) for name in given or names], dtype=np.intp)
 
 
 def _unwrapped(value: Any) -> Any:

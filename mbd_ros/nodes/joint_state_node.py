@@ -1,8 +1,10 @@
 """What nodes that answer joint states share: stamps, clocks, reset."""
 
 from collections.abc import Sequence
+from time import perf_counter
 from typing import Any
 
+from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -29,6 +31,7 @@ class JointStateNode(SceneNode):
     def __init__(self, argv: Sequence[str] = ()) -> None:
         super().__init__(argv)
         self._newest, self._answered, self._is_stampless = 0, 0, False
+        self._mark()
         self._two_clocks = self._last_drop = ""
         self._extra: set[str] = set()
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -55,6 +58,7 @@ class JointStateNode(SceneNode):
         """Empty filters, forget what was answered."""
         self._newest, self._answered, self._agreed = 0, 0, _NEVER
         self._two_clocks = self._last_drop = ""
+        self._mark()
         if self.is_built:
             self.forget()
 
@@ -79,7 +83,19 @@ class JointStateNode(SceneNode):
         age = (self.get_clock().now().nanoseconds - self._newest) * NANOSECOND
         if age > self.parameters.timeout:
             return STALE, f"newest answered joint state is {age:.2f} s old{dropped}"
+        if self.silence() > self.parameters.timeout:
+            why = "; nobody publishes /clock any more" if self._is_clock_gone() else dropped
+            return STALE, f"no joint state answered for {self.silence():.2f} s{why}"
         return OK, ""
+
+    def silence(self) -> float:
+        """For how long no joint state was answered [s]; a standing clock does not count.
+
+        Where the clock of a simulation has no publisher any more, steady time counts.
+        """
+        if self._is_simulated() and not self._is_clock_gone():
+            return (self.get_clock().now().nanoseconds - self._heard_ros) * NANOSECOND
+        return perf_counter() - self._heard
 
     def stamp_of(self, stamp: int) -> int | None:
         """The stamp [ns], receive time instead of 0; None if it is of another clock."""
@@ -97,6 +113,7 @@ class JointStateNode(SceneNode):
         """Remember that a joint state was answered."""
         self._newest, self._last_drop = stamp, ""
         self._answered += 1
+        self._mark()
 
     def note_extra(self, extra: tuple[str, ...]) -> None:
         """Remember joints of a joint state that are not used; list them once."""
@@ -108,6 +125,17 @@ class JointStateNode(SceneNode):
         """Count a joint state that is not answered."""
         self._last_drop = text
         self.drop(reason, text)
+
+    def _mark(self) -> None:
+        """Silence begins now."""
+        self._heard, self._heard_ros = perf_counter(), self.get_clock().now().nanoseconds
+
+    def _is_simulated(self) -> bool:
+        clock = self.get_clock()
+        return clock.clock_type == ClockType.ROS_TIME and clock.ros_time_is_active
+
+    def _is_clock_gone(self) -> bool:
+        return self._is_simulated() and not self.count_publishers("/clock")
 
     def _same_clock(self, stamp: int) -> bool:
         """Whether stamp and node clock are one clock; asked again whenever the stamps moved on."""

@@ -61,7 +61,10 @@ class LifeCycle(LifecycleNode):
         """Raise the MbdError that forbids to configure, if there is one."""
 
     def release(self) -> None:
-        """Destroy what `configure_core` made in ROS."""
+        """Destroy what `configure_core` and `activate_core` made in ROS."""
+
+    def release_activation(self) -> None:
+        """Destroy what `activate_core` made in ROS."""
 
     @property
     def state(self) -> str:
@@ -116,13 +119,17 @@ class LifeCycle(LifecycleNode):
         self.active = result == DONE
         if self.active:
             self.get_logger().info("active")
+        else:
+            self.release_activation()
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop working."""
         self.active = False
         self.get_logger().info("inactive")
-        return self._attempt(self.deactivate_core, BROKEN)
+        result = self._attempt(self.deactivate_core, BROKEN)
+        self.release_activation()
+        return result
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Back to unconfigured."""

@@ -15,6 +15,7 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from mbd_ros.errors import MbdError
+from mbd_ros.nodes.entities import Entities
 from mbd_ros.nodes.health import Diagnostics, Drops, Endpoint, topic_problems
 from mbd_ros.nodes.life_cycle import LifeCycle
 from mbd_ros.nodes.parameter_files import file_warnings
@@ -34,8 +35,8 @@ class Shell(LifeCycle):
 
     Subclasses set `NAME` and `PARAMETERS` and override what they need of `configure_core`,
     `activate_core`, `deactivate_core`, `safe`, `retune`, `reset` and `health`. What
-    `subscribe`, `publish_to` and `every` make in `configure_core` is destroyed with that
-    configuration; what they make in the constructor stays.
+    `subscribe`, `publish_to` and `every` make in `configure_core` or `activate_core` is destroyed
+    with that configuration or activation; what they make in the constructor stays.
     """
 
     NAME = "shell"
@@ -43,8 +44,7 @@ class Shell(LifeCycle):
 
     def __init__(self, argv: Sequence[str] = ()) -> None:
         super().__init__(self.NAME)
-        self._endpoints: list[Endpoint] = []
-        self._owned: list[Callable[[], Any]] = []
+        self._entities = Entities()
         self._known_problems: set[str] = set()
         self._drops = Drops(self.get_logger().warning)
         self._declared = Declared(self, PARAMETERS + self.PARAMETERS, self._retune)
@@ -104,20 +104,21 @@ class Shell(LifeCycle):
             kind, topic, self._guarded(callback, always), qos, event_callbacks=silent, raw=raw
         )
         endpoint = Endpoint(subscription, True, single_publisher)
-        self._keep(self.destroy_subscription, subscription, [endpoint])
+        self._entities.keep(self.state, self.destroy_subscription, subscription, endpoint)
         return subscription
 
     def publish_to(self, kind: type, topic: str, qos: QoSProfile | int) -> Publisher:
         """Make a publisher; a subscriber with incompatible QoS is reported."""
         silent = PublisherEventCallbacks(use_default_callbacks=False)
         publisher = self.create_publisher(kind, topic, qos, event_callbacks=silent)
-        self._keep(self.destroy_publisher, publisher, [Endpoint(publisher, False)])
+        endpoint = Endpoint(publisher, False)
+        self._entities.keep(self.state, self.destroy_publisher, publisher, endpoint)
         return publisher
 
     def every(self, period: float, callback: Callable[[], None]) -> Timer:
         """Call while active, every `period` [s] of the steady clock: also when /clock stands."""
         timer = self.create_timer(period, self._guarded(callback, False), clock=self._steady)
-        self._keep(self.destroy_timer, timer, [])
+        self._entities.keep(self.state, self.destroy_timer, timer)
         return timer
 
     def drop(self, reason: str, text: str) -> None:
@@ -138,7 +139,7 @@ class Shell(LifeCycle):
 
     def report(self) -> None:
         """Publish the diagnostics of this moment."""
-        problems = topic_problems(self, self._endpoints)
+        problems = topic_problems(self, self._entities.endpoints)
         for line in set(problems) - self._known_problems:
             self.get_logger().warning(line)
         self._known_problems = set(problems)
@@ -170,20 +171,12 @@ class Shell(LifeCycle):
             raise ParameterError("; ".join(self._declared.problems.values()))
 
     def release(self) -> None:
-        """Destroy what this configuration made."""
-        while self._owned:
-            self._owned.pop()()
+        """Destroy what this configuration and its activation made."""
+        self._entities.release()
 
-    def _keep(self, destroy: Callable[[Any], Any], entity: Any, watch: list[Endpoint]) -> None:
-        """Watch an entity, and destroy it with the configuration that made it."""
-        self._endpoints += watch
-
-        def forget() -> None:
-            self._endpoints = [kept for kept in self._endpoints if kept not in watch]
-            destroy(entity)
-
-        if self.state != "unconfigured":
-            self._owned.append(forget)
+    def release_activation(self) -> None:
+        """Destroy what this activation made."""
+        self._entities.release_activation()
 
     def _guarded(self, callback: Callable[..., None], always: bool) -> Callable[..., None]:
         def call(*message: Any) -> None:

@@ -16,7 +16,7 @@ from mbd_ros.nodes.pace import Pace, wake_exactly
 from mbd_ros.nodes.plant import Plant
 from mbd_ros.nodes.process import run
 from mbd_ros.nodes.scene_node import SceneNode
-from mbd_ros.nodes.simulator_outputs import SimulatorOutputs
+from mbd_ros.nodes.simulator_outputs import SimulatedClock, SimulatorOutputs
 from mbd_ros.nodes.simulator_parameters import PARAMETERS
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
@@ -35,6 +35,7 @@ class SimulatorNode(SceneNode):
     NAME = "simulator"
     PARAMETERS = PARAMETERS
     _plant: Plant
+    _simulated_clock: SimulatedClock | None = None  # of this activation
 
     def __init__(self, argv: Sequence[str] = ()) -> None:
         super().__init__(argv)
@@ -63,8 +64,6 @@ class SimulatorNode(SceneNode):
         self._pace = Pace(1.0 / values.rate, values.real_time_factor)
         wake_exactly()
         self._outputs = SimulatorOutputs(self, plant)
-        if values.publish_clock:
-            self.every(CLOCK_REPEAT, lambda: self._is_running or self._outputs.repeat_clock())
         if plant.has_actuators:
             qos = EVERY_COMMAND if values.lock_step else COMMANDS
             for kind, topic, read in (
@@ -75,14 +74,22 @@ class SimulatorNode(SceneNode):
                 self.subscribe(kind, topic, take, qos, single_publisher=True)
 
     def activate_core(self) -> None:
-        """Go on from the state that was kept; show it at once."""
+        """Go on from the state that was kept; show it at once.
+
+        The clock ends with the activation: who waits for it sees that nothing will come, which
+        is no pause.
+        """
         if self._plant.live.fault:
             raise DivergedError(f"{self._plant.live.fault}; call ~/reset first")
+        if self.parameters.publish_clock:
+            self._simulated_clock = clock = SimulatedClock(self)
+            self.every(CLOCK_REPEAT, lambda: self._is_running or clock.repeat())
         self._restart()
         self._publish()
 
     def deactivate_core(self) -> None:
-        """Stand still."""
+        """Stand still, and let the clock end."""
+        self._simulated_clock = None
         self._pace.interrupt()
 
     def retune(self, values: Any) -> None:
@@ -128,7 +135,10 @@ class SimulatorNode(SceneNode):
 
     def _publish(self) -> None:
         """Show the newest state."""
-        self._outputs.publish(self._stamp(), self.parameters)
+        stamp = self._stamp()
+        if self._simulated_clock is not None:
+            self._simulated_clock.show(stamp)
+        self._outputs.publish(stamp, self.parameters)
 
     def _stamp(self) -> int:
         """Simulated time if it is published, else when the tick was due on the node clock [ns]."""

@@ -28,13 +28,11 @@ class SimulatorOutputs:
         self._plant = plant
         self._states = node.publish_to(JointState, "joint_states", STATES)
         self._motion = node.publish_to(JointTrajectory, "~/motion", STATES)
-        self._forces = self._markers = self._time = None
+        self._forces = self._markers = None
         if plant.rows:
             self._forces = node.publish_to(JointState, "~/constraint_forces", STATES)
         if plant.live.wrenches():
             self._markers, self._marked = node.publish_to(MarkerArray, "~/markers", 10), 0.0
-        if node.parameters.publish_clock:
-            self._time, self._time_message = node.publish_to(Clock, "/clock", 10), Clock()
 
     def publish(self, stamp: int, values: Any) -> None:
         """Show the newest state.
@@ -44,8 +42,6 @@ class SimulatorOutputs:
             values: Parameters of the node.
         """
         plant = self._plant
-        if self._time is not None:
-            self._time.publish(write_clock(self._time_message, stamp))
         self._states.publish(plant.joint_states(stamp))
         if self._forces is not None:
             self._forces.publish(plant.constraint_forces(stamp))
@@ -56,7 +52,21 @@ class SimulatorOutputs:
             self._marked = now
             self._markers.publish(plant.markers(stamp, values.marker_scale))
 
-    def repeat_clock(self) -> None:
+
+class SimulatedClock:
+    """Topic `/clock`.
+
+    Args:
+        node: Who publishes.
+    """
+
+    def __init__(self, node: Shell) -> None:
+        self._publisher, self._message = node.publish_to(Clock, "/clock", 10), Clock()
+
+    def show(self, stamp: int) -> None:
+        """Publish a time [ns]."""
+        self._publisher.publish(write_clock(self._message, stamp))
+
+    def repeat(self) -> None:
         """Publish the newest time again."""
-        if self._time is not None:
-            self._time.publish(self._time_message)
+        self._publisher.publish(self._message)

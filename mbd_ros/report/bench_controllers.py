@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.built_scene import Scene
 from mbd_ros.controllers.qp_tracking import QpTracking
 from mbd_ros.core.assembly import assemble
 from mbd_ros.core.control import ControlledJoints, Controller, EffortBox, Reference
@@ -24,7 +25,7 @@ from mbd_ros.core.tiers import build_system
 from mbd_ros.errors import SolveError
 from mbd_ros.locate import find_file
 from mbd_ros.registry import PARTS, resolve
-from mbd_ros.scene import Scene, load_scene
+from mbd_ros.scene import load_scene
 
 _SCENES = "package://mbd_ros/config/scenes"
 _NO_MEMORY = np.zeros(0)

@@ -8,7 +8,8 @@ import numpy as np
 
 from mbd_ros.errors import MbdError
 from mbd_ros.part_entries import build_part
-from mbd_ros.report.reference_motion import Grid, Reference, reference
+from mbd_ros.report.motion import Grid
+from mbd_ros.report.reference_motion import Reference, reference
 from mbd_ros.report.scene_text import Entry, LoadedScene
 from mbd_ros.report.witness import Witness
 

@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from mbd_ros.built_scene import Scene
 from mbd_ros.core.simulation import Simulation
 from mbd_ros.core.tiers import TIERS
 from mbd_ros.errors import SceneError
-from mbd_ros.scene import Scene
 
 BAUMGARTE = {"type": "baumgarte", "time_constant": 0.02}
 STABILIZATIONS: tuple[Mapping[str, Any], ...] = (

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from mbd_ros.built_scene import Scene
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import MbdError, SceneError
 from mbd_ros.report.choices import Choice
 from mbd_ros.report.converged import Known, distance, problem_of
 from mbd_ros.report.reference_problems import error
 from mbd_ros.report.rungs import Record, timed
-from mbd_ros.scene import Scene
 from mbd_ros.strict_yaml import read_mapping
 
 _LONG = 0.3  # s; runs are not repeated beyond that

@@ -7,10 +7,10 @@ from xml.etree import ElementTree
 import numpy as np
 import yaml
 
+from mbd_ros.built_scene import Scene
 from mbd_ros.locate import find_file
 from mbd_ros.report.demo_choices import LAWS, DemoRobot
 from mbd_ros.report.demo_task import Disturbance
-from mbd_ros.scene import Scene
 from mbd_ros.strict_yaml import read_mapping
 
 RATE = 500  # Hz of simulated time: ticks, joint states and commands

@@ -9,7 +9,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.experimental import EventsExecutor
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
-from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -81,7 +80,7 @@ class Recorder:
         """Take messages for so long [s]."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0:
-            self._executor.spin_until_future_complete(Future(), timeout_sec=min(left, _PERIOD))
+            self._executor.spin_once(timeout_sec=min(left, _PERIOD))
             for topic, subscription in self._subscriptions.items():
                 self._take(topic, subscription.handle)
 

@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.built_scene import Scene
 from mbd_ros.core.mobility_factor import MobilityFactor
 from mbd_ros.core.observed_state import ObservedState
 from mbd_ros.core.state import Array
 from mbd_ros.report.demo_choices import DemoRobot
-from mbd_ros.scene import Scene
 
 RATE, DISTURBANCE_RATE = 20.0, 50.0  # samples of the reference and of the disturbance [Hz]
 DISTURBANCE_SHARE = 0.2  # of the largest gravity torque

@@ -8,7 +8,8 @@ import pinocchio as pin
 from mbd_ros.core.assembly import assemble
 from mbd_ros.core.state import State
 from mbd_ros.report.cases import CLOSED, CONVERGED, WRONG, Case, Verdict, raised
-from mbd_ros.report.reference_motion import FINE, Grid, first
+from mbd_ros.report.motion import Grid
+from mbd_ros.report.reference_motion import FINE, first
 
 _BALANCED = 1.0e-5  # of the energies that change hands
 _FINER = 8

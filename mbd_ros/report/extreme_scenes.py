@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.report.reference_motion import Grid
+from mbd_ros.report.motion import Grid
 from mbd_ros.report.scene_text import (
     ROBOT,
     LoadedScene,

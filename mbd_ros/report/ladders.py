@@ -4,11 +4,11 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
+from mbd_ros.built_scene import Scene
 from mbd_ros.core.switching import DiscontinuousForce
 from mbd_ros.report.choices import Choice, formulations, stabilizations
 from mbd_ros.report.converged import Known
 from mbd_ros.report.rungs import Record, measure
-from mbd_ros.scene import Scene
 
 _SERIES = (1.0, 2.0, 5.0)
 _TOLERANCES = tuple(10.0**-k for k in range(3, 13))

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.built_scene import Scene
 from mbd_ros.core.assembly import project
 from mbd_ros.core.tiers import tier_of
 from mbd_ros.errors import MbdError, ModelError
@@ -18,7 +19,7 @@ from mbd_ros.part_entries import build_part
 from mbd_ros.report.items import Item, Outcome, Section, Spec, Table
 from mbd_ros.report.left_out_probe import LIBRARIES
 from mbd_ros.report.subjects import subjects
-from mbd_ros.scene import Scene, load_scene
+from mbd_ros.scene import load_scene
 
 _PROBE = "mbd_ros.report.left_out_probe"
 _FAR = 1.0e6  # [rad or m]: a stop that nothing reaches

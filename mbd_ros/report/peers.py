@@ -4,6 +4,7 @@ import importlib
 import importlib.util
 from collections.abc import Iterator, Sequence
 
+from mbd_ros.built_scene import Scene
 from mbd_ros.errors import MbdError
 from mbd_ros.report.choices import Choice, stabilizations
 from mbd_ros.report.contenders import Contender, Ours, compete, task_of
@@ -11,7 +12,7 @@ from mbd_ros.report.converged import known
 from mbd_ros.report.items import Item, Outcome, Section, Spec
 from mbd_ros.report.peers_text import compose
 from mbd_ros.report.subjects import subjects
-from mbd_ros.scene import Scene, load_scene
+from mbd_ros.scene import load_scene
 
 PEERS = {"mujoco": "mbd_ros.report.mujoco_peer", "pydrake": "mbd_ros.report.drake_peer"}
 _SCENES = (

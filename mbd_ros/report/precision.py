@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from mbd_ros.built_scene import Scene
 from mbd_ros.errors import MbdError
 from mbd_ros.report.converged import known
 from mbd_ros.report.items import Item, Outcome, Section, Spec
@@ -10,7 +11,7 @@ from mbd_ros.report.ladders import climb, families, planned
 from mbd_ros.report.precision_text import compose
 from mbd_ros.report.rattle_check import approach
 from mbd_ros.report.subjects import Subject, subjects
-from mbd_ros.scene import Scene, load_scene
+from mbd_ros.scene import load_scene
 
 _REFERENCE = "reference"
 

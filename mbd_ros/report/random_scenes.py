@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.built_scene import Scene
 from mbd_ros.report.scene_text import ROBOT, Entry, SceneText, joint, link, load, robot, yaml_text
-from mbd_ros.scene import Scene
 
 _STREAM = 20_250  # tells these numbers from those of others with the same seed
 _KINDS, _SHARES = ("revolute", "prismatic", "continuous"), (0.55, 0.25, 0.2)

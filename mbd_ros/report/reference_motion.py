@@ -1,17 +1,15 @@
 """Motion that two families of methods agree on, and for how long it can be told."""
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.built_scene import Scene
 from mbd_ros.core.assembly import assemble
 from mbd_ros.core.linearization import fastest_rate
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import MbdError
-from mbd_ros.report.scene_text import Entry
-from mbd_ros.scene import Scene
+from mbd_ros.report.motion import Grid, Motion, motion
 
 _FIRST = {"type": "dop853"}
 _SECOND = {"type": "gauss_legendre", "stages": 3}
@@ -27,18 +25,6 @@ _TOLD = 1.0e3  # growth of a perturbation up to which a motion is compared
 _PERTURBATION = 1.0e-4
 _PER_RATE = 0.4  # first step of the second method, in 1 / rate
 _STEPS = 2_000  # more than that are not made for a second opinion
-
-
-class Grid(NamedTuple):
-    """Times at which motions are compared: 0, interval, .., count * interval [s]."""
-
-    interval: float
-    count: int
-
-    @property
-    def span(self) -> float:
-        """Last time [s]."""
-        return self.interval * self.count
 
 
 class Reference(NamedTuple):
@@ -68,46 +54,6 @@ class Reference(NamedTuple):
     size: tuple[float, float]
     reason: str
     rates: tuple[float, float]
-
-
-class Motion(NamedTuple):
-    """A run.
-
-    Attributes:
-        states: Those on the grid.
-        reason: Why there are not more of them; empty if there are all.
-        every: All states, one a step.
-    """
-
-    states: list[State]
-    reason: str
-    every: Sequence[State] = ()
-
-
-def motion(
-    scene: Scene, method: Entry, dt: float, grid: Grid, solver: str = "auto", **others: Any
-) -> Motion:
-    """Run a scene and keep the states on a grid.
-
-    Args:
-        scene: The scene.
-        method: Integrator entry.
-        dt: A whole fraction or multiple of the interval [s]; after a multiple the states between
-            are missing from the result.
-        grid: When to keep states.
-        solver: Tier.
-        **others: `start`: state to begin with; `stabilization`: entry.
-    """
-    found: list[State] = []
-    every = max(1, round(grid.interval / dt))
-    try:
-        start = others.pop("start", scene.initial)
-        simulation = scene.simulation(integrator=method, dt=dt, solver={"type": solver}, **others)
-        for x in simulation.run(start, grid.span):
-            found.append(x)
-    except MbdError as error:
-        return Motion(found[::every], f"{type(error).__name__}: {error}", found)
-    return Motion(found[::every], "", found)
 
 
 def reference(scene: Scene, grid: Grid) -> Reference:

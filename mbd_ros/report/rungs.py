@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.built_scene import Scene
 from mbd_ros.core.assembly import drift
 from mbd_ros.core.simulation import Simulation
 from mbd_ros.core.state import State
@@ -14,7 +15,6 @@ from mbd_ros.errors import MbdError, SolveError
 from mbd_ros.report.choices import Choice
 from mbd_ros.report.converged import Known, distance, problem_of
 from mbd_ros.report.reference_problems import error
-from mbd_ros.scene import Scene
 
 Record = dict[str, Any]
 _USELESS = 1.0e3  # error of a run that says nothing [rad or m]

@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mbd_ros.scene import Scene, load_scene
+from mbd_ros.built_scene import Scene
+from mbd_ros.scene import load_scene
 from mbd_ros.strict_yaml import read_mapping
 
 Entry = Mapping[str, Any]

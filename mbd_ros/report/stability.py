@@ -12,8 +12,9 @@ from mbd_ros.report.cases import METHODS, WRONG, Case, Verdict, raised
 from mbd_ros.report.equations import equations
 from mbd_ros.report.extreme_scenes import Extreme, extremes, item_name
 from mbd_ros.report.items import Item, Outcome, Section, Spec
+from mbd_ros.report.motion import Grid
 from mbd_ros.report.random_scenes import random_scene
-from mbd_ros.report.reference_motion import Grid, starting_rate
+from mbd_ros.report.reference_motion import starting_rate
 from mbd_ros.report.scene_text import LoadedScene, SceneText, load, load_file
 from mbd_ros.report.stability_page import stability_section
 from mbd_ros.report.verdicts import judge

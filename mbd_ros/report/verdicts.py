@@ -20,7 +20,8 @@ from mbd_ros.report.cases import (
     integrator,
     longest_step,
 )
-from mbd_ros.report.reference_motion import Grid, Motion, distance, motion
+from mbd_ros.report.motion import Grid, Motion, motion
+from mbd_ros.report.reference_motion import distance
 from mbd_ros.report.scene_text import Entry
 from mbd_ros.step_check import step_warnings
 

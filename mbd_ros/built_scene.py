@@ -1,0 +1,177 @@
+"""What a scene file describes, and what can be made of it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mbd_ros import schema
+from mbd_ros.core.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.control import ControlledJoints
+from mbd_ros.core.couplings import Couplings
+from mbd_ros.core.inverse_dynamics import InverseDynamics
+from mbd_ros.core.loads import Loads
+from mbd_ros.core.observed_loops import ObservedLoops
+from mbd_ros.core.parts import Actuator, Constraint, ForceTerm
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.safe_command import SafeCommand
+from mbd_ros.core.simulation import Simulation
+from mbd_ros.core.stabilizing import Stabilization
+from mbd_ros.core.state import State
+from mbd_ros.core.stepping import Integrator
+from mbd_ros.core.system import System
+from mbd_ros.core.tiers import build_system
+from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.part_entries import (
+    MeasuredWrench,
+    Solver,
+    build_part,
+)
+
+DEFAULT_INTEGRATOR = {"type": "dopri5"}
+DEFAULT_STABLE = 1.3  # its `stable`, known without importing it
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a scene file describes, built.
+
+    Attributes:
+        path: The file.
+        source: File or topic of the robot description.
+        robot: The robot, with the inertia of its drives.
+        couplings: Its dependent joints.
+        laws: Dependent joint -> parent and kind of law, for people.
+        wrenches: External loads by name.
+        constraints: Constraints besides the couplings.
+        forces: Force terms.
+        actuators: Actuators, in the order of their commands.
+        stabilization: What keeps the constraints; None leaves the choice to `simulation`.
+        solver: How the equations are solved.
+        integrator: Method; None leaves the choice to `simulation`.
+        dt: Step [s].
+        initial: State of all joints at the start, as the file gives it.
+        safe: What the actuators do without a command.
+        absent: Sections that the file leaves out.
+    """
+
+    path: Path
+    source: str
+    robot: Robot
+    couplings: Couplings
+    laws: Mapping[str, str]
+    wrenches: Mapping[str, MeasuredWrench]
+    constraints: tuple[Constraint, ...]
+    forces: tuple[ForceTerm, ...]
+    actuators: tuple[Actuator, ...]
+    stabilization: Stabilization | None
+    solver: Solver
+    integrator: Integrator | None
+    dt: float
+    initial: State
+    safe: SafeCommand
+    absent: tuple[str, ...]
+
+    @property
+    def has_loops(self) -> bool:
+        """Whether bilateral constraints act besides the couplings."""
+        return any(part.bounds is None for part in self.constraints)
+
+    @property
+    def actuated(self) -> tuple[str, ...]:
+        """Joints with an actuator; without any, all independent ones that no drive moves."""
+        if self.actuators:
+            return tuple(dict.fromkeys(name for part in self.actuators for name in part.joints))
+        driven = {name for part in self.constraints for name in part.driven}
+        return tuple(name for name in self.couplings.independent if name not in driven)
+
+    def inverse_dynamics(self) -> InverseDynamics | ObservedLoops:
+        """A solver with its own Pinocchio data, for the independent joints."""
+        if self.has_loops:
+            return ObservedLoops(self.closed_loop())
+        loads = [wrench.load for wrench in self.wrenches.values()]
+        return InverseDynamics(self.robot, self.couplings, loads, self.forces)
+
+    def closed_loop(self) -> ClosedLoopInverseDynamics:
+        """A solver for the efforts of `actuated` and all multipliers, with its own data.
+
+        Raises:
+            SceneError: Joints move nothing with mass.
+        """
+        loads = [wrench.load for wrench in self.wrenches.values()]
+        try:
+            return ClosedLoopInverseDynamics(
+                self.robot, self.couplings, self.constraints, self.actuated, loads, self.forces
+            )
+        except ModelError as error:
+            raise SceneError(f"{self.path}: {error}") from error
+
+    def system(
+        self, forces: Sequence[ForceTerm] = (), solver: Mapping[str, str] | None = None
+    ) -> System:
+        """Forward dynamics with its own Pinocchio data.
+
+        Args:
+            forces: Force terms besides those of the scene.
+            solver: Entry that replaces that of the scene.
+
+        Raises:
+            SceneError: The tier cannot serve the scene, or a package is missing.
+        """
+        where = f"{self.path}: solver"
+        chosen = self.solver if solver is None else schema.call(Solver, dict(solver), where)
+        loads = Loads(self.robot.model.nv, (*self.forces, *forces), self.actuators)
+        try:
+            return build_system(
+                self.robot, self.couplings, self.constraints, loads, chosen.type, chosen.backend
+            )
+        except ModelError as error:
+            raise SceneError(f"{where}: {error}") from error
+
+    def controlled_joints(self) -> ControlledJoints:
+        """The actuated joints as a controller sees them, with their own Pinocchio data.
+
+        Raises:
+            SceneError: No joint can be controlled.
+        """
+        bilateral = [part for part in self.constraints if part.bounds is None]
+        loads = Loads(self.robot.model.nv, self.forces)
+        try:
+            system = build_system(self.robot, self.couplings, bilateral, loads)
+            return ControlledJoints(system, self.actuated)
+        except ModelError as error:
+            raise SceneError(f"{self.path}: {error}") from error
+
+    def simulation(
+        self,
+        *,
+        integrator: Mapping[str, Any] | None = None,
+        dt: float | None = None,
+        stabilization: Mapping[str, Any] | None = None,
+        solver: Mapping[str, str] | None = None,
+        forces: Sequence[ForceTerm] = (),
+    ) -> Simulation:
+        """A simulation with its own Pinocchio data.
+
+        Args:
+            integrator: Entry that replaces that of the scene.
+            dt: Step that replaces that of the scene [s].
+            stabilization: Entry that replaces that of the scene.
+            solver: Entry that replaces that of the scene.
+            forces: Force terms besides those of the scene.
+
+        Raises:
+            SceneError: Names file and key.
+        """
+        system = self.system(forces, solver)
+        method, correction = self.integrator, self.stabilization
+        if integrator is not None or method is None:
+            given = integrator or DEFAULT_INTEGRATOR
+            method = build_part("integrators", given, f"{self.path}: integrator")
+        if stabilization is not None or correction is None:
+            given = stabilization or {"type": "projection" if system.rows else "none"}
+            correction = build_part("stabilization", given, f"{self.path}: stabilization")
+        try:
+            return Simulation(system, method, correction, self.dt if dt is None else dt)
+        except ModelError as error:
+            raise SceneError(f"{self.path}: {error}") from error

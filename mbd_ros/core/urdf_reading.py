@@ -1,0 +1,16 @@
+"""What a checked URDF says: numbers of an attribute, links of a joint."""
+
+from xml.etree import ElementTree
+
+
+def numbers(element: ElementTree.Element | None, attribute: str, default: str) -> list[float]:
+    """Numbers of one attribute that has been checked before."""
+    text = default if element is None else element.get(attribute, default)
+    return [float(word) for word in text.split()]
+
+
+def link_name(joint: ElementTree.Element, role: str) -> str:
+    """Name of the `parent` or `child` link of a checked joint."""
+    element = joint.find(role)
+    assert element is not None
+    return element.get("link", "")
