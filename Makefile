@@ -60,10 +60,10 @@ soak: venv
 	$(BIN)/python -m pytest -m soak --timeout 0
 
 bench: venv
-	$(BIN)/python -m mbd_ros.report.bench_forward
-	$(BIN)/python -m mbd_ros.report.bench_inverse
-	$(BIN)/python -m mbd_ros.report.bench_projector
-	$(BIN)/python -m mbd_ros.report.bench_controllers
+	$(BIN)/python -m mbd_ros.report.bench.forward
+	$(BIN)/python -m mbd_ros.report.bench.inverse
+	$(BIN)/python -m mbd_ros.report.bench.projector
+	$(BIN)/python -m mbd_ros.report.bench.controllers
 
 $(COLCON_VENV)/pinned: requirements/colcon.txt .venv/pinned
 	rm -rf $(COLCON_VENV) && $(BIN)/python -m venv $(COLCON_VENV)

@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from mbd_ros import schema
-from mbd_ros.core.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.core.control import ControlledJoints
+from mbd_ros.core.control.contract import ControlledJoints
 from mbd_ros.core.couplings import Couplings
+from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.inverse_dynamics import InverseDynamics
-from mbd_ros.core.loads import Loads
-from mbd_ros.core.observed_loops import ObservedLoops
+from mbd_ros.core.live.safe_command import SafeCommand
+from mbd_ros.core.loops.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.loops.observed_loops import ObservedLoops
 from mbd_ros.core.parts import Actuator, Constraint, ForceTerm
 from mbd_ros.core.robot import Robot
-from mbd_ros.core.safe_command import SafeCommand
 from mbd_ros.core.simulation import Simulation
 from mbd_ros.core.stabilizing import Stabilization
 from mbd_ros.core.state import State

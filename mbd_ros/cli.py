@@ -10,7 +10,7 @@ from typing import Any
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.inverse_command import add_inverse, add_tuning, inverse_lines
 from mbd_ros.report.command import add_report, report_lines
-from mbd_ros.report.demo_command import add_demo, demo_lines
+from mbd_ros.report.demo.command import add_demo, demo_lines
 
 _RUN_ARGUMENTS = ("out", "origin", "start", "efforts", "wrenches")
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -139,7 +139,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
 
 def _replay(arguments: argparse.Namespace) -> int:
     from mbd_ros.replay import TORQUES, Replay, play
-    from mbd_ros.report.torque_errors import compare
+    from mbd_ros.report.precision.torque_errors import compare
     from mbd_ros.scene import load_scene
 
     joints = load_scene(arguments.scene).couplings.independent
@@ -153,7 +153,7 @@ def _replay(arguments: argparse.Namespace) -> int:
 
 
 def _demo(arguments: argparse.Namespace) -> int:
-    from mbd_ros.report.demo_processes import Failed
+    from mbd_ros.report.demo.processes import Failed
 
     try:
         for line in demo_lines(arguments):

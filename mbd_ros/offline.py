@@ -7,9 +7,9 @@ import numpy as np
 
 from mbd_ros.bag_paths import is_bag
 from mbd_ros.built_scene import Scene
+from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.core.inverse_dynamics import Parts
 from mbd_ros.core.state import WrenchSamples
-from mbd_ros.core.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.errors import DataError
 from mbd_ros.offline_derivatives import Derivatives, causal_line, differentiate, observe
 from mbd_ros.offline_loops import close_loops, solve_loops

@@ -8,9 +8,9 @@ import numpy as np
 
 from mbd_ros.built_scene import Scene
 from mbd_ros.core.differentiation import CausalDifferentiator
+from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
+from mbd_ros.core.estimation.zero_phase import zero_phase
 from mbd_ros.core.state import Array, Motion
-from mbd_ros.core.torque_estimator import Observation, TorqueEstimator, Tuning
-from mbd_ros.core.zero_phase import zero_phase
 from mbd_ros.errors import DataError
 from mbd_ros.progress import progress
 

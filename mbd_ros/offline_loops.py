@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from mbd_ros.built_scene import Scene
-from mbd_ros.core.loop_motion import LoopMotion, Mask
-from mbd_ros.core.loop_torques import LoopTorques, listed
+from mbd_ros.core.estimation.torque_estimator import Observation
+from mbd_ros.core.loops.loop_motion import LoopMotion, Mask
+from mbd_ros.core.loops.loop_torques import LoopTorques, listed
 from mbd_ros.core.robot import Joint
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State
-from mbd_ros.core.torque_estimator import Observation
 from mbd_ros.errors import DataError, SolveError
 from mbd_ros.progress import progress
 from mbd_ros.records import Recording, TorqueRecord

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from mbd_ros import schema
+from mbd_ros.core.description.robot_reader import EARTH_GRAVITY, read_robot
+from mbd_ros.core.description.urdf import MAX_CHARACTERS
 from mbd_ros.core.robot import Robot
-from mbd_ros.core.robot_reader import EARTH_GRAVITY, read_robot
-from mbd_ros.core.urdf import MAX_CHARACTERS
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.locate import find_file
 from mbd_ros.strict_yaml import read_text

@@ -8,9 +8,9 @@ from typing import Any
 from mbd_ros import schema
 from mbd_ros.built_scene import Scene
 from mbd_ros.core.couplings import Couplings
+from mbd_ros.core.live.safe_command import SafeCommand
 from mbd_ros.core.parts import Actuator
 from mbd_ros.core.robot import Robot
-from mbd_ros.core.safe_command import SafeCommand
 from mbd_ros.coupling_entries import coupling_laws
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.locate import find_file

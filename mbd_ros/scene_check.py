@@ -8,11 +8,11 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE, Scene
-from mbd_ros.core.assembly import assemble
+from mbd_ros.core.forward.row_factor import TOGGLE, RowFactor
+from mbd_ros.core.integration.linearization import fastest_rate
 from mbd_ros.core.inverse_dynamics import InverseDynamics
-from mbd_ros.core.linearization import fastest_rate
-from mbd_ros.core.loop_torques import listed
-from mbd_ros.core.row_factor import TOGGLE, RowFactor
+from mbd_ros.core.loops.loop_torques import listed
+from mbd_ros.core.manifold.assembly import assemble
 from mbd_ros.core.system import System
 from mbd_ros.core.tiers import tier_of
 

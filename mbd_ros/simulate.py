@@ -7,8 +7,8 @@ import numpy as np
 
 from mbd_ros.bag_paths import is_bag
 from mbd_ros.built_scene import Scene
-from mbd_ros.core.assembly import drift
-from mbd_ros.core.row_factor import TOGGLE
+from mbd_ros.core.forward.row_factor import TOGGLE
+from mbd_ros.core.manifold.assembly import drift
 from mbd_ros.core.simulation import Commands, Simulation
 from mbd_ros.core.state import NANOSECOND, State
 from mbd_ros.core.tiers import tier_of

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from mbd_ros.core.linearization import fastest_rate
-from mbd_ros.core.row_factor import RowFactor
+from mbd_ros.core.forward.row_factor import RowFactor
+from mbd_ros.core.integration.linearization import fastest_rate
 from mbd_ros.core.state import State
 from mbd_ros.core.stepping import Integrator
 from mbd_ros.core.system import System

@@ -7,11 +7,11 @@ import pinocchio as pin
 from scipy.integrate import solve_ivp
 
 from mbd_ros.constraints.distance import Distance
-from mbd_ros.core.bilateral_system import BilateralSystem
-from mbd_ros.core.constraint_rows import ConstraintRows
-from mbd_ros.core.loads import Loads
+from mbd_ros.core.description.robot_reader import read_robot
+from mbd_ros.core.forward.bilateral_system import BilateralSystem
+from mbd_ros.core.forward.constraint_rows import ConstraintRows
+from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.parts import Row
-from mbd_ros.core.robot_reader import read_robot
 from mbd_ros.core.state import State
 from mbd_ros.core.system import System
 

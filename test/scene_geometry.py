@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.robot_reader import read_robot
+from mbd_ros.core.description.robot_reader import read_robot
 from mbd_ros.strict_yaml import read_mapping
 
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.core.active_set import complementarity
-from mbd_ros.core.bounded_rows import BoundedRows
-from mbd_ros.core.constraint_rows import ConstraintRows
 from mbd_ros.core.couplings import Coupling, Couplings
+from mbd_ros.core.description.robot_reader import read_robot
+from mbd_ros.core.forward.active_set import complementarity
+from mbd_ros.core.forward.bounded_rows import BoundedRows
+from mbd_ros.core.forward.constraint_rows import ConstraintRows
+from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.laws import Linear
-from mbd_ros.core.loads import Loads
-from mbd_ros.core.robot_reader import read_robot
 from mbd_ros.core.simulation import Simulation
 from mbd_ros.core.state import State
 from mbd_ros.core.system import System

@@ -13,11 +13,11 @@ from mbd_ros.actuators.ideal import Ideal
 from mbd_ros.constraints.frame_anchor import FrameAnchor
 from mbd_ros.constraints.loop_closure import LoopClosure
 from mbd_ros.constraints.prescribed_motion import PrescribedMotion
-from mbd_ros.core.closed_loop import ClosedLoopInverseDynamics
 from mbd_ros.core.couplings import Couplings
+from mbd_ros.core.description.robot_reader import read_robot
+from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.inverse_dynamics import InverseDynamics
-from mbd_ros.core.loads import Loads
-from mbd_ros.core.robot_reader import read_robot
+from mbd_ros.core.loops.closed_loop import ClosedLoopInverseDynamics
 from mbd_ros.core.state import State
 from mbd_ros.core.tiers import build_system
 from mbd_ros.core.wrenches import ExternalWrench

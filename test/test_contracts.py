@@ -8,11 +8,11 @@ import pinocchio as pin
 import pytest
 
 from mbd_ros import schema
-from mbd_ros.core.control import ControlledJoints, Controller, EffortBox, Reference
+from mbd_ros.core.control.contract import ControlledJoints, Controller, EffortBox, Reference
 from mbd_ros.core.couplings import Couplings
-from mbd_ros.core.loads import Loads
+from mbd_ros.core.description.robot_reader import read_robot
+from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.parts import Actuator, Constraint, ForceTerm
-from mbd_ros.core.robot_reader import read_robot
 from mbd_ros.core.stabilizing import Stabilization
 from mbd_ros.core.state import State
 from mbd_ros.core.stepping import Integrator

@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 from mechanisms import chain, double_pendulum
 
-from mbd_ros.core.chatter import ChatterMeter
-from mbd_ros.core.control import Control, ControlledJoints, Controller, EffortBox
-from mbd_ros.core.control_loop import ControlLoop
+from mbd_ros.core.control.chatter import ChatterMeter
+from mbd_ros.core.control.contract import Control, ControlledJoints, Controller, EffortBox
+from mbd_ros.core.control.control_loop import ControlLoop
+from mbd_ros.core.control.guide import Guide, TargetError
+from mbd_ros.core.control.reference_map import ReferenceMap
 from mbd_ros.core.couplings import Coupling, Couplings
+from mbd_ros.core.description.robot_reader import read_robot
+from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.guard import Guard
-from mbd_ros.core.guide import Guide, TargetError
 from mbd_ros.core.laws import Linear, Polynomial
-from mbd_ros.core.loads import Loads
-from mbd_ros.core.reference_map import ReferenceMap
-from mbd_ros.core.robot_reader import read_robot
-from mbd_ros.core.safe_command import SafeCommand
+from mbd_ros.core.live.safe_command import SafeCommand
 from mbd_ros.core.state import State
 from mbd_ros.core.system import System
 from mbd_ros.errors import SolveError

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from mbd_ros import schema
-from mbd_ros.core.control import EffortBox, Reference, Response, per_joint
-from mbd_ros.core.mobility_factor import MobilityFactor
-from mbd_ros.core.sliding import mismatch, sliding_variable
+from mbd_ros.core.control.contract import EffortBox, Reference, Response, per_joint
+from mbd_ros.core.control.mobility_factor import MobilityFactor
+from mbd_ros.core.control.sliding import mismatch, sliding_variable
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.forces.joint_torque import JointTorque

@@ -7,8 +7,8 @@ import pytest
 from scipy.interpolate import CubicSpline, PPoly
 
 from mbd_ros.core.couplings import Coupling, Couplings
+from mbd_ros.core.description.robot_reader import read_robot
 from mbd_ros.core.laws import PiecewisePolynomial, Polynomial, natural_cubic_spline
-from mbd_ros.core.robot_reader import read_robot
 from mbd_ros.errors import ModelError
 
 ARM = (Path(__file__).parents[1] / "config/robots/arm7.urdf").read_text(encoding="utf-8")

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from mechanisms import double_pendulum
 
-from mbd_ros.core.control import ControlledJoints, Reference
-from mbd_ros.core.course import Course
-from mbd_ros.core.guide import Guide, TargetError
-from mbd_ros.core.loads import Loads
-from mbd_ros.core.robot_reader import read_robot
+from mbd_ros.core.control.contract import ControlledJoints, Reference
+from mbd_ros.core.control.course import Course
+from mbd_ros.core.control.guide import Guide, TargetError
+from mbd_ros.core.description.robot_reader import read_robot
+from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.system import System
 
 TIMES = np.array([0.0, 0.4, 1.0, 1.1])

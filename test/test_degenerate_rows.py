@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from mbd_ros.core.active_set import complementarity
-from mbd_ros.core.assembly import assemble, drift, project
 from mbd_ros.core.couplings import Couplings
-from mbd_ros.core.linearization import fastest_rate
-from mbd_ros.core.row_factor import RowFactor
+from mbd_ros.core.forward.active_set import complementarity
+from mbd_ros.core.forward.row_factor import RowFactor
+from mbd_ros.core.integration.linearization import fastest_rate
+from mbd_ros.core.manifold.assembly import assemble, drift, project
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
-from mbd_ros.report.extreme_scenes import mechanism, rods
-from mbd_ros.report.witness import Witness
+from mbd_ros.report.stability.extreme_scenes import mechanism, rods
+from mbd_ros.report.stability.witness import Witness
 
 STOP = {"type": "joint_stop", "joint": "j0", "upper": 0.1}
 FRICTION = {"type": "dry_friction", "joint": "j1", "limit": 0.1}

@@ -11,17 +11,17 @@ import pytest
 import yaml
 
 from mbd_ros.cli import main
-from mbd_ros.core.control import Reference
-from mbd_ros.core.observed_state import ObservedState
-from mbd_ros.core.sliding import mismatch, sliding_variable
+from mbd_ros.core.control.contract import Reference
+from mbd_ros.core.control.sliding import mismatch, sliding_variable
+from mbd_ros.core.manifold.observed_state import ObservedState
 from mbd_ros.errors import DataError
-from mbd_ros.report import demo_topics
-from mbd_ros.report.demo_choices import LAWS, ROBOTS
-from mbd_ros.report.demo_files import MASS_SCALE, MODEL, PLANT, RATE, write_gains, write_scenes
-from mbd_ros.report.demo_folder import replacing_folder
-from mbd_ros.report.demo_page import Content, page
-from mbd_ros.report.demo_tables import Table, lines
-from mbd_ros.report.demo_task import course, disturbance
+from mbd_ros.report.demo import topics
+from mbd_ros.report.demo.choices import LAWS, ROBOTS
+from mbd_ros.report.demo.files import MASS_SCALE, MODEL, PLANT, RATE, write_gains, write_scenes
+from mbd_ros.report.demo.folder import replacing_folder
+from mbd_ros.report.demo.page import Content, page
+from mbd_ros.report.demo.tables import Table, lines
+from mbd_ros.report.demo.task import course, disturbance
 from mbd_ros.scene import load_scene
 
 CONFIG = Path(__file__).parents[1] / "config"
@@ -164,14 +164,14 @@ def test_layouts_name_topics_of_the_demo():
     shown = rviz["Visualization Manager"]["Displays"]
     kinds = [display["Class"].rpartition("/")[2] for display in shown]
     assert kinds == ["Grid", "RobotModel", "TF", "MarkerArray"]
-    assert shown[3]["Topic"]["Value"] == f"{demo_topics.SIMULATOR}/markers"
+    assert shown[3]["Topic"]["Value"] == f"{topics.SIMULATOR}/markers"
     joints = load_scene(ROBOTS["arm"].scene).actuated
     layout = ElementTree.parse(CONFIG / "plotjuggler/demo.xml")
     curves = [curve.get("name") for curve in layout.iter("curve")]
-    own, torques = demo_topics.loop_state("/sliding_mode_controller"), demo_topics.TORQUES
+    own, torques = topics.loop_state("/sliding_mode_controller"), topics.TORQUES
     for i, joint in enumerate(joints):
         wanted = {f"{own}/{joint}/position", f"{own}/{joint}/velocity"}
-        wanted |= {f"{demo_topics.COMMANDS}/data[{i}]", f"{torques}/{joint}/effort"}
+        wanted |= {f"{topics.COMMANDS}/data[{i}]", f"{torques}/{joint}/effort"}
         assert wanted <= set(curves)
     assert len(curves) == 4 * len(joints)
 

@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import expm
 
 from mbd_ros.core.differentiation import CausalDifferentiator, Sample
-from mbd_ros.core.low_pass import LowPass
-from mbd_ros.core.zero_phase import zero_phase
+from mbd_ros.core.estimation.low_pass import LowPass
+from mbd_ros.core.estimation.zero_phase import zero_phase
 from mbd_ros.errors import DataError
 
 SECOND, MS = 1_000_000_000, 1_000_000

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from mbd_ros.cli import main
-from mbd_ros.core.event_location import sign_change
+from mbd_ros.core.discontinuous.event_location import sign_change
+from mbd_ros.core.discontinuous.surface_modes import equivalent_signs, mode_on
 from mbd_ros.core.state import State
-from mbd_ros.core.surface_modes import equivalent_signs, mode_on
 from mbd_ros.errors import ModelError, SceneError, SolveError
 from mbd_ros.forces.switching_force import SwitchingForce
 from mbd_ros.integrators.filippov import Filippov

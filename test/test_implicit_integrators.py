@@ -24,9 +24,9 @@ from row_systems import (
     symplectic_defect,
 )
 
-from mbd_ros.core.linearization import Linearization
-from mbd_ros.core.loads import Loads
-from mbd_ros.core.newton import FAILED, converge
+from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.integration.linearization import Linearization
+from mbd_ros.core.integration.newton import FAILED, converge
 from mbd_ros.core.parts import ForceTerm, Row
 from mbd_ros.core.state import State
 from mbd_ros.core.system import System

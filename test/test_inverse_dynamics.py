@@ -10,9 +10,9 @@ import pinocchio as pin
 import pytest
 
 from mbd_ros.core.couplings import Coupling, Couplings
+from mbd_ros.core.description.robot_reader import read_robot
 from mbd_ros.core.inverse_dynamics import InverseDynamics
 from mbd_ros.core.laws import Polynomial, natural_cubic_spline
-from mbd_ros.core.robot_reader import read_robot
 from mbd_ros.core.state import State
 from mbd_ros.core.wrenches import ExternalWrench
 from mbd_ros.forces.joint_friction import JointFriction

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.core.command_watch import CommandWatch
 from mbd_ros.core.inverse_dynamics import InverseDynamics
-from mbd_ros.core.live_simulation import LiveSimulation
-from mbd_ros.core.safe_command import SafeCommand
+from mbd_ros.core.live.command_watch import CommandWatch
+from mbd_ros.core.live.live_simulation import LiveSimulation
+from mbd_ros.core.live.safe_command import SafeCommand
 from mbd_ros.errors import DivergedError, ModelError, SceneError
 from mbd_ros.scene import load_scene
 

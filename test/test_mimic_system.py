@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from mbd_ros.core.couplings import Coupling, Couplings
+from mbd_ros.core.description.robot_reader import read_robot
+from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.forward.mimic_system import MimicSystem, mimic_model
+from mbd_ros.core.forward.reduced_system import ReducedSystem
 from mbd_ros.core.laws import Linear, Polynomial
-from mbd_ros.core.loads import Loads
-from mbd_ros.core.mimic_system import MimicSystem, mimic_model
-from mbd_ros.core.reduced_system import ReducedSystem
-from mbd_ros.core.robot_reader import read_robot
 from mbd_ros.core.state import State
 from mbd_ros.core.tiers import build_system
 from mbd_ros.forces.joint_spring import JointSpring
-from mbd_ros.report.scene_text import joint, link, robot
+from mbd_ros.report.stability.scene_text import joint, link, robot
 
 KINDS = ("continuous", "revolute", "prismatic", "revolute", "prismatic", "continuous")
 CHAIN = {"j2": Coupling("j0", Linear(-0.3, 0.1)), "j5": Coupling("j2", Linear(1.7, -0.4))}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mbd_ros.bags import BagWriter, new_message
-from mbd_ros.core.torque_estimator import Observation, TorqueEstimator, Tuning
+from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.core.wrenches import WrenchBuffer
 from mbd_ros.errors import DataError, ModelError
 from mbd_ros.offline import inverse_dynamics_of

@@ -9,8 +9,8 @@ import pytest
 
 from mbd_ros.bags import messages
 from mbd_ros.cli import main
+from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.core.state import Motion
-from mbd_ros.core.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.errors import DataError, SolveError
 from mbd_ros.offline_loops import close_loops
 from mbd_ros.records import Recording

@@ -5,12 +5,12 @@ import importlib.util
 import numpy as np
 import pytest
 
-from mbd_ros.report import peers
-from mbd_ros.report.contenders import task_of
-from mbd_ros.report.converged import known
-from mbd_ros.report.pareto import Point
-from mbd_ros.report.peers_text import compose, ratio
-from mbd_ros.report.reference_problems import SCENES
+from mbd_ros.report.peers import kind as peers
+from mbd_ros.report.peers.contenders import task_of
+from mbd_ros.report.peers.text import compose, ratio
+from mbd_ros.report.precision.converged import known
+from mbd_ros.report.precision.pareto import Point
+from mbd_ros.report.precision.reference_problems import SCENES
 from mbd_ros.scene import load_scene
 
 needs_mujoco = pytest.mark.skipif(
@@ -96,13 +96,13 @@ def test_scenes_of_a_user_have_no_peers():
 )
 def test_mujoco_runs_the_same_scene(name, allowed):
     """Order 4 at 0.2 ms; constraints are as stiff as MuJoCo takes them."""
-    from mbd_ros.report.mujoco_peer import MujocoRun
+    from mbd_ros.report.peers.mujoco_peer import MujocoRun
 
     assert off(name, MujocoRun(task(name), "mjINT_RK4", 2e-4, 1.0, True)) < allowed
 
 
 @needs_drake
 def test_drake_runs_the_same_scene():
-    from mbd_ros.report.drake_peer import DrakeRun
+    from mbd_ros.report.peers.drake_peer import DrakeRun
 
     assert off("arm7_swing", DrakeRun(task("arm7_swing"), "runge_kutta5", 1e-9)) < 1e-7

@@ -5,17 +5,18 @@ import json
 import numpy as np
 import pytest
 
-from mbd_ros.core.constraint_rows import ConstraintRows
-from mbd_ros.report import left_out, precision
-from mbd_ros.report.choices import Choice, formulations, snippet
-from mbd_ros.report.converged import known
+from mbd_ros.core.forward.constraint_rows import ConstraintRows
 from mbd_ros.report.items import Item
-from mbd_ros.report.ladders import FAMILIES
-from mbd_ros.report.pareto import Point, cheapest, cost_at, front
-from mbd_ros.report.precision_text import brief, compose, points_of, power
-from mbd_ros.report.rattle_check import approach
-from mbd_ros.report.reference_problems import PROBLEMS, SCENES
-from mbd_ros.report.work_precision import diagram
+from mbd_ros.report.left_out import kind as left_out
+from mbd_ros.report.precision import kind as precision
+from mbd_ros.report.precision.choices import Choice, formulations, snippet
+from mbd_ros.report.precision.converged import known
+from mbd_ros.report.precision.ladders import FAMILIES
+from mbd_ros.report.precision.pareto import Point, cheapest, cost_at, front
+from mbd_ros.report.precision.rattle_check import approach
+from mbd_ros.report.precision.reference_problems import PROBLEMS, SCENES
+from mbd_ros.report.precision.text import brief, compose, points_of, power
+from mbd_ros.report.precision.work_precision import diagram
 from mbd_ros.scene import load_scene
 from mbd_ros.strict_yaml import read_mapping
 

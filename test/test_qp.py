@@ -6,10 +6,10 @@ import time
 import numpy as np
 import pytest
 
-from mbd_ros.core import limited_qp
-from mbd_ros.core.active_set import complementarity
-from mbd_ros.core.boxed_rows import COMPLIANCES, BoxedRows
-from mbd_ros.core.limited_qp import LimitedQp
+from mbd_ros.core.control import limited_qp
+from mbd_ros.core.control.boxed_rows import COMPLIANCES, BoxedRows
+from mbd_ros.core.control.limited_qp import LimitedQp
+from mbd_ros.core.forward.active_set import complementarity
 from mbd_ros.core.qp import BoxQp
 from mbd_ros.errors import ModelError, SolveError
 

@@ -6,16 +6,16 @@ import pytest
 
 from mbd_ros.actuators.ideal import Ideal
 from mbd_ros.controllers.qp_tracking import QpTracking
-from mbd_ros.core.control import EffortBox, Reference
-from mbd_ros.core.loads import Loads
-from mbd_ros.core.motion_limits import MotionLimits
+from mbd_ros.core.control.contract import EffortBox, Reference
+from mbd_ros.core.control.motion_limits import MotionLimits
+from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.robot import Joint
 from mbd_ros.core.simulation import Simulation
 from mbd_ros.core.state import State
 from mbd_ros.core.tiers import build_system
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.integrators.rk4 import Rk4
-from mbd_ros.report.bench_controllers import (
+from mbd_ros.report.bench.controllers import (
     MECHANISMS,
     RATES,
     mechanism,

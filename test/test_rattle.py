@@ -17,7 +17,7 @@ from row_systems import (
 )
 from scipy.special import ellipj
 
-from mbd_ros.core.loads import Loads
+from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.state import State
 from mbd_ros.core.system import System

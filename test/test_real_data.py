@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from mbd_ros.bags import new_message
 from mbd_ros.cli import main
-from mbd_ros.core.torque_estimator import TorqueEstimator, Tuning
+from mbd_ros.core.estimation.torque_estimator import TorqueEstimator, Tuning
 from mbd_ros.scene import load_scene
 from mbd_ros.tables import read_table
 from msg_adapters.joint_state import JointStateReader, write_joint_state

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mbd_ros.built_scene import Scene
-from mbd_ros.core.urdf import MAX_CHARACTERS
+from mbd_ros.core.description.urdf import MAX_CHARACTERS
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import SECTIONS, description_topic, load_scene
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.core.assembly import drift
+from mbd_ros.core.manifold.assembly import drift
 from mbd_ros.core.state import State
 from mbd_ros.core.tiers import tier_of
 from mbd_ros.errors import DivergedError, SceneError

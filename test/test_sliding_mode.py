@@ -10,13 +10,13 @@ from scipy.integrate import solve_ivp
 from mbd_ros.controllers.computed_torque import ComputedTorque
 from mbd_ros.controllers.sliding_mode import SlidingMode
 from mbd_ros.controllers.super_twisting import SuperTwisting
-from mbd_ros.core.chatter import ChatterMeter
-from mbd_ros.core.control import EffortBox, Reference
+from mbd_ros.core.control.chatter import ChatterMeter
+from mbd_ros.core.control.contract import EffortBox, Reference
+from mbd_ros.core.control.reaching import LAWS, ReachingLaw
+from mbd_ros.core.control.sliding import mismatch, sliding_variable
+from mbd_ros.core.control.twisting import reaching_time_bound, super_twisting
 from mbd_ros.core.parts import ForceTerm
-from mbd_ros.core.reaching import LAWS, ReachingLaw
-from mbd_ros.core.sliding import mismatch, sliding_variable
 from mbd_ros.core.state import State
-from mbd_ros.core.twisting import reaching_time_bound, super_twisting
 from mbd_ros.scene import load_scene
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"

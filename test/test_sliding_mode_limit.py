@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from mbd_ros.controllers.sliding_mode import SlidingMode
-from mbd_ros.core.control import EffortBox, Reference
+from mbd_ros.core.control.contract import EffortBox, Reference
+from mbd_ros.core.discontinuous.switching import DiscontinuousForce
 from mbd_ros.core.parts import ForceTerm
-from mbd_ros.core.switching import DiscontinuousForce
 from mbd_ros.scene import load_scene
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"

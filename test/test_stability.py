@@ -8,24 +8,25 @@ import pinocchio as pin
 import pytest
 
 from mbd_ros.constraints.distance import Distance
-from mbd_ros.core.assembly import assemble, drift
-from mbd_ros.core.bilateral_system import BilateralSystem
-from mbd_ros.core.pair_rows import PairRows
+from mbd_ros.core.forward.bilateral_system import BilateralSystem
+from mbd_ros.core.manifold.assembly import assemble, drift
+from mbd_ros.core.rows.pair_rows import PairRows
 from mbd_ros.core.state import State
 from mbd_ros.core.system import System
 from mbd_ros.forces.joint_spring import JointSpring
 from mbd_ros.integrators.rk4 import Rk4
-from mbd_ros.report import long_runs, stability
-from mbd_ros.report.cases import METHODS, Case
-from mbd_ros.report.equations import equations
-from mbd_ros.report.extreme_scenes import extremes, mechanism, rods
 from mbd_ros.report.items import Item
-from mbd_ros.report.motion import Grid
-from mbd_ros.report.random_scenes import random_scene
-from mbd_ros.report.reference_motion import starting_rate
-from mbd_ros.report.scene_text import load
-from mbd_ros.report.verdicts import judge
-from mbd_ros.report.witness import Witness
+from mbd_ros.report.stability import kind as stability
+from mbd_ros.report.stability import long_runs
+from mbd_ros.report.stability.cases import METHODS, Case
+from mbd_ros.report.stability.equations import equations
+from mbd_ros.report.stability.extreme_scenes import extremes, mechanism, rods
+from mbd_ros.report.stability.motion import Grid
+from mbd_ros.report.stability.random_scenes import random_scene
+from mbd_ros.report.stability.reference_motion import starting_rate
+from mbd_ros.report.stability.scene_text import load
+from mbd_ros.report.stability.verdicts import judge
+from mbd_ros.report.stability.witness import Witness
 from mbd_ros.stabilization.projection import Projection
 
 FOUR_BAR, SPRING = "redundant_rows-closed_1_times", "stiffness-1e3_N_m_at_1_ms"

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 import qpsolvers
 
-from mbd_ros.core.coupled_joints import CoupledJoints
 from mbd_ros.core.couplings import Link
+from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.laws import Linear, Polynomial
-from mbd_ros.core.loads import Loads
-from mbd_ros.core.pushing_bounds import PushingBounds
+from mbd_ros.core.manifold.coupled_joints import CoupledJoints
+from mbd_ros.core.manifold.pushing_bounds import PushingBounds
+from mbd_ros.core.manifold.state_projection import Measurement, StateProjector
 from mbd_ros.core.qp import Statistics
 from mbd_ros.core.state import State
-from mbd_ros.core.state_projection import Measurement, StateProjector
 from mbd_ros.core.tiers import build_system
 from mbd_ros.errors import SolveError
 from mbd_ros.scene import load_scene

@@ -5,9 +5,9 @@ import pytest
 from test_state_projection import FOUR_BAR, LEG, projector
 
 from mbd_ros.core.differentiation import Sample
-from mbd_ros.core.state_projection import Projection
-from mbd_ros.core.state_reconstruction import StateReconstructor
-from mbd_ros.core.torque_estimator import Tuning
+from mbd_ros.core.estimation.torque_estimator import Tuning
+from mbd_ros.core.manifold.state_projection import Projection
+from mbd_ros.core.manifold.state_reconstruction import StateReconstructor
 from mbd_ros.errors import SolveError
 
 MS = 1_000_000  # ns

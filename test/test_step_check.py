@@ -7,10 +7,10 @@ import pytest
 
 from mbd_ros import step_check
 from mbd_ros.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE
-from mbd_ros.core.linearization import fastest_rate
+from mbd_ros.core.integration.linearization import fastest_rate
 from mbd_ros.errors import MbdError, SolveError
 from mbd_ros.part_entries import build_part
-from mbd_ros.report.extreme_scenes import mechanism, rods
+from mbd_ros.report.stability.extreme_scenes import mechanism, rods
 from mbd_ros.scene import load_scene
 from mbd_ros.step_check import step_warnings
 

@@ -6,10 +6,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.assembly import assemble, project
 from mbd_ros.core.couplings import Couplings
-from mbd_ros.core.loads import Loads
-from mbd_ros.core.robot_reader import read_robot
+from mbd_ros.core.description.robot_reader import read_robot
+from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.manifold.assembly import assemble, project
 from mbd_ros.core.state import State
 from mbd_ros.core.tiers import build_system, tier_of
 from mbd_ros.errors import ModelError, SceneError, SolveError

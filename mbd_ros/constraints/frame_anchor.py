@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.frame_pair import FramePair
-from mbd_ros.core.frame_point import FramePoint, checked_vector
-from mbd_ros.core.pair_rows import PairRows
 from mbd_ros.core.robot import Robot
-from mbd_ros.core.rotation_residual import FullRotation
+from mbd_ros.core.rows.frame_pair import FramePair
+from mbd_ros.core.rows.frame_point import FramePoint, checked_vector
+from mbd_ros.core.rows.pair_rows import PairRows
+from mbd_ros.core.rows.rotation_residual import FullRotation
 from mbd_ros.errors import ModelError
 
 

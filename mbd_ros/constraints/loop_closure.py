@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-from mbd_ros.core.frame_pair import FramePair
-from mbd_ros.core.frame_point import FramePoint
-from mbd_ros.core.pair_rows import DIRECTIONS, PairRows
 from mbd_ros.core.robot import Robot
-from mbd_ros.core.rotation_residual import AxisRotation, FullRotation, RotationResidual
+from mbd_ros.core.rows.frame_pair import FramePair
+from mbd_ros.core.rows.frame_point import FramePoint
+from mbd_ros.core.rows.pair_rows import DIRECTIONS, PairRows
+from mbd_ros.core.rows.rotation_residual import AxisRotation, FullRotation, RotationResidual
 from mbd_ros.errors import ModelError
 
 KINDS = ("point", "revolute", "full")

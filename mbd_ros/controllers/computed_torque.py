@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mbd_ros.core.control import (
+from mbd_ros.core.control.contract import (
     Control,
     ControlledJoints,
     Controller,
@@ -11,8 +11,8 @@ from mbd_ros.core.control import (
     Reference,
     per_joint,
 )
-from mbd_ros.core.mobility_factor import MobilityFactor
-from mbd_ros.core.sliding import sliding_variable
+from mbd_ros.core.control.mobility_factor import MobilityFactor
+from mbd_ros.core.control.sliding import sliding_variable
 from mbd_ros.core.state import Array, State
 
 

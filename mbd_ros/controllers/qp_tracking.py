@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.acting_limits import Candidate
-from mbd_ros.core.control import (
+from mbd_ros.core.control.acting_limits import Candidate
+from mbd_ros.core.control.contract import (
     Control,
     ControlledJoints,
     Controller,
@@ -15,11 +15,11 @@ from mbd_ros.core.control import (
     Response,
     per_joint,
 )
-from mbd_ros.core.limited_qp import Counts, LimitedQp
-from mbd_ros.core.motion_limits import AccelerationBox, MotionLimits
-from mbd_ros.core.sliding import sliding_variable
+from mbd_ros.core.control.limited_qp import Counts, LimitedQp
+from mbd_ros.core.control.motion_limits import AccelerationBox, MotionLimits
+from mbd_ros.core.control.sliding import sliding_variable
+from mbd_ros.core.control.tracking_metric import TrackingMetric
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.tracking_metric import TrackingMetric
 from mbd_ros.errors import SolveError
 
 

@@ -11,7 +11,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.low_pass import TURN, LowPass
+from mbd_ros.core.estimation.low_pass import TURN, LowPass
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.control import EffortBox
+from mbd_ros.core.control.contract import EffortBox
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
 

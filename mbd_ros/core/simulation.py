@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from mbd_ros.core.assembly import assemble
+from mbd_ros.core.manifold.assembly import assemble
 from mbd_ros.core.stabilizing import Stabilization
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.stepping import Integrator

@@ -5,14 +5,14 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.bounded_rows import BoundedRows
-from mbd_ros.core.chart import chart_rate
-from mbd_ros.core.constraint_rows import ConstraintRows
-from mbd_ros.core.loads import Loads
-from mbd_ros.core.mass_check import check_mass
+from mbd_ros.core.forward.bounded_rows import BoundedRows
+from mbd_ros.core.forward.chart import chart_rate
+from mbd_ros.core.forward.constraint_rows import ConstraintRows
+from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.forward.mass_check import check_mass
+from mbd_ros.core.forward.row_factor import RowFactor
 from mbd_ros.core.parts import Row, Wrench
 from mbd_ros.core.robot import Robot
-from mbd_ros.core.row_factor import RowFactor
 from mbd_ros.core.state import Array, Solution, State
 
 WORLD = pin.Convention.WORLD

@@ -2,16 +2,16 @@
 
 from collections.abc import Sequence
 
-from mbd_ros.core.bilateral_system import BilateralSystem
-from mbd_ros.core.bounded_rows import BoundedRows
-from mbd_ros.core.constraint_rows import ConstraintRows
-from mbd_ros.core.coupling_rows import CouplingRows
 from mbd_ros.core.couplings import Couplings
-from mbd_ros.core.loads import Loads
-from mbd_ros.core.mimic_system import MimicSystem, mimic_model
+from mbd_ros.core.forward.bilateral_system import BilateralSystem
+from mbd_ros.core.forward.bounded_rows import BoundedRows
+from mbd_ros.core.forward.constraint_rows import ConstraintRows
+from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.forward.mimic_system import MimicSystem, mimic_model
+from mbd_ros.core.forward.reduced_system import ReducedSystem
 from mbd_ros.core.parts import Constraint
-from mbd_ros.core.reduced_system import ReducedSystem
 from mbd_ros.core.robot import Robot
+from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.system import System
 from mbd_ros.errors import ModelError
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.discontinuous.switching import DiscontinuousForce
 from mbd_ros.core.laws import Polynomial
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.switching import DiscontinuousForce
 from mbd_ros.errors import ModelError
 
 

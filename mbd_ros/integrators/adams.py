@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.dop853_tableau import DOP853
-from mbd_ros.core.nystrom_stages import new_state
-from mbd_ros.core.runge_kutta import RungeKutta
+from mbd_ros.core.integration.dop853_tableau import DOP853
+from mbd_ros.core.integration.nystrom_stages import new_state
+from mbd_ros.core.integration.runge_kutta import RungeKutta
+from mbd_ros.core.integration.step_length import NEAR, clip
+from mbd_ros.core.integration.tableau import RK4
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.step_length import NEAR, clip
 from mbd_ros.core.stepping import Integrator, Stepper
-from mbd_ros.core.tableau import RK4
 from mbd_ros.errors import ModelError
 
 _ORDERS = range(2, 9)

@@ -3,9 +3,9 @@
 import math
 from typing import Any, ClassVar
 
-from mbd_ros.core.adaptive_runge_kutta import check_tolerance, runge_kutta
-from mbd_ros.core.dop853_tableau import DOP853
-from mbd_ros.core.runge_kutta import RungeKutta
+from mbd_ros.core.integration.adaptive_runge_kutta import check_tolerance, runge_kutta
+from mbd_ros.core.integration.dop853_tableau import DOP853
+from mbd_ros.core.integration.runge_kutta import RungeKutta
 from mbd_ros.core.stepping import Integrator
 
 

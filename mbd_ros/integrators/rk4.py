@@ -2,9 +2,9 @@
 
 from typing import Any, ClassVar
 
-from mbd_ros.core.runge_kutta import RungeKutta
+from mbd_ros.core.integration.runge_kutta import RungeKutta
+from mbd_ros.core.integration.tableau import RK4
 from mbd_ros.core.stepping import Integrator
-from mbd_ros.core.tableau import RK4
 
 
 class Rk4(Integrator):

@@ -3,8 +3,8 @@
 import math
 from typing import Any, ClassVar
 
+from mbd_ros.core.integration.step_length import clip
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.step_length import clip
 from mbd_ros.core.stepping import Integrator, Stepper
 
 

@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from std_msgs.msg import Float64MultiArray
 
-from mbd_ros.core.chatter import ChatterMeter
-from mbd_ros.core.control_loop import Command, ControlLoop
+from mbd_ros.core.control.chatter import ChatterMeter
+from mbd_ros.core.control.control_loop import Command, ControlLoop
+from mbd_ros.core.control.guide import Guide, TargetError
 from mbd_ros.core.differentiation import Sample
+from mbd_ros.core.estimation.joint_observer import JointObserver, Observation
+from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.guard import Guard
-from mbd_ros.core.guide import Guide, TargetError
-from mbd_ros.core.joint_observer import JointObserver, Observation
-from mbd_ros.core.loads import Loads
-from mbd_ros.core.observed_state import ObservedState
+from mbd_ros.core.manifold.observed_state import ObservedState
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.nodes.controller_parameters import (
     build_controller,

@@ -11,8 +11,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from mbd_ros.core.control.guide import TargetError
 from mbd_ros.core.differentiation import Sample
-from mbd_ros.core.guide import TargetError
 from mbd_ros.errors import SolveError
 from mbd_ros.nodes.control_pipeline import ControlPipeline
 from mbd_ros.nodes.joint_state_node import JointStateNode

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.chatter import DEFAULT_CUTOFF
-from mbd_ros.core.control import ControlledJoints, Controller
+from mbd_ros.core.control.chatter import DEFAULT_CUTOFF
+from mbd_ros.core.control.contract import ControlledJoints, Controller
 from mbd_ros.core.parts import Actuator
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError

@@ -8,7 +8,7 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 
 from mbd_ros.core.differentiation import Sample
-from mbd_ros.core.torque_estimator import Observation
+from mbd_ros.core.estimation.torque_estimator import Observation
 from mbd_ros.errors import SolveError
 from mbd_ros.nodes.inverse_dynamics_parameters import PARAMETERS, tuning
 from mbd_ros.nodes.joint_state_node import SENSOR, JointStateNode

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from mbd_ros.core.torque_estimator import Tuning
+from mbd_ros.core.estimation.torque_estimator import Tuning
 from mbd_ros.nodes.parameters import Parameter
 
 _DEFAULT = Tuning()

@@ -8,9 +8,9 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
-from mbd_ros.core.observed_loops import ObservedLoops
+from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator
+from mbd_ros.core.loops.observed_loops import ObservedLoops
 from mbd_ros.core.state import NANOSECOND
-from mbd_ros.core.torque_estimator import Observation, TorqueEstimator
 from mbd_ros.nodes.inverse_dynamics_parameters import tuning
 from mbd_ros.nodes.wrench_queue import WrenchQueue
 from mbd_ros.scene import load_scene

@@ -8,8 +8,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
 from mbd_ros.built_scene import Scene
-from mbd_ros.core.command_watch import CommandWatch
-from mbd_ros.core.live_simulation import LiveSimulation
+from mbd_ros.core.live.command_watch import CommandWatch
+from mbd_ros.core.live.live_simulation import LiveSimulation
 from mbd_ros.core.tiers import tier_of
 from mbd_ros.nodes.parameters import ParameterError
 from mbd_ros.scene import load_scene

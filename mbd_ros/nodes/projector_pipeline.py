@@ -8,10 +8,10 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from mbd_ros.core.differentiation import Sample
-from mbd_ros.core.loads import Loads
+from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.manifold.state_projection import Projection, StateProjector
+from mbd_ros.core.manifold.state_reconstruction import StateReconstructor
 from mbd_ros.core.state import Array
-from mbd_ros.core.state_projection import Projection, StateProjector
-from mbd_ros.core.state_reconstruction import StateReconstructor
 from mbd_ros.core.tiers import build_system
 from mbd_ros.nodes.joint_state_projector_parameters import tuning
 from mbd_ros.scene import load_scene

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbd_ros.core.control import Reference
+from mbd_ros.core.control.contract import Reference
+from mbd_ros.core.control.guide import Guide
+from mbd_ros.core.control.reference_map import ReferenceMap, Selection
 from mbd_ros.core.couplings import Couplings
-from mbd_ros.core.guide import Guide
-from mbd_ros.core.reference_map import ReferenceMap, Selection
 from msg_adapters.joint_state import JointSample
 from msg_adapters.joint_trajectory import Trajectory
 

@@ -4,8 +4,8 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from time import monotonic
 
+from mbd_ros.core.estimation.torque_estimator import Observation
 from mbd_ros.core.state import Array
-from mbd_ros.core.torque_estimator import Observation
 from mbd_ros.core.wrenches import WrenchBuffer
 
 

@@ -45,7 +45,7 @@ def program(module: str) -> str:
     """
     root = Path(mbd_ros.__path__[0])
     files = {path for path in root.rglob("*.py") if _computes(path.relative_to(root))}
-    files |= {*root.glob("report/*.json"), *_imported(module)}
+    files |= {*root.glob("report/**/*.json"), *_imported(module)}
     config = find_file(Path(), _EMPTY, "report").parents[1]
     files |= {path for path in config.rglob("*") if path.is_file()}
     parts = [f"{name} {version}" for name, version in versions().items()]
@@ -99,9 +99,18 @@ def _names(node: ast.AST) -> list[str]:
     if isinstance(node, ast.Import):
         return [alias.name for alias in node.names]
     if isinstance(node, ast.ImportFrom):
-        within = [f"{node.module}.{alias.name}" for alias in node.names]
-        return within if node.module == _REPORT else [str(node.module)]
+        module = str(node.module)
+        within = [f"{module}.{alias.name}" for alias in node.names]
+        return within if _is_package(module) else [module]
     return []
+
+
+def _is_package(module: str) -> bool:
+    """Whether this is a folder of the report."""
+    if module != _REPORT and not module.startswith(f"{_REPORT}."):
+        return False
+    spec = importlib.util.find_spec(module)
+    return spec is not None and spec.submodule_search_locations is not None
 
 
 def _strings(value: Any) -> Iterator[str]:

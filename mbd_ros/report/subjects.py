@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from mbd_ros.report.reference_problems import PROBLEMS, SCENES, reference
+from mbd_ros.report.precision.reference_problems import PROBLEMS, SCENES, reference
 
 _MORE = ("arm7_swing", "arm7_release", "arm7_swing_coupled")
 _LEGS = tuple(

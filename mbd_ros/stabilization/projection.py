@@ -1,6 +1,6 @@
 """Projection of position and velocity onto the constraints after every step."""
 
-from mbd_ros.core.assembly import project
+from mbd_ros.core.manifold.assembly import project
 from mbd_ros.core.stabilizing import Stabilization
 from mbd_ros.core.state import State
 from mbd_ros.core.system import System

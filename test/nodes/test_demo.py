@@ -16,8 +16,8 @@ from scipy.interpolate import BPoly
 from test_demo import LAM, Task
 
 from mbd_ros.bags import messages
-from mbd_ros.report.demo_choices import ROBOTS
-from mbd_ros.report.demo_files import GAINS, MASS_SCALE, PLANT, RATE
+from mbd_ros.report.demo.choices import ROBOTS
+from mbd_ros.report.demo.files import GAINS, MASS_SCALE, PLANT, RATE
 from mbd_ros.scene import load_scene
 from msg_adapters.time import read_time
 

@@ -16,8 +16,8 @@ from rclpy.experimental import EventsExecutor
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
-from mbd_ros.core.command_watch import CommandWatch
-from mbd_ros.core.live_simulation import LiveSimulation
+from mbd_ros.core.live.command_watch import CommandWatch
+from mbd_ros.core.live.live_simulation import LiveSimulation
 from mbd_ros.nodes.pace import PATIENCE, Pace, wake_exactly
 from mbd_ros.scene import load_scene
 from msg_adapters.joint_state import JointStateWriter

@@ -25,8 +25,8 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from mbd_ros.bags import BagWriter, messages, raw_messages
-from mbd_ros.core.command_watch import CommandWatch
-from mbd_ros.core.live_simulation import LiveSimulation
+from mbd_ros.core.live.command_watch import CommandWatch
+from mbd_ros.core.live.live_simulation import LiveSimulation
 from mbd_ros.scene import load_scene
 from msg_adapters.clock import read_clock
 from msg_adapters.diagnostics import OK, WARN

@@ -1,0 +1,195 @@
+"""States in, commands out: what stands between a control law and the drives."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.control.chatter import ChatterMeter
+from mbd_ros.core.control.contract import Control, Controller, EffortBox, Reference
+from mbd_ros.core.control.guide import Guide
+from mbd_ros.core.guard import Guard
+from mbd_ros.core.live.safe_command import SafeCommand
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
+
+_ROUNDING = 1.0e-9  # a share of that size comes of adding steps
+
+
+class Command(NamedTuple):
+    """What is sent, and why.
+
+    Attributes:
+        effort: Of the controlled joints, guarded [N·m or N], shape (n,).
+        error: q - ref.q [rad or m], shape (n,).
+        s: Sliding variable [rad/s or m/s], shape (n,).
+        held_back: Joints whose effort the guard clipped, shape (n,).
+    """
+
+    effort: Array
+    error: Array
+    s: Array
+    held_back: NDArray[np.bool_]
+
+
+class ControlLoop:
+    """A controller with reference, guard and the hand-over from and to the safe command.
+
+        effort = guard((1 - weight) control + weight safe)
+
+    The weight never jumps: it falls from 1 to 0 within `ramp` after the first state, rises when
+    states stop (`lapse`), and falls again when they come back, from where it is.
+
+    Args:
+        controller: The law; may be replaced between updates by one for the same joints.
+        guide: The reference.
+        guard: Limits.
+        safe: What acts when the control must not be trusted.
+        ramp: Duration of a hand-over [s], >= 0.
+        longest: A time between states that counts as no more than that [s].
+        chatter: Measures the efforts that are sent.
+
+    Attributes:
+        controller: See above.
+        guide: See above.
+        guard: See above.
+        ramp: See above; may change at any time.
+        weight: Share of the safe command, 0 .. 1.
+        is_open: Whether no state was answered since the start, or the last lapse or stop.
+        is_frozen: Whether nobody hears the commands. The memory of the law stands still then,
+            and as long as the safe command takes part: it must not learn from what it did not do.
+        chatter: See above.
+        control: What the law answered last.
+        lapses: How often states stopped for so long that the command had to go safe.
+        failures: Updates in a row without a usable answer of the law; the last one is kept.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        guide: Guide,
+        guard: Guard,
+        safe: SafeCommand,
+        ramp: float,
+        longest: float,
+        chatter: ChatterMeter,
+    ) -> None:
+        self.controller, self.guide, self.guard, self.safe = controller, guide, guard, safe
+        self.ramp, self._longest, self.chatter = ramp, longest, chatter
+        self.is_frozen, self.lapses = False, 0
+        self._none = np.zeros(len(controller.joints))
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the past: the next state is the first one."""
+        self.weight, self.failures = 1.0, 0
+        self.control: Control | None = None
+        self._memory = self.controller.begin()
+        self._sent, self._v, self._t, self.is_open = self._none, self._none, 0.0, True
+        self.guide.kind = "held"
+        self.chatter.reset()
+
+    def replace(self, controller: Controller) -> None:
+        """Use a new law from the next update on; its memory is kept where it fits."""
+        if controller.begin().shape != self._memory.shape:
+            self._memory = controller.begin()
+        self.controller = controller
+
+    def take_over(self, other: "ControlLoop") -> None:
+        """Go on without a bump where another loop was at work, if it has the same joints."""
+        if other.controller.joints.names == self.controller.joints.names:
+            self.weight, self._sent = other.weight, other._sent
+
+    def update(self, x: State) -> Command:
+        """The command for a new state.
+
+        Args:
+            x: Consistent state of all joints, later than the last one.
+
+        Raises:
+            SolveError: The law has no answer, and had none yet.
+        """
+        joints = self.controller.joints
+        q, v = joints.positions(x), joints.velocities(x)
+        self._v = v
+        if self.is_open:
+            self._close(x.t, q, v)
+            dt = 0.0
+        else:
+            dt = min(max(x.t - self._t, 0.0), self._longest)
+        self._t = x.t
+        self._shift(-dt)
+        box = self.guard.box(self._sent, dt)
+        ref = self.guide.at(x.t)
+        control = self._controlled(x, ref, box, dt)
+        effort = control.effort
+        if self.weight > 0.0:
+            effort = (1.0 - self.weight) * effort + self.weight * self._safe(dt)
+        admitted, held_back = self.guard.admit(effort, box)
+        self.chatter.update(admitted, dt)
+        self._sent = admitted
+        return Command(admitted, q - ref.q, control.s, held_back)
+
+    def lapse(self, dt: float) -> Array | None:
+        """The efforts while no state comes; None once the safe command was sent.
+
+        Without a state there is no velocity to damp: safe is no torque then.
+
+        Args:
+            dt: Time since the last command [s].
+        """
+        if self.weight >= 1.0 and self.is_open and not self._sent.any():
+            return None
+        self.lapses += not self.is_open
+        self.is_open = True
+        self._shift(min(dt, self._longest))
+        kept = self._none if self.control is None else self.control.effort
+        box = self.guard.box(self._sent, dt)
+        self._sent, _ = self.guard.admit((1.0 - self.weight) * kept, box)
+        return self._sent
+
+    def stop(self, is_fresh: bool) -> Array:
+        """The last efforts before commands end: the safe ones at the newest state.
+
+        The model is not asked again: it may be what failed.
+
+        Args:
+            is_fresh: Whether that state still tells the velocities; without, safe is no torque.
+        """
+        self.weight, self.is_open, self.control = 1.0, True, None
+        safe = self._safe(self._longest) if is_fresh else self._none
+        self._sent = np.clip(safe, -self.guard.limit, self.guard.limit)
+        return self._sent
+
+    def _safe(self, step: float) -> Array:
+        """The safe efforts at the newest state, held for a time [s]."""
+        newest = self.controller.joints.newest
+        return self._none if newest is None else self.safe.torque(self._v, newest.mobility, step)
+
+    def _close(self, t: float, q: Array, v: Array) -> None:
+        """States come, for the first time or again."""
+        self.guide.resume(t, q, v)
+        self._memory, self.is_open = self.controller.begin(), False
+        self.chatter.reset()
+
+    def _shift(self, dt: float) -> None:
+        step = dt / self.ramp if self.ramp > 0.0 else np.copysign(np.inf, dt)
+        weight = min(max(self.weight + step, 0.0), 1.0)
+        self.weight = weight if _ROUNDING < weight < 1.0 - _ROUNDING else round(weight)
+
+    def _controlled(self, x: State, ref: Reference, box: EffortBox, dt: float) -> Control:
+        """The answer of the law, or its last one where it has none."""
+        try:
+            control = self.controller.effort(x, ref, self._memory, box)
+            total = float(control.effort.sum() + control.s.sum() + control.memory_rate.sum())
+            if not total - total == 0.0:
+                raise SolveError("the answer of the control law is not finite")
+        except SolveError:
+            self.failures += 1
+            if self.control is None:
+                raise
+            return self.control
+        self.failures, self.control = 0, control
+        if len(self._memory) and self.weight == 0.0 and not self.is_frozen:
+            self._memory = self._memory + dt * control.memory_rate
+        return control

@@ -1,0 +1,98 @@
+"""Forward dynamics with linearly dependent joints as mimic joints of the model."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.couplings import Couplings
+from mbd_ros.core.forward.bounded_rows import BoundedRows
+from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.forward.reduced_system import ReducedSystem
+from mbd_ros.core.laws import Linear
+from mbd_ros.core.robot import Robot
+from mbd_ros.core.state import Array
+from mbd_ros.core.system import WORLD
+
+_SAME = 1.0e-12
+
+
+class MimicSystem(ReducedSystem):
+    """A `ReducedSystem` whose M and h Pinocchio makes in the independent coordinates at once.
+
+    Args:
+        robot: The robot.
+        loads: What acts on its joints.
+        couplings: Its dependent joints.
+        mimic_model: What `mimic_model` makes of them.
+        bounded: Rows with bounded multipliers.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        loads: Loads,
+        couplings: Couplings,
+        mimic_model: Any,
+        bounded: BoundedRows | None = None,
+    ) -> None:
+        super().__init__(robot, loads, couplings, bounded)
+        data = mimic_model.createData()
+        self._own_bias = partial(pin.nonLinearEffects, mimic_model, data)
+        self._own_mass = partial(pin.crba, mimic_model, data)
+
+    def acceleration(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """Z'' [rad/s^2 or m/s^2], shape (nv,)."""
+        self.evaluations += 1
+        bias = self._own_bias(q, v)
+        self._cholesky.compute(self._own_mass(q, WORLD))
+        if self._is_free:
+            a = self._cholesky.solve(bias)
+            return np.negative(a, a)
+        self._expand(q, v)
+        a = self._cholesky.solve(self._GT.dot(self._tau(t, self._q, self._v, u)) - bias)
+        return a if self.bounded is None else self.bounded.accelerate(self, t, q, v, a)
+
+    def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+        """q, v and a of all joints at the state of the last evaluation."""
+        self._expand(q, v)
+        return super().joint_motion(q, v, a)
+
+
+def mimic_model(robot: Robot, couplings: Couplings) -> Any:
+    """A model with mimic joints for dependent ones, or None where Pinocchio does not have them.
+
+    It has them for linear couplings of a fixed base to joints that come before in the model. Where
+    the links beyond a mimic joint branch, `crba` of Pinocchio 4.1 is wrong: hence a check. With
+    one coordinate left there is nothing to gain, and eigenpy has shapes of its own.
+    """
+    if robot.floating or len(couplings.v_index) == 1:
+        return None
+    joint_at = {joint.idx_v: joint.id for joint in robot.model.joints if joint.nv == 1}
+    follows: dict[int, tuple[int, Linear]] = {}
+    model, armature = robot.model, robot.model.armature.copy()
+    for link in couplings.links:
+        first, law = link.parent_v, link.law
+        if not isinstance(law, Linear):
+            return None
+        ancestor, up = follows.get(first, (first, Linear(1.0)))
+        law = Linear(law.factor * up.factor, law.factor * up.offset + law.offset)
+        follows[link.child_v] = ancestor, law
+        parent, child = joint_at[ancestor], joint_at[link.child_v]
+        if parent > child:
+            return None
+        model = pin.transformJointIntoMimic(model, parent, child, law.factor, law.offset)
+        armature[ancestor] += law.factor**2 * armature[link.child_v]
+    model.armature = armature[couplings.v_index]  # Pinocchio leaves that of mimic joints out
+    return model if _is_right(model, robot.model, couplings) else None
+
+
+def _is_right(mimic: Any, full: Any, couplings: Couplings) -> bool:
+    """Whether both models have the same reduced mass matrix at some configuration."""
+    z = np.linspace(0.3, 1.1, len(couplings.q_index))
+    q = couplings.positions(z)
+    G, M = couplings.jacobian(q), pin.crba(full, full.createData(), q, WORLD)
+    expected = G.T.dot(M).dot(G)
+    away = pin.crba(mimic, mimic.createData(), z, WORLD) - expected
+    return bool(np.abs(away).max() <= _SAME * np.abs(expected).max())

@@ -1,0 +1,103 @@
+"""Rows that hold a frame on one body to a frame on another."""
+
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.parts import Constraint, Row, Wrench
+from mbd_ros.core.rows.frame_pair import FramePair, Placed
+from mbd_ros.core.rows.rotation_residual import RotationResidual
+from mbd_ros.core.state import Array, State
+
+DIRECTIONS = {
+    "x": slice(0, 1),
+    "y": slice(1, 2),
+    "z": slice(2, 3),
+    "xy": slice(0, 2),
+    "xz": slice(0, 3, 2),
+    "yz": slice(1, 3),
+    "xyz": slice(0, 3),
+}
+_ROTATIONS, _ALL = slice(3, 6), slice(0, 6)
+
+
+class PairRows(Constraint):
+    """Origin of b at that of a, in some directions of a; axes as the rotation residual demands.
+
+    Args:
+        pair: The frames.
+        directions: Key of `DIRECTIONS`: axes of a along which the origins must not part.
+        rotation: What the axes must not do; None leaves them free.
+    """
+
+    reads_frames = True
+
+    def __init__(
+        self,
+        pair: FramePair,
+        directions: str,
+        rotation: RotationResidual | None = None,
+    ) -> None:
+        self._pair = pair
+        self._rows, self._rotation = DIRECTIONS[directions], rotation
+        self._count = len(directions)
+        a, b = pair.a.frame, pair.b.frame
+        turns = () if rotation is None else rotation.names
+        self.rows = (
+            *(Row(f"{a}-{b}.{axis}", "N", a) for axis in directions),
+            *(Row(f"{a}-{b}.{axis}", "N·m", a) for axis in turns),
+        )
+
+    def residual(self, data: Any, x: State) -> Array:
+        """Distances [m] in axes of a, then what the rotation residual measures [rad]."""
+        offset = self._pair.offset(data)[self._rows]
+        if self._rotation is None:
+            return offset
+        return np.concatenate((offset, self._rotation.residual(self._pair.rotation(data))))
+
+    def jacobian(self, data: Any, x: State) -> Array:
+        """dg/dq, shape (m, nv)."""
+        return self._jacobian(data, self._placed(data), self._turned(data))
+
+    def drift(self, data: Any, x: State) -> Array:
+        """J' v, shape (m,)."""
+        return self._drift(data, self._placed(data), self._turned(data))
+
+    def accelerations(self, data: Any, x: State) -> tuple[Array, Array]:
+        """Both `jacobian` and `drift`, for the placements of one."""
+        placed, R = self._placed(data), self._turned(data)
+        return self._jacobian(data, placed, R), self._drift(data, placed, R)
+
+    def _placed(self, data: Any) -> Placed | None:
+        return self._pair.placed(data) if self._rotation is None else self._pair.place(data)
+
+    def _turned(self, data: Any) -> Any:
+        return None if self._rotation is None else self._pair.rotation(data)
+
+    def _jacobian(self, data: Any, placed: Placed | None, R: Any) -> Array:
+        if self._rotation is None:
+            return self._pair.jacobian(data, placed, self._rows)
+        whole = self._pair.jacobian(data, placed, _ALL)
+        turns = self._rotation.slope(R).dot(whole[_ROTATIONS])
+        return np.concatenate((whole[self._rows], turns))
+
+    def _drift(self, data: Any, placed: Placed | None, R: Any) -> Array:
+        if self._rotation is None:
+            return self._pair.acceleration(data, placed)[self._rows]
+        assert placed is not None
+        linear, omega, alpha = self._pair.motion(data, placed)
+        return np.concatenate((linear[self._rows], self._rotation.drift(R, omega, alpha)))
+
+    def wrenches(self, data: Any, x: State, lam: Array) -> tuple[Wrench, ...]:
+        """What pulls a and b together, at the origin of b: on a, then on b."""
+        axes = self._pair.place(data).axes
+        force = axes.rotation[:, self._rows].dot(lam[: self._count])
+        torque = np.zeros(3)
+        if self._rotation is not None:
+            slope = self._rotation.slope(self._pair.rotation(data))
+            torque = axes.rotation.dot(slope.T.dot(lam[self._count :]))
+        point = axes.translation
+        return (
+            Wrench(self._pair.a.frame, point, -force, -torque),
+            Wrench(self._pair.b.frame, point, force, torque),
+        )

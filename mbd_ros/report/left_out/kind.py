@@ -1,0 +1,163 @@
+"""What a scene does not pay for: imports, the cost of each part, and all of it switched on."""
+
+import json
+import subprocess
+import sys
+import time
+import timeit
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.built_scene import Scene
+from mbd_ros.core.manifold.assembly import project
+from mbd_ros.core.tiers import tier_of
+from mbd_ros.errors import MbdError, ModelError
+from mbd_ros.part_entries import build_part
+from mbd_ros.report.items import Item, Outcome, Section, Spec, Table
+from mbd_ros.report.left_out.probe import LIBRARIES
+from mbd_ros.report.subjects import subjects
+from mbd_ros.scene import load_scene
+
+_PROBE = "mbd_ros.report.left_out.probe"
+_FAR = 1.0e6  # [rad or m]: a stop that nothing reaches
+_SECONDS = 4.0
+_TEXT = (
+    "What each scene builds and imports in a fresh process, and what one evaluation of its "
+    "equations costs. 'Everything on' is the same scene with all rows through the QP tier, a stop "
+    "at every joint that is never reached, and a projection after every step; both columns are "
+    "microseconds of CPU for one step of semi-implicit Euler, that is one evaluation.",
+    "The parts add up to less than a step where the tier has more to do than they: mass matrix, "
+    "factorisation and the loop of the simulation. A dash stands for a part that is not there.",
+)
+_COLUMNS = (
+    "scene",
+    "formulation",
+    "parts imported",
+    "parts left out",
+    "libraries left out",
+    "bare aba",
+    "evaluation",
+    "loads",
+    "rows",
+    "projection",
+    "step",
+    "everything on",
+    "factor",
+)
+_SHORT = 1.0e-9  # s: so short that the motion stays where it is
+
+
+def items(scenes: Sequence[str], quick: bool) -> list[Item]:
+    """One item a scene."""
+    return [
+        Item(
+            "left_out", s.name.replace(".", "_"), {"scene": s.path, "quick": quick}, _SECONDS, True
+        )
+        for s in subjects(scenes, quick)
+    ]
+
+
+def run(spec: Spec) -> Outcome:
+    """Imports and costs of one scene."""
+    path, calls = spec["scene"], 100 if spec["quick"] else 400
+    probe = subprocess.run(
+        [sys.executable, "-m", _PROBE, path], capture_output=True, text=True, check=False
+    )
+    if probe.returncode:
+        return {"failed": probe.stderr.strip().splitlines()[-1][:200]}
+    try:
+        found: Outcome = {**json.loads(probe.stdout.splitlines()[-1]), **costs(path, calls)}
+    except MbdError as error:
+        return {"failed": f"{type(error).__name__}: {error}"}
+    return found
+
+
+def section(outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
+    """One table."""
+    rows = [_row(item.name, outcome) for item, outcome in outcomes]
+    table = Table("What a scene pays for, microseconds", _COLUMNS, rows)
+    return Section("What was left out", _TEXT, [table], headline=())
+
+
+def costs(path: str, calls: int) -> Mapping[str, object]:
+    """CPU time of the parts of a scene [us].
+
+    Args:
+        path: Scene file.
+        calls: Timed calls of each, five times over.
+    """
+    scene = load_scene(path)
+    simulation = scene.simulation()
+    system, y = simulation.system, simulation.start(scene.initial)
+    x = system.expand(y)
+    model, data, zero = system.model, system.model.createData(), np.zeros(system.model.nv)
+    found: dict[str, object] = {"formulation": tier_of(system)}
+    found["aba"] = _best(lambda: pin.aba(model, data, x.q, x.v, zero), calls)
+    found["evaluation"] = _best(lambda: system.acceleration(*y), calls)
+    if not system.loads.is_empty:
+        system.refresh(x.q, x.v)
+        found["loads"] = _best(lambda: system.loads.total(system.data, x, None), calls)
+    if system.rows:
+        system.refresh(x.q, x.v)
+        found["rows"] = _best(lambda: system.constraints.accelerations(system.data, x), calls)
+        found["projection"] = _best(lambda: project(system, y), calls)
+    found["step"] = _step(scene, {}, calls)
+    try:
+        found["everything"] = _step(_with_stops(scene), {"solver": {"type": "qp"}}, calls)
+    except MbdError as error:
+        found["refused"] = str(error)[:120]
+    return found
+
+
+def _step(scene: Scene, more: Mapping[str, Mapping[str, str]], calls: int) -> float:
+    """One step as the scene corrects it [us]."""
+    stabilization = {"type": "projection"} if more or scene.system().rows else None
+    simulation = scene.simulation(
+        integrator={"type": "semi_implicit_euler"},
+        dt=_SHORT,
+        stabilization=stabilization,
+        **more,
+    )
+    y = simulation.start(scene.initial)
+
+    def step() -> None:
+        nonlocal y
+        y = simulation.advance(y, None, y.t + _SHORT)
+
+    return _best(step, calls)
+
+
+def _with_stops(scene: Scene) -> Scene:
+    """The scene with an idle stop at every joint that has one position."""
+    stop = {"type": "joint_stop", "joints": ["all"], "lower": -_FAR, "upper": _FAR}
+    try:
+        part = build_part("constraints", stop, f"{scene.path}: stops", scene.robot)
+    except ModelError:
+        return scene
+    return replace(scene, constraints=(*scene.constraints, part))
+
+
+def _best(call: Callable[[], object], calls: int) -> float:
+    timer = timeit.Timer(call, timer=time.process_time)
+    return min(timer.repeat(5, calls)) / calls * 1e6
+
+
+def _row(name: str, outcome: Outcome) -> list[str]:
+    if "failed" in outcome:
+        return [name, outcome["failed"], *[""] * (len(_COLUMNS) - 2)]
+    unused = [library for library in LIBRARIES if library not in outcome["libraries"]]
+    keys = ("aba", "evaluation", "loads", "rows", "projection", "step", "everything")
+    times = [f"{outcome[key]:.1f}" if key in outcome else "-" for key in keys]
+    factor = outcome["everything"] / outcome["step"] if "everything" in outcome else None
+    return [
+        name,
+        outcome["formulation"],
+        ", ".join(part.split(".")[-1] for part in outcome["parts"]) or "none",
+        str(outcome["not_imported"]),
+        ", ".join(unused),
+        *times,
+        outcome.get("refused", "-") if factor is None else f"{factor:.1f}",
+    ]

@@ -1,0 +1,43 @@
+"""What one scene builds, imports and costs, seen from a process of its own.
+
+python -m mbd_ros.report.left_out.probe SCENE
+"""
+
+import json
+import sys
+
+LIBRARIES = (
+    "proxsuite",
+    "qpsolvers",
+    "scipy",
+    "rosbags",
+    "rclpy",
+    "matplotlib",
+    "daqp",
+    "quadprog",
+)
+
+
+def main() -> int:
+    """Build a scene and a simulation, take one step, and say what that imported."""
+    from mbd_ros.registry import PARTS
+    from mbd_ros.scene import load_scene
+
+    scene = load_scene(sys.argv[1])
+    simulation = scene.simulation()
+    y = simulation.start(scene.initial)
+    simulation.advance(y, None, y.t + scene.dt)
+    known = {target.split(":")[0] for parts in PARTS.values() for target in parts.values()}
+    loaded = [name for name in sys.modules if name.startswith("mbd_ros.")]
+    found = {
+        "modules": len(loaded),
+        "parts": sorted(name.split(".", 1)[1] for name in loaded if name in known),
+        "not_imported": len(known - set(loaded)),
+        "libraries": [name for name in LIBRARIES if name in sys.modules],
+    }
+    sys.stdout.write(json.dumps(found) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

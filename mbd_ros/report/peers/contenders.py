@@ -1,0 +1,171 @@
+"""Ways to run one scene that are timed against one another."""
+
+import gc
+import time
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from mbd_ros.built_scene import Scene
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import MbdError, SceneError
+from mbd_ros.report.precision.choices import Choice
+from mbd_ros.report.precision.converged import Known, distance, problem_of
+from mbd_ros.report.precision.reference_problems import error
+from mbd_ros.report.precision.rungs import Record, timed
+from mbd_ros.strict_yaml import read_mapping
+
+_LONG = 0.3  # s; runs are not repeated beyond that
+_USELESS = 1.0e2  # error of a run that says nothing [rad or m]
+
+
+class Contender(Protocol):
+    """One package with one set-up.
+
+    Attributes:
+        package: Its name, `mbd_ros` for this one.
+        setup: What tells this set-up from others, without the step.
+        record: What JSON says of it.
+    """
+
+    package: str
+    setup: str
+    record: Record
+
+    def run(self, times: Sequence[float]) -> tuple[list[State], float]:
+        """States of all joints at the samples, and CPU time of the integration alone [s].
+
+        Raises:
+            MbdError: The run stopped.
+        """
+        ...
+
+
+class Loop(NamedTuple):
+    """Two points of links that coincide, each in the axes of its link [m]."""
+
+    frame_a: str
+    point_a: tuple[float, ...]
+    frame_b: str
+    point_b: tuple[float, ...]
+
+
+class Task(NamedTuple):
+    """A scene as other packages can be told.
+
+    Attributes:
+        urdf: Robot description.
+        gravity: [m/s^2], shape (3,).
+        names: Joints in the order of q.
+        q: Assembled start [rad or m], shape (nq,).
+        v: Its velocity, shape (nv,).
+        couplings: Dependent joint, its parent, factor, offset [rad].
+        loops: Closed loops.
+    """
+
+    urdf: str
+    gravity: Array
+    names: tuple[str, ...]
+    q: Array
+    v: Array
+    couplings: tuple[tuple[str, str, float, float], ...]
+    loops: tuple[Loop, ...]
+
+
+class Ours:
+    """This package.
+
+    Args:
+        scene: The scene.
+        choice: How it is run.
+    """
+
+    package = "mbd_ros"
+
+    def __init__(self, scene: Scene, choice: Choice) -> None:
+        self._scene, self._choice = scene, choice
+        self.record: Record = dict(choice._asdict())
+        self.setup = choice.method
+
+    def run(self, times: Sequence[float]) -> tuple[list[State], float]:
+        """As `Contender.run`."""
+        simulation, ys, used = timed(self._scene, self._choice, times)
+        return [simulation.system.expand(y) for y in ys], used
+
+
+def task_of(scene: Scene) -> Task:
+    """What other packages need of a scene.
+
+    Raises:
+        SceneError: It has what they cannot express.
+    """
+    given = read_mapping(scene.path)
+    if scene.forces or scene.robot.floating or scene.actuators:
+        raise SceneError(f"{scene.path}: peers take arms and planar loops without loads")
+    simulation = scene.simulation()
+    x = simulation.system.expand(simulation.start(scene.initial))
+    couplings = tuple(
+        (name, entry["parent"], float(entry["factor"]), float(entry.get("offset", 0.0)))
+        for name, entry in given.get("couplings", {}).items()
+    )
+    loops = tuple(_loop(entry) for entry in given.get("constraints", []))
+    gravity = np.array(scene.robot.model.gravity.linear)
+    names = tuple(joint.name for joint in scene.robot.joints)
+    return Task(scene.source, gravity, names, x.q, x.v, couplings, loops)
+
+
+def compete(
+    scene: Scene, contenders: Sequence[Contender], motion: Known, rounds: int
+) -> list[Record]:
+    """Errors and best times of all, run in turn so that a slow machine is slow for all."""
+    records = [{"package": c.package, "setup": c.setup, **c.record} for c in contenders]
+    seconds: list[list[float]] = [[] for _ in contenders]
+    gc.collect()
+    gc.disable()
+    try:
+        for turn in range(rounds):
+            for i, contender in enumerate(contenders):
+                if "stopped" in records[i] or sum(seconds[i]) * motion.times[-1] > _LONG:
+                    continue
+                try:
+                    states, used = contender.run(motion.times)
+                except MbdError as stop:
+                    records[i]["stopped"] = str(stop)[:160]
+                    continue
+                seconds[i].append(used / motion.times[-1])
+                if turn == 0:
+                    records[i] |= _errors(scene, states, motion)
+    finally:
+        gc.enable()
+    for record, taken in zip(records, seconds, strict=True):
+        if "stopped" not in record:
+            best = min(taken)
+            record |= {"seconds": best, "spread": sorted(taken)[len(taken) // 2] / best - 1.0}
+    return records
+
+
+def cpu_time(call: Any) -> float:
+    """CPU time of a call [s]."""
+    begin = time.process_time()
+    call()
+    return time.process_time() - begin
+
+
+def _errors(scene: Scene, states: Sequence[State], motion: Known) -> Record:
+    pairs = list(zip(states, motion.states, strict=True))
+    off = max(distance(scene, x, known) for x, known in pairs)
+    if not off < _USELESS:
+        return {"stopped": "far off"}
+    problem = problem_of(scene)
+    position = off if problem is None else error(problem, scene.robot, states)
+    velocity = max(float(np.abs(x.v - known.v).max()) for x, known in pairs)
+    return {"position": position, "configuration": off, "velocity": velocity}
+
+
+def _loop(entry: Any) -> Loop:
+    if entry["type"] != "loop_closure" or entry.get("directions") != "xy":
+        raise SceneError(f"peers take planar loops, not {entry['type']}")
+    origin = (0.0, 0.0, 0.0)
+    points = (tuple(entry.get(key, origin)) for key in ("point_a", "point_b"))
+    return Loop(entry["frame_a"], next(points), entry["frame_b"], next(points))

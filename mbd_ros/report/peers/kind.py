@@ -1,0 +1,103 @@
+"""Other packages on the same scenes: ratios of CPU time at equal error."""
+
+import importlib
+import importlib.util
+from collections.abc import Iterator, Sequence
+
+from mbd_ros.built_scene import Scene
+from mbd_ros.errors import MbdError
+from mbd_ros.report.items import Item, Outcome, Section, Spec
+from mbd_ros.report.peers.contenders import Contender, Ours, compete, task_of
+from mbd_ros.report.peers.text import compose
+from mbd_ros.report.precision.choices import Choice, stabilizations
+from mbd_ros.report.precision.converged import known
+from mbd_ros.report.subjects import subjects
+from mbd_ros.scene import load_scene
+
+PEERS = {
+    "mujoco": "mbd_ros.report.peers.mujoco_peer",
+    "pydrake": "mbd_ros.report.peers.drake_peer",
+}
+_SCENES = (
+    "arm7_swing",
+    "arm7_release",
+    "arm7_swing_coupled",
+    "x02_four_bar_1e-2",
+    "a02_four_bars_2",
+)
+_QUICK = ("arm7_swing_coupled",)
+_STEPS = (0.02, 0.01, 5e-3, 2.5e-3, 2e-3, 1.6e-3, 1.25e-3, 1e-3, 8e-4, 5e-4, 2.5e-4)  # s
+_LARGEST = {"dop853": 0.02, "rk4": 5e-3, "adams": 2.5e-3}
+_SMALLEST = {"dop853": 2e-3, "rk4": 5e-4, "adams": 2.5e-4}
+_SECONDS, _SECONDS_QUICK = 30.0, 8.0
+_SPAN = 1.0  # s
+
+
+def installed() -> list[str]:
+    """Those of `PEERS` that can be imported."""
+    return [name for name in PEERS if importlib.util.find_spec(name) is not None]
+
+
+def items(scenes: Sequence[str], quick: bool) -> list[Item]:
+    """One item a scene that peers can express; none without peers, or for scenes of a user."""
+    names = installed()
+    if scenes or not names:
+        return []
+    seconds, found = (_SECONDS_QUICK if quick else _SECONDS), []
+    for subject in subjects((), quick):
+        if subject.name in (_QUICK if quick else _SCENES):
+            spec = {
+                "scene": subject.path,
+                "times": [t for t in subject.times if t <= _SPAN],
+                "peers": names,
+                "quick": quick,
+            }
+            found.append(Item("peers", subject.name, spec, seconds, True))
+    return found
+
+
+def run(spec: Spec) -> Outcome:
+    """All contenders on one scene, in turn."""
+    scene, times = load_scene(spec["scene"]), tuple(spec["times"])
+    missing = [name for name in spec["peers"] if name not in installed()]
+    if missing:
+        return {"failed": f"not installed on this worker: {', '.join(missing)}"}
+    try:
+        motion, task = known(spec["scene"], times), task_of(scene)
+    except MbdError as error:
+        return {"failed": f"{type(error).__name__}: {error}"}
+    contenders: list[Contender] = list(_ours(scene, spec["quick"]))
+    setups = []
+    for name in spec["peers"]:
+        module = importlib.import_module(PEERS[name])
+        contenders += module.runs(task, spec["quick"])
+        setups.append(module.SETUP)
+    records = compete(scene, contenders, motion, 2 if spec["quick"] else 3)
+    agreement = motion.agreement if motion.check else None
+    found = {"runs": records, "agreement": agreement, "check": motion.check, "setups": setups}
+    return {**found, "quick": spec["quick"]}
+
+
+def section(outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
+    """Ratios first, then one plot a scene."""
+    missing = [name for name in PEERS if name not in installed()]
+    return compose([(item.name, outcome) for item, outcome in outcomes], missing)
+
+
+def _ours(scene: Scene, quick: bool) -> Iterator[Ours]:
+    for choice in _choices(scene, quick):
+        yield Ours(scene, choice)
+
+
+def _choices(scene: Scene, quick: bool) -> Iterator[Choice]:
+    """What `precision` found to be on the front of such scenes."""
+    least = 5e-4 if scene.has_loops else 0.0  # s; below it a loop takes seconds
+    for stabilization in stabilizations(scene, "auto", "dop853")[: 1 if quick else 3 : 2]:
+        for exponent in range(4, 13, 2 if quick else 1):
+            entry = {"type": "dop853", "tolerance": float(f"1e-{exponent}")}
+            yield Choice("auto", stabilization, entry, 1e-2)
+        for kind, order in (("dop853", 0), ("rk4", 0), *(("adams", k) for k in (6, 7, 8))):
+            for dt in _STEPS[:: 2 if quick else 1]:
+                if max(_SMALLEST[kind], least) <= dt <= _LARGEST[kind]:
+                    entry = {"type": kind} | ({"order": order} if order else {})
+                    yield Choice("auto", stabilization, entry, dt)

@@ -1,0 +1,139 @@
+"""What the page says about other packages."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from mbd_ros.report.items import Section, Table
+from mbd_ros.report.precision.pareto import Point, cost_at
+from mbd_ros.report.precision.text import finished, points_of, power, repeatable, shown
+from mbd_ros.report.precision.work_precision import diagram
+
+OURS = "mbd_ros"
+_WANTED = (1.0e-3, 1.0e-6, 1.0e-8)
+_WANTED_RATIOS = {  # scene, error -> how many times less CPU than the best peer is demanded
+    ("arm7_swing", 1.0e-6): 3.0,
+    ("arm7_swing", 1.0e-8): 6.0,
+    ("arm7_swing_coupled", 1.0e-6): 5.0,
+}
+_INSTALL = {"mujoco": "mujoco", "pydrake": "drake"}
+_TEXT = (
+    "The same robots, initial states and samples in every package, all contenders in one "
+    "process, in turn; CPU time of one thread for the integration alone, best of the rounds. "
+    "Costs at equal error are read from each package's own Pareto front over all its set-ups, "
+    "between two runs by a power law. In the plots a line is such a front, and the other runs are "
+    "dots. The reference is our converged motion, checked by a second method; the finest run of "
+    "each peer is compared with it below, which on the free arm is a third check.",
+)
+
+
+def compose(outcomes: Sequence[tuple[str, Mapping[str, Any]]], missing: Sequence[str]) -> Section:
+    """The section from outcomes by scene and the peers that are not installed."""
+    text = list(_TEXT) if outcomes else ["No scene was compared."]
+    for name in missing:
+        text.append(f"{name} is not installed: pip install {_INSTALL[name]}")
+    compared, figures, demands, finest = {}, {}, [], []
+    for name, outcome in outcomes:
+        if "failed" in outcome:
+            text.append(f"{name}: {outcome['failed']}")
+            continue
+        text += [line for line in outcome["setups"] if line not in text]
+        groups = _groups(outcome)
+        compared[name] = groups
+        if not outcome.get("quick"):  # that runs too short to be judged
+            demands += _demands(name, groups)
+        finest += _finest(name, outcome, groups)
+        figures[f"peers_{name}"] = _figure(name, groups)
+    if not compared:
+        return Section("Other packages", text)
+    text += repeatable([run for _, outcome in outcomes for run in outcome.get("runs", ())])
+    tables = [_costs(compared)]
+    if demands:
+        tables.append(
+            Table("Demands", ("scene", "error", "ratio", "demanded", "verdict"), demands)
+        )
+    columns = ("scene", "package", "set-up", "position", "CPU ms per s")
+    tables.append(Table("Finest runs", columns, finest))
+    judged = [name for scene, _ in _WANTED_RATIOS if (name := f"peers_{scene}") in figures]
+    headline = (tables[0].title, *(judged or list(figures))[:1])
+    return Section("Other packages", text, tables, figures, headline=headline)
+
+
+def ratio(ours: Sequence[Point], theirs: Sequence[Point], error: float) -> float | None:
+    """How many times more CPU the others need; None where one of the two does not get there."""
+    mine, other = cost_at(ours, error), cost_at(theirs, error)
+    return None if mine is None or other is None else other / mine
+
+
+class _Group:
+    """Finished runs of one package and their points."""
+
+    def __init__(self, runs: Sequence[Mapping[str, Any]], agreement: float | None) -> None:
+        self.runs, self.points = runs, points_of(runs, agreement)
+
+
+def _groups(outcome: Mapping[str, Any]) -> dict[str, _Group]:
+    done = finished(outcome["runs"])
+    packages = dict.fromkeys(run["package"] for run in outcome["runs"])
+    return {
+        name: _Group([run for run in done if run["package"] == name], outcome["agreement"])
+        for name in packages
+    }
+
+
+def _costs(compared: Mapping[str, Mapping[str, _Group]]) -> Table:
+    """Rows of scenes and errors, columns of packages."""
+    peers = dict.fromkeys(name for groups in compared.values() for name in groups if name != OURS)
+    rows = []
+    for scene, groups in compared.items():
+        for error in _WANTED:
+            mine = cost_at(groups[OURS].points, error)
+            cells = [_cost(groups[OURS], groups.get(peer), error) for peer in peers]
+            ours = "not reached" if mine is None else f"{mine:.3g} ms"
+            rows.append([scene, power(error), ours, *cells])
+    title = "CPU per simulated second at equal error (x: times that of mbd_ros)"
+    return Table(title, ("scene", "error", OURS, *peers), rows)
+
+
+def _cost(ours: _Group, theirs: _Group | None, error: float) -> str:
+    if theirs is None or not theirs.points:
+        return "-"
+    cost, found = cost_at(theirs.points, error), ratio(ours.points, theirs.points, error)
+    if cost is None:
+        return f"reaches {shown(min(point.error for point in theirs.points))} only"
+    return f"{cost:.3g} ms" if found is None else f"{cost:.3g} ms, {found:.1f} x"
+
+
+def _demands(scene: str, groups: Mapping[str, _Group]) -> list[Sequence[str]]:
+    """The best peer against what is demanded of it; nothing where no peer is so precise."""
+    rows = []
+    for (name, error), demanded in _WANTED_RATIOS.items():
+        costs = [cost_at(group.points, error) for peer, group in groups.items() if peer != OURS]
+        best = min((cost for cost in costs if cost is not None), default=None)
+        if name == scene and best is not None:
+            mine = cost_at(groups[OURS].points, error)
+            found = 0.0 if mine is None else best / mine
+            judged = "holds" if found >= demanded else "does not hold"
+            rows.append([scene, power(error), f"{found:.1f}", f"{demanded:g}", judged])
+    return rows
+
+
+def _finest(
+    scene: str, outcome: Mapping[str, Any], groups: Mapping[str, _Group]
+) -> list[Sequence[str]]:
+    check = f"reference: {outcome['check'] or 'no second method'}"
+    rows: list[Sequence[str]] = [[scene, check, "agreement", shown(outcome["agreement"]), "-"]]
+    for name, group in groups.items():
+        best = min(group.runs, key=lambda run: run["configuration"], default=None)
+        if best is not None:
+            fineness = ", ".join(
+                f"{key} {best[key]:g}" for key in ("dt", "accuracy") if key in best
+            )
+            setup, cost = f"{best['setup']}, {fineness}", 1e3 * best["seconds"]
+            rows.append([scene, name, setup, shown(best["configuration"]), f"{cost:.3g}"])
+    return rows
+
+
+def _figure(scene: str, groups: Mapping[str, _Group]) -> Any:
+    ours = groups[OURS]
+    peers = {name: group.points for name, group in groups.items() if name != OURS and group.runs}
+    return diagram(f"{scene}, mbd_ros and peers", ours.runs, ours.points, peers)

@@ -1,0 +1,146 @@
+"""Which runs make a work-precision diagram: integrators, and steps from coarse to fine."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from mbd_ros.built_scene import Scene
+from mbd_ros.core.discontinuous.switching import DiscontinuousForce
+from mbd_ros.report.precision.choices import Choice, formulations, stabilizations
+from mbd_ros.report.precision.converged import Known
+from mbd_ros.report.precision.rungs import Record, measure
+
+_SERIES = (1.0, 2.0, 5.0)
+_TOLERANCES = tuple(10.0**-k for k in range(3, 13))
+
+
+class Ladder(NamedTuple):
+    """One integrator from coarse to fine.
+
+    Attributes:
+        integrator: Its entry, without tolerance.
+        coarsest: Steps of the scene that the longest step has; None: tolerances.
+        rungs: How many steps are tried.
+        evaluations: About how many a step takes.
+    """
+
+    integrator: Mapping[str, Any]
+    coarsest: float | None
+    rungs: int
+    evaluations: float
+
+
+def _of(kind: str, coarsest: float | None, rungs: int, cost: float, **more: int) -> Ladder:
+    return Ladder({"type": kind, **more}, coarsest, rungs, cost)
+
+
+FAMILIES: Mapping[str, tuple[Ladder, ...]] = {
+    "semi_implicit_euler": (_of("semi_implicit_euler", 1.0, 6, 1),),
+    "rk4": (_of("rk4", 20.0, 9, 4),),
+    "adams": tuple(_of("adams", 5.0, 8, 1, order=order) for order in (4, 6, 7, 8)),
+    "dopri5": (_of("dopri5", None, 10, 6), _of("dopri5", 20.0, 8, 6)),
+    "dop853": (_of("dop853", None, 10, 12), _of("dop853", 50.0, 8, 12)),
+    "gauss_legendre": tuple(
+        _of("gauss_legendre", 50.0, 8, 5 * stages, stages=stages) for stages in (1, 2, 3)
+    ),
+    "generalized_alpha": (_of("generalized_alpha", 5.0, 7, 5),),
+    "verlet": (_of("rattle", 5.0, 7, 3), _of("shake", 5.0, 7, 3)),
+    "filippov": (_of("filippov", None, 10, 12), _of("filippov", 10.0, 6, 12)),
+}
+CROSSED = "rk4"  # with it every formulation meets every stabilization
+
+
+def families(scene: Scene, quick: bool) -> list[str]:
+    """Those that say something of a scene."""
+    switches = any(isinstance(force, DiscontinuousForce) for force in scene.forces)
+    if switches:
+        return ["semi_implicit_euler", "rk4", "dopri5", "filippov"]
+    return [name for name in FAMILIES if name != "filippov" and not (quick and name == "verlet")]
+
+
+def climb(scene: Scene, family: str, motion: Known, quick: bool) -> list[Record]:
+    """All runs of a family, every formulation and stabilization among them.
+
+    A ladder ends where rounding is reached, where the next run would take too many evaluations,
+    or where the scene refuses the method. None of that depends on a clock, so that a second
+    report has the same runs.
+    """
+    records = []
+    for solver, stabilization, is_main in _variants(scene, family):
+        for ladder in FAMILIES[family]:
+            thin = 1 if is_main and not quick else 2
+            records += _climb(scene, ladder, (solver, stabilization), motion, thin, quick)
+    return records
+
+
+def _variants(scene: Scene, family: str) -> Iterator[tuple[str, Any, bool]]:
+    """Formulations and stabilizations; the first is what a scene has by itself."""
+    kind = FAMILIES[family][0].integrator["type"]
+    for i, solver in enumerate(formulations(scene)):
+        for k, stabilization in enumerate(stabilizations(scene, solver, kind)):
+            if family == CROSSED or i == 0 or k == 0:
+                yield solver, stabilization, i == k == 0
+
+
+def _climb(
+    scene: Scene, ladder: Ladder, variant: tuple[str, Any], motion: Known, thin: int, quick: bool
+) -> list[Record]:
+    """One ladder; with `thin` 2 every other rung and half the time."""
+    records: list[Record] = []
+    budget = (0.05 if quick else 0.2 / thin) / _evaluation(scene, variant[0])
+    predicted, misses, best = 0.0, 0, math.inf
+    for choice, ratio in _rungs(scene, ladder, variant, thin):
+        if choice.integrator.get("tolerance") is None:
+            per_step = ladder.evaluations + (2.0 if variant[1] else 0.0)
+            predicted = motion.times[-1] / choice.dt * per_step
+        if predicted > budget:
+            records.append(dict(choice._asdict()) | {"left_out": f"{predicted:.2g} evaluations"})
+            break
+        repeats = 3 if predicted < 0.3 * budget else 2
+        record = measure(scene, choice, motion, repeats, 3.0 * budget)
+        records.append(record)
+        if "stopped" in record:
+            if "ModelError" in record["stopped"] or "more than" in record["stopped"]:
+                break
+            continue
+        predicted = ratio * record["evaluations"]
+        misses = 0 if record["configuration"] < 0.5 * best else misses + 1
+        best = min(best, record["configuration"])
+        if misses == 2 or best < 1e-13:
+            break
+    return records
+
+
+def _rungs(
+    scene: Scene, ladder: Ladder, variant: tuple[str, Any], thin: int
+) -> Iterator[tuple[Choice, float]]:
+    """Choices from coarse to fine, and how many times more evaluations the next takes."""
+    solver, stabilization = variant
+    if ladder.coarsest is None:
+        order = 8.0 if ladder.evaluations > 6 else 5.0
+        for tolerance in _TOLERANCES[::thin]:
+            integrator = {**ladder.integrator, "tolerance": float(f"{tolerance:.0e}")}
+            yield Choice(solver, stabilization, integrator, scene.dt), 10.0 ** (thin / order)
+        return
+    place = math.floor(3.0 * math.log10(ladder.coarsest * scene.dt) + 1e-9)
+    for i in range(0, ladder.rungs, thin):
+        tens, digit = divmod(place - i, 3)
+        dt = float(f"{_SERIES[digit] * 10.0**tens:.6g}")
+        yield Choice(solver, stabilization, ladder.integrator, dt), 2.2**thin
+
+
+def _evaluation(scene: Scene, solver: str) -> float:
+    """About what one evaluation takes [s]; only to plan with."""
+    system = scene.system(solver={"type": solver})
+    rows, nv = len(system.multiplier_rows), system.model.nv
+    seconds = 2e-6 + 3e-7 * nv + 8e-6 * len(scene.forces)
+    if rows:
+        seconds += 1e-5 + 4e-6 * rows + 1.2e-7 * rows * nv
+    return seconds * (3.0 if solver == "qp" else 1.0)
+
+
+def planned(scene: Scene, family: str, quick: bool) -> float:
+    """About how long `climb` takes [s]."""
+    per_run = 0.05 if quick else 0.2
+    main, others = len(FAMILIES[family]), len(list(_variants(scene, family))) - 1
+    return per_run * (4.0 * main + 1.5 * others * main) + 1.0

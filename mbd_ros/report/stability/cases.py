@@ -1,0 +1,99 @@
+"""A scene, what its motion must be, and what a method can make of it."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.errors import MbdError
+from mbd_ros.part_entries import build_part
+from mbd_ros.report.stability.motion import Grid
+from mbd_ros.report.stability.reference_motion import Reference, reference
+from mbd_ros.report.stability.scene_text import Entry, LoadedScene
+from mbd_ros.report.stability.witness import Witness
+
+CONVERGED, BOUNDED, STOPPED = "converged", "bounded", "stopped"
+WARNED, WRONG, UNKNOWN = "warned", "WRONG", "not comparable"
+VERDICTS = (CONVERGED, BOUNDED, STOPPED, WARNED, UNKNOWN, WRONG)
+CLOSED = 1.0e-8  # m or rad, relative above 1: drift that projection leaves at most
+METHODS: Mapping[str, Entry] = {
+    "semi_implicit_euler": {"type": "semi_implicit_euler"},
+    "rk4": {"type": "rk4"},
+    "adams": {"type": "adams"},
+    "dopri5": {"type": "dopri5"},
+    "dop853": {"type": "dop853", "tolerance": 1.0e-8},
+    "gauss_legendre": {"type": "gauss_legendre"},
+    "generalized_alpha": {"type": "generalized_alpha"},
+    "rattle": {"type": "rattle"},
+}
+
+
+class Verdict(NamedTuple):
+    """One cell of the map.
+
+    Attributes:
+        kind: One of `VERDICTS`.
+        error: Relative to the size of the motion; inf where it cannot be told.
+        text: Reason of a stop, or what is wrong.
+    """
+
+    kind: str
+    error: float
+    text: str = ""
+
+
+def raised(error: Exception) -> Verdict:
+    """A stop where it is an error of this package; any other exception is what is looked for."""
+    kind = STOPPED if isinstance(error, MbdError) else WRONG
+    return Verdict(kind, math.inf, f"{type(error).__name__}: {error}")
+
+
+class Case:
+    """A scene with what its motion must be.
+
+    Args:
+        loaded: The scene.
+        grid: Times of the comparison.
+
+    Raises:
+        MbdError: The scene cannot even begin.
+    """
+
+    def __init__(self, loaded: LoadedScene, grid: Grid) -> None:
+        self.scene, self.witness = loaded.scene, Witness(loaded)
+        self.reference: Reference = reference(self.scene, grid)
+        stored = [self.witness.energy(x) for x in self.reference.states]
+        kinetic = np.array([k for k, _ in stored])
+        potential = np.array([p for _, p in stored])
+        swing = float(np.ptp(potential)) + float(kinetic.max())
+        self.energies, self.swing = kinetic + potential, max(swing, 1.0e-9)
+
+    def applicable(self) -> list[str]:
+        """Methods that take this scene."""
+        bounded = any(part.bounds is not None for part in self.scene.constraints)
+        refused = {"rattle", "generalized_alpha"} if bounded else set()
+        if self.scene.robot.floating:
+            refused.add("adams")
+        return [name for name in METHODS if name not in refused]
+
+    def tiers(self, method: str) -> list[str]:
+        """Tiers that serve the scene with a method, and differ."""
+        has_couplings = bool(self.scene.couplings.dependent)
+        found = ["auto"]
+        if has_couplings and not self.scene.constraints:
+            found.append("kkt")
+        keeps_rows = method in ("rattle", "generalized_alpha")
+        if (has_couplings or self.scene.has_loops) and not keeps_rows:
+            found.append("qp")
+        return found
+
+
+def longest_step(method: str, rate: float) -> float:
+    """That `check` does not warn of [s]; infinite for a method that chooses its steps."""
+    return integrator(method).stable / rate
+
+
+def integrator(method: str) -> Any:
+    """The integrator of a key of `METHODS`."""
+    return build_part("integrators", METHODS[method], "stability")
