@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.offline import inverse_dynamics_of
 from mbd_ros.offline_derivatives import Derivatives
-from mbd_ros.remaining import watched
 from mbd_ros.scene import load_scene
-from mbd_ros.tasks import Task, do_all, open_workers
+from mbd_ros.workers.opening import do_all, open_workers
+from mbd_ros.workers.remaining import watched
+from mbd_ros.workers.task import Task
 
 
 class Batch(NamedTuple):

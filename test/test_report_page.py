@@ -6,12 +6,12 @@ import sys
 
 import pytest
 
-from mbd_ros.remaining import Remaining, watched
 from mbd_ros.report.compose import plain
 from mbd_ros.report.items import Section, Table
 from mbd_ros.report.page import page
 from mbd_ros.report.page_section import section_lines
-from mbd_ros.tasks import Result, Task
+from mbd_ros.workers.remaining import Remaining, watched
+from mbd_ros.workers.task import Result, Task
 
 FACTS = {
     "date": "2026-01-02T03:04:05+00:00",

@@ -8,7 +8,8 @@ from typing import Any
 
 import mbd_ros
 from mbd_ros.report.program import VERSIONS, versions
-from mbd_ros.tasks import cores, cpu
+from mbd_ros.workers.opening import cores
+from mbd_ros.workers.task import cpu
 
 _SHOWN = ("mbd_ros", *VERSIONS, "matplotlib", "dask")
 _GIB = 2**30

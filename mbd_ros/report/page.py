@@ -5,9 +5,9 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from mbd_ros.remaining import spoken
 from mbd_ros.report.items import Section
 from mbd_ros.report.page_section import section_lines
+from mbd_ros.workers.remaining import spoken
 
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 _LABELS = {"cpu": "CPU"}

@@ -10,7 +10,7 @@ from mbd_ros.report import items
 from mbd_ros.report.items import Item
 from mbd_ros.report.program import named_files, program
 from mbd_ros.tables import replacing
-from mbd_ros.tasks import Result, cpu
+from mbd_ros.workers.task import Result, cpu
 
 _NAME = re.compile(r"[\w.-]+", re.ASCII)
 _FOLDER = "results"

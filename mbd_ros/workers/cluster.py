@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from mbd_ros.errors import DataError
-from mbd_ros.tasks import Result, Task, do
+from mbd_ros.workers.task import Result, Task, do
 
 _CONNECT, _LOOK, _DESERTED = 10.0, 5.0, 60.0  # s
 _AHEAD = 3  # tasks a worker, so that none waits for the next

@@ -1,17 +1,15 @@
-"""Work that may be done anywhere: in processes of this machine, or of a Dask cluster."""
+"""A piece of work that may be done anywhere, and what came of it."""
 
 import importlib
 import json
 import math
-import os
 import platform
 import time
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 
 class Task(NamedTuple):
@@ -50,19 +48,6 @@ class Result(NamedTuple):
     cpu: str = ""
 
 
-class Workers(Protocol):
-    """Those who do tasks."""
-
-    @property
-    def count(self) -> int:
-        """How many tasks they do at the same time."""
-        ...
-
-    def run(self, tasks: Sequence[Task], *, alone: bool) -> Iterator[tuple[Task, Result]]:
-        """Every task with its result, in the order in which they end; one at a time if alone."""
-        ...
-
-
 def do(task: Task) -> Result:
     """Do a task here; whatever goes wrong is in the result."""
     begin = time.perf_counter()
@@ -75,39 +60,6 @@ def do(task: Task) -> Result:
         where = f"{Path(frame.filename).name}:{frame.lineno}"
         return Result(failure=f"{type(error).__name__}: {error} ({where})", cpu=cpu())
     return Result(value, seconds=time.perf_counter() - begin, cpu=cpu())
-
-
-def do_all(workers: Workers, tasks: Sequence[Task]) -> Iterator[tuple[Task, Result]]:
-    """Those that want to be alone first, then the others, long ones before short ones."""
-    yield from workers.run([task for task in tasks if task.alone], alone=True)
-    others = [task for task in tasks if not task.alone]
-    yield from workers.run(sorted(others, key=lambda task: -task.seconds), alone=False)
-
-
-def open_workers(scheduler: str | None, count: int | None) -> AbstractContextManager[Workers]:
-    """Workers for the length of a `with` block.
-
-    Args:
-        scheduler: Address of a Dask scheduler, `local:N`, or None for processes of this machine.
-        count: How many processes; None for one a core.
-
-    Raises:
-        DataError: Dask is missing, or nobody answers at that address.
-    """
-    if scheduler is not None:
-        from mbd_ros.cluster import Cluster
-
-        return Cluster(scheduler)
-    from mbd_ros.processes import Processes
-
-    return Processes(count or cores())
-
-
-def cores() -> int:
-    """How many processors this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 @cache

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Iterator, Sequence
 
-from mbd_ros.tasks import Result, Task
+from mbd_ros.workers.task import Result, Task
 
 _PRIOR = 5.0  # s; weight of the expectation against what was measured
 
