@@ -18,7 +18,7 @@ from mbd_ros.nodes.control_pipeline import ControlPipeline
 from mbd_ros.nodes.joint_state_node import JointStateNode
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
-from msg_adapters.joint_state import JointStateReader
+from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_trajectory import read_joint_trajectory
 
 WATCH = 0.01  # s between looks at the stream, and between commands while none comes
@@ -103,28 +103,18 @@ class ControllerNode(JointStateNode):
 
     # ------------------------------------------------------------------ joint states
 
-    def take(self, cdr: bytes) -> None:
-        """Answer one joint state."""
-        pipeline = self._pipeline
-        try:
-            sample = pipeline.reader.read(cdr)
-        except MessageError as error:
-            self.drop_state("malformed", f"joint_states: {error}")
-            return
-        stamp = self.stamp_of(sample.stamp)
-        if stamp is None:
-            return
-        answer = pipeline.answer(stamp, sample)
+    def answer(self, stamp: int, sample: JointSample) -> Sample | None:
+        """Command what the law says."""
+        answer = self._pipeline.answer(stamp, sample)
         if isinstance(answer, Sample):
-            lacking = f" ({', '.join(pipeline.held())})" if answer is Sample.INCOMPLETE else ""
-            self.drop_state(answer.name.lower(), f"joint_states: {answer.value}{lacking}")
-            return
+            return answer
         self._commands.publish(answer.commands)
         self._states.publish(answer.state)
         self.note_answer(stamp)
-        self.note_extra(pipeline.joints.extra)
-        if pipeline.loop.failures >= self.parameters.failures:
-            raise SolveError(f"no answer of the law to {pipeline.loop.failures} states in a row")
+        failures = self._pipeline.loop.failures
+        if failures >= self.parameters.failures:
+            raise SolveError(f"no answer of the law to {failures} states in a row")
+        return None
 
     def _watch(self) -> None:
         """Ramp to the safe command where joint states stopped; see whether anybody listens."""

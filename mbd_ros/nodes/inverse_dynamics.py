@@ -16,6 +16,7 @@ from mbd_ros.nodes.pipeline import Pipeline
 from mbd_ros.nodes.process import run
 from msg_adapters.diagnostics import OK
 from msg_adapters.errors import MessageError
+from msg_adapters.joint_state import JointSample
 from msg_adapters.wrench import read_wrench
 
 
@@ -60,29 +61,18 @@ class InverseDynamicsNode(JointStateNode):
             level, text = self._pipeline.health(self.parameters.coupling_tolerance)
         return level, text, details
 
-    def take(self, cdr: bytes) -> None:
-        """Answer one joint state, or let it wait for its wrenches."""
+    def answer(self, stamp: int, sample: JointSample) -> Sample | None:
+        """Publish the torques of one joint state, or let it wait for its wrenches."""
         pipeline = self._pipeline
-        try:
-            sample = pipeline.reader.read(cdr)
-        except MessageError as error:
-            self.drop_state("malformed", f"joint_states: {error}")
-            return
-        stamp = self.stamp_of(sample.stamp)
-        if stamp is None:
-            return
-        joints = pipeline.joints
-        x = pipeline.estimator.observe(stamp, sample.position, sample.velocity, joints.present)
-        if not isinstance(x, Observation):
-            lacking = f" ({', '.join(pipeline.held())})" if x is Sample.INCOMPLETE else ""
-            self.drop_state(x.name.lower(), f"joint_states: {x.value}{lacking}")
-            return
-        self.note_extra(joints.extra)
+        x = pipeline.observe(stamp, sample)
+        if isinstance(x, Sample):
+            return x
         if pipeline.scene.wrenches:
             pipeline.queue.add(x, self.parameters.wrench_wait)
             self._flush()
         else:
-            self._answer(x, ())
+            self._solve(x, ())
+        return None
 
     def _on_wrench(self, name: str) -> Callable[[Any], None]:
         def take(msg: Any) -> None:
@@ -111,9 +101,9 @@ class InverseDynamicsNode(JointStateNode):
             if lacking:
                 self.drop_state("no_wrench", f"no wrench '{lacking[0]}' near the joint state")
             else:
-                self._answer(x, tuple(wrenches.values()))
+                self._solve(x, tuple(wrenches.values()))
 
-    def _answer(self, x: Observation, wrenches: Sequence[Any]) -> None:
+    def _solve(self, x: Observation, wrenches: Sequence[Any]) -> None:
         try:
             messages = self._pipeline.answer(x, wrenches)
         except SolveError as error:

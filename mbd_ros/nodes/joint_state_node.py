@@ -2,16 +2,20 @@
 
 from collections.abc import Sequence
 from time import perf_counter
-from typing import Any
+from typing import Any, Protocol
 
 from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from mbd_ros.core.differentiation import Sample
 from mbd_ros.core.state import NANOSECOND
 from mbd_ros.nodes.scene_node import SceneNode
 from msg_adapters.diagnostics import OK, STALE
+from msg_adapters.errors import MessageError
+from msg_adapters.joint_state import JointSample, JointStateReader
+from msg_adapters.joint_state_cdr import JointStateCdrReader
 
 # Best effort also hears reliable publishers; the depth bridges a pause of 0.5 s at 1 kHz,
 # beyond which the transport itself keeps no more.
@@ -19,14 +23,31 @@ SENSOR = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
 _NEVER = -(2**62)  # ns
 
 
+class JointStatePipeline(Protocol):
+    """What such a node builds when it is configured.
+
+    Attributes:
+        reader: Serialized joint states to samples.
+        joints: Which joints the newest joint state carried.
+    """
+
+    reader: JointStateCdrReader
+    joints: JointStateReader
+
+    def held(self) -> Sequence[str]:
+        """Joints that the newest joint state lacked, and that nothing else gives."""
+        ...
+
+
 class JointStateNode(SceneNode):
     """Hears `joint_states` and judges their stamps; subclasses answer.
 
-    Subclasses override `build`, `forget` and `take`. Parameters must hold scene, timeout and
+    Subclasses override `build`, `forget` and `answer`. Parameters must hold scene, timeout and
     clock_tolerance.
     """
 
     STAMPED = "joint states"  # whose stamps count
+    _pipeline: JointStatePipeline
 
     def __init__(self, argv: Sequence[str] = ()) -> None:
         super().__init__(argv)
@@ -39,15 +60,15 @@ class JointStateNode(SceneNode):
     def forget(self) -> None:
         """Empty filters."""
 
-    def take(self, cdr: bytes) -> None:
-        """Answer a serialized joint state."""
+    def answer(self, stamp: int, sample: JointSample) -> Sample | None:
+        """Answer a joint state of this time [ns]; why it cannot be used, if so."""
         raise NotImplementedError
 
     def configure_core(self) -> None:
         """Build, and listen."""
         super().configure_core()
         self.subscribe(
-            JointState, "joint_states", self.take, SENSOR, single_publisher=True, raw=True
+            JointState, "joint_states", self._take, SENSOR, single_publisher=True, raw=True
         )
 
     def activate_core(self) -> None:
@@ -97,7 +118,25 @@ class JointStateNode(SceneNode):
             return (self.get_clock().now().nanoseconds - self._heard_ros) * NANOSECOND
         return perf_counter() - self._heard
 
-    def stamp_of(self, stamp: int) -> int | None:
+    def _take(self, cdr: bytes) -> None:
+        """Read, judge and answer a serialized joint state."""
+        pipeline = self._pipeline
+        try:
+            sample = pipeline.reader.read(cdr)
+        except MessageError as error:
+            self.drop_state("malformed", f"joint_states: {error}")
+            return
+        stamp = self._stamp_of(sample.stamp)
+        if stamp is None:
+            return
+        refused = self.answer(stamp, sample)
+        if refused is None:
+            self._note_extra(pipeline.joints.extra)
+            return
+        lacking = f" ({', '.join(pipeline.held())})" if refused is Sample.INCOMPLETE else ""
+        self.drop_state(refused.name.lower(), f"joint_states: {refused.value}{lacking}")
+
+    def _stamp_of(self, stamp: int) -> int | None:
         """The stamp [ns], receive time instead of 0; None if it is of another clock."""
         stamp = stamp or self.receive_time()
         return stamp if self._same_clock(stamp) else None
@@ -115,7 +154,7 @@ class JointStateNode(SceneNode):
         self._answered += 1
         self._mark()
 
-    def note_extra(self, extra: tuple[str, ...]) -> None:
+    def _note_extra(self, extra: tuple[str, ...]) -> None:
         """Remember joints of a joint state that are not used; list them once."""
         if not self._extra.issuperset(extra):
             self._extra.update(extra)

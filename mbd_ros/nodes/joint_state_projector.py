@@ -13,7 +13,7 @@ from mbd_ros.nodes.joint_state_projector_parameters import PARAMETERS, tuning
 from mbd_ros.nodes.process import run
 from mbd_ros.nodes.projector_pipeline import ProjectorPipeline
 from msg_adapters.diagnostics import OK
-from msg_adapters.errors import MessageError
+from msg_adapters.joint_state import JointSample
 
 DEPTH = 100  # a reader may be away for 0.1 s at 1 kHz
 
@@ -55,34 +55,22 @@ class JointStateProjectorNode(JointStateNode):
             level, text = self._pipeline.health(self.parameters.violation_tolerance)
         return level, text, details
 
-    def take(self, cdr: bytes) -> None:
+    def answer(self, stamp: int, sample: JointSample) -> Sample | None:
         """Project one joint state."""
-        pipeline = self._pipeline
         try:
-            sample = pipeline.reader.read(cdr)
-        except MessageError as error:
-            self.drop_state("malformed", f"joint_states: {error}")
-            return
-        stamp = self.stamp_of(sample.stamp)
-        if stamp is None:
-            return
-        try:
-            answer = pipeline.answer(stamp, sample)
+            answer = self._pipeline.answer(stamp, sample)
         except SolveError as error:
             self._drop_unsolved(error)
-            return
+            return None
         if isinstance(answer, Sample):
-            held = ", ".join(pipeline.reconstructor.held)
-            lacking = f" ({held})" if answer is Sample.INCOMPLETE else ""
-            self.drop_state(answer.name.lower(), f"joint_states: {answer.value}{lacking}")
-            return
+            return answer
         self._failures = 0
         self._states.publish(answer.states)
         if answer.forces is not None:
             self._forces.publish(answer.forces)
         self._violation.publish(answer.violation)
         self.note_answer(stamp)
-        self.note_extra(pipeline.joints.extra)
+        return None
 
     def _drop_unsolved(self, error: SolveError) -> None:
         self._failures += 1

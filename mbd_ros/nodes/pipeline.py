@@ -8,6 +8,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
+from mbd_ros.core.differentiation import Sample
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator
 from mbd_ros.core.loops.observed_loops import ObservedLoops
 from mbd_ros.core.state import NANOSECOND
@@ -17,7 +18,7 @@ from mbd_ros.scene import load_scene
 from mbd_ros.scene_check import tier
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
-from msg_adapters.joint_state import JointStateReader
+from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
 
 
@@ -97,6 +98,11 @@ class Pipeline:
         if self._loops is not None and self._loops.moved > tolerance:
             return WARN, f"off the loops by {self._loops.moved:.4g}; the nearest state is used"
         return OK, "torques published"
+
+    def observe(self, stamp: int, sample: JointSample) -> Observation | Sample:
+        """A joint state with its derivatives, or why it cannot be used."""
+        present = self.joints.present
+        return self.estimator.observe(stamp, sample.position, sample.velocity, present)
 
     def held(self) -> list[str]:
         """Independent joints that the newest joint state lacked."""

@@ -1,5 +1,6 @@
 """A built scene between messages: from a serialized joint state to its projection."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -127,6 +128,10 @@ class ProjectorPipeline:
         if self._newest is not None and self._newest.condition > _TOGGLE:
             reasons.append("redundant rows or near a toggle position: multipliers are unreliable")
         return (WARN, "; ".join(reasons)) if reasons else (OK, "projected states published")
+
+    def held(self) -> Sequence[str]:
+        """Joints that keep their last position: the newest joint state lacked them."""
+        return self.reconstructor.held
 
     def details(self) -> dict[str, str]:
         """What the newest state is made of, for diagnostics."""
