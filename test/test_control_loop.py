@@ -7,7 +7,8 @@ from mechanisms import chain, double_pendulum
 from mbd_ros.core.control.chatter import ChatterMeter
 from mbd_ros.core.control.contract import Control, ControlledJoints, Controller, EffortBox
 from mbd_ros.core.control.control_loop import ControlLoop
-from mbd_ros.core.control.guide import Guide, TargetError
+from mbd_ros.core.control.guide import Guide
+from mbd_ros.core.control.reference_limits import TargetError
 from mbd_ros.core.control.reference_map import ReferenceMap
 from mbd_ros.core.couplings import Coupling, Couplings
 from mbd_ros.core.description.robot_reader import read_robot
@@ -154,6 +155,61 @@ def test_the_last_command_is_the_safe_one(joints):
     np.testing.assert_allclose(loop.stop(True), np.clip(damping, [-1.5, -100], [1.5, 100]))
     np.testing.assert_array_equal(loop.stop(False), [0.0, 0.0])
     assert loop.lapse(0.01) is None
+
+
+@pytest.mark.parametrize("effort", [(1e6, -1e6), (8.0, -4.0)])
+def test_a_hand_over_is_a_ramp_however_far_beyond_its_limits_the_law_is(joints, effort):
+    loop = loop_of(joints, effort, limit=[60.0, 60.0])
+    loop.is_frozen = True
+    taken = run(loop, 200)
+    assert np.abs(np.diff(taken, axis=0)).max() <= 60.0 * DT / 0.1 + 1e-9
+    falling = [taken[-1]]
+    while (sent := loop.lapse(0.01)) is not None:
+        falling.append(sent)
+    assert np.abs(np.diff(falling, axis=0)).max() <= 60.0 * 0.01 / 0.1 + 1e-9
+
+
+def test_a_reset_goes_on_from_the_last_command_or_ramps_down(joints):
+    loop = loop_of(joints)
+    loop.is_frozen = True
+    run(loop, 200)
+    loop.restart()
+    np.testing.assert_allclose(run(loop, 1, begin=0.0)[0], [8.0, -4.0])
+    loop.restart()
+    first = loop.lapse(0.01)
+    np.testing.assert_allclose(first, [7.2, -3.6])
+    while (sent := loop.lapse(0.01)) is not None:
+        first = sent
+    assert not first.any()
+    assert loop.lapses == 1
+
+
+@pytest.mark.parametrize("begin", [-3.0, 7.0])
+def test_stamps_that_jump_begin_anew_without_a_bump(joints, begin):
+    loop = loop_of(joints, (0.0, 0.0), ramp=0.0)
+    loop.guide.follow(0.0, np.array([0.0, 8.0]), np.array([[0.3, 0.1], [1.1, 0.1]]))
+    last = run(loop, 101)[-1]
+    assert last.any()
+    np.testing.assert_allclose(run(loop, 1, begin)[0], last, atol=0.05 + 1e-12)  # memory is kept
+    np.testing.assert_allclose(loop.guide.at(begin).q, [0.3, 0.1], atol=1e-12)
+
+
+def test_a_loop_that_takes_over_goes_on_where_the_other_was(joints):
+    loop = loop_of(joints, (1.0, -1.0), ramp=0.0)
+    loop.guide.follow(0.0, np.array([0.0, 1.0]), np.array([[0.3, 0.1], [1.1, 0.1]]))
+    last = run(loop, 101)[-1]
+    other = loop_of(joints, (1.0, -1.0), ramp=0.0)
+    other.take_over(loop)
+    np.testing.assert_allclose(run(other, 1, begin=0.101)[0], last, atol=2e-3)
+    np.testing.assert_array_equal(other.guide.at(0.4).q, loop.guide.at(0.4).q)
+
+
+def test_what_is_not_finite_is_no_safe_command(joints):
+    loop = loop_of(joints, safe=SafeCommand("damping", 10.0), limit=[np.inf, np.inf])
+    x = next(states(v=(0.0, 0.0)))
+    loop.update(x)
+    loop._v = np.full(2, 1e308)
+    assert not loop.stop(True).any()
 
 
 # ---------------------------------------------------------------------- references by name

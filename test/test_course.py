@@ -1,12 +1,15 @@
 """Courses and guides: smooth, within limits, and exactly where they were told to be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from mechanisms import double_pendulum
 
 from mbd_ros.core.control.contract import ControlledJoints, Reference
 from mbd_ros.core.control.course import Course
-from mbd_ros.core.control.guide import Guide, TargetError
+from mbd_ros.core.control.guide import Guide
+from mbd_ros.core.control.reference_limits import TargetError
 from mbd_ros.core.description.robot_reader import read_robot
 from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.system import System
@@ -169,3 +172,86 @@ def test_a_trajectory_that_leaves_the_limits_between_its_points_is_refused(joint
     with pytest.raises(TargetError, match=r"ended 1\.000 s ago"):
         guide.follow(11.0, times, q)
     assert guide.state(0.0) == "held"
+
+
+# ---------------------------------------------------------------------- limits on the way
+
+
+@pytest.fixture
+def narrow(joints):
+    """The same joints from -1 to 1, at most 3/s."""
+    limited = [replace(j, lower=-1.0, upper=1.0, max_velocity=3.0) for j in joints.joints]
+    joints.joints = tuple(limited)
+    return joints
+
+
+def extent(guide, begin, end):
+    """Largest position and velocity of a reference."""
+    refs = [guide.at(t) for t in np.arange(begin, end, 1e-3)]
+    return np.abs([ref.q for ref in refs]).max(), np.abs([ref.v for ref in refs]).max()
+
+
+@pytest.mark.parametrize("distance", [0.06, 0.4])
+@pytest.mark.parametrize("after", [0.001, 0.01, 0.05, 0.1])
+def test_a_trajectory_that_begins_too_soon_is_ramped_to(narrow, distance, after):
+    """One point from rest; what is within the limits is there in time, nothing swings."""
+    guide = Guide(narrow)
+    guide.hold(0.0, np.full(2, 0.5), np.zeros(2))
+    guide.follow(0.0, np.array([after]), np.full((1, 2), 0.5 + distance))
+    q, v = smooth(guide, 0.0, 3.0)
+    assert (q > 0.5 - 1e-12).all()
+    assert (q < 0.5 + distance + 1e-12).all()
+    assert np.abs(v).max() <= 3.0
+    in_time = 1.5 * distance / after <= 3.0  # peak of a cubic from rest to rest
+    assert np.allclose(guide.at(after).q, 0.5 + distance) == in_time
+
+
+def test_noise_of_a_stream_does_not_swing_what_comes_after(narrow):
+    noise = np.random.default_rng(2)
+    guide = Guide(narrow)
+    guide.hold(0.0, np.zeros(2), np.zeros(2))
+    t = 0.0
+    for _ in range(400):
+        t += noise.uniform(4e-3, 8e-3)
+        guide.aim(t, Reference(noise.normal(0.0, 1e-3, 2), np.zeros(2), np.zeros(2)))
+    guide.aim(t + 5e-3, Reference(np.full(2, 0.4), np.zeros(2), np.zeros(2)))
+    positions = np.array([guide.at(time).q for time in np.arange(t, t + 3.0, 1e-3)])
+    assert positions.min() > -0.1
+    assert positions.max() < 0.5
+
+
+def test_no_target_takes_the_reference_beyond_a_position_limit(narrow):
+    noise, t = np.random.default_rng(3), 0.0
+    guide = Guide(narrow)
+    guide.hold(0.0, np.array([0.95, 0.0]), np.array([3.0, 0.0]))
+    assert extent(guide, 0.0, 2.0)[0] <= 1.0
+    for _ in range(100):
+        t += noise.choice([0.01, 0.3, 1.0])
+        q, v = noise.uniform(-1.0, 1.0, 2), noise.uniform(-3.0, 3.0, 2)
+        guide.aim(t, Reference(q, v, np.zeros(2)))
+        assert extent(guide, t, t + 2.0)[0] <= 1.0
+
+
+def test_a_measured_state_beyond_a_limit_is_held_there(narrow):
+    guide = Guide(narrow)
+    guide.hold(0.0, np.array([1.02, 0.0]), np.zeros(2))
+    np.testing.assert_array_equal(guide.at(1.0).q, [1.02, 0.0])
+
+
+def test_two_targets_at_once_are_the_second_one(joints):
+    """What comes between two joint states must not break the stream that it belongs to."""
+    guide, other = Guide(joints), Guide(joints)
+    for one in (guide, other):
+        one.hold(0.0, np.zeros(2), np.zeros(2))
+    for k in range(1, 50):
+        target = Reference(np.full(2, 0.01 * k), np.full(2, 0.5), np.zeros(2))
+        guide.aim(0.02 * k, target)
+        guide.aim(0.02 * k, target)
+        other.aim(0.02 * k, target)
+    np.testing.assert_allclose(guide.at(0.995).q, other.at(0.995).q, atol=1e-12)
+
+
+def test_a_trajectory_of_another_clock_is_refused(joints):
+    guide = Guide(joints)
+    with pytest.raises(TargetError, match=r"begins in 1\.7e\+09 s, .* 3600 s; .*use_sim_time"):
+        guide.follow(0.0, np.array([1.7e9]), np.zeros((1, 2)))

@@ -32,6 +32,10 @@ class Guard:
         """Joints whose limit is 0: commands to them have no effect."""
         return tuple(n for n, limit in zip(self._names, self.limit, strict=True) if limit == 0.0)
 
+    def sized(self, effort: Array) -> Array:
+        """Efforts clipped to the limits of size, fresh, shape (n,)."""
+        return np.minimum(np.maximum(effort, -self.limit), self.limit)
+
     def box(self, last: Array, dt: float) -> EffortBox:
         """What may be sent now.
 

@@ -9,7 +9,8 @@ from std_msgs.msg import Float64MultiArray
 
 from mbd_ros.core.control.chatter import ChatterMeter
 from mbd_ros.core.control.control_loop import Command, ControlLoop
-from mbd_ros.core.control.guide import Guide, TargetError
+from mbd_ros.core.control.guide import Guide
+from mbd_ros.core.control.reference_limits import TargetError
 from mbd_ros.core.differentiation import Sample
 from mbd_ros.core.estimation.joint_observer import JointObserver, Observation
 from mbd_ros.core.forward.loads import Loads
@@ -18,12 +19,13 @@ from mbd_ros.core.manifold.observed_state import ObservedState
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.nodes.controller_parameters import (
     build_controller,
-    command_order,
     effort_limits,
     gains,
 )
+from mbd_ros.nodes.driven_joints import command_order, driven_joints
 from mbd_ros.nodes.inverse_dynamics_parameters import tuning
 from mbd_ros.nodes.joint_state_bytes import joint_state
+from mbd_ros.nodes.loop_details import loop_details
 from mbd_ros.nodes.references import References
 from mbd_ros.scene import load_scene
 from msg_adapters.joint_state import JointSample, JointStateReader
@@ -63,7 +65,8 @@ class ControlPipeline:
         self._controlled = scene.controlled_joints()
         names = self._controlled.names
         self._loads = Loads(scene.robot.model.nv, (), scene.actuators)
-        self._order = command_order(values.joints, names)
+        driven_joints(scene.actuators)
+        self._order = [names.index(name) for name in command_order(values.joints, names)]
         self._observed = ObservedState(self._controlled.system, scene.couplings)
         self.observer = JointObserver(scene.robot, scene.couplings, tuning(values))
         self.loop = ControlLoop(
@@ -81,7 +84,7 @@ class ControlPipeline:
         self._references = References(self.loop.guide, names, scene.couplings)
         self._commands, self._state = Float64MultiArray(), JointStateCdrWriter(names)
         self.x: State | None = None
-        self._epoch = 0
+        self._epoch: int | None = None
         self._violation = np.zeros(len(scene.couplings.dependent))
 
     def retune(self, values: Any) -> None:
@@ -97,27 +100,33 @@ class ControlPipeline:
         self._tuning, self._gains = tuning(values), gains(values)
         guide.ramp, guide.ramp_speed = values.reference_ramp, values.reference_ramp_speed
         guide.timeout = values.reference_timeout
-        loop.ramp, loop.guard.rate = values.safe_ramp, values.effort_rate or math.inf
+        loop.ramp, loop.longest = values.safe_ramp, values.timeout
+        loop.guard.rate = values.effort_rate or math.inf
 
     def forget(self) -> None:
-        """Forget the past."""
+        """Hold the next state that comes."""
         self.observer.reset()
         self.loop.restart()
-        self.x = None
+        self._epoch = None
+
+    def take_over(self, other: "ControlPipeline") -> None:
+        """Go on without a bump where another pipeline was at work, if it has the same joints."""
+        fits = self._controlled.names == other._controlled.names
+        if fits and other.x is not None and len(other.x.q) == len(self.scene.initial.q):
+            self.x, self._epoch = other.x, other._epoch
+            self.loop.take_over(other.loop)
 
     def answer(self, stamp: int, sample: JointSample) -> Answer | Sample:
         """Messages for a joint state, or why it cannot be used.
 
         Raises:
-            SolveError: The law has no answer to the first state.
+            SolveError: The state does not fit the loops, or the law has no answer and had none.
         """
         seen = self.observer.observe(stamp, sample.position, sample.velocity, self.joints.present)
         if not isinstance(seen, Observation):
             return seen
-        if self.x is None:
+        if self._epoch is None:
             self._epoch = stamp
-        elif self._seconds(stamp) < self.x.t:
-            self.loop.is_open = True  # the stamps began anew: go on from what is measured
         self.x = x = self._observed.state(self._seconds(stamp), seen.position, seen.velocity)
         off = seen.dependent - self._observed.dependent
         self._violation = np.where(np.isfinite(off), off, 0.0)
@@ -169,34 +178,22 @@ class ControlPipeline:
 
     def details(self) -> Mapping[str, str]:
         """What the commands contain and how they are made, for diagnostics."""
-        robot, loop = self.scene.robot, self.loop
+        robot = self.scene.robot
         reconstructed = [n for n in self.joints.missing if n in self.scene.couplings.dependent]
-        s, active = np.zeros(1), np.zeros(0, dtype=np.bool_)
-        if loop.control is not None:
-            s, active = loop.control.s, loop.control.active
-        acting = [
-            n for n, is_one in zip(loop.controller.limit_names, active, strict=False) if is_one
-        ]
         return {
             "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
             "joints dropped": ", ".join(robot.locked) or "none",
             "joints reconstructed": ", ".join(reconstructed) or "none",
             "joints held": ", ".join(self.held()) or "none",
             "solver tier": self._controlled.system.tier,
-            "reference": loop.guide.state(self.x.t if self.x is not None else 0.0),
-            "largest |s|": f"{np.abs(s).max():.6g}",
-            "chatter": ", ".join(f"{value:.3g}" for value in loop.chatter.rms) + " N·m",
-            "share of the safe command": f"{loop.weight:.6g}",
-            "limits that act": ", ".join(acting) or "none",
-            "safe command": str(self.scene.safe),
-            "times gone safe": str(loop.lapses),
-            "updates without an answer of the law": str(loop.failures),
-            **loop.controller.details(),
+            "distance from couplings": f"{np.abs(self._violation).max(initial=0.0):.6g}",
+            "distance from loops": f"{self._observed.moved:.6g}",
+            **loop_details(self.loop, self.x.t if self.x is not None else 0.0),
         }
 
     def _seconds(self, stamp: int) -> float:
         """Time since the first joint state [s]: a float of the epoch is good to 0.2 us only."""
-        return (stamp - self._epoch) * NANOSECOND
+        return (stamp - (self._epoch or 0)) * NANOSECOND
 
     def _now(self) -> float:
         """Time of the newest joint state [s]: the one in which references are followed."""

@@ -1,5 +1,6 @@
 """What both controller nodes do: joint states and a reference in, commands out."""
 
+import math
 import time
 from collections.abc import Sequence
 from time import perf_counter
@@ -11,7 +12,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from mbd_ros.core.control.guide import TargetError
+from mbd_ros.core.control.reference_limits import TargetError
 from mbd_ros.core.differentiation import Sample
 from mbd_ros.errors import SolveError
 from mbd_ros.nodes.control_pipeline import ControlPipeline
@@ -40,10 +41,10 @@ class ControllerNode(JointStateNode):
         super().__init__(argv)
 
     def build(self, description: str | None) -> None:
-        """Build the scene and the law; one that works goes on with the share of the safe one."""
+        """Build the scene and the law; where one is at work the new one goes on."""
         pipeline = ControlPipeline(self.parameters, description)
         if self.active:
-            pipeline.loop.take_over(self._pipeline.loop)
+            pipeline.take_over(self._pipeline)
         self._pipeline = pipeline
 
     def configure_core(self) -> None:
@@ -68,19 +69,23 @@ class ControllerNode(JointStateNode):
         self._pipeline.retune(values)
 
     def safe(self) -> None:
-        """The safe command, at the newest state if it is fresh."""
+        """The safe command, at the newest state if it is fresh; nothing before the first one."""
         pipeline = self._pipeline
+        if pipeline.x is None:
+            return
         is_fresh = self.silence() <= self.parameters.timeout
         self._commands.publish(pipeline.commands(pipeline.loop.stop(is_fresh)))
         self._commands.wait_for_all_acked(Duration(seconds=0.1))
 
     def deactivate_core(self) -> None:
-        """Ramp down, then the safe command."""
+        """Ramp down within `safe_ramp`, then the safe command."""
         loop = self._pipeline.loop
-        if not loop.is_open:
-            while (effort := loop.lapse(WATCH)) is not None:
-                self._commands.publish(self._pipeline.commands(effort))
-                time.sleep(WATCH)
+        for _ in range(math.ceil(self.parameters.safe_ramp / WATCH) * (not loop.is_open)):
+            effort = loop.lapse(WATCH)
+            if effort is None:
+                break
+            self._commands.publish(self._pipeline.commands(effort))
+            time.sleep(WATCH)
         self.safe()
 
     def health(self) -> tuple[int, str, dict[str, str]]:
@@ -105,16 +110,24 @@ class ControllerNode(JointStateNode):
 
     def answer(self, stamp: int, sample: JointSample) -> Sample | None:
         """Command what the law says."""
-        answer = self._pipeline.answer(stamp, sample)
+        try:
+            answer = self._pipeline.answer(stamp, sample)
+        except SolveError as error:
+            self._count_failures()
+            self.drop_state("unsolved", f"joint_states: {error}")
+            return None
         if isinstance(answer, Sample):
             return answer
         self._commands.publish(answer.commands)
         self._states.publish(answer.state)
         self.note_answer(stamp)
+        self._count_failures()
+        return None
+
+    def _count_failures(self) -> None:
         failures = self._pipeline.loop.failures
         if failures >= self.parameters.failures:
             raise SolveError(f"no answer of the law to {failures} states in a row")
-        return None
 
     def _watch(self) -> None:
         """Ramp to the safe command where joint states stopped; see whether anybody listens."""

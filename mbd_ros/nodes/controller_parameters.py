@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbd_ros.core.control.chatter import DEFAULT_CUTOFF
 from mbd_ros.core.control.contract import ControlledJoints, Controller
@@ -94,7 +93,7 @@ SLIDING_MODE = (
         read_only=False,
     ),
     _gain("rate", 10.0, "Rate of the exponential law [1/s]: sliding_mode"),
-    _tunable("gains.power", 0.5, 1e-6, 1.0, "Exponent of the power-rate law: sliding_mode."),
+    _tunable("gains.power", 0.5, 1e-6, 0.999999, "Exponent of the power-rate law: sliding_mode."),
     _gain(
         "disturbance_rate",
         200.0,
@@ -147,6 +146,13 @@ def build_controller(values: Any, joints: ControlledJoints) -> Controller:
     Raises:
         ParameterError: Names the gain, what is wrong and what is accepted.
     """
+    for key, value in values._asdict().items():
+        is_list = key.startswith("gains_") and isinstance(value, tuple)
+        if is_list and len(value) not in (1, len(joints)):
+            raise ParameterError(
+                f"parameter '{key.replace('_', '.', 1)}' has {len(value)} values; accepted: "
+                f"one, or one for each of {', '.join(joints.names)}"
+            )
     law = resolve("controllers", values.controller, "parameter 'controller'")
     names = list(inspect.signature(law).parameters)[1:]
     given = {name: _unwrapped(getattr(values, f"gains_{name}")) for name in names}
@@ -173,20 +179,6 @@ def effort_limits(values: Any, joints: ControlledJoints, actuators: Sequence[Act
             f"each of {', '.join(joints.names)}"
         )
     return np.minimum(limits, given) if given else limits
-
-
-def command_order(given: tuple[str, ...], names: tuple[str, ...]) -> NDArray[np.intp]:
-    """Columns of the efforts in the order of the messages.
-
-    Raises:
-        ParameterError: Not the actuated joints.
-    """
-    if given and sorted(given) != sorted(names):
-        raise ParameterError(
-            f"parameter 'joints' is {', '.join(given)}; accepted: all actuated joints, each "
-            f"once: {', '.join(names)}"
-        )
-    return np.array([names.index(name) for name in given or names], dtype=np.intp)
 
 
 def _unwrapped(value: Any) -> Any:

@@ -89,6 +89,7 @@ class JointStateNode(SceneNode):
         return {
             "joints ignored": ", ".join(sorted(self._extra)) or "none",
             "messages answered in the last second": str(answered),
+            "age of the newest joint state": f"{self._age():.6g}" if self._newest else "none",
         }
 
     def stream_health(self) -> tuple[int, str]:
@@ -101,9 +102,8 @@ class JointStateNode(SceneNode):
         if self._newest == 0:
             topic = self.resolve_topic_name("joint_states")
             return STALE, f"no joint state answered yet on {topic}{dropped}"
-        age = (self.get_clock().now().nanoseconds - self._newest) * NANOSECOND
-        if age > self.parameters.timeout:
-            return STALE, f"newest answered joint state is {age:.2f} s old{dropped}"
+        if self._age() > self.parameters.timeout:
+            return STALE, f"newest answered joint state is {self._age():.2f} s old{dropped}"
         if self.silence() > self.parameters.timeout:
             why = "; nobody publishes /clock any more" if self._is_clock_gone() else dropped
             return STALE, f"no joint state answered for {self.silence():.2f} s{why}"
@@ -164,6 +164,10 @@ class JointStateNode(SceneNode):
         """Count a joint state that is not answered."""
         self._last_drop = text
         self.drop(reason, text)
+
+    def _age(self) -> float:
+        """Of the newest answered stamp [s]."""
+        return (self.get_clock().now().nanoseconds - self._newest) * NANOSECOND
 
     def _mark(self) -> None:
         """Silence begins now."""

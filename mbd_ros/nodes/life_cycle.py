@@ -84,9 +84,8 @@ class LifeCycle(LifecycleNode):
     def fail(self, error: MbdError) -> None:
         """Send the safe command, keep the reason for diagnostics, stop working."""
         self._say(error)
-        if self.configured:
-            self.safe_or_say()
         if self.active:
+            self.safe_or_say()
             self.trigger_deactivate()
 
     def safe_or_say(self) -> None:

@@ -11,7 +11,7 @@ from mbd_ros.built_scene import Scene
 from mbd_ros.core.live.command_watch import CommandWatch
 from mbd_ros.core.live.live_simulation import LiveSimulation
 from mbd_ros.core.tiers import tier_of
-from mbd_ros.nodes.parameters import ParameterError
+from mbd_ros.nodes.driven_joints import command_order, driven_joints
 from mbd_ros.scene import load_scene
 from msg_adapters.commands import CommandReader
 from msg_adapters.joint_motion import JointMotionWriter
@@ -40,8 +40,8 @@ class Plant:
 
     def __init__(self, values: Any, description: str | None) -> None:
         self.scene = scene = load_scene(values.scene, description)
-        driven = [name for actuator in scene.actuators for name in actuator.joints]
-        joints = _command_order(values.joints, driven)
+        driven = driven_joints(scene.actuators)
+        joints = command_order(values.joints, driven)
         self.has_actuators = bool(driven)
         self.reader = CommandReader(joints, driven)
         watch = CommandWatch(values.command_timeout, values.safe_ramp)
@@ -115,22 +115,6 @@ class Plant:
                 f"{s.solves} solves, {s.cold} cold, {s.damped} damped, {s.failed} failed"
             )
         return details
-
-
-def _command_order(given: tuple[str, ...], driven: list[str]) -> list[str]:
-    """Order of the values in a command, checked."""
-    have = ", ".join(driven) or "none"
-    twice = sorted({name for name in driven if driven.count(name) > 1})
-    if twice:
-        raise ParameterError(
-            f"actuators: {', '.join(twice)} driven twice: a command by name would be ambiguous"
-        )
-    if given and sorted(given) != sorted(driven):
-        raise ParameterError(
-            f"parameter 'joints' is {', '.join(given)}; accepted: all joints that the scene "
-            f"actuates, each once: {have}"
-        )
-    return list(given) or driven
 
 
 def _root_link(scene: Scene) -> str:

@@ -156,7 +156,7 @@ class Shell(LifeCycle):
 
     def close(self, error: BaseException | None) -> None:
         """Last words: safe command, diagnostics with `error` (None: a signal), shutdown."""
-        if self.configured:
+        if self.active:
             self.safe_or_say()
         self.active = False
         last = (OK, "stopped") if error is None else (ERROR, repr(error))

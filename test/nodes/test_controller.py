@@ -141,7 +141,9 @@ NONSENSE = {
         ("gains.gain", [float("nan")], "finite"),
         ("gains.gain", [-1.0], "accepted"),
         ("gains.gain", [0.0], "gain .* must be finite and > 0"),
-        ("gains.gain", [1.0, 2.0], "gain has 2 values; accepted: one, or one a joint .4."),
+        ("gains.gain", [1.0, 2.0], "gains.gain.* has 2 values; accepted: one, or one for each"),
+        ("gains.rate", [1.0, 2.0], "gains.rate.* has 2 values"),
+        ("gains.power", 1.0, "out of range"),
         ("gains.gains", [1.0], "gains.gain"),
         ("gains.law", "linear", "one of constant, exponential, power_rate"),
         ("controller", "super_twisting", "read-only"),
@@ -150,7 +152,7 @@ NONSENSE = {
         ("gains.kp", 1.0, "type"),
         ("gains.kp", [100.0, float("nan"), 100.0, 100.0], "finite"),
         ("gains.kp", [0.0], "kp .* must be finite and > 0"),
-        ("gains.kp", [1.0] * 5, "kp has 5 values; accepted: one, or one a joint .4."),
+        ("gains.kp", [1.0] * 5, "gains.kp.* has 5 values; accepted: one, or one for each of"),
         ("gains.kpp", [1.0], "gains.kp"),
         ("gains.horizon", float("inf"), "out of range"),
         ("gains.velocity_limits", [True], "type"),
@@ -219,13 +221,16 @@ def test_the_new_gain_is_that_of_the_formula(domain, tmp_path):
 def test_scenes_and_parameters_that_cannot_be_controlled_are_refused(domain, start_node, tmp_path):
     scene = tmp_path / "arm.yaml"
     scene.write_text(ARM)
+    (twice := tmp_path / "twice.yaml").write_text(ARM + "- {type: ideal, joints: [elbow]}\n" * 2)
     for extra, reason in (
+        (f"scene: {twice}", "actuators: elbow driven twice"),
         ("joints: [elbow]", "parameter 'joints' is elbow; accepted: all actuated joints"),
         ("effort_limit: [1.0]", "'effort_limit' has 1 values; accepted: none, or one for each"),
-        ("gains.bandwidth: [1.0, 2.0]", "bandwidth has 2 values; accepted: one, or one a joint"),
+        ("gains.bandwidth: [1.0, 2.0]", "'gains.bandwidth' has 2 values; accepted: one, or one"),
         ("controller: magic", "accepted: one of sliding_mode, super_twisting"),
     ):
-        text = f"/**:\n  ros__parameters:\n    scene: {scene}\n    {extra}\n"
+        own = "" if extra.startswith("scene") else f"    scene: {scene}\n"
+        text = f"/**:\n  ros__parameters:\n{own}    {extra}\n"
         node = start_node(text, target=("-m", f"mbd_ros.nodes.{KINDS['sliding']}"))
         node.wait_for(reason)
         assert node.stop() == 0

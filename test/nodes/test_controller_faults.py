@@ -6,6 +6,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from nodes.conftest import ROOT
 from nodes.control_client import KINDS, POSE, STEP, controlled
 from nodes.simulation_client import ARM, DAMPED, JOINTS, NAME, simulated
 from rosgraph_msgs.msg import Clock
@@ -300,6 +301,42 @@ def test_the_last_message_before_a_signal_ends_it_is_the_safe_command(
         assert len(client.commands) == seen + 1
         np.testing.assert_allclose(client.commands[-1], damped(client, v), rtol=1e-9, atol=1e-12)
         assert "Traceback" not in client.node.log
+
+
+def test_a_reset_leaves_the_watchdog_awake(domain, tmp_path):
+    with controlled(domain, tmp_path, safe_ramp=0.1, timeout=0.1) as client:
+        assert client.stand().any()
+        assert client.probe.call(Trigger, f"{client.name}/reset", Trigger.Request()).success
+        client.probe.spin_until(lambda: not client.commands[-1].any())
+
+
+def test_an_inactive_controller_has_nothing_to_say_when_it_ends(domain, tmp_path):
+    """Another one may have its topic by then."""
+    with controlled(domain, tmp_path, **AT_ONCE, stop=None) as client:
+        client.ask()
+        assert client.probe.change_state(client.name, "deactivate")
+        client.handled()
+        count = len(client.commands)
+        assert client.node.stop(signal.SIGTERM) == 0
+        client.probe.spin_for(0.1)
+        assert len(client.commands) == count
+
+
+@each
+def test_a_state_that_does_not_close_a_loop_is_dropped(domain, tmp_path, kind):
+    robots = (ROOT / "config/robots").as_posix()
+    text = (ROOT / "config/scenes/controlled_four_bar.yaml").read_text(encoding="utf-8")
+    text = text.replace("../robots", robots)
+    with controlled(domain, tmp_path, text, kind=kind, **AT_ONCE) as client:
+        names, pose = [j.name for j in client.scene.robot.joints], client.scene.initial.q
+        first = client.ask(pose, name=names)
+        off = pose + 1.0 * (np.array(names) == "knee_tibial")
+        later = client.stamp + 200_000_000  # no glitch
+        client.no_answer(client.message(off, name=names, stamp=later))
+        health = client.wait_health(lambda h: dropped(h).get("unsolved") == "1")
+        assert health.values["state"] == "active"
+        again = client.ask(pose, name=names, stamp=later + 200_000_000)
+        np.testing.assert_allclose(again, first, rtol=1e-6)
 
 
 def test_deactivation_ramps_down_and_activation_begins_anew(domain, tmp_path):

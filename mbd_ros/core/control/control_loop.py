@@ -35,10 +35,12 @@ class Command(NamedTuple):
 class ControlLoop:
     """A controller with reference, guard and the hand-over from and to the safe command.
 
-        effort = guard((1 - weight) control + weight safe)
+        effort = guard((1 - weight) clip(control) + weight safe)
 
     The weight never jumps: it falls from 1 to 0 within `ramp` after the first state, rises when
-    states stop (`lapse`), and falls again when they come back, from where it is.
+    states stop (`lapse`), and falls again when they come back, from where it is. A state that
+    comes later than `longest` after the last one, or before it, is a new beginning: the reference
+    goes on from what is measured.
 
     Args:
         controller: The law; may be replaced between updates by one for the same joints.
@@ -46,7 +48,7 @@ class ControlLoop:
         guard: Limits.
         safe: What acts when the control must not be trusted.
         ramp: Duration of a hand-over [s], >= 0.
-        longest: A time between states that counts as no more than that [s].
+        longest: A longer time between states is a gap, and counts as no more than that [s].
         chatter: Measures the efforts that are sent.
 
     Attributes:
@@ -54,6 +56,7 @@ class ControlLoop:
         guide: See above.
         guard: See above.
         ramp: See above; may change at any time.
+        longest: See above; may change at any time.
         weight: Share of the safe command, 0 .. 1.
         is_open: Whether no state was answered since the start, or the last lapse or stop.
         is_frozen: Whether nobody hears the commands. The memory of the law stands still then,
@@ -75,17 +78,17 @@ class ControlLoop:
         chatter: ChatterMeter,
     ) -> None:
         self.controller, self.guide, self.guard, self.safe = controller, guide, guard, safe
-        self.ramp, self._longest, self.chatter = ramp, longest, chatter
-        self.is_frozen, self.lapses = False, 0
+        self.ramp, self.longest, self.chatter = ramp, longest, chatter
+        self.is_frozen, self.lapses, self.weight = False, 0, 1.0
+        self.control: Control | None = None
+        self._memory = controller.begin()
         self._none = np.zeros(len(controller.joints))
+        self._sent, self._v, self._t, self._is_lapsed = self._none, self._none, 0.0, True
         self.restart()
 
     def restart(self) -> None:
-        """Forget the past: the next state is the first one."""
-        self.weight, self.failures = 1.0, 0
-        self.control: Control | None = None
-        self._memory = self.controller.begin()
-        self._sent, self._v, self._t, self.is_open = self._none, self._none, 0.0, True
+        """Hold the next state, whatever was followed; from the command that was sent last."""
+        self.is_open, self.failures = True, 0
         self.guide.kind = "held"
         self.chatter.reset()
 
@@ -96,15 +99,19 @@ class ControlLoop:
         self.controller = controller
 
     def take_over(self, other: "ControlLoop") -> None:
-        """Go on without a bump where another loop was at work, if it has the same joints."""
-        if other.controller.joints.names == self.controller.joints.names:
-            self.weight, self._sent = other.weight, other._sent
+        """Go on without a bump where another loop for the same joints was at work."""
+        self.weight, self.lapses, self._is_lapsed = other.weight, other.lapses, other._is_lapsed
+        self.is_open, self._t, self._v = other.is_open, other._t, other._v
+        self._sent, self.control = other._sent, other.control
+        self.guide.take_over(other.guide)
+        if other._memory.shape == self._memory.shape:
+            self._memory = other._memory
 
     def update(self, x: State) -> Command:
         """The command for a new state.
 
         Args:
-            x: Consistent state of all joints, later than the last one.
+            x: Consistent state of all joints.
 
         Raises:
             SolveError: The law has no answer, and had none yet.
@@ -112,11 +119,9 @@ class ControlLoop:
         joints = self.controller.joints
         q, v = joints.positions(x), joints.velocities(x)
         self._v = v
-        if self.is_open:
+        dt = 0.0 if self.is_open else min(max(x.t - self._t, 0.0), self.longest)
+        if self.is_open or not 0.0 <= x.t - self._t <= self.longest:
             self._close(x.t, q, v)
-            dt = 0.0
-        else:
-            dt = min(max(x.t - self._t, 0.0), self._longest)
         self._t = x.t
         self._shift(-dt)
         box = self.guard.box(self._sent, dt)
@@ -124,7 +129,7 @@ class ControlLoop:
         control = self._controlled(x, ref, box, dt)
         effort = control.effort
         if self.weight > 0.0:
-            effort = (1.0 - self.weight) * effort + self.weight * self._safe(dt)
+            effort = (1.0 - self.weight) * self.guard.sized(effort) + self.weight * self._safe(dt)
         admitted, held_back = self.guard.admit(effort, box)
         self.chatter.update(admitted, dt)
         self._sent = admitted
@@ -140,10 +145,10 @@ class ControlLoop:
         """
         if self.weight >= 1.0 and self.is_open and not self._sent.any():
             return None
-        self.lapses += not self.is_open
-        self.is_open = True
-        self._shift(min(dt, self._longest))
-        kept = self._none if self.control is None else self.control.effort
+        self.lapses += not self._is_lapsed
+        self.is_open = self._is_lapsed = True
+        self._shift(min(dt, self.longest))
+        kept = self._none if self.control is None else self.guard.sized(self.control.effort)
         box = self.guard.box(self._sent, dt)
         self._sent, _ = self.guard.admit((1.0 - self.weight) * kept, box)
         return self._sent
@@ -156,20 +161,24 @@ class ControlLoop:
         Args:
             is_fresh: Whether that state still tells the velocities; without, safe is no torque.
         """
-        self.weight, self.is_open, self.control = 1.0, True, None
-        safe = self._safe(self._longest) if is_fresh else self._none
-        self._sent = np.clip(safe, -self.guard.limit, self.guard.limit)
+        self.weight, self.is_open, self._is_lapsed, self.control = 1.0, True, True, None
+        self._sent = self.guard.sized(self._safe(self.longest) if is_fresh else self._none)
         return self._sent
 
     def _safe(self, step: float) -> Array:
-        """The safe efforts at the newest state, held for a time [s]."""
+        """The safe efforts at the newest state, held for a time [s]; none where not finite."""
         newest = self.controller.joints.newest
-        return self._none if newest is None else self.safe.torque(self._v, newest.mobility, step)
+        if newest is None:
+            return self._none
+        effort = self.safe.torque(self._v, newest.mobility, step)
+        return effort if np.isfinite(effort).all() else self._none
 
     def _close(self, t: float, q: Array, v: Array) -> None:
-        """States come, for the first time or again."""
+        """States come, for the first time or again; the law begins anew where it had ended."""
         self.guide.resume(t, q, v)
-        self._memory, self.is_open = self.controller.begin(), False
+        if self.weight >= 1.0:
+            self._memory = self.controller.begin()
+        self.is_open = self._is_lapsed = False
         self.chatter.reset()
 
     def _shift(self, dt: float) -> None:

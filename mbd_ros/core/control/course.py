@@ -50,8 +50,8 @@ class Course:
         self._rest = np.zeros(q.shape[1])
         h = np.diff(times)[:, None]
         self._h = h[:, 0]
-        slopes = _slopes(times, q) if v is None else v
-        begin, end = [q[:-1], h * slopes[:-1]], [q[1:], h * slopes[1:]]
+        rates = slopes(times, q) if v is None else v
+        begin, end = [q[:-1], h * rates[:-1]], [q[1:], h * rates[1:]]
         basis = _CUBIC
         if v is not None and a is not None:
             basis = _QUINTIC
@@ -98,8 +98,16 @@ class Course:
         )
 
 
-def _slopes(times: Array, q: Array) -> Array:
-    """Velocities that no point gives."""
+def slopes(times: Array, q: Array) -> Array:
+    """Velocities of points that have none: the mean slope of both sides, rest at both ends.
+
+    Args:
+        times: [s], shape (k,).
+        q: [rad or m], shape (k, n).
+
+    Returns:
+        Fresh, shape (k, n).
+    """
     v = np.zeros_like(q)
     if len(times) > 2:
         v[1:-1] = np.gradient(q, times, axis=0)[1:-1]

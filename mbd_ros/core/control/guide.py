@@ -3,16 +3,12 @@
 import numpy as np
 
 from mbd_ros.core.control.contract import ControlledJoints, Reference
-from mbd_ros.core.control.course import PEAK_SPEED, Course
+from mbd_ros.core.control.course import PEAK_SPEED, Course, slopes
+from mbd_ros.core.control.reference_limits import ReferenceLimits, TargetError
 from mbd_ros.core.state import Array
-from mbd_ros.errors import MbdError
 
-_ROUNDING = 1.0e-9  # rad or m, and share of a speed limit
 _SHORTEST = 1.0e-4  # s
-
-
-class TargetError(MbdError):
-    """A reference that is refused: names the joint, its value and what is accepted."""
+_FARTHEST = 3600.0  # [s] that a trajectory may lie ahead: another clock is off by years
 
 
 class Guide:
@@ -26,6 +22,10 @@ class Guide:
     at least `ramp`. A single target is reached after the time since the last one, so that a
     stream of targets is interpolated, and later where that would be too fast. Without a
     successor it comes to rest within `timeout`.
+
+    Position and velocity never jump; accelerations go on within a stream only, as one that is
+    carried through a ramp would swing it by 0.017 a T². What would leave the position limits on
+    the way stands at them.
 
     Args:
         joints: The controlled joints, whose limits targets must keep.
@@ -48,10 +48,8 @@ class Guide:
         timeout: float = 0.5,
     ) -> None:
         self.ramp, self.ramp_speed, self.timeout = ramp, ramp_speed, timeout
-        self.names = joints.names
-        self._lower = np.array([joint.lower for joint in joints.joints])
-        self._upper = np.array([joint.upper for joint in joints.joints])
-        self._fastest = np.array([joint.max_velocity for joint in joints.joints])
+        self._limits = ReferenceLimits(joints)
+        self._offset: Course | None = None
         self.hold(0.0, np.zeros(len(joints)), np.zeros(len(joints)))
 
     def hold(self, t: float, q: Array, v: Array) -> None:
@@ -62,18 +60,23 @@ class Guide:
             q: [rad or m], shape (n,).
             v: [rad/s or m/s], shape (n,).
         """
-        self.kind, self._last_target = "held", -np.inf
+        self.kind, self._last_target, self._interval = "held", -np.inf, 0.0
         self._course = Course(np.array([t]), q[None, :].copy())
-        self._offset: Course | None = None
-        if v.any():
-            self._fade(t, Reference(q, v, np.zeros(len(q))))
+        self._limits.begin(q)
+        self._fade(t, q, v)
 
     def resume(self, t: float, q: Array, v: Array) -> None:
         """Go on with what is followed, from a measured state: after the loop was open."""
         if self.kind == "held":
             self.hold(t, q, v)
         else:
-            self._fade(t, Reference(q, v, np.zeros(len(q))))
+            self._limits.begin(q)
+            self._fade(t, q, v)
+
+    def take_over(self, other: "Guide") -> None:
+        """Go on with what another guide of the same joints follows."""
+        self.kind, self._course, self._offset = other.kind, other._course, other._offset
+        self._last_target, self._interval = other._last_target, other._interval
 
     def aim(self, t: float, target: Reference) -> None:
         """Take a single target, the next of a stream perhaps.
@@ -85,22 +88,24 @@ class Guide:
         Raises:
             TargetError: Not finite, or beyond a limit.
         """
-        self._check(np.array([t]), target.q[None, :], target.v[None, :])
+        self._limits.check(np.array([t]), target.q[None, :], target.v[None, :])
         now = self.at(t)
-        since = t - self._last_target
-        since = since if 0.0 < since < self.timeout else self.ramp
+        since = t - self._last_target or self._interval  # a second one at once replaces the first
+        is_stream = 0.0 < since < self.timeout
+        since = since if is_stream else self.ramp
         jump = target.q - now.q - 0.5 * since * (now.v + target.v)
         duration = max(since, self._ramp_time(jump, 0.0), _SHORTEST)
         stop = self.timeout
-        end = np.clip(target.q + 0.5 * stop * target.v, self._lower, self._upper)
+        end = self._limits.nearest(target.q + 0.5 * stop * target.v)
         still = np.zeros(len(end))
         self._course = Course(
             t + np.array([0.0, duration, duration + stop]),
             np.array([now.q, target.q, end]),
             np.array([now.v, target.v, still]),
-            np.array([now.a, target.a, still]),
+            np.array([now.a if is_stream and duration == since else still, target.a, still]),
         )
         self._offset, self._last_target, self.kind = None, t, "target"
+        self._interval = since
 
     def follow(
         self, t: float, times: Array, q: Array, v: Array | None = None, a: Array | None = None
@@ -109,8 +114,8 @@ class Guide:
 
         Args:
             t: Now [s].
-            times: Of the points [s], shape (k,). The reference of now is the first point where
-                all of them lie ahead.
+            times: Of the points [s], shape (k,). Where all of them lie ahead the reference goes
+                to the first one in the time that is left, or ramps to it where that is too short.
             q: [rad or m], shape (k, n).
             v: [rad/s or m/s], shape (k, n), or None.
             a: [rad/s^2 or m/s^2], shape (k, n), or None.
@@ -128,25 +133,29 @@ class Guide:
             raise TargetError(
                 f"trajectory refused: it ended {t - times[-1]:.3f} s ago; does its stamp fit?"
             )
-        now, given_from = self.at(t), float(times[0])
-        if times[0] > t:
-            times, q = np.append(t, times), np.vstack([now.q, q])
-            v = None if v is None else np.vstack([now.v, v])
-            a = None if a is None else np.vstack([now.a, a])
-        course = Course(times, q, v, a)
-        samples = course.samples()
-        asked = samples[0] >= given_from
-        self._check(*(part[asked] for part in samples))
-        self._course, self._last_target, self.kind = course, -np.inf, "trajectory"
-        self._fade(t, now)
+        if times[0] - t > _FARTHEST:
+            raise TargetError(
+                f"trajectory refused: it begins in {times[0] - t:.6g} s, accepted are "
+                f"{_FARTHEST:g} s; is its stamp of the same clock (use_sim_time)?"
+            )
+        now = self.at(t)
+        course = self._led_in(t, now, times, q, v, a) if times[0] > t else None
+        is_joined = course is not None
+        if course is None:
+            course = Course(times, q, v, a)
+            self._limits.check(*course.samples())
+        self._course, self._offset = course, None
+        self._last_target, self.kind = -np.inf, "trajectory"
+        if not is_joined:
+            self._fade(t, now.q, now.v)
 
     def at(self, t: float) -> Reference:
         """The reference at a time [s]."""
         ref, offset = self._course.at(t), self._offset
-        if offset is None or t >= offset.end:
-            return ref
-        away = offset.at(t)
-        return Reference(ref.q + away.q, ref.v + away.v, ref.a + away.a)
+        if offset is not None and t < offset.end:
+            away = offset.at(t)
+            ref = Reference(ref.q + away.q, ref.v + away.v, ref.a + away.a)
+        return self._limits.kept(ref)
 
     def state(self, t: float) -> str:
         """What is followed at a time [s], for people."""
@@ -156,42 +165,37 @@ class Guide:
             return "end of the trajectory: held"
         return self.kind
 
-    def _fade(self, t: float, now: Reference) -> None:
-        """Begin at `now`, and let the offset to the course decay."""
+    def _led_in(
+        self, t: float, now: Reference, times: Array, q: Array, v: Array | None, a: Array | None
+    ) -> Course | None:
+        """The course from where the reference is; None where it would leave a limit."""
+        times, q = np.append(t, times), np.vstack([now.q, q])
+        if v is None:
+            v, a = slopes(times, q), None
+            v[0] = now.v
+        else:
+            v = np.vstack([now.v, v])
+            a = None if a is None else np.vstack([np.zeros(len(now.q)), a])
+        course = Course(times, q, v, a)
+        try:
+            self._limits.check(*course.samples())
+        except TargetError:
+            return None
+        return course
+
+    def _fade(self, t: float, q: Array, v: Array) -> None:
+        """Begin at a position with a velocity, and let the offset to the course decay."""
         ref = self._course.at(t)
-        away = Reference(now.q - ref.q, now.v - ref.v, now.a - ref.a)
-        if not (away.q.any() or away.v.any() or away.a.any()):
+        away, rate, still = q - ref.q, v - ref.v, np.zeros(len(q))
+        if not (away.any() or rate.any()):
             self._offset = None
             return
-        still = np.zeros(len(away.q))
-        times = np.array([t, t + max(self._ramp_time(away.q, self.ramp), _SHORTEST)])
+        times = np.array([t, t + max(self._ramp_time(away, self.ramp), _SHORTEST)])
         self._offset = Course(
-            times,
-            np.array([away.q, still]),
-            np.array([away.v, still]),
-            np.array([away.a, still]),
+            times, np.array([away, still]), np.array([rate, still]), np.array([still, still])
         )
 
     def _ramp_time(self, distance: Array, least: float) -> float:
         """Time [s] for a distance at the speed of ramps."""
-        speed = self.ramp_speed * self._fastest
+        speed = self.ramp_speed * self._limits.fastest
         return max(least, float((PEAK_SPEED * np.abs(distance) / speed).max(initial=0.0)))
-
-    def _check(self, times: Array, q: Array, v: Array) -> None:
-        """Refuse what leaves the limits; times (k,), q and v (k, n)."""
-        if not (np.isfinite(q).all() and np.isfinite(v).all()):
-            raise TargetError("reference refused: not finite")
-        off = (q < self._lower - _ROUNDING) | (q > self._upper + _ROUNDING)
-        if off.any():
-            i, j = np.argwhere(off)[0]
-            raise TargetError(
-                f"reference refused: {self.names[j]} at {q[i, j]:.4g} at t = {times[i]:.4g} s; "
-                f"accepted: {self._lower[j]:g} to {self._upper[j]:g}"
-            )
-        fast = np.abs(v) > self._fastest * (1.0 + _ROUNDING)
-        if fast.any():
-            i, j = np.argwhere(fast)[0]
-            raise TargetError(
-                f"reference refused: {self.names[j]} at {v[i, j]:.4g}/s at t = {times[i]:.4g} s; "
-                f"accepted: up to {self._fastest[j]:g}/s"
-            )

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.control.guide import TargetError
+from mbd_ros.core.control.reference_limits import TargetError
 from mbd_ros.core.couplings import Couplings
 from mbd_ros.core.laws import Linear
 from mbd_ros.core.state import Array

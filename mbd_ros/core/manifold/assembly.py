@@ -89,8 +89,8 @@ def _closed_nearby(system: System, x: State) -> tuple[Array, RowFactor]:
     if not worst <= _OPEN:
         row = system.rows[int(np.argmax(np.abs(g)))].name
         raise SolveError(
-            f"the step to t = {x.t:.9g} s leaves row {row} {worst:.3g} m or rad open, and it does "
-            "not close; try a smaller dt"
+            f"row {row} is {worst:.3g} m or rad open at t = {x.t:.9g} s and does not close: the "
+            "step was too long, or the measurement does not fit the mechanism"
         )
     return q, factor
 

@@ -1,0 +1,31 @@
+"""What a control loop tells about itself in diagnostics."""
+
+import numpy as np
+
+from mbd_ros.core.control.control_loop import ControlLoop
+from mbd_ros.core.state import Array
+
+
+def loop_details(loop: ControlLoop, t: float) -> dict[str, str]:
+    """Reference, law and hand-over at a time [s]; efforts in N·m or N, one a joint."""
+    control, limits, largest = loop.control, [], 0.0
+    if control is not None:
+        acts = zip(loop.controller.limit_names, control.active, strict=False)
+        limits = [name for name, is_active in acts if is_active]
+        largest = float(np.abs(control.s).max())
+    return {
+        "reference": loop.guide.state(t),
+        "largest |s|": f"{largest:.6g}",
+        "equivalent part": "none" if control is None else _listed(control.equivalent),
+        "chatter": _listed(loop.chatter.rms),
+        "share of the safe command": f"{loop.weight:.6g}",
+        "limits that act": ", ".join(limits) or "none",
+        "safe command": str(loop.safe),
+        "times gone safe": str(loop.lapses),
+        "updates without an answer of the law": str(loop.failures),
+        **loop.controller.details(),
+    }
+
+
+def _listed(efforts: Array) -> str:
+    return ", ".join(f"{value:.3g}" for value in efforts)
