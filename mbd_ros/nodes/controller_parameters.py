@@ -12,6 +12,7 @@ from mbd_ros.core.parts import Actuator
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 from mbd_ros.nodes.inverse_dynamics_parameters import PARAMETERS as INVERSE_DYNAMICS
+from mbd_ros.nodes.inverse_dynamics_parameters import tunable
 from mbd_ros.nodes.parameters import Parameter, ParameterError
 from mbd_ros.registry import resolve
 
@@ -20,10 +21,6 @@ _SHARED = (
     *("clock_tolerance", "coupling_tolerance"),
 )
 _EACH = "; one value, or one a joint"
-
-
-def _tunable(name: str, default: float, low: float, high: float, text: str) -> Parameter:
-    return Parameter(name, type(default), text, default, low=low, high=high, read_only=False)
 
 
 def _gain(name: str, default: float, text: str) -> Parameter:
@@ -45,19 +42,19 @@ _COMMON = (
         (),
         low=0.0,
     ),
-    _tunable("effort_rate", 0.0, 0.0, 1e12, "Largest change of an effort [N·m/s]; 0: no limit."),
-    _tunable(
+    tunable("effort_rate", 0.0, 0.0, 1e12, "Largest change of an effort [N·m/s]; 0: no limit."),
+    tunable(
         "timeout", 0.1, 1e-3, 60.0, "Silence of the joint states until the command goes safe [s]."
     ),
-    _tunable("safe_ramp", 0.2, 0.0, 60.0, "Time in which control and safe command change [s]."),
-    _tunable("reference_ramp", 0.5, 0.0, 60.0, "Shortest time to a reference that jumps [s]."),
-    _tunable(
+    tunable("safe_ramp", 0.2, 0.0, 60.0, "Time in which control and safe command change [s]."),
+    tunable("reference_ramp", 0.5, 0.0, 60.0, "Shortest time to a reference that jumps [s]."),
+    tunable(
         "reference_ramp_speed", 0.5, 1e-3, 1.0, "Share of the velocity limits for such ramps."
     ),
-    _tunable(
+    tunable(
         "reference_timeout", 0.5, 1e-3, 60.0, "Age of a ~/reference from which it is held [s]."
     ),
-    _tunable("failures", 20, 1, 1_000_000, "Failures of the law in a row that deactivate."),
+    tunable("failures", 20, 1, 1_000_000, "Failures of the law in a row that deactivate."),
     Parameter(
         "chatter_cutoff",
         float,
@@ -93,7 +90,7 @@ SLIDING_MODE = (
         read_only=False,
     ),
     _gain("rate", 10.0, "Rate of the exponential law [1/s]: sliding_mode"),
-    _tunable("gains.power", 0.5, 1e-6, 0.999999, "Exponent of the power-rate law: sliding_mode."),
+    tunable("gains.power", 0.5, 1e-6, 0.999999, "Exponent of the power-rate law: sliding_mode."),
     _gain(
         "disturbance_rate",
         200.0,
@@ -113,11 +110,11 @@ QP = (
     _gain("kp", 100.0, "Acceleration per error [1/s^2]"),
     _gain("kd", 20.0, "Acceleration per velocity error [1/s]"),
     _gain("weight", 1.0, "Cost of a squared acceleration error"),
-    _tunable(
+    tunable(
         "gains.horizon", 0.02, 1e-6, 10.0, "Time ahead for which limits of motion are kept [s]."
     ),
-    _tunable("gains.braking", 0.2, 1e-6, 10.0, "Time from the largest velocity to rest [s]."),
-    _tunable("gains.position_margin", 0.0, 0.0, 10.0, "Distance to position limits [rad or m]."),
+    tunable("gains.braking", 0.2, 1e-6, 10.0, "Time from the largest velocity to rest [s]."),
+    tunable("gains.position_margin", 0.0, 0.0, 10.0, "Distance to position limits [rad or m]."),
     *(
         Parameter(
             f"gains.{which}_limits",

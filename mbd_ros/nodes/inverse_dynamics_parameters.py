@@ -8,55 +8,56 @@ from mbd_ros.nodes.parameters import Parameter
 _DEFAULT = Tuning()
 
 
-def _tunable(name: str, default: float, low: float, high: float, text: str) -> Parameter:
+def tunable(name: str, default: float, low: float, high: float, text: str) -> Parameter:
+    """A number that may change while the node runs."""
     return Parameter(name, type(default), text, default, low=low, high=high, read_only=False)
 
 
 PARAMETERS = (
     Parameter("scene", str, "Scene file."),
-    _tunable(
+    tunable(
         "cutoff", _DEFAULT.cutoff, 1e-3, 1e6, "Half-power frequency of the causal filters [Hz]."
     ),
-    _tunable(
+    tunable(
         "velocity_margin",
         _DEFAULT.velocity_margin,
         0.1,
         1e6,
         "Position steps beyond margin x velocity limit x dt are encoder glitches.",
     ),
-    _tunable("patience", _DEFAULT.patience, 1, 10_000, "Glitches in a row that are believed."),
-    _tunable(
+    tunable("patience", _DEFAULT.patience, 1, 10_000, "Glitches in a row that are believed."),
+    tunable(
         "max_age",
         _DEFAULT.max_age,
         0.0,
         60.0,
         "How long a joint that messages lack keeps its last position [s].",
     ),
-    _tunable(
+    tunable(
         "rewind",
         _DEFAULT.rewind,
         0.0,
         3600.0,
         "A stamp older than the last by more than this is a new beginning [s].",
     ),
-    _tunable(
+    tunable(
         "timeout", 0.5, 1e-3, 3600.0, "Age of the newest joint state that is reported STALE [s]."
     ),
-    _tunable(
+    tunable(
         "clock_tolerance",
         5.0,
         1e-3,
         1e10,
         "Difference of stamp and node clock from which they count as two clocks [s].",
     ),
-    _tunable(
+    tunable(
         "coupling_tolerance",
         0.05,
         0.0,
         100.0,
         "Distance of a measured dependent joint from its coupling that is reported [rad, m].",
     ),
-    _tunable(
+    tunable(
         "wrench_wait",
         0.01,
         0.0,
