@@ -23,7 +23,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Words after `mbd-ros`; those of the process without it.
 
     Returns:
-        0 ok, 1 a check failed, 2 bad input.
+        0 ok, 1 a check failed, 2 bad input, 130 after Ctrl-C.
     """
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # two threads stall each other in small products
     arguments = _parser().parse_args(argv)
@@ -67,13 +67,22 @@ def _add_simulate(commands: "argparse._SubParsersAction[argparse.ArgumentParser]
     simulate = commands.add_parser("simulate", help="motion from forces, with constraint forces")
     simulate.add_argument("scene", type=Path)
     simulate.add_argument("-t", "--time", type=float, required=True, help="seconds to simulate")
-    simulate.add_argument("-o", "--out", type=Path, required=True, help="CSV (.gz) or bag")
+    simulate.add_argument(
+        "-o", "--out", type=Path, required=True, help="CSV (.gz) or bag (required)"
+    )
     simulate.add_argument("--integrator", help="in place of that of the scene")
-    simulate.add_argument("--tolerance", type=float, help="error control of that integrator")
-    simulate.add_argument("--dt", type=float, help="step, and interval of the output [s]")
+    simulate.add_argument(
+        "--tolerance",
+        type=float,
+        help="of that integrator: largest error of a step (dopri5, dop853, filippov), of Newton's "
+        "method (gauss_legendre, generalized_alpha, rattle, shake); the others have none",
+    )
+    simulate.add_argument(
+        "--dt", type=float, help="step, and interval of the output [s] (default: of the scene)"
+    )
     simulate.add_argument("--solver", help="tier in place of that of the scene")
     simulate.add_argument("--from", dest="origin", type=Path, help="CSV or bag with the state")
-    simulate.add_argument("--start", type=float, default=0.0, help="time to begin at [s]")
+    simulate.add_argument("--start", type=float, default=0.0, help="[s] (default: %(default)s)")
     simulate.add_argument("--efforts", type=Path, help="CSV or bag: of actuators, else joints")
     simulate.add_argument("--wrenches", type=Path, help="CSV or bag of the external loads")
     simulate.set_defaults(run=_simulate)
@@ -83,14 +92,23 @@ def _add_replay(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     replay = commands.add_parser("replay", help="a bag through the live node, with an error table")
     replay.add_argument("bag", type=Path)
     replay.add_argument("scene", type=Path)
-    replay.add_argument("-o", "--out", type=Path, required=True, help="bag of the node's output")
+    replay.add_argument(
+        "-o", "--out", type=Path, required=True, help="bag of the node's output (required)"
+    )
     replay.add_argument("--rate", type=float, default=1.0, help="speed factor (default: 1)")
     replay.add_argument("--reference", help="JointState topic to compare with; else the effort")
     replay.add_argument(
-        "--skip", type=float, default=0.5, help="seconds left out of the errors at the start"
+        "--skip",
+        type=float,
+        default=0.5,
+        help="seconds left out of the errors at the start (default: %(default)s)",
     )
     add_tuning(replay)
-    replay.add_argument("--topic", default="/joint_states", help="JointState topic of the bag")
+    replay.add_argument(
+        "--topic",
+        default="/joint_states",
+        help="JointState topic of the bag (default: %(default)s)",
+    )
     replay.set_defaults(run=_replay)
 
 

@@ -19,9 +19,13 @@ def add_inverse(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "--out",
         type=Path,
         required=True,
-        help="CSV (.gz) or bag; of several motions a folder",
+        help="CSV (.gz) or bag; of several motions a folder (required)",
     )
-    inverse.add_argument("--wrenches", type=Path, help="CSV or bag; a bag motion carries its own")
+    inverse.add_argument(
+        "--wrenches",
+        type=Path,
+        help="CSV or bag of the loads in the scene; a bag motion carries its own",
+    )
     inverse.add_argument(
         "--derivatives",
         choices=("given", "causal", "zero-phase"),
@@ -30,17 +34,27 @@ def add_inverse(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "zero-phase: local polynomial fit that sees the future (default: %(default)s)",
     )
     inverse.add_argument(
-        "--parts", action="store_true", help="also gravity, coriolis, inertial, .."
+        "--parts",
+        action="store_true",
+        help="also gravity, coriolis, inertial, ..; refused for scenes with loops",
     )
     add_tuning(inverse)
-    inverse.add_argument("--half-width", type=int, default=4, help="samples, zero-phase only")
-    inverse.add_argument("--topic", default="/joint_states", help="JointState topic of a bag")
+    inverse.add_argument(
+        "--half-width", type=int, default=4, help="samples, zero-phase only (default: %(default)s)"
+    )
+    inverse.add_argument(
+        "--topic",
+        default="/joint_states",
+        help="JointState topic of a bag (default: %(default)s)",
+    )
     add_workers(inverse)
 
 
 def add_tuning(parser: argparse.ArgumentParser) -> None:
     """Of the filters that estimate derivatives."""
-    parser.add_argument("--cutoff", type=float, default=5.0, help="Hz, causal only")
+    parser.add_argument(
+        "--cutoff", type=float, default=5.0, help="Hz, causal only (default: %(default)s)"
+    )
 
 
 def inverse_lines(arguments: argparse.Namespace) -> Iterator[str]:

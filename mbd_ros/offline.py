@@ -17,7 +17,7 @@ from mbd_ros.offline_wrenches import read_loads, wrench_at
 from mbd_ros.progress import progress
 from mbd_ros.recordings import read_motion
 from mbd_ros.records import Recording, TorqueRecord
-from mbd_ros.results import write_torques
+from mbd_ros.results import refuse_overwriting, write_torques
 
 _CHUNK = 1000  # samples between two signs of progress
 
@@ -53,6 +53,7 @@ def inverse_dynamics_of(
             the motion.
     """
     is_bag(out)
+    refuse_overwriting(out, motion, wrenches)
     if with_parts and scene.has_loops:
         raise DataError(f"{scene.path}: --parts goes with scenes without loops only")
     needed = () if scene.has_loops else scene.couplings.independent

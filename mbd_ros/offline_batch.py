@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.offline import inverse_dynamics_of
 from mbd_ros.offline_derivatives import Derivatives
+from mbd_ros.offline_wrenches import refuse_unused
+from mbd_ros.results import refuse_overwriting
 from mbd_ros.scene import load_scene
 from mbd_ros.workers.opening import do_all, open_workers
 from mbd_ros.workers.remaining import watched
@@ -61,7 +63,9 @@ def inverse_of_all(batch: Batch) -> Iterator[str]:
             names that would meet in the folder, or a folder that cannot be.
     """
     results = _places(batch.motions, batch.out)
-    load_scene(batch.scene)
+    for out in results.values():
+        refuse_overwriting(out, batch.wrenches)
+    refuse_unused(load_scene(batch.scene), batch.wrenches)
     try:
         batch.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

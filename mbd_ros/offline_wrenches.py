@@ -26,8 +26,10 @@ def read_loads(
         wrenches: Table or bag of the wrenches, or None.
 
     Raises:
-        DataError: A file that cannot be read, or a wrench in another frame than the scene says.
+        DataError: A file that cannot be read or that the scene has no use for, or a wrench in
+            another frame than the scene says.
     """
+    refuse_unused(scene, wrenches)
     dropped: Counter[str] = Counter()
     if not scene.wrenches:
         return {}, dropped
@@ -47,6 +49,16 @@ def read_loads(
                 f"'{expected}'"
             )
     return loads, dropped
+
+
+def refuse_unused(scene: Scene, wrenches: Path | None) -> None:
+    """Refuse a file of loads for a scene without any.
+
+    Raises:
+        DataError: The scene has no `external_wrenches`.
+    """
+    if wrenches is not None and not scene.wrenches:
+        raise DataError(f"--wrenches {wrenches}: {scene.path} has no external_wrenches to take it")
 
 
 def wrench_at(name: str, samples: WrenchSamples, stamps: np.ndarray) -> Array:

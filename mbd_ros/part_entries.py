@@ -1,20 +1,29 @@
 """Sections of parts -> parts; what they import is what the scene names."""
 
-from collections.abc import Mapping, Sequence
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from mbd_ros import schema
 from mbd_ros.core.couplings import Couplings
-from mbd_ros.core.robot import Robot
+from mbd_ros.core.parts import Constraint
+from mbd_ros.core.qp import check_backend
+from mbd_ros.core.robot import Joint, Robot
 from mbd_ros.core.state import State
 from mbd_ros.core.tiers import TIERS
 from mbd_ros.core.wrenches import ExternalWrench
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.registry import resolve
+from mbd_ros.registry import PARTS, resolve
+
+_WORD = "[A-Za-z_][A-Za-z0-9_]*"  # of a ROS 2 name
+_NAME, _TOPIC = re.compile(_WORD), re.compile(f"(~?/)?{_WORD}(/{_WORD})*")
+_SLACK = 1.0e-6  # rad or m beyond an end that is rounding
 
 
 @dataclass(frozen=True)
@@ -40,6 +49,7 @@ class Solver:
     def __post_init__(self) -> None:
         if self.type not in TIERS:
             raise ModelError(f"unknown solver type '{self.type}', accepted: {', '.join(TIERS)}")
+        check_backend(self.backend)
 
 
 @dataclass(frozen=True)
@@ -51,13 +61,26 @@ class _Initial:
 
 
 def build_wrenches(path: Path, robot: Robot, entries: Any) -> dict[str, MeasuredWrench]:
-    """The `external_wrenches` section."""
+    """The `external_wrenches` section.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
     entries = schema.value(entries, Mapping[str, Any], f"{path}: external_wrenches")
     wrenches = {}
     for name, entry in entries.items():
         where = f"{path}: external_wrenches.{name}"
+        if not _NAME.fullmatch(str(name)):
+            raise SceneError(
+                f"{where}: is no ROS name, accepted: letters, digits and _, no digit first"
+            )
         entry = dict(schema.value(entry, Mapping[str, Any], where))
         topic = schema.value(entry.pop("topic", None), str | None, f"{where}.topic")
+        if topic is not None and not _TOPIC.fullmatch(topic):
+            raise SceneError(
+                f"{where}.topic: '{topic}' is no ROS topic, accepted: words of letters, digits "
+                "and _, no digit first, joined by single /, perhaps after / or ~/"
+            )
         wrenches[name] = MeasuredWrench(schema.call(ExternalWrench, entry, where, robot), topic)
     return wrenches
 
@@ -83,8 +106,15 @@ def build_part(section: str, given: Any, where: str, *context: Any) -> Any:
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
+    if isinstance(given, str) and given in PARTS[section]:
+        raise SceneError(f"{where}: expected a mapping, got '{given}': write {{type: {given}}}")
     entry = dict(schema.value(given, Mapping[str, Any], where))
-    name = schema.value(entry.pop("type", None), str, f"{where}.type")
+    if entry.get("type") is None:
+        accepted = ", ".join(PARTS[section])
+        raise SceneError(
+            f"{where}: key 'type' is missing, accepted: {accepted}, or package.module:Class"
+        )
+    name = schema.value(entry.pop("type"), str, f"{where}.type")
     return schema.call(resolve(section, name, f"{where}.type"), entry, where, *context)
 
 
@@ -109,3 +139,34 @@ def initial_state(path: Path, robot: Robot, couplings: Couplings, section: Any) 
             (q if index == "q" else v)[getattr(joint, index)] = number
     couplings.expand(q, v, np.zeros(robot.model.nv))
     return State(0.0, q, v)
+
+
+def start_warnings(robot: Robot, constraints: Sequence[Constraint], x: State) -> Iterator[str]:
+    """Where a state to start from is beyond stops, or beyond the limits of the description.
+
+    Args:
+        robot: The robot.
+        constraints: Constraints of the scene.
+        x: State of all joints.
+    """
+    at_rest, data = x._replace(v=np.zeros_like(x.v)), robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, x.q)
+    for part in constraints:
+        joints = getattr(part, "joints", ())
+        is_stop = part.bounds is not None and np.all(part.bounds[0] == 0.0)
+        if is_stop and len(joints) == len(part.rows):
+            for name, gap in zip(joints, part.residual(data, at_rest), strict=True):
+                if gap < -_SLACK:
+                    unit = _unit(robot.joint(name))
+                    yield f"{name} starts {-gap:.3g} {unit} beyond its {type(part).__name__}"
+    for joint in robot.joints:
+        value = float(x.q[joint.q])
+        if not joint.lower - _SLACK <= value <= joint.upper + _SLACK:
+            unit = _unit(joint)
+            doubt = "; radians?" if unit == "rad" and abs(value) > math.pi else ""
+            limits = f"{joint.lower:g} .. {joint.upper:g}"
+            yield f"{joint.name} starts at {value:g} {unit}, outside its limits {limits}{doubt}"
+
+
+def _unit(joint: Joint) -> str:
+    return "m" if joint.kind == "prismatic" else "rad"

@@ -5,8 +5,30 @@ from pathlib import Path
 import numpy as np
 
 from mbd_ros.bag_paths import is_bag
+from mbd_ros.errors import DataError
 from mbd_ros.records import SimulationRecord, TorqueRecord
 from mbd_ros.tables import write_table
+
+
+def refuse_overwriting(out: Path, *sources: Path | None) -> None:
+    """Refuse a result in the place of what it is computed from.
+
+    Args:
+        out: Table, bag or folder to write.
+        *sources: Files and bags that are read; None for those that are not given.
+
+    Raises:
+        DataError: A source is `out`, or inside of it, or a bag that `out` is a file of.
+    """
+    place = out.resolve()
+    for source in filter(None, sources):
+        read = source.resolve()
+        is_inside = read in place.parents and is_bag(out)
+        if place == read or place in read.parents or is_inside:
+            raise DataError(
+                f"-o {out}: the result would take the place of {source}, which is read; choose "
+                "another name"
+            )
 
 
 def write_torques(path: str | Path, torques: TorqueRecord) -> None:
@@ -50,7 +72,8 @@ def write_simulation(path: str | Path, record: SimulationRecord) -> None:
     if is_bag(path):
         from mbd_ros.bag_recordings import write_bag_simulation
 
-        write_bag_simulation(Path(path), record)
+        stamps = np.where(record.stamps == 0, 1, record.stamps)  # 0 means no stamp in ROS
+        write_bag_simulation(Path(path), record._replace(stamps=stamps))
         return
     fields = ("position", "velocity", "acceleration", "effort")
     columns = [f"{joint}.{field}" for field in fields for joint in record.joints]

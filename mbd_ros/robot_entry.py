@@ -1,7 +1,7 @@
 """The `robot` section of a scene -> a robot."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -61,17 +61,32 @@ def build_robot(path: Path, entry: RobotEntry, description: str | None) -> tuple
             "only a node can read; give 'urdf' to use the scene offline"
         )
     try:
-        robot = read_robot(
-            text,
-            source=source,
-            gravity=entry.gravity,
-            base=entry.base,
-            locked=entry.locked,
-            rename=entry.rename,
-        )
+        robot = _robot(text, source, entry)
     except ModelError as error:
-        raise SceneError(f"{path}: robot: {error}") from error
+        raise SceneError(f"{path}: robot: {error}{_joints_to_lock(text, entry)}") from error
     return robot, source
+
+
+def _robot(text: str, source: str, entry: RobotEntry) -> Robot:
+    return read_robot(
+        text,
+        source=source,
+        gravity=entry.gravity,
+        base=entry.base,
+        locked=entry.locked,
+        rename=entry.rename,
+    )
+
+
+def _joints_to_lock(text: str, entry: RobotEntry) -> str:
+    """The joints there are, where nothing but `locked` is wrong."""
+    if not entry.locked:
+        return ""
+    try:
+        robot = _robot(text, "", replace(entry, locked=None))
+    except ModelError:
+        return ""
+    return f"; the robot has {', '.join(joint.name for joint in robot.joints)}"
 
 
 def _read_urdf(path: Path, name: str) -> tuple[str, str]:

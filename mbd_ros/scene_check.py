@@ -10,11 +10,13 @@ import pinocchio as pin
 from mbd_ros.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE, Scene
 from mbd_ros.core.forward.row_factor import TOGGLE, RowFactor
 from mbd_ros.core.integration.linearization import fastest_rate
-from mbd_ros.core.inverse_dynamics import InverseDynamics
 from mbd_ros.core.loops.loop_torques import listed
 from mbd_ros.core.manifold.assembly import assemble
+from mbd_ros.core.state import State
 from mbd_ros.core.system import System
 from mbd_ros.core.tiers import tier_of
+from mbd_ros.errors import SolveError
+from mbd_ros.part_entries import start_warnings
 
 _CALLS, _FEW, _REPEATS = 2000, 100, 5
 _TIERS = {
@@ -39,29 +41,29 @@ def describe(scene: Scene) -> Iterator[str]:
     yield _line("scene", str(scene.path))
     yield _line("robot", f"{robot.name} from {scene.source}, {base} base")
     yield _line("gravity", f"{gravity} m/s^2, included in every torque")
-    free = couplings.independent
     system = scene.system()
-    factor = _row_factor(scene, system) if system.rows else None
+    start, factor = _start(scene, system)
+    if scene.integrator is not None:  # the default one takes every scene
+        scene.simulation()
     freedom = len(couplings.v_index) if factor is None else system.nv - factor.rank
     yield _line("joints", f"{len(robot.joints)}, degrees of freedom {freedom}")
-    yield _line("independent", ", ".join(free) or "none")
+    yield _line("independent", ", ".join(couplings.independent) or "none")
     yield _line("dependent", "; ".join(f"{d} <- {law}" for d, law in scene.laws.items()) or "none")
     if robot.locked:
         locked = ", ".join(f"{name} at {value:g}" for name, value in robot.locked.items())
         yield _line("locked", locked)
     for name, wrench in scene.wrenches.items():
-        load = wrench.load
-        topic = wrench.topic or f"~/wrench/{name}"
+        load, topic = wrench.load, wrench.topic or f"~/wrench/{name}"
         text = f"{name} on {load.frame}, expressed in {load.expressed_in}, topic {topic}"
         yield _line("wrench", text)
     yield from _parts(scene)
     yield _line("inverse", tier(scene))
     if scene.has_loops:
-        yield from _reach(scene, system)
+        yield from _reach(scene, system.expand(start))
     yield _line("forward", _forward(scene, system))
-    yield from _warnings(scene, system, factor)
+    yield from _warnings(scene, system, start, factor)
     yield _line("left out", "; ".join((*scene.absent, *robot.ignored)) or "nothing")
-    cost = _loop_cost(scene, system) if scene.has_loops else _cost(scene)
+    cost = _loop_cost(scene, system.expand(start)) if scene.has_loops else _cost(scene)
     yield _line("cost", f"{cost}; {_forward_cost(scene, system)}")
 
 
@@ -93,7 +95,9 @@ def _name(part: object) -> str:
     return type(part).__name__
 
 
-def _warnings(scene: Scene, system: System, factor: RowFactor | None) -> Iterator[str]:
+def _warnings(scene: Scene, system: System, x: State, factor: RowFactor | None) -> Iterator[str]:
+    for text in start_warnings(scene.robot, scene.constraints, scene.initial):
+        yield _line("warning", text)
     floor = getattr(scene.stabilization, "floor", None)
     if system.rows and floor is not None and floor(scene.dt) > scene.stabilization.time_constant:
         used = f"time constant {scene.stabilization.time_constant:g} s raised to 2 dt"
@@ -102,7 +106,7 @@ def _warnings(scene: Scene, system: System, factor: RowFactor | None) -> Iterato
         yield from _rank_lines(factor)
     method = scene.integrator
     stable = DEFAULT_STABLE if method is None else method.stable
-    rate = fastest_rate(system, assemble(system, system.reduce(scene.initial)))
+    rate = fastest_rate(system, x)
     explicit = method is None or method.is_explicit
     if explicit and rate * scene.dt > stable:
         name = DEFAULT_INTEGRATOR["type"] if method is None else type(method).__name__
@@ -114,10 +118,15 @@ def _warnings(scene: Scene, system: System, factor: RowFactor | None) -> Iterato
         yield _line("warning", f"no authority: effort limit 0 of {', '.join(without)}")
 
 
-def _row_factor(scene: Scene, system: System) -> RowFactor:
-    """Rows at the assembled start; a mechanism that cannot be assembled is an error."""
-    x = assemble(system, system.reduce(scene.initial))
-    return system.factorise(system.mass(x.q), system.jacobian(x.t, x.q))
+def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
+    """The assembled start and its rows; a mechanism that cannot be assembled is an error."""
+    try:
+        x = assemble(system, system.reduce(scene.initial))
+    except SolveError as error:
+        raise SolveError(f"{scene.path}: {error}") from error
+    if not system.rows:
+        return x, None
+    return x, system.factorise(system.mass(x.q), system.jacobian(x.t, x.q))
 
 
 def _rank_lines(factor: RowFactor) -> Iterator[str]:
@@ -141,9 +150,8 @@ def tier(scene: Scene) -> str:
     return "reduced: dependent joints eliminated exactly, q = F(z)"
 
 
-def _reach(scene: Scene, system: System) -> Iterator[str]:
+def _reach(scene: Scene, x: State) -> Iterator[str]:
     """What the actuators can do at the assembled start, for inverse dynamics."""
-    x = system.expand(assemble(system, system.reduce(scene.initial)))
     reach = scene.closed_loop().reach(x)
     names = listed(scene.actuated) or "none"
     reason = "" if scene.actuators else "; no actuators section: every independent joint"
@@ -163,18 +171,16 @@ def _line(label: str, text: str) -> str:
 
 def _cost(scene: Scene) -> str:
     robot, model = scene.robot, scene.robot.model
-    inverse = scene.inverse_dynamics()
+    inverse, loads = scene.inverse_dynamics(), [np.ones(6)] * len(scene.wrenches)
     q, v, data = pin.neutral(model), np.zeros(model.nv), model.createData()
+    z, w = q[scene.couplings.q_index], v[scene.couplings.v_index]
     bare = _best(lambda: pin.rnea(model, data, q, v, v))
-    ours = _best(_typical_call(inverse, scene, q, v))
-    return (
-        f"one inverse-dynamics call {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare rnea of "
-        f"{len(robot.joints)} joints"
-    )
+    ours = _best(lambda: inverse.solve(z, w, w, loads))
+    ratio = f"{ours / bare:.1f} x a bare rnea of {len(robot.joints)} joints"
+    return f"one inverse-dynamics call {ours * 1e6:.1f} us, {ratio}"
 
 
-def _loop_cost(scene: Scene, system: System) -> str:
-    x = system.expand(assemble(system, system.reduce(scene.initial)))
+def _loop_cost(scene: Scene, x: State) -> str:
     every = replace(scene, actuators=()).closed_loop()  # so that no fixed base is out of reach
     x, a = every.consistent(x, np.zeros(scene.robot.model.nv))
     call = (lambda: every.reach(x)) if scene.robot.floating else (lambda: every.solve(x, a))
@@ -187,12 +193,6 @@ def _forward_cost(scene: Scene, system: System) -> str:
     bare = _best(lambda: pin.aba(model, data, scene.initial.q, scene.initial.v, zero))
     ours = _best(lambda: system.acceleration(*x))
     return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"
-
-
-def _typical_call(inverse: InverseDynamics, scene: Scene, q: np.ndarray, v: np.ndarray) -> object:
-    z, w = q[scene.couplings.q_index], v[scene.couplings.v_index]
-    loads = [np.ones(6)] * len(scene.wrenches)
-    return lambda: inverse.solve(z, w, w, loads)
 
 
 def _best(call: object, calls: int = _CALLS) -> float:

@@ -29,13 +29,16 @@ def call(function: Callable[..., Any], entry: Any, where: str, *context: Any) ->
     Raises:
         SceneError: Unknown or missing key, wrong value, or what the function itself refuses.
     """
-    if not isinstance(entry, dict):
-        raise SceneError(f"{where}: expected a mapping, got {entry!r}")
     parameters = list(inspect.signature(function).parameters.values())[len(context) :]
     accepted = {parameter.name: parameter for parameter in parameters}
+    if not isinstance(entry, dict):
+        is_type = isinstance(entry, str) and "type" in accepted
+        hint = f": write {{type: {entry}}}" if is_type else ""
+        raise SceneError(f"{where}: expected a mapping, got {entry!r}{hint}")
     for key in entry:
         if key not in accepted:
-            raise SceneError(f"{where}: unknown key '{key}', accepted: {', '.join(accepted)}")
+            names = ", ".join(accepted) or "none"
+            raise SceneError(f"{where}: unknown key '{key}', accepted: {names}")
     for name, parameter in accepted.items():
         if parameter.default is inspect.Parameter.empty and name not in entry:
             raise SceneError(f"{where}: key '{name}' is missing")

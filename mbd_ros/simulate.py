@@ -2,10 +2,11 @@
 
 import time
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 
-from mbd_ros.bag_paths import is_bag
+from mbd_ros.bag_paths import SUFFIXES, is_bag
 from mbd_ros.built_scene import Scene
 from mbd_ros.core.forward.row_factor import TOGGLE
 from mbd_ros.core.manifold.assembly import drift
@@ -13,10 +14,11 @@ from mbd_ros.core.simulation import Commands, Simulation
 from mbd_ros.core.state import NANOSECOND, State
 from mbd_ros.core.tiers import tier_of
 from mbd_ros.errors import DataError, DivergedError, MbdError, SolveError
+from mbd_ros.part_entries import start_warnings
 from mbd_ros.progress import progress
 from mbd_ros.records import SimulationRecord
-from mbd_ros.results import write_simulation
-from mbd_ros.simulation_inputs import Run, drives, initial_state
+from mbd_ros.results import refuse_overwriting, write_simulation
+from mbd_ros.simulation_inputs import Run, check_words, drives, initial_state
 from mbd_ros.step_check import step_warnings
 
 
@@ -32,28 +34,28 @@ def simulate(scene: Scene, run: Run) -> Iterator[str]:
 
     Raises:
         Interrupted: The state diverged or equations have no solution; the states so far are in
-            `<out>.diverged`, named in the message.
+            the file of `diverged_place`, named in the message.
         MbdError: Input that cannot be used.
     """
-    if not run.duration > 0:
-        raise DataError(f"duration {run.duration:g} s must be > 0")
-    if scene.robot.floating:
-        raise DataError(f"{scene.path}: robot.base: files carry no pose of a floating base")
-    is_bag(run.out)
-    commands, forces = drives(scene, run)
+    check_words(scene, run)
+    kept = diverged_place(run.out)
+    for place in (run.out, kept):
+        refuse_overwriting(place, run.origin, run.efforts, run.wrenches)
+    commands, forces, remarks = drives(scene, run)
     simulation = scene.simulation(forces=forces, **run.options)
-    x = initial_state(scene, run)
+    x, more = initial_state(scene, run)
+    yield from (*remarks, *more)
+    odd = start_warnings(scene.robot, scene.constraints, x)
+    yield from (f"warning: {text}" for text in odd)
     begin = time.perf_counter()
     states, failure = _states(simulation, x, run, commands)
     wall = time.perf_counter() - begin
     if failure is not None and not states:
-        raise failure
+        raise type(failure)(f"{scene.path}: {failure}") from failure
     evaluations = simulation.system.evaluations
     record = _record(simulation, states, commands)
     if failure is not None:
-        kept = run.out.with_name(f"{run.out.stem}.diverged{run.out.suffix}")
-        write_simulation(kept, record)
-        raise Interrupted(f"{failure}; {len(states)} states so far are in {kept}")
+        raise Interrupted(f"{failure}; {_kept(kept, record)}")
     write_simulation(run.out, record)
     if scene.wrenches and run.wrenches is None:
         yield f"unloaded: {', '.join(scene.wrenches)}; --wrenches FILE brings their values"
@@ -61,6 +63,27 @@ def simulate(scene: Scene, run: Run) -> Iterator[str]:
     found = step_warnings(simulation.system, simulation.integrator, simulation.dt, states)
     yield from (f"warning: {text}" for text in found)
     yield f"{len(states)} states -> {run.out}"
+
+
+def diverged_place(out: Path) -> Path:
+    """Where a run that ended early is kept: o.csv.gz -> o.diverged.csv.gz, bag -> bag_diverged.
+
+    Raises:
+        DataError: `out` names neither a table nor a bag.
+    """
+    if is_bag(out) and (out.is_dir() or out.suffix not in SUFFIXES):
+        return out.parent / f"{out.name.replace('.', '_')}_diverged"
+    suffix = ".csv.gz" if out.name.endswith(".csv.gz") else out.suffix
+    return out.with_name(f"{out.name.removesuffix(suffix)}.diverged{suffix}")
+
+
+def _kept(place: Path, record: SimulationRecord) -> str:
+    """Write what was reached; where that fails the reason must not hide why the run ended."""
+    try:
+        write_simulation(place, record)
+    except DataError as error:
+        return f"the states so far are lost: {error}"
+    return f"{len(record.times)} states so far are in {place}"
 
 
 def _states(

@@ -1,17 +1,22 @@
 """What a simulation is asked for on the command line, and what it reads from files."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from mbd_ros import schema
 from mbd_ros.built_scene import Scene
+from mbd_ros.core.loops.loop_torques import listed
 from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.simulation import Commands
-from mbd_ros.core.state import NANOSECOND, Array, Motion, State
+from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import DataError
-from mbd_ros.recordings import read_motion, read_wrenches
+from mbd_ros.offline_wrenches import refuse_unused
+from mbd_ros.part_entries import Solver
+from mbd_ros.recordings import TIME_LIMIT, read_motion, read_wrenches
 from mbd_ros.registry import resolve
 
 
@@ -40,14 +45,41 @@ class Run:
     options: dict[str, Any]
 
 
-def initial_state(scene: Scene, run: Run) -> State:
-    """State of all joints at the start, from the scene or a file.
+def check_words(scene: Scene, run: Run) -> None:
+    """Refuse what no simulation can be asked for, before anything is read.
+
+    Raises:
+        MbdError: Names the option, what is wrong with it and what is accepted.
+    """
+    if scene.robot.floating:
+        raise DataError(f"{scene.path}: robot.base: files carry no pose of a floating base")
+    dt = run.options.get("dt", scene.dt)
+    for option, length in (("-t", run.duration), ("--dt", dt)):
+        if not 0 < length < math.inf:
+            raise DataError(f"{option}: {length:g} s must be finite and > 0")
+    end = run.start + run.duration
+    if not max(abs(run.start), abs(end)) <= TIME_LIMIT:
+        raise DataError(
+            f"--start: {run.start:g} s must be finite, the simulation within {TIME_LIMIT:g} s"
+        )
+    if not (run.start + dt > run.start and end + dt > end):
+        raise DataError(f"--dt: {dt:g} s is lost in rounding between {run.start:g} and {end:g} s")
+    if "integrator" in run.options:
+        entry = dict(run.options["integrator"])
+        name = entry.pop("type")
+        schema.call(resolve("integrators", name, "--integrator"), entry, f"--integrator {name}")
+    if "solver" in run.options:
+        schema.call(Solver, run.options["solver"], "--solver")
+
+
+def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
+    """State of all joints at the start, from the scene or a file, and what there is to say.
 
     Raises:
         DataError: The file has no sample at that time.
     """
     if run.origin is None:
-        return scene.initial._replace(t=run.start)
+        return scene.initial._replace(t=run.start), []
     names = [joint.name for joint in scene.robot.joints]
     motion = read_motion(run.origin, names, required=scene.couplings.independent).motion
     stamp = round(run.start / NANOSECOND)
@@ -57,18 +89,23 @@ def initial_state(scene: Scene, run: Run) -> State:
         raise DataError(
             f"{run.origin}: no sample at {run.start:g} s; it holds {first:g} .. {last:g} s"
         )
-    velocity = np.zeros(len(names)) if motion.velocity is None else motion.velocity[row]
+    velocity = np.full(len(names), np.nan)
+    if motion.velocity is not None:
+        velocity = motion.velocity[row]
     q, v = scene.robot.neutral(), np.zeros(scene.robot.model.nv)
     for joint, position, rate in zip(
         scene.robot.joints, motion.position[row], velocity, strict=True
     ):
         q[joint.q], v[joint.v] = position, 0.0 if np.isnan(rate) else rate
     scene.couplings.expand(q, v, np.zeros(scene.robot.model.nv))
-    return State(run.start, q, v)
+    free = scene.couplings.independent
+    lacking = [n for n, rate in zip(names, velocity, strict=True) if n in free and np.isnan(rate)]
+    said = [f"{run.origin}: no velocity of {listed(lacking)}: at rest there"] if lacking else []
+    return State(run.start, q, v), said
 
 
-def drives(scene: Scene, run: Run) -> tuple[Commands | None, list[ForceTerm]]:
-    """Commands of the actuators, and force terms that come from files.
+def drives(scene: Scene, run: Run) -> tuple[Commands | None, list[ForceTerm], list[str]]:
+    """Commands of the actuators, force terms that come from files, and what there is to say.
 
     Raises:
         DataError: A file that cannot be read, or that lacks a column or topic.
@@ -76,25 +113,24 @@ def drives(scene: Scene, run: Run) -> tuple[Commands | None, list[ForceTerm]]:
     forces = _load_terms(scene, run)
     commanded = tuple(joint for actuator in scene.actuators for joint in actuator.joints)
     if run.efforts is None:
-        return None, forces
+        return None, forces, []
     names = commanded or tuple(joint.name for joint in scene.robot.joints)
     motion = read_motion(run.efforts, names, required=()).motion
     if motion.effort is None:
         raise DataError(f"{run.efforts}: no column <joint>.effort of {', '.join(names)}")
     times, effort = motion.stamps * NANOSECOND, np.nan_to_num(motion.effort)
+    gaps = np.isnan(motion.effort).any(axis=0)
+    lacking = [name for name, gap in zip(names, gaps, strict=True) if gap]
     if commanded:
-        return _held(times, motion), forces
+        if lacking:
+            raise DataError(f"{run.efforts}: commands of {', '.join(lacking)} are missing")
+        return _held(times, motion.effort), forces, []
     part = resolve("forces", "prescribed_torque", "--efforts")
-    return None, [part(scene.robot, joints=names, times=times, torque=effort), *forces]
+    said = [f"{run.efforts}: no effort of {listed(lacking)}: 0 there"] if lacking else []
+    return None, [part(scene.robot, joints=names, times=times, torque=effort), *forces], said
 
 
-def _held(times: Array, motion: Motion) -> Commands:
-    effort = motion.effort
-    assert effort is not None
-    if np.isnan(effort).any():
-        lacking = [n for n, bad in zip(motion.names, np.isnan(effort).any(0), strict=True) if bad]
-        raise DataError(f"commands of {', '.join(lacking)} are missing")
-
+def _held(times: Array, effort: Array) -> Commands:
     def commands(t: float) -> Array:
         return effort[max(int(np.searchsorted(times, t + NANOSECOND, side="right")) - 1, 0)]
 
@@ -102,7 +138,8 @@ def _held(times: Array, motion: Motion) -> Commands:
 
 
 def _load_terms(scene: Scene, run: Run) -> list[ForceTerm]:
-    if not scene.wrenches or run.wrenches is None:
+    refuse_unused(scene, run.wrenches)
+    if run.wrenches is None:
         return []
     topics = {name: wrench.topic for name, wrench in scene.wrenches.items()}
     part = resolve("forces", "prescribed_wrench", "--wrenches")

@@ -197,6 +197,11 @@ def test_every_kind_of_output_holds_the_same_torques(capsys, tmp_path, motion, n
         ("inverse SCENE m.csv -o o.txt", "o.txt: neither a table (.csv, .csv.gz) nor a bag"),
         ("inverse SCENE m.csv -o no/o.csv", "no/o.csv: directory no does not exist"),
         ("inverse SCENE no/bag -o o.csv", "no/bag"),
+        ("inverse SCENE m.csv -o m.csv", "-o m.csv: the result would take the place of m.csv"),
+        ("inverse SCENE m.csv -o ./x.csv", "-o x.csv: the result would take the place of m.csv"),
+        ("inverse STANCE m.csv --wrenches w.csv -o w.csv", "would take the place of w.csv, which"),
+        ("inverse SCENE m.csv --wrenches w.csv -o o.csv", "empty.yaml has no external_wrenches"),
+        ("inverse SCENE m.csv p.csv --wrenches out/m.csv -o out", "e the place of out/m.csv"),
         ("inverse SCENE bad.csv -o o.csv", "bad.csv: line 2, column hinge.position: 'x' is not a"),
         ("inverse SCENE p.csv -o o.csv", "p.csv: no velocity of hinge; choose --derivatives caus"),
         ("inverse LEG m.csv -o o.csv", "m.csv: no column hip_flexion.position, knee.position, an"),
@@ -215,13 +220,15 @@ def test_bad_input_is_2_with_one_line_on_stderr_and_nothing_left(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "bad.csv").write_text("time,hinge.position\n0,x\n")
     (tmp_path / "p.csv").write_text("time,hinge.position\n0,1\n1,2\n")
-    before = sorted(tmp_path.iterdir())
-    named = {"SCENE": SCENES / "empty.yaml", "LEG": SCENES / "prosthetic_leg.yaml"}
+    (tmp_path / "x.csv").symlink_to("m.csv")
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    named = {"SCENE": "empty", "LEG": "prosthetic_leg", "STANCE": "prosthetic_leg_stance"}
+    named = {word: SCENES / f"{name}.yaml" for word, name in named.items()}
     code, out, err = called(capsys, *(named.get(word, word) for word in words.split()))
     assert (code, out) == (2, "")
     assert message in err
     assert err.count("\n") == 1
-    assert sorted(tmp_path.iterdir()) == before
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def test_failure_leaves_the_old_output_as_it_was(capsys, tmp_path, motion):
@@ -231,6 +238,23 @@ def test_failure_leaves_the_old_output_as_it_was(capsys, tmp_path, motion):
     assert out.read_text() == "mine"
     assert called(capsys, "inverse", SCENES / "empty.yaml", motion, "-o", out)[0] == 0
     assert out.read_text().startswith("time,hinge.position")
+
+
+@pytest.mark.parametrize(
+    ("command", "options"),
+    [
+        ("inverse", {"--cutoff": "5.0", "--half-width": "4", "--topic": "/joint_states"}),
+        ("replay", {"--cutoff": "5.0", "--skip": "0.5", "--rate": "1"}),
+        ("simulate", {"--start": "0.0"}),
+    ],
+)
+def test_help_shows_the_defaults(capsys, command, options):
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    words = " ".join(capsys.readouterr().out.partition("options:")[2].split())
+    for option, default in options.items():
+        told = words.partition(f" {option} ")[2].partition(" --")[0]
+        assert f"(default: {default})" in told
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import ast
 import importlib.metadata
+import inspect
 import re
 import shutil
 import subprocess
@@ -12,6 +13,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+
+from mbd_ros.registry import PARTS, resolve
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ElementTree.parse(ROOT / "package.xml").getroot()
@@ -96,6 +99,31 @@ def test_the_wheel_holds_every_module_and_no_test(wheel):
 def test_the_licence_travels_with_the_wheel(wheel):
     assert "Apache License" in read(wheel, "LICENSE")
     assert read(wheel, "LICENSE") == (ROOT / "LICENSE").read_text(encoding="utf-8")
+
+
+def told(part):
+    """What docs/scene.md says of a part: the entries and the table rows that name it."""
+    text = (ROOT / "docs/scene.md").read_text(encoding="utf-8")
+    pieces = re.split(r"\n(?=- \{|\||\w+:|\n)", text)
+    row = re.compile(rf"\| [^|]*`{part}`")
+    return "\n".join(p for p in pieces if re.search(rf"type: {part}\b", p) or row.match(p))
+
+
+@pytest.mark.parametrize(
+    ("section", "part"),
+    [(s, name) for s, parts in PARTS.items() if s != "controllers" for name in parts],
+)
+def test_every_key_of_every_part_is_documented(section, part):
+    text = told(part)
+    assert text, "not in docs/scene.md at all"
+    keys = set(inspect.signature(resolve(section, part, "")).parameters) - {"robot"}
+    assert {key for key in keys if not re.search(rf"\b{key}\b", text)} == set()
+
+
+def test_the_changelog_counts_the_benchmark_scenes():
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    count = len(list((ROOT / "config/scenes/benchmark").glob("*.yaml")))
+    assert f" {count} benchmark scenes " in changes
 
 
 def is_node(path):

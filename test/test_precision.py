@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from report_runs import RUNS, run_of
 
 from mbd_ros.core.forward.constraint_rows import ConstraintRows
 from mbd_ros.report.items import Item
@@ -11,12 +12,11 @@ from mbd_ros.report.left_out import kind as left_out
 from mbd_ros.report.precision import kind as precision
 from mbd_ros.report.precision.choices import Choice, formulations, snippet
 from mbd_ros.report.precision.converged import known
-from mbd_ros.report.precision.ladders import FAMILIES
+from mbd_ros.report.precision.ladders import between
 from mbd_ros.report.precision.pareto import Point, cheapest, cost_at, front
 from mbd_ros.report.precision.rattle_check import approach
 from mbd_ros.report.precision.reference_problems import PROBLEMS, SCENES
-from mbd_ros.report.precision.text import brief, compose, points_of, power
-from mbd_ros.report.precision.work_precision import diagram
+from mbd_ros.report.precision.text import brief, compose, power
 from mbd_ros.scene import load_scene
 from mbd_ros.strict_yaml import read_mapping
 
@@ -86,34 +86,31 @@ def test_section_names_the_cheapest_choice_as_lines_of_a_scene(rk4, tmp_path):
     assert {"integrator", "dt", "stabilization"} <= set(read_mapping(file))
 
 
-def run_of(integrator, cost, error, solver="auto", stabilization=None):
-    """A record with a cost [ms per simulated s] and a position error [rad]."""
-    choice = Choice(solver, stabilization, integrator, 0.01)
-    return {**choice._asdict(), "seconds": 1e-3 * cost, "spread": 0.0, "position": error}
-
-
-RUNS = [
-    run_of({"type": "rk4"}, 1.0, 2e-4),
-    run_of({"type": "dop853", "tolerance": 1e-8}, 2.5, 1e-8, "kkt", {"type": "none"}),
-    run_of({"type": "dop853", "tolerance": 1e-8}, 4.0, 1e-8, stabilization={"type": "projection"}),
-]
-
-
 def test_headline_is_what_to_take_and_what_it_costs():
     known_motion = {"method": "dop853", "check": None, "agreement": 1e-12, "rattle": ""}
     entry = {"times": [1.0], "runs": RUNS, "reference": known_motion}
     failed = {"times": [1.0], "runs": [], "reference": {"failed": "SolveError: no step"}}
     section = compose({"arm": entry, "leg": failed})
     (headline,) = [table for table in section.tables if table.title in section.headline]
-    assert headline.columns == ["scene", "error 1e-3", "error 1e-6", "error 1e-9"]
+    assert headline.columns == ["scene", "span", "error 1e-3", "error 1e-6", "error 1e-9"]
     chosen = "2.5 ms: dop853, tolerance 1e-8, kkt, no stabilization"
-    assert headline.rows[0] == ["arm", "1 ms: rk4, dt 0.01 s", chosen, "-"]
-    assert headline.rows[1][1].startswith("stopped")
+    assert headline.rows[0] == ["arm", "1 s", "1 ms: rk4, dt 0.01 s", chosen, "-"]
+    assert headline.rows[1][2].startswith("stopped")
     references = section.tables[-1]
     assert references.title == "References" and references.title not in section.headline
     assert references.rows[0] == ["arm", "dop853", "none", "1.0e-12", "-", "-"]
     assert references.rows[1][1] == "stopped: SolveError: no step"
     assert list(section.snippets) == ["arm, error 1e-3", "arm, error 1e-6"]
+
+
+def test_steps_are_finer_where_a_wanted_error_is_reached():
+    """1e-3 between 5 and 2 ms, where 5 ms stopped; 1e-6 between 1 ms and 500 us; 1e-9 nowhere."""
+    steps = {0.005: None, 0.002: 6.8e-4, 0.001: 3.2e-5, 5e-4: 6.2e-7, 2e-4: 2.7e-9}
+    rungs = [run_of({"type": "adams"}, 1.0, error) | {"dt": dt} for dt, error in steps.items()]
+    del rungs[0]["position"]
+    rungs.append(run_of({"type": "adams"}, 1.0, 0.0) | {"dt": 1e-4, "left_out": "too long"})
+    assert [choice.dt for choice in between(rungs)] == [2.5e-3, 3.2e-3, 4e-3, 6.4e-4, 8e-4]
+    assert between(rungs[1:4]) == between(rungs)[3:]  # of the coarsest nothing is known
 
 
 def test_how_far_times_may_be_off_is_said():
@@ -124,7 +121,8 @@ def test_how_far_times_may_be_off_is_said():
 
 
 def test_choices_that_are_the_same_are_pasted_once():
-    section = compose({"arm": {"times": [1.0], "runs": RUNS[2:]}})
+    known_motion = {"agreement": 1e-12}
+    section = compose({"arm": {"times": [1.0], "runs": RUNS[2:], "reference": known_motion}})
     assert list(section.snippets) == ["arm, error 1e-3 and 1e-6"]
 
 
@@ -135,41 +133,6 @@ def test_what_a_scene_has_by_itself_is_not_said():
     )
     assert brief(Choice("qp", {"type": "baumgarte"}, entry, 5e-3)).endswith(", qp, baumgarte")
     assert [power(x) for x in (1e-3, 1e-12, 1.0, 2e-5)] == ["1e-3", "1e-12", "1e0", "2e-5"]
-
-
-def test_a_plot_has_one_line_an_integrator_and_a_legend_that_fits():
-    """Every integrator of a scene with rows, three orders of Adams, and a tolerance."""
-    ladders = [ladder for ladders in FAMILIES.values() for ladder in ladders]
-    kinds = list(dict.fromkeys(ladder.integrator["type"] for ladder in ladders))
-    kinds.remove("filippov")  # for scenes that have no others than explicit ones
-    entries = [{"type": kind} for kind in kinds if kind != "adams"]
-    entries += [{"type": "adams", "order": order} for order in (4, 6, 8)]
-    entries.append({"type": "dop853", "tolerance": 1e-8})
-    runs = [run_of(entry, 1.0 + i, 0.1 / 3**i) for i, entry in enumerate(entries)]
-    figure = diagram("arm", runs, points_of(runs, None))
-    axes, (legend,) = figure.axes[0], figure.legends
-    said = [text.get_text() for text in legend.get_texts()]
-    assert said == [*kinds, "with tolerance", "other runs", "Pareto front"] and len(said) <= 12
-    assert max(len(line.get_xdata()) for line in axes.lines[2:]) == 3  # adams; 0, 1: the front
-    figure.canvas.draw()
-    box, whole = legend.get_window_extent(), figure.bbox
-    assert whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0
-    assert axes.get_window_extent().width > 0.8 * whole.width
-
-
-def test_switching_scenes_have_a_plot():
-    runs = [run_of({"type": "filippov"}, 1.0, 1e-3), run_of({"type": "rk4"}, 2.0, 1e2)]
-    axes = diagram("slider", runs, points_of(runs, None)).axes[0]
-    assert axes.get_ylim()[0] < 1e-3 < axes.get_ylim()[1] <= 10.0  # garbage needs no room
-
-
-def test_the_front_of_a_plot_is_that_of_all_runs():
-    points = points_of(RUNS, None)
-    axes = diagram("arm", RUNS, points, {"MuJoCo": [Point(0.1, 1e-12)]}).axes[0]
-    marked = axes.lines[0].get_xydata()
-    np.testing.assert_array_equal(marked, [points[0], points[1]])
-    peer = [line.get_color() for line in axes.lines if [0.1, 1e-12] in line.get_xydata().tolist()]
-    assert peer == ["#D55E00"]
 
 
 def test_snippet_names_a_formulation_that_is_not_the_usual_one():

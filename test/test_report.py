@@ -5,7 +5,7 @@ import re
 from html.parser import HTMLParser
 
 import pytest
-from report_runs import numbers, ran, report, use_fake
+from report_runs import numbers, pendulum, ran, report, use_fake
 
 import mbd_ros.report.program as hashes
 from mbd_ros.report import items
@@ -53,20 +53,19 @@ def test_a_second_run_does_nothing_and_says_the_same(tmp_path):
 
 
 def test_another_spec_or_program_reuses_nothing(tmp_path, monkeypatch):
-    out, scene = tmp_path / "out", tmp_path / "s.yaml"
-    scene.write_text("robot: {urdf: r.urdf}\n", encoding="utf-8")
-    (tmp_path / "r.urdf").write_text("one", encoding="utf-8")
+    out, scene = tmp_path / "out", pendulum(tmp_path / "s.yaml")
+    text, robot = scene.read_text(encoding="utf-8"), tmp_path / "r.urdf"
+    shape = robot.read_text(encoding="utf-8")
     for count, change in enumerate(
         [
             lambda: None,
-            lambda: scene.write_text("robot: {urdf: r.urdf} # 2\n", encoding="utf-8"),
-            lambda: (tmp_path / "r.urdf").write_text("two", encoding="utf-8"),
-            lambda: monkeypatch.setattr("mbd_ros.report.store.program", lambda _: "0" * 64),
+            lambda: scene.write_text(f"{text}# 2\n", encoding="utf-8"),
+            lambda: robot.write_text(f"{shape}<!-- two -->\n", encoding="utf-8"),
+            lambda: monkeypatch.setattr(hashes, "versions", lambda: {"numpy": "0"}),
         ],
         start=1,
     ):
         change()
-        hashes._read.cache_clear()
         assert report(scene, "--quick", "-o", out) == 0
         assert len(ran(tmp_path)) == 4 * count
 
@@ -118,12 +117,6 @@ def test_a_package_that_is_missing_is_said_on_the_page(tmp_path, monkeypatch):
 def test_bad_input(tmp_path, words, capsys):
     assert report("-o", tmp_path / "out", *words) == 2
     assert capsys.readouterr().err.startswith("mbd-ros report: ")
-
-
-def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path):
-    (tmp_path / "index.html").write_text("mine", encoding="utf-8")
-    assert report("-o", tmp_path) == 2
-    assert (tmp_path / "index.html").read_text(encoding="utf-8") == "mine"
 
 
 def test_headlines_go_between_the_marks_of_a_readme(tmp_path):

@@ -10,6 +10,8 @@ import pytest
 from report_runs import ran, use_fake
 
 from mbd_ros.cli import main
+from mbd_ros.workers.cluster import Cluster
+from mbd_ros.workers.task import Task, cpu
 
 distributed = pytest.importorskip("distributed", reason="pip install 'mbd_ros[dask]'")
 
@@ -67,6 +69,37 @@ def test_a_worker_with_other_sources_is_refused(tmp_path, monkeypatch, capsys, c
     words = ["report", "--quick", "--scheduler", cluster.scheduler_address]
     assert main([*words, "-o", str(tmp_path / "out")]) == 1
     assert "this worker has other sources" in capsys.readouterr().err
+
+
+def test_a_task_that_never_ends_is_given_up():
+    """With one worker that others wait for."""
+    tasks = [Task("hung", "time:sleep", 600.0, limit=0.5)]
+    tasks += [Task(f"{n}", "math:sqrt", n * n, limit=60.0) for n in range(3)]
+    with Cluster("local:1") as workers:
+        assert workers.cpu() == cpu()
+        found = {task.name: result for task, result in workers.run(tasks, alone=False)}
+    assert found["hung"].failure == "no result within 0.5 s"
+    assert [found[f"{n}"].value for n in range(3)] == [0.0, 1.0, 2.0]
+
+
+def test_a_pause_is_no_failure_on_python_3_10(monkeypatch):
+    """There what `distributed.wait` raises is not the builtin TimeoutError."""
+    wait, pauses = distributed.wait, []
+
+    class Waited(Exception):
+        pass
+
+    def late(*words, **more):
+        if not pauses:
+            pauses.append(1)
+            raise Waited
+        return wait(*words, **more)
+
+    monkeypatch.setattr(distributed, "TimeoutError", Waited)
+    monkeypatch.setattr(distributed, "wait", late)
+    with Cluster("local:1") as workers:
+        ((_, result),) = workers.run([Task("root", "math:sqrt", 4.0)], alone=False)
+    assert result.value == 2.0 and pauses
 
 
 def test_without_dask_the_line_that_brings_it_is_said(tmp_path, monkeypatch, capsys):

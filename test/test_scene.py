@@ -101,8 +101,18 @@ def test_empty_section_is_an_absent_one(write, rest):
         ("dt: 5e-4", "dt: 0", "dt: 0 s must be > 0"),
         ("dt: 5e-4", "dt: fast", "dt: expected a number, got 'fast'"),
         ("type: rk4", "type: rk5", "integrator.type: unknown type 'rk5', accepted: adams, dop"),
-        ("type: rk4", "type: rk4, tolerance: 1", "integrator: unknown key 'tolerance', accepted:"),
-        ("type: none", "kind: none", "stabilization.type: expected a word, got None"),
+        (
+            "type: rk4",
+            "type: rk4, tolerance: 1",
+            "integrator: unknown key 'tolerance', accepted: none",
+        ),
+        ("type: none", "kind: none", "stabilization: key 'type' is missing, accepted: baumgarte,"),
+        ("type: none", "type: 3", "stabilization.type: expected a word, got 3"),
+        ("{type: rk4}", "{typ: rk4}", "integrator: key 'type' is missing, accepted: adams, dop85"),
+        ("{type: rk4}", "dopri5", "mapping, got 'dopri5': write {type: dopri5}"),
+        ("{type: rk4}", "rk5", "integrator: expected a mapping, got 'rk5'"),
+        ("{type: auto, backend: proxqp}", "kkt", "got 'kkt': write {type: kkt}"),
+        ("backend: proxqp", "backend: nope", "solver: solver backend 'nope' is not installed"),
         ("type: auto", "type: fast", "solver: unknown solver type 'fast', accepted: auto, aba"),
         ("{knee: -0.5}", "{nose: 1}", "initial.position: no joint 'nose'; the robot has hip,"),
         (
@@ -131,7 +141,7 @@ def test_empty_section_is_an_absent_one(write, rest):
         ("[0, 1.5, -9.81]", "[0, 1e999, 1]", "robot.gravity[1]: 1e999 is not a finite number"),
         ("base: fixed", "base: flying", "base 'flying', accepted: fixed, floating"),
         ("ankle: 0.1", "ankle: x", "robot.locked.ankle: expected a number, got 'x'"),
-        ("ankle: 0.1", "ancle: 0.1", "locked: joint 'ancle' does not exist"),
+        ("ankle: 0.1", "ancle: 0.1", "locked: joint 'ancle' does not exist; the robot has hip, k"),
         ("hip_flexion: hip", "hip: a", "rename: no joint 'hip'; the robot has hip_flexion, "),
         ("factor: 1e-2", "factor: 0", "knee_slide_x: factor is 0: the joint never moves"),
         ("factor: 1e-2", "polynomial: [1]", "knee_slide_x: 'offset' goes with 'factor' only"),
@@ -149,11 +159,18 @@ def test_empty_section_is_an_absent_one(write, rest):
         ("frame: foot", "frame: feet", "wrenches.foot: no frame 'feet'; the links are world"),
         ("expressed_in: world", "expressed_in: earth", "foot: no frame 'earth'; the links are"),
         ("topic: /plate", "topic: 3", "external_wrenches.foot.topic: expected a word, got 3"),
+        ("topic: /plate", "topic: '///'", "foot.topic: '///' is no ROS topic, accepted: words"),
+        ("topic: /plate", "topic: /plate/", "foot.topic: '/plate/' is no ROS topic"),
+        ("topic: /plate", "topic: a//b", "foot.topic: 'a//b' is no ROS topic"),
+        ("topic: /plate", "topic: ~plate", "foot.topic: '~plate' is no ROS topic"),
+        ("topic: /plate", "topic: ''", "foot.topic: '' is no ROS topic"),
+        ("  hand: {", "  a b/c: {", "external_wrenches.a b/c: is no ROS name, accepted: letters"),
+        ("  hand: {", "  2nd: {", "external_wrenches.2nd: is no ROS name"),
         ("threshold: 20", "threshold: -1", "wrenches.foot: threshold -1 N must be >= 0"),
         ("threshold: 20", "treshold: 20", "foot: unknown key 'treshold', accepted: frame, expr"),
         ("point: [0, 0, 0.1]", "point: [0]", "foot: point [0.0] must have 3 coordinates"),
         ("type: joint_spring", "type: spring", "forces[0].type: unknown type 'spring', accepted:"),
-        ("type: joint_spring,", "", "forces[0].type: expected a word, got None"),
+        ("type: joint_spring,", "", "forces[0]: key 'type' is missing, accepted: applied_wrench,"),
         ("stiffness: 30.0", "stiffnes: 30.0", "forces[0]: unknown key 'stiffnes', accepted: jo"),
         ("stiffness: 30.0", "stiffness: -3", "forces[0]: stiffness -3 and damping 0 must be >= 0"),
         ("joint: hip", "joint: ankle", "forces[1]: joint 'ankle' is locked at 0.1"),
@@ -168,6 +185,12 @@ def test_empty_section_is_an_absent_one(write, rest):
 def test_one_wrong_thing_is_named_with_its_key(write, old, new, message):
     assert old in FULL
     assert message in refusal(write(FULL.replace(old, new, 1)))
+
+
+@pytest.mark.parametrize("topic", ["plate", "/plate", "/a_1/_b", "~/plate", "a/b"])
+def test_topics_that_ros_knows_are_taken(write, topic):
+    scene = load_scene(write(FULL.replace("topic: /plate", f"topic: {topic}")))
+    assert scene.wrenches["foot"].topic == topic
 
 
 @pytest.mark.parametrize(
@@ -276,3 +299,10 @@ def test_random_damage_never_raises_anything_else(write):
             assert str(error).startswith(f"{path}: ")
             refused += 1
     assert 150 < refused < 300
+
+
+def test_backends_that_there_are_are_listed_once(write):
+    listed = refusal(write(FULL.replace("backend: proxqp", "backend: nope"))).partition("are ")[2]
+    names = listed.split(", ")
+    assert "proxqp" in names
+    assert len(set(names)) == len(names)

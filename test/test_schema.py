@@ -8,6 +8,7 @@ import pytest
 
 from mbd_ros import schema
 from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.part_entries import Solver
 
 
 class Part:
@@ -78,6 +79,7 @@ def test_entry_becomes_arguments_after_the_context():
     ("entry", "message"),
     [
         ({"joint": "a", "sise": 1}, "f: k: unknown key 'sise', accepted: joint, size, odd"),
+        ("ideal", "f: k: expected a mapping, got 'ideal'"),
         ({"joint": "a", "robot": "b"}, "f: k: unknown key 'robot', accepted: joint, size, odd"),
         ({"size": 1}, "f: k: key 'joint' is missing"),
         ({"joint": "a", "size": "b"}, "f: k.size: expected a number, got 'b'"),
@@ -90,3 +92,10 @@ def test_entry_that_does_not_fit_is_named(entry, message):
     with pytest.raises(SceneError) as caught:
         schema.call(Part, entry, "f: k", "R")
     assert str(caught.value) == message
+
+
+def test_what_takes_no_key_says_so_and_a_bare_type_gets_a_hint():
+    with pytest.raises(SceneError, match="f: k: unknown key 'a', accepted: none$"):
+        schema.call(lambda: None, {"a": 1}, "f: k")
+    with pytest.raises(SceneError, match=r"f: k: expected .*, got 'x': write \{type: x\}$"):
+        schema.call(Solver, "x", "f: k")

@@ -8,7 +8,9 @@ import pytest
 
 from mbd_ros.bags import messages
 from mbd_ros.cli import main
+from mbd_ros.recordings import read_motion
 from mbd_ros.scene import load_scene
+from mbd_ros.simulate import diverged_place
 from mbd_ros.tables import read_table, write_table
 
 ROOT = Path(__file__).parents[1]
@@ -18,6 +20,12 @@ robot: {{urdf: {robots}/prosthetic_arm.urdf}}
 couplings: {{elbow: {{parent: shoulder_flexion, factor: 1.5, offset: 0.1}}}}
 actuators: [{{type: ideal, joints: [shoulder_flexion]}}]
 """
+
+STIFF = (
+    f"robot: {{urdf: {ROOT / 'config/robots/pendulum.urdf'}}}\n"
+    "forces: [{type: joint_spring, joint: hinge, stiffness: 1e9}]\n"
+    "initial: {position: {hinge: 0.1}}\nintegrator: {type: rk4}\ndt: 0.1\n"
+)
 
 
 def called(capsys, *words):
@@ -145,33 +153,68 @@ def test_simulation_continues_from_a_file(capsys, tmp_path):
     assert b["elbow.position"] == pytest.approx(a["elbow.position"][100:], abs=1e-12)
 
 
-def test_divergence_exits_with_1_and_keeps_what_was_reached(capsys, tmp_path):
+@pytest.mark.parametrize(
+    ("out", "kept"),
+    [
+        ("dv.csv", "dv.diverged.csv"),
+        ("dv.csv.gz", "dv.diverged.csv.gz"),
+        ("d.v.csv.gz", "d.v.diverged.csv.gz"),
+        ("dv.mcap", "dv.diverged.mcap"),
+        ("dv.db3", "dv.diverged.db3"),
+        ("dvbag", "dvbag_diverged"),
+    ],
+)
+def test_divergence_exits_with_1_and_keeps_what_was_reached(capsys, tmp_path, out, kept):
     scene = tmp_path / "stiff.yaml"
-    scene.write_text(
-        f"robot: {{urdf: {ROOT / 'config/robots/pendulum.urdf'}}}\n"
-        "forces: [{type: joint_spring, joint: hinge, stiffness: 1e9}]\n"
-        "initial: {position: {hinge: 0.1}}\nintegrator: {type: rk4}\ndt: 0.1\n",
-        encoding="utf-8",
-    )
-    out = tmp_path / "out.csv"
+    scene.write_text(STIFF, encoding="utf-8")
+    out, kept = tmp_path / out, tmp_path / kept
     code, said, err = called(capsys, "simulate", scene, "-t", 100, "-o", out)
     assert (code, said) == (1, "")
     assert re.search(r"diverged at t = .*; last finite state at t = .*: fastest joint hinge", err)
-    assert str(tmp_path / "out.diverged.csv") in err
+    assert err.endswith(f"states so far are in {kept}\n")
     assert not out.exists()
-    kept = read_table(tmp_path / "out.diverged.csv")
-    assert len(kept.values) > 1
+    motion = read_motion(kept, ["hinge"]).motion
+    assert len(motion.position) > 1
+    assert motion.position[0] == pytest.approx([0.1])
+
+
+def test_a_divergence_that_cannot_be_kept_still_says_why(capsys, tmp_path):
+    scene = tmp_path / "stiff.yaml"
+    scene.write_text(STIFF, encoding="utf-8")
+    (tmp_path / "o.diverged.csv").mkdir()
+    code, _, err = called(capsys, "simulate", scene, "-t", 100, "-o", tmp_path / "o.csv")
+    assert code == 1
+    assert re.search(r"diverged at t = .*; the states so far are lost: .*o\.diverged\.csv", err)
+
+
+def test_divergence_is_kept_beside_a_folder_with_a_point_in_its_name(tmp_path):
+    (tmp_path / "run.v1").mkdir()
+    assert diverged_place(tmp_path / "run.v1") == tmp_path / "run_v1_diverged"
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("-t", -1), "duration -1 s must be > 0"),
-        (("-t", "nan"), "duration nan s must be > 0"),
-        (("-t", 1, "--integrator", "euler"), "integrator.type: unknown type 'euler', accepted: "),
-        (("-t", 1, "--dt", 0), "dt 0 s must be > 0"),
+        (("-t", -1), "-t: -1 s must be finite and > 0"),
+        (("-t", "nan"), "-t: nan s must be finite and > 0"),
+        (("-t", "inf"), "-t: inf s must be finite and > 0"),
+        (("-t", 1, "--integrator", "rk45"), "te: --integrator: unknown type 'rk45', accepted: "),
+        (("-t", 1, "--solver", "kktt"), "te: --solver: unknown solver type 'kktt', accepted: "),
+        (("-t", 1, "--dt", 0), "--dt: 0 s must be finite and > 0"),
+        (("-t", 1, "--dt", -1), "--dt: -1 s must be finite and > 0"),
+        (("-t", 1, "--dt", "inf"), "--dt: inf s must be finite and > 0"),
+        (("-t", 1, "--dt", "nan"), "--dt: nan s must be finite and > 0"),
+        (("-t", 1, "--dt", 1e-310), "--dt: 1e-310 s is lost in rounding between 0 and 1 s"),
+        (("-t", 1, "--start", "nan"), "--start: nan s must be finite"),
+        (("-t", 1, "--start", "inf"), "--start: inf s must be finite"),
+        (("-t", 1, "--start", 1e17), "--start: 1e+17 s must be finite, the simulation within"),
+        (("-t", 1, "--start", 8e9, "--dt", 1e-7), "--dt: 1e-07 s is lost in rounding"),
+        (("-t", 1, "--wrenches", "no.csv"), "no.csv: SCENE has no external_wrenches to take it"),
         (("-t", 1, "--tolerance", 1e-6), "--tolerance goes with --integrator"),
-        (("-t", 1, "--integrator", "rk4", "--tolerance", 1e-6), "unknown key 'tolerance'"),
+        (
+            ("-t", 1, "--integrator", "rk4", "--tolerance", 1e-6),
+            "--integrator rk4: unknown key 'tolerance', accepted: none",
+        ),
         (("-t", 1, "--solver", "aba"), "solver: solver aba takes no rows, the scene has elbow"),
         (("-t", 1, "--from", "no.csv"), "no.csv: cannot be read"),
         (("-t", 1, "--efforts", "no.csv"), "no.csv: cannot be read"),
@@ -180,7 +223,7 @@ def test_divergence_exits_with_1_and_keeps_what_was_reached(capsys, tmp_path):
 def test_bad_input_exits_with_2_and_leaves_nothing(capsys, tmp_path, driven, words, message):
     code, said, err = called(capsys, "simulate", driven, *words, "-o", tmp_path / "out.csv")
     assert (code, said) == (2, "")
-    assert message in err
+    assert message.replace("SCENE", str(driven)) in err
     assert [p.name for p in tmp_path.iterdir()] == ["driven.yaml"]
 
 
@@ -198,6 +241,144 @@ def test_commands_that_lack_are_named(capsys, tmp_path, driven):
     code, _, err = called(capsys, "simulate", driven, *words)
     assert code == 2
     assert "u.csv: no column <joint>.effort of shoulder_flexion" in err
+
+
+@pytest.mark.parametrize("option", ["--from", "--efforts", "--wrenches"])
+@pytest.mark.parametrize("name", ["own.csv", "own.diverged.csv"])
+def test_a_result_never_takes_the_place_of_what_is_read(capsys, tmp_path, driven, option, name):
+    read, out = tmp_path / name, tmp_path / "own.csv"
+    read.write_text("mine", encoding="utf-8")
+    words = ["simulate", driven, "-t", 0.01, option, read, "-o", out]
+    code, said, err = called(capsys, *words)
+    assert (code, said) == (2, "")
+    assert f"the result would take the place of {read}, which is read" in err
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(["driven.yaml", name])
+    assert read.read_text(encoding="utf-8") == "mine"
+
+
+def test_a_bag_is_not_written_over_its_own_file_that_is_read(capsys, tmp_path):
+    scene, bag = SCENES / "empty.yaml", tmp_path / "bag"
+    assert called(capsys, "simulate", scene, "-t", 0.01, "-o", bag)[0] == 0
+    (file,) = bag.glob("*.mcap")
+    before = file.read_bytes()
+    code, _, err = called(capsys, "simulate", scene, "-t", 0.01, "-o", bag, "--from", file)
+    assert code == 2
+    assert f"-o {bag}: the result would take the place of {file}" in err
+    assert file.read_bytes() == before
+    code, _, err = called(capsys, "simulate", scene, "-t", 0.01, "-o", file, "--from", bag)
+    assert code == 2
+    assert f"-o {file}: the result would take the place of {bag}" in err
+    assert file.read_bytes() == before
+
+
+def test_a_result_without_a_name_is_refused(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = called(capsys, "simulate", SCENES / "empty.yaml", "-t", 0.01, "-o", ".")
+    assert code == 2
+    assert "exists and is not a bag written by mbd_ros" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_state_without_velocities_starts_from_rest_and_says_so(capsys, tmp_path):
+    scene, start = SCENES / "prosthetic_arm.yaml", tmp_path / "s.csv"
+    free = load_scene(scene).couplings.independent
+    names = [f"{joint}.position" for joint in free] + [f"{free[0]}.velocity"]
+    write_table(start, ["time", *names], np.array([[0.0, *[0.1] * len(free), 2.0]]))
+    words = ["-t", 0.01, "-o", tmp_path / "o.csv", "--from", start]
+    code, said, _ = called(capsys, "simulate", scene, *words)
+    assert code == 0
+    assert said.startswith(f"{start}: no velocity of {', '.join(free[1:])}: at rest there\n")
+    found = columns(tmp_path / "o.csv")
+    assert found[f"{free[0]}.velocity"][0] == pytest.approx(2.0)
+    assert [found[f"{joint}.velocity"][0] for joint in free[1:]] == [0.0] * (len(free) - 1)
+
+
+def test_joints_without_an_effort_are_named(capsys, tmp_path):
+    scene, efforts = SCENES / "prosthetic_arm.yaml", tmp_path / "u.csv"
+    names = [joint.name for joint in load_scene(scene).robot.joints]
+    given = f"{names[0]}.effort"
+    write_table(efforts, ["time", given], np.array([[0.0, 1.0], [1.0, 1.0]]))
+    words = ["-t", 0.01, "-o", tmp_path / "o.csv", "--efforts", efforts]
+    code, said, _ = called(capsys, "simulate", scene, *words)
+    assert code == 0
+    assert said.startswith(f"{efforts}: no effort of {', '.join(names[1:])}: 0 there\n")
+
+
+def test_commands_of_some_actuators_only_are_refused_with_the_file(capsys, tmp_path, driven):
+    two = driven.read_text(encoding="utf-8").replace("joints: [", "joints: [wrist_rotation, ")
+    driven.write_text(two, encoding="utf-8")
+    efforts = tmp_path / "u.csv"
+    write_table(efforts, ["time", "shoulder_flexion.effort"], np.array([[0.0, 1.0]]))
+    words = ["-t", 1, "-o", tmp_path / "p.csv", "--efforts", efforts]
+    code, _, err = called(capsys, "simulate", driven, *words)
+    assert code == 2
+    assert f"{efforts}: commands of wrist_rotation are missing" in err
+
+
+def test_degrees_for_radians_and_a_violated_stop_are_said_before_anything(capsys, tmp_path):
+    scene = tmp_path / "s.yaml"
+    scene.write_text(
+        f"robot: {{urdf: {ROOT / 'config/robots/arm7.urdf'}}}\n"
+        "initial: {position: {joint2: 90, joint4: 0.5}}\n"
+        "constraints: [{type: joint_stop, joint: joint4, lower: -0.2, upper: 0.2}]\n",
+        encoding="utf-8",
+    )
+    joint = load_scene(scene).robot.joint("joint2")
+    limits = f"{joint.lower:g} .. {joint.upper:g}"
+    far = f"joint2 starts at 90 rad, outside its limits {limits}; radians?"
+    stop = "joint4 starts 0.3 rad beyond its JointStop"
+    said = called(capsys, "simulate", scene, "-t", 0.002, "-o", tmp_path / "o.csv")[1]
+    assert said.startswith(f"warning: {stop}\nwarning: {far}\n")
+    checked = called(capsys, "check", scene)[1]
+    assert f"warning     {stop}\nwarning     {far}\n" in checked
+    assert "warning" not in checked.partition(stop)[0].removesuffix("warning     ")
+
+
+def test_a_mechanism_that_does_not_close_is_an_error_of_the_scene(capsys, tmp_path):
+    text = (SCENES / "four_bar_leg.yaml").read_text(encoding="utf-8")
+    text = text.replace("../robots", str(ROOT / "config/robots"))
+    text = re.sub(r"point_a: \[[^]]*\]", "point_a: [9, 9, 9]", text, count=1)
+    scene = tmp_path / "open.yaml"
+    scene.write_text(text, encoding="utf-8")
+    code, _, err = called(capsys, "simulate", scene, "-t", 0.01, "-o", tmp_path / "o.csv")
+    assert code == 2
+    assert err.startswith(f"mbd-ros simulate: {scene}: the mechanism cannot be assembled near")
+    code, _, err = called(capsys, "check", scene)
+    assert code == 2
+    assert err.startswith(f"mbd-ros check: {scene}: the mechanism cannot be assembled near")
+
+
+SWITCHING = (
+    "forces: [{type: switching_force, above: {hinge: -1}, below: {hinge: 1}, "
+    "velocity: {hinge: [0, 1]}}]\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "more"), [("rattle", ""), ("generalized_alpha", ""), ("filippov", SWITCHING)]
+)
+def test_check_refuses_what_simulate_refuses(capsys, tmp_path, integrator, more):
+    scene = tmp_path / "s.yaml"
+    scene.write_text(
+        f"robot: {{urdf: {ROOT / 'config/robots/pendulum.urdf'}}}\n"
+        f"integrator: {{type: {integrator}}}\n{more}"
+        "constraints: [{type: joint_stop, joint: hinge, lower: -1, upper: 1}]\n",
+        encoding="utf-8",
+    )
+    code, _, checked = called(capsys, "check", scene)
+    assert code == 2
+    words = ["-t", 0.01, "-o", tmp_path / "o.csv"]
+    code, _, simulated = called(capsys, "simulate", scene, *words)
+    assert code == 2
+    assert checked.replace("check", "simulate", 1) == simulated
+
+
+def test_a_bag_begins_with_a_stamp_that_ros_takes_for_one(capsys, tmp_path):
+    """A stamp of 0 means no stamp: readers would fall back to the log times."""
+    called(capsys, "simulate", SCENES / "empty.yaml", "-t", 0.003, "-o", tmp_path / "bag")
+    recording = read_motion(tmp_path / "bag", ["hinge"])
+    assert recording.motion.stamps.tolist() == [1, 1_000_000, 2_000_000, 3_000_000]
+    assert not recording.by_log_time
 
 
 def test_stored_gait_simulation_is_reproduced(data_dir, tmp_path):

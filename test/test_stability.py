@@ -2,6 +2,7 @@
 
 import json
 import re
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -13,18 +14,28 @@ from mbd_ros.core.manifold.assembly import assemble, drift
 from mbd_ros.core.rows.pair_rows import PairRows
 from mbd_ros.core.state import State
 from mbd_ros.core.system import System
+from mbd_ros.errors import DivergedError, SceneError, SolveError
 from mbd_ros.forces.joint_spring import JointSpring
 from mbd_ros.integrators.rk4 import Rk4
 from mbd_ros.report.items import Item
 from mbd_ros.report.stability import kind as stability
-from mbd_ros.report.stability import long_runs
-from mbd_ros.report.stability.cases import METHODS, Case
+from mbd_ros.report.stability import long_runs, reference_motion, verdicts
+from mbd_ros.report.stability.cases import (
+    METHODS,
+    VERDICTS,
+    Case,
+    chooses_steps,
+    longest_step,
+    tiers,
+)
 from mbd_ros.report.stability.equations import equations
 from mbd_ros.report.stability.extreme_scenes import extremes, mechanism, rods
 from mbd_ros.report.stability.motion import Grid
 from mbd_ros.report.stability.random_scenes import random_scene
-from mbd_ros.report.stability.reference_motion import starting_rate
+from mbd_ros.report.stability.reference_motion import reference, starting_rate
+from mbd_ros.report.stability.row_labels import row_label
 from mbd_ros.report.stability.scene_text import load
+from mbd_ros.report.stability.steps import FITTING, asked_step, fitted, is_another, room
 from mbd_ros.report.stability.verdicts import judge
 from mbd_ros.report.stability.witness import Witness
 from mbd_ros.stabilization.projection import Projection
@@ -125,6 +136,159 @@ def test_garbage_of_a_long_step_is_warned_of():
     assert judge(case, "dop853", 5.0).kind == "converged"
 
 
+def faster(right):
+    """All velocities after the start are a million times too large."""
+
+    def motion(*given, **others):
+        found = right(*given, **others)
+        states = [State(x.t, x.q, x.v * (1.0e6 if k else 1.0)) for k, x in enumerate(found.states)]
+        return found._replace(states=states)
+
+    return motion
+
+
+@pytest.mark.parametrize("method", ["rk4", "dopri5", "gauss_legendre"])
+def test_garbage_after_the_start_never_converges(monkeypatch, method):
+    """Also where the step is longer than what is known of the motion."""
+    case = Case(load(random_scene(1321)), Grid(0.001, 12))
+    right, known = judge(case, method, 0.1), case.reference
+    case.reference = known._replace(horizon=1)
+    blind = judge(case, method, 0.1)
+    monkeypatch.setattr(verdicts, "motion", faster(verdicts.motion))
+    monkeypatch.setattr(verdicts, "_HALVINGS", 2)
+    for case.reference in (known, known._replace(horizon=1)):
+        for factor in (0.1, 10.0):
+            assert judge(case, method, factor).kind in ("warned", "WRONG")
+    assert (blind.kind, blind.error) == ("not comparable", np.inf)
+    assert (right.kind, right.error > 0.0) == ("converged", True)
+
+
+def test_a_run_is_not_led_anywhere_by_shorter_ones_that_cannot_be_compared(monkeypatch):
+    """The first run is off by a known error; of those with halved steps nothing is known."""
+    case = Case(mechanism({}, *rods((1.0,)))(), Grid(0.05, 6))
+    errors = iter([0.01, *[np.inf] * 20])
+    right = verdicts._Run._attempt
+    monkeypatch.setattr(
+        verdicts._Run, "_attempt", lambda self, dt: (right(self, dt)[0], next(errors))
+    )
+    assert judge(case, "rk4", dt=0.01).kind == "WRONG"
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_a_silent_error_whose_shorter_runs_all_stop(monkeypatch, is_known):
+    """Wrong where the reference goes on, not comparable where it stops too."""
+    case = Case(mechanism({}, *rods((1.0,)))(), Grid(0.05, 6))
+    if not is_known:
+        case.reference = case.reference._replace(reason="SolveError: stops at t = 1 s")
+    right, prepare = System.acceleration, Rk4.prepare
+
+    def stopping(self, system, dt):
+        def acceleration(*given):
+            if dt < 0.009:
+                raise SolveError("no acceleration at t = 0 s")
+            return 0.9 * right(system, *given)
+
+        system.acceleration = acceleration
+        return prepare(self, system, dt)
+
+    monkeypatch.setattr(Rk4, "prepare", stopping)
+    verdict = judge(case, "rk4", dt=0.01)
+    assert verdict.kind == ("WRONG" if is_known else "not comparable")
+    assert "shorter steps do not help; with steps of" in verdict.text
+
+
+@pytest.mark.parametrize("rate", [3.0, 23.0, 170.0])
+@pytest.mark.parametrize("method", [name for name in METHODS if not chooses_steps(name)])
+def test_steps_are_those_of_their_labels_and_differ(method, rate):
+    """Every step fits at least twice, none is far from what was asked for, no two are alike."""
+    ran, recommended = [], longest_step(method, rate)
+    for factor in (0.03, 0.1, 0.3, 1.0, 2.0, 5.0, 10.0):
+        longest = min(4.9, max(asked_step(name, rate, factor) for name in METHODS))
+        grid = room(Grid(0.01, 12), longest)
+        dt = fitted(grid, min(asked_step(method, rate, factor), longest), factor <= 1.0)
+        assert FITTING * dt <= grid.span * (1.0 + 1.0e-9)
+        quarters = 4.0 * dt / grid.interval
+        assert min(abs(quarters - round(quarters)), abs(4.0 / quarters % 1.0 - 0.5) - 0.5) < 1e-6
+        assert 0.66 <= dt / min(factor * recommended, longest) <= 1.23
+        assert factor > 1.0 or dt <= factor * recommended * (1.0 + 1.0e-9)
+        ran.append(dt)
+    assert all(b > 1.2 * a for a, b in pairwise(ran) if b < 4.0)
+
+
+def test_ten_times_the_recommended_step_is_run_at_ten_times():
+    outcome = stability.run({"row": "step-10_x_recommended_arm7_swing_coupled"})
+    cells = {cell["method"]: cell for cell in outcome["cells"][1:]}
+    assert set(cells) == {name for name in METHODS if not chooses_steps(name)}
+    assert all(cell["ran"] == pytest.approx(10.0, rel=0.2) for cell in cells.values())
+    assert outcome["span"] >= FITTING * max(cell["dt"] for cell in cells.values())
+    assert "WRONG" not in kinds(outcome).values()
+    assert len({cell["dt"] for cell in cells.values()}) > 4
+
+
+def test_labels_say_what_was_run_and_compared():
+    cells = [{"ran": 0.0}, {"ran": 4.8}, {"ran": 9.0}, {"ran": 7.9}]
+    row = {"label": "10 x recommended, arm", "factor": 10.0, "cells": cells}
+    row |= {"known_until": 50.0, "span": 600.0}
+    assert row_label(row) == "10 x recommended, arm (4.8 to 7.9 x) (compared to 50 of 600 s)"
+    assert row_label({**row, "known_until": 600.0, "cells": cells[2:3]}) == row["label"]
+    assert not is_another(10.0, 8.5)
+
+
+def test_a_scene_of_ours_that_cannot_be_built_is_wrong(monkeypatch):
+    def failing(text):
+        raise SceneError("scene.yaml: joints: no such joint 'j0'")
+
+    monkeypatch.setattr(stability, "load", failing)
+    outcome = stability.run({"first": 1, "count": 2})
+    section = stability.section([(Item("stability", "a", {"first": 1}, 1.0), outcome)])
+    assert len(section.wrong) == 2
+    assert "must not stop: SceneError" in section.wrong[0]
+
+
+@pytest.mark.parametrize(("at", "kind"), [("", "WRONG"), (" at t = 0.1 s", "stopped")])
+def test_a_reference_that_stops_is_wrong_unless_it_is_expected_there(monkeypatch, at, kind):
+    """Expected stops name their place; a scene of a user may stop anywhere that it names."""
+    right = reference_motion.first
+
+    def stopping(scene, grid):
+        states = right(scene, grid).states
+        return reference_motion.Motion(states[: len(states) // 2], f"SolveError: locked{at}")
+
+    monkeypatch.setattr(reference_motion, "first", stopping)
+    row = next(row for row in extremes(False) if row.name == FOUR_BAR)
+    assert kinds(stability.extreme_row(row))["equations"] == "WRONG"
+    assert kinds(stability.extreme_row(row._replace(stops="locked")))["equations"] == kind
+    assert kinds(stability.extreme_row(row._replace(stops="apart")))["equations"] == "WRONG"
+    assert kinds(stability.random_row(3))["equations"] == "WRONG"
+    user = stability.user_row("package://mbd_ros/config/scenes/prosthetic_arm.yaml", 1.0)
+    assert kinds(user)["equations"] == kind
+
+
+def test_a_map_in_which_most_runs_stop_is_wrong():
+    cell = {"method": "rk4", "factor": 0.1, "ran": 0.1, "dt": 0.1, "tier": "auto", "text": "t = 1"}
+    stopped, converged = ({**cell, "kind": k, "error": 0.1} for k in ("stopped", "converged"))
+    item = Item("stability", "a", {"first": 1}, 1.0)
+    for stops in (30, 31):
+        cells = [*[stopped] * stops, *[converged] * (60 - stops)]
+        wrong = stability.section([(item, {"random": [{"seed": 1, "cells": cells}]})]).wrong
+        assert bool(wrong) == (stops > 30)
+
+
+def test_the_page_says_what_cells_and_numbers_mean():
+    outcome = stability.run({"row": FOUR_BAR})
+    section = stability.section([(Item("stability", "a", {"row": FOUR_BAR}, 1.0), outcome)])
+    text = " ".join(section.text)
+    assert all(f"{kind}: " in text for kind in VERDICTS)
+    assert "power of ten" in text
+
+
+def test_a_long_smooth_motion_is_known_to_its_end():
+    """The second method needs a tolerance of 1e-9 after 100 s."""
+    row = next(row for row in extremes(False) if row.label == "pendulum, 10 min")
+    found = reference(row.load().scene, Grid(50.0, 5))
+    assert (found.horizon, found.second) == (6, "dopri5")
+
+
 def test_random_scenes_are_the_same_for_the_same_seed_and_load():
     assert random_scene(7) == random_scene(7)
     assert random_scene(7) != random_scene(8)
@@ -185,7 +349,7 @@ def test_no_outcome_is_a_section_too():
 def test_witness_agrees_with_every_tier(seed):
     loaded = load(random_scene(seed))
     witness = Witness(loaded)
-    for tier in Case(loaded, Grid(0.001, 1)).tiers("rk4"):
+    for tier in tiers(loaded.scene, "rk4"):
         system = loaded.scene.system(solver={"type": tier})
         y = assemble(system, system.reduce(loaded.scene.initial))
         assert witness.complaints(system, y) == []
@@ -208,6 +372,31 @@ def test_a_long_run_that_drifts_is_wrong(monkeypatch):
     monkeypatch.setattr(PairRows, "_drift", lambda self, *given: np.zeros(2))
     outcome = long_runs.run({"scene": "four_bar", "method": "dopri5", "steps": 500})
     assert "open" in outcome["wrong"]
+
+
+def test_long_runs_have_every_method_on_every_scene():
+    rows = long_runs.items([], quick=False)
+    assert len(rows) == len(long_runs.LONG_SCENES) * 5
+    assert {item.spec["steps"] for item in rows} == {100_000, 1_000_000}
+
+
+def test_a_long_run_whose_velocities_leave_the_constraints_is_wrong(monkeypatch):
+    spec = {"scene": "four_bar", "method": "generalized_alpha", "steps": 500}
+    assert long_runs.run(spec)["wrong"] == ""
+    monkeypatch.setattr(Witness, "rate", lambda self, x: 1.0e-3)
+    for method in ("rk4", "generalized_alpha"):
+        assert "per second" in long_runs.run({**spec, "method": method})["wrong"]
+
+
+def test_a_long_run_that_stops_at_once_keeps_the_reason(monkeypatch):
+    def failing(self, x):
+        raise DivergedError("diverged at t = 0 s")
+
+    monkeypatch.setattr(Witness, "energy", failing)
+    outcome = long_runs.run({"scene": "pendulum", "method": "rk4", "steps": 100})
+    assert outcome["wrong"] == "stopped: DivergedError: diverged at t = 0 s"
+    section = long_runs.section([(Item("long_runs", "a", {}, 1.0), outcome)])
+    assert section.wrong == ["pendulum, rk4: stopped: DivergedError: diverged at t = 0 s"]
 
 
 def test_starting_rate_of_a_scene_at_rest_is_finite():

@@ -118,6 +118,27 @@ class BoxQp:
         self.statistics = self.statistics._replace(**{what: getattr(self.statistics, what) + 1})
 
 
+def check_backend(backend: str) -> None:
+    """Refuse a solver of QPs that is not there; proxqp is looked for when it is needed.
+
+    Raises:
+        ModelError: Lists those that are.
+    """
+    if backend == "proxqp":
+        return
+    try:
+        import qpsolvers
+    except ImportError as error:
+        raise ModelError(
+            f"solver backend {backend} needs qpsolvers: pip install qpsolvers {backend}"
+        ) from error
+    if backend not in qpsolvers.available_solvers:
+        have = ", ".join(dict.fromkeys(["proxqp", *qpsolvers.available_solvers]))
+        raise ModelError(
+            f"solver backend '{backend}' is not installed: pip install {backend}; there are {have}"
+        )
+
+
 def import_proxqp() -> Any:
     """The module of ProxQP.
 
@@ -159,17 +180,8 @@ def _proxqp(n: int) -> Any:
 
 
 def _qpsolvers(backend: str) -> Any:
-    try:
-        import qpsolvers
-    except ImportError as error:
-        raise ModelError(
-            f"solver backend {backend} needs qpsolvers: pip install qpsolvers {backend}"
-        ) from error
-    if backend not in qpsolvers.available_solvers:
-        have = ", ".join(["proxqp", *qpsolvers.available_solvers])
-        raise ModelError(
-            f"solver backend '{backend}' is not installed: pip install {backend}; there are {have}"
-        )
+    check_backend(backend)
+    import qpsolvers
 
     def start(
         kept: Any, A: Array, b: Array, lower: Array, upper: Array, guess: Array | None

@@ -3,7 +3,7 @@
 import json
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from datetime import datetime, timezone
 from io import BytesIO
 from pathlib import Path
@@ -14,9 +14,10 @@ from mbd_ros.report import items
 from mbd_ros.report.items import Item, Section
 from mbd_ros.report.machine import git_state, machine, package_versions
 from mbd_ros.report.page import page
-from mbd_ros.report.program import changed, program
+from mbd_ros.report.program import program
 from mbd_ros.report.store import Store
 from mbd_ros.report.work import collect, finish, label
+from mbd_ros.scene import load_scene
 from mbd_ros.tables import replacing
 from mbd_ros.workers.opening import open_workers
 from mbd_ros.workers.remaining import Remaining, spoken
@@ -61,29 +62,36 @@ def report(order: Order) -> Iterator[str]:
     """
     program.cache_clear()  # of a process that made a report before
     begin, facts = time.monotonic(), _facts(order)
-    store = Store(order.out)
+    scenes = list(dict.fromkeys(map(_scene, order.scenes)))
     kinds = [kind for kind in items.PARTS if not order.only or kind in order.only]
-    found = collect(kinds, [_scene(name) for name in order.scenes], order.quick)
+    found = collect(kinds, scenes, order.quick)
     work = [item for made in found.values() if isinstance(made, list) for item in made]
-    results = {label(item): r for item in work if (r := store.load(item)) is not None}
-    rest = [item for item in work if label(item) not in results]
-    yield f"{len(work)} items, {len(results)} of them done before"
-    if rest:
-        with open_workers(order.scheduler, order.workers) as workers:
-            expected = Remaining(rest, workers.count).seconds
-            yield f"{len(rest)} items by {workers.count} workers: about {spoken(expected)}"
-            results |= finish(rest, store, workers, elsewhere=_elsewhere(order))
+    results: dict[str, Result] = {}
+    facts["changed"] = yield from _results(order, work, results)
     sections = {kind: _section(kind, made, results) for kind, made in found.items()}
     facts["duration"] = time.monotonic() - begin
-    facts["changed"] = [
-        kind for kind in {item.kind for item in rest} if changed(items.PARTS[kind])
-    ]
-    if facts["changed"]:
-        yield f"the sources changed while this ran: {', '.join(facts['changed'])}"
     wrong = _write(order.out, facts, sections, [(item, results[label(item)]) for item in work])
     yield f"{len(sections)} sections -> {order.out / 'index.html'}"
     if wrong:
         raise Wrong("\n".join([f"{len(wrong)} wrong:", *wrong]))
+
+
+def _results(
+    order: Order, work: Sequence[Item], results: dict[str, Result]
+) -> Generator[str, None, list[str]]:
+    """Fill in what was stored and what is done now; returns what changed meanwhile."""
+    with open_workers(order.scheduler, order.workers) as workers:
+        store = Store(order.out, workers.cpu())
+        results |= {label(item): r for item in work if (r := store.load(item)) is not None}
+        rest = [item for item in work if label(item) not in results]
+        yield f"{len(work)} items, {len(results)} of them done before"
+        if rest:
+            expected = Remaining(rest, workers.count).seconds
+            yield f"{len(rest)} items by {workers.count} workers: about {spoken(expected)}"
+            results |= finish(rest, store, workers, elsewhere=_elsewhere(order))
+    if store.changed:
+        yield f"changed while this ran: {', '.join(store.changed)}; run it again"
+    return list(store.changed)
 
 
 def _facts(order: Order) -> dict[str, Any]:
@@ -102,12 +110,17 @@ def _elsewhere(order: Order) -> bool:
 
 
 def _scene(name: str) -> str:
-    """A name that means the same in every worker."""
-    if name.startswith("package://"):
-        return name
-    if not Path(name).is_file():
-        raise DataError(f"{name}: does not exist")
-    return str(Path(name).resolve())
+    """A name that means the same in every worker, of a scene that can be built.
+
+    Raises:
+        MbdError: There is no such scene, or what is wrong with it.
+    """
+    if not name.startswith("package://"):
+        if not Path(name).is_file():
+            raise DataError(f"{name}: does not exist")
+        name = str(Path(name).resolve())
+    load_scene(name)
+    return name
 
 
 def _section(kind: str, made: list[Item] | Section, results: Mapping[str, Result]) -> Section:

@@ -58,6 +58,10 @@ def _head(facts: Mapping[str, Any]) -> Iterator[str]:
         yield f"<ul>{lines}</ul></div>"
     else:
         yield '<div class="verdict"><strong>Nothing is wrong.</strong></div>'
+    if facts["changed"]:
+        names = escape(", ".join(facts["changed"]))
+        yield f'<div class="verdict bad"><strong>Changed while this ran: {names}.</strong>'
+        yield "<p>What depends on it is not kept: run the report again.</p></div>"
     yield "</header>"
 
 
@@ -69,7 +73,6 @@ def _navigation(sections: Mapping[str, Section]) -> Iterator[str]:
 def _foot(facts: Mapping[str, Any]) -> Iterator[str]:
     git = facts["git"]
     changed = " with changes that are not committed" if git.get("changed") else ""
-    changed += ", changed while this ran" if facts["changed"] else ""
     rows = {
         "Git": f"{git['commit']}{changed}" if git else "not a checkout",
         "Work": f"{spoken(facts['work'])} of computation, {spoken(facts['duration'])} in this run",
@@ -85,6 +88,7 @@ def _foot(facts: Mapping[str, Any]) -> Iterator[str]:
 
 def _timing(facts: Mapping[str, Any]) -> str:
     return (
-        f"{facts['timed']} items time a run. Each ran in a process of its own with one thread, one"
-        f" at a time, nothing else of the report beside it, on: {', '.join(facts['cpus'])}."
+        f"{facts['timed']} items time a run. They ran one at a time in worker processes with one"
+        " thread, several of them one after the other in the same process, and nothing else of the"
+        f" report ran beside them. On: {', '.join(facts['cpus'])}."
     )

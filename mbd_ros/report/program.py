@@ -5,6 +5,7 @@ import hashlib
 import importlib.metadata
 import importlib.util
 import platform
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache
@@ -19,6 +20,8 @@ from mbd_ros.locate import find_file
 
 VERSIONS = ("numpy", "pin", "proxsuite", "scipy", "mujoco", "drake")
 _REPORT = "mbd_ros.report"
+_REGISTRY = f"{_REPORT}.items"  # names all parts, of which none loads another one
+_MODULE = re.compile(rf"{re.escape(_REPORT)}(\.\w+)+", re.ASCII)
 _EMPTY = "package://mbd_ros/config/scenes/empty.yaml"
 
 
@@ -33,9 +36,8 @@ def versions(names: Iterable[str] = VERSIONS) -> dict[str, str]:
     return found
 
 
-@cache
-def program(module: str) -> str:
-    """Hash of all that a part computes with.
+def program_now(module: str) -> str:
+    """Hash of all that a part computes with, read now.
 
     These are the package without nodes and other parts of the report, its scenes and robots, and
     the versions of the packages below. What only shows results is not among them.
@@ -45,16 +47,17 @@ def program(module: str) -> str:
     """
     root = Path(mbd_ros.__path__[0])
     files = {path for path in root.rglob("*.py") if _computes(path.relative_to(root))}
-    files |= {*root.glob("report/**/*.json"), *_imported(module)}
+    files |= {*root.glob("report/**/*.json"), *_needed(module)}
     config = find_file(Path(), _EMPTY, "report").parents[1]
     files |= {path for path in config.rglob("*") if path.is_file()}
     parts = [f"{name} {version}" for name, version in versions().items()]
     return _hash([*parts, *sorted(_contents(files))])
 
 
-def changed(module: str) -> bool:
-    """Whether `program` of a part became another one since it was asked first."""
-    return program(module) != program.__wrapped__(module)
+@cache
+def program(module: str) -> str:
+    """`program_now` as it was when it was asked first."""
+    return program_now(module)
 
 
 def named_files(value: Any) -> dict[str, str]:
@@ -78,21 +81,38 @@ def _hash(lines: Iterable[str]) -> str:
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
-def _imported(module: str) -> set[Path]:
-    """Files of a module and of all modules of the report that it imports, directly or not."""
+def _needed(module: str) -> set[Path]:
+    """Files of a module and of all modules of the report that it needs, directly or not."""
     files, waiting, seen = set(), [module], set()
     while waiting:
         name = waiting.pop()
         if name in seen:
             continue
         seen.add(name)
-        spec = importlib.util.find_spec(name)
-        if spec is None or spec.origin is None:
-            continue
-        files.add(Path(spec.origin))
-        for node in ast.walk(ast.parse(Path(spec.origin).read_text(encoding="utf-8"))):
-            waiting += [name for name in _names(node) if name.startswith(f"{_REPORT}.")]
+        file = _file(name)
+        if file is not None:
+            files.add(file)
+            waiting += _mentioned(file.read_bytes(), name != _REGISTRY)
     return files
+
+
+def _file(module: str) -> Path | None:
+    try:
+        spec = importlib.util.find_spec(module)
+    except ModuleNotFoundError:  # a text that only looks like the name of a module
+        return None
+    return Path(spec.origin) if spec is not None and spec.origin is not None else None
+
+
+@cache
+def _mentioned(source: bytes, with_texts: bool) -> tuple[str, ...]:
+    """Modules of the report that a source imports, or names in a text to load them later."""
+    found: list[str] = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and with_texts:
+            found.append(node.value)
+        found += _names(node)
+    return tuple(name for name in found if _MODULE.fullmatch(name))
 
 
 def _names(node: ast.AST) -> list[str]:
@@ -137,12 +157,15 @@ def _add(found: dict[str, str], folder: Path, text: str) -> None:
         return
 
 
-@cache
-def _read(path: Path) -> tuple[str, list[str]]:
+def _read(path: Path) -> tuple[str, tuple[str, ...]]:
     """Hash of a file, and the texts in it where it is YAML."""
     content = path.read_bytes()
-    texts: list[str] = []
-    if path.suffix in (".yaml", ".yml"):
-        with suppress(yaml.YAMLError):
-            texts = list(_strings(yaml.safe_load(content)))
-    return hashlib.sha256(content).hexdigest(), texts
+    is_yaml = path.suffix in (".yaml", ".yml")
+    return hashlib.sha256(content).hexdigest(), _texts(content) if is_yaml else ()
+
+
+@cache
+def _texts(content: bytes) -> tuple[str, ...]:
+    with suppress(yaml.YAMLError):
+        return tuple(_strings(yaml.safe_load(content)))
+    return ()

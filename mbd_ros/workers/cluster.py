@@ -1,5 +1,7 @@
 """Tasks on a Dask cluster; the result does not depend on how many workers it has or loses."""
 
+import math
+import threading
 import time
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
@@ -58,6 +60,7 @@ class Cluster:
 
     def run(self, tasks: Sequence[Task], *, alone: bool) -> Iterator[tuple[Task, Result]]:
         """Every task with its result, in the order in which they end; one at a time if alone."""
+        from distributed import TimeoutError as Waited  # of asyncio on Python 3.10
         from distributed import wait
 
         waiting, flying = deque(tasks), {}
@@ -66,10 +69,10 @@ class Cluster:
         while waiting or flying:
             while waiting and len(flying) < (1 if alone else _AHEAD * max(self.count, 1)):
                 task = waiting.popleft()
-                flying[self._client.submit(do, task, pure=False, workers=host)] = task
+                flying[self._client.submit(do_within, task, pure=False, workers=host)] = task
             try:
                 done = wait(list(flying), _LOOK, return_when="FIRST_COMPLETED").done
-            except TimeoutError:
+            except Waited:
                 seen = self._look(seen)
                 if host is not None and host not in self._hosts():
                     host = self._host()
@@ -80,6 +83,15 @@ class Cluster:
             seen = time.monotonic()
             for future in done:
                 yield flying.pop(future), _result(future)
+
+    def cpu(self) -> str:
+        """Processor of the host on which tasks that want to be alone are done.
+
+        Raises:
+            DataError: There are no workers.
+        """
+        ((_, result),) = self.run([Task("processor", f"{do.__module__}:nothing", {})], alone=True)
+        return result.cpu
 
     def _hosts(self) -> Counter[str]:
         """Workers a host."""
@@ -98,6 +110,20 @@ class Cluster:
         if time.monotonic() - seen > _DESERTED:
             raise DataError(f"the Dask scheduler had no workers for {_DESERTED:g} s")
         return seen
+
+
+def do_within(task: Task) -> Result:
+    """Do a task in a worker of Dask, and give it up where that takes longer than its limit.
+
+    Nothing ends a thread from outside: one that was given up goes on until its worker ends.
+    """
+    if math.isinf(task.limit):
+        return do(task)
+    results: list[Result] = []
+    thread = threading.Thread(target=lambda: results.append(do(task)), daemon=True)
+    thread.start()
+    thread.join(task.limit)
+    return results[0] if results else Result(failure=f"no result within {task.limit:g} s")
 
 
 def _result(future: Any) -> Result:

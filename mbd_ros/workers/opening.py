@@ -16,6 +16,10 @@ class Workers(Protocol):
         """How many tasks they do at the same time."""
         ...
 
+    def cpu(self) -> str:
+        """Processor on which tasks that want to be alone are done."""
+        ...
+
     def run(self, tasks: Sequence[Task], *, alone: bool) -> Iterator[tuple[Task, Result]]:
         """Every task with its result, in the order in which they end; one at a time if alone."""
         ...

@@ -12,7 +12,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from typing import NamedTuple
 
-from mbd_ros.workers.task import Result, Task, do
+from mbd_ros.workers.task import Result, Task, cpu, do
 
 _ATTEMPTS = 2
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -75,6 +75,10 @@ class Processes:
             worker = self._workers.pop()
             worker.process.join()
             worker.connection.close()
+
+    def cpu(self) -> str:
+        """Processor of this machine."""
+        return cpu()
 
     def run(self, tasks: Sequence[Task], *, alone: bool) -> Iterator[tuple[Task, Result]]:
         """Every task with its result, in the order in which they end; one at a time if alone."""

@@ -21,7 +21,7 @@ class Task(NamedTuple):
         argument: What it is called with; whatever JSON holds.
         seconds: About how long it takes.
         alone: It times something: nothing else of the same run may stand beside it.
-        limit: A process of this machine that needs longer is ended [s].
+        limit: What needs longer is given up [s].
     """
 
     name: str
@@ -60,6 +60,10 @@ def do(task: Task) -> Result:
         where = f"{Path(frame.filename).name}:{frame.lineno}"
         return Result(failure=f"{type(error).__name__}: {error} ({where})", cpu=cpu())
     return Result(value, seconds=time.perf_counter() - begin, cpu=cpu())
+
+
+def nothing(_: Mapping[str, Any]) -> None:
+    """For those who want to know the processor of a worker."""
 
 
 @cache

@@ -48,9 +48,10 @@ class RowFactor:
         self.X = eigenpy.LLT(M).solve(J.T).reshape(J.T.shape)  # eigenpy flattens one column
         self.A = J.dot(self.X)
         diagonal = self.A.diagonal()
-        if diagonal.min(initial=1.0) < _SMALL and (silent := is_rounding(J)).any():
-            self.X[:, silent] = self.A[silent] = self.A[:, silent] = 0.0
-            diagonal = self.A.diagonal()
+        self._unmoved = np.zeros(len(J), dtype=np.bool_)
+        if diagonal.min(initial=1.0) < _SMALL and (unmoved := is_rounding(J)).any():
+            self.X[:, unmoved] = self.A[unmoved] = self.A[:, unmoved] = 0.0
+            self._unmoved, diagonal = unmoved, self.A.diagonal()
         self.size = diagonal if size is None else np.maximum(diagonal, size)
         floor = _ZERO_ROW * float(self.size.max(initial=0.0)) or 1.0
         self._scale = 1.0 / np.sqrt(np.maximum(self.size, floor))
@@ -93,6 +94,7 @@ class RowFactor:
         """
         if self._is_regular or self._null.shape[1] == 0:
             return None
+        r = np.where(self._unmoved, -drift, r)  # their J a is rounding
         left = self._null.T.dot(self._scale * r)
         worst = int(np.argmax(np.abs(left)))
         size = motion + float(np.abs(self._scale * drift).max())

@@ -53,10 +53,17 @@ def project(system: System, x: State) -> State:
     date.
 
     Raises:
-        SolveError: The step has led too far away; names the row that stays open.
+        SolveError: The state is too far away; names the time, and the row that stays open.
     """
     if not system.rows:
         return x
+    try:
+        return _projected(system, x)
+    except SolveError as error:
+        raise SolveError(f"at t = {x.t:.9g} s: {error}") from error
+
+
+def _projected(system: System, x: State) -> State:
     q, factor = _closed_nearby(system, x)
     J, rate = system.jacobian(x.t, q), system.rate(x.t, q)
     v, slow = x.v, _VELOCITY * (1.0 + float(np.abs(x.v).max()))
@@ -89,8 +96,8 @@ def _closed_nearby(system: System, x: State) -> tuple[Array, RowFactor]:
     if not worst <= _OPEN:
         row = system.rows[int(np.argmax(np.abs(g)))].name
         raise SolveError(
-            f"row {row} is {worst:.3g} m or rad open at t = {x.t:.9g} s and does not close: the "
-            "step was too long, or the measurement does not fit the mechanism"
+            f"row {row} is {worst:.3g} m or rad open and does not close: the step was too long, "
+            "or the measurement does not fit the mechanism"
         )
     return q, factor
 
@@ -109,8 +116,12 @@ def assemble(system: System, x: State) -> State:
         return x
     q = _nearest_configuration(system, x)
     J, rate = system.jacobian(x.t, q), system.rate(x.t, q)
-    v = _consistent_velocity(x.v, J, rate, system.factorise(system.mass(q), J))
-    left = J.dot(v) + rate
+    v, factor = x.v, system.factorise(system.mass(q), J)
+    for _ in range(_VELOCITY_CORRECTIONS):  # redundant rows leave some of the first one's error
+        v = _consistent_velocity(v, J, rate, factor)
+        left = J.dot(v) + rate
+        if float(np.abs(left).max()) <= _VELOCITY * (1.0 + float(np.abs(v).max())):
+            break
     worst = int(np.argmax(np.abs(left)))
     if not abs(left[worst]) <= _ACCEPTED * (1.0 + float(np.abs(x.v).max())):
         raise SolveError(

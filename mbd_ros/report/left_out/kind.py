@@ -18,7 +18,7 @@ from mbd_ros.errors import MbdError, ModelError
 from mbd_ros.part_entries import build_part
 from mbd_ros.report.items import Item, Outcome, Section, Spec, Table
 from mbd_ros.report.left_out.probe import LIBRARIES
-from mbd_ros.report.subjects import subjects
+from mbd_ros.report.subjects import failures, subjects
 from mbd_ros.scene import load_scene
 
 _PROBE = "mbd_ros.report.left_out.probe"
@@ -79,7 +79,7 @@ def section(outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
     """One table."""
     rows = [_row(item.name, outcome) for item, outcome in outcomes]
     table = Table("What a scene pays for, microseconds", _COLUMNS, rows)
-    return Section("What was left out", _TEXT, [table], headline=())
+    return Section("What was left out", _TEXT, [table], wrong=failures(outcomes))
 
 
 def costs(path: str, calls: int) -> Mapping[str, object]:

@@ -118,7 +118,10 @@ def task_of(scene: Scene) -> Task:
 def compete(
     scene: Scene, contenders: Sequence[Contender], motion: Known, rounds: int
 ) -> list[Record]:
-    """Errors and best times of all, run in turn so that a slow machine is slow for all."""
+    """Errors and best times of all, run in turn so that a slow machine is slow for all.
+
+    The `spread` of a run that took too long to be repeated is None.
+    """
     records = [{"package": c.package, "setup": c.setup, **c.record} for c in contenders]
     seconds: list[list[float]] = [[] for _ in contenders]
     gc.collect()
@@ -141,7 +144,8 @@ def compete(
     for record, taken in zip(records, seconds, strict=True):
         if "stopped" not in record:
             best = min(taken)
-            record |= {"seconds": best, "spread": sorted(taken)[len(taken) // 2] / best - 1.0}
+            spread = sorted(taken)[len(taken) // 2] / best - 1.0 if len(taken) > 1 else None
+            record |= {"seconds": best, "spread": spread}
     return records
 
 
@@ -154,7 +158,7 @@ def cpu_time(call: Any) -> float:
 
 def _errors(scene: Scene, states: Sequence[State], motion: Known) -> Record:
     pairs = list(zip(states, motion.states, strict=True))
-    off = max(distance(scene, x, known) for x, known in pairs)
+    off = float(np.max([distance(scene, x, known) for x, known in pairs]))  # nan stays nan
     if not off < _USELESS:
         return {"stopped": "far off"}
     problem = problem_of(scene)

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
+from pydrake.multibody.tree import RigidBody, SpatialInertia
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 
 from mbd_ros.core.state import State
@@ -13,37 +14,47 @@ from mbd_ros.report.peers.contenders import Task, cpu_time
 from mbd_ros.report.precision.rungs import Record
 
 SETUP = (
-    "Drake: error-controlled RK3 and RK5 of the continuous plant where there is no constraint; "
-    "couplings and loops only exist in its discrete plant (SAP), as coupler and ball constraints; "
-    "no limits, no contact geometry. Left out: loops that close on the world, on which Drake 1.51 "
-    "crashes."
+    "Drake: RK3 and RK5 of the continuous plant where there is no constraint, with fixed steps "
+    "and with error control; couplings and loops only exist in its discrete plant (SAP), as "
+    "coupler and ball constraints, the end of a loop on the world as a body that is welded to it; "
+    "no limits, no contact geometry."
 )
 _ACCURACIES = {  # RK3 takes seconds beyond
-    "runge_kutta3": (1e-3, 1e-5, 1e-7),
-    "runge_kutta5": (1e-3, 1e-5, 1e-7, 1e-9, 1e-11),
+    "runge_kutta3": (1e-1, 1e-3, 1e-5, 1e-7),
+    "runge_kutta5": (1e-3, 1e-5, 1e-7, 1e-9, 1e-11, 1e-12, 1e-13, 1e-14),
 }
-_STEPS = (1e-3, 2e-4, 5e-5)  # s
+_FIXED = {  # s
+    "runge_kutta3": (5e-3, 2e-3, 1e-3, 5e-4, 2.5e-4),
+    "runge_kutta5": (1e-2, 5e-3, 4e-3, 2.5e-3, 2e-3, 1.25e-3, 1e-3, 8e-4, 5e-4, 2.5e-4),
+}
+_STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 5e-5)  # s, discrete plant
+_ANCHOR = "end_of_loop_on_world"
 
 
 class DrakeRun:
-    """One integrator and accuracy, or the discrete plant with one step.
+    """One integrator and accuracy or step, or the discrete plant with one step.
 
     Args:
         task: The scene.
         scheme: Integration scheme; empty for the discrete plant.
-        fineness: Accuracy, or step [s].
+        accuracy: Of the error control; None for fixed steps.
+        dt: Step [s], or with error control longest first step.
     """
 
     package = "Drake"
 
-    def __init__(self, task: Task, scheme: str, fineness: float) -> None:
-        self._task, self._scheme, self._fineness = task, scheme, fineness
-        self._plant = _plant(task, 0.0 if scheme else fineness)
+    def __init__(
+        self, task: Task, scheme: str, accuracy: float | None = None, dt: float = 0.1
+    ) -> None:
+        self._task, self._scheme, self._accuracy, self._dt = task, scheme, accuracy, dt
+        self._plant = _plant(task, 0.0 if scheme else dt)
         joints = [self._plant.GetJointByName(name) for name in task.names]
         self._q = np.array([joint.position_start() for joint in joints])
         self._v = np.array([joint.velocity_start() for joint in joints])
         self.setup = scheme or "discrete, SAP"
-        self.record: Record = {"accuracy" if scheme else "dt": fineness}
+        if scheme and accuracy is None:
+            self.setup += ", fixed step"
+        self.record: Record = {"dt": dt} if accuracy is None else {"accuracy": accuracy}
 
     def run(self, times: Sequence[float]) -> tuple[list[State], float]:
         """As `Contender.run`.
@@ -53,8 +64,11 @@ class DrakeRun:
         """
         simulator, plant, n = Simulator(self._plant), self._plant, len(self._q)
         if self._scheme:
-            integrator = ResetIntegratorFromFlags(simulator, self._scheme, 0.1)
-            integrator.set_target_accuracy(self._fineness)
+            integrator = ResetIntegratorFromFlags(simulator, self._scheme, self._dt)
+            if self._accuracy is None:
+                integrator.set_fixed_step_mode(True)
+            else:
+                integrator.set_target_accuracy(self._accuracy)
         context = simulator.get_mutable_context()
         start = np.zeros(2 * n)
         start[self._q], start[n + self._v] = self._task.q, self._task.v
@@ -72,14 +86,15 @@ class DrakeRun:
 
 
 def runs(task: Task, quick: bool) -> Iterator[DrakeRun]:
-    """The sweep over integrators and accuracies."""
+    """The sweep over integrators, accuracies and steps."""
     if not (task.couplings or task.loops):
         for scheme, accuracies in _ACCURACIES.items():
             chosen = accuracies[: 3 if quick else None]
             yield from (DrakeRun(task, scheme, accuracy) for accuracy in chosen)
-    if any("world" in (loop.frame_a, loop.frame_b) for loop in task.loops):
-        return  # AdvanceTo of Drake 1.51 ends in a segmentation fault
-    yield from (DrakeRun(task, "", dt) for dt in (_STEPS[:1] if quick else _STEPS))
+        for scheme, steps in _FIXED.items():
+            fixed = steps[: 3 if quick else None]
+            yield from (DrakeRun(task, scheme, dt=dt) for dt in fixed)
+    yield from (DrakeRun(task, "", dt=dt) for dt in (_STEPS[2:4] if quick else _STEPS))
 
 
 def _plant(task: Task, dt: float) -> MultibodyPlant:
@@ -98,8 +113,21 @@ def _plant(task: Task, dt: float) -> MultibodyPlant:
     for child, parent, factor, offset in task.couplings:
         one, other = plant.GetJointByName(child), plant.GetJointByName(parent)
         plant.AddCouplerConstraint(one, other, factor, offset)
+    if any("world" in (loop.frame_a, loop.frame_b) for loop in task.loops):
+        _add_anchor(plant)
     for loop in task.loops:
-        body_a, body_b = plant.GetBodyByName(loop.frame_a), plant.GetBodyByName(loop.frame_b)
+        body_a, body_b = _end(plant, loop.frame_a), _end(plant, loop.frame_b)
         plant.AddBallConstraint(body_a, np.array(loop.point_a), body_b, np.array(loop.point_b))
     plant.Finalize()
     return plant
+
+
+def _add_anchor(plant: MultibodyPlant) -> None:
+    """A body welded to the world: with the world itself in a loop AdvanceTo of 1.51 crashes."""
+    inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.1)  # that of a welded body says nothing
+    body = plant.AddRigidBody(_ANCHOR, plant.AddModelInstance(_ANCHOR), inertia)
+    plant.WeldFrames(plant.world_frame(), body.body_frame())
+
+
+def _end(plant: MultibodyPlant, frame: str) -> RigidBody:
+    return plant.GetBodyByName(_ANCHOR if frame == "world" else frame)

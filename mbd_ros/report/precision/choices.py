@@ -14,6 +14,7 @@ STABILIZATIONS: tuple[Mapping[str, Any], ...] = (
     BAUMGARTE,
     {"type": "none"},
 )
+WANTED = (1.0e-3, 1.0e-6, 1.0e-9)  # errors for which a choice is offered [rad or m]
 KEEPERS = ("rattle", "shake", "generalized_alpha")  # keep rows themselves
 
 

@@ -136,7 +136,8 @@ def _second(
         except MbdError:
             continue
         pairs = zip(ys, states, strict=True)
-        worst = max(distance(scene, simulation.system.expand(y), x) for y, x in pairs)
+        off = [distance(scene, simulation.system.expand(y), x) for y, x in pairs]
+        worst = float(np.max(off))  # nan stays nan
         if worst < best[1]:
             best = (f"{choice.method}, {choice.fineness}", worst)
         if worst <= _GOOD:

@@ -10,7 +10,7 @@ from mbd_ros.report.precision.converged import known
 from mbd_ros.report.precision.ladders import climb, families, planned
 from mbd_ros.report.precision.rattle_check import approach
 from mbd_ros.report.precision.text import compose
-from mbd_ros.report.subjects import Subject, subjects
+from mbd_ros.report.subjects import Subject, failures, is_own, subjects
 from mbd_ros.scene import load_scene
 
 _REFERENCE = "reference"
@@ -51,7 +51,8 @@ def section(outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
     scenes: dict[str, dict[str, Any]] = {}
     for item, outcome in outcomes:
         entry = scenes.setdefault(
-            item.name.split(".")[0], {"times": item.spec["times"], "runs": []}
+            item.name.split(".")[0],
+            {"times": item.spec["times"], "runs": [], "own": is_own(item.spec["scene"])},
         )
         if item.spec["family"] == _REFERENCE:
             entry["reference"] = outcome
@@ -59,7 +60,8 @@ def section(outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
             entry["failed"] = outcome["failed"]
         else:
             entry["runs"] += outcome["runs"]
-    return compose(scenes)
+    section = compose(scenes)
+    return section._replace(wrong=[*failures(outcomes), *section.wrong])
 
 
 def _item(scene: Scene, subject: Subject, family: str, quick: bool) -> Item:

@@ -1,16 +1,24 @@
 """Which runs make a work-precision diagram: integrators, and steps from coarse to fine."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 from mbd_ros.built_scene import Scene
 from mbd_ros.core.discontinuous.switching import DiscontinuousForce
-from mbd_ros.report.precision.choices import Choice, formulations, stabilizations
+from mbd_ros.report.precision.choices import (
+    WANTED,
+    Choice,
+    formulations,
+    of_record,
+    stabilizations,
+)
 from mbd_ros.report.precision.converged import Known
 from mbd_ros.report.precision.rungs import Record, measure
 
 _SERIES = (1.0, 2.0, 5.0)
+_FINER = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.4, 8.0)
 _TOLERANCES = tuple(10.0**-k for k in range(3, 13))
 
 
@@ -47,6 +55,7 @@ FAMILIES: Mapping[str, tuple[Ladder, ...]] = {
     "verlet": (_of("rattle", 5.0, 7, 3), _of("shake", 5.0, 7, 3)),
     "filippov": (_of("filippov", None, 10, 12), _of("filippov", 10.0, 6, 12)),
 }
+REFINED = ("adams", "dop853")  # steps are finer where these reach what is wanted
 CROSSED = "rk4"  # with it every formulation meets every stabilization
 
 
@@ -69,8 +78,37 @@ def climb(scene: Scene, family: str, motion: Known, quick: bool) -> list[Record]
     for solver, stabilization, is_main in _variants(scene, family):
         for ladder in FAMILIES[family]:
             thin = 1 if is_main and not quick else 2
-            records += _climb(scene, ladder, (solver, stabilization), motion, thin, quick)
+            climbed = _climb(scene, ladder, (solver, stabilization), motion, thin, quick)
+            records += climbed
+            if thin == 1 and family in REFINED and ladder.coarsest is not None:
+                most = 3.0 * _budget(scene, solver, thin, quick)
+                records += [measure(scene, c, motion, 3, most) for c in between(climbed)]
     return records
+
+
+def between(climbed: Sequence[Record]) -> list[Choice]:
+    """Choices between the first rung that reaches a wanted error and the one before.
+
+    Args:
+        climbed: Rungs of one ladder of steps, from coarse to fine.
+    """
+    rungs = [run for run in climbed if "left_out" not in run]
+    steps: dict[float, Choice] = {}
+    for error in WANTED:
+        for coarse, fine in pairwise(rungs):
+            if fine.get("position", math.inf) <= error:
+                if not coarse.get("position", math.inf) <= error:
+                    for dt in _inside(fine["dt"], coarse["dt"]):
+                        steps[dt] = of_record(fine)._replace(dt=dt)
+                break
+    return list(steps.values())
+
+
+def _inside(low: float, high: float) -> list[float]:
+    """Round steps between two [s]."""
+    tens = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    steps = [float(f"{digits * 10.0**k:.6g}") for k in tens for digits in _FINER]
+    return [dt for dt in steps if low < dt < high]
 
 
 def _variants(scene: Scene, family: str) -> Iterator[tuple[str, Any, bool]]:
@@ -87,7 +125,7 @@ def _climb(
 ) -> list[Record]:
     """One ladder; with `thin` 2 every other rung and half the time."""
     records: list[Record] = []
-    budget = (0.05 if quick else 0.2 / thin) / _evaluation(scene, variant[0])
+    budget = _budget(scene, variant[0], thin, quick)
     predicted, misses, best = 0.0, 0, math.inf
     for choice, ratio in _rungs(scene, ladder, variant, thin):
         if choice.integrator.get("tolerance") is None:
@@ -129,6 +167,11 @@ def _rungs(
         yield Choice(solver, stabilization, ladder.integrator, dt), 2.2**thin
 
 
+def _budget(scene: Scene, solver: str, thin: int, quick: bool) -> float:
+    """Evaluations that a run may take."""
+    return (0.05 if quick else 0.2 / thin) / _evaluation(scene, solver)
+
+
 def _evaluation(scene: Scene, solver: str) -> float:
     """About what one evaluation takes [s]; only to plan with."""
     system = scene.system(solver={"type": solver})
@@ -143,4 +186,5 @@ def planned(scene: Scene, family: str, quick: bool) -> float:
     """About how long `climb` takes [s]."""
     per_run = 0.05 if quick else 0.2
     main, others = len(FAMILIES[family]), len(list(_variants(scene, family))) - 1
-    return per_run * (4.0 * main + 1.5 * others * main) + 1.0
+    rungs = 6.0 if family in REFINED and not quick else 4.0
+    return per_run * (rungs * main + 1.5 * others * main) + 1.0

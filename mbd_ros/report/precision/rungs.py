@@ -86,14 +86,14 @@ def errors(
     system, problem = simulation.system, problem_of(scene)
     states = [system.expand(y) for y in ys]
     pairs = list(zip(states, motion.states, strict=True))
-    off = max(distance(scene, x, known) for x, known in pairs)
+    off = float(np.max([distance(scene, x, known) for x, known in pairs]))  # nan stays nan
     position = off if problem is None else error(problem, scene.robot, states)
     drifts = [drift(system, y) for y in ys]
     energies = np.array([system.energy(y) for y in ys])
     found: dict[str, float] = {
         "position": position,
         "configuration": off,
-        "velocity": max(float(np.abs(x.v - known.v).max()) for x, known in pairs),
+        "velocity": float(np.max([np.abs(x.v - known.v).max() for x, known in pairs])),
         "energy": float(np.abs(energies - motion.energies).max()),
         "drift": max(d.position for d in drifts),
         "drift_rate": max(d.velocity for d in drifts),

@@ -6,17 +6,18 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.report.items import Section, Table
-from mbd_ros.report.precision.choices import Choice, of_record, snippet
+from mbd_ros.report.precision.choices import WANTED, Choice, of_record, snippet
 from mbd_ros.report.precision.pareto import Point, cheapest, front
 from mbd_ros.report.precision.work_precision import diagram
 
-WANTED = (1.0e-3, 1.0e-6, 1.0e-9)
 _TEXT = (
     "Every way to integrate a scene against its converged motion. The cheapest choice for an "
     "error is the cheapest run that was made and is as precise; its lines for a scene file stand "
     "below the scene. Formulation and stabilization are named where they are not those that the "
     "scene has by itself; what needs no stabilization is known to do without it over the compared "
-    "time only. A dash: no run was that precise.",
+    "time only. A dash: no run was that precise. Errors grow with the span of simulated time, "
+    "which stands beside the scene. A motion that no second method computed again is an unchecked "
+    "reference: no choice is offered for it.",
     "In the plots a line is the front of one integrator, all its orders together, as the scene "
     "has it by itself. Other runs are dots; on the Pareto front of all, symbols without a line.",
     "Position errors are in the measure of the published reference where there is one, otherwise "
@@ -33,6 +34,7 @@ _TEXT = (
     "and where there are rows RATTLE, which never reads the drift of a constraint, must come "
     "nearer with every smaller step. Errors below the agreement count as the agreement.",
 )
+UNCHECKED = "unchecked reference"
 _HEADLINE = "Cheapest choices, CPU per simulated second"
 _COLUMNS = (
     "position",
@@ -58,14 +60,23 @@ def compose(scenes: Mapping[str, Mapping[str, Any]]) -> Section:
         done = finished(entry["runs"])
         if not done:
             continue
+        if not is_checked(entry) and entry.get("own"):
+            wrong.append(f"{name}: {UNCHECKED}")
         points = points_of(done, known.get("agreement"))
-        tables.append(_table(name, done, points))
-        title = f"{name}: {entry['times'][-1]:g} s"
+        doubt = "" if is_checked(entry) else f", {UNCHECKED}"
+        tables.append(_table(f"{name}: Pareto front{doubt}", done, points))
+        title = f"{name}: {entry['times'][-1]:g} s{doubt}"
         figures[f"precision_{name}"] = diagram(title, done, points)
-        snippets |= _snippets(name, done, points)
+        if is_checked(entry):
+            snippets |= _snippets(name, done, points)
     tables.append(_references(scenes))
     text = [*_TEXT, *repeatable([run for entry in scenes.values() for run in entry["runs"]])]
     return Section("Error against run time", text, tables, figures, wrong, snippets, (_HEADLINE,))
+
+
+def is_checked(entry: Mapping[str, Any]) -> bool:
+    """Whether a second method agrees with the motion against which runs are measured."""
+    return entry.get("reference", {}).get("agreement") is not None
 
 
 def finished(runs: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -75,12 +86,13 @@ def finished(runs: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 
 def repeatable(runs: Sequence[Mapping[str, Any]]) -> list[str]:
     """How far times may be off, as a paragraph; none without runs."""
-    spreads = [run["spread"] for run in finished(runs)]
+    spreads = [run["spread"] for run in finished(runs) if run["spread"] is not None]
     if not spreads:
         return []
     share = float(np.percentile(spreads, 99))
     return [
-        f"Spread: the repeats of 99 of 100 runs agree within {share:.0%}. As much may lie between "
+        f"Spread: of the {len(spreads)} runs that were made more than once, the repeats of 99 of "
+        f"100 runs agree within {share:.0%}. As much may lie between "
         "the times of two reports on one machine; errors are the same to the last digit."
     ]
 
@@ -95,14 +107,17 @@ def _choices(scenes: Mapping[str, Mapping[str, Any]]) -> Table:
     """What to take for an error, and what it costs."""
     rows = []
     for name, entry in scenes.items():
-        runs = finished(entry["runs"])
+        runs, span = finished(entry["runs"]), f"{entry['times'][-1]:g} s"
         if not runs and _failure(entry):
-            rows.append([name, "stopped, see References", *[""] * (len(WANTED) - 1)])
+            rows.append([name, span, "stopped, see References", *[""] * (len(WANTED) - 1)])
+            continue
+        if not is_checked(entry):
+            rows.append([name, span, f"{UNCHECKED}, see References", *[""] * (len(WANTED) - 1)])
             continue
         points = points_of(runs, entry.get("reference", {}).get("agreement"))
         best = [cheapest(points, error) for error in WANTED]
-        rows.append([name, *("-" if i is None else _priced(runs[i]) for i in best)])
-    return Table(_HEADLINE, ["scene", *(f"error {power(e)}" for e in WANTED)], rows)
+        rows.append([name, span, *("-" if i is None else _priced(runs[i]) for i in best)])
+    return Table(_HEADLINE, ["scene", "span", *(f"error {power(e)}" for e in WANTED)], rows)
 
 
 def _priced(run: Mapping[str, Any]) -> str:
@@ -156,9 +171,9 @@ def _failure(entry: Mapping[str, Any]) -> str:
     return str(entry.get("reference", {}).get("failed") or entry.get("failed") or "")
 
 
-def _table(name: str, runs: Sequence[Mapping[str, Any]], points: Sequence[Point]) -> Table:
+def _table(title: str, runs: Sequence[Mapping[str, Any]], points: Sequence[Point]) -> Table:
     rows = [_row(runs[i]) for i in front(points)]
-    return Table(f"{name}: Pareto front", _COLUMNS, rows)
+    return Table(title, _COLUMNS, rows)
 
 
 def _row(run: Mapping[str, Any]) -> list[str]:

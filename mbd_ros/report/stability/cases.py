@@ -1,11 +1,14 @@
 """A scene, what its motion must be, and what a method can make of it."""
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
+from mbd_ros.built_scene import Scene
 from mbd_ros.errors import MbdError
 from mbd_ros.part_entries import build_part
 from mbd_ros.report.stability.motion import Grid
@@ -56,6 +59,10 @@ class Case:
         loaded: The scene.
         grid: Times of the comparison.
 
+    Attributes:
+        energies: Of the reference, at every quarter of an interval [J].
+        swing: Energy that changes between its forms [J].
+
     Raises:
         MbdError: The scene cannot even begin.
     """
@@ -63,30 +70,32 @@ class Case:
     def __init__(self, loaded: LoadedScene, grid: Grid) -> None:
         self.scene, self.witness = loaded.scene, Witness(loaded)
         self.reference: Reference = reference(self.scene, grid)
-        stored = [self.witness.energy(x) for x in self.reference.states]
+        stored = [self.witness.energy(x) for x in self.reference.fine]
         kinetic = np.array([k for k, _ in stored])
         potential = np.array([p for _, p in stored])
         swing = float(np.ptp(potential)) + float(kinetic.max())
         self.energies, self.swing = kinetic + potential, max(swing, 1.0e-9)
 
-    def applicable(self) -> list[str]:
-        """Methods that take this scene."""
-        bounded = any(part.bounds is not None for part in self.scene.constraints)
-        refused = {"rattle", "generalized_alpha"} if bounded else set()
-        if self.scene.robot.floating:
-            refused.add("adams")
-        return [name for name in METHODS if name not in refused]
 
-    def tiers(self, method: str) -> list[str]:
-        """Tiers that serve the scene with a method, and differ."""
-        has_couplings = bool(self.scene.couplings.dependent)
-        found = ["auto"]
-        if has_couplings and not self.scene.constraints:
-            found.append("kkt")
-        keeps_rows = method in ("rattle", "generalized_alpha")
-        if (has_couplings or self.scene.has_loops) and not keeps_rows:
-            found.append("qp")
-        return found
+def applicable(scene: Scene) -> list[str]:
+    """Methods that take a scene."""
+    bounded = any(part.bounds is not None for part in scene.constraints)
+    refused = {"rattle", "generalized_alpha"} if bounded else set()
+    if scene.robot.floating:
+        refused.add("adams")
+    return [name for name in METHODS if name not in refused]
+
+
+def tiers(scene: Scene, method: str) -> list[str]:
+    """Tiers that serve a scene with a method, and differ."""
+    has_couplings = bool(scene.couplings.dependent)
+    found = ["auto"]
+    if has_couplings and not scene.constraints:
+        found.append("kkt")
+    keeps_rows = method in ("rattle", "generalized_alpha")
+    if (has_couplings or scene.has_loops) and not keeps_rows:
+        found.append("qp")
+    return found
 
 
 def longest_step(method: str, rate: float) -> float:
@@ -94,6 +103,20 @@ def longest_step(method: str, rate: float) -> float:
     return integrator(method).stable / rate
 
 
+def chooses_steps(method: str) -> bool:
+    """Whether a method chooses its steps, so that no step is recommended."""
+    return integrator(method).stable == math.inf
+
+
 def integrator(method: str) -> Any:
     """The integrator of a key of `METHODS`."""
     return build_part("integrators", METHODS[method], "stability")
+
+
+def is_named(case: Case, reason: str) -> bool:
+    """Whether a message names a time, a joint, a link or a row."""
+    robot = case.scene.robot
+    links = [frame.name for frame in robot.model.frames if frame.type == pin.FrameType.BODY]
+    rows = [row.name for part in case.scene.constraints for row in part.rows]
+    names = (*(joint.name for joint in robot.joints), *links, *rows)
+    return "t = " in reason or any(re.search(rf"\b{re.escape(n)}\b", reason) for n in names)

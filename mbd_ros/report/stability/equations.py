@@ -7,7 +7,16 @@ import pinocchio as pin
 
 from mbd_ros.core.manifold.assembly import assemble
 from mbd_ros.core.state import State
-from mbd_ros.report.stability.cases import CLOSED, CONVERGED, WRONG, Case, Verdict, raised
+from mbd_ros.report.stability.cases import (
+    CLOSED,
+    CONVERGED,
+    STOPPED,
+    WRONG,
+    Case,
+    Verdict,
+    is_named,
+    raised,
+)
 from mbd_ros.report.stability.motion import Grid
 from mbd_ros.report.stability.reference_motion import FINE, first
 
@@ -17,13 +26,36 @@ _QUADRATURE = 10.0  # how many times its estimate an error of the work may be
 _STATES = 3
 
 
-def equations(case: Case, tiers: list[str]) -> Verdict:
+def equations(case: Case, tiers: list[str], stops: str | None = None) -> Verdict:
     """Equations of motion, rows and energy along the reference motion, in some tiers.
 
     Args:
         case: The case.
         tiers: Solver types.
+        stops: As that of `unexpected`.
     """
+    found = _equations(case, tiers)
+    reason = case.reference.reason
+    if found.kind == CONVERGED and reason:
+        found = Verdict(STOPPED, math.inf, f"the reference stops: {reason}")
+    if found.kind == STOPPED and not is_named(case, found.text):
+        return Verdict(WRONG, math.inf, f"stopped without saying where: {found.text}")
+    return unexpected(found, stops)
+
+
+def unexpected(found: Verdict, stops: str | None) -> Verdict:
+    """A stop as what it is: wrong in a scene of this package that must not stop.
+
+    Args:
+        found: A verdict.
+        stops: What the expected stop says, empty if none is; None for a scene of a user.
+    """
+    if found.kind != STOPPED or stops is None or (stops and stops in found.text):
+        return found
+    return Verdict(WRONG, found.error, f"must not stop: {found.text}")
+
+
+def _equations(case: Case, tiers: list[str]) -> Verdict:
     try:
         for x in case.reference.states:
             if not case.witness.violation(x) <= CLOSED * (1.0 + float(np.abs(x.q).max())):

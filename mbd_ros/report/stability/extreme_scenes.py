@@ -36,6 +36,8 @@ class Extreme(NamedTuple):
         factor: Step in multiples of the longest one without a warning; with `dt` unused.
         dt: Step of all methods [s], or 0.
         seconds: About how long it takes.
+        stops: What the message of a stop that is expected here says; empty if none is.
+        repeats: Whether another row has the runs of methods that choose their steps.
     """
 
     family: str
@@ -45,6 +47,8 @@ class Extreme(NamedTuple):
     factor: float = _CAREFUL
     dt: float = 0.0
     seconds: float = 3.0
+    stops: str = ""
+    repeats: bool = False
 
     @property
     def name(self) -> str:
@@ -142,7 +146,7 @@ def _steps() -> Iterator[Extreme]:
     for name, grid in grids.items():
         for factor in (0.03, 0.1, 0.3, 1.0, 2.0, 5.0, 10.0):
             label = f"{factor:g} x recommended, {name.rpartition('/')[2]}"
-            yield Extreme("step", label, _file(name), grid, factor)
+            yield Extreme("step", label, _file(name), grid, factor, repeats=factor != 1.0)
 
 
 def _speeds() -> Iterator[Extreme]:

@@ -20,6 +20,7 @@ from mbd_ros.report.stability.cases import (
     WARNED,
     WRONG,
 )
+from mbd_ros.report.stability.row_labels import row_label
 
 # Colours of Okabe and Ito, which colour-blind people tell apart; the symbols do without them.
 _COLORS = {
@@ -85,7 +86,7 @@ def _symbol(cell: Mapping[str, Any]) -> str:
 def _label(rows: Sequence[Mapping[str, Any]], i: int) -> str:
     row = rows[i]
     is_first = i == 0 or rows[i - 1]["family"] != row["family"]
-    return f"{row['family']}: {row['label']}" if is_first else str(row["label"])
+    return f"{row['family']}: {row_label(row)}" if is_first else row_label(row)
 
 
 def _separate(axes: Any, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -8,24 +8,33 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.built_scene import Scene
 from mbd_ros.report.items import Item, Outcome, Section, Spec
-from mbd_ros.report.stability.cases import METHODS, WRONG, Case, Verdict, raised
-from mbd_ros.report.stability.equations import equations
+from mbd_ros.report.stability.cases import (
+    WRONG,
+    Case,
+    Verdict,
+    chooses_steps,
+    longest_step,
+    raised,
+    tiers,
+)
+from mbd_ros.report.stability.equations import equations, unexpected
 from mbd_ros.report.stability.extreme_scenes import Extreme, extremes, item_name
 from mbd_ros.report.stability.motion import Grid
 from mbd_ros.report.stability.page import stability_section
 from mbd_ros.report.stability.random_scenes import random_scene
-from mbd_ros.report.stability.reference_motion import starting_rate
+from mbd_ros.report.stability.reference_motion import LEAST_RATE, starting_rate
+from mbd_ros.report.stability.runs import Run, every_method, some_methods, usual_grid
 from mbd_ros.report.stability.scene_text import LoadedScene, SceneText, load, load_file
-from mbd_ros.report.stability.verdicts import judge
+from mbd_ros.report.stability.steps import asked_step, room
+from mbd_ros.report.stability.verdicts import judge, step_on
 
 KIND = "stability"
 SCENES, BATCH, QUICK = 2100, 100, 30
-_RUNS = 3  # methods that each random scene meets
-_FACTORS, _SHARES = (0.1, 0.5, 2.0, 10.0), (0.6, 0.2, 0.1, 0.1)
-_TURNS, _LONGEST, _POINTS = 12.0, 0.12, 12  # span: in 1 / rate, and at most [s]; intervals
 _USER_FACTORS = (0.1, 1.0, 10.0)
 _SECONDS = 0.4  # a random scene
+_EQUATIONS = "equations"
 
 
 def items(scenes: Sequence[str], quick: bool) -> list[Item]:
@@ -64,19 +73,21 @@ def section(outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
 def extreme_row(row: Extreme) -> Outcome:
     """One scene under every method that takes it."""
     facts = {"family": row.family, "label": row.label, "factor": row.factor, "dt": row.dt}
-    return {**facts, **_row(row.load, row.grid, partial(_every, row.factor, row.dt))}
+    plan = partial(every_method, row.factor, row.dt, row.repeats)
+    return {**facts, **_row(row.load, row.grid, plan, row.stops)}
 
 
 def user_row(name: str, factor: float) -> Outcome:
     """The same for a scene of a user."""
     facts = {"family": Path(name).stem, "label": f"{factor:g} x recommended", "factor": factor}
-    return {**facts, "dt": 0.0, **_row(partial(load_file, name), None, partial(_every, factor, 0))}
+    plan = partial(every_method, factor, 0.0, factor != 1.0)
+    return {**facts, "dt": 0.0, **_row(partial(load_file, name), None, plan, None)}
 
 
 def random_row(seed: int) -> Outcome:
-    """One random scene under a few methods, tiers and steps that its seed chooses."""
+    """One random scene under a few methods and tiers, at a step that its seed chooses."""
     text = random_scene(seed)
-    found = {"seed": seed, **_row(partial(load, text), None, partial(_some, seed))}
+    found = {"seed": seed, **_row(partial(load, text), None, partial(some_methods, seed), "")}
     return {**found, **_kept(text)} if is_wrong(found) else found
 
 
@@ -92,18 +103,32 @@ def _kept(text: SceneText) -> Outcome:
 def _row(
     read: Callable[[], LoadedScene],
     grid: Grid | None,
-    cells: Callable[[Case], list[Outcome]],
+    plan: Callable[[Scene], list[Run]],
+    stops: str | None,
 ) -> Outcome:
-    """What a scene comes to: how far its motion is known, and its cells."""
+    """What a scene comes to: how far its motion is known, and its cells.
+
+    Args:
+        read: Reads the scene.
+        grid: Times of the comparison; None for the usual ones.
+        plan: The runs of a scene.
+        stops: What the expected stop of a scene of this package says, empty if it must not stop;
+            None for a scene of a user, which may.
+    """
     try:
         loaded = read()
-        if not math.isfinite(starting_rate(loaded.scene)):
+        rate = starting_rate(loaded.scene)
+        if not math.isfinite(rate):
             verdict = Verdict(WRONG, math.inf, "accelerations at the start are not finite")
-            return {"cells": [_cell("equations", verdict)]}
-        case = Case(loaded, grid or usual_grid(loaded))
+            return {"cells": [_cell(_EQUATIONS, verdict)]}
+        runs = plan(loaded.scene)
+        steps = [asked_step(r.method, rate, r.factor, r.dt) for r in runs if rate > LEAST_RATE]
+        longest = max(steps, default=0.0)
+        case = Case(loaded, room(grid or usual_grid(loaded), longest))
     except Exception as error:  # noqa: BLE001 - every exception is a verdict
-        return {"cells": [_cell("equations", raised(error))]}
+        return {"cells": [_cell(_EQUATIONS, unexpected(raised(error), stops))]}
     known = case.reference
+    verdict = equations(case, tiers(loaded.scene, "rk4"), stops)
     return {
         "known_until": known.grid.interval * max(0, known.horizon - 1),
         "span": known.grid.span,
@@ -111,35 +136,32 @@ def _row(
         "growth": _short(known.growth),
         "second": known.second,
         "rates": [_short(rate) for rate in known.rates],
-        "cells": [_cell("equations", equations(case, case.tiers("rk4"))), *cells(case)],
+        "cells": [_cell(_EQUATIONS, verdict), *(_judged(case, run) for run in runs)],
     }
 
 
-def usual_grid(loaded: LoadedScene) -> Grid:
-    """Some turns of the fastest motion at the start."""
-    span = min(_LONGEST, _TURNS / starting_rate(loaded.scene))
-    return Grid(span / _POINTS, _POINTS)
+def _judged(case: Case, run: Run) -> Outcome:
+    """The cell of a run."""
+    verdict = judge(case, run.method, run.factor, run.tier, run.dt)
+    if chooses_steps(run.method):
+        return _cell(run.method, verdict, tier=run.tier)
+    dt, rate = step_on(case, run.method, run.factor, run.dt), case.reference.rates[0]
+    if rate <= LEAST_RATE:
+        return _cell(run.method, verdict, tier=run.tier, dt=_short(dt))
+    ran = dt / longest_step(run.method, rate)
+    return _cell(run.method, verdict, run.factor, run.tier, _short(ran), _short(dt))
 
 
-def _every(factor: float, dt: float, case: Case) -> list[Outcome]:
-    return [
-        _cell(method, judge(case, method, factor, dt=dt), factor=factor)
-        for method in METHODS
-        if method in case.applicable()
-    ]
-
-
-def _some(seed: int, case: Case) -> list[Outcome]:
-    rng, cells = np.random.default_rng(seed), []
-    for method in map(str, rng.choice(case.applicable(), _RUNS, replace=False)):
-        factor = float(rng.choice(_FACTORS, p=_SHARES))
-        tier = str(rng.choice(case.tiers(method)))
-        cells.append(_cell(method, judge(case, method, factor, tier), factor, tier))
-    return cells
-
-
-def _cell(method: str, verdict: Verdict, factor: float = 0.0, tier: str = "auto") -> Outcome:
-    facts = {"method": method, "factor": factor, "tier": tier}
+def _cell(
+    method: str,
+    verdict: Verdict,
+    factor: float = 0.0,
+    tier: str = "auto",
+    ran: float = 0.0,
+    dt: float = 0.0,
+) -> Outcome:
+    """What is stored: `factor` is what was asked for, `ran` and `dt` what the run had."""
+    facts = {"method": method, "factor": factor, "ran": ran, "dt": dt, "tier": tier}
     return {**facts, "kind": verdict.kind, "error": _short(verdict.error), "text": verdict.text}
 
 

@@ -43,8 +43,8 @@ def motion(
     Args:
         scene: The scene.
         method: Integrator entry.
-        dt: A whole fraction or multiple of the interval [s]; after a multiple the states between
-            are missing from the result.
+        dt: A whole fraction of the interval [s], or a longer step than half of it, whose states
+            are all kept.
         grid: When to keep states.
         solver: Tier.
         **others: `start`: state to begin with; `stabilization`: entry.

@@ -10,22 +10,22 @@ import numpy as np
 
 from mbd_ros.report.items import Item, Outcome, Section, Table
 from mbd_ros.report.stability.cases import (
-    BOUNDED,
     CONVERGED,
     METHODS,
     STOPPED,
     VERDICTS,
-    WARNED,
     WRONG,
 )
 from mbd_ros.report.stability.figures import verdict_map
-from mbd_ros.report.stability.verdicts import ASKED
+from mbd_ros.report.stability.meanings import MEANINGS
+from mbd_ros.report.stability.row_labels import row_label
 
 TITLE = "Stability"
 _METHODS_TABLE = "Verdicts by method"
 _NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 _ROW = re.compile(r"row \S+")
 _SHOWN = 25  # reasons
+_SHORT, _TELLING = 0.1, 50  # multiple of the recommended step; runs that tell of a whole
 Cells = Sequence[tuple[str, Mapping[str, Any]]]  # name of the row, cell
 
 
@@ -44,13 +44,16 @@ def stability_section(outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
         text=_text(rows, drawn, cells),
         tables=tables,
         figures=figures,
-        wrong=[line for item, outcome in outcomes for line in _wrong(item, outcome)],
+        wrong=[
+            *(line for item, outcome in outcomes for line in _wrong(item, outcome)),
+            *_mostly_stopped([c for i, o in outcomes if "scene" not in i.spec for c in _cells(o)]),
+        ],
         headline=[_METHODS_TABLE, *figures],
     )
 
 
 def _name(row: Mapping[str, Any]) -> str:
-    return f"random scene {row['seed']}" if "seed" in row else f"{row['family']}, {row['label']}"
+    return f"random scene {row['seed']}" if "seed" in row else f"{row['family']}, {row_label(row)}"
 
 
 def _wrong(item: Item, outcome: Outcome) -> list[str]:
@@ -61,9 +64,25 @@ def _wrong(item: Item, outcome: Outcome) -> list[str]:
         again = f"again: mbd_ros.report.stability.run({spec})"
         for cell in row["cells"]:
             if cell["kind"] == WRONG:
-                how = f"{cell['method']}, {cell['factor']:g} x recommended, tier {cell['tier']}"
+                step = f"dt = {cell['dt']:g} s"
+                step += f", {cell['ran']:g} x recommended" if cell["ran"] else ""
+                how = f"{cell['method']}, {step if cell['dt'] else 'own steps'}"
+                how = f"{how}, tier {cell['tier']}"
                 lines.append(f"{_name(row)}, {how}: {cell['text']}; {again}")
     return lines
+
+
+def _cells(outcome: Outcome) -> list[Mapping[str, Any]]:
+    return [cell for row in outcome.get("random", (outcome,)) for cell in row["cells"]]
+
+
+def _mostly_stopped(cells: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Stops with a reason, each right by itself, that together say that nothing works."""
+    short = [cell for cell in cells if 0.0 < cell["factor"] <= _SHORT]
+    stops = sum(cell["kind"] == STOPPED for cell in short)
+    if len(short) < _TELLING or 2 * stops <= len(short):
+        return []
+    return [f"{stops} of {len(short)} runs stop, at {_SHORT:g} x the recommended step or less"]
 
 
 def _text(
@@ -77,21 +96,12 @@ def _text(
     worst = max(growth, default=1.0)
     return [
         f"{len(rows)} extreme scenes under every method and {len(drawn)} random scenes under "
-        f"three methods, tiers and steps each: {counts}.",
-        f"{CONVERGED}: within {ASKED:g} of the size of the motion. {BOUNDED}: further off, but "
-        "with bounded energy, and shorter steps lead to the reference or the step does not "
-        f"resolve the motion. {STOPPED}: an error that names time, joint or row. {WARNED}: "
-        "garbage with finite numbers, of which `check` or `simulate` warns. "
-        f"{WRONG}: not a number, another exception, or finite but wrong without a warning; any "
-        "such cell fails the report.",
-        "References: DOP853 with tolerance 1e-9, which Gauss-Legendre of order 6 or DOPRI5 with "
-        "tolerance confirms to 1e-4. Cells named `equations` hold the accelerations against "
-        "mechanics evaluated apart from the code that made them: Newton-Euler residual, g'' and J "
-        "by differences of constraints evaluated from frame placements, complementarity, energy "
-        "against the work done.",
+        f"three methods and tiers and one multiple of the recommended step each: {counts}.",
+        *MEANINGS,
         f"Chaos: {whole} of {len(known)} motions are compared to their end; the others only for "
-        "as long as a perturbation grows less than 1e3-fold and both references agree. The "
-        f"largest growth within what is compared is {worst:.0f}-fold.",
+        "as long as a perturbation grows less than 1e3-fold and both references agree, a time "
+        "that their labels name. The largest growth within what is compared is "
+        f"{worst:.0f}-fold.",
     ]
 
 
@@ -111,9 +121,12 @@ def _steps(drawn: Sequence[Mapping[str, Any]]) -> Table:
     cells = [cell for row in drawn for cell in row["cells"] if cell["factor"] > 0.0]
     rows = []
     for factor in sorted({cell["factor"] for cell in cells}):
-        kinds = Counter(cell["kind"] for cell in cells if cell["factor"] == factor)
-        rows.append([f"{factor:g}", *(str(kinds[kind]) for kind in VERDICTS)])
-    return Table("Random scenes by step", ["step / recommended", *VERDICTS], rows)
+        mine = [cell for cell in cells if cell["factor"] == factor]
+        kinds = Counter(cell["kind"] for cell in mine)
+        ran = f"{min(c['ran'] for c in mine):.2g} to {max(c['ran'] for c in mine):.2g}"
+        rows.append([f"{factor:g}", ran, *(str(kinds[kind]) for kind in VERDICTS)])
+    columns = ["step / recommended", "was run at", *VERDICTS]
+    return Table("Random scenes by step", columns, rows)
 
 
 def _reasons(cells: Cells) -> Table:

@@ -9,21 +9,23 @@ from mbd_ros.built_scene import Scene
 from mbd_ros.core.integration.linearization import fastest_rate
 from mbd_ros.core.manifold.assembly import assemble
 from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
 from mbd_ros.report.stability.motion import Grid, Motion, motion
 
 _FIRST = {"type": "dop853"}
 _SECOND = {"type": "gauss_legendre", "stages": 3}
-_THIRD = {
-    "type": "dopri5",
-    "tolerance": 1.0e-7,
-}  # where Newton finds no stops
+_THIRD = {"type": "dopri5", "tolerance": 1.0e-7}  # where Newton finds no stops
+_LONG = {"type": "dopri5", "tolerance": 1.0e-9}  # where motions are long, and smooth
 _TOLERANCES = (1.0e-9, 1.0e-7)  # rows that jump may not allow the first
 _GROWTH = {"type": "dopri5", "tolerance": 1.0e-6}
 FINE = 4
+_ON_TIME = 1.0e-6  # of a quarter of an interval
 AGREED = 1.0e-4  # difference of the two, relative, up to which errors of cells can be told
+_NEAR = 100.0  # times as much, from where a tolerance that much smaller is worth its time
 _TOLD = 1.0e3  # growth of a perturbation up to which a motion is compared
 _PERTURBATION = 1.0e-4
 _PER_RATE = 0.4  # first step of the second method, in 1 / rate
+LEAST_RATE = 1.0e-3  # [1/s], of a scene in which nothing has one
 _STEPS = 2_000  # more than that are not made for a second opinion
 
 
@@ -55,6 +57,16 @@ class Reference(NamedTuple):
     reason: str
     rates: tuple[float, float]
 
+    @property
+    def known(self) -> list[State]:
+        """States that can be compared with, at every quarter of an interval."""
+        return self.fine[: FINE * (self.horizon - 1) + 1] if self.horizon else []
+
+    def quarter(self, x: State) -> int | None:
+        """How many quarters of an interval a state is after the start; None between them."""
+        quarters = (x.t - self.fine[0].t) * FINE / self.grid.interval
+        return round(quarters) if abs(quarters - round(quarters)) < _ON_TIME else None
+
 
 def reference(scene: Scene, grid: Grid) -> Reference:
     """The reference motion of a scene.
@@ -64,12 +76,16 @@ def reference(scene: Scene, grid: Grid) -> Reference:
     """
     rate = starting_rate(scene)
     found = first(scene, Grid(grid.interval / FINE, FINE * grid.count))
+    if not found.states:
+        raise SolveError(f"the reference does not begin: {found.reason}")
     states = found.states[::FINE]
     rates = rate, _largest_rate(scene, states, rate)
     size = _size(scene, states)
-    difference, second = _second(scene, grid, states, size, rates[1])
     growth = _growth(scene, grid, states, size)
-    told = [d <= AGREED and g <= _TOLD for d, g in zip(difference, growth, strict=False)]
+    tame = sum(g <= _TOLD for g in growth)  # it never falls
+    shorter = Grid(grid.interval, max(1, tame - 1))
+    difference, second = _second(scene, shorter, states[:tame], size, rates[1])
+    told = [d <= AGREED for d in difference[:tame]]
     horizon = told.index(False) if False in told else len(told)
     return Reference(
         grid=grid,
@@ -108,15 +124,18 @@ def _second(
 
     Args:
         scene: The scene.
-        grid: The times.
-        states: The first motion.
+        grid: The times, as long as a perturbation does not grow.
+        states: The first motion there.
         size: Size of the motion.
         rate: Fastest rate [1/s].
     """
     step = _fitting(grid.interval, _PER_RATE / rate)
     closest, name = [np.inf], ""
     methods = [(_SECOND, step)] if step * _STEPS > grid.span else []
-    for method, dt in (*methods, (_THIRD, grid.interval)):
+    is_smooth = all(part.bounds is None for part in scene.constraints)
+    for method, dt in (*methods, (_THIRD, grid.interval), (_LONG, grid.interval)):
+        if method is _LONG and not (is_smooth and max(closest) <= _NEAR * AGREED):
+            break
         found = motion(scene, method, dt, grid).states
         pairs = zip(states, found, strict=False)
         away = [distance(scene, a, b, size) for a, b in pairs]
@@ -130,7 +149,7 @@ def _second(
 def starting_rate(scene: Scene) -> float:
     """Fastest rate at the start, which the recommended step follows from [1/s]."""
     system = scene.system()
-    return max(fastest_rate(system, assemble(system, system.reduce(scene.initial))), 1.0e-3)
+    return max(fastest_rate(system, assemble(system, system.reduce(scene.initial))), LEAST_RATE)
 
 
 def distance(scene: Scene, a: State, b: State, size: tuple[float, float]) -> float:

@@ -18,17 +18,18 @@ from mbd_ros.report.stability.cases import (
     Case,
     Verdict,
     integrator,
-    longest_step,
+    is_named,
 )
-from mbd_ros.report.stability.motion import Grid, Motion, motion
+from mbd_ros.report.stability.motion import Motion, motion
 from mbd_ros.report.stability.reference_motion import distance
 from mbd_ros.report.stability.scene_text import Entry
+from mbd_ros.report.stability.steps import asked_step, fitted
 from mbd_ros.step_check import step_warnings
 
 ASKED = 1.0e-3  # error relative to the size of the motion
 _SLOW = 1.0e-7  # the same of rates, relative to the fastest joint
 _ENERGY = 10.0  # how many times the energy of the motion an error of it may be
-_COARSE = 0.5  # rate times step from which on an implicit method does not resolve the motion
+COARSE = 0.5  # rate times step from which on an implicit method does not resolve the motion
 _HALVINGS = 8
 _AT_ONCE, _IN_THE_END = 0.6, 0.1  # what shorter steps must leave of the error
 
@@ -52,18 +53,13 @@ def judge(
         dt: Step instead of the factor [s], if > 0.
         **others: As those of `motion`.
     """
-    grid, rate = case.reference.grid, case.reference.rates[0]
-    wanted = dt if dt > 0.0 else factor * longest_step(method, rate)
-    if longest_step(method, rate) == math.inf:
-        wanted = grid.interval
-    return _Run(case, method, tier, others).verdict(_on(grid, wanted))
+    return _Run(case, method, tier, others).verdict(step_on(case, method, factor, dt))
 
 
-def _on(grid: Grid, dt: float) -> float:
-    """The nearest step that meets the grid, not longer."""
-    if dt < grid.interval:
-        return grid.interval / math.ceil(grid.interval / dt - 1.0e-9)
-    return grid.interval * min(math.floor(dt / grid.interval + 1.0e-9), grid.count)
+def step_on(case: Case, method: str, factor: float, dt: float = 0.0) -> float:
+    """The step of a run [s]: the nearest to what `judge` is asked for that meets the times."""
+    wanted = asked_step(method, case.reference.rates[0], factor, dt)
+    return fitted(case.reference.grid, wanted, is_longest=dt > 0.0 or factor <= 1.0)
 
 
 class _Run:
@@ -83,18 +79,19 @@ class _Run:
         if found.reason:
             return Verdict(STOPPED, error, found.reason)
         drift = self._drift(found.states)
-        is_known = self._case.reference.horizon > 1
-        if error <= ASKED and is_known and not drift:
+        if error <= ASKED and not drift:
             return Verdict(CONVERGED, error)
-        is_bounded = not drift and self._is_bounded(found.states, dt)
+        is_bounded = not drift and self._is_bounded(found.states)
         if self._is_warned(found, dt):
             return Verdict(BOUNDED if is_bounded else WARNED, error, drift)
         if drift:
             return Verdict(WRONG, error, drift)
-        if is_bounded and not self._method.is_explicit and dt * self._rate() > _COARSE:
+        if is_bounded and not self._method.is_explicit and dt * self._rate() > COARSE:
             return Verdict(BOUNDED, error)
-        if not is_known:
-            return Verdict(UNKNOWN, math.inf, "the motion is not known well enough to compare")
+        if error == math.inf:
+            if not is_bounded:
+                return Verdict(WRONG, error, "energy out of bounds without a warning")
+            return Verdict(UNKNOWN, error, "no time after the start can be compared")
         return self._smaller_steps(dt, error, is_bounded)
 
     def _rate(self) -> float:
@@ -110,35 +107,44 @@ class _Run:
 
     def _smaller_steps(self, dt: float, error: float, is_bounded: bool) -> Verdict:
         """Whether shorter steps lead to the reference: at once, or in the end."""
-        worst = error
+        worst, stop = error, ""
         for halving in range(0 if self._is_adaptive else _HALVINGS):
-            dt = _on(self._case.reference.grid, 0.5 * dt)
+            dt = fitted(self._case.reference.grid, 0.5 * dt)
             try:
                 found, after = self._attempt(dt)
             except Exception as mistake:  # noqa: BLE001 - as above
                 return Verdict(WRONG, math.inf, f"{type(mistake).__name__}: {mistake}")
-            if found.reason:
-                return Verdict(STOPPED, error, found.reason)
+            if self._ends_early(found):  # which asks for steps that are shorter still
+                stop = f"; with steps of {dt:.3g} s: {found.reason}"
+                continue
+            if after == math.inf:
+                continue
             worst = max(worst, after)
             if after <= max(ASKED, (_AT_ONCE if halving == 0 else _IN_THE_END) * worst):
                 if is_bounded:
                     return Verdict(BOUNDED, error)
                 return Verdict(WRONG, error, "energy out of bounds without a warning")
-        return Verdict(WRONG, error, f"off by {error:.3g}, and shorter steps do not help")
+        text = f"off by {error:.3g}, and shorter steps do not help{stop}"
+        return Verdict(UNKNOWN if stop and self._case.reference.reason else WRONG, error, text)
+
+    def _ends_early(self, found: Motion) -> bool:
+        """Whether a run stopped before all that is known of the motion."""
+        return bool(found.reason) and (
+            not found.states or found.states[-1].t < self._case.reference.known[-1].t
+        )
 
     def _attempt(self, dt: float) -> tuple[Motion, float]:
+        """A run, and its largest error after the start; inf if no time can be compared."""
         case = self._case
-        grid = case.reference.grid
+        grid, known, size = case.reference.grid, case.reference.known, case.reference.size
         found = motion(case.scene, self._entry, dt, grid, self._tier, **self._others)
-        every = max(1, round(dt / grid.interval))
-        known = case.reference.states[: case.reference.horizon][::every]
-        pairs = zip(known, found.states, strict=False)
-        size = case.reference.size
+        places = [(case.reference.quarter(x), x) for x in found.states[1:]]
+        pairs = [(known[k], x) for k, x in places if k is not None and k < len(known)]
         return found, max((distance(case.scene, a, b, size) for a, b in pairs), default=math.inf)
 
     def _unfit(self, found: Motion) -> str:
         """What nothing excuses: numbers that are not finite, a stop that does not say where."""
-        if found.reason and not _is_named(self._case, found.reason):
+        if found.reason and not is_named(self._case, found.reason):
             return f"stopped without saying where: {found.reason}"
         for x in found.states:
             if not (np.isfinite(x.q).all() and np.isfinite(x.v).all()):
@@ -159,17 +165,13 @@ class _Run:
                 return f"constraints open with {rate:.3g} per second at t = {x.t:.6g} s"
         return ""
 
-    def _is_bounded(self, states: list[State], dt: float) -> bool:
-        case = self._case
-        every = max(1, round(dt / case.reference.grid.interval))
-        energies = np.array([sum(case.witness.energy(x)) for x in states])
-        known = case.energies[::every][: len(energies)]
-        away = np.abs(energies[: len(known)] - known).max(initial=0.0)
-        return bool(away <= _ENERGY * case.swing)
-
-
-def _is_named(case: Case, reason: str) -> bool:
-    """Whether a message names a time, a joint or a row."""
-    names = [joint.name for joint in case.scene.robot.joints]
-    rows = [row.name for part in case.scene.constraints for row in part.rows]
-    return "t = " in reason or any(name in reason for name in (*names, *rows))
+    def _is_bounded(self, states: list[State]) -> bool:
+        """Whether the energy stays near that of the reference, or what that had in the end."""
+        case, last = self._case, len(self._case.energies) - 1
+        for x in states:
+            k = case.reference.quarter(x)
+            if k is not None:
+                energy = sum(case.witness.energy(x))
+                if not abs(energy - case.energies[min(k, last)]) <= _ENERGY * case.swing:
+                    return False
+        return True
