@@ -1,20 +1,17 @@
 """Sections of parts -> parts; what they import is what the scene names."""
 
-import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from mbd_ros import schema
 from mbd_ros.core.couplings import Couplings
-from mbd_ros.core.parts import Constraint
 from mbd_ros.core.qp import check_backend
-from mbd_ros.core.robot import Joint, Robot
+from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import State
 from mbd_ros.core.tiers import TIERS
 from mbd_ros.core.wrenches import ExternalWrench
@@ -23,7 +20,6 @@ from mbd_ros.registry import PARTS, resolve
 
 _WORD = "[A-Za-z_][A-Za-z0-9_]*"  # of a ROS 2 name
 _NAME, _TOPIC = re.compile(_WORD), re.compile(f"(~?/)?{_WORD}(/{_WORD})*")
-_SLACK = 1.0e-6  # rad or m beyond an end that is rounding
 
 
 @dataclass(frozen=True)
@@ -139,34 +135,3 @@ def initial_state(path: Path, robot: Robot, couplings: Couplings, section: Any) 
             (q if index == "q" else v)[getattr(joint, index)] = number
     couplings.expand(q, v, np.zeros(robot.model.nv))
     return State(0.0, q, v)
-
-
-def start_warnings(robot: Robot, constraints: Sequence[Constraint], x: State) -> Iterator[str]:
-    """Where a state to start from is beyond stops, or beyond the limits of the description.
-
-    Args:
-        robot: The robot.
-        constraints: Constraints of the scene.
-        x: State of all joints.
-    """
-    at_rest, data = x._replace(v=np.zeros_like(x.v)), robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, x.q)
-    for part in constraints:
-        joints = getattr(part, "joints", ())
-        is_stop = part.bounds is not None and np.all(part.bounds[0] == 0.0)
-        if is_stop and len(joints) == len(part.rows):
-            for name, gap in zip(joints, part.residual(data, at_rest), strict=True):
-                if gap < -_SLACK:
-                    unit = _unit(robot.joint(name))
-                    yield f"{name} starts {-gap:.3g} {unit} beyond its {type(part).__name__}"
-    for joint in robot.joints:
-        value = float(x.q[joint.q])
-        if not joint.lower - _SLACK <= value <= joint.upper + _SLACK:
-            unit = _unit(joint)
-            doubt = "; radians?" if unit == "rad" and abs(value) > math.pi else ""
-            limits = f"{joint.lower:g} .. {joint.upper:g}"
-            yield f"{joint.name} starts at {value:g} {unit}, outside its limits {limits}{doubt}"
-
-
-def _unit(joint: Joint) -> str:
-    return "m" if joint.kind == "prismatic" else "rad"

@@ -16,7 +16,7 @@ from mbd_ros.core.state import State
 from mbd_ros.core.system import System
 from mbd_ros.core.tiers import tier_of
 from mbd_ros.errors import SolveError
-from mbd_ros.part_entries import start_warnings
+from mbd_ros.start_check import start_warnings
 
 _CALLS, _FEW, _REPEATS = 2000, 100, 5
 _TIERS = {

@@ -14,11 +14,11 @@ from mbd_ros.core.simulation import Commands, Simulation
 from mbd_ros.core.state import NANOSECOND, State
 from mbd_ros.core.tiers import tier_of
 from mbd_ros.errors import DataError, DivergedError, MbdError, SolveError
-from mbd_ros.part_entries import start_warnings
 from mbd_ros.progress import progress
 from mbd_ros.records import SimulationRecord
 from mbd_ros.results import refuse_overwriting, write_simulation
 from mbd_ros.simulation_inputs import Run, check_words, drives, initial_state
+from mbd_ros.start_check import start_warnings
 from mbd_ros.step_check import step_warnings
 
 

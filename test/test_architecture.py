@@ -28,6 +28,7 @@ SCENE = {
         "scene",
         "scene_check",
         "schema",
+        "start_check",
         "strict_yaml",
     )
 }
