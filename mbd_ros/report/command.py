@@ -17,7 +17,8 @@ def add_report(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     report.add_argument("scenes", nargs="*", metavar="SCENE", help="default: all of this package")
     report.add_argument("--quick", action="store_true", help="a small part, in two minutes")
-    report.add_argument("-o", "--out", type=Path, default=Path("report_out"), metavar="DIR")
+    folder, text = Path("report_out"), "folder of the report (default: %(default)s)"
+    report.add_argument("-o", "--out", type=Path, default=folder, metavar="DIR", help=text)
     report.add_argument(
         "--only", nargs="+", choices=list(items.PARTS), metavar="KIND", help=", ".join(items.PARTS)
     )

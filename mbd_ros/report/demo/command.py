@@ -12,7 +12,8 @@ def add_demo(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     robots = "; ".join(f"{name}: {robot.title}" for name, robot in ROBOTS.items())
     demo = commands.add_parser("demo", help="a simulated robot, controlled over topics: one page")
     demo.add_argument("robot", nargs="?", choices=list(ROBOTS), default="arm", help=robots)
-    demo.add_argument("-o", "--out", type=Path, default=Path("demo_out"), metavar="DIR")
+    folder, text = Path("demo_out"), "folder of bag and page (default: %(default)s)"
+    demo.add_argument("-o", "--out", type=Path, default=folder, metavar="DIR", help=text)
     demo.add_argument("--time", type=float, default=10.0, help="simulated seconds (default: 10)")
     demo.add_argument(
         "--controller", choices=list(LAWS), default="sliding_mode", help="(default: %(default)s)"
