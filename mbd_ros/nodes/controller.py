@@ -80,7 +80,8 @@ class ControllerNode(JointStateNode):
     def deactivate_core(self) -> None:
         """Ramp down within `safe_ramp`, then the safe command."""
         loop = self._pipeline.loop
-        for _ in range(math.ceil(self.parameters.safe_ramp / WATCH) * (not loop.is_open)):
+        steps = math.ceil(self.parameters.safe_ramp / WATCH) if loop.weight < 1.0 else 0
+        for _ in range(steps):
             effort = loop.lapse(WATCH)
             if effort is None:
                 break
