@@ -14,7 +14,7 @@ from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.integration.dop853_tableau import DOP853
 from mbd_ros.core.integration.tableau import RK4
 from mbd_ros.core.state import State
-from mbd_ros.core.system import System
+from mbd_ros.core.system import System, writing
 from mbd_ros.errors import DivergedError, ModelError
 from mbd_ros.integrators.adams import Adams
 from mbd_ros.integrators.dop853 import Dop853
@@ -69,6 +69,9 @@ class Mass:
     def acceleration(self, t, q, v, u=None):
         self.evaluations += 1
         return np.array([self.law(t, q[0], v[0])])
+
+    def accelerator(self):
+        return writing(self.acceleration)
 
     def integrate(self, q, dq):
         return q + dq

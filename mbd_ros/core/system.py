@@ -1,5 +1,6 @@
 """Forward dynamics of an open chain: M(q) a + h(q, v) = tau."""
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -16,6 +17,16 @@ from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, Solution, State
 
 WORLD = pin.Convention.WORLD
+Accelerator = Callable[[float, Array, Array, Array | None, Array], None]  # the last one is written
+
+
+def writing(acceleration: Callable[[float, Array, Array, Array | None], Array]) -> Accelerator:
+    """A function of t, q, v, u that writes its result into a fifth argument, shape (nv,)."""
+
+    def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+        out[...] = acceleration(t, q, v, u)
+
+    return accelerate
 
 
 class System:
@@ -74,6 +85,10 @@ class System:
             return self._aba(q, v, self._zero, WORLD)
         a = self._aba(q, v, self._tau(t, q, v, u), WORLD)
         return a if self.bounded is None else self.bounded.accelerate(self, t, q, v, a)
+
+    def accelerator(self) -> Accelerator:
+        """`acceleration` for loops that keep its results."""
+        return writing(self.acceleration)
 
     def solve(self, x: State, u: Array | None = None) -> Solution:
         """Accelerations and multipliers of all joints at a state of the integrated coordinates."""

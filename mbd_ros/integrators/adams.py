@@ -1,7 +1,7 @@
 """Explicit Adams methods."""
 
 import math
-from itertools import cycle
+from itertools import cycle, islice
 from typing import Any
 
 import numpy as np
@@ -70,12 +70,12 @@ class AdamsStepper(Stepper):
     """
 
     def __init__(self, system: Any, order: int, dt: float) -> None:
-        self._acceleration, self._needed = system.acceleration, order - 1
+        self._accelerate, self._needed = system.accelerator(), order - 1
         self._dt, self._near = dt, NEAR * dt
         # Errors of the first steps do not add up: one order less than that of the method will do.
         self._starter = RungeKutta(system, RK4 if order <= 5 else DOP853, dt)
         slots = _slots(order, int(system.nv), dt)
-        self._next_slot = cycle(slots).__next__
+        self._slots = cycle(slots)
         self._known = 0
         self._last: State | None = None  # what the last step returned while the method starts
         self._ready: State | None = None  # the same, once there are enough accelerations
@@ -88,8 +88,8 @@ class AdamsStepper(Stepper):
         held = None if u is None else u.tobytes()
         if x is not self._ready or held != self._held or t + self._near > end:
             return self._slow_step(x, u, end, held)
-        row, product, before, after, after_q, after_v = self._next_slot()
-        row[...] = self._acceleration(t, q, v, u)
+        row, product, before, after, after_q, after_v = next(self._slots)
+        self._accelerate(t, q, v, u, row)
         product(before, after)
         self._head = after
         self._ready = x = new_state(State, (t + self._dt, after_q.copy(), after_v.copy()))
@@ -112,10 +112,9 @@ class AdamsStepper(Stepper):
         held = None if u is None else u.tobytes()
         if x is not self._ready or held != self._held or count < 1:
             return self.step(x, u, end), 1
-        acceleration, next_slot, dt = self._acceleration, self._next_slot, self._dt
-        for _ in range(count):
-            row, product, before, after, after_q, after_v = next_slot()
-            row[...] = acceleration(t, q, v, u)
+        accelerate, dt = self._accelerate, self._dt
+        for row, product, before, after, after_q, after_v in islice(self._slots, count):
+            accelerate(t, q, v, u, row)
             product(before, after)
             t, q, v = t + dt, after_q, after_v
         self._head = after
@@ -155,7 +154,7 @@ class AdamsStepper(Stepper):
 
     def _keep(self, after: State) -> None:
         """Take over what a starting step has found."""
-        row, _, _, head, _, _ = self._next_slot()
+        row, _, _, head, _, _ = next(self._slots)
         row[...] = self._starter.stages.first
         self._known += 1
         self._last = after

@@ -11,7 +11,7 @@ from mbd_ros.core.discontinuous.surface_modes import Mode, equivalent_signs
 from mbd_ros.core.discontinuous.switching import DiscontinuousForce
 from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.system import System
+from mbd_ros.core.system import Accelerator, System, writing
 
 Choice = Callable[[State, Array | None], Array]
 _CORRECTIONS = 5
@@ -108,6 +108,10 @@ class SlidingField:
         x, on = State(t, q, v), self.sliding
         answer = self.answer(x, u, on)
         return answer.a + answer.B.dot(self._equivalent(answer, on))
+
+    def accelerator(self) -> Accelerator:
+        """As that of a `System`."""
+        return writing(self.acceleration)
 
     def heights(self, x: State) -> Array:
         """The h of all surfaces, shape (m,)."""

@@ -13,7 +13,7 @@ from mbd_ros.core.forward.reduced_system import ReducedSystem
 from mbd_ros.core.laws import Linear
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array
-from mbd_ros.core.system import WORLD
+from mbd_ros.core.system import WORLD, Accelerator
 
 _SAME = 1.0e-12
 
@@ -53,6 +53,21 @@ class MimicSystem(ReducedSystem):
         self._expand(q, v)
         a = self._cholesky.solve(self._GT.dot(self._tau(t, self._q, self._v, u)) - bias)
         return a if self.bounded is None else self.bounded.accelerate(self, t, q, v, a)
+
+    def accelerator(self) -> Accelerator:
+        """Without loads `acceleration` once more, written at once: a step takes a tenth less."""
+        if not self._is_free:
+            return super().accelerator()
+        bias, mass = self._own_bias, self._own_mass
+        factorise, solve = self._cholesky.compute, self._cholesky.solve
+
+        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+            self.evaluations += 1
+            h = bias(q, v)
+            factorise(mass(q, WORLD))
+            np.negative(solve(h), out)
+
+        return accelerate
 
     def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
         """q, v and a of all joints at the state of the last evaluation."""

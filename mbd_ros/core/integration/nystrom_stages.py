@@ -29,7 +29,7 @@ class NystromStages(Stages):
         if x is not self._after or self._done != self._end or held != self._held:
             return super().step(x, u, h, t)
         self._switch()
-        self._side.first[...] = self._acceleration(t0, q, v, self._u)
+        self._accelerate(t0, q, v, self._u, self._side.first)
         self._x = x
         return self.advance(h, t)
 
@@ -38,11 +38,11 @@ class NystromStages(Stages):
         if h != self._h:
             self._h = h
             self._blocks.scale(h)
-        acceleration, u, t0 = self._acceleration, self._u, self._x[0]
+        accelerate, u, t0 = self._accelerate, self._u, self._x[0]
         side, q, v, pair = self._side, self._q, self._v, self._pair
         for c, product, above, row in side.inner:
             product(above, pair)
-            row[...] = acceleration(t0 + c * h, q, v, u)
+            accelerate(t0 + c * h, q, v, u, row)
         side.step(side.above_step, side.result)
         self._done = self._end
         self._after = after = new_state(State, (t, side.result_q(), side.result_v()))
@@ -62,6 +62,7 @@ class NystromStages(Stages):
         return a
 
     def _allocate(self) -> None:
+        self._accelerate = self._system.accelerator()
         a, errors = self._tableau.a, self._tableau.errors
         self._pair = np.empty((2, self._nv))
         self._q, self._v = self._pair
@@ -91,7 +92,7 @@ class NystromStages(Stages):
         for c, product, above, row in self._side.later[self._done - 1 : count - 1]:
             product(above, self._pair)
             t = self._x.t + c * self._h
-            row[...] = self._acceleration(t, self._q, self._v, self._u)
+            self._accelerate(t, self._q, self._v, self._u, row)
         self._done = max(self._done, count)
 
     def _blend(self, weights: Array) -> tuple[Array, Array]:
