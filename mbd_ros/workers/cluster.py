@@ -127,9 +127,10 @@ def do_within(task: Task) -> Result:
 
 
 def _result(future: Any) -> Result:
-    if future.status == "finished":
-        result: Result = future.result()
-        return result
     if future.status == "cancelled":
         raise DataError("the Dask scheduler is lost; what was done is kept")
-    return Result(failure=f"Dask gave it up: {future.exception()}")
+    error = future.exception()  # waits where a result was lost with its worker and is made again
+    if error is not None:
+        return Result(failure=f"Dask gave it up: {error}")
+    result: Result = future.result()
+    return result
