@@ -62,6 +62,7 @@ class MujocoRun:
         Raises:
             DivergedError: MuJoCo warns of huge or infinite numbers.
         """
+        mujoco.set_mju_user_warning(lambda _: None)  # it would go to a file where we stand
         data, states, used, done = mujoco.MjData(self._model), [], 0.0, 0
         data.qpos[self._q], data.qvel[self._v] = self._task.q, self._task.v
         for t in times:
@@ -76,7 +77,6 @@ class MujocoRun:
 
 def runs(task: Task, quick: bool) -> Iterator[MujocoRun]:
     """The sweep over integrators, steps and stiffnesses."""
-    mujoco.set_mju_user_warning(lambda _: None)
     has_rows = bool(task.couplings or task.loops)
     steps = _STEPS[2:6] if quick else _STEPS
     for dt in steps:
