@@ -238,6 +238,13 @@ def test_a_measured_state_beyond_a_limit_is_held_there(narrow):
     np.testing.assert_array_equal(guide.at(1.0).q, [1.02, 0.0])
 
 
+def test_another_guide_goes_on_beyond_a_limit(narrow):
+    guide, other = Guide(narrow), Guide(narrow)
+    guide.hold(0.0, np.array([1.02, 0.0]), np.zeros(2))
+    other.take_over(0.5, guide)
+    np.testing.assert_array_equal(other.at(1.0).q, [1.02, 0.0])
+
+
 def test_two_targets_at_once_are_the_second_one(joints):
     """What comes between two joint states must not break the stream that it belongs to."""
     guide, other = Guide(joints), Guide(joints)

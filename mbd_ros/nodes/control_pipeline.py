@@ -65,8 +65,8 @@ class ControlPipeline:
         self._controlled = scene.controlled_joints()
         names = self._controlled.names
         self._loads = Loads(scene.robot.model.nv, (), scene.actuators)
-        driven_joints(scene.actuators)
-        self._order = [names.index(name) for name in command_order(values.joints, names)]
+        order = command_order(values.joints, driven_joints(scene.actuators) or names)
+        self._order = [names.index(name) for name in order]
         self._observed = ObservedState(self._controlled.system, scene.couplings)
         self.observer = JointObserver(scene.robot, scene.couplings, tuning(values))
         self.loop = ControlLoop(

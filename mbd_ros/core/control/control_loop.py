@@ -103,7 +103,7 @@ class ControlLoop:
         self.weight, self.lapses, self._is_lapsed = other.weight, other.lapses, other._is_lapsed
         self.is_open, self._t, self._v = other.is_open, other._t, other._v
         self._sent, self.control = other._sent, other.control
-        self.guide.take_over(other.guide)
+        self.guide.take_over(other._t, other.guide)
         if other._memory.shape == self._memory.shape:
             self._memory = other._memory
 

@@ -73,8 +73,9 @@ class Guide:
             self._limits.begin(q)
             self._fade(t, q, v)
 
-    def take_over(self, other: "Guide") -> None:
-        """Go on with what another guide of the same joints follows."""
+    def take_over(self, t: float, other: "Guide") -> None:
+        """Go on at a time [s] with what another guide of the same joints follows."""
+        self._limits.begin(other.at(t).q)
         self.kind, self._course, self._offset = other.kind, other._course, other._offset
         self._last_target, self._interval = other._last_target, other._interval
 
@@ -139,15 +140,12 @@ class Guide:
                 f"{_FARTHEST:g} s; is its stamp of the same clock (use_sim_time)?"
             )
         now = self.at(t)
-        course = self._led_in(t, now, times, q, v, a) if times[0] > t else None
-        is_joined = course is not None
-        if course is None:
-            course = Course(times, q, v, a)
+        joined = self._led_in(t, now, times, q, v, a) if times[0] > t else None
+        course = joined or Course(times, q, v, a)
+        if joined is None:
             self._limits.check(*course.samples())
-        self._course, self._offset = course, None
-        self._last_target, self.kind = -np.inf, "trajectory"
-        if not is_joined:
-            self._fade(t, now.q, now.v)
+        self._course, self._last_target, self.kind = course, -np.inf, "trajectory"
+        self._fade(t, now.q, now.v)
 
     def at(self, t: float) -> Reference:
         """The reference at a time [s]."""

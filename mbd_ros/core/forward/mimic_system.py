@@ -41,23 +41,27 @@ class MimicSystem(ReducedSystem):
         data = mimic_model.createData()
         self._own_bias = partial(pin.nonLinearEffects, mimic_model, data)
         self._own_mass = partial(pin.crba, mimic_model, data)
+        self._accelerate = self._free_accelerator()
 
     def acceleration(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
         """Z'' [rad/s^2 or m/s^2], shape (nv,)."""
+        if self._is_free:
+            a = np.empty(self.nv)
+            self._accelerate(t, q, v, u, a)
+            return a
         self.evaluations += 1
         bias = self._own_bias(q, v)
         self._cholesky.compute(self._own_mass(q, WORLD))
-        if self._is_free:
-            a = self._cholesky.solve(bias)
-            return np.negative(a, a)
         self._expand(q, v)
         a = self._cholesky.solve(self._GT.dot(self._tau(t, self._q, self._v, u)) - bias)
         return a if self.bounded is None else self.bounded.accelerate(self, t, q, v, a)
 
     def accelerator(self) -> Accelerator:
-        """Without loads `acceleration` once more, written at once: a step takes a tenth less."""
-        if not self._is_free:
-            return super().accelerator()
+        """Without loads what `acceleration` calls: a step takes a tenth less."""
+        return self._accelerate if self._is_free else super().accelerator()
+
+    def _free_accelerator(self) -> Accelerator:
+        """-M⁻¹ h, written at once."""
         bias, mass = self._own_bias, self._own_mass
         factorise, solve = self._cholesky.compute, self._cholesky.solve
 
