@@ -46,6 +46,17 @@ def test_a_course_passes_its_points_with_true_derivatives(v, a):
     assert not course.at(9.0).v.any()
 
 
+@pytest.mark.parametrize(("v", "a"), [(None, None), (V, None), (V, A)])
+@pytest.mark.parametrize("count", [1, len(TIMES)])
+def test_the_samples_of_a_course_are_on_it(v, a, count):
+    parts = [part if part is None else part[:count] for part in (Q, v, a)]
+    course = Course(TIMES[:count], *parts)
+    times, q, v = course.samples()
+    found = [course.at(float(t)) for t in times]
+    np.testing.assert_allclose(q, [ref.q for ref in found], atol=1e-12)
+    np.testing.assert_allclose(v, [ref.v for ref in found], atol=1e-11)
+
+
 def test_a_course_between_points_has_no_jumps():
     """Velocity everywhere; acceleration too where the points give it."""
     for v, a, fields in ((V, A, 3), (V, None, 2), (None, None, 2)):

@@ -88,13 +88,17 @@ class Course:
 
     def samples(self) -> tuple[Array, Array, Array]:
         """Times (m,), positions (m, n) and velocities (m, n), dense enough to see extremes."""
-        parts = np.linspace(0.0, 1.0, _SAMPLES, endpoint=False)
+        parts, powers = np.linspace(0.0, 1.0, _SAMPLES, endpoint=False), self._powers
         inner = (self._times[:-1, None] + parts * self._h[:, None]).ravel()
-        references = [self.at(float(t)) for t in (*inner, self.end)]
+        monomials = parts[:, None] ** powers
+        first = powers[1:] * monomials[:, :-1]
+        n = len(self._rest)
+        q = np.einsum("sp,kpn->ksn", monomials, self._pieces).reshape(-1, n)
+        v = np.einsum("sp,kpn,k->ksn", first, self._pieces[:, 1:], 1.0 / self._h).reshape(-1, n)
         return (
             np.append(inner, self.end),
-            np.array([ref.q for ref in references]),
-            np.array([ref.v for ref in references]),
+            np.vstack([q, self._last_q]),
+            np.vstack([v, self._rest]),
         )
 
 
