@@ -24,12 +24,15 @@ from row_systems import (
     symplectic_defect,
 )
 
+from mbd_ros.constraints.joint_stop import JointStop
+from mbd_ros.core.couplings import Couplings
 from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.integration.linearization import Linearization
 from mbd_ros.core.integration.newton import FAILED, converge
-from mbd_ros.core.parts import ForceTerm, Row
+from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.state import State
 from mbd_ros.core.system import System
+from mbd_ros.core.tiers import build_system
 from mbd_ros.errors import DivergedError, ModelError
 from mbd_ros.integrators.gauss_legendre import GaussLegendre
 from mbd_ros.integrators.generalized_alpha import GeneralizedAlpha
@@ -231,9 +234,10 @@ def test_forces_that_are_not_finite_end_in_a_named_error(method):
 
 @pytest.mark.parametrize("method", [GeneralizedAlpha(), Rattle(), Shake()])
 def test_one_sided_rows_are_refused(method):
-    system = System(robot(*BODY), Loads(1))
-    system.bounded, system.multiplier_rows = object(), (Row("stop", "N·m"),)
-    with pytest.raises(ModelError, match="keeps bilateral rows only, the scene bounds stop"):
+    body = robot(*BODY)
+    stop = JointStop(body, joint="swing", upper=1.0)
+    system = build_system(body, Couplings(body), [stop], Loads(1))
+    with pytest.raises(ModelError, match="bilateral rows only, the scene bounds swing.stop;"):
         method.prepare(system, 0.01)
 
 

@@ -12,6 +12,7 @@ from mbd_ros.core.forward.constraint_rows import ConstraintRows
 from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.forward.mass_check import check_mass
 from mbd_ros.core.forward.row_factor import RowFactor
+from mbd_ros.core.forward.row_order import RowOrder
 from mbd_ros.core.parts import Row, Wrench
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, Solution, State
@@ -39,6 +40,7 @@ class System:
         loads: What acts on its joints.
         constraints: Bilateral rows; this class solves for none, but can say how they are violated.
         bounded: Rows with bounded multipliers, solved for by Gauss's principle.
+        order: Where the multipliers of each stand; by default those of `bounded` are all.
 
     Attributes:
         tier: Name of the way of solving.
@@ -46,7 +48,8 @@ class System:
         nv: Size of its velocity.
         is_flat: Whether that configuration is a vector space with q' = v.
         rows: Bilateral rows that an integrator may have to keep.
-        multiplier_rows: What the multipliers of a `Solution` are.
+        order: Which multipliers of a `Solution` are those of bilateral and of bounded rows.
+        multiplier_rows: What they are, in the same order under every tier.
         evaluations: How often the acceleration was asked for.
         condition: Condition number of the rows in the mass metric when last factorised; 1
             without rows.
@@ -60,6 +63,7 @@ class System:
         loads: Loads,
         constraints: ConstraintRows | None = None,
         bounded: BoundedRows | None = None,
+        order: RowOrder | None = None,
     ) -> None:
         self.robot, self.loads = robot, loads
         self.constraints = constraints or ConstraintRows((), robot.model.nv)
@@ -68,7 +72,9 @@ class System:
         self.nq, self.nv = int(self.model.nq), int(self.model.nv)
         self.is_flat = not robot.floating
         self.rows: tuple[Row, ...] = self.constraints.rows
-        self.multiplier_rows: tuple[Row, ...] = () if bounded is None else bounded.rows
+        parts = () if bounded is None else bounded.constraints.parts
+        self.order = order or RowOrder(parts)
+        self.multiplier_rows: tuple[Row, ...] = self.order.rows
         self.evaluations = 0
         self.condition = 1.0
         self._row_size: Array | None = None
@@ -103,7 +109,7 @@ class System:
             multipliers: Those of `solve` at this state.
         """
         self.refresh(x.q, x.v)
-        return self.constraints.wrenches(self.data, x, multipliers[: len(self.rows)])
+        return self.constraints.wrenches(self.data, x, self.order.bilateral(multipliers))
 
     def mass(self, q: Array) -> Array:
         """Mass matrix of the integrated coordinates, symmetric, shape (nv, nv)."""

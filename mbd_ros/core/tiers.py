@@ -9,6 +9,7 @@ from mbd_ros.core.forward.constraint_rows import ConstraintRows
 from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.forward.mimic_system import MimicSystem, mimic_model
 from mbd_ros.core.forward.reduced_system import ReducedSystem
+from mbd_ros.core.forward.row_order import RowOrder
 from mbd_ros.core.parts import Constraint
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.rows.coupling_rows import CouplingRows
@@ -47,14 +48,15 @@ def build_system(
     _check(tier, couplings, bilateral, bounded)
     nv = robot.model.nv
     coupled: list[Constraint] = [CouplingRows(robot, couplings)] if couplings.dependent else []
+    order = RowOrder([*coupled, *constraints])
+    rows = ConstraintRows([*coupled, *bilateral], nv, order.bilateral_rows)
     if tier == "qp" and (coupled or constraints):
-        every = ConstraintRows([*coupled, *constraints], nv)
-        rows = ConstraintRows([*coupled, *bilateral], nv)
-        return System(robot, loads, rows, BoundedRows(every, nv, backend))
-    limits = BoundedRows(ConstraintRows(bounded, nv), nv, backend) if bounded else None
+        every = ConstraintRows([*coupled, *constraints], nv, order.rows)
+        return System(robot, loads, rows, BoundedRows(every, nv, backend), order)
+    acting = ConstraintRows(bounded, nv, order.bounded_rows)
+    limits = BoundedRows(acting, nv, backend) if bounded else None
     if bilateral or (tier == "kkt" and coupled):
-        rows = ConstraintRows([*coupled, *bilateral], nv)
-        return BilateralSystem(robot, loads, rows, limits)
+        return BilateralSystem(robot, loads, rows, limits, order)
     if coupled:
         mimics = mimic_model(robot, couplings)
         if mimics is not None:

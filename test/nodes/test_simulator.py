@@ -1,5 +1,6 @@
 """The simulator in real time, in lock step and in a loop with inverse dynamics, over DDS."""
 
+import math
 import signal
 import sys
 import time
@@ -36,6 +37,7 @@ from msg_adapters.multi_array import write_multi_array
 TIMER = Path(__file__).with_name("timer_node.py")
 TICK = 1e-3
 MS = 1_000_000
+METRES_PER_NEWTON = 0.02
 VECTOR, STATE = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"
 
 
@@ -246,11 +248,24 @@ def test_a_step_needs_a_pause(domain, tmp_path):
 # ---------------------------------------------------------------------- forces
 
 
-def test_constraint_forces_and_markers(domain, tmp_path):
-    """The loop of the four-bar leg: multipliers by row, an arrow for each of the two bodies."""
+@pytest.mark.parametrize("solver", ["auto", "qp"])
+def test_constraint_forces_and_markers(domain, tmp_path, solver):
+    """The loop of the four-bar leg: multipliers by row, an arrow for each of the two bodies.
+
+    A stop that the start is beyond comes first in the scene: it must not be taken for the loop.
+    """
     text = (ROOT / "config/scenes/four_bar_leg.yaml").read_text(encoding="utf-8")
     text = text.replace("../robots", str(ROOT / "config/robots"))
-    with simulated(domain, tmp_path, text, publish_clock="true", marker_rate=50.0) as client:
+    stop = "- {type: joint_stop, joint: hip_flexion, upper: 0.2}"
+    text = text.replace("constraints:", f"solver: {{type: {solver}}}\nconstraints:\n{stop}")
+    with simulated(
+        domain,
+        tmp_path,
+        text,
+        publish_clock="true",
+        marker_rate=50.0,
+        marker_scale=METRES_PER_NEWTON,
+    ) as client:
         forces, arrays = [], []
         create = client.probe.node.create_subscription
         create(JointState, f"{NAME}/constraint_forces", forces.append, DEEP)
@@ -260,15 +275,22 @@ def test_constraint_forces_and_markers(domain, tmp_path):
         scene = scene_of(tmp_path, text)
         system = scene.system()
         assert tuple(forces[0].name) == tuple(row.name for row in system.multiplier_rows)
-        assert len(forces[0].effort) == 2
+        assert forces[0].name[0] == "hip_flexion.stop" and len(forces[0].effort) == 3
         assert np.abs(forces[-1].effort).max() > 0.1
-        upper, lower = arrays[-1].markers
+        upper, lower = shown = arrays[-1].markers
         assert {upper.ns, lower.ns} == {"posterior_bar", "shank"}
         tails = [np.array([m.points[0].x, m.points[0].y, m.points[0].z]) for m in (upper, lower)]
         heads = [np.array([m.points[1].x, m.points[1].y, m.points[1].z]) for m in (upper, lower)]
         np.testing.assert_allclose(tails[0], tails[1], atol=1e-9)
         np.testing.assert_allclose(heads[0] - tails[0], tails[1] - heads[1], atol=1e-12)
+        stamp = shown[0].header.stamp
+        client.probe.spin_until(lambda: any(f.header.stamp == stamp for f in forces))
+        (force,) = (f for f in forces if f.header.stamp == stamp)
+        pull = np.linalg.norm(heads[0] - tails[0]) / METRES_PER_NEWTON
+        assert pull == pytest.approx(math.hypot(*force.effort[1:]), rel=1e-9)
         health = client.probe.wait_health(lambda h: h.level == OK)
-        assert health.values["solver tier"] == "kkt"
+        assert health.values["solver tier"] == (
+            "qp over kkt" if solver == "auto" else "qp over aba"
+        )
         assert float(health.values["drift of positions"]) < 1e-12
         assert float(health.values["drift of velocities"]) < 1e-11

@@ -9,6 +9,7 @@ import pinocchio as pin
 from mbd_ros.core.forward.bounded_rows import BoundedRows
 from mbd_ros.core.forward.constraint_rows import ConstraintRows
 from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.forward.row_order import RowOrder
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, Solution, State
 from mbd_ros.core.system import System
@@ -30,6 +31,7 @@ class BilateralSystem(System):
         loads: What acts on its joints.
         constraints: The rows.
         bounded: Rows with bounded multipliers.
+        order: Where the multipliers of each stand; by default bounded ones come last.
     """
 
     tier = "kkt"
@@ -40,9 +42,11 @@ class BilateralSystem(System):
         loads: Loads,
         constraints: ConstraintRows,
         bounded: BoundedRows | None = None,
+        order: RowOrder | None = None,
     ) -> None:
-        super().__init__(robot, loads, constraints, bounded)
-        self.multiplier_rows = (*constraints.rows, *self.multiplier_rows)
+        limits = () if bounded is None else bounded.constraints.parts
+        order = order or RowOrder((*constraints.parts, *limits))
+        super().__init__(robot, loads, constraints, bounded, order)
         self._reads_frames = constraints.reads_frames or loads.reads_frames
         self.condition = np.inf  # unknown yet
         self._row_jacobian = np.zeros((len(constraints.rows), self.nv))
@@ -60,7 +64,7 @@ class BilateralSystem(System):
             return Solution(a, self._multipliers())
         self.bounded.accelerate(self, *x, a)
         a = self._accelerate(*x, u, self.bounded.force)
-        return Solution(a, np.concatenate([self._multipliers(), self.bounded.multipliers]))
+        return Solution(a, self.order.joined(self._multipliers(), self.bounded.multipliers))
 
     def respond(self, q: Array, forces: Array) -> Array:
         """Accelerations of all joints that forces on them add; as `System.respond`."""

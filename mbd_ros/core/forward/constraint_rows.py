@@ -1,12 +1,12 @@
 """All rows of several constraints, stacked."""
 
 import itertools
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.forward.row_order import numbered
 from mbd_ros.core.parts import Constraint, Row, Wrench
 from mbd_ros.core.state import Array, State
 
@@ -17,6 +17,7 @@ class ConstraintRows:
     Args:
         parts: The constraints.
         nv: Size of the velocity of the robot.
+        rows: Their rows as a scene with more constraints tells them apart; by default these alone.
 
     Attributes:
         rows: One entry a row.
@@ -27,9 +28,12 @@ class ConstraintRows:
         is_corrected: Whether any row demands more than g'' = 0.
     """
 
-    def __init__(self, parts: Sequence[Constraint], nv: int) -> None:
+    def __init__(
+        self, parts: Sequence[Constraint], nv: int, rows: tuple[Row, ...] | None = None
+    ) -> None:
         self.parts = tuple(parts)
-        self.rows = _numbered([row for part in parts for row in part.rows])
+        own = [row for part in parts for row in part.rows]
+        self.rows = numbered(own) if rows is None else rows
         ends = np.cumsum([0, *(len(part.rows) for part in parts)]).tolist()
         self.slices = [slice(*pair) for pair in itertools.pairwise(ends)]
         self.reads_frames = any(part.reads_frames for part in parts)
@@ -84,14 +88,3 @@ class ConstraintRows:
     def rate(self, x: State) -> Array:
         """dg/dt, shape (m,)."""
         return np.concatenate([self._none, *(part.rate(x) for part in self.parts)])
-
-
-def _numbered(rows: Sequence[Row]) -> tuple[Row, ...]:
-    """The rows, those of one name told apart by a number: bar, bar#2, bar#3."""
-    seen: Counter[str] = Counter()
-    told_apart = []
-    for row in rows:
-        seen[row.name] += 1
-        count = seen[row.name]
-        told_apart.append(row if count == 1 else row._replace(name=f"{row.name}#{count}"))
-    return tuple(told_apart)

@@ -10,6 +10,7 @@ import pinocchio as pin
 from mbd_ros.core.couplings import Couplings
 from mbd_ros.core.forward.bounded_rows import BoundedRows
 from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.forward.row_order import RowOrder
 from mbd_ros.core.laws import Linear
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.rows.coupling_rows import CouplingRows
@@ -36,10 +37,11 @@ class ReducedSystem(System):
         couplings: Couplings,
         bounded: BoundedRows | None = None,
     ) -> None:
-        super().__init__(robot, loads, bounded=bounded)
+        limits = () if bounded is None else bounded.constraints.parts
+        order = RowOrder((CouplingRows(robot, couplings), *limits))
+        super().__init__(robot, loads, bounded=bounded, order=order)
         self.couplings = couplings
         self.nq, self.nv = len(couplings.q_index), len(couplings.v_index)
-        self.multiplier_rows = (*CouplingRows(robot, couplings).rows, *self.multiplier_rows)
         self._zi, self._wi = couplings.q_index, couplings.v_index
         self._q, self._v = pin.neutral(robot.model), np.zeros(robot.model.nv)
         self._a, self._w0 = np.zeros(robot.model.nv), np.zeros(self.nv)
@@ -81,7 +83,7 @@ class ReducedSystem(System):
         if self.bounded is None:
             return Solution(a, self.couplings.reduce(needed, self._slopes)[1])
         lam = self.couplings.reduce(needed - self.bounded.force, self._slopes)[1]
-        return Solution(a, np.concatenate([lam, self.bounded.multipliers]))
+        return Solution(a, self.order.joined(lam, self.bounded.multipliers))
 
     def mass(self, q: Array) -> Array:
         """G' M G, shape (nv, nv), fresh."""

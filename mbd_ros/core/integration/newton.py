@@ -52,7 +52,7 @@ def refuse_bounded_rows(system: System, name: str) -> None:
         ModelError: They do; names them.
     """
     if getattr(system, "bounded", None) is not None:
-        rows = ", ".join(row.name for row in system.multiplier_rows if row not in system.rows)
+        rows = ", ".join(row.name for row in system.order.bounded_rows)
         raise ModelError(
             f"integrator {name} keeps bilateral rows only, the scene bounds {rows}; accepted: "
             "any integrator that does not keep constraints itself, such as rk4"

@@ -53,7 +53,8 @@ class ClosedLoopInverseDynamics:
         robot: The robot.
         couplings: Its dependent joints.
         actuated: Joints of `LoopTorques.tau`.
-        constraints: Rows of the multipliers: couplings, bilateral constraints, limited drives.
+        constraints: Rows of the multipliers: couplings, then bilateral constraints and limited
+            drives in the order of the scene.
         motion: Makes measured motion consistent.
 
     Raises:

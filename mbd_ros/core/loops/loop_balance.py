@@ -44,7 +44,7 @@ class LoopBalance:
         forces: Force terms.
 
     Attributes:
-        constraints: The rows: couplings, bilateral constraints, limited drives.
+        constraints: The rows: couplings, then constraints in the order of the scene.
         is_drive: Which rows are drives, shape (m,).
     """
 
@@ -57,9 +57,8 @@ class LoopBalance:
         forces: Sequence[ForceTerm] = (),
     ) -> None:
         coupled: list[Constraint] = [CouplingRows(robot, couplings)] if couplings.dependent else []
-        bilateral = [part for part in constraints if part.bounds is None]
-        limited = [part for part in constraints if part.bounds is not None and part.driven]
-        self.constraints = ConstraintRows([*coupled, *bilateral, *limited], robot.model.nv)
+        known = [part for part in constraints if part.bounds is None or part.driven]
+        self.constraints = ConstraintRows([*coupled, *known], robot.model.nv)
         drives = [np.full(len(part.rows), bool(part.driven)) for part in self.constraints.parts]
         self.is_drive = np.concatenate([np.zeros(0, dtype=np.bool_), *drives])
         self._model, self._data = robot.model, robot.model.createData()

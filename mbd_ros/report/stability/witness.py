@@ -40,9 +40,6 @@ class Witness:
         self._model, self._data = self.robot.model, self.robot.model.createData()
         self._rows, self._bounded = bilateral_rows(loaded), bounded_rows(loaded)
         self._forces = WitnessForces(loaded)
-        parts = loaded.scene.constraints
-        coupled = len(loaded.scene.couplings.dependent)
-        self._is_bilateral = [True] * coupled + [p.bounds is None for p in parts for _ in p.rows]
 
     def residual(self, t: float, q: Array) -> Array:
         """Residual g of couplings and bilateral constraints, shape (m,)."""
@@ -100,10 +97,7 @@ class Witness:
     def _solved(self, system: System, y: State) -> tuple[Array, Array, Array]:
         """Accelerations, multipliers of bilateral and of bounded rows."""
         a, lam = system.solve(y)
-        is_bilateral = np.array(self._is_bilateral, dtype=bool)
-        if system.bounded is None or len(system.bounded.rows) != len(is_bilateral):
-            is_bilateral = np.sort(is_bilateral)[::-1]  # bounded ones come last
-        return np.array(a), lam[is_bilateral], lam[~is_bilateral]
+        return np.array(a), system.order.bilateral(lam), system.order.bounded(lam)
 
     def _balance(self, x: State, a: Array, lam: Array, bounded: Array) -> str:
         model, data, size = self._model, self._data, np.abs

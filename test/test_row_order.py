@@ -1,0 +1,96 @@
+"""Multipliers stand in one order, couplings first, then as the scene lists its constraints."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from mbd_ros.core.state import State
+from mbd_ros.core.tiers import tier_of
+from mbd_ros.scene import load_scene
+
+CONFIG = Path(__file__).parents[1] / "config"
+LEG = (CONFIG / "scenes/four_bar_leg.yaml").read_text(encoding="utf-8")
+HEAD, LOOP = LEG.replace("../robots", str(CONFIG / "robots")).split("constraints:\n")
+LOOP, TAIL = LOOP.split("dt:")
+STOP = "- {type: joint_stop, joint: hip_flexion, upper: 0.2}\n"  # the start is beyond it
+FRICTION = "- {type: dry_friction, joint: ankle, limit: 0.7}\n"
+ARM = (CONFIG / "scenes/prosthetic_arm.yaml").read_text(encoding="utf-8")
+
+
+def leg(folder, parts, solver="auto"):
+    """The four-bar leg with these constraints, and its state in motion."""
+    file = folder / "leg.yaml"
+    text = f"{HEAD}constraints:\n{''.join(parts)}dt:{TAIL}solver: {{type: {solver}}}\n"
+    file.write_text(text, encoding="utf-8")
+    scene = load_scene(file)
+    return scene, State(0.0, scene.initial.q, scene.initial.v)
+
+
+def exerted(system, wrenches):
+    """Generalized force of wrenches, shape (nv,)."""
+    total, model = np.zeros(system.model.nv), system.model
+    for frame, point, force, torque in wrenches:
+        body = model.frames[system.robot.frame(frame)].parentJoint
+        place = pin.SE3(np.eye(3), system.data.oMi[body].actInv(point))
+        axes = pin.LOCAL_WORLD_ALIGNED
+        at_point = pin.getFrameJacobian(model, system.data, body, place, axes)
+        total += at_point.T @ np.concatenate([force, torque])
+    return total
+
+
+@pytest.mark.parametrize("solver", ["auto", "qp"])
+@pytest.mark.parametrize("parts", list(itertools.permutations([LOOP, STOP, FRICTION])))
+def test_wrenches_and_multipliers_do_not_depend_on_order_or_solver(tmp_path, parts, solver):
+    expected_scene, x = leg(tmp_path, [LOOP, STOP, FRICTION])
+    known = expected_scene.system()
+    a, lam = known.solve(x)
+    by_name = dict(zip([row.name for row in known.multiplier_rows], lam, strict=True))
+    pull = [w.force for w in known.wrenches(x, lam)]
+    assert by_name["hip_flexion.stop"] > 1.0 and abs(by_name["ankle.friction"]) > 0.1
+    assert max(np.abs(force).max() for force in pull) > 1.0
+    scene, x = leg(tmp_path, parts, solver)
+    system = scene.system()
+    found = system.solve(x)
+    listed = [row.name for part in scene.constraints for row in part.rows]
+    assert [row.name for row in system.multiplier_rows] == listed
+    wanted = np.array([by_name[name] for name in listed])
+    assert found.a == pytest.approx(a, rel=1e-9)
+    assert found.multipliers == pytest.approx(wanted, rel=1e-8)
+    forces = [w.force for w in system.wrenches(x, found.multipliers)]
+    assert np.concatenate(forces) == pytest.approx(np.concatenate(pull), rel=1e-8)
+    J = system.jacobian(x.t, x.q)
+    bars = system.order.bilateral(found.multipliers)
+    whole = exerted(system, system.wrenches(x, found.multipliers))
+    assert whole == pytest.approx(J.T @ bars, abs=1e-9 * np.abs(lam).max())
+
+
+def test_couplings_come_first_under_every_solver(tmp_path):
+    file = tmp_path / "arm.yaml"
+    joint = load_scene(CONFIG / "scenes/prosthetic_arm.yaml").couplings.independent[0]
+    stop = f"constraints:\n- {{type: joint_stop, joint: {joint}, upper: 0.1}}\n"
+    rub = f"- {{type: dry_friction, joint: {joint}, limit: 1.0}}\n"
+    text = ARM.replace("../robots", str(CONFIG / "robots")) + stop + rub
+    file.write_text(text, encoding="utf-8")
+    scene = load_scene(file)
+    reduced, rows = scene.system(), scene.system(solver={"type": "qp"})
+    y = State(0.0, np.full(reduced.nq, 0.2), np.ones(reduced.nv))
+    names = [row.name for row in reduced.multiplier_rows]
+    assert tier_of(reduced) != tier_of(rows)
+    assert names == [row.name for row in rows.multiplier_rows]
+    assert names == [*scene.couplings.dependent, f"{joint}.stop", f"{joint}.friction"]
+    lam = reduced.solve(y).multipliers
+    assert rows.solve(reduced.expand(y)).multipliers == pytest.approx(lam, rel=1e-8, abs=1e-8)
+
+
+def test_rows_of_one_name_are_told_apart_over_bounded_and_free_ones(tmp_path):
+    """One drive with a limit and one without on the same joint: two columns, two names."""
+    motion = "- {type: prescribed_motion, joint: hip_flexion, polynomial: [0.3]%s}\n"
+    limited, free = motion % ", limit: 5.0", motion % ""
+    for solver in ("auto", "qp"):
+        scene, _ = leg(tmp_path, [limited, LOOP, free], solver)
+        names = [row.name for row in scene.system().multiplier_rows]
+        assert names[0] == "hip_flexion.motion" and names[-1] == "hip_flexion.motion#2"
+    assert [row.name for row in scene.closed_loop().constraints.rows] == names
