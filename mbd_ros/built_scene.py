@@ -52,6 +52,7 @@ class Scene:
         dt: Step [s].
         initial: State of all joints at the start, as the file gives it.
         safe: What the actuators do without a command.
+        code: Key -> `package.module:Class` of what was imported from outside this package.
         absent: Sections that the file leaves out.
     """
 
@@ -70,6 +71,7 @@ class Scene:
     dt: float
     initial: State
     safe: SafeCommand
+    code: Mapping[str, str]
     absent: tuple[str, ...]
 
     @property

@@ -7,11 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mbd_ros.code_permission import permitting
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.inverse_command import add_inverse, add_tuning, inverse_lines
 from mbd_ros.report.command import add_report, report_lines
 from mbd_ros.report.demo.command import add_demo, demo_lines
 
+_ALLOW_CODE = "import the package.module:Class that a scene names; `check` lists them"
 _RUN_ARGUMENTS = ("out", "origin", "start", "efforts", "wrenches")
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -28,7 +30,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # two threads stall each other in small products
     arguments = _parser().parse_args(argv)
     try:
-        return int(arguments.run(arguments))
+        with permitting(getattr(arguments, "allow_code", False)):
+            return int(arguments.run(arguments))
     except MbdError as error:
         print(f"mbd-ros {arguments.command}: {error}", file=sys.stderr)
         return BAD_INPUT
@@ -54,6 +57,8 @@ def _parser() -> argparse.ArgumentParser:
     commands.choices["demo"].set_defaults(run=_demo)
     add_report(commands)
     commands.choices["report"].set_defaults(run=_report)
+    for name in ("check", "inverse", "simulate", "replay", "report"):
+        commands.choices[name].add_argument("--allow-code", action="store_true", help=_ALLOW_CODE)
     return parser
 
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from mbd_ros.code_permission import is_permitted, permitting
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.offline import inverse_dynamics_of
 from mbd_ros.offline_derivatives import Derivatives
@@ -88,17 +89,20 @@ def one(argument: Mapping[str, Any]) -> tuple[list[str], str]:
     """One motion, in a worker.
 
     Args:
-        argument: The fields of a `Batch` with one motion, paths as text.
+        argument: `batch`, the fields of a `Batch` with one motion, paths as text; `allow_code`,
+            whether its scene may name code of others.
 
     Returns:
         What is said of it, and why it failed.
     """
-    paths = ("scene", "out", "wrenches")
-    fields = {n: Path(v) if n in paths and v is not None else v for n, v in argument.items()}
-    batch = Batch(**{**fields, "motions": [Path(m) for m in argument["motions"]]})
+    fields = dict(argument["batch"])
+    for name in ("scene", "out", "wrenches"):
+        fields[name] = None if fields[name] is None else Path(fields[name])
+    batch = Batch(**{**fields, "motions": [Path(motion) for motion in fields["motions"]]})
     lines: list[str] = []
     try:
-        lines.extend(_inverse(batch, batch.motions[0], batch.out))
+        with permitting(argument["allow_code"]):
+            lines.extend(_inverse(batch, batch.motions[0], batch.out))
     except MbdError as error:
         return lines, str(error)
     return lines, ""
@@ -121,7 +125,8 @@ def _task(batch: Batch, motion: Path, out: Path) -> Task:
     fields = batch._asdict() | {"motions": [str(place(motion))], "out": str(out)}
     for name in ("scene", "wrenches"):
         fields[name] = None if fields[name] is None else str(place(fields[name]))
-    return Task(str(motion), f"{__name__}:{one.__name__}", fields)
+    argument = {"batch": fields, "allow_code": is_permitted()}
+    return Task(str(motion), f"{__name__}:{one.__name__}", argument)
 
 
 def _places(motions: Sequence[Path], folder: Path) -> dict[Path, Path]:

@@ -5,6 +5,7 @@ import inspect
 from collections.abc import Mapping
 from typing import Any
 
+from mbd_ros.code_permission import module_path, require_permission
 from mbd_ros.errors import SceneError
 
 PARTS: Mapping[str, Mapping[str, str]] = {
@@ -74,11 +75,12 @@ def resolve(section: str, name: str, where: str) -> Any:
 
     Args:
         section: Key of the scene, such as `forces`, or `controllers`.
-        name: A name of the registry, or `package.module:Class` of code outside this package.
+        name: A name of the registry, or `package.module:Class` of code outside this package,
+            which is looked for as Python does: in PYTHONPATH and the installed packages.
         where: File and key, for the messages.
 
     Raises:
-        SceneError: There is none; lists what exists.
+        SceneError: There is none, with what exists; or nobody permitted code of others.
     """
     target = PARTS[section].get(name, name)
     module, _, attribute = target.partition(":")
@@ -87,12 +89,20 @@ def resolve(section: str, name: str, where: str) -> Any:
         raise SceneError(
             f"{where}: unknown type '{name}', accepted: {accepted}, or package.module:Class"
         )
-    try:
-        part = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError) as error:
-        raise SceneError(f"{where}: type '{name}': {error}") from error
+    if name not in PARTS[section]:
+        require_permission(where, {"type": name})
+    part = _imported(module, attribute, f"{where}: type '{name}'")
     if not (inspect.isclass(part) and hasattr(part, METHODS[section])):
         raise SceneError(
             f"{where}: type '{name}' is not a class with a method '{METHODS[section]}'"
         )
     return part
+
+
+def _imported(module: str, attribute: str, where: str) -> Any:
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except ModuleNotFoundError as error:
+        raise SceneError(f"{where}: {error}; {module_path()}") from error
+    except (ImportError, SyntaxError, AttributeError) as error:
+        raise SceneError(f"{where}: {error}") from error

@@ -24,6 +24,7 @@ from mbd_ros.bag_player import (
     ReplayError,
 )
 from mbd_ros.bags import BagWriter, RawMessage, raw_messages
+from mbd_ros.code_permission import is_permitted
 from mbd_ros.errors import DataError
 from mbd_ros.own_domain import own_domain
 from mbd_ros.scene import load_scene
@@ -111,6 +112,7 @@ def _node_process(
         "cutoff": str(replay.cutoff),
         "wrench_wait": str(_WRENCH_WAIT),
         "clock_tolerance": str(_CLOCK_TOLERANCE),
+        "allow_code": str(is_permitted()).lower(),
     }
     words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
     command = [sys.executable, "-m", "mbd_ros.nodes.inverse_dynamics", "--ros-args", *words]

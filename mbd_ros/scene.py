@@ -7,6 +7,7 @@ from typing import Any
 
 from mbd_ros import schema
 from mbd_ros.built_scene import Scene
+from mbd_ros.code_permission import code_of_others, require_permission
 from mbd_ros.core.couplings import Couplings
 from mbd_ros.core.live.safe_command import SafeCommand
 from mbd_ros.core.parts import Actuator
@@ -49,10 +50,13 @@ def load_scene(path: str | Path, description: str | None = None) -> Scene:
         description: URDF that arrived on the `description_topic` of the scene.
 
     Raises:
-        SceneError: Names file, key, what is wrong and what is accepted.
+        SceneError: Names file, key, what is wrong and what is accepted; or code of others that
+            `permitting` does not allow.
     """
     path = find_file(Path(), str(path), "scene")
     given = _read_sections(path)
+    code = code_of_others(given)
+    require_permission(str(path), code)
     robot, source = build_robot(path, read_entry(path, given["robot"]), description)
     couplings, laws = _build_couplings(path, robot, given.get("couplings", {}))
     actuators = build_parts(path, "actuators", robot, given.get("actuators", []))
@@ -73,6 +77,7 @@ def load_scene(path: str | Path, description: str | None = None) -> Scene:
         dt=_step(path, given.get("dt", DEFAULT_DT)),
         initial=initial_state(path, robot, couplings, given.get("initial", {})),
         safe=schema.call(SafeCommand, given.get("safe", {}), f"{path}: safe"),
+        code=code,
         absent=tuple(section for section in SECTIONS if not given.get(section)),
     )
 

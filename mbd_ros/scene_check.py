@@ -1,5 +1,6 @@
 """What a scene builds, what it leaves out, and what one call costs."""
 
+import sys
 import timeit
 from collections.abc import Iterator
 from dataclasses import replace
@@ -57,6 +58,9 @@ def describe(scene: Scene) -> Iterator[str]:
         text = f"{name} on {load.frame}, expressed in {load.expressed_in}, topic {topic}"
         yield _line("wrench", text)
     yield from _parts(scene)
+    for key, name in scene.code.items():
+        file = sys.modules[name.partition(":")[0]].__file__
+        yield _line("code", f"{key}: {name} from {file}")
     yield _line("inverse", tier(scene))
     if scene.has_loops:
         yield from _reach(scene, system.expand(start))

@@ -20,6 +20,7 @@ SCENE = {
     f"mbd_ros.{module}"
     for module in (
         "built_scene",
+        "code_permission",
         "coupling_entries",
         "locate",
         "part_entries",

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mbd_ros.built_scene import Scene
+from mbd_ros.code_permission import permitting
 from mbd_ros.core.description.urdf import MAX_CHARACTERS
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import SECTIONS, description_topic, load_scene
@@ -248,15 +249,16 @@ def test_part_of_another_package_needs_no_line_here(write, tmp_path, monkeypatch
     monkeypatch.syspath_prepend(str(tmp_path))
     plain = load_scene(write("robot: {urdf: leg.urdf}")).inverse_dynamics()
     text = "robot: {urdf: leg.urdf}\nforces: [{type: 'outside_parts:Push', size: 2}]"
-    pushed = load_scene(write(text)).inverse_dynamics()
     x = np.zeros(5)
-    assert pushed.solve(x, x, x).tau == pytest.approx(plain.solve(x, x, x).tau - 2.0)
-    assert "forces[0]: unknown key 'sise', accepted: size" in refusal(
-        write(text.replace("size", "sise"))
-    )
-    assert "not a class with a method 'force'" in refusal(
-        write(text.replace("Push', size: 2", "Broken'"))
-    )
+    with permitting(True):
+        pushed = load_scene(write(text)).inverse_dynamics()
+        assert pushed.solve(x, x, x).tau == pytest.approx(plain.solve(x, x, x).tau - 2.0)
+        assert "forces[0]: unknown key 'sise', accepted: size" in refusal(
+            write(text.replace("size", "sise"))
+        )
+        assert "not a class with a method 'force'" in refusal(
+            write(text.replace("Push', size: 2", "Broken'"))
+        )
 
 
 def test_solvers_of_one_scene_do_not_disturb_each_other(write):

@@ -17,7 +17,7 @@ from mbd_ros.nodes.parameters import Parameter, ParameterError
 from mbd_ros.registry import resolve
 
 _SHARED = (
-    *("scene", "cutoff", "velocity_margin", "patience", "max_age", "rewind"),
+    *("scene", "allow_code", "cutoff", "velocity_margin", "patience", "max_age", "rewind"),
     *("clock_tolerance", "coupling_tolerance"),
 )
 _EACH = "; one value, or one a joint"

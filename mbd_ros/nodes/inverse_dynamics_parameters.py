@@ -13,8 +13,15 @@ def tunable(name: str, default: float, low: float, high: float, text: str) -> Pa
     return Parameter(name, type(default), text, default, low=low, high=high, read_only=False)
 
 
+ALLOW_CODE = Parameter(
+    "allow_code",
+    bool,
+    "Import the package.module:Class that the scene names: code of others runs in this node.",
+    False,
+)
 PARAMETERS = (
     Parameter("scene", str, "Scene file."),
+    ALLOW_CODE,
     tunable(
         "cutoff", _DEFAULT.cutoff, 1e-3, 1e6, "Half-power frequency of the causal filters [Hz]."
     ),

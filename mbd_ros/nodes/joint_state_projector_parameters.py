@@ -6,7 +6,7 @@ from mbd_ros.nodes.parameters import Parameter
 
 __all__ = ["PARAMETERS", "tuning"]
 _SHARED = (
-    *("scene", "cutoff", "velocity_margin", "patience", "max_age", "rewind"),
+    *("scene", "allow_code", "cutoff", "velocity_margin", "patience", "max_age", "rewind"),
     *("timeout", "clock_tolerance"),
 )
 

@@ -6,6 +6,7 @@ from typing import Any
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
+from mbd_ros.code_permission import permitting
 from mbd_ros.errors import MbdError
 from mbd_ros.nodes.shell import Shell
 from mbd_ros.scene import description_topic
@@ -16,7 +17,8 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 class SceneNode(Shell):
     """Builds a scene, once its robot description is there.
 
-    Subclasses override `build` and may override `replace`. Parameters must hold scene.
+    Subclasses override `build` and may override `replace`. Parameters must hold scene and
+    allow_code.
     """
 
     def __init__(self, argv: Sequence[str] = ()) -> None:
@@ -43,7 +45,8 @@ class SceneNode(Shell):
         """Build."""
         if self._description_topic is not None and self._description is None:
             raise MbdError(f"waiting for the robot description on {self._description_topic}")
-        self.build(self._description)
+        with permitting(self.parameters.allow_code):
+            self.build(self._description)
         self.is_built = True
 
     def _listen_for_description(self) -> None:
@@ -64,7 +67,8 @@ class SceneNode(Shell):
         if msg.data == self._description:
             return  # its publisher came back
         try:
-            self.replace(msg.data)
+            with permitting(self.parameters.allow_code):
+                self.replace(msg.data)
         except MbdError as error:
             self.drop("robot_description", f"new robot description refused: {error}")
             return

@@ -1,9 +1,11 @@
 """Parameters of the node `simulator`."""
 
+from mbd_ros.nodes.inverse_dynamics_parameters import ALLOW_CODE
 from mbd_ros.nodes.parameters import Parameter
 
 PARAMETERS = (
     Parameter("scene", str, "Scene file."),
+    ALLOW_CODE,
     Parameter(
         "rate",
         float,

@@ -17,6 +17,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from mbd_ros.code_permission import permitting
 from mbd_ros.scene import load_scene
 from msg_adapters.joint_state import JointSample, read_joint_state, write_joint_state
 
@@ -196,7 +197,8 @@ def controlled(
     node = NodeProcess([sys.executable, *words], domain)
     try:
         with QuickProbe(domain) as probe:
-            client = ControlClient(node, probe, path, KINDS[kind], plant)
+            with permitting(bool(parameters.get("allow_code"))):
+                client = ControlClient(node, probe, path, KINDS[kind], plant)
             node.wait_for(ACTIVE)
             client.connect()
             yield client

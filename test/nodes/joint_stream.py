@@ -16,6 +16,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from mbd_ros.code_permission import permitting
 from mbd_ros.scene import load_scene
 from msg_adapters.joint_state import write_joint_state
 from msg_adapters.time import read_time
@@ -186,7 +187,8 @@ def live(
     node = NodeProcess([sys.executable, *words], domain)
     try:
         with Probe(domain) as probe:
-            stream = JointStream(node, probe, scene, name=name, topic=topic)
+            with permitting(bool(parameters.get("allow_code"))):
+                stream = JointStream(node, probe, scene, name=name, topic=topic)
             node.wait_for(ACTIVE)
             stream.connect()
             yield stream

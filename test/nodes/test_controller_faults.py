@@ -18,6 +18,7 @@ from msg_adapters.diagnostics import ERROR, STALE, WARN
 from msg_adapters.joint_state import write_joint_state
 
 AT_ONCE = {"safe_ramp": 0.0, "timeout": 10.0}
+TRUSTED = {**AT_ONCE, "allow_code": True}
 NAN = float("nan")
 each = pytest.mark.parametrize("kind", KINDS)
 
@@ -391,7 +392,7 @@ def test_a_bug_in_a_callback_sends_the_safe_command_and_ends_the_node(
     domain, tmp_path, fragile, kind
 ):
     """Fault 39."""
-    with controlled(domain, tmp_path, fragile, kind=kind, **AT_ONCE, stop=None) as client:
+    with controlled(domain, tmp_path, fragile, kind=kind, **TRUSTED, stop=None) as client:
         assert client.ask().any()
         client.publish(client.message(POSE + 0.05))
         client.probe.spin_until(lambda: said(client.probe, client.name, ERROR, "it broke"))
@@ -405,7 +406,7 @@ def test_a_law_without_an_answer_keeps_its_last_one_and_then_deactivates(
     domain, tmp_path, fragile, kind
 ):
     """Fault 39, an error of this package: safe command, ERROR; activation helps."""
-    more = {**AT_ONCE, "failures": 3}
+    more = {**TRUSTED, "failures": 3}
     with controlled(domain, tmp_path, fragile, kind=kind, **more) as client:
         last = client.ask()
         for _ in range(2):

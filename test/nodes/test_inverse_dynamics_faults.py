@@ -435,7 +435,7 @@ def test_39_exceptions_in_a_callback(domain, tmp_path, monkeypatch):
     scene = tmp_path / "scene.yaml"
     urdf = SCENES.parent / "robots" / "arm7.urdf"
     scene.write_text(f"robot: {{urdf: {urdf}}}\nforces: [{{type: 'fuse:Fuse'}}]\n")
-    with live(domain, tmp_path, scene, code=1) as stream:
+    with live(domain, tmp_path, scene, code=1, allow_code=True) as stream:
         stream.ask(0)
         stream.send(1, position=[2.5] * 7, stamp=stream.stamp(300))
         health = stream.probe.wait_health(lambda h: h.level == ERROR)

@@ -237,7 +237,7 @@ def _with_fuse(folder, kind):
     urdf = ROOT / "config" / "robots" / "arm7.urdf"
     scene = folder / "scene.yaml"
     scene.write_text(f"robot: {{urdf: {urdf}}}\nforces: [{{type: 'fuse:Fuse', kind: {kind}}}]\n")
-    return [record(folder / "bag", slow_motion(900)), scene]
+    return [record(folder / "bag", slow_motion(900)), scene, "--allow-code"]
 
 
 def node_that_crashes(data_dir, folder):

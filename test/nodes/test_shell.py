@@ -1,9 +1,11 @@
 """The node shell: parameters, life cycle, signals, faults, time and QoS, in real processes."""
 
+import os
 import signal
 import time
 
 import pytest
+from nodes.conftest import ROOT
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -12,6 +14,16 @@ from std_msgs.msg import String
 from msg_adapters.diagnostics import ERROR, OK, WARN
 
 ACTIVE = "]: active"
+TOLD = """
+from pathlib import Path
+import numpy as np
+Path({ran!r}).touch()
+class Rest:
+    def __init__(self, robot):
+        self._zero = np.zeros(robot.model.nv)
+    def force(self, data, x):
+        return self._zero
+"""
 
 
 def yaml(**values):
@@ -281,3 +293,27 @@ def test_incompatible_qos_and_a_second_publisher_are_named_until_they_are_gone(s
     probe.wait_health(lambda h: h.level == OK)
     assert node.log.count("one was expected") == 1
     probe.node.destroy_publisher(second)
+
+
+# ---------------------------------------------------------------------- code of others
+
+
+@pytest.mark.parametrize("node", ["simulator", "joint_state_projector", "sliding_mode_controller"])
+def test_a_node_imports_no_code_of_others_unasked(start_node, probe, tmp_path, monkeypatch, node):
+    ran = tmp_path / "ran"
+    (tmp_path / "told_part.py").write_text(TOLD.format(ran=str(ran)))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    scene = tmp_path / "scene.yaml"
+    text = (
+        f"robot: {{urdf: {ROOT}/config/robots/arm7.urdf}}\nforces: [{{type: 'told_part:Rest'}}]\n"
+    )
+    scene.write_text(text)
+    target = ("-m", f"mbd_ros.nodes.{node}")
+    start_node(yaml(scene=scene), target=target)
+    health = probe.wait_health(lambda h: "names code of others" in h.message)
+    assert health.level == ERROR and health.values["state"] == "unconfigured"
+    assert "forces[0].type 'told_part:Rest'" in health.message
+    assert not ran.exists()
+    assert not probe.set_parameter(f"/{node}", "allow_code", True).successful
+    start_node(yaml(scene=scene, allow_code="true"), target=target).wait_for(ACTIVE)
+    assert ran.exists()

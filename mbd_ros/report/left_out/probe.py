@@ -1,6 +1,6 @@
 """What one scene builds, imports and costs, seen from a process of its own.
 
-python -m mbd_ros.report.left_out.probe SCENE
+python -m mbd_ros.report.left_out.probe SCENE [--allow-code]
 """
 
 import json
@@ -20,10 +20,12 @@ LIBRARIES = (
 
 def main() -> int:
     """Build a scene and a simulation, take one step, and say what that imported."""
+    from mbd_ros.code_permission import permitting
     from mbd_ros.registry import PARTS
     from mbd_ros.scene import load_scene
 
-    scene = load_scene(sys.argv[1])
+    with permitting("--allow-code" in sys.argv[2:]):
+        scene = load_scene(sys.argv[1])
     simulation = scene.simulation()
     y = simulation.start(scene.initial)
     simulation.advance(y, None, y.t + scene.dt)
