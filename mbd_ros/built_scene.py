@@ -1,5 +1,6 @@
 """What a scene file describes, and what can be made of it."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,7 @@ from mbd_ros.core.state import State
 from mbd_ros.core.stepping import Integrator
 from mbd_ros.core.system import System
 from mbd_ros.core.tiers import build_system
-from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.errors import MbdError, ModelError, SceneError
 from mbd_ros.part_entries import (
     MeasuredWrench,
     Solver,
@@ -30,6 +31,24 @@ from mbd_ros.part_entries import (
 
 DEFAULT_INTEGRATOR = {"type": "dopri5"}
 DEFAULT_STABLE = 1.3  # its `stable`, known without importing it
+SHORTEST_DT, LONGEST_DT = 1.0e-9, 9.0e9  # s: stamps hold whole nanoseconds, in 63 bits
+
+
+def refuse_dt(dt: float, where: str, kind: type[MbdError]) -> None:
+    """Refuse a step, and interval of the output, that stamps cannot tell apart.
+
+    Args:
+        dt: [s].
+        where: File and key, or option.
+        kind: The error to raise.
+    """
+    if not 0 < dt < math.inf:
+        raise kind(f"{where}: {dt:g} s must be finite and > 0")
+    if not SHORTEST_DT <= dt <= LONGEST_DT:
+        raise kind(
+            f"{where}: {dt:g} s, accepted: {SHORTEST_DT:g} .. {LONGEST_DT:g} s, since stamps hold "
+            "whole nanoseconds"
+        )
 
 
 @dataclass(frozen=True)
@@ -49,6 +68,7 @@ class Scene:
         stabilization: What keeps the constraints; None leaves the choice to `simulation`.
         solver: How the equations are solved.
         integrator: Method; None leaves the choice to `simulation`.
+        integrator_entry: What the file says of it, empty without a word.
         dt: Step [s].
         initial: State of all joints at the start, as the file gives it.
         safe: What the actuators do without a command.
@@ -68,6 +88,7 @@ class Scene:
     stabilization: Stabilization | None
     solver: Solver
     integrator: Integrator | None
+    integrator_entry: Mapping[str, Any]
     dt: float
     initial: State
     safe: SafeCommand

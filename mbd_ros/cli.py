@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mbd_ros.code_permission import permitting
-from mbd_ros.errors import DataError, MbdError
+from mbd_ros.errors import MbdError
 from mbd_ros.inverse_command import add_inverse, add_tuning, inverse_lines
 from mbd_ros.report.command import add_report, report_lines
 from mbd_ros.report.demo.command import add_demo, demo_lines
@@ -79,8 +79,9 @@ def _add_simulate(commands: "argparse._SubParsersAction[argparse.ArgumentParser]
     simulate.add_argument(
         "--tolerance",
         type=float,
-        help="of that integrator: largest error of a step (dopri5, dop853, filippov), of Newton's "
-        "method (gauss_legendre, generalized_alpha, rattle, shake); the others have none",
+        help="of the integrator, that of the scene too: largest error of a step (dopri5, dop853, "
+        "filippov), of Newton's method (gauss_legendre, generalized_alpha, rattle, shake); the "
+        "others have none",
     )
     simulate.add_argument(
         "--dt", type=float, help="step, and interval of the output [s] (default: of the scene)"
@@ -135,15 +136,13 @@ def _inverse(arguments: argparse.Namespace) -> int:
 def _simulate(arguments: argparse.Namespace) -> int:
     from mbd_ros.scene import load_scene
     from mbd_ros.simulate import Interrupted, simulate
-    from mbd_ros.simulation_inputs import Run
+    from mbd_ros.simulation_inputs import Run, method_entry
 
+    scene = load_scene(arguments.scene)
     options: dict[str, Any] = {} if arguments.dt is None else {"dt": arguments.dt}
-    if arguments.integrator:
-        options["integrator"] = {"type": arguments.integrator}
-        if arguments.tolerance is not None:
-            options["integrator"]["tolerance"] = arguments.tolerance
-    elif arguments.tolerance is not None:
-        raise DataError("--tolerance goes with --integrator")
+    method = method_entry(scene, arguments.integrator, arguments.tolerance)
+    if method is not None:
+        options["integrator"] = method
     if arguments.solver:
         options["solver"] = {"type": arguments.solver}
     run = Run(
@@ -152,7 +151,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
         **{name: getattr(arguments, name) for name in _RUN_ARGUMENTS},
     )
     try:
-        for line in simulate(load_scene(arguments.scene), run):
+        for line in simulate(scene, run):
             print(line)
     except Interrupted as error:
         print(f"mbd-ros simulate: {error}", file=sys.stderr)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from mbd_ros import schema
-from mbd_ros.built_scene import Scene
+from mbd_ros.built_scene import Scene, refuse_dt
 from mbd_ros.code_permission import code_of_others, require_permission
 from mbd_ros.core.couplings import Couplings
 from mbd_ros.core.live.safe_command import SafeCommand
@@ -74,6 +74,7 @@ def load_scene(path: str | Path, description: str | None = None) -> Scene:
         stabilization=_single(path, "stabilization", "stabilization", given),
         solver=schema.call(Solver, given.get("solver", {}), f"{path}: solver"),
         integrator=_single(path, "integrator", "integrators", given),
+        integrator_entry=given.get("integrator", {}),
         dt=_step(path, given.get("dt", DEFAULT_DT)),
         initial=initial_state(path, robot, couplings, given.get("initial", {})),
         safe=schema.call(SafeCommand, given.get("safe", {}), f"{path}: safe"),
@@ -122,8 +123,7 @@ def _single(path: Path, key: str, section: str, given: Mapping[str, Any]) -> Any
 
 def _step(path: Path, given: Any) -> float:
     dt: float = schema.value(given, float, f"{path}: dt")
-    if not dt > 0:
-        raise SceneError(f"{path}: dt: {dt:g} s must be > 0")
+    refuse_dt(dt, f"{path}: dt", SceneError)
     return dt
 
 

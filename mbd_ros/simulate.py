@@ -1,5 +1,6 @@
 """Forward simulation of a scene into a file: `mbd-ros simulate`."""
 
+import math
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mbd_ros.bag_paths import SUFFIXES, is_bag
-from mbd_ros.built_scene import Scene
+from mbd_ros.built_scene import SHORTEST_DT, Scene
 from mbd_ros.core.forward.row_factor import TOGGLE
 from mbd_ros.core.manifold.assembly import drift
 from mbd_ros.core.simulation import Commands, Simulation
@@ -20,6 +21,8 @@ from mbd_ros.results import refuse_overwriting, write_simulation
 from mbd_ros.simulation_inputs import Run, check_words, drives, initial_state
 from mbd_ros.start_check import start_warnings
 from mbd_ros.step_check import step_warnings
+
+_ROUNDING = 1.0e-9  # of dt
 
 
 class Interrupted(MbdError):
@@ -42,7 +45,7 @@ def simulate(scene: Scene, run: Run) -> Iterator[str]:
     for place in (run.out, kept):
         refuse_overwriting(place, run.origin, run.efforts, run.wrenches)
     commands, forces, remarks = drives(scene, run)
-    simulation = scene.simulation(forces=forces, **run.options)
+    simulation = scene.simulation(forces=forces, **{**run.options, "dt": _interval(scene, run)})
     x, more = initial_state(scene, run)
     yield from (*remarks, *more)
     odd = start_warnings(scene.robot, scene.constraints, x)
@@ -63,6 +66,18 @@ def simulate(scene: Scene, run: Run) -> Iterator[str]:
     found = step_warnings(simulation.system, simulation.integrator, simulation.dt, states)
     yield from (f"warning: {text}" for text in found)
     yield f"{len(states)} states -> {run.out}"
+
+
+def _interval(scene: Scene, run: Run) -> float:
+    """Interval of the output [s]; no longer than the simulation."""
+    return min(float(run.options.get("dt", scene.dt)), run.duration)
+
+
+def _duration(run: Run, dt: float) -> float:
+    """That of the run, without a last interval that is too short to have a stamp of its own."""
+    count = math.floor(run.duration / dt + _ROUNDING)
+    is_sliver = _ROUNDING * dt < run.duration - count * dt < SHORTEST_DT
+    return count * dt if is_sliver else run.duration
 
 
 def diverged_place(out: Path) -> Path:
@@ -91,9 +106,10 @@ def _states(
 ) -> tuple[list[State], MbdError | None]:
     states: list[State] = []
     count = round(run.duration / simulation.dt)
+    duration = _duration(run, simulation.dt)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a divergence says so itself
-            states.extend(progress(simulation.run(x, run.duration, commands), count, "simulate"))
+            states.extend(progress(simulation.run(x, duration, commands), count, "simulate"))
     except (DivergedError, SolveError) as error:
         return states, error
     return states, None

@@ -1,5 +1,6 @@
 """What a simulation is asked for on the command line, and what it reads from files."""
 
+import inspect
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from mbd_ros import schema
-from mbd_ros.built_scene import Scene
+from mbd_ros.bag_paths import is_bag
+from mbd_ros.built_scene import DEFAULT_INTEGRATOR, Scene, refuse_dt
 from mbd_ros.core.loops.loop_torques import listed
 from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.simulation import Commands
@@ -17,7 +19,10 @@ from mbd_ros.errors import DataError
 from mbd_ros.offline_wrenches import refuse_unused
 from mbd_ros.part_entries import Solver
 from mbd_ros.recordings import TIME_LIMIT, read_motion, read_wrenches
-from mbd_ros.registry import resolve
+from mbd_ros.registry import PARTS, resolve
+
+MOST_ROWS = 10_000_000  # some kilobytes each until they are written
+_RESOLVED = 64.0  # rounding errors of the time that a step must be longer than
 
 
 @dataclass(frozen=True)
@@ -53,23 +58,69 @@ def check_words(scene: Scene, run: Run) -> None:
     """
     if scene.robot.floating:
         raise DataError(f"{scene.path}: robot.base: files carry no pose of a floating base")
+    _check_times(scene, run)
+    if "solver" in run.options:
+        schema.call(Solver, run.options["solver"], "--solver")
+
+
+def _check_times(scene: Scene, run: Run) -> None:
+    """Every output time must be a stamp of its own."""
     dt = run.options.get("dt", scene.dt)
-    for option, length in (("-t", run.duration), ("--dt", dt)):
-        if not 0 < length < math.inf:
-            raise DataError(f"{option}: {length:g} s must be finite and > 0")
+    refuse_dt(run.duration, "-t", DataError)
+    refuse_dt(dt, "--dt", DataError)
     end = run.start + run.duration
     if not max(abs(run.start), abs(end)) <= TIME_LIMIT:
         raise DataError(
             f"--start: {run.start:g} s must be finite, the simulation within {TIME_LIMIT:g} s"
         )
-    if not (run.start + dt > run.start and end + dt > end):
-        raise DataError(f"--dt: {dt:g} s is lost in rounding between {run.start:g} and {end:g} s")
-    if "integrator" in run.options:
-        entry = dict(run.options["integrator"])
-        name = entry.pop("type")
-        schema.call(resolve("integrators", name, "--integrator"), entry, f"--integrator {name}")
-    if "solver" in run.options:
-        schema.call(Solver, run.options["solver"], "--solver")
+    shown = f"--dt: {dt:g} s" if "dt" in run.options else f"{scene.path}: dt: {dt:g} s"
+    if dt < _RESOLVED * math.ulp(max(abs(run.start), abs(end))):
+        raise DataError(f"{shown} is lost in rounding between {run.start:g} and {end:g} s")
+    if run.duration / dt > MOST_ROWS:
+        raise DataError(
+            f"{shown}: {run.duration / dt:.3g} rows in -t {run.duration:g} s, accepted are "
+            f"{MOST_ROWS:g}; with --tolerance, dt is no more than the interval of the output"
+        )
+    if is_bag(run.out) and run.start < 0:
+        raise DataError(f"--start: {run.start:g} s: the stamps of a bag are >= 0")
+    if is_bag(run.out) and run.start == 0 and dt < 1.5 * NANOSECOND:
+        raise DataError(f"{shown}: the stamps of a bag begin with 1 ns, so it must be >= 2e-09 s")
+
+
+def method_entry(
+    scene: Scene, integrator: str | None, tolerance: float | None
+) -> dict[str, Any] | None:
+    """Entry of the integrator that the options ask for; None leaves that of the scene.
+
+    Args:
+        scene: The scene.
+        integrator: Value of `--integrator`.
+        tolerance: Value of `--tolerance`, for that integrator or else for that of the scene.
+
+    Raises:
+        MbdError: There is no such integrator, or it does not take that tolerance.
+    """
+    if integrator is None and tolerance is None:
+        return None
+    entry = dict(scene.integrator_entry or DEFAULT_INTEGRATOR)
+    where, whose = "--tolerance", f"of {scene.path}" if scene.integrator else "by default"
+    if integrator is not None:
+        entry, where, whose = {"type": integrator}, f"--integrator {integrator}", "you chose"
+    kind = resolve("integrators", entry["type"], where.partition(" ")[0])
+    if tolerance is not None:
+        if "tolerance" not in inspect.signature(kind).parameters:
+            raise DataError(
+                f"--tolerance: the integrator {entry['type']} {whose} takes steps of dt and has "
+                f"none; --integrator takes {', '.join(_with_tolerance())}, which have one"
+            )
+        entry["tolerance"] = tolerance
+    schema.call(kind, {key: v for key, v in entry.items() if key != "type"}, where)
+    return entry
+
+
+def _with_tolerance() -> list[str]:
+    kinds = {name: resolve("integrators", name, "") for name in PARTS["integrators"]}
+    return [name for name, k in kinds.items() if "tolerance" in inspect.signature(k).parameters]
 
 
 def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:

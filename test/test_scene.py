@@ -99,7 +99,9 @@ def test_empty_section_is_an_absent_one(write, rest):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("dt: 5e-4", "dt: 0", "dt: 0 s must be > 0"),
+        ("dt: 5e-4", "dt: 0", "dt: 0 s must be finite and > 0"),
+        ("dt: 5e-4", "dt: 9e-10", "dt: 9e-10 s, accepted: 1e-09 .. 9e+09 s, since stamps hold"),
+        ("dt: 5e-4", "dt: 1e300", "dt: 1e+300 s, accepted: 1e-09 .. 9e+09 s"),
         ("dt: 5e-4", "dt: fast", "dt: expected a number, got 'fast'"),
         ("type: rk4", "type: rk5", "integrator.type: unknown type 'rk5', accepted: adams, dop"),
         (

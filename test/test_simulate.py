@@ -204,16 +204,25 @@ def test_divergence_is_kept_beside_a_folder_with_a_point_in_its_name(tmp_path):
         (("-t", 1, "--dt", -1), "--dt: -1 s must be finite and > 0"),
         (("-t", 1, "--dt", "inf"), "--dt: inf s must be finite and > 0"),
         (("-t", 1, "--dt", "nan"), "--dt: nan s must be finite and > 0"),
-        (("-t", 1, "--dt", 1e-310), "--dt: 1e-310 s is lost in rounding between 0 and 1 s"),
+        (("-t", 1, "--dt", 1e-310), "--dt: 1e-310 s, accepted: 1e-09 .. 9e+09 s, since stamps"),
+        (("-t", 1e-7, "--dt", 9.9e-10), "--dt: 9.9e-10 s, accepted: 1e-09 .. 9e+09 s"),
+        (("-t", 1, "--dt", 1e300), "--dt: 1e+300 s, accepted: 1e-09 .. 9e+09 s"),
+        (("-t", 1e-15), "-t: 1e-15 s, accepted: 1e-09 .. 9e+09 s"),
+        (("-t", 1e300), "-t: 1e+300 s, accepted: 1e-09 .. 9e+09 s"),
+        (("-t", 8e9, "--start", 8e9), "--start: 8e+09 s must be finite, the simulation within"),
+        (("-t", 1e5), "SCENE: dt: 0.001 s: 1e+08 rows in -t 100000 s, accepted are 1e+07"),
         (("-t", 1, "--start", "nan"), "--start: nan s must be finite"),
         (("-t", 1, "--start", "inf"), "--start: inf s must be finite"),
         (("-t", 1, "--start", 1e17), "--start: 1e+17 s must be finite, the simulation within"),
         (("-t", 1, "--start", 8e9, "--dt", 1e-7), "--dt: 1e-07 s is lost in rounding"),
         (("-t", 1, "--wrenches", "no.csv"), "no.csv: SCENE has no external_wrenches to take it"),
-        (("-t", 1, "--tolerance", 1e-6), "--tolerance goes with --integrator"),
+        (("-t", 1, "--tolerance", 1), "--tolerance: tolerance 1 is outside 1e-13 .. 0.1"),
+        (("-t", 1, "--tolerance", "nan"), "--tolerance: tolerance nan is outside 1e-13 .. 0.1"),
         (
             ("-t", 1, "--integrator", "rk4", "--tolerance", 1e-6),
-            "--integrator rk4: unknown key 'tolerance', accepted: none",
+            "--tolerance: the integrator rk4 you chose takes steps of dt and has none; "
+            "--integrator takes dop853, dopri5, filippov, gauss_legendre, generalized_alpha, "
+            "rattle, shake, which",
         ),
         (("-t", 1, "--solver", "aba"), "solver: solver aba takes no rows, the scene has elbow"),
         (("-t", 1, "--from", "no.csv"), "no.csv: cannot be read"),
@@ -225,6 +234,87 @@ def test_bad_input_exits_with_2_and_leaves_nothing(capsys, tmp_path, driven, wor
     assert (code, said) == (2, "")
     assert message.replace("SCENE", str(driven)) in err
     assert [p.name for p in tmp_path.iterdir()] == ["driven.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ("", "Dopri5"),
+        ("integrator: {type: dop853}\n", "Dop853"),
+        ("integrator: {type: dopri5, tolerance: 1e-3}\n", "Dopri5"),
+        ("integrator: {type: gauss_legendre, stages: 3}\n", "GaussLegendre"),
+    ],
+)
+def test_a_tolerance_goes_to_the_integrator_of_the_scene(capsys, tmp_path, driven, entry, said):
+    driven.write_text(driven.read_text(encoding="utf-8") + entry, encoding="utf-8")
+    words = ["simulate", driven, "-t", 0.2, "--dt", 0.02, "-o"]
+    assert called(capsys, *words, tmp_path / "fine.csv", "--dt", 1e-3)[0] == 0
+    code, text, err = called(capsys, *words, tmp_path / "o.csv", "--tolerance", 1e-11)
+    assert (code, err) == (0, "")
+    assert text.startswith(f"{said}, tier")
+    assert ("10 steps" in text) == (said == "GaussLegendre"), "the others choose their steps"
+    fine, found = columns(tmp_path / "fine.csv"), columns(tmp_path / "o.csv")
+    error = np.abs(found["elbow.position"] - fine["elbow.position"][::20]).max()
+    assert error <= (1e-5 if "dopri5" in entry else 1e-7)
+
+
+def test_a_tolerance_for_a_scene_with_fixed_steps_is_refused(capsys, tmp_path, driven):
+    text = driven.read_text(encoding="utf-8") + "integrator: {type: rk4}\n"
+    driven.write_text(text, encoding="utf-8")
+    words = ["-t", 1, "-o", tmp_path / "o.csv", "--tolerance", 1e-6]
+    code, _, err = called(capsys, "simulate", driven, *words)
+    assert code == 2
+    assert f"--tolerance: the integrator rk4 of {driven} takes steps of dt and has none" in err
+
+
+@pytest.mark.parametrize("name", ["o.csv", "bag"])
+@pytest.mark.parametrize(
+    ("dt", "duration", "start", "rows"),
+    [
+        (2e-9, 1e-7, 0, 51),
+        (1.5e-9, 1.5e-7, 1, 101),
+        (1e-3, 1e-2 + 3e-10, 0, 11),
+        (1e-3, 1e-2 + 3e-9, 0, 12),
+        (7e3, 1e-2, 0, 2),
+        (1e-3, 0.05, 1_700_000_000, 51),
+    ],
+)
+def test_every_row_has_a_stamp_of_its_own(capsys, tmp_path, name, dt, duration, start, rows):
+    """What is written can be read, to the last row."""
+    out = tmp_path / name
+    words = ["-t", duration, "--dt", dt, "--start", start, "--integrator", "rk4", "-o", out]
+    code, said, err = called(capsys, "simulate", SCENES / "empty.yaml", *words)
+    assert (code, err) == (0, "")
+    assert f"{rows} states -> " in said
+    stamps = read_motion(out, ["hinge"]).motion.stamps
+    assert len(stamps) == rows
+    assert (np.diff(stamps) > 0).all()
+    assert stamps[-1] == pytest.approx((start + duration) * 1e9, abs=300 if start > 1 else 1)
+
+
+def test_the_shortest_step_is_for_tables_and_later_starts(capsys, tmp_path):
+    words = ["simulate", SCENES / "empty.yaml", "-t", 1e-8, "--dt", 1e-9, "-o"]
+    assert called(capsys, *words, tmp_path / "o.csv")[0] == 0
+    assert len(read_motion(tmp_path / "o.csv", ["hinge"]).motion.stamps) == 11
+    code, _, err = called(capsys, *words, tmp_path / "bag")
+    assert code == 2
+    assert "--dt: 1e-09 s: the stamps of a bag begin with 1 ns, so it must be >= 2e-09 s" in err
+    code, _, err = called(capsys, *words, tmp_path / "bag", "--start", -1)
+    assert code == 2
+    assert "--start: -1 s: the stamps of a bag are >= 0" in err
+
+
+@pytest.mark.parametrize("method", ["rk4", "adams", "dopri5", "gauss_legendre", "rattle"])
+@pytest.mark.parametrize("dt", [1e-3, 1e-5])
+def test_a_start_at_unix_time_is_the_motion_of_one_at_zero(method, dt):
+    """Times there are multiples of 0.24 us: sums of steps must not miss the output times."""
+    scene, ends = load_scene(SCENES / "prosthetic_arm.yaml"), []
+    for start in (0.0, 1.7e9):
+        simulation = scene.simulation(integrator={"type": method}, dt=dt)
+        states = list(simulation.run(scene.initial._replace(t=start), 100 * dt))
+        assert (len(states), simulation.steps) == (101, 100)
+        ends.append(states[-1].q)
+    assert np.array_equal(*ends)
 
 
 def test_state_that_is_not_in_the_file_is_named(capsys, tmp_path, driven):

@@ -72,7 +72,8 @@ class Simulation:
         yield self.system.expand(y)
         begin, count = y.t, math.ceil(duration / self.dt - _ROUNDING)
         last, u, k = begin + duration, None, 1
-        slack = _ROUNDING * self.dt
+        resolution = 2.0 * math.ulp(max(abs(begin), abs(last)))
+        slack = max(_ROUNDING * self.dt, resolution)
         while k <= count:
             due = min(begin + k * self.dt, last)
             if commands is not None and y.t > due - self.dt - slack:
@@ -80,6 +81,9 @@ class Simulation:
             late = abs(begin + (k - 1) * self.dt - y.t)
             is_rounded = 0.2 * slack < late < 1.0e3 * slack  # a sum of steps, to be put right
             y_next = self._step(y, u, due if is_rounded or commands is not None else last)
+            if 0.0 < abs(y_next.t - due) <= resolution == slack:  # late times are coarse
+                y_next = y_next._replace(t=due)
+                self.stepper.continue_from(y_next)
             while k <= count and due < y_next.t - slack:
                 yield self.system.expand(self._corrected(self.stepper.interpolate(due)))
                 k += 1
@@ -103,7 +107,8 @@ class Simulation:
             DivergedError: The state is no longer finite.
             SolveError: Equations contradict one another.
         """
-        while y.t < due - _ROUNDING * self.dt:
+        nearly = due - max(_ROUNDING * self.dt, 2.0 * math.ulp(due))
+        while y.t < nearly:
             y_next = self._step(y, u, due, 1 if self._is_corrected else _STRIDE)
             y = self._corrected(y_next)
             if y is not y_next:
