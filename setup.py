@@ -60,12 +60,12 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "mbd-ros = mbd_ros.cli:main",
-            "inverse_dynamics = mbd_ros.nodes.inverse_dynamics:main",
-            "joint_state_projector = mbd_ros.nodes.joint_state_projector:main",
-            "qp_controller = mbd_ros.nodes.qp_controller:main",
-            "simulator = mbd_ros.nodes.simulator:main",
-            "sliding_mode_controller = mbd_ros.nodes.sliding_mode_controller:main",
+            "mbd-ros = mbd_ros.programs:mbd_ros",
+            "inverse_dynamics = mbd_ros.programs:inverse_dynamics",
+            "joint_state_projector = mbd_ros.programs:joint_state_projector",
+            "qp_controller = mbd_ros.programs:qp_controller",
+            "simulator = mbd_ros.programs:simulator",
+            "sliding_mode_controller = mbd_ros.programs:sliding_mode_controller",
         ]
     },
 )

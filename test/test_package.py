@@ -1,6 +1,7 @@
 """What pip and colcon install."""
 
 import ast
+import importlib
 import importlib.metadata
 import inspect
 import re
@@ -155,19 +156,15 @@ def test_every_requirement_has_an_exact_pin(wheel):
     assert {plain(r) for r in required} - {plain(p) for p in pins} == set()
 
 
-def parameters_of(wheel, executable):
+def parameters_of(executable):
     """Names of the parameters of the node behind an executable."""
-    parser = ConfigParser()
-    parser.read_string(read(wheel, "entry_points.txt"))
-    target = parser["console_scripts"][executable]
-    main = importlib.metadata.EntryPoint(executable, target, "console_scripts").load()
-    things = vars(sys.modules[main.__module__]).values()
+    things = vars(importlib.import_module(f"mbd_ros.nodes.{executable}")).values()
     (node,) = (thing for thing in things if getattr(thing, "NAME", "") == executable)
     return {parameter.name for parameter in node.PARAMETERS} | {"use_sim_time"}
 
 
 @pytest.mark.parametrize("path", sorted(names("launch", "*.py")))
-def test_a_launch_file_names_what_there_is(wheel, path):
+def test_a_launch_file_names_what_there_is(path):
     """Executables, parameters, arguments and files; launch itself comes with ROS only."""
     tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
     calls = [n for n in ast.walk(tree) if isinstance(n, ast.Call)]
@@ -178,7 +175,7 @@ def test_a_launch_file_names_what_there_is(wheel, path):
         executable = node["executable"].value
         assert (node["package"].value, node["name"].value) == ("mbd_ros", executable)
         (values,) = (e for e in node["parameters"].elts if isinstance(e, ast.Dict))
-        assert {key.value for key in values.keys} <= parameters_of(wheel, executable)
+        assert {key.value for key in values.keys} <= parameters_of(executable)
     arguments = {c.args[0].value for n, c in named if n == "DeclareLaunchArgument"}
     assert {c.args[0].value for n, c in named if n == "LaunchConfiguration"} == arguments
     for name, call in named:

@@ -1,5 +1,6 @@
 """The process of a node: starts it, drives its callbacks, ends it on a signal or a crash."""
 
+import gc
 import signal
 import sys
 from collections.abc import Iterator, Sequence
@@ -26,6 +27,11 @@ class _StopSignal:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._remember)
 
+    def ignore(self) -> None:
+        """From now on no signal matters: the interpreter would take it for the default and die."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+
     def _remember(self, number: int, frame: FrameType | None) -> None:
         self.name = signal.Signals(number).name
 
@@ -47,6 +53,15 @@ def run(node_class: type[Shell], argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv if argv is None else argv)
     stop = _StopSignal()
     try:
+        _run(node_class, arguments, stop)
+    finally:
+        stop.ignore()
+        gc.unfreeze()  # what configuring froze would outlive the libraries that count it
+    return 0
+
+
+def _run(node_class: type[Shell], arguments: list[str], stop: _StopSignal) -> None:
+    try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = node_class(arguments)
     except (rclpy_implementation.RCLError, ParameterException) as error:
@@ -57,7 +72,6 @@ def run(node_class: type[Shell], argv: Sequence[str] | None = None) -> int:
         while not stop.name:
             node.raise_crash()
             node.drive(executor, PATIENCE)
-    return 0
 
 
 @contextmanager

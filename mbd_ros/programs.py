@@ -1,0 +1,73 @@
+"""Where the executables of the package begin: Ctrl-C ends them from the first line on.
+
+What a program imports takes half a second. Until then nothing is built that would have to be
+closed, and a signal ends the process at once, without a traceback out of some import.
+"""
+
+import os
+import signal
+from types import FrameType
+
+INTERRUPTED = 130
+
+
+def mbd_ros() -> int:
+    """Entry point `mbd-ros`."""
+    _end_on((signal.SIGINT,), INTERRUPTED)
+    from mbd_ros.cli import main
+
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    return main()
+
+
+def inverse_dynamics() -> int:
+    """Entry point `inverse_dynamics`."""
+    _end_on_signals()
+    from mbd_ros.nodes.inverse_dynamics import main
+
+    return main()
+
+
+def joint_state_projector() -> int:
+    """Entry point `joint_state_projector`."""
+    _end_on_signals()
+    from mbd_ros.nodes.joint_state_projector import main
+
+    return main()
+
+
+def qp_controller() -> int:
+    """Entry point `qp_controller`."""
+    _end_on_signals()
+    from mbd_ros.nodes.qp_controller import main
+
+    return main()
+
+
+def simulator() -> int:
+    """Entry point `simulator`."""
+    _end_on_signals()
+    from mbd_ros.nodes.simulator import main
+
+    return main()
+
+
+def sliding_mode_controller() -> int:
+    """Entry point `sliding_mode_controller`."""
+    _end_on_signals()
+    from mbd_ros.nodes.sliding_mode_controller import main
+
+    return main()
+
+
+def _end_on_signals() -> None:
+    """Let a signal end the process of a node, until `process.run` takes it."""
+    _end_on((signal.SIGINT, signal.SIGTERM), 0)
+
+
+def _end_on(numbers: tuple[signal.Signals, ...], code: int) -> None:
+    def end(number: int, frame: FrameType | None) -> None:
+        os._exit(code)
+
+    for number in numbers:
+        signal.signal(number, end)

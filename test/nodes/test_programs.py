@@ -1,0 +1,60 @@
+"""The executables as a terminal and ros2 launch treat them: signals at any moment."""
+
+import signal
+import time
+
+import pytest
+from nodes.conftest import ROOT
+from nodes.simulation_client import ARM
+
+SCENE = ROOT / "config/scenes/controlled_arm.yaml"
+NODES = ("inverse_dynamics", "joint_state_projector", "qp_controller", "simulator")
+
+
+def program(name, *words):
+    """Arguments of python that start an executable as its script does."""
+    code = f"import sys; from mbd_ros.programs import {name}; sys.exit({name}())"
+    return (*words, "-c", code)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("imported", ["numpy.version", "rclpy.node", "mbd_ros.nodes.life_cycle"])
+def test_a_signal_while_a_node_still_imports_ends_it_without_a_traceback(
+    start_node, imported, number
+):
+    node = start_node(target=program("qp_controller", "-X", "importtime"))
+    node.wait_for(imported)
+    assert node.stop(number) == 0, node.log
+    assert "Traceback" not in node.log
+
+
+def test_ctrl_c_while_the_command_line_still_imports_is_130(start_node):
+    node = start_node(target=program("mbd_ros", "-X", "importtime"))
+    node.wait_for("argparse")
+    assert node.stop() == 130, node.log
+    assert "Traceback" not in node.log
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_further_signals_while_a_node_ends_change_nothing(start_node, name):
+    """A terminal and ros2 launch send two, 50 to 150 ms apart: here they come all the time."""
+    node = start_node(arguments=["-p", f"scene:={SCENE}"], target=program(name))
+    node.wait_for("]: active")
+    while node.process.poll() is None:
+        node.process.send_signal(signal.SIGINT)
+        time.sleep(0.002)
+    assert node.wait() == 0
+    assert "Traceback" not in node.log
+
+
+def test_a_qp_that_has_solved_leaves_no_leak_lines_at_exit(start_node, probe, tmp_path):
+    scene = tmp_path / "arm.yaml"
+    scene.write_text(ARM, encoding="utf-8")
+    given = ["-p", f"scene:={scene}"]
+    plant = start_node(arguments=given, target=program("simulator"))
+    remap = ["-r", "~/commands:=/simulator/commands"]
+    node = start_node(arguments=[*given, *remap], target=program("qp_controller"))
+    probe.wait_health(lambda h: h.name == "/qp_controller" and "controlling" in h.message)
+    assert node.stop() == 0
+    assert plant.stop() == 0
+    assert "nanobind" not in node.log
