@@ -1,15 +1,17 @@
 """Other packages on the same scenes; nothing fails where they are not installed."""
 
 import importlib.util
+import json
 
 import numpy as np
 import pytest
 
-from mbd_ros.errors import DivergedError
+from mbd_ros.errors import DivergedError, SceneError
 from mbd_ros.report.peers import kind as peers
-from mbd_ros.report.peers.contenders import compete, task_of
+from mbd_ros.report.peers.contenders import compete
 from mbd_ros.report.peers.text import compose, ratio
-from mbd_ros.report.precision.converged import known
+from mbd_ros.report.peers.translation import common_ground, task_of
+from mbd_ros.report.precision.converged import known, motion_of
 from mbd_ros.report.precision.pareto import Point
 from mbd_ros.report.precision.reference_problems import SCENES
 from mbd_ros.scene import load_scene
@@ -34,7 +36,7 @@ def off(name, run):
 
 
 def task(name):
-    return task_of(load_scene(f"{SCENES}/{name}.yaml"))
+    return task_of(common_ground(load_scene(f"{SCENES}/{name}.yaml")))
 
 
 def test_a_peer_that_is_missing_is_named_with_its_install_line(monkeypatch):
@@ -60,18 +62,20 @@ def outcome_of(*costs):
         run = {"package": package, "setup": "x", "solver": "auto", "stabilization": None}
         run |= {"integrator": {"type": "rk4"}, "dt": 1e-3, "seconds": 1e-3 * cost, "spread": 0.0}
         runs.append(run | {"position": 5e-7, "configuration": 5e-7})
-    return {"runs": runs, "agreement": 1e-12, "check": "x", "setups": [], "span": 0.5}
+    facts = {"left": [], "refused": [], "setups": [], "span": 0.5, "quick": False, "own": True}
+    return {"runs": runs, "agreement": 1e-12, "check": "x", **facts}
 
 
 def test_costs_stand_side_by_side():
     outcome = outcome_of(("mbd_ros", 2.0), ("MuJoCo", 5.0))
-    section = compose([("arm7_swing", outcome), ("leg", outcome_of(("mbd_ros", 1.0)))], [])
+    leg = outcome_of(("mbd_ros", 1.0), ("Drake", 3.0))
+    section = compose([("arm7_swing", outcome), ("leg", leg)], [])
     table = section.tables[0]
     assert table.title in section.headline
-    assert table.columns == ("scene", "span", "error", "mbd_ros", "MuJoCo")
-    assert table.rows[1] == ["arm7_swing", "0.5 s", "1e-6", "2 ms", "5 ms, 2.5 x"]
-    assert table.rows[2] == ["arm7_swing", "0.5 s", "1e-8", "not reached", "reaches 5.0e-07 only"]
-    assert table.rows[4] == ["leg", "0.5 s", "1e-6", "1 ms", "-"]
+    assert table.columns == ("scene", "span", "error", "mbd_ros", "MuJoCo", "Drake")
+    assert table.rows[1] == ["arm7_swing", "0.5 s", "1e-6", "2 ms", "5 ms, 2.5 x", "-"]
+    assert table.rows[2][3:] == ["not reached", "reaches 5.0e-07 only", "-"]
+    assert table.rows[4] == ["leg", "0.5 s", "1e-6", "1 ms", "-", "3 ms, 3.0 x"]
 
 
 @pytest.mark.parametrize(
@@ -129,12 +133,176 @@ def test_a_demand_is_held_against_the_best_peer(cost, judged):
     outcome["runs"][0]["position"] = 1e-3  # less precise than peers
     missed = {t.title: t.rows for t in compose([("arm7_swing", outcome)], []).tables}
     assert missed["Demands"][0][2:] == ["0.0", "3", "does not hold"]
-    quick = compose([("arm7_swing", outcome | {"quick": True})], [])
-    assert "Demands" not in [table.title for table in quick.tables]
+    for fact in ({"quick": True}, {"own": False}):
+        other = compose([("arm7_swing", outcome | fact)], [])
+        assert "Demands" not in [table.title for table in other.tables]
 
 
-def test_scenes_of_a_user_have_no_peers():
-    assert peers.items([f"{SCENES}/arm7_swing.yaml"], False) == []
+def test_a_section_says_what_is_not_compared():
+    told = outcome_of(("mbd_ros", 1.0), ("MuJoCo", 2.0))
+    told |= {"left": ["forces[1] (switching_force)"], "refused": ["Drake: no splines"]}
+    told["setups"] = ["MuJoCo: RK4"]
+    alone = outcome_of(("mbd_ros", 1.0)) | {"refused": ["Drake: no splines"]}
+    section = compose([("leg", told), ("arm", alone)], [])
+    assert [row[0] for row in section.tables[0].rows] == ["leg"] * 3
+    text = " ".join(section.text)
+    assert "leg is compared without forces[1] (switching_force)" in text
+    assert "leg: not compared with Drake: no splines" in text
+    assert "arm: no peer finished a run" in text
+
+
+MACHINE = """
+<robot name="machine">
+  <link name="trunk"><inertial><origin xyz="0 0.1 0"/><mass value="2"/>
+    <inertia ixx="0.02" iyy="0.02" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="upper"><inertial><origin xyz="0.02 0.01 -0.2" rpy="0.1 0.2 0.3"/><mass value="1.2"/>
+    <inertia ixx="0.02" iyy="0.03" izz="0.015" ixy="0.001" ixz="0.002" iyz="0"/></inertial></link>
+  <link name="lower"><inertial><origin xyz="0 0 -0.15"/><mass value="0.8"/>
+    <inertia ixx="0.01" iyy="0.01" izz="0.004" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="slider"><inertial><origin xyz="0 0.01 0"/><mass value="0.5"/>
+    <inertia ixx="0.002" iyy="0.003" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="tip"><inertial><mass value="0.1"/>
+    <inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="first" type="continuous"><parent link="trunk"/><child link="upper"/>
+    <origin xyz="0.1 0.2 1.0" rpy="0.3 0 0"/><axis xyz="0 1 0"/></joint>
+  <joint name="second" type="revolute"><parent link="upper"/><child link="lower"/>
+    <origin xyz="0 0 -0.4" rpy="0 0 0.4"/><axis xyz="0.6 0.8 0"/>
+    <limit lower="-3" upper="3" effort="9" velocity="9"/></joint>
+  <joint name="out" type="prismatic"><parent link="upper"/><child link="slider"/>
+    <origin xyz="0.05 0 -0.1"/><axis xyz="0 0 1"/>
+    <limit lower="-3" upper="3" effort="9" velocity="9"/></joint>
+  <joint name="wrist" type="revolute"><parent link="lower"/><child link="tip"/>
+    <origin xyz="0 0 -0.3"/><axis xyz="1 0 0"/>
+    <limit lower="-3" upper="3" effort="9" velocity="9"/></joint>
+</robot>
+"""
+ROBOT = "robot: {urdf: machine.urdf, rename: {first: hip}, locked: {wrist: 0.4}}\n"
+START = "initial: {position: {second: 0.5}, velocity: {hip: 2.0, out: -0.4}}\n"
+LOADS = """
+forces:
+- {type: joint_spring, joint: out, stiffness: 60.0, rest: 0.05, damping: 0.4}
+- {type: joint_spring, joint: out, stiffness: 20.0, rest: -0.02}
+- {type: joint_friction, joint: hip, viscous: 0.2}
+- {type: joint_torque, joint: second, torque: 0.7}
+- {type: point_spring, frame_a: universe, point_a: [0.5, 0, 1], frame_b: lower, stiffness: 30.0,
+   damping: 0.5, length: 0.2}
+actuators:
+- {type: geared_motor, joint: second, ratio: 30.0, rotor_inertia: 1e-5}
+"""
+ROWS = {  # what it adds -> tolerance of MuJoCo at 0.2 ms and of Drake's discrete plant
+    "couplings: {out: {parent: second, factor: 0.1, offset: 0.02}}": (1e-6, 1e-2),
+    "constraints: [{type: screw, joint: out, parent: second, pitch: 0.5}]": (1e-6, 1e-2),
+    "constraints: [{type: distance, frame_a: universe, point_a: [0.3, 0.3, 1.0], frame_b: lower,"
+    " distance: 0.5}]": (1e-5, 1e-2),
+    "couplings: {out: {parent: second, polynomial: [0.0, 0.1, 0.05, -0.02]}}": (1e-6, None),
+}
+
+
+def machine(tmp_path, text):
+    (tmp_path / "machine.urdf").write_text(MACHINE)
+    path = tmp_path / "machine.yaml"
+    path.write_text(text)
+    return load_scene(path)
+
+
+def furthest(scene, run, times=TIMES):
+    """Largest distance of a peer to our motion of the same scene."""
+    motion, (states, _) = motion_of(scene, times), run.run(times)
+    pairs = list(zip(states, motion.states, strict=True))
+    off = max(np.abs(x.q - known.q).max() for x, known in pairs)
+    assert max(np.abs(x.v - known.v).max() for x, known in pairs) < 1e3 * max(off, 1e-9)
+    return off
+
+
+@needs_mujoco
+@needs_drake
+@pytest.mark.parametrize("base", ["fixed", "floating"])
+def test_peers_take_the_loads_of_a_scene_of_a_user(tmp_path, base):
+    """Renamed, locked, tilted, continuous and prismatic joints; springs, dampers, drives."""
+    from mbd_ros.report.peers.drake_peer import DrakeRun
+    from mbd_ros.report.peers.mujoco_peer import MujocoRun
+
+    robot = ROBOT.replace("{urdf", f"{{base: {base}, urdf")
+    scene = machine(tmp_path, robot + START + LOADS)
+    told = task_of(common_ground(scene))
+    assert furthest(scene, MujocoRun(told, "mjINT_RK4", 2e-4)) < 1e-9
+    assert furthest(scene, DrakeRun(told, "runge_kutta5", 1e-10)) < 1e-8
+
+
+@needs_mujoco
+def test_mujoco_takes_links_without_mass():
+    from mbd_ros.report.peers.mujoco_peer import MujocoRun
+
+    scene = load_scene("package://mbd_ros/config/scenes/prosthetic_arm.yaml")
+    run = MujocoRun(task_of(common_ground(scene)), "mjINT_RK4", 2e-4, 1.0, True)
+    assert furthest(scene, run) < 1e-6
+
+
+@needs_mujoco
+@needs_drake
+@pytest.mark.parametrize("kind", ["kind: point", "kind: full, orientation: [0, 0, 0]"])
+def test_peers_hold_a_free_robot(tmp_path, kind):
+    from mbd_ros.report.peers.drake_peer import DrakeRun
+    from mbd_ros.report.peers.mujoco_peer import MujocoRun
+
+    anchor = f"{{type: frame_anchor, frame: trunk, position: [0, 0, 0], {kind}}}"
+    robot = ROBOT.replace("{urdf", "{base: floating, urdf")
+    scene = machine(tmp_path, f"{robot}{START}constraints: [{anchor}]\n")
+    told = task_of(common_ground(scene))
+    assert furthest(scene, MujocoRun(told, "mjINT_RK4", 2e-4, 1.0, True)) < 1e-4
+    assert furthest(scene, DrakeRun(told, "", dt=2e-4)) < 1e-2
+
+
+@needs_mujoco
+@needs_drake
+@pytest.mark.parametrize("rows", ROWS)
+def test_peers_take_the_rows_of_a_scene_of_a_user(tmp_path, rows):
+    from mbd_ros.report.peers.drake_peer import DrakeRun
+    from mbd_ros.report.peers.mujoco_peer import MujocoRun
+
+    scene = machine(tmp_path, f"{ROBOT}{rows}\n")
+    told, (mujoco, drake) = task_of(common_ground(scene)), ROWS[rows]
+    assert furthest(scene, MujocoRun(told, "mjINT_RK4", 2e-4, 1.0, True)) < mujoco
+    if drake is None:
+        with pytest.raises(SceneError, match="not linear"):
+            DrakeRun(told, "", dt=2e-4)
+    else:
+        assert furthest(scene, DrakeRun(told, "", dt=2e-4)) < drake
+
+
+def test_loads_that_no_peer_has_are_left_out_for_all(tmp_path):
+    text = """
+constraints: [{type: joint_stop, joint: hip, upper: 0.4}]
+forces:
+- {type: joint_friction, joint: hip, coulomb: 0.5}
+- {type: joint_spring, joint: out, stiffness: 60.0}
+"""
+    ground = common_ground(machine(tmp_path, ROBOT + text))
+    assert ground.left == ("constraints[0] (joint_stop)", "forces[0] (joint_friction)")
+    assert len(ground.scene.forces) == 1 and ground.scene.constraints == ()
+    assert [body.stiffness for body in task_of(ground).joints] == [0.0, 60.0, 0.0]
+
+
+def test_rows_that_no_peer_has_are_refused_by_name(tmp_path):
+    knots = "{x: [0, 1, 2], y: [0, 0.1, 0.3]}"
+    for text, message in (
+        (
+            f"couplings: {{out: {{parent: second, spline: {knots}}}}}",
+            r"couplings\.out: .* \(spline\)",
+        ),
+        (
+            "constraints: [{type: prescribed_motion, joint: hip, polynomial: [0, 1]}]",
+            r"constraints\[0\]: .* not prescribed_motion",
+        ),
+        (
+            "constraints: [{type: loop_closure, frame_a: universe, frame_b: lower, directions: x,"
+            " point_a: [0.1, 0.3773, 0.4268], point_b: [0, 0, -0.2]}]",
+            r"constraints\[0\]: .* not only x",
+        ),
+    ):
+        scene = machine(tmp_path, f"{ROBOT}{text}\n")
+        with pytest.raises(SceneError, match=message):
+            task_of(common_ground(scene), motion_of(scene, TIMES).states)
 
 
 @needs_mujoco
@@ -195,3 +363,21 @@ def test_drake_closes_loops_on_the_world():
     from mbd_ros.report.peers.drake_peer import DrakeRun
 
     assert off("x02_four_bar_1e-2", DrakeRun(task("x02_four_bar_1e-2"), "", dt=2e-4)) < 1e-3
+
+
+@needs_mujoco
+def test_a_report_of_peers_compares_the_scene_of_a_user_or_fails(tmp_path, capsys):
+    """One that peers can express, one that they cannot."""
+    from mbd_ros.cli import main
+
+    machine(tmp_path, ROBOT + START + LOADS)
+    words = ["report", str(tmp_path / "machine.yaml"), "--only", "peers", "--quick", "-o"]
+    assert main([*words, str(tmp_path / "first")]) == 0
+    sections = json.loads((tmp_path / "first/report.json").read_text())["sections"]
+    packages = sections["peers"]["tables"][0][1]
+    assert packages[3:5] == ["mbd_ros", "MuJoCo"]
+    machine(tmp_path, ROBOT + "couplings: {out: {parent: second, spline: {x: [0, 1], y: [0, 1]}}}")
+    capsys.readouterr()
+    assert main([*words, str(tmp_path / "second")]) == 1
+    said = capsys.readouterr().err
+    assert "nothing was measured" in said and "couplings.out" in said

@@ -57,7 +57,7 @@ def test_what_stops_is_wrong_on_a_scene_of_this_package(rk4):
 
 
 def test_a_motion_without_a_second_method_is_no_reference():
-    facts = {"span": 1.0, "setups": [], "quick": True}
+    facts = {"span": 1.0, "setups": [], "left": [], "refused": [], "quick": True}
     outcome = {"runs": [], "agreement": None, "check": "", **facts}
     section = compose([("arm7_swing", outcome)], [])
     assert section.wrong == ["arm7_swing: unchecked reference"] and section.tables == ()

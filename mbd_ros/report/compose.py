@@ -69,6 +69,7 @@ def report(order: Order) -> Iterator[str]:
     results: dict[str, Result] = {}
     facts["changed"] = yield from _results(order, work, results)
     sections = {kind: _section(kind, made, results) for kind, made in found.items()}
+    sections = {k: _asked(s) if k in order.only else s for k, s in sections.items()}
     facts["duration"] = time.monotonic() - begin
     wrong = _write(order.out, facts, sections, [(item, results[label(item)]) for item in work])
     yield f"{len(sections)} sections -> {order.out / 'index.html'}"
@@ -130,6 +131,14 @@ def _section(kind: str, made: list[Item] | Section, results: Mapping[str, Result
     failures = [f"{label(item)}: {r.failure}" for item, r in mine if r.failure]
     section = items.part(kind).section([(item, r.value) for item, r in mine if not r.failure])
     return section._replace(wrong=[*failures, *section.wrong])
+
+
+def _asked(section: Section) -> Section:
+    """A kind that was asked for by name and has nothing to show is wrong, and says why."""
+    if section.tables or section.wrong:
+        return section
+    reasons = " ".join(section.text)
+    return section._replace(wrong=[f"asked for, but nothing was measured: {reasons}"])
 
 
 def _write(

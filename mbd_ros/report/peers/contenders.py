@@ -3,18 +3,17 @@
 import gc
 import time
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from mbd_ros.built_scene import Scene
-from mbd_ros.core.state import Array, State
-from mbd_ros.errors import MbdError, SceneError
+from mbd_ros.core.state import State
+from mbd_ros.errors import MbdError
 from mbd_ros.report.precision.choices import Choice
 from mbd_ros.report.precision.converged import Known, distance, problem_of
 from mbd_ros.report.precision.reference_problems import error
 from mbd_ros.report.precision.rungs import Record, timed
-from mbd_ros.strict_yaml import read_mapping
 
 _LONG = 0.3  # s; runs are not repeated beyond that
 _USELESS = 1.0e2  # error of a run that says nothing [rad or m]
@@ -42,37 +41,6 @@ class Contender(Protocol):
         ...
 
 
-class Loop(NamedTuple):
-    """Two points of links that coincide, each in the axes of its link [m]."""
-
-    frame_a: str
-    point_a: tuple[float, ...]
-    frame_b: str
-    point_b: tuple[float, ...]
-
-
-class Task(NamedTuple):
-    """A scene as other packages can be told.
-
-    Attributes:
-        urdf: Robot description.
-        gravity: [m/s^2], shape (3,).
-        names: Joints in the order of q.
-        q: Assembled start [rad or m], shape (nq,).
-        v: Its velocity, shape (nv,).
-        couplings: Dependent joint, its parent, factor, offset [rad].
-        loops: Closed loops.
-    """
-
-    urdf: str
-    gravity: Array
-    names: tuple[str, ...]
-    q: Array
-    v: Array
-    couplings: tuple[tuple[str, str, float, float], ...]
-    loops: tuple[Loop, ...]
-
-
 class Ours:
     """This package.
 
@@ -92,27 +60,6 @@ class Ours:
         """As `Contender.run`."""
         simulation, ys, used = timed(self._scene, self._choice, times)
         return [simulation.system.expand(y) for y in ys], used
-
-
-def task_of(scene: Scene) -> Task:
-    """What other packages need of a scene.
-
-    Raises:
-        SceneError: It has what they cannot express.
-    """
-    given = read_mapping(scene.path)
-    if scene.forces or scene.robot.floating or scene.actuators:
-        raise SceneError(f"{scene.path}: peers take arms and planar loops without loads")
-    simulation = scene.simulation()
-    x = simulation.system.expand(simulation.start(scene.initial))
-    couplings = tuple(
-        (name, entry["parent"], float(entry["factor"]), float(entry.get("offset", 0.0)))
-        for name, entry in given.get("couplings", {}).items()
-    )
-    loops = tuple(_loop(entry) for entry in given.get("constraints", []))
-    gravity = np.array(scene.robot.model.gravity.linear)
-    names = tuple(joint.name for joint in scene.robot.joints)
-    return Task(scene.source, gravity, names, x.q, x.v, couplings, loops)
 
 
 def compete(
@@ -165,11 +112,3 @@ def _errors(scene: Scene, states: Sequence[State], motion: Known) -> Record:
     position = off if problem is None else error(problem, scene.robot, states)
     velocity = max(float(np.abs(x.v - known.v).max()) for x, known in pairs)
     return {"position": position, "configuration": off, "velocity": velocity}
-
-
-def _loop(entry: Any) -> Loop:
-    if entry["type"] != "loop_closure" or entry.get("directions") != "xy":
-        raise SceneError(f"peers take planar loops, not {entry['type']}")
-    origin = (0.0, 0.0, 0.0)
-    points = (tuple(entry.get(key, origin)) for key in ("point_a", "point_b"))
-    return Loop(entry["frame_a"], next(points), entry["frame_b"], next(points))

@@ -1,16 +1,29 @@
 """Drake on the scenes of this package; the only importer of pydrake."""
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
-from pydrake.multibody.parsing import Parser
+import pinocchio as pin
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
-from pydrake.multibody.tree import RigidBody, SpatialInertia
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    LinearSpringDamper,
+    PrismaticJoint,
+    PrismaticSpring,
+    RevoluteJoint,
+    RevoluteSpring,
+    RigidBody,
+    SpatialInertia,
+    UnitInertia,
+)
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 
-from mbd_ros.core.state import State
-from mbd_ros.errors import DivergedError
-from mbd_ros.report.peers.contenders import Task, cpu_time
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import DivergedError, SceneError
+from mbd_ros.report.peers.contenders import cpu_time
+from mbd_ros.report.peers.task import Body, Task
 from mbd_ros.report.precision.rungs import Record
 
 SETUP = (
@@ -29,6 +42,8 @@ _FIXED = {  # s
 }
 _STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 5e-5)  # s, discrete plant
 _ANCHOR = "end_of_loop_on_world"
+_LINEAR = 2  # coefficients of a coupling
+_HINGE, _SLIDE = (RevoluteJoint, RevoluteSpring), (PrismaticJoint, PrismaticSpring)
 
 
 class DrakeRun:
@@ -39,6 +54,9 @@ class DrakeRun:
         scheme: Integration scheme; empty for the discrete plant.
         accuracy: Of the error control; None for fixed steps.
         dt: Step [s], or with error control longest first step.
+
+    Raises:
+        SceneError: Drake cannot express the scene.
     """
 
     package = "Drake"
@@ -47,10 +65,11 @@ class DrakeRun:
         self, task: Task, scheme: str, accuracy: float | None = None, dt: float = 0.1
     ) -> None:
         self._task, self._scheme, self._accuracy, self._dt = task, scheme, accuracy, dt
-        self._plant = _plant(task, 0.0 if scheme else dt)
-        joints = [self._plant.GetJointByName(name) for name in task.names]
-        self._q = np.array([joint.position_start() for joint in joints])
-        self._v = np.array([joint.velocity_start() for joint in joints])
+        try:
+            self._plant = _plant(task, 0.0 if scheme else dt)
+        except RuntimeError as error:
+            raise SceneError(str(error).splitlines()[0]) from error
+        self._q, self._v = _coordinates(task, self._plant)
         self.setup = scheme or "discrete, SAP"
         if scheme and accuracy is None:
             self.setup += ", fixed step"
@@ -62,7 +81,7 @@ class DrakeRun:
         Raises:
             DivergedError: Drake gives up.
         """
-        simulator, plant, n = Simulator(self._plant), self._plant, len(self._q)
+        simulator, plant = Simulator(self._plant), self._plant
         if self._scheme:
             integrator = ResetIntegratorFromFlags(simulator, self._scheme, self._dt)
             if self._accuracy is None:
@@ -70,9 +89,12 @@ class DrakeRun:
             else:
                 integrator.set_target_accuracy(self._accuracy)
         context = simulator.get_mutable_context()
-        start = np.zeros(2 * n)
-        start[self._q], start[n + self._v] = self._task.q, self._task.v
-        plant.SetPositionsAndVelocities(context, start)
+        q, v, torques = (np.zeros(len(i)) for i in (self._q, self._v, self._v))
+        q[self._q], v[self._v] = _to_drake(self._task)
+        torques[self._v] = self._task.torques
+        plant.SetPositions(context, q)
+        plant.SetVelocities(context, v)
+        plant.get_applied_generalized_force_input_port().FixValue(context, torques)
         simulator.Initialize()
         states, used = [], 0.0
         for t in times:
@@ -81,13 +103,13 @@ class DrakeRun:
             except RuntimeError as error:
                 raise DivergedError(f"Drake: {error}"[:160]) from error
             q, v = plant.GetPositions(context)[self._q], plant.GetVelocities(context)[self._v]
-            states.append(State(t, q, v))
+            states.append(State(t, *_from_drake(self._task, q, v)))
         return states, used
 
 
 def runs(task: Task, quick: bool) -> Iterator[DrakeRun]:
     """The sweep over integrators, accuracies and steps."""
-    if not (task.couplings or task.loops):
+    if not task.has_rows:
         for scheme, accuracies in _ACCURACIES.items():
             chosen = accuracies[: 3 if quick else None]
             yield from (DrakeRun(task, scheme, accuracy) for accuracy in chosen)
@@ -99,35 +121,111 @@ def runs(task: Task, quick: bool) -> Iterator[DrakeRun]:
 
 def _plant(task: Task, dt: float) -> MultibodyPlant:
     plant = MultibodyPlant(dt)
-    parser = Parser(plant)
-    (model,) = parser.AddModels(task.urdf)
     plant.mutable_gravity_field().set_gravity_vector(task.gravity)
-    if plant.HasBodyNamed("base", model):
-        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
     if dt:
         plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
-    for name in task.names:
-        joint = plant.GetJointByName(name)
-        joint.set_position_limits([-np.inf], [np.inf])
-        joint.set_velocity_limits([-np.inf], [np.inf])
-    for child, parent, factor, offset in task.couplings:
-        one, other = plant.GetJointByName(child), plant.GetJointByName(parent)
+    bodies = [plant.world_body()]
+    for body in task.moving:
+        bodies.append(_add_body(plant, bodies[body.parent], body))
+    for child, parent, coefficients in task.follows:
+        if len(coefficients) > _LINEAR:
+            raise SceneError("couplings that are not linear")
+        offset, factor = coefficients
+        one, other = (plant.GetJointByName(task.moving[i - 1].name) for i in (child, parent))
         plant.AddCouplerConstraint(one, other, factor, offset)
-    if any("world" in (loop.frame_a, loop.frame_b) for loop in task.loops):
-        _add_anchor(plant)
-    for loop in task.loops:
-        body_a, body_b = _end(plant, loop.frame_a), _end(plant, loop.frame_b)
-        plant.AddBallConstraint(body_a, np.array(loop.point_a), body_b, np.array(loop.point_b))
+    _add_pairs(plant, task, bodies)
+    for a, b, stiffness, damping, length in task.springs:
+        ends = (bodies[a.body], a.place.translation, bodies[b.body], b.place.translation)
+        plant.AddForceElement(LinearSpringDamper(*ends, length, stiffness, damping))
     plant.Finalize()
     return plant
 
 
-def _add_anchor(plant: MultibodyPlant) -> None:
+def _add_pairs(plant: MultibodyPlant, task: Task, bodies: Sequence[RigidBody]) -> None:
+    """Points that coincide, frames that coincide, points at a distance."""
+    pairs = (*task.points, *task.welds, *((a, b) for a, b, _ in task.bars))
+    ends = list(bodies)
+    if any(end.body == 0 for pair in pairs for end in pair):
+        ends[0] = _add_anchor(plant)
+    for a, b in task.points:
+        plant.AddBallConstraint(
+            ends[a.body], a.place.translation, ends[b.body], b.place.translation
+        )
+    for a, b in task.welds:
+        plant.AddWeldConstraint(ends[a.body], _pose(a.place), ends[b.body], _pose(b.place))
+    for a, b, distance in task.bars:
+        points = ends[a.body], a.place.translation, ends[b.body], b.place.translation
+        plant.AddDistanceConstraint(*points, distance)
+
+
+def _add_body(plant: MultibodyPlant, parent: RigidBody, told: Body) -> RigidBody:
+    body = plant.AddRigidBody(told.name, _inertia(told.inertia))
+    if not told.axis.any():
+        return body
+    place = FixedOffsetFrame(f"at {told.name}", parent.body_frame(), _pose(told.place))
+    frames = plant.AddFrame(place), body.body_frame()
+    kind, spring = _SLIDE if told.slides else _HINGE
+    joint = plant.AddJoint(kind(told.name, *frames, told.axis, damping=told.damping))
+    if told.stiffness:
+        plant.AddForceElement(spring(joint, told.rest, told.stiffness))
+    if told.armature:
+        actuator = plant.AddJointActuator(told.name, joint)
+        actuator.set_default_rotor_inertia(told.armature)
+    return body
+
+
+def _inertia(told: Any) -> SpatialInertia:
+    if told.mass == 0.0:
+        return SpatialInertia.Zero()
+    unit = told.inertia / told.mass
+    moments = UnitInertia(*np.diag(unit), unit[0, 1], unit[0, 2], unit[1, 2])
+    about_origin = moments.ShiftFromCenterOfMass(-told.lever)
+    return SpatialInertia(told.mass, told.lever, about_origin)
+
+
+def _pose(place: Any) -> RigidTransform:
+    return RigidTransform(RotationMatrix(place.rotation), place.translation)
+
+
+def _add_anchor(plant: MultibodyPlant) -> RigidBody:
     """A body welded to the world: with the world itself in a loop AdvanceTo of 1.51 crashes."""
     inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.1)  # that of a welded body says nothing
     body = plant.AddRigidBody(_ANCHOR, plant.AddModelInstance(_ANCHOR), inertia)
     plant.WeldFrames(plant.world_frame(), body.body_frame())
+    return body
 
 
-def _end(plant: MultibodyPlant, frame: str) -> RigidBody:
-    return plant.GetBodyByName(_ANCHOR if frame == "world" else frame)
+def _coordinates(task: Task, plant: MultibodyPlant) -> tuple[Array, Array]:
+    """Where our coordinates and velocities stand in those of Drake."""
+    joints = [plant.GetJointByName(body.name) for body in task.joints]
+    q, v = (
+        [joint.position_start() for joint in joints],
+        [joint.velocity_start() for joint in joints],
+    )
+    if task.is_floating:
+        free = plant.GetBodyByName(task.moving[0].name)
+        q = [*range(free.floating_positions_start(), free.floating_positions_start() + 7), *q]
+        first = free.floating_velocities_start_in_v()
+        v = [*range(first, first + 6), *v]
+    return np.array(q), np.array(v)
+
+
+def _to_drake(task: Task) -> tuple[Array, Array]:
+    """The start: Drake's free body is w, x, y, z, then its place; angular, then linear velocity.
+
+    Both velocities are in the world.
+    """
+    q, v = task.q.copy(), task.v.copy()
+    if task.is_floating:
+        R = pin.XYZQUATToSE3(q[:7]).rotation
+        q[:7] = [*q[[6, 3, 4, 5]], *q[:3]]
+        v[:6] = [*R.dot(v[3:6]), *R.dot(v[:3])]
+    return q, v
+
+
+def _from_drake(task: Task, q: Array, v: Array) -> tuple[Array, Array]:
+    if task.is_floating:
+        q[:7] = [*q[4:7], *q[[1, 2, 3, 0]]]
+        R = pin.XYZQUATToSE3(q[:7]).rotation
+        v[:6] = [*R.T.dot(v[3:6]), *R.T.dot(v[:3])]
+    return q, v

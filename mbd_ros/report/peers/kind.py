@@ -3,21 +3,24 @@
 import importlib
 import importlib.util
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 from mbd_ros.built_scene import Scene
-from mbd_ros.errors import MbdError
+from mbd_ros.errors import MbdError, SceneError
 from mbd_ros.report.items import Item, Outcome, Section, Spec
-from mbd_ros.report.peers.contenders import Contender, Ours, compete, task_of
+from mbd_ros.report.peers.contenders import Contender, Ours, compete
 from mbd_ros.report.peers.text import compose
+from mbd_ros.report.peers.translation import common_ground, task_of
 from mbd_ros.report.precision.choices import Choice, stabilizations
-from mbd_ros.report.precision.converged import known
-from mbd_ros.report.subjects import failures, subjects
+from mbd_ros.report.precision.converged import motion_of
+from mbd_ros.report.subjects import failures, is_own, subjects
 from mbd_ros.scene import load_scene
 
 PEERS = {
     "mujoco": "mbd_ros.report.peers.mujoco_peer",
     "pydrake": "mbd_ros.report.peers.drake_peer",
 }
+_SHOWN = {"mujoco": "MuJoCo", "pydrake": "Drake"}
 _SCENES = (
     "arm7_swing",
     "arm7_release",
@@ -55,13 +58,13 @@ def installed() -> list[str]:
 
 
 def items(scenes: Sequence[str], quick: bool) -> list[Item]:
-    """One item a scene that peers can express; none without peers, or for scenes of a user."""
+    """One item a scene; none without peers."""
     names = installed()
-    if scenes or not names:
+    if not names:
         return []
     seconds, found = (_SECONDS_QUICK if quick else _SECONDS), []
-    for subject in subjects((), quick):
-        if subject.name in (_QUICK if quick else _SCENES):
+    for subject in subjects(scenes, quick):
+        if scenes or subject.name in (_QUICK if quick else _SCENES):
             spec = {
                 "scene": subject.path,
                 "times": [t for t in subject.times if t <= _SPAN],
@@ -74,23 +77,28 @@ def items(scenes: Sequence[str], quick: bool) -> list[Item]:
 
 def run(spec: Spec) -> Outcome:
     """All contenders on one scene, in turn."""
-    scene, times = load_scene(spec["scene"]), tuple(spec["times"])
+    ground, times = common_ground(load_scene(spec["scene"])), tuple(spec["times"])
     missing = [name for name in spec["peers"] if name not in installed()]
     if missing:
         return {"failed": f"not installed on this worker: {', '.join(missing)}"}
     try:
-        motion, task = known(spec["scene"], times), task_of(scene)
+        motion = motion_of(ground.scene, times)
     except MbdError as error:
         return {"failed": f"{type(error).__name__}: {error}"}
-    contenders: list[Contender] = list(_ours(scene, spec["quick"]))
-    setups = []
+    contenders: list[Contender] = []
+    facts: dict[str, Any] = {"left": list(ground.left), "refused": [], "setups": []}
     for name in spec["peers"]:
         module = importlib.import_module(PEERS[name])
-        contenders += module.runs(task, spec["quick"])
-        setups.append(module.SETUP)
-    records = compete(scene, contenders, motion, 2 if spec["quick"] else 3)
+        try:
+            contenders += list(module.runs(task_of(ground, motion.states), spec["quick"]))
+            facts["setups"].append(module.SETUP)
+        except SceneError as error:
+            facts["refused"].append(f"{_SHOWN[name]}: {error}")
+    if contenders:
+        contenders = [*_ours(ground.scene, spec["quick"]), *contenders]
+    records = compete(ground.scene, contenders, motion, 2 if spec["quick"] else 3)
     agreement = motion.agreement if motion.check else None
-    facts = {"span": times[-1], "setups": setups, "quick": spec["quick"]}
+    facts |= {"span": times[-1], "quick": spec["quick"], "own": is_own(spec["scene"])}
     return {"runs": records, "agreement": agreement, "check": motion.check, **facts}
 
 

@@ -47,13 +47,17 @@ def compose(outcomes: Sequence[tuple[str, Mapping[str, Any]]], missing: Sequence
         if "failed" in outcome:
             text.append(f"{name}: {outcome['failed']}")
             continue
+        text += _not_told(name, outcome)
         if outcome["agreement"] is None:
             wrong.append(f"{name}: {UNCHECKED}")
             continue
-        text += [line for line in outcome["setups"] if line not in text]
         groups = _groups(outcome)
+        if not any(group.runs for package, group in groups.items() if package != OURS):
+            text.append(f"{name}: no peer finished a run")
+            continue
+        text += [line for line in outcome["setups"] if line not in text]
         compared[name, outcome["span"]] = groups
-        if not outcome.get("quick"):  # that runs too short to be judged
+        if outcome["own"] and not outcome["quick"]:  # that runs too short to be judged
             demands += _demands(name, groups)
         finest += _finest(name, outcome, groups)
         figures[f"peers_{name}"] = _figure(name, groups)
@@ -70,6 +74,18 @@ def compose(outcomes: Sequence[tuple[str, Mapping[str, Any]]], missing: Sequence
     judged = [name for scene, _ in _WANTED_RATIOS if (name := f"peers_{scene}") in figures]
     headline = (tables[0].title, *(judged or list(figures))[:1])
     return Section("Other packages", text, tables, figures, wrong, headline=headline)
+
+
+def _not_told(name: str, outcome: Mapping[str, Any]) -> list[str]:
+    """What of a scene the comparison leaves out, and who could not take part."""
+    lines = [f"{name}: not compared with {reason}" for reason in outcome["refused"]]
+    if outcome["left"] and outcome["setups"]:
+        parts = ", ".join(outcome["left"])
+        lines.append(
+            f"{name} is compared without {parts}: no peer has these as they are here, so they are "
+            "left out in every package."
+        )
+    return lines
 
 
 def ratio(ours: Sequence[Point], theirs: Sequence[Point], error: float) -> float | None:

@@ -68,7 +68,11 @@ def known(path: str, times: tuple[float, ...]) -> Known:
     Raises:
         MbdError: No method gets there.
     """
-    scene = load_scene(path)
+    return motion_of(load_scene(path), times)
+
+
+def motion_of(scene: Scene, times: tuple[float, ...]) -> Known:
+    """Converged motion of a built scene, as `known`."""
     special = _SPECIAL.get(scene.path.stem)
     methods = ((_FINE, 1.0), *_SECOND) if special is None else special
     first = _choice(scene, *methods[0])

@@ -1,0 +1,267 @@
+"""From a scene to what other packages can be told of it."""
+
+import inspect
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.built_scene import Scene
+from mbd_ros.core.laws import Linear
+from mbd_ros.core.state import State
+from mbd_ros.errors import SceneError
+from mbd_ros.report.peers.task import Body, End, Follow, Spring, Task
+from mbd_ros.strict_yaml import read_mapping
+
+_FORCES = ("joint_friction", "joint_spring", "joint_torque", "point_spring")
+_CLOSED = 1.0e-8  # m: directions that no row holds and that stay closed by themselves
+_LEVER = 0.1  # m, between the two points that make an axis
+
+
+class Entry(NamedTuple):
+    """A part of a scene that peers are told.
+
+    Attributes:
+        kind: Its `type`.
+        words: All its keys, those that the scene leaves out with their defaults.
+        where: File and key.
+    """
+
+    kind: str
+    words: Mapping[str, Any]
+    where: str
+
+
+class Ground(NamedTuple):
+    """What is common to all packages.
+
+    Attributes:
+        scene: The scene without the loads that no peer has.
+        constraints: What remains of that section.
+        forces: What remains of that section.
+        left: What was left out, such as `forces[1] (switching_force)`.
+    """
+
+    scene: Scene
+    constraints: tuple[Entry, ...]
+    forces: tuple[Entry, ...]
+    left: tuple[str, ...]
+
+
+def common_ground(scene: Scene) -> Ground:
+    """The scene without the loads that no peer has.
+
+    Stops and stiction of peers are soft, whatever their settings; other forces they do not know.
+    """
+    given, left = read_mapping(scene.path), []
+    kept: dict[str, tuple[Any, ...]] = {}
+    entries: dict[str, tuple[Entry, ...]] = {}
+    for section, parts in (("constraints", scene.constraints), ("forces", scene.forces)):
+        pairs = [
+            (part, _entry(part, entry, f"{section}[{i}]"))
+            for i, (part, entry) in enumerate(zip(parts, given.get(section) or [], strict=True))
+        ]
+        told = [pair for pair in pairs if _is_told(*pair)]
+        left += [
+            f"{entry.where} ({entry.kind})" for part, entry in pairs if not _is_told(part, entry)
+        ]
+        kept[section] = tuple(part for part, _ in told)
+        entries[section] = tuple(entry for _, entry in told)
+    scene = replace(scene, **kept) if left else scene
+    return Ground(scene, entries["constraints"], entries["forces"], tuple(left))
+
+
+def task_of(ground: Ground, states: Sequence[State] = ()) -> Task:
+    """What other packages need of a scene.
+
+    Args:
+        ground: The scene.
+        states: States of all joints on its motion, on which it is seen whether loops that are
+            closed along some directions stay closed along the others.
+
+    Raises:
+        SceneError: It has what they cannot express, named.
+    """
+    scene = ground.scene
+    simulation = scene.simulation()
+    x = simulation.system.expand(simulation.start(scene.initial))
+    rows = _Rows(scene, [x, *states])
+    for entry in ground.constraints:
+        rows.add(entry)
+    return Task(
+        np.array(scene.robot.model.gravity.linear),
+        (None, *_bodies(scene, ground.forces)),
+        scene.robot.floating,
+        x.q,
+        x.v,
+        (*_couplings(scene), *rows.follows),
+        tuple(rows.points),
+        tuple(rows.welds),
+        tuple(rows.bars),
+        tuple(_springs(scene, ground.forces)),
+    )
+
+
+def _is_told(part: Any, entry: Entry) -> bool:
+    if entry.kind in _FORCES:
+        return entry.words.get("coulomb", 0.0) == 0.0
+    is_row = hasattr(part, "bounds")
+    return is_row and (part.bounds is None or bool(part.driven))
+
+
+def _entry(part: Any, given: Mapping[str, Any], where: str) -> Entry:
+    accepted = inspect.signature(type(part)).parameters.values()
+    defaults = {p.name: p.default for p in accepted if p.default is not inspect.Parameter.empty}
+    return Entry(str(given["type"]), {**defaults, **given}, where)
+
+
+def _bodies(scene: Scene, forces: Sequence[Entry]) -> Iterator[Body]:
+    robot = scene.robot
+    model, data = robot.model, robot.model.createData()
+    pin.forwardKinematics(model, data, robot.neutral(), np.zeros(model.nv))
+    names = {joint.v: joint.name for joint in robot.joints}
+    for i in range(1, model.njoints):
+        joint, place, inertia = model.joints[i], model.jointPlacements[i], model.inertias[i]
+        common = int(model.parents[i]), place
+        if joint.nv > 1:
+            yield Body("base", *common, np.zeros(3), False, inertia)
+            continue
+        subspace = np.asarray(data.joints[i].S).reshape(6)
+        slides = bool(subspace[:3].any())
+        axis = subspace[:3] if slides else subspace[3:]
+        name = names[joint.idx_v]
+        loads = _joint_loads(name, forces)
+        armature = float(model.armature[joint.idx_v])
+        yield Body(name, *common, axis, slides, inertia, armature, *loads)
+
+
+def _joint_loads(name: str, forces: Sequence[Entry]) -> tuple[float, float, float, float]:
+    """Stiffness, rest position, damping and torque of all that acts in a joint.
+
+    Springs add up to one at the position at which they are in balance.
+    """
+    stiffness = moment = damping = torque = 0.0
+    for _, words, _ in (entry for entry in forces if entry.words.get("joint") == name):
+        k = float(words.get("stiffness", 0.0))
+        stiffness, moment = stiffness + k, moment + k * float(words.get("rest", 0.0))
+        damping += float(words.get("damping", 0.0)) + float(words.get("viscous", 0.0))
+        torque += float(words.get("torque", 0.0))
+    return stiffness, moment / stiffness if stiffness else 0.0, damping, torque
+
+
+def _body_of(scene: Scene, joint: str) -> int:
+    return int(scene.robot.model.getJointId(scene.robot.joint(joint).urdf_name))
+
+
+def _couplings(scene: Scene) -> Iterator[Follow]:
+    given = read_mapping(scene.path).get("couplings") or {}
+    model = scene.robot.model
+    bodies = {int(joint.idx_v): i for i, joint in enumerate(model.joints) if i}
+    links = zip(scene.couplings.dependent, scene.couplings.links, strict=True)
+    for name, link in links:
+        if isinstance(link.law, Linear):
+            coefficients: tuple[float, ...] = (link.law.offset, link.law.factor)
+        elif "polynomial" in given[name]:
+            coefficients = tuple(float(c) for c in given[name]["polynomial"])
+        else:
+            raise SceneError(f"couplings.{name}: peers take polynomials, not {scene.laws[name]}")
+        yield Follow(bodies[link.child_v], bodies[link.parent_v], coefficients)
+
+
+def _springs(scene: Scene, forces: Sequence[Entry]) -> Iterator[Spring]:
+    for _, words, _ in (entry for entry in forces if entry.kind == "point_spring"):
+        ends = (_end(scene, words[f"frame_{c}"], words[f"point_{c}"]) for c in "ab")
+        numbers = (float(words[key]) for key in ("stiffness", "damping", "length"))
+        yield Spring(*ends, *numbers)
+
+
+def _end(
+    scene: Scene, frame: str, point: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)
+) -> End:
+    link = scene.robot.model.frames[scene.robot.frame(frame)]
+    rotation = pin.rpy.rpyToMatrix(np.array(rpy, dtype=np.float64))
+    at = pin.SE3(rotation, np.array(point, dtype=np.float64))
+    return End(int(link.parentJoint), link.placement * at)
+
+
+class _Rows:
+    """Constraints as pairs of frames.
+
+    Args:
+        scene: The scene.
+        states: Of all joints, on its motion.
+    """
+
+    def __init__(self, scene: Scene, states: Sequence[State]) -> None:
+        self._scene, self._states = scene, states
+        self.points: list[tuple[End, End]] = []
+        self.welds: list[tuple[End, End]] = []
+        self.bars: list[tuple[End, End, float]] = []
+        self.follows: list[Follow] = []
+
+    def add(self, entry: Entry) -> None:
+        """Take one constraint.
+
+        Raises:
+            SceneError: Peers cannot express it.
+        """
+        adds = {
+            "loop_closure": self._loop,
+            "frame_anchor": self._anchor,
+            "distance": self._bar,
+            "screw": self._screw,
+        }
+        if entry.kind not in adds:
+            known = ", ".join(adds)
+            raise SceneError(f"{entry.where}: peers take {known}, not {entry.kind}")
+        adds[entry.kind](entry)
+
+    def _loop(self, entry: Entry) -> None:
+        words = entry.words
+        a, b = (
+            _end(self._scene, words[f"frame_{c}"], words[f"point_{c}"], words[f"rpy_{c}"])
+            for c in "ab"
+        )
+        free = [i for i, axis in enumerate("xyz") if axis not in words["directions"]]
+        if free and not self._stays_closed(a, b, free):
+            raise SceneError(
+                f"{entry.where}: peers close all directions, not only {words['directions']}"
+            )
+        if words["kind"] == "full":
+            self.welds.append((a, b))
+            return
+        self.points.append((a, b))
+        if words["kind"] == "revolute":
+            step = pin.SE3(np.eye(3), _LEVER * np.eye(3)["xyz".index(words["axis"])])
+            self.points.append((End(a.body, a.place * step), End(b.body, b.place * step)))
+
+    def _anchor(self, entry: Entry) -> None:
+        words = entry.words
+        held = _end(self._scene, words["frame"], words["point"], words["rpy"])
+        turned = words["orientation"] or (0.0, 0.0, 0.0)
+        place = _end(self._scene, "universe", words["position"], turned)
+        (self.welds if words["kind"] == "full" else self.points).append((place, held))
+
+    def _bar(self, entry: Entry) -> None:
+        words = entry.words
+        a, b = (_end(self._scene, words[f"frame_{c}"], words[f"point_{c}"]) for c in "ab")
+        self.bars.append((a, b, float(words["distance"])))
+
+    def _screw(self, entry: Entry) -> None:
+        joint, parent = (_body_of(self._scene, entry.words[key]) for key in ("joint", "parent"))
+        lead = float(entry.words["pitch"]) / (2.0 * math.pi)
+        self.follows.append(Follow(joint, parent, (float(entry.words["offset"]), lead)))
+
+    def _stays_closed(self, a: End, b: End, free: Sequence[int]) -> bool:
+        """Whether the origins do not part along some axes of a, at any known state."""
+        model = self._scene.robot.model
+        data = model.createData()
+        for x in self._states:
+            pin.forwardKinematics(model, data, x.q)
+            between = (data.oMi[a.body] * a.place).actInv(data.oMi[b.body] * b.place)
+            if np.abs(between.translation[list(free)]).max() > _CLOSED:
+                return False
+        return True
