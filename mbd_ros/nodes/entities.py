@@ -5,6 +5,8 @@ from typing import Any
 
 from mbd_ros.nodes.health import Endpoint
 
+_Owned = list[tuple[Any, Callable[[], None]]]
+
 
 class Entities:
     """Destroys with a configuration or an activation what was made in it.
@@ -15,8 +17,9 @@ class Entities:
 
     def __init__(self) -> None:
         self.endpoints: list[Endpoint] = []
-        self._of_configuration: list[Callable[[], None]] = []
-        self._of_activation: list[Callable[[], None]] = []
+        self._of_node: _Owned = []
+        self._of_configuration: _Owned = []
+        self._of_activation: _Owned = []
 
     def keep(
         self, state: str, destroy: Callable[[Any], Any], entity: Any, *watch: Endpoint
@@ -35,10 +38,16 @@ class Entities:
             self.endpoints = [kept for kept in self.endpoints if kept not in watch]
             destroy(entity)
 
-        if state == "activating":
-            self._of_activation.append(forget)
-        elif state != "unconfigured":
-            self._of_configuration.append(forget)
+        later = self._of_node if state == "unconfigured" else self._of_configuration
+        owned = self._of_activation if state == "activating" else later
+        owned.append((entity, forget))
+
+    def drop(self, entity: Any) -> None:
+        """Destroy one entity before its time."""
+        for owned in (self._of_node, self._of_configuration, self._of_activation):
+            for entry in [e for e in owned if e[0] is entity]:
+                owned.remove(entry)
+                entry[1]()
 
     def release(self) -> None:
         """Destroy what the configuration and its activation made, the newest first."""
@@ -50,6 +59,6 @@ class Entities:
         _empty(self._of_activation)
 
 
-def _empty(owned: list[Callable[[], None]]) -> None:
+def _empty(owned: _Owned) -> None:
     while owned:
-        owned.pop()()
+        owned.pop()[1]()

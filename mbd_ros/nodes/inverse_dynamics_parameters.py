@@ -18,6 +18,7 @@ ALLOW_CODE = Parameter(
     bool,
     "Import the package.module:Class that the scene names: code of others runs in this node.",
     False,
+    fixed=True,
 )
 PARAMETERS = (
     Parameter("scene", str, "Scene file."),

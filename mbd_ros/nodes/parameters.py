@@ -46,7 +46,9 @@ class Parameter(NamedTuple):
         high: Largest number accepted, also in lists.
         length: Number of entries of a list; None accepts any.
         choices: The texts accepted; empty accepts any.
-        read_only: False only for gains, rates and timeouts: these may change at run time.
+        read_only: While configured; False only for gains, rates and timeouts: these may change
+            at run time.
+        fixed: Read-only at all times: what the process itself is made with.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Parameter(NamedTuple):
     length: int | None = None
     choices: tuple[str, ...] = ()
     read_only: bool = True
+    fixed: bool = False
 
     @property
     def key(self) -> str:
@@ -92,8 +95,11 @@ class Parameter(NamedTuple):
 
     def descriptor(self) -> ParameterDescriptor:
         """Text, range and read_only for tools."""
+        when = "; read-only while configured" if self.read_only and not self.fixed else ""
         described = ParameterDescriptor(
-            description=self.text, additional_constraints=self.accepted(), read_only=self.read_only
+            description=self.text,
+            additional_constraints=self.accepted() + when,
+            read_only=self.fixed,
         )
         # rclpy takes an open end for doubles only, and no range for lists: `read` checks all.
         if self.kind is float and (self.low, self.high) != (-math.inf, math.inf):
@@ -126,7 +132,11 @@ class Declared:
     """
 
     def __init__(
-        self, node: Node, parameters: Sequence[Parameter], retune: Callable[[Any], None]
+        self,
+        node: Node,
+        parameters: Sequence[Parameter],
+        retune: Callable[[Any], None],
+        is_configured: Callable[[], bool],
     ) -> None:
         """Declare everything; a bad value is kept as a problem, never raised.
 
@@ -134,9 +144,10 @@ class Declared:
             node: Who owns the parameters.
             parameters: What to declare.
             retune: Called with the new values before they are swapped in; an MbdError refuses.
+            is_configured: Whether `read_only` holds at this moment.
         """
         self._specs = {parameter.name: parameter for parameter in parameters}
-        self._retune = retune
+        self._retune, self._is_configured = retune, is_configured
         self.problems: dict[str, str] = {}
         given = node._parameter_overrides  # rclpy shows them in no public way
         values = {spec.key: self._declare(node, spec, given) for spec in parameters}
@@ -159,9 +170,14 @@ class Declared:
                 raise ParameterError(f"parameter '{spec.name}' must be given: {spec.accepted()}")
         except ParameterError as error:
             self.problems[spec.name] = str(error)
-        # An empty list would be declared as BYTE_ARRAY: declare its type and leave it unset.
-        initial = _ROS_TYPES[spec.kind] if value is None or value == () else value
-        node.declare_parameter(spec.name, initial, spec.descriptor(), ignore_override=True)
+        shown = spec.default if value is None else value
+        kind, initial = _ROS_TYPES[spec.kind], spec.kind() if shown is None else shown
+        # rclpy would declare an empty list as BYTE_ARRAY: declare its type, then set it. One
+        # parameter without a value would leave `ros2 param dump` without any.
+        first = kind if initial in ((), []) else initial
+        node.declare_parameter(spec.name, first, spec.descriptor(), ignore_override=True)
+        if first is kind:
+            node.set_parameters([ros.Parameter(spec.name, kind, [])])
         return value
 
     def _unknown(self, name: str) -> str:
@@ -178,6 +194,8 @@ class Declared:
 
     def _converted(self, change: ros.Parameter) -> ros.Parameter:
         kind = self._specs[change.name].kind if change.name in self._specs else None
+        if get_origin(kind) is list and change.value is not None and len(change.value) == 0:
+            return ros.Parameter(change.name, _ROS_TYPES[kind], [])
         if kind is float and change.type_ == ros.Parameter.Type.INTEGER:
             return ros.Parameter(change.name, value=float(change.value))
         if kind == list[float] and change.type_ == ros.Parameter.Type.INTEGER_ARRAY:
@@ -188,6 +206,7 @@ class Declared:
         known = [(self._specs[c.name], c.value) for c in changes if c.name in self._specs]
         try:
             values = self.values._replace(**{spec.key: spec.read(new) for spec, new in known})
+            self._refuse_while_configured([spec for spec, _ in known], values)
             if known:
                 self._retune(values)
         except MbdError as error:
@@ -196,3 +215,12 @@ class Declared:
         for spec, _ in known:
             self.problems.pop(spec.name, None)
         return SetParametersResult(successful=True)
+
+    def _refuse_while_configured(self, specs: list[Parameter], values: Any) -> None:
+        """Raise for what only a new configuration can take; the same value is no change."""
+        for spec in specs if self._is_configured() else ():
+            if spec.read_only and getattr(values, spec.key) != getattr(self.values, spec.key):
+                raise ParameterError(
+                    f"parameter '{spec.name}' is read-only while the node is configured; "
+                    "clean up, set it, then configure"
+                )

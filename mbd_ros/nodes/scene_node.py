@@ -1,9 +1,11 @@
 """A node made from a scene, whose robot description may come on a topic."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.subscription import Subscription
 from std_msgs.msg import String
 
 from mbd_ros.code_permission import permitting
@@ -26,8 +28,8 @@ class SceneNode(Shell):
         self.is_built = False
         self._description: str | None = None
         self._description_topic: str | None = None
-        if self.parameters.scene:
-            self._listen_for_description()
+        self._descriptions: Subscription | None = None
+        self._listen_for_description(self.parameters.scene)
 
     def build(self, description: str | None) -> None:
         """Replace the scene and what was built from it, or raise an MbdError and keep it.
@@ -49,14 +51,24 @@ class SceneNode(Shell):
             self.build(self._description)
         self.is_built = True
 
-    def _listen_for_description(self) -> None:
-        try:
-            self._description_topic = description_topic(self.parameters.scene)
-        except MbdError:
-            return  # configure_core says it
-        if self._description_topic is not None:
-            topic = self._description_topic
-            self.subscribe(String, topic, self._on_description, LATCHED, always=True)
+    def prepare(self, values: Any) -> None:
+        """Listen for the robot of another scene."""
+        if values.scene != self.parameters.scene:
+            self._listen_for_description(values.scene)
+
+    def _listen_for_description(self, scene: str | None) -> None:
+        topic = None
+        if scene:
+            with suppress(MbdError):  # configure_core says it
+                topic = description_topic(scene)
+        if topic == self._description_topic:
+            return
+        if self._descriptions is not None:
+            self.unsubscribe(self._descriptions)
+        self._description_topic, self._description, self._descriptions = topic, None, None
+        if topic is not None:
+            take = self._on_description
+            self._descriptions = self.subscribe(String, topic, take, LATCHED, always=True)
 
     def _on_description(self, msg: Any) -> None:
         """Start with the first description; a later one replaces the robot whole or is refused."""

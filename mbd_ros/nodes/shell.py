@@ -25,7 +25,12 @@ from msg_adapters.diagnostics import ERROR, OK, WARN
 PARAMETERS = (
     Parameter("autostart", bool, "Configure and activate at the start.", True),
     Parameter(
-        "executor", str, "What drives callbacks.", "events", choices=("events", "single_threaded")
+        "executor",
+        str,
+        "What drives callbacks.",
+        "events",
+        choices=("events", "single_threaded"),
+        fixed=True,
     ),
 )
 
@@ -34,7 +39,7 @@ class Shell(LifeCycle):
     """A node that never lives half: it works, or it says in /diagnostics why not.
 
     Subclasses set `NAME` and `PARAMETERS` and override what they need of `configure_core`,
-    `activate_core`, `deactivate_core`, `safe`, `retune`, `reset` and `health`. What
+    `activate_core`, `deactivate_core`, `safe`, `retune`, `prepare`, `reset` and `health`. What
     `subscribe`, `publish_to` and `every` make in `configure_core` or `activate_core` is destroyed
     with that configuration or activation; what they make in the constructor stays.
     """
@@ -47,7 +52,8 @@ class Shell(LifeCycle):
         self._entities = Entities()
         self._known_problems: set[str] = set()
         self._drops = Drops(self.get_logger().warning)
-        self._declared = Declared(self, PARAMETERS + self.PARAMETERS, self._retune)
+        parameters = PARAMETERS + self.PARAMETERS
+        self._declared = Declared(self, parameters, self._retune, lambda: self.configured)
         unheard = file_warnings(argv, self.get_fully_qualified_name())
         for line in self._declared.undeclared(self) + unheard:
             self.get_logger().warning(line)
@@ -63,6 +69,13 @@ class Shell(LifeCycle):
 
         Args:
             values: All parameters, not yet in `self.parameters`. An MbdError refuses them.
+        """
+
+    def prepare(self, values: Any) -> None:
+        """Parameters change while the node is not configured.
+
+        Args:
+            values: All parameters, not yet in `self.parameters`.
         """
 
     def reset(self, reason: str) -> None:
@@ -106,6 +119,10 @@ class Shell(LifeCycle):
         endpoint = Endpoint(subscription, True, single_publisher)
         self._entities.keep(self.state, self.destroy_subscription, subscription, endpoint)
         return subscription
+
+    def unsubscribe(self, subscription: Subscription) -> None:
+        """Destroy a subscription before its time."""
+        self._entities.drop(subscription)
 
     def publish_to(self, kind: type, topic: str, qos: QoSProfile | int) -> Publisher:
         """Make a publisher; a subscriber with incompatible QoS is reported."""
@@ -192,6 +209,8 @@ class Shell(LifeCycle):
     def _retune(self, values: Any) -> None:
         if self.configured:
             self.retune(values)
+        else:
+            self.prepare(values)
 
     def _jumped(self, jump: TimeJump) -> None:
         changes = (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED)
