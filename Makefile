@@ -20,7 +20,7 @@ OTHER_PYTHON := other_python
 endif
 endif
 
-.PHONY: venv test demo lint format report soak bench colcon clean other_python
+.PHONY: venv test demo lint format report soak fuzz bench colcon clean other_python
 
 venv: .venv/installed
 
@@ -58,6 +58,10 @@ report: venv .venv/report
 
 soak: venv
 	$(BIN)/python -m pytest -m soak --timeout 0
+
+# CASES=100000 SEED=1 for more, or the same again; two workers do some 10 000 cases a minute.
+fuzz: venv
+	PYTHONPATH=test $(BIN)/python -m fuzz.run $(if $(CASES),--cases $(CASES)) $(if $(SEED),--seed $(SEED))
 
 bench: venv
 	$(BIN)/python -m mbd_ros.report.bench.forward

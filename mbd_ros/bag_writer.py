@@ -18,6 +18,7 @@ from mbd_ros.bag_paths import MARK, check_target
 from mbd_ros.bag_types import TYPES, to_cdr
 from mbd_ros.errors import DataError
 
+_SHOWN = 40  # characters of a name in that of a temporary folder: names end at 255 bytes
 PLUGINS = {".mcap": StoragePlugin.MCAP, ".db3": StoragePlugin.SQLITE3}
 
 
@@ -40,7 +41,9 @@ class BagWriter:
     def __enter__(self) -> "BagWriter":
         with self._failing():
             check_target(self.path)
-            self._room = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.", dir=self.path.parent))
+            self._room = Path(
+                tempfile.mkdtemp(prefix=f".{self.path.name[:_SHOWN]}.", dir=self.path.parent)
+            )
             with ExitStack() as undo:
                 undo.callback(shutil.rmtree, self._room, ignore_errors=True)
                 self._open()

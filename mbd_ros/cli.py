@@ -3,13 +3,14 @@
 import argparse
 import os
 import sys
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from mbd_ros.code_permission import permitting
-from mbd_ros.errors import MbdError
+from mbd_ros.error_source import about
+from mbd_ros.errors import MbdError, printable
 from mbd_ros.inverse_command import add_inverse, add_tuning, inverse_lines
+from mbd_ros.locate import path_word
 from mbd_ros.report.command import add_report, report_lines
 from mbd_ros.report.demo.command import add_demo, demo_lines
 
@@ -64,16 +65,16 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_check(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     check = commands.add_parser("check", help="what a scene builds, leaves out and costs")
-    check.add_argument("scene", type=Path)
+    check.add_argument("scene", type=path_word)
     check.set_defaults(run=_check)
 
 
 def _add_simulate(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     simulate = commands.add_parser("simulate", help="motion from forces, with constraint forces")
-    simulate.add_argument("scene", type=Path)
+    simulate.add_argument("scene", type=path_word)
     simulate.add_argument("-t", "--time", type=float, required=True, help="seconds to simulate")
     simulate.add_argument(
-        "-o", "--out", type=Path, required=True, help="CSV (.gz) or bag (required)"
+        "-o", "--out", type=path_word, required=True, help="CSV (.gz) or bag (required)"
     )
     simulate.add_argument("--integrator", help="in place of that of the scene")
     simulate.add_argument(
@@ -87,19 +88,23 @@ def _add_simulate(commands: "argparse._SubParsersAction[argparse.ArgumentParser]
         "--dt", type=float, help="step, and interval of the output [s] (default: of the scene)"
     )
     simulate.add_argument("--solver", help="tier in place of that of the scene")
-    simulate.add_argument("--from", dest="origin", type=Path, help="CSV or bag with the state")
+    simulate.add_argument(
+        "--from", dest="origin", type=path_word, help="CSV or bag with the state"
+    )
     simulate.add_argument("--start", type=float, default=0.0, help="[s] (default: %(default)s)")
-    simulate.add_argument("--efforts", type=Path, help="CSV or bag: of actuators, else joints")
-    simulate.add_argument("--wrenches", type=Path, help="CSV or bag of the external loads")
+    simulate.add_argument(
+        "--efforts", type=path_word, help="CSV or bag: of actuators, else joints"
+    )
+    simulate.add_argument("--wrenches", type=path_word, help="CSV or bag of the external loads")
     simulate.set_defaults(run=_simulate)
 
 
 def _add_replay(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     replay = commands.add_parser("replay", help="a bag through the live node, with an error table")
-    replay.add_argument("bag", type=Path)
-    replay.add_argument("scene", type=Path)
+    replay.add_argument("bag", type=path_word)
+    replay.add_argument("scene", type=path_word)
     replay.add_argument(
-        "-o", "--out", type=Path, required=True, help="bag of the node's output (required)"
+        "-o", "--out", type=path_word, required=True, help="bag of the node's output (required)"
     )
     replay.add_argument("--rate", type=float, default=1.0, help="speed factor (default: 1)")
     replay.add_argument("--reference", help="JointState topic to compare with; else the effort")
@@ -122,14 +127,13 @@ def _check(arguments: argparse.Namespace) -> int:
     from mbd_ros.scene import load_scene
     from mbd_ros.scene_check import describe
 
-    for line in describe(load_scene(arguments.scene)):
-        print(line)
+    with about(arguments.scene):
+        _say(describe(load_scene(arguments.scene)))
     return OK
 
 
 def _inverse(arguments: argparse.Namespace) -> int:
-    for line in inverse_lines(arguments):
-        print(line)
+    _say(inverse_lines(arguments))
     return OK
 
 
@@ -151,8 +155,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
         **{name: getattr(arguments, name) for name in _RUN_ARGUMENTS},
     )
     try:
-        for line in simulate(scene, run):
-            print(line)
+        _say(simulate(scene, run))
     except Interrupted as error:
         print(f"mbd-ros simulate: {error}", file=sys.stderr)
         return FAILED
@@ -169,8 +172,7 @@ def _replay(arguments: argparse.Namespace) -> int:
     played, answered = play(Replay(**{name: getattr(arguments, name) for name in names}))
     print(f"{played} joint states played, {answered} answered, {played - answered} lost")
     reference = arguments.bag, arguments.reference or arguments.topic
-    for line in compare((arguments.out, TORQUES), reference, joints, arguments.skip):
-        print(line)
+    _say(compare((arguments.out, TORQUES), reference, joints, arguments.skip))
     return OK if answered == played else FAILED
 
 
@@ -178,8 +180,7 @@ def _demo(arguments: argparse.Namespace) -> int:
     from mbd_ros.report.demo.processes import Failed
 
     try:
-        for line in demo_lines(arguments):
-            print(line, flush=True)
+        _say(demo_lines(arguments))
     except Failed as error:
         print(f"mbd-ros demo: {error}", file=sys.stderr)
         return FAILED
@@ -190,12 +191,17 @@ def _report(arguments: argparse.Namespace) -> int:
     from mbd_ros.report.compose import Wrong
 
     try:
-        for line in report_lines(arguments):
-            print(line, flush=True)
+        _say(report_lines(arguments))
     except Wrong as error:
         print(f"mbd-ros report: {error}", file=sys.stderr)
         return FAILED
     return OK
+
+
+def _say(lines: Iterable[str]) -> None:
+    """Print lines as they come; names in them come from files of others."""
+    for line in lines:
+        print(printable(line), flush=True)
 
 
 if __name__ == "__main__":

@@ -2,28 +2,28 @@
 
 import argparse
 from collections.abc import Iterator
-from pathlib import Path
 
+from mbd_ros.locate import path_word
 from mbd_ros.report.command import add_workers
 
 
 def add_inverse(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """The words that `inverse` understands."""
     inverse = commands.add_parser("inverse", help="torques and coupling forces of a motion")
-    inverse.add_argument("scene", type=Path)
+    inverse.add_argument("scene", type=path_word)
     inverse.add_argument(
-        "motion", type=Path, nargs="+", help="CSV (.gz) or rosbag2 folder, .mcap or .db3"
+        "motion", type=path_word, nargs="+", help="CSV (.gz) or rosbag2 folder, .mcap or .db3"
     )
     inverse.add_argument(
         "-o",
         "--out",
-        type=Path,
+        type=path_word,
         required=True,
         help="CSV (.gz) or bag; of several motions a folder (required)",
     )
     inverse.add_argument(
         "--wrenches",
-        type=Path,
+        type=path_word,
         help="CSV or bag of the loads in the scene; a bag motion carries its own",
     )
     inverse.add_argument(

@@ -1,10 +1,29 @@
 """Files that a scene names."""
 
+import argparse
 import os
 import sys
 from pathlib import Path
 
-from mbd_ros.errors import SceneError
+from mbd_ros.errors import SceneError, printable
+
+
+def path_word(text: str) -> Path:
+    """A word of the command line that names a file or folder, there or to be written.
+
+    Raises:
+        argparse.ArgumentTypeError: No file can have that name, or its links lead in a circle.
+    """
+    path = Path(text)
+    try:
+        path.resolve()
+        path.is_dir()
+    except (OSError, RuntimeError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise argparse.ArgumentTypeError(
+            printable(f"'{text}': cannot be used: {reason}")
+        ) from error
+    return path
 
 
 def find_file(folder: Path, name: str, where: str) -> Path:
@@ -23,6 +42,9 @@ def find_file(folder: Path, name: str, where: str) -> Path:
     if package == "mbd_ros":
         shares.append(Path(__file__).resolve().parent.parent)
     for share in shares:
-        if (share / rest).is_file():
-            return share / rest
+        try:
+            if (share / rest).is_file():
+                return share / rest
+        except OSError as error:
+            raise SceneError(f"{where}: {name} cannot be read: {error.strerror}") from error
     raise SceneError(f"{where}: {name} not found in {', '.join(map(str, shares))}")

@@ -10,6 +10,7 @@ from mbd_ros.built_scene import Scene
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.core.inverse_dynamics import Parts
 from mbd_ros.core.state import WrenchSamples
+from mbd_ros.error_source import about
 from mbd_ros.errors import DataError
 from mbd_ros.offline_derivatives import Derivatives, causal_line, differentiate, observe
 from mbd_ros.offline_loops import close_loops, solve_loops
@@ -57,9 +58,11 @@ def inverse_dynamics_of(
     if with_parts and scene.has_loops:
         raise DataError(f"{scene.path}: --parts goes with scenes without loops only")
     needed = () if scene.has_loops else scene.couplings.independent
-    estimator = TorqueEstimator(
-        scene.robot, scene.inverse_dynamics(), Tuning(cutoff=derivatives.cutoff)
-    )
+    if scene.robot.floating:
+        raise DataError(f"{scene.path}: robot.base: files carry no pose of a floating base")
+    inverse = scene.inverse_dynamics()
+    with about("--cutoff"):
+        estimator = TorqueEstimator(scene.robot, inverse, Tuning(cutoff=derivatives.cutoff))
     recording = read_motion(motion, estimator.names, topic=topic, required=needed)
     if scene.has_loops:
         recording, remarks = close_loops(scene, motion, recording)
@@ -70,7 +73,8 @@ def inverse_dynamics_of(
         samples = observe(estimator, recording.motion, dropped)
         yield causal_line(estimator.differentiator, derivatives.cutoff)
     else:
-        samples = differentiate(scene, motion, recording.motion, derivatives)
+        with about(motion):
+            samples = differentiate(scene, motion, recording.motion, derivatives)
     yield from (f"{count} samples left out: {reason}" for reason, count in dropped.items())
     if not samples:
         raise DataError(f"{motion}: no sample can be used")
@@ -81,12 +85,13 @@ def inverse_dynamics_of(
         record, remarks = solve_loops(scene, motion, samples, wrenches_at)
     else:
         record = _solve(scene, samples, loads, with_parts)
-    if not np.isfinite(record.effort).all():
-        row = int(np.flatnonzero(~np.isfinite(record.effort).all(axis=1))[0])
+    numbers = np.column_stack([record.effort, record.multiplier, *record.parts.values()])
+    if not np.isfinite(numbers).all():
+        row = int(np.flatnonzero(~np.isfinite(numbers).all(axis=1))[0])
         raise DataError(f"{motion}: torques at {record.stamps[row] / 1e9} s are not finite")
-    write_torques(out, record)
-    yield from _violations(scene, samples)
-    yield from remarks
+    said = [*_violations(scene, samples), *remarks]
+    write_torques(out, record)  # nothing fails after it
+    yield from said
     yield f"{len(samples)} samples, {derivatives.source} derivatives -> {out}"
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array, Motion
+from mbd_ros.errors import DivergedError
 
 
 class Recording(NamedTuple):
@@ -79,3 +80,30 @@ class SimulationRecord(NamedTuple):
     rows: tuple[str, ...]
     multiplier: Array
     balance: Array
+
+    def first(self, count: int) -> "SimulationRecord":
+        """The first samples alone."""
+        if count == len(self.times):
+            return self
+        cut = {f: v[:count] for f, v in self._asdict().items() if isinstance(v, np.ndarray)}
+        return self._replace(**cut)
+
+
+def finite_rows(record: SimulationRecord) -> tuple[int, DivergedError | None]:
+    """How many samples come before the first that is not finite, and what that one lacks."""
+    named = {
+        **dict.fromkeys(("position", "velocity", "acceleration", "effort"), record.joints),
+        "multiplier": record.rows,
+        "balance": ("energy", "position drift", "velocity drift"),
+    }
+    found = [
+        (int(rows[0]), f"{field} of {names[int(columns[0])]}")
+        for field, names in named.items()
+        for rows, columns in [np.nonzero(~np.isfinite(getattr(record, field)))]
+        if len(rows)
+    ]
+    if not found:
+        return len(record.times), None
+    row, what = min(found)
+    what = what.removeprefix("balance of ")
+    return row, DivergedError(f"{what} is not finite at t = {record.times[row]:.9g} s")

@@ -4,8 +4,9 @@ import inspect
 import types
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
+from mbd_ros.core.ranges import ANY_NUMBER, Within
 from mbd_ros.errors import ModelError, SceneError
 
 _EXPECTED = {
@@ -43,7 +44,8 @@ def call(function: Callable[..., Any], entry: Any, where: str, *context: Any) ->
         if parameter.default is inspect.Parameter.empty and name not in entry:
             raise SceneError(f"{where}: key '{name}' is missing")
     hints = typing.get_type_hints(
-        function.__init__ if inspect.isclass(function) else function  # type: ignore[misc]
+        function.__init__ if inspect.isclass(function) else function,  # type: ignore[misc]
+        include_extras=True,
     )
     arguments = {key: value(v, hints.get(key, Any), f"{where}.{key}") for key, v in entry.items()}
     try:
@@ -53,7 +55,7 @@ def call(function: Callable[..., Any], entry: Any, where: str, *context: Any) ->
 
 
 def value(given: Any, hint: Any, where: str) -> Any:
-    """A value checked against a type hint; integers pass as numbers.
+    """A value checked against a type hint and its range; integers pass as numbers.
 
     Raises:
         SceneError: Names the key, what is expected and what was given.
@@ -69,10 +71,20 @@ def value(given: Any, hint: Any, where: str) -> Any:
         if not isinstance(given, list):
             raise SceneError(f"{where}: expected a list, got {given!r}")
         return [value(v, inner[0], f"{where}[{i}]") for i, v in enumerate(given)]
+    if origin is Annotated:
+        return _within(value(given, inner[0], where), inner[1], where)
     if hint is Any:
         return given
     if hint is float and isinstance(given, int) and not isinstance(given, bool):
-        return float(given)
+        given = float(given)
     if type(given) is not hint:
         raise SceneError(f"{where}: expected {_EXPECTED.get(hint, hint)}, got {given!r}")
-    return given
+    return _within(given, ANY_NUMBER, where) if hint is float else given
+
+
+def _within(number: float, accepted: Within, where: str) -> float:
+    if not accepted.low <= number <= accepted.high:
+        raise SceneError(
+            f"{where}: {number:g} is out of range, accepted: {accepted.low:g} .. {accepted.high:g}"
+        )
+    return number

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +14,12 @@ from mbd_ros.core.forward.row_factor import TOGGLE
 from mbd_ros.core.manifold.assembly import drift
 from mbd_ros.core.simulation import Commands, Simulation
 from mbd_ros.core.state import NANOSECOND, State
+from mbd_ros.core.system import System
 from mbd_ros.core.tiers import tier_of
+from mbd_ros.error_source import about
 from mbd_ros.errors import DataError, DivergedError, MbdError, SolveError
 from mbd_ros.progress import progress
-from mbd_ros.records import SimulationRecord
+from mbd_ros.records import SimulationRecord, finite_rows
 from mbd_ros.results import refuse_overwriting, write_simulation
 from mbd_ros.simulation_inputs import Run, check_words, drives, initial_state
 from mbd_ros.start_check import start_warnings
@@ -41,6 +44,8 @@ def simulate(scene: Scene, run: Run) -> Iterator[str]:
         MbdError: Input that cannot be used.
     """
     check_words(scene, run)
+    if not scene.robot.joints:
+        raise DataError(f"{scene.path}: no joint of the robot moves, so there is no motion")
     kept = diverged_place(run.out)
     for place in (run.out, kept):
         refuse_overwriting(place, run.origin, run.efforts, run.wrenches)
@@ -53,18 +58,21 @@ def simulate(scene: Scene, run: Run) -> Iterator[str]:
     begin = time.perf_counter()
     states, failure = _states(simulation, x, run, commands)
     wall = time.perf_counter() - begin
-    if failure is not None and not states:
-        raise type(failure)(f"{scene.path}: {failure}") from failure
     evaluations = simulation.system.evaluations
-    record = _record(simulation, states, commands)
+    record, lost = _record(simulation, states, commands)
+    failure = lost or failure
     if failure is not None:
+        if not len(record.times):
+            raise type(failure)(f"{scene.path}: {failure}") from failure
         raise Interrupted(f"{failure}; {_kept(kept, record)}")
-    write_simulation(run.out, record)
+    with about(scene.path):
+        said = list(_summary(simulation, record, wall, evaluations))
+        found = step_warnings(simulation.system, simulation.integrator, simulation.dt, states)
+        said += [f"warning: {text}" for text in found]
+    write_simulation(run.out, record)  # nothing fails after it
     if scene.wrenches and run.wrenches is None:
         yield f"unloaded: {', '.join(scene.wrenches)}; --wrenches FILE brings their values"
-    yield from _summary(simulation, record, wall, evaluations)
-    found = step_warnings(simulation.system, simulation.integrator, simulation.dt, states)
-    yield from (f"warning: {text}" for text in found)
+    yield from said
     yield f"{len(states)} states -> {run.out}"
 
 
@@ -117,32 +125,46 @@ def _states(
 
 def _record(
     simulation: Simulation, states: Sequence[State], commands: Commands | None
-) -> SimulationRecord:
-    system, names = simulation.system, simulation.system.robot.joints
-    loads, model = system.loads, system.model
-    rows, multipliers, balance = [], [], []
-    for x in states:
-        y = system.reduce(x)
-        u = None if commands is None else commands(x.t)
-        a, lam = system.solve(y, u)
-        driven = loads.actuator_torque(x, u)
-        rows.append((x.q, x.v, a, driven))
-        multipliers.append(lam)
-        balance.append((system.energy(y), *drift(system, y)))
-    q_index, v_index = [j.q for j in names], [j.v for j in names]
-    stacked = [np.array(column) for column in zip(*rows, strict=True)]
-    return SimulationRecord(
-        stamps=np.round(np.array([x.t for x in states]) / NANOSECOND).astype(np.int64),
-        times=np.array([x.t for x in states]),
-        joints=tuple(joint.name for joint in names),
-        position=stacked[0][:, q_index],
-        velocity=stacked[1][:, v_index],
-        acceleration=stacked[2][:, v_index],
-        effort=stacked[3].reshape(len(states), model.nv)[:, v_index],
-        rows=tuple(row.name for row in system.multiplier_rows),
-        multiplier=np.array(multipliers).reshape(len(states), len(system.multiplier_rows)),
-        balance=np.array(balance),
+) -> tuple[SimulationRecord, MbdError | None]:
+    """What is written of states, up to the first one without a finite answer, and why it ends."""
+    system, rows = simulation.system, []
+    failure: MbdError | None = None
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            for x in states:
+                rows.append(_row(system, x, commands))
+    except SolveError as error:
+        failure = error
+    joints, m = system.robot.joints, len(system.multiplier_rows)
+    q_index, v_index = [j.q for j in joints], [j.v for j in joints]
+    nq, nv = system.model.nq, system.model.nv
+    t, q, v, a, effort, multiplier, balance = (
+        np.array([row[i] for row in rows]).reshape(len(rows), width)
+        for i, width in enumerate((1, nq, nv, nv, nv, m, 3))
     )
+    record = SimulationRecord(
+        stamps=np.round(t[:, 0] / NANOSECOND).astype(np.int64),
+        times=t[:, 0],
+        joints=tuple(joint.name for joint in joints),
+        position=q[:, q_index],
+        velocity=v[:, v_index],
+        acceleration=a[:, v_index],
+        effort=effort[:, v_index],
+        rows=tuple(row.name for row in system.multiplier_rows),
+        multiplier=multiplier,
+        balance=balance,
+    )
+    count, lost = finite_rows(record)
+    return record.first(count), lost or failure
+
+
+def _row(system: System, x: State, commands: Commands | None) -> tuple[Any, ...]:
+    """Time, q, v, a, effort, multipliers and balance of one state."""
+    y = system.reduce(x)
+    u = None if commands is None else commands(x.t)
+    a, lam = system.solve(y, u)
+    balance = system.energy(y), *drift(system, y)
+    return x.t, x.q, x.v, a, system.loads.actuator_torque(x, u), lam, balance
 
 
 def _summary(

@@ -15,6 +15,7 @@ from mbd_ros.core.loops.loop_torques import listed
 from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.simulation import Commands
 from mbd_ros.core.state import NANOSECOND, Array, State
+from mbd_ros.error_source import about
 from mbd_ros.errors import DataError
 from mbd_ros.offline_wrenches import refuse_unused
 from mbd_ros.part_entries import Solver
@@ -178,7 +179,9 @@ def drives(scene: Scene, run: Run) -> tuple[Commands | None, list[ForceTerm], li
         return _held(times, motion.effort), forces, []
     part = resolve("forces", "prescribed_torque", "--efforts")
     said = [f"{run.efforts}: no effort of {listed(lacking)}: 0 there"] if lacking else []
-    return None, [part(scene.robot, joints=names, times=times, torque=effort), *forces], said
+    with about(run.efforts):
+        torque = part(scene.robot, joints=names, times=times, torque=effort)
+    return None, [torque, *forces], said
 
 
 def _held(times: Array, effort: Array) -> Commands:

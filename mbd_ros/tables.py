@@ -1,15 +1,19 @@
 """Numbers in CSV files, plain or gzip: strict when read, whole or not at all when written."""
 
 import gzip
+import itertools
+import math
 import os
 import re
+import stat
 import uuid
 import zlib
 from array import array
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +23,11 @@ from mbd_ros.errors import DataError
 NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 # Besides digits only the letters of "nan" pass: float() would take inf, 1_000 and foreign digits.
 CHARACTERS = b"0123456789+-.eE,\nnaN"
-BLOCK = 4096
+BLOCK, BLOCK_CELLS = 4096, 1_000_000  # lines, and numbers, that are taken at once
+MAX_COLUMNS = 10_000
+MAX_LINE = 1_000_000  # bytes
+MAX_CELLS = 100_000_000  # numbers, 800 MB
+_SHOWN = 40  # characters of a name in that of a temporary file: names end at 255 bytes
 
 
 class Table(NamedTuple):
@@ -37,70 +45,105 @@ class Table(NamedTuple):
 
 
 def read_table(path: str | Path, nan_allowed: Callable[[str], bool] | None = None) -> Table:
-    """Read a table whose cells are all plain finite numbers.
+    """Read a table whose cells are all plain finite numbers, block by block.
 
     Args:
         path: A .csv file, or .csv.gz.
         nan_allowed: Says by name which columns may hold `nan`; none without it.
 
     Raises:
-        DataError: File, line and column of what is not acceptable.
+        DataError: File, line and column of what is not acceptable, or what is too large.
     """
     path = Path(path)
-    data = _read_bytes(path).replace(b"\r\n", b"\n")
-    if not data.strip():
-        raise DataError(f"{path}: is empty, expected a header line that begins with time")
-    header, *lines = data.removesuffix(b"\n").split(b"\n")
-    columns = _columns(path, header)
-    if not lines:
+    with _reading(path) as file:
+        lines = _lines(path, file)
+        columns = _columns(path, next(lines, b""))
+        may_lack = np.array([(nan_allowed or _never)(name) for name in columns])
+        blocks: list[NDArray[np.float64]] = []
+        count, last = 0, -math.inf
+        rows = max(1, min(BLOCK, BLOCK_CELLS // len(columns)))
+        while block := list(itertools.islice(lines, rows)):
+            values = _values(path, columns, block, count + 2, may_lack)
+            _check_times(path, np.concatenate(([last], values[:, 0])), count + 1)
+            blocks.append(values)
+            count, last = count + len(block), float(values[-1, 0])
+            if count * len(columns) > MAX_CELLS:
+                raise DataError(f"{path}: more than {MAX_CELLS} numbers are not accepted")
+    if not blocks:
         raise DataError(f"{path}: has a header and no data")
-    values = _values(path, columns, lines, nan_allowed or (lambda column: False))
-    late = np.flatnonzero(np.diff(values[:, 0]) <= 0)
-    if late.size:
-        before, time = values[late[0] : late[0] + 2, 0].tolist()
-        raise DataError(
-            f"{path}: line {late[0] + 3}, column time: {time!r} is not after {before!r} of the"
-            " line before, time must strictly increase"
-        )
-    return Table(path, columns, values)
+    return Table(path, columns, np.concatenate(blocks))
 
 
-def _read_bytes(path: Path) -> bytes:
+def _never(column: str) -> bool:
+    return False
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[Any]:
+    """The unpacked bytes of a regular file, as a stream."""
     try:
-        data = path.read_bytes()
-        return gzip.decompress(data) if path.suffix == ".gz" else data
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise DataError(f"{path}: cannot be read (not a regular file)")
+        with path.open("rb") as raw:
+            yield gzip.GzipFile(fileobj=raw) if path.suffix == ".gz" else raw
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise DataError(f"{path}: truncated or corrupt gzip file ({error})") from error
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from error
 
 
+def _lines(path: Path, file: Any) -> Iterator[bytes]:
+    """Lines without their ends; a last empty one is none."""
+    number = 0
+    while line := file.readline(MAX_LINE + 1):
+        number += 1
+        if len(line) > MAX_LINE:
+            raise DataError(f"{path}: line {number} has more than {MAX_LINE} bytes, not accepted")
+        yield line.removesuffix(b"\n").removesuffix(b"\r")
+
+
 def _columns(path: Path, header: bytes) -> tuple[str, ...]:
+    if not header.strip():
+        raise DataError(f"{path}: is empty, expected a header line that begins with time")
     try:
         columns = header.decode("utf-8-sig").split(",")
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: line 1 is not text, expected a CSV header") from error
     if columns[0] != "time":
         raise DataError(f"{path}: line 1: first column is {columns[0][:40]!r}, expected 'time'")
+    if len(columns) > MAX_COLUMNS:
+        raise DataError(f"{path}: {len(columns)} columns, accepted are {MAX_COLUMNS}")
     if "" in columns:
         raise DataError(f"{path}: line 1: column {columns.index('') + 1} has no name")
-    repeated = sorted({name for name in columns if columns.count(name) > 1})
+    repeated = sorted(name for name, count in Counter(columns).items() if count > 1)
     if repeated:
         raise DataError(f"{path}: line 1 repeats column {', '.join(repeated)}")
     return tuple(columns)
+
+
+def _check_times(path: Path, times: NDArray[np.float64], first: int) -> None:
+    """Refuse times that do not increase; `first` is the line of the first of them."""
+    late = np.flatnonzero(np.diff(times) <= 0)
+    if late.size:
+        before, time = times[late[0] : late[0] + 2].tolist()
+        raise DataError(
+            f"{path}: line {first + late[0] + 1}, column time: {time!r} is not after {before!r} of"
+            " the line before, time must strictly increase"
+        )
 
 
 def _values(
     path: Path,
     columns: tuple[str, ...],
     lines: list[bytes],
-    nan_allowed: Callable[[str], bool],
+    first: int,
+    may_lack: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
-    """All cells at once; only when something is wrong are they looked at one by one."""
+    """Cells of lines from number `first` on; only if something is wrong looked at one by one."""
     width, cells = len(columns), array("d")
     clean = not any(line.translate(None, CHARACTERS) for line in lines)
     try:
-        for number, line in enumerate(lines, 2):
+        for number, line in enumerate(lines, first):
             row = line.split(b",")
             if len(row) != width:
                 raise DataError(f"{path}: line {number} has {len(row)} fields, expected {width}")
@@ -109,9 +152,8 @@ def _values(
     except ValueError:
         clean = False
     values = np.frombuffer(cells).reshape(-1, width) if clean else np.full((1, width), np.inf)
-    finite = np.isfinite(values) | (np.isnan(values) & [nan_allowed(name) for name in columns])
-    if not finite.all():
-        raise _first_bad_cell(path, columns, lines, nan_allowed)
+    if not (np.isfinite(values) | (np.isnan(values) & may_lack)).all():
+        raise _first_bad_cell(path, columns, lines, first, may_lack)
     return values
 
 
@@ -119,11 +161,12 @@ def _first_bad_cell(
     path: Path,
     columns: tuple[str, ...],
     lines: list[bytes],
-    nan_allowed: Callable[[str], bool],
+    first: int,
+    may_lack: NDArray[np.bool_],
 ) -> DataError:
-    for number, line in enumerate(lines, 2):
-        for column, cell in zip(columns, line.split(b","), strict=True):
-            missing = cell in (b"nan", b"NaN") and nan_allowed(column)
+    for number, line in enumerate(lines, first):
+        for column, cell, lacks in zip(columns, line.split(b","), may_lack, strict=True):
+            missing = lacks and cell in (b"nan", b"NaN")
             if not missing and not (NUMBER.fullmatch(cell) and np.isfinite(float(cell))):
                 shown = cell[:40].decode("utf-8", "backslashreplace")
                 return DataError(
@@ -157,12 +200,12 @@ def write_table(path: str | Path, columns: Sequence[str], values: NDArray[np.flo
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO | gzip.GzipFile]:
     """A file to write that takes the place of `path` on success and vanishes on failure."""
-    if not path.parent.is_dir():
-        raise DataError(f"{path}: directory {path.parent} does not exist")
-    if path.exists() and not path.is_file():
-        raise DataError(f"{path}: exists and is not a regular file")
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    temporary = path.with_name(f".{path.name[:_SHOWN]}.{uuid.uuid4().hex}.tmp")
     try:
+        if not path.parent.is_dir():
+            raise DataError(f"{path}: directory {path.parent} does not exist")
+        if path.exists() and not path.is_file():
+            raise DataError(f"{path}: exists and is not a regular file")
         with temporary.open("xb") as raw:
             if path.suffix == ".gz":
                 with gzip.GzipFile("", "wb", compresslevel=4, fileobj=raw, mtime=0) as packed:

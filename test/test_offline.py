@@ -8,7 +8,7 @@ import pytest
 from mbd_ros.bags import BagWriter, new_message
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.core.wrenches import WrenchBuffer
-from mbd_ros.errors import DataError, ModelError
+from mbd_ros.errors import DataError
 from mbd_ros.offline import inverse_dynamics_of
 from mbd_ros.offline_derivatives import Derivatives
 from mbd_ros.scene import load_scene
@@ -239,5 +239,5 @@ def test_torques_that_are_not_finite_are_refused(tmp_path):
 def test_floating_base_is_refused(tmp_path):
     urdf = SCENES.parent / "robots/pendulum.urdf"
     (tmp_path / "s.yaml").write_text(f"robot: {{urdf: {urdf}, base: floating}}", encoding="utf-8")
-    with pytest.raises(ModelError, match="joint states do not carry the pose"):
+    with pytest.raises(DataError, match=r"s\.yaml: robot\.base: files carry no pose"):
         run(tmp_path / "s.yaml", table(tmp_path / "m.csv"), tmp_path / "out.csv")

@@ -5,9 +5,12 @@ import math
 import numpy as np
 
 from mbd_ros.core.parts import Actuator
+from mbd_ros.core.ranges import Share, Smoothing
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
+
+_LARGEST_RATIO = 1.0e9
 
 
 class GearedMotor(Actuator):
@@ -47,13 +50,16 @@ class GearedMotor(Actuator):
         joint: str,
         ratio: float,
         rotor_inertia: float = 0.0,
-        efficiency: float = 1.0,
+        efficiency: Share = 1.0,
         viscous: float = 0.0,
         limit: float = math.inf,
-        smoothing: float = 1.0e-2,
+        smoothing: Smoothing = 1.0e-2,
     ) -> None:
-        if ratio == 0 or not math.isfinite(ratio):
-            raise ModelError(f"ratio {ratio:g} must be finite and not 0")
+        if not 1.0 / _LARGEST_RATIO <= abs(ratio) <= _LARGEST_RATIO:
+            raise ModelError(
+                f"ratio {ratio:g} must be finite and not 0, of size {1 / _LARGEST_RATIO:g} .. "
+                f"{_LARGEST_RATIO:g}"
+            )
         if not (0 <= rotor_inertia < math.inf and 0 <= viscous < math.inf):
             raise ModelError(
                 f"rotor_inertia {rotor_inertia:g} and viscous {viscous:g} must be finite and >= 0"

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.parts import Constraint, Row
+from mbd_ros.core.ranges import Duration
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -32,7 +33,7 @@ class DryFriction(Constraint):
     example = {"joint": "ankle", "limit": 0.8, "time_constant": 0.005}
 
     def __init__(
-        self, robot: Robot, *, joint: str, limit: float, time_constant: float = 0.002
+        self, robot: Robot, *, joint: str, limit: float, time_constant: Duration = 0.002
     ) -> None:
         for key, value in (("limit", limit), ("time_constant", time_constant)):
             if not 0 < value < math.inf:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.parts import Constraint, Row
+from mbd_ros.core.ranges import Duration
 from mbd_ros.core.robot import Joint, Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -47,7 +48,7 @@ class JointStop(Constraint):
         joints: Sequence[str] | None = None,
         lower: float | None = None,
         upper: float | None = None,
-        time_constant: float = 0.01,
+        time_constant: Duration = 0.01,
     ) -> None:
         if not 0 < time_constant < math.inf:
             raise ModelError(f"time_constant {time_constant:g} s must be finite and > 0")

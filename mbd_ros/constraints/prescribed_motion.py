@@ -8,6 +8,7 @@ import numpy as np
 
 from mbd_ros.core.laws import Polynomial, natural_cubic_spline
 from mbd_ros.core.parts import Constraint, Row
+from mbd_ros.core.ranges import Duration
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -53,7 +54,7 @@ class PrescribedMotion(Constraint):
         harmonic: Mapping[str, float] | None = None,
         spline: Mapping[str, Sequence[float]] | None = None,
         limit: float = math.inf,
-        time_constant: float = 0.02,
+        time_constant: Duration = 0.02,
     ) -> None:
         if not limit > 0:
             raise ModelError(f"limit {limit:g} must be > 0")

@@ -15,6 +15,8 @@ from mbd_ros.core.estimation.low_pass import TURN, LowPass
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError
 
+_SLOWEST, _FASTEST = 1.0e-6, 1.0e9  # cut-off frequencies [Hz] whose powers are numbers
+
 
 class Sample(Enum):
     """What became of a sample."""
@@ -58,8 +60,9 @@ class CausalDifferentiator:
         patience: int = 5,
         rewind: float = 1.0,
     ) -> None:
-        if not (math.isfinite(cutoff) and cutoff > 0):
-            raise DataError(f"cutoff {cutoff} Hz must be finite and > 0")
+        if not _SLOWEST <= cutoff <= _FASTEST:
+            accepted = f"{_SLOWEST:g} .. {_FASTEST:g}"
+            raise DataError(f"cutoff {cutoff} Hz must be finite and > 0, accepted: {accepted}")
         size = len(velocity_limit)
         self._wraps = wraps if wraps.any() else None
         self._patience, self._rewind = patience, round(rewind / NANOSECOND)

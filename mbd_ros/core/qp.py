@@ -187,7 +187,10 @@ def _qpsolvers(backend: str) -> Any:
         kept: Any, A: Array, b: Array, lower: Array, upper: Array, guess: Array | None
     ) -> tuple[Any, Array]:
         problem = qpsolvers.Problem(A, b, lb=lower, ub=upper)
-        lam = qpsolvers.solve_problem(problem, solver=backend, initvals=guess).x
+        try:
+            lam = qpsolvers.solve_problem(problem, solver=backend, initvals=guess).x
+        except qpsolvers.ProblemError:  # a singular A, for one, which damping makes regular
+            lam = None
         return None, np.full(len(b), np.nan) if lam is None else lam
 
     return start

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.ranges import Smoothing
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -31,7 +32,7 @@ class JointFriction(ForceTerm):
         joint: str,
         coulomb: float = 0.0,
         viscous: float = 0.0,
-        smoothing: float = 1.0e-2,
+        smoothing: Smoothing = 1.0e-2,
     ) -> None:
         if coulomb < 0 or viscous < 0 or smoothing <= 0:
             raise ModelError(

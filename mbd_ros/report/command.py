@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from mbd_ros.errors import DataError
+from mbd_ros.locate import path_word
 from mbd_ros.report import items
 
 _README = "put the headlines of -o DIR into this file, between its two marks; nothing is run"
@@ -18,12 +19,12 @@ def add_report(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     report.add_argument("scenes", nargs="*", metavar="SCENE", help="default: all of this package")
     report.add_argument("--quick", action="store_true", help="a small part, in two minutes")
     folder, text = Path("report_out"), "folder of the report (default: %(default)s)"
-    report.add_argument("-o", "--out", type=Path, default=folder, metavar="DIR", help=text)
+    report.add_argument("-o", "--out", type=path_word, default=folder, metavar="DIR", help=text)
     report.add_argument(
         "--only", nargs="+", choices=list(items.PARTS), metavar="KIND", help=", ".join(items.PARTS)
     )
     add_workers(report)
-    report.add_argument("--readme", type=Path, metavar="FILE", help=_README)
+    report.add_argument("--readme", type=path_word, metavar="FILE", help=_README)
 
 
 def add_workers(parser: argparse.ArgumentParser) -> None:

@@ -1,5 +1,6 @@
 """Feedback of position and velocity drift into the acceleration."""
 
+from mbd_ros.core.ranges import Duration
 from mbd_ros.core.stabilizing import Stabilization
 from mbd_ros.errors import ModelError
 
@@ -19,7 +20,7 @@ class Baumgarte(Stabilization):
 
     example = {"time_constant": 0.02, "damping_ratio": 1.0}
 
-    def __init__(self, *, time_constant: float, damping_ratio: float = 1.0) -> None:
+    def __init__(self, *, time_constant: Duration, damping_ratio: float = 1.0) -> None:
         if time_constant <= 0 or damping_ratio <= 0:
             raise ModelError(
                 f"time_constant {time_constant:g} and damping_ratio {damping_ratio:g} must be > 0"

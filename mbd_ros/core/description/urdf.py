@@ -7,12 +7,16 @@ from xml.etree import ElementTree
 
 from mbd_ros.core.description.urdf_inertias import check_inertias
 from mbd_ros.core.description.urdf_reading import link_name, numbers
+from mbd_ros.core.ranges import LARGEST
 from mbd_ros.errors import ModelError
 
 MAX_CHARACTERS = 16 * 1024 * 1024
+MAX_NAME = 255
 MAX_LINKS = 1000  # Pinocchio's URDF reader overflows the stack on chains of a few thousand
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_WITHOUT_RANGE = "limit"  # 1e308 stands for no limit in many files
+_SHORTEST_AXIS = 1.0e-9
 _NUMERIC_ATTRIBUTES = {
     "origin": {"xyz": 3, "rpy": 3},
     "axis": {"xyz": 3},
@@ -64,6 +68,12 @@ def _check_names(robot: ElementTree.Element, source: str) -> None:
             raise ModelError(f"{source}: {len(names)} <{tag}>, accepted are {MAX_LINKS}")
         if "" in names:
             raise ModelError(f"{source}: a <{tag}> has no name")
+        odd = [name for name in names if not name.isprintable() or len(name) > MAX_NAME]
+        if odd:
+            raise ModelError(
+                f"{source}: <{tag}> name {odd[0]!r}: accepted are up to {MAX_NAME} characters "
+                "that can be printed"
+            )
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise ModelError(f"{source}: <{tag}> name used twice: {', '.join(repeated)}")
@@ -86,14 +96,13 @@ def _check_numbers(robot: ElementTree.Element, source: str) -> None:
             text = element.get(attribute)
             if text is None:
                 continue
-            words = text.split()
+            words, what = text.split(), f"{source}: {where}: <{element.tag} {attribute}='{text}'>"
             sound = all(_NUMBER.fullmatch(word) and math.isfinite(float(word)) for word in words)
             if len(words) != count or not sound:
                 expected = "a finite number" if count == 1 else f"{count} finite numbers"
-                raise ModelError(
-                    f"{source}: {where}: <{element.tag} {attribute}='{text}'>: "
-                    f"expected {expected} such as 1.5e-3"
-                )
+                raise ModelError(f"{what}: expected {expected} such as 1.5e-3")
+            if element.tag != _WITHOUT_RANGE and max(abs(float(w)) for w in words) > LARGEST:
+                raise ModelError(f"{what}: accepted are {-LARGEST:g} .. {LARGEST:g}")
 
 
 def _check_joints(robot: ElementTree.Element, source: str) -> None:
@@ -108,12 +117,14 @@ def _check_joints(robot: ElementTree.Element, source: str) -> None:
             link = None if element is None else element.get("link")
             if link not in links:
                 raise ModelError(f"{where}: {role} link '{link}' does not exist")
-        if kind != "fixed" and not any(numbers(joint.find("axis"), "xyz", "1 0 0")):
-            raise ModelError(f"{where}: axis is zero")
-        if kind in ("revolute", "prismatic"):
-            limit = joint.find("limit")
-            if limit is None or None in (limit.get("effort"), limit.get("velocity")):
-                raise ModelError(f"{where}: a {kind} joint needs <limit> with effort and velocity")
+        axis = math.hypot(*numbers(joint.find("axis"), "xyz", "1 0 0"))
+        if kind != "fixed" and axis < _SHORTEST_AXIS:
+            state = f"shorter than {_SHORTEST_AXIS:g}" if axis else "zero"
+            raise ModelError(f"{where}: axis is {state}")
+        limit, needed = joint.find("limit"), kind in ("revolute", "prismatic")
+        lacks = limit is not None and None in (limit.get("effort"), limit.get("velocity"))
+        if (needed and limit is None) or (lacks and kind != "continuous"):
+            raise ModelError(f"{where}: a {kind} joint needs <limit> with effort and velocity")
 
 
 def _check_tree(robot: ElementTree.Element, source: str) -> None:

@@ -84,7 +84,8 @@ class FramePair:
             whole = pin.getFrameJacobian(self._model, data, b.joint, b.place, _WORLD)
             jacobian = self._from_world[rows].dot(whole.reshape(6, self._nv))
             return jacobian
-        jacobian = placed.axes.toActionMatrixInverse()[rows].dot(data.J)
+        columns = data.J.reshape(6, self._nv)  # with one joint it comes as a vector
+        jacobian = placed.axes.toActionMatrixInverse()[rows].dot(columns)
         jacobian *= self.columns  # zero, not a small difference, where both frames are carried
         return jacobian
 

@@ -4,6 +4,7 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
+from mbd_ros.locate import path_word
 from mbd_ros.report.demo.choices import LAWS, ROBOTS
 
 
@@ -13,7 +14,7 @@ def add_demo(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     demo = commands.add_parser("demo", help="a simulated robot, controlled over topics: one page")
     demo.add_argument("robot", nargs="?", choices=list(ROBOTS), default="arm", help=robots)
     folder, text = Path("demo_out"), "folder of bag and page (default: %(default)s)"
-    demo.add_argument("-o", "--out", type=Path, default=folder, metavar="DIR", help=text)
+    demo.add_argument("-o", "--out", type=path_word, default=folder, metavar="DIR", help=text)
     demo.add_argument("--time", type=float, default=10.0, help="simulated seconds (default: 10)")
     demo.add_argument(
         "--controller", choices=list(LAWS), default="sliding_mode", help="(default: %(default)s)"

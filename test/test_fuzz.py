@@ -1,0 +1,107 @@
+"""A short run of `make fuzz`, and what it and others have found, kept."""
+
+import json
+import random
+
+import pytest
+from fuzz import tables, urdf
+from fuzz.run import KINDS, SCENE, SHARES, case_of, two_joints
+from fuzz.trial import Case, behaves, faults
+
+ONE_LINK = "<robot name='r'><link name='l0'/></robot>"
+PENDULUM = urdf.robot(random.Random(0), 1)
+TWO = two_joints()
+
+
+@pytest.fixture(autouse=True)
+def _untimed(monkeypatch):
+    """`check` times a call once: here its lines count, not the cost that it prints."""
+    monkeypatch.setattr("mbd_ros.scene_check.MEASURED", 0.0)
+
+
+def scene_case(*, command="simulate", robot=None, words=(), files=(), **sections):
+    robot_entry = {"urdf": "r.urdf", **sections.pop("robot_entry", {})}
+    scene = json.dumps({"robot": robot_entry, **sections}).encode()
+    given = {"s.yaml": scene, "r.urdf": (robot or PENDULUM.text).encode(), **dict(files)}
+    if command == "check":
+        return Case(("check", "@s.yaml"), given)
+    return Case(("simulate", "@s.yaml", "-t", "0.003", "-o", "@o.csv", *words), given, "o.csv")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_short_run_finds_nothing(kind):
+    names = [f"{kind}:{i}" for i in range(20 * SHARES[kind])]
+    found = {name: wrong for name in names if (wrong := faults(case_of(name)))}
+    assert found == {}, "python -m fuzz.run --only KIND:SEED repeats one"
+
+
+J = PENDULUM.joints[0]
+CORPUS = {
+    "a robot of one link": scene_case(robot=ONE_LINK),
+    "a robot of one link, checked": scene_case(robot=ONE_LINK, command="check"),
+    "one joint and a loop": scene_case(
+        constraints=[
+            {"type": "loop_closure", "frame_a": "l1", "frame_b": "l0", "directions": "x"},
+        ]
+    ),
+    "one joint, a distance and a stop": scene_case(
+        constraints=[
+            {"type": "distance", "frame_a": "l1", "frame_b": "universe", "distance": 0.3},
+            {"type": "joint_stop", "joint": J, "lower": -1.0, "upper": 1.0},
+        ]
+    ),
+    "a gear of 1e300": scene_case(
+        actuators=[{"type": "geared_motor", "joint": J, "ratio": 1e300, "rotor_inertia": 1.0}]
+    ),
+    "a lossy gear of efficiency 5e-324": scene_case(
+        actuators=[{"type": "geared_motor", "joint": J, "ratio": 1.0, "efficiency": 5e-324}]
+    ),
+    "gravity of 1e300": scene_case(robot_entry={"gravity": [0.0, 0.0, 1e300]}),
+    "gravity of 1e30": scene_case(robot_entry={"gravity": [0.0, 0.0, 1e30]}),
+    "a spring of 1e300": scene_case(
+        forces=[{"type": "joint_spring", "joint": J, "stiffness": 1e300, "rest": 1.0}]
+    ),
+    "a stop of time constant 1e-300": scene_case(
+        constraints=[{"type": "joint_stop", "joint": J, "lower": -1.0, "time_constant": 1e-300}]
+    ),
+    "quadprog and a singular factor": scene_case(
+        robot=TWO,
+        solver={"type": "qp", "backend": "quadprog"},
+        constraints=[{"type": "joint_stop", "joint": "j1", "lower": 0.0, "upper": 1.0}] * 2,
+        initial={"velocity": {"j1": -3.0}},
+    ),
+    "masses whose matrix has no eigenvalues": scene_case(
+        robot=PENDULUM.text.replace("value='1.5'", "value='1e300'")
+    ),
+    "a cut-off of 1e300 Hz": Case(
+        (
+            *("inverse", "@s.yaml", "@m.csv", "-o", "@o.csv"),
+            *("--derivatives", "causal", "--cutoff", "1e300"),
+        ),
+        {
+            "s.yaml": SCENE,
+            "r.urdf": PENDULUM.text.encode(),
+            "m.csv": tables.table(random.Random(1), PENDULUM.joints),
+        },
+        "o.csv",
+    ),
+    "a joint with control characters": scene_case(
+        robot=TWO.replace("'j2'", "'\x7f\u202e'"), command="check"
+    ),
+    "a key with control characters": scene_case(**{"\x1b[2J": 1}),
+    "a value of 200 000 characters": scene_case(integrator="x" * 200_000),
+    "a file of one sample": Case(
+        ("simulate", "@s.yaml", "-t", "0.002", "-o", "@o.csv", "--efforts", "@m.csv"),
+        {
+            "s.yaml": SCENE,
+            "r.urdf": PENDULUM.text.encode(),
+            "m.csv": tables.table(random.Random(1), PENDULUM.joints, rows=1),
+        },
+        "o.csv",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CORPUS)
+def test_what_was_found_stays_mended(name):
+    behaves(CORPUS[name])
