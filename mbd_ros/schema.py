@@ -83,7 +83,9 @@ def value(given: Any, hint: Any, where: str) -> Any:
 
 
 def _within(number: float, accepted: Within, where: str) -> float:
-    if not accepted.low <= number <= accepted.high:
+    if (
+        number < accepted.low or number > accepted.high
+    ):  # NaN, which no file holds, is up to the part
         raise SceneError(
             f"{where}: {number:g} is out of range, accepted: {accepted.low:g} .. {accepted.high:g}"
         )
