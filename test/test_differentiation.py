@@ -142,9 +142,43 @@ def test_limit_holds_for_every_joint_and_grows_with_the_time_between_samples():
     d = causal([1.0, np.inf, 1.0])
     none, still = np.full(3, np.nan), np.zeros(3)
     assert d.update(0, still, none) is Sample.USED
-    assert d.update(10 * MS, np.array([0.0099, 50.0, 0.0099]), none) is Sample.USED
-    assert d.update(20 * MS, np.array([0.0099, 0.0, 0.0201]), none) is Sample.JUMP
-    assert d.update(30 * MS, np.array([0.0099, 0.0, 0.0201]), none) is Sample.USED
+    assert d.update(10 * MS, np.array([0.0099, 50.0, 0.0]), none) is Sample.USED
+    assert d.update(20 * MS, np.array([0.0099, 0.0, 0.0102]), none) is Sample.JUMP
+    assert d.update(30 * MS, np.array([0.0099, 0.0, 0.0102]), none) is Sample.USED
+
+
+@pytest.mark.parametrize("step", [MS, 2 * MS, 33 * MS])
+@pytest.mark.parametrize("is_measured", [True, False])
+def test_a_joint_that_really_moves_faster_than_its_limit_is_no_glitch(step, is_measured):
+    """It spins up to ten times its limit; an encoder that jumps on the way is still seen."""
+    d, limit = causal([2.0]), 2.0
+    h = step / SECOND
+    t = np.arange(0.0, 200 * h, h)
+    ramp = 100 * h
+    v = np.where(t < ramp, 10.0 * limit * t / ramp, 10.0 * limit)
+    q = np.cumsum(v) * h
+    for k in range(200):
+        velocity = np.array([v[k] if is_measured else np.nan])
+        glitch = np.array([q[k] + 3.0 * limit * h])
+        if k == 150:
+            assert d.update(k * step, glitch, velocity) is Sample.JUMP
+        else:
+            assert d.update(k * step, q[k : k + 1], velocity) is Sample.USED
+    assert d.velocity[0] == pytest.approx(20.0, rel=0.05)
+
+
+def test_a_fast_joint_without_velocity_is_believed_once_for_all():
+    d = causal([2.0], patience=3)
+    assert d.update(0, np.array([0.0]), np.array([np.nan])) is Sample.USED
+    assert feed(d, [MS] * 3, [0.02] * 3) == [Sample.JUMP] * 2 + [Sample.RESTARTED]
+    assert feed(d, range(2 * MS, 9 * MS, MS), 0.02 * np.arange(2, 9)) == [Sample.USED] * 7
+
+
+def test_a_first_step_of_a_fast_joint_is_believed_where_its_velocity_is_measured():
+    d = causal([2.0])
+    assert d.update(0, np.array([0.0]), np.array([20.0])) is Sample.USED
+    assert d.update(MS, np.array([0.02]), np.array([20.0])) is Sample.USED
+    assert d.update(2 * MS, np.array([0.06]), np.array([20.0])) is Sample.JUMP
 
 
 def test_two_pi_wrap_is_unwrapped_only_where_the_joint_is_continuous():

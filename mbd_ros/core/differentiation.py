@@ -40,7 +40,9 @@ class CausalDifferentiator:
     Args:
         cutoff: Half-power frequency of the filters [Hz], > 0.
         velocity_limit: Steps beyond limit x dt are rejected as encoder glitches [rad/s or m/s],
-            shape (n,); inf for a joint without.
+            shape (n,); inf for a joint without. A joint that really moves faster is no glitch: its
+            step is within limit x dt of what the measured velocity says or, where none is
+            measured, of the step before.
         wraps: Joints whose angle may jump by full turns, shape (n,) of bool.
         patience: So many glitches in a row are believed: the filters restart there.
         rewind: A stamp older than the last by more than this is a new beginning [s].
@@ -129,11 +131,13 @@ class CausalDifferentiator:
             if not np.isfinite(change).all():
                 return Sample.NOT_FINITE
             elapsed = h if since is None else np.maximum(since, least) * NANOSECOND
-            if (np.abs(change) > self._limit * elapsed).any():
+            if self._is_glitch(change / elapsed, velocity):
                 self._jumps += 1
                 if self._jumps < self._patience:
                     return Sample.JUMP
-                return self._start(stamp, position, velocity, Sample.RESTARTED)
+                started = self._start(stamp, position, velocity, Sample.RESTARTED)
+                self._before = change, least
+                return started
         if step == 0:
             self.position = position
             return Sample.DUPLICATE
@@ -143,8 +147,18 @@ class CausalDifferentiator:
         else:
             self._derive(step, position, velocity)
         self.position, self._stamp, self._jumps = position, stamp, 0
-        self._last_step = step
+        self._last_step, self._before = step, (change, step)
         return Sample.USED
+
+    def _is_glitch(self, rate: Array, velocity: Array) -> bool:
+        """Whether a joint is faster than its limit, and nothing says that it really moves so."""
+        change, step = self._before
+        with np.errstate(invalid="ignore", over="ignore"):
+            before = change / (step * NANOSECOND)
+            expected = np.where(np.isfinite(velocity), 0.5 * (self.velocity + velocity), before)
+            too_fast = np.abs(rate) > self._limit
+            unexpected = np.abs(rate - expected) > self._limit
+        return bool((too_fast & unexpected).any())
 
     def _start(self, stamp: int, position: Array, velocity: Array, outcome: Sample) -> Sample:
         if not np.isfinite(position).all():
@@ -157,6 +171,7 @@ class CausalDifferentiator:
         self._of_velocity.start(self.velocity, 0.0)
         self._position_runs = False
         self._stamp, self._jumps, self._last_step = stamp, 0, self._rewind
+        self._before = np.zeros(len(position)), self._rewind
         return outcome
 
     def _derive(self, step: int, position: Array, velocity: Array) -> None:

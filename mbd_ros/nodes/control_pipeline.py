@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 from mbd_ros.core.control.chatter import ChatterMeter
 from mbd_ros.core.control.control_loop import Command, ControlLoop
@@ -31,7 +31,7 @@ from mbd_ros.scene import load_scene
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
 from msg_adapters.joint_trajectory import Trajectory
-from msg_adapters.multi_array import write_multi_array
+from msg_adapters.multi_array import write_answered, write_multi_array
 
 
 class Answer(NamedTuple):
@@ -83,6 +83,7 @@ class ControlPipeline:
         self.reader = JointStateCdrReader(self.joints, joint_state)
         self._references = References(self.loop.guide, names, scene.couplings)
         self._commands, self._state = Float64MultiArray(), JointStateCdrWriter(names)
+        self._answer = Float64MultiArray(layout=MultiArrayLayout(dim=[MultiArrayDimension()]))
         self.x: State | None = None
         self._epoch: int | None = None
         self._violation = np.zeros(len(scene.couplings.dependent))
@@ -131,14 +132,19 @@ class ControlPipeline:
         off = seen.dependent - self._observed.dependent
         self._violation = np.where(np.isfinite(off), off, 0.0)
         command = self.loop.update(x)
-        return Answer(self.commands(command.effort), self._loop_state(stamp, command))
+        write_answered(self._answer, len(self._order), stamp)
+        commands = write_multi_array(self._answer, self._told(command.effort))
+        return Answer(commands, self._loop_state(stamp, command))
 
     def commands(self, effort: Array) -> Any:
         """Kept message with what the actuators are told to give these efforts."""
+        return write_multi_array(self._commands, self._told(effort))
+
+    def _told(self, effort: Array) -> Array:
         if self._loads.actuators:
             x = self.x if self.x is not None else self.scene.initial
             effort = self._loads.command(effort, x)
-        return write_multi_array(self._commands, effort[self._order])
+        return effort[self._order]
 
     def _loop_state(self, stamp: int, command: Command) -> Any:
         chatter = self.loop.chatter.rms

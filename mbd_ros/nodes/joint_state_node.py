@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 from mbd_ros.core.differentiation import Sample
 from mbd_ros.core.state import NANOSECOND
 from mbd_ros.nodes.scene_node import SceneNode
-from msg_adapters.diagnostics import OK, STALE
+from msg_adapters.diagnostics import OK, STALE, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader
@@ -21,6 +21,8 @@ from msg_adapters.joint_state_cdr import JointStateCdrReader
 # beyond which the transport itself keeps no more.
 SENSOR = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
 _NEVER = -(2**62)  # ns
+_STANDING = 0.5  # [s] for which one joint state may come again and again, or all be dropped
+_LATELY = 1.5  # s, a bit more than the time between two diagnostics
 
 
 class JointStatePipeline(Protocol):
@@ -53,6 +55,7 @@ class JointStateNode(SceneNode):
         super().__init__(argv)
         self._newest, self._answered, self._is_stampless = 0, 0, False
         self._mark()
+        self._moved = self._heard
         self._two_clocks = self._last_drop = ""
         self._extra: set[str] = set()
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -80,6 +83,7 @@ class JointStateNode(SceneNode):
         self._newest, self._answered, self._agreed = 0, 0, _NEVER
         self._two_clocks = self._last_drop = ""
         self._mark()
+        self._moved = self._heard
         if self.is_built:
             self.forget()
 
@@ -107,6 +111,16 @@ class JointStateNode(SceneNode):
         if self.silence() > self.parameters.timeout:
             why = "; nobody publishes /clock any more" if self._is_clock_gone() else dropped
             return STALE, f"no joint state answered for {self.silence():.2f} s{why}"
+        return self._standing_health()
+
+    def _standing_health(self) -> tuple[int, str]:
+        """WARN where joint states come and time stands all the same."""
+        now = perf_counter()
+        if self._last_drop and now - self._heard > _STANDING:
+            return WARN, f"no joint state answered, last one dropped: {self._last_drop}"
+        if self._heard - self._moved > _STANDING and now - self._heard < _LATELY:
+            stamp = self._newest * NANOSECOND
+            return WARN, f"the joint state of {stamp:.9g} s comes again and again: time stands"
         return OK, ""
 
     def silence(self) -> float:
@@ -150,9 +164,12 @@ class JointStateNode(SceneNode):
 
     def note_answer(self, stamp: int) -> None:
         """Remember that a joint state was answered."""
+        is_new = stamp != self._newest
         self._newest, self._last_drop = stamp, ""
         self._answered += 1
         self._mark()
+        if is_new:
+            self._moved = self._heard
 
     def _note_extra(self, extra: tuple[str, ...]) -> None:
         """Remember joints of a joint state that are not used; list them once."""

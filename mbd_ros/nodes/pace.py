@@ -50,6 +50,10 @@ class Pace:
         self.due = self._heard = perf_counter()
         self.open_window()
 
+    def skip(self) -> None:
+        """Leave the tick of this moment out."""
+        self.due += self._interval
+
     def open_window(self) -> None:
         """Begin a new period of `reached` and `lateness`."""
         self._since, self._given_up_before = perf_counter(), self.given_up

@@ -18,15 +18,17 @@ from mbd_ros.nodes.process import run
 from mbd_ros.nodes.scene_node import SceneNode
 from mbd_ros.nodes.simulator_outputs import SimulatedClock, SimulatorOutputs
 from mbd_ros.nodes.simulator_parameters import PARAMETERS
+from mbd_ros.nodes.standing import LATE, Standing
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
+from msg_adapters.multi_array import read_answered
 from msg_adapters.time import NANOSECONDS
 
 # The depth bridges a pause of 0.5 s at 1 kHz. In lock step every command is a tick, however many
 # are waiting: a full reader then refuses them, and the writer sends them again.
 COMMANDS = QoSProfile(depth=500)
 EVERY_COMMAND = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-CLOCK_REPEAT = 0.1  # s between messages of a standing clock, for who comes late
+STANDING = 0.1  # s between messages of a standing clock, and looks for who comes late
 
 
 class SimulatorNode(SceneNode):
@@ -41,6 +43,7 @@ class SimulatorNode(SceneNode):
         super().__init__(argv)
         self._is_paused = False
         self._pace = Pace(1.0, 1.0)  # until configured
+        self._standing = Standing()
         self._tick = self._guarded(self._advance, False)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/step", self._on_step)
@@ -82,10 +85,10 @@ class SimulatorNode(SceneNode):
         if self._plant.live.fault:
             raise DivergedError(f"{self._plant.live.fault}; call ~/reset first")
         if self.parameters.publish_clock:
-            self._simulated_clock = clock = SimulatedClock(self)
-            self.every(CLOCK_REPEAT, lambda: self._is_running or clock.repeat())
+            self._simulated_clock = SimulatedClock(self)
+        self.every(STANDING, self._stand)
         self._restart()
-        self._publish()
+        self._publish(self._begun)
 
     def deactivate_core(self) -> None:
         """Stand still, and let the clock end."""
@@ -119,6 +122,10 @@ class SimulatorNode(SceneNode):
         details = {**self._plant.details(), **pace.details(self._is_running)}
         wrong = [pace.lag] if self._is_running and pace.is_lagging else []
         wrong += [self._plant.silence] if self._plant.silence else []
+        if self._waits and self._standing.waited > LATE and live.watch.held is not None:
+            wrong.append(f"no command for {self._standing.waited:.3g} s, the state is repeated")
+        details["states repeated"] = str(self._standing.repeats)
+        details["commands that answered a state again"] = str(self._standing.doubled)
         pace.open_window()
         standing = "paused" if self._is_paused else "waiting for a command"
         what = "simulating" if self._is_running else standing
@@ -129,39 +136,59 @@ class SimulatorNode(SceneNode):
     def _is_running(self) -> bool:
         return self.active and not (self._is_paused or self.parameters.lock_step)
 
+    @property
+    def _waits(self) -> bool:
+        """Whether time stands until a command comes."""
+        return self.active and self.parameters.lock_step and not self._is_paused
+
     def _advance(self) -> None:
         self._plant.live.tick()
-        self._publish()
+        is_due = self._is_running and self._pace.factor > 0.0
+        due = self._epoch + round(self._pace.due * NANOSECONDS) if is_due else self._now()
+        self._publish(due)
 
-    def _publish(self) -> None:
-        """Show the newest state."""
-        stamp = self._stamp()
+    def _publish(self, stamp: int) -> None:
+        """Show the newest state; `stamp` [ns] counts unless simulated time is published."""
+        if self.parameters.publish_clock:
+            stamp = self._plant.time
         if self._simulated_clock is not None:
             self._simulated_clock.show(stamp)
+        self._standing.show(stamp)
         self._outputs.publish(stamp, self.parameters)
 
-    def _stamp(self) -> int:
-        """Simulated time if it is published, else when the tick was due on the node clock [ns]."""
-        if self.parameters.publish_clock:
-            return self._plant.time
-        if self._is_running and self._pace.factor > 0.0:
-            return self._epoch + round(self._pace.due * NANOSECONDS)
+    def _stand(self) -> None:
+        """Show time and state again to who came late, or lost a message."""
+        if self._is_running:
+            return
+        if self._simulated_clock is not None:
+            self._simulated_clock.repeat()
+        if self._standing.is_wanted(self._outputs.listeners, self._waits):
+            stamp = self._plant.time if self.parameters.publish_clock else self._now()
+            self._standing.show_again(stamp)
+            self._outputs.repeat(stamp)
+
+    def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
 
     def _restart(self, factor: float | None = None) -> None:
-        """The time between ticks begins now."""
+        """The time between ticks begins now; the state of this moment needs no tick."""
         self._pace.restart(factor)
-        self._epoch = self.get_clock().now().nanoseconds - round(self._pace.due * NANOSECONDS)
+        self._begun = self._now()
+        self._epoch = self._begun - round(self._pace.due * NANOSECONDS)
+        self._pace.skip()
         self._pace.interrupt()
 
     def _on_command(self, topic: str, read: Callable[[Any], Any]) -> Callable[[Any], None]:
         def take(msg: Any) -> None:
             try:
-                self._plant.live.watch.take(read(msg))
+                command = read(msg)
             except MessageError as error:
                 self.drop("command", f"{topic}: {error}; the last good command is held")
                 return
-            if self.parameters.lock_step and not self._is_paused:
+            if self._waits and not self._standing.takes(read_answered(msg)):
+                return
+            self._plant.live.watch.take(command)
+            if self._waits:
                 self._advance()
 
         return take
@@ -177,9 +204,10 @@ class SimulatorNode(SceneNode):
         response.success = self.configured
         if self.configured:
             self._plant.live.reset()
+            self._standing.restart()
             self._restart()
             if self.active:
-                self._publish()
+                self._publish(self._begun)
         return self._answer(response, "at the initial state")
 
     def _on_step(self, request: Any, response: Any) -> Any:

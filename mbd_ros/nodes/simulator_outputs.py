@@ -34,6 +34,15 @@ class SimulatorOutputs:
         if plant.live.wrenches():
             self._markers, self._marked = node.publish_to(MarkerArray, "~/markers", 10), 0.0
 
+    @property
+    def listeners(self) -> int:
+        """How many listen to joint states."""
+        return int(self._states.get_subscription_count())
+
+    def repeat(self, stamp: int) -> None:
+        """Publish the newest joint state again, under a stamp [ns]."""
+        self._states.publish(self._plant.joint_states(stamp))
+
     def publish(self, stamp: int, values: Any) -> None:
         """Show the newest state.
 

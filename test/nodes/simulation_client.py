@@ -87,7 +87,7 @@ class Client:
         self._reset = probe.node.create_client(Trigger, f"{NAME}/reset")
         self._pause = probe.node.create_client(SetBool, f"{NAME}/pause")
 
-    def connect(self, has_actuators: bool, is_paused: bool) -> None:
+    def connect(self, has_actuators: bool, is_paused: bool, is_standing: bool) -> None:
         """Until both sides know each other: the node shows the state that a reset leads to.
 
         Commands need no such proof: what was sent before the node knew its sender comes later,
@@ -103,6 +103,8 @@ class Client:
         self.probe.ask_repeatedly(self._pause, SetBool.Request(data=is_paused))
         self.probe.ask_repeatedly(self._reset, Trigger.Request())
         self.repeat(self._ask_reset, lambda: self.states)
+        if is_standing:
+            self.settle()  # what is repeated for a new listener is here
 
     def follow(self) -> None:
         """Subscribe to ~/motion; at the initial state once motions come."""
@@ -226,7 +228,9 @@ def simulated(
         with QuickProbe(domain) as probe:
             client = Client(node, probe)
             node.wait_for(ACTIVE)
-            client.connect("actuators" in scene, parameters.get("paused") == "true")
+            is_paused = parameters.get("paused") == "true"
+            is_standing = is_paused or parameters.get("lock_step") == "true"
+            client.connect("actuators" in scene, is_paused, is_standing)
             yield client
             client.assert_finite()
             if stop is not None:
