@@ -1,5 +1,6 @@
 """What a scene builds, what it leaves out, and what one call costs."""
 
+import math
 import sys
 import timeit
 from collections.abc import Iterator
@@ -10,13 +11,14 @@ import pinocchio as pin
 
 from mbd_ros.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE, Scene
 from mbd_ros.core.forward.row_factor import TOGGLE, RowFactor
-from mbd_ros.core.integration.linearization import fastest_rate
+from mbd_ros.core.integration.linear_motion import LinearMotion, linear_motion, longest_step
 from mbd_ros.core.loops.loop_torques import listed
 from mbd_ros.core.manifold.assembly import assemble
 from mbd_ros.core.state import State
 from mbd_ros.core.system import System
 from mbd_ros.core.tiers import tier_of
 from mbd_ros.errors import SolveError
+from mbd_ros.part_entries import build_part
 from mbd_ros.start_check import start_warnings
 
 _CALLS, _REPEATS = 2000, 5
@@ -72,9 +74,23 @@ def _lines(scene: Scene) -> Iterator[str]:
         yield from _reach(scene, system.expand(start))
     yield _line("forward", _forward(scene, system))
     yield from _warnings(scene, system, start, factor)
-    yield _line("left out", "; ".join((*scene.absent, *robot.ignored)) or "nothing")
+    left_out = (*scene.absent, *_rubbing(scene), *robot.ignored)
+    yield _line("left out", "; ".join(left_out) or "nothing")
     cost = _loop_cost(scene, system.expand(start)) if scene.has_loops else _cost(scene)
     yield _line("cost", f"{cost}; {_forward_cost(scene, system)}")
+
+
+def _rubbing(scene: Scene) -> Iterator[str]:
+    """Friction and damping of the description that no part of the scene brings in."""
+    covered: set[tuple[str, str]] = set()
+    for part in (*scene.forces, *scene.constraints):
+        joint = getattr(getattr(part, "joint", None), "name", None)
+        covered.update((key, joint) for key in getattr(part, "brings", ()) if joint)
+    for key in ("friction", "damping"):
+        names = [n for n, rub in scene.robot.rubbing.items() if getattr(rub, key)]
+        lacking = [name for name in names if (key, name) not in covered]
+        if lacking:
+            yield f"URDF <dynamics> {key} of {', '.join(lacking)}"
 
 
 def _parts(scene: Scene) -> Iterator[str]:
@@ -114,18 +130,24 @@ def _warnings(scene: Scene, system: System, x: State, factor: RowFactor | None) 
         yield _line("warning", f"Baumgarte: {used} = {floor(scene.dt):g} s")
     if factor is not None:
         yield from _rank_lines(factor)
-    method = scene.integrator
-    stable = DEFAULT_STABLE if method is None else method.stable
-    rate = fastest_rate(system, x)
-    explicit = method is None or method.is_explicit
-    if explicit and rate * scene.dt > stable:
-        name = DEFAULT_INTEGRATOR["type"] if method is None else type(method).__name__
-        limit = f"steps of {name} need dt < {stable / rate:.2g} s, gauss_legendre does not"
-        yield _line("warning", f"stiff: fastest rate {rate:.3g} 1/s at dt {scene.dt:g} s; {limit}")
+    yield from _stiffness(scene, linear_motion(system, x))
     driven = [scene.robot.joint(name) for part in scene.actuators for name in part.joints]
     without = [joint.name for joint in driven if joint.max_effort == 0.0]
     if without:
         yield _line("warning", f"no authority: effort limit 0 of {', '.join(without)}")
+
+
+def _stiffness(scene: Scene, motion: LinearMotion) -> Iterator[str]:
+    method, name = scene.integrator, DEFAULT_INTEGRATOR["type"]
+    if method is not None:
+        name = _name(method)
+    elif motion.rate * scene.dt > DEFAULT_STABLE:
+        method = build_part("integrators", DEFAULT_INTEGRATOR, "default")
+    longest = math.inf if method is None else longest_step(method, motion, scene.dt)
+    if longest < math.inf:
+        limit = f"steps of {name} need dt < {longest:.2g} s, gauss_legendre does not"
+        stiff = f"stiff: fastest rate {motion.rate:.3g} 1/s at dt {scene.dt:g} s"
+        yield _line("warning", f"{stiff}; {limit}")
 
 
 def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from mbd_ros.core.forward.row_factor import RowFactor
-from mbd_ros.core.integration.linearization import fastest_rate
+from mbd_ros.core.integration.linear_motion import LinearMotion, linear_motion, longest_step
 from mbd_ros.core.state import State
 from mbd_ros.core.stepping import Integrator
 from mbd_ros.core.system import System
@@ -16,7 +16,6 @@ _LOOKS = 8  # states whose fastest rate is found, and the last one
 _FOLD_LOOKS = 2_000  # states whose rows are factorised
 _TURN = 0.5  # change of velocity in a step, of the largest one in the motion
 _FOLD = 30.0  # rise of the condition number of the rows that a toggle makes
-_SLACK = 1.0e-9
 
 
 def step_warnings(
@@ -32,10 +31,9 @@ def step_warnings(
     """
     if method.stable == math.inf or not states:
         return
-    name = type(method).__name__
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         if method.is_explicit:
-            yield from _stiffness(system, name, method.stable, dt, states)
+            yield from _stiffness(system, method, dt, states)
         speeds = np.array([x.v for x in states])
         turns = np.abs(np.diff(speeds, axis=0)).max(axis=1, initial=0.0)
         turns = turns / max(float(np.abs(speeds).max()), 1.0e-300)
@@ -49,23 +47,27 @@ def step_warnings(
 
 
 def _stiffness(
-    system: System, name: str, stable: float, dt: float, states: Sequence[State]
+    system: System, method: Integrator, dt: float, states: Sequence[State]
 ) -> Iterator[str]:
-    some = (*states[:: max(1, len(states) // _LOOKS)], states[-1])
-    rate, t = max((_rate(system, x), x.t) for x in some)
-    if not rate * dt <= stable * (1.0 + _SLACK):
+    some, worst = (*states[:: max(1, len(states) // _LOOKS)], states[-1]), (math.inf, 0.0, 0.0)
+    for x in some:
+        motion = _motion(system, x)
+        if motion is not None:
+            worst = min(worst, (longest_step(method, motion, dt), motion.rate, x.t))
+    longest, rate, t = worst
+    if longest < math.inf:
         yield (
-            f"stiff: fastest rate {rate:.3g} 1/s at t = {t:.6g} s; steps of {name} need dt < "
-            f"{stable / rate:.2g} s there"
+            f"stiff: fastest rate {rate:.3g} 1/s at t = {t:.6g} s; steps of "
+            f"{type(method).__name__} need dt < {longest:.2g} s there"
         )
 
 
-def _rate(system: System, x: State) -> float:
-    """Fastest rate [1/s]; 0 where a state nearby has no acceleration and nothing can be told."""
+def _motion(system: System, x: State) -> LinearMotion | None:
+    """None where a state nearby has no acceleration and nothing can be told."""
     try:
-        return fastest_rate(system, system.reduce(x))
+        return linear_motion(system, system.reduce(x))
     except SolveError:
-        return 0.0
+        return None
 
 
 def _folds(system: System, states: Sequence[State]) -> Iterator[str]:

@@ -133,6 +133,34 @@ def test_check_says_redundancy_toggle_bounds_and_missing_authority(capsys, tmp_p
     scene.write_text("robot: {urdf: weak.urdf}\n" + actuator, encoding="utf-8")
     warning = labelled(called(capsys, "check", scene)[1])["warning"]
     assert warning == "no authority: effort limit 0 of hinge"
+    free = re.sub(r"<limit [^>]*/>", "", urdf).replace("revolute", "continuous")
+    (tmp_path / "weak.urdf").write_text(free, encoding="utf-8")
+    assert "warning" not in called(capsys, "check", scene)[1]
+
+
+RUBBING = '<dynamics friction="0.2" damping="0.5"/></joint>'
+
+
+@pytest.mark.parametrize(
+    ("parts", "left"),
+    [
+        ("", ["friction", "damping"]),
+        ("forces: [{type: joint_friction, joint: hinge, coulomb: 0.2, viscous: 0.5}]", []),
+        ("forces: [{type: joint_friction, joint: hinge, viscous: 0.5}]", ["friction"]),
+        ("forces: [{type: joint_friction, joint: hinge, coulomb: 0.2}]", ["damping"]),
+        ("forces: [{type: joint_spring, joint: hinge, stiffness: 0, damping: 1}]", ["friction"]),
+        ("forces: [{type: joint_spring, joint: hinge, stiffness: 9}]", ["friction", "damping"]),
+        ("constraints: [{type: dry_friction, joint: hinge, limit: 0.2}]", ["damping"]),
+    ],
+)
+def test_check_says_which_friction_of_the_description_is_left_out(capsys, tmp_path, parts, left):
+    urdf = (SCENES / "../robots/pendulum.urdf").read_text(encoding="utf-8")
+    head, joint, tail = urdf.rpartition("</joint>")
+    assert joint
+    (tmp_path / "p.urdf").write_text(head + RUBBING + tail, encoding="utf-8")
+    (tmp_path / "s.yaml").write_text(f"robot: {{urdf: p.urdf}}\n{parts}\n", encoding="utf-8")
+    said = labelled(called(capsys, "check", tmp_path / "s.yaml")[1])["out"]
+    assert re.findall(r"<dynamics> (\w+) of hinge", said) == left
 
 
 @pytest.mark.parametrize(
@@ -151,7 +179,7 @@ def test_check_says_which_step_a_stiff_scene_needs(capsys, tmp_path, integrator,
     inertia = load_scene(tmp_path / "s.yaml").system().mass(np.zeros(1))[0, 0]
     rate = (1e7 / inertia) ** 0.5
     assert (f"stiff: fastest rate {rate:.3g} 1/s at dt {dt:g} s" in out) == warned
-    assert (f"need dt < {2.5 / rate:.2g} s" in out) == warned
+    assert (f"need dt < {8**0.5 / rate:.2g} s" in out) == warned, "RK4 on the imaginary axis"
 
 
 def test_check_refuses_a_mechanism_that_does_not_close(capsys, tmp_path):

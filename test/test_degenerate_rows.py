@@ -6,7 +6,7 @@ import pytest
 from mbd_ros.core.couplings import Couplings
 from mbd_ros.core.forward.active_set import complementarity
 from mbd_ros.core.forward.row_factor import RowFactor
-from mbd_ros.core.integration.linearization import fastest_rate
+from mbd_ros.core.integration.linear_motion import fastest_rate
 from mbd_ros.core.manifold.assembly import assemble, drift, project
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError

@@ -130,9 +130,23 @@ def test_limits_and_units_are_those_of_the_description():
 
 def test_what_is_left_out_is_said():
     rubbed = LEG.replace('<child link="foot"/>', '<child link="foot"/><dynamics damping="0.5"/>')
-    ignored = read_robot(rubbed.replace("</robot>", "<transmission/></robot>")).ignored
-    assert ignored == ("URDF <dynamics> friction and damping of ankle", "URDF <transmission>")
-    assert read_robot(LEG).ignored == ()
+    robot = read_robot(rubbed.replace("</robot>", "<transmission/></robot>"))
+    assert robot.ignored == ("URDF <transmission>",)
+    assert robot.rubbing == {"ankle": (0.0, 0.5)}
+    assert (read_robot(LEG).ignored, read_robot(LEG).rubbing) == ((), {})
+
+
+def test_a_continuous_joint_without_an_effort_limit_has_none():
+    hinge = LEG.replace('name="ankle" type="revolute"', 'name="ankle" type="continuous"')
+    assert hinge != LEG
+    at = hinge.index("<limit", hinge.index('name="ankle"'))
+    limit = hinge[at : hinge.index("/>", at) + 2]
+    assert read_robot(hinge).joint("ankle").max_effort > 0
+    assert read_robot(hinge.replace(limit, "")).joint("ankle").max_effort == math.inf
+    bare = hinge.replace(limit, '<limit velocity="2"/>')
+    assert read_robot(bare).joint("ankle").max_effort == math.inf
+    none = hinge.replace(limit, '<limit velocity="2" effort="0"/>')
+    assert read_robot(none).joint("ankle").max_effort == 0.0
 
 
 def test_floating_base_equals_newtons_law_for_the_whole_body():

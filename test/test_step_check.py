@@ -1,30 +1,40 @@
 """Warnings of steps that are too long for the motion that they computed."""
 
+import math
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from mbd_ros import step_check
 from mbd_ros.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE
-from mbd_ros.core.integration.linearization import fastest_rate
-from mbd_ros.errors import MbdError, SolveError
+from mbd_ros.core.integration.linear_motion import fastest_rate, linear_motion, longest_step
+from mbd_ros.errors import DivergedError, MbdError, SolveError
+from mbd_ros.forces.joint_spring import JointSpring
 from mbd_ros.part_entries import build_part
 from mbd_ros.report.stability.extreme_scenes import mechanism, rods
 from mbd_ros.scene import load_scene
+from mbd_ros.scene_check import describe
 from mbd_ros.step_check import step_warnings
 
 NEAR_TOGGLE = "package://mbd_ros/config/scenes/benchmark/x02_four_bar_1e-6.yaml"
 SPRING = {"type": "joint_spring", "joint": "j0", "stiffness": 1e4}
 
 
-def found(scene, entry, dt, duration):
+GOVERNOR = "package://mbd_ros/config/scenes/benchmark/a05_governor.yaml"
+STIFF = {"stiffness": 1e6}
+
+
+def found(scene, entry, dt, duration, word=""):
+    """Warnings with a word in them."""
     simulation = scene.simulation(integrator=entry, dt=dt)
     states = []
     with np.errstate(all="ignore"):
         with suppress(MbdError):
             states.extend(simulation.run(scene.initial, duration))
-        return list(step_warnings(simulation.system, simulation.integrator, dt, states))
+        said = step_warnings(simulation.system, simulation.integrator, dt, states)
+        return [text for text in said if word in text]
 
 
 def swing(damping=0.0):
@@ -32,26 +42,69 @@ def swing(damping=0.0):
     return mechanism(start, *rods((3.0,)))().scene  # inertia 1: rate 100
 
 
-@pytest.mark.parametrize(
-    "entry",
-    [
-        *({"type": name} for name in ("semi_implicit_euler", "rk4", "dopri5", "dop853")),
-        *({"type": "adams", "order": order} for order in range(2, 9)),
-    ],
-    ids=lambda entry: " ".join(map(str, entry.values())),
-)
-@pytest.mark.parametrize("damping", [0.0, 200.0], ids=["undamped", "critical"])
-def test_motion_stays_bounded_up_to_the_step_without_a_warning(entry, damping):
-    """The rate times the step is `stable`; beyond it `check` and `simulate` warn."""
+METHODS = [
+    *({"type": name} for name in ("semi_implicit_euler", "rk4", "dopri5", "dop853", "filippov")),
+    *({"type": "adams", "order": order} for order in range(2, 9)),
+]
+
+
+@pytest.mark.parametrize("entry", METHODS, ids=lambda entry: " ".join(map(str, entry.values())))
+@pytest.mark.parametrize("damping", [0.0, 10.0, 200.0, 2e4])
+def test_the_longest_step_is_where_motion_begins_to_grow(entry, damping):
+    """Rates of 100 1/s, critically damped at 200; 0.5 and 2e4 1/s with the strongest damper."""
     scene = swing(damping)
     method = build_part("integrators", entry, "test")
-    rate = fastest_rate(scene.system(), scene.initial)
-    assert rate == pytest.approx(100.0, rel=0.01)
-    simulation = scene.simulation(integrator=entry, dt=0.99 * method.stable / rate)
-    *_, last = simulation.run(scene.initial, 400 * simulation.dt)
-    assert abs(last.q[0]) < 0.02
-    said = found(scene, entry, 1.05 * method.stable / rate, 1.0)
-    assert any("stiff: fastest rate" in text for text in said)
+    around = linear_motion(scene.system(), scene.initial)
+    assert around.rate == pytest.approx(2e4 if damping == 2e4 else 100.0, rel=0.01)
+    longest = longest_step(method, around, 1.0)
+    assert 0.99 * method.stable <= longest * around.rate < 9.0
+    dt, least = 0.99 * longest, 0.99 * method.stable / around.rate
+    assert longest_step(method, around, least) == math.inf
+    assert found(scene, entry, dt, 20 * dt, "stiff") == []
+    assert found(scene, entry, 1.05 * longest, 20 * longest, "stiff")
+    assert method.growth(around, dt) < 1.001
+    assert swings(scene, entry, dt, 400) < 1.5
+    if method.growth(around, 1.1 * longest) > 1.005:  # some grow slowly where nothing damps
+        assert swings(scene, entry, 1.1 * longest, 4000) > 100.0
+
+
+def swings(scene, entry, dt, steps):
+    """Largest angle at the end, of that in the beginning; inf if it diverges."""
+    simulation = scene.simulation(integrator=entry, dt=dt)
+    try:
+        states = simulation.run(scene.initial, steps * dt)
+        with np.errstate(all="ignore"):
+            angles = [abs(x.q[0]) for x in states]
+    except DivergedError:
+        return math.inf
+    return max(angles[-100:]) / max(angles[: steps // 2])
+
+
+SLIDING = "package://mbd_ros/config/scenes/benchmark/s01_parabola.yaml"
+
+
+@pytest.mark.parametrize("method", ["rk4", "dopri5", "filippov"])
+def test_a_switching_surface_is_no_fast_rate(method):
+    """Without a spring nothing is fast there, and with one its own rate counts, not the jump."""
+    scene = load_scene(SLIDING)
+    slides = [x for x in scene.simulation().run(scene.initial, 1.5) if x.t > 0.8]
+    assert slides
+    assert found(scene, {"type": method}, 0.01, 1.5, "stiff") == []
+    assert max(fastest_rate(scene.system(), x) for x in slides) < 1e-3
+    near = replace(scene, forces=(*scene.forces, JointSpring(scene.robot, joint="x", **STIFF)))
+    rates = [fastest_rate(near.system(), x) for x in slides]
+    assert rates == pytest.approx([1e3] * len(rates), rel=1e-3)
+    assert found(near, {"type": method}, 0.01, 0.05, "stiff")
+
+
+def test_the_shipped_governor_is_not_warned_of_until_its_step_is_too_long():
+    scene = load_scene(GOVERNOR)
+    around = linear_motion(scene.system(), scene.initial)
+    assert around.rate * scene.dt > build_part("integrators", DEFAULT_INTEGRATOR, "").stable
+    assert found(scene, None, scene.dt, 0.02, "stiff") == []
+    assert found(scene, None, 5e-4, 0.02, "stiff")
+    assert "warning" not in "".join(describe(scene))
+    assert "need dt < 0.00041 s" in "".join(describe(replace(scene, dt=5e-4)))
 
 
 def test_default_integrator_is_as_stable_as_the_scene_module_says():
@@ -78,8 +131,8 @@ def test_a_state_without_a_rate_nearby_is_passed_over(monkeypatch):
             raise SolveError("QP not solved")
         return rates.pop()
 
-    monkeypatch.setattr(step_check, "fastest_rate", failing)
-    rates = [100.0]
+    monkeypatch.setattr(step_check, "linear_motion", failing)
+    rates = [linear_motion(simulation.system, scene.initial)]
     told = list(step_warnings(simulation.system, simulation.integrator, 0.05, states))
     assert any("fastest rate 100 1/s" in text for text in told)
     assert not list(step_warnings(simulation.system, simulation.integrator, 0.05, states))

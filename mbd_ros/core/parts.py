@@ -18,13 +18,19 @@ class ForceTerm:
     Attributes:
         reads_frames: Whether `force` reads placements, velocities or joint Jacobians from `data`;
             they are current then, and not refreshed for parts that do not ask.
+        brings: What it takes over from the `<dynamics>` of its `joint`: friction, damping.
     """
 
     reads_frames: ClassVar[bool] = False
+    brings: tuple[str, ...] = ()
 
     def force(self, data: Any, x: State) -> Array:
         """Generalized force on the joints [N·m or N], shape (nv,)."""
         raise NotImplementedError
+
+    def beside(self, data: Any, x: State) -> "ForceTerm":
+        """The force as it goes on from a state, smooth across the surfaces at which it jumps."""
+        return self
 
     def potential(self, data: Any, x: State) -> float:
         """Potential energy of what is conservative in the force [J]."""

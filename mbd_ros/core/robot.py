@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import pinocchio as pin
 
@@ -23,7 +23,7 @@ class Joint:
         lower: Lower position limit [rad or m], -inf without one.
         upper: Upper position limit [rad or m], inf without one.
         max_velocity: [rad/s or m/s], inf where the description says 0 or nothing.
-        max_effort: [N·m or N].
+        max_effort: [N·m or N], inf where the description says nothing (continuous joints may).
     """
 
     name: str
@@ -52,6 +52,18 @@ class Mimic:
     offset: float
 
 
+class Rubbing(NamedTuple):
+    """A `<dynamics>` of the description.
+
+    Attributes:
+        friction: Dry friction [N·m or N].
+        damping: Viscous [N·m·s/rad or N·s/m].
+    """
+
+    friction: float
+    damping: float
+
+
 @dataclass(frozen=True)
 class Robot:
     """A robot that passed every check; its model is shared and never written.
@@ -64,7 +76,8 @@ class Robot:
         floating: Whether the first 7 (6) coordinates of q (v) are those of a free base.
         locked: Position [rad or m] of every joint that was frozen and removed.
         fixed: Names of the joints that never move.
-        ignored: What the description holds and this package leaves out.
+        rubbing: What `<dynamics>` says of joints; no force until a part of the scene brings it.
+        ignored: What else the description holds and this package leaves out.
     """
 
     name: str
@@ -74,6 +87,7 @@ class Robot:
     floating: bool
     locked: Mapping[str, float]
     fixed: frozenset[str]
+    rubbing: Mapping[str, Rubbing]
     ignored: tuple[str, ...]
 
     def joint(self, name: str) -> Joint:

@@ -42,8 +42,8 @@ class Integrator:
         keeps_constraints: Whether the method itself keeps the constraints, so that no
             stabilization acts.
         is_explicit: Whether stiff forces limit the step.
-        stable: Largest rate times dt, with the rate of `linearization.fastest_rate`, at which no
-            oscillation and no decay grows; beyond it an explicit method needs a shorter step. inf
+        stable: Largest rate times dt, with the rate of `linear_motion.fastest_rate`, at which no
+            oscillation and no decay grows, however it is damped; beyond it `growth` decides. inf
             where the method chooses its steps.
     """
 
@@ -52,6 +52,15 @@ class Integrator:
     keeps_constraints: ClassVar[bool] = False
     is_explicit: ClassVar[bool] = True
     stable: float = 2.5
+
+    def growth(self, motion: Any, dt: float) -> float:
+        """Factor by which a step multiplies a linear motion at most, inf where it is not known.
+
+        Args:
+            motion: A `linear_motion.LinearMotion`.
+            dt: Length of the step [s].
+        """
+        return math.inf
 
     def prepare(self, system: Any, dt: float) -> Stepper:
         """A stepper for one system and one step size [s]."""

@@ -42,6 +42,8 @@ class JointFriction(ForceTerm):
         self.joint = robot.joint(joint)
         self._coulomb, self._viscous, self._smoothing = coulomb, viscous, smoothing
         self._nv = int(robot.model.nv)
+        given = {"friction": coulomb, "damping": viscous}
+        self.brings = tuple(key for key, value in given.items() if value > 0)
 
     def force(self, data: Any, x: State) -> Array:
         """Generalized force of the friction, shape (nv,)."""

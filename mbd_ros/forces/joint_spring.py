@@ -37,6 +37,7 @@ class JointSpring(ForceTerm):
         self.joint = robot.joint(joint)
         self._stiffness, self._rest, self._damping = stiffness, rest, damping
         self._nv = int(robot.model.nv)
+        self.brings = ("damping",) if damping > 0 else ()
 
     def force(self, data: Any, x: State) -> Array:
         """Generalized force of the spring, shape (nv,)."""

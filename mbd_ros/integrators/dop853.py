@@ -5,6 +5,7 @@ from typing import Any, ClassVar
 
 from mbd_ros.core.integration.adaptive_runge_kutta import check_tolerance, runge_kutta
 from mbd_ros.core.integration.dop853_tableau import DOP853
+from mbd_ros.core.integration.linear_motion import LinearMotion, runge_kutta_growth
 from mbd_ros.core.integration.runge_kutta import RungeKutta
 from mbd_ros.core.stepping import Integrator
 
@@ -33,6 +34,10 @@ class Dop853(Integrator):
         self.tolerance = tolerance
         if tolerance is not None:
             self.stable = math.inf
+
+    def growth(self, motion: LinearMotion, dt: float) -> float:
+        """Factor by which a step multiplies a linear motion at most."""
+        return runge_kutta_growth(DOP853, motion, dt)
 
     def prepare(self, system: Any, dt: float) -> RungeKutta:
         """The stepper for one system and one step size [s], or with a tolerance first guess."""

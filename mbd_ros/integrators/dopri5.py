@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mbd_ros.core.integration.adaptive_runge_kutta import check_tolerance, runge_kutta
+from mbd_ros.core.integration.linear_motion import LinearMotion, runge_kutta_growth
 from mbd_ros.core.integration.runge_kutta import RungeKutta
 from mbd_ros.core.integration.tableau import Tableau, matrix
 from mbd_ros.core.stepping import Integrator
@@ -60,6 +61,10 @@ class Dopri5(Integrator):
         self.tolerance = tolerance
         if tolerance is not None:
             self.stable = math.inf
+
+    def growth(self, motion: LinearMotion, dt: float) -> float:
+        """Factor by which a step multiplies a linear motion at most."""
+        return runge_kutta_growth(_TABLEAU, motion, dt)
 
     def prepare(self, system: Any, dt: float) -> RungeKutta:
         """The stepper for one system and one step size [s], or with a tolerance first guess."""

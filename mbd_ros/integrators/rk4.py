@@ -2,6 +2,7 @@
 
 from typing import Any, ClassVar
 
+from mbd_ros.core.integration.linear_motion import LinearMotion, runge_kutta_growth
 from mbd_ros.core.integration.runge_kutta import RungeKutta
 from mbd_ros.core.integration.tableau import RK4
 from mbd_ros.core.stepping import Integrator
@@ -16,6 +17,10 @@ class Rk4(Integrator):
     order: ClassVar[int] = 4
     dense: ClassVar[bool] = True
     example: ClassVar[dict[str, Any]] = {}
+
+    def growth(self, motion: LinearMotion, dt: float) -> float:
+        """Factor by which a step multiplies a linear motion at most."""
+        return runge_kutta_growth(RK4, motion, dt)
 
     def prepare(self, system: Any, dt: float) -> RungeKutta:
         """The stepper for one system and one step size [s]."""

@@ -3,6 +3,9 @@
 import math
 from typing import Any, ClassVar
 
+import numpy as np
+
+from mbd_ros.core.integration.linear_motion import LinearMotion, spectral_radius
 from mbd_ros.core.integration.step_length import clip
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.stepping import Integrator, Stepper
@@ -21,6 +24,13 @@ class SemiImplicitEuler(Integrator):
     order: ClassVar[int] = 1
     stable = 0.8  # critical damping; 2 without damping
     example: ClassVar[dict[str, Any]] = {}
+
+    def growth(self, motion: LinearMotion, dt: float) -> float:
+        """Factor by which a step multiplies a linear motion at most."""
+        unit = np.eye(len(motion.stiffness))
+        velocity = np.hstack([dt * motion.stiffness, unit + dt * motion.damping])
+        position = np.hstack([unit, 0.0 * unit]) + dt * velocity
+        return spectral_radius(np.vstack([position, velocity]))
 
     def prepare(self, system: Any, dt: float) -> "SemiImplicitEulerStepper":
         """The stepper for one system and one step size [s]."""

@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from mbd_ros.core.description.urdf import parse_urdf
 from mbd_ros.core.description.urdf_reading import numbers
-from mbd_ros.core.robot import Joint, Mimic, Robot
+from mbd_ros.core.robot import Joint, Mimic, Robot, Rubbing
 from mbd_ros.errors import ModelError
 
 EARTH_GRAVITY = (0.0, 0.0, -9.81)
@@ -49,7 +49,7 @@ def read_robot(
     tree = parse_urdf(text, source)
     names = _topic_names(tree, rename or {}, source)
     locked = dict(locked or {})
-    kinds = {e.get("name", ""): e.get("type", "") for e in tree.findall("joint")}
+    kinds = _kinds(tree)
     fixed = frozenset(names[joint] for joint, kind in kinds.items() if kind == "fixed")
     mimics = _mimics(tree, names, source)
     model = _build_model(tree, base == "floating", gravity, source)
@@ -57,12 +57,13 @@ def read_robot(
     return Robot(
         name=tree.get("name", ""),
         model=model,
-        joints=_joints(model, kinds, names, floating=base == "floating"),
+        joints=_joints(model, tree, names, floating=base == "floating"),
         mimics=tuple(mimic for mimic in mimics if mimic.joint not in locked),
         floating=base == "floating",
         locked=locked,
         fixed=fixed,
-        ignored=_ignored(tree),
+        rubbing=_rubbing(tree, names),
+        ignored=("URDF <transmission>",) if tree.find("transmission") is not None else (),
     )
 
 
@@ -147,9 +148,10 @@ def _lock(
 
 
 def _joints(
-    model: Any, kinds: Mapping[str, str], names: Mapping[str, str], *, floating: bool
+    model: Any, tree: ElementTree.Element, names: Mapping[str, str], *, floating: bool
 ) -> tuple[Joint, ...]:
-    joints = []
+    joints, kinds = [], _kinds(tree)
+    limited = {e.get("name", "") for e in tree.iterfind("joint") if _has_effort_limit(e)}
     first = 2 if floating else 1  # after the universe and the free base
     pairs = zip(list(model.names)[first:], list(model.joints)[first:], strict=True)
     for urdf_name, joint in pairs:
@@ -165,19 +167,26 @@ def _joints(
                 lower=float(model.lowerPositionLimit[q]) if bounded else -math.inf,
                 upper=float(model.upperPositionLimit[q]) if bounded else math.inf,
                 max_velocity=float(model.upperVelocityLimit[v]) or math.inf,
-                max_effort=float(model.upperEffortLimit[v]),
+                max_effort=float(model.upperEffortLimit[v]) if urdf_name in limited else math.inf,
             )
         )
     return tuple(sorted(joints, key=lambda joint: joint.v))
 
 
-def _ignored(tree: ElementTree.Element) -> tuple[str, ...]:
-    rubbed = [
-        joint.get("name", "")
-        for joint in tree.findall("joint")
-        if any(numbers(joint.find("dynamics"), key, "0")[0] for key in ("damping", "friction"))
-    ]
-    notes = [f"URDF <dynamics> friction and damping of {', '.join(rubbed)}"] if rubbed else []
-    if tree.find("transmission") is not None:
-        notes.append("URDF <transmission>")
-    return tuple(notes)
+def _kinds(tree: ElementTree.Element) -> dict[str, str]:
+    return {e.get("name", ""): e.get("type", "") for e in tree.findall("joint")}
+
+
+def _has_effort_limit(joint: ElementTree.Element) -> bool:
+    limit = joint.find("limit")
+    return limit is not None and "effort" in limit.attrib
+
+
+def _rubbing(tree: ElementTree.Element, names: Mapping[str, str]) -> dict[str, Rubbing]:
+    found = {}
+    for joint in tree.findall("joint"):
+        element = joint.find("dynamics")
+        rub = Rubbing(numbers(element, "friction", "0")[0], numbers(element, "damping", "0")[0])
+        if any(rub):
+            found[names[joint.get("name", "")]] = rub
+    return found

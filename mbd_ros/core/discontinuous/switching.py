@@ -52,3 +52,23 @@ class DiscontinuousForce(ForceTerm):
     def force(self, data: Any, x: State) -> Array:
         """By the signs of the heights, for methods that do not know of surfaces, shape (nv,)."""
         return self.blend(data, x, np.sign(self.heights(data, x)))
+
+    def beside(self, data: Any, x: State) -> ForceTerm:
+        """With the signs of a state everywhere; on a surface itself the force halfway."""
+        return OneSide(self, np.sign(self.heights(data, x)))
+
+
+class OneSide(ForceTerm):
+    """A switching force that does not switch.
+
+    Args:
+        force: The force.
+        signs: The side, one sign a surface, shape (k,).
+    """
+
+    def __init__(self, force: DiscontinuousForce, signs: Array) -> None:
+        self._force, self._signs, self.reads_frames = force, signs, force.reads_frames  # type: ignore[misc]
+
+    def force(self, data: Any, x: State) -> Array:
+        """Generalized force [N·m or N], shape (nv,)."""
+        return self._force.blend(data, x, self._signs)

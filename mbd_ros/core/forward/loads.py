@@ -49,6 +49,18 @@ class Loads:
             tau = tau + force.force(data, x)
         return tau
 
+    def beside(self, data: Any, x: State) -> "Loads":
+        """The loads as they go on from a state, smooth across the surfaces at which they jump.
+
+        Args:
+            data: As for `total`.
+            x: State of all joints.
+        """
+        forces = [force.beside(data, x) for force in self.forces]
+        if all(one is other for one, other in zip(forces, self.forces, strict=True)):
+            return self
+        return Loads(len(self._zero), forces, self.actuators)
+
     def actuator_torque(self, x: State, u: Array | None) -> Array:
         """What the actuators exert on the joints [N·m or N], shape (nv,), not to be written to."""
         tau, u = self._zero, self._idle if u is None else u

@@ -1,41 +1,14 @@
 """Derivatives of forces or accelerations, for Newton's method."""
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array
 from mbd_ros.core.system import System
 
 Field = Callable[[float, Array, Array, "Array | None"], Array]
 _STEP = 1.5e-8  # square root of the rounding unit: truncation and rounding are alike
-
-
-def fastest_rate(system: System, x: State) -> float:
-    """Largest absolute eigenvalue of the motion around a state [1/s].
-
-    It bounds what is stiff, oscillates or diverges there; an explicit method needs a rate * dt
-    below the `stable` of its class. Bounded rows count with their time constants, whether they act
-    or not.
-
-    Args:
-        system: The system.
-        x: Consistent state of its integrated coordinates.
-    """
-    n, linear = system.nv, Linearization(system, system.acceleration)
-    linear.update(x.t, x.q, x.v, None)
-    first_order = np.block([[np.zeros((n, n)), np.eye(n)], [linear.stiffness, linear.damping]])
-    if not np.isfinite(first_order).all():
-        return math.inf
-    rate = float(np.abs(np.linalg.eigvals(first_order)).max(initial=0.0))
-    bounded = () if system.bounded is None else system.bounded.constraints.parts
-    return max([rate, *(_closing_rate(*part.gains) for part in bounded)])
-
-
-def _closing_rate(kp: float, kd: float) -> float:
-    """Rate with which g'' + kd g' + kp g = 0 decays [1/s]; that of g' where kp is 0."""
-    return math.sqrt(kp) if kp > 0.0 else kd
 
 
 class Linearization:

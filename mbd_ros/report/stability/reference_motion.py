@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.built_scene import Scene
-from mbd_ros.core.integration.linearization import fastest_rate
+from mbd_ros.core.integration.linear_motion import LinearMotion, fastest_rate, linear_motion
 from mbd_ros.core.manifold.assembly import assemble
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
@@ -148,8 +148,13 @@ def _second(
 
 def starting_rate(scene: Scene) -> float:
     """Fastest rate at the start, which the recommended step follows from [1/s]."""
+    return max(starting_motion(scene).rate, LEAST_RATE)
+
+
+def starting_motion(scene: Scene) -> LinearMotion:
+    """The motion around the start."""
     system = scene.system()
-    return max(fastest_rate(system, assemble(system, system.reduce(scene.initial))), LEAST_RATE)
+    return linear_motion(system, assemble(system, system.reduce(scene.initial)))
 
 
 def distance(scene: Scene, a: State, b: State, size: tuple[float, float]) -> float:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.integration.linear_motion import longest_step
 from mbd_ros.core.state import State
 from mbd_ros.report.stability.cases import (
     BOUNDED,
@@ -21,7 +22,7 @@ from mbd_ros.report.stability.cases import (
     is_named,
 )
 from mbd_ros.report.stability.motion import Motion, motion
-from mbd_ros.report.stability.reference_motion import distance
+from mbd_ros.report.stability.reference_motion import distance, starting_motion
 from mbd_ros.report.stability.scene_text import Entry
 from mbd_ros.report.stability.steps import asked_step, fitted
 from mbd_ros.step_check import step_warnings
@@ -99,11 +100,11 @@ class _Run:
 
     def _is_warned(self, found: Motion, dt: float) -> bool:
         """Whether `check` or `simulate` warns of this step."""
-        method, rate = self._method, self._case.reference.rates[0]
-        if method.is_explicit and rate * dt > method.stable * (1.0 + 1.0e-9):
+        scene = self._case.scene
+        if longest_step(self._method, starting_motion(scene), dt) < math.inf:
             return True
-        system = self._case.scene.system(solver={"type": self._tier})
-        return any(step_warnings(system, method, dt, found.every))
+        system = scene.system(solver={"type": self._tier})
+        return any(step_warnings(system, self._method, dt, found.every))
 
     def _smaller_steps(self, dt: float, error: float, is_bounded: bool) -> Verdict:
         """Whether shorter steps lead to the reference: at once, or in the end."""

@@ -1,0 +1,141 @@
+"""The motion around a state as a linear one, and the steps that keep it bounded."""
+
+import math
+from functools import cached_property
+
+import numpy as np
+
+from mbd_ros.core.integration.linearization import Linearization
+from mbd_ros.core.integration.tableau import Tableau
+from mbd_ros.core.state import Array, State
+from mbd_ros.core.stepping import Integrator
+from mbd_ros.core.system import System
+
+_GROWTH = 1.0e-6  # of a step: what rounding adds, and methods that grow slowly
+_SLACK = 1.0e-9  # relative
+_HALVINGS = 12  # of the interval in which the longest step is
+
+
+class LinearMotion:
+    """The motion dq'' = stiffness dq + damping dq'.
+
+    Args:
+        stiffness: [1/s^2], shape (n, n).
+        damping: [1/s], shape (n, n).
+
+    Attributes:
+        stiffness: As given.
+        damping: As given.
+    """
+
+    def __init__(self, stiffness: Array, damping: Array) -> None:
+        self.stiffness, self.damping = stiffness, damping
+
+    @cached_property
+    def eigenvalues(self) -> Array:
+        """Complex rates of the motion [1/s], shape (2 n,); inf where it has none."""
+        n = len(self.stiffness)
+        first_order = np.block([[np.zeros((n, n)), np.eye(n)], [self.stiffness, self.damping]])
+        if not np.isfinite(first_order).all():
+            return np.full(2 * n, np.inf)
+        eigenvalues: Array = np.linalg.eigvals(first_order)
+        return eigenvalues
+
+    @property
+    def rate(self) -> float:
+        """Largest absolute eigenvalue [1/s]."""
+        return float(np.abs(self.eigenvalues).max(initial=0.0))
+
+    def growth(self, dt: float) -> float:
+        """What the motion itself is multiplied by in dt [s], at most; 1 where nothing grows."""
+        return math.exp(min(dt * float(self.eigenvalues.real.max(initial=0.0)), 700.0))
+
+
+def linear_motion(system: System, x: State) -> LinearMotion:
+    """The motion around a state.
+
+    Bounded rows count with their time constants, whether they act or not. A force that switches
+    counts with the side that it is on: across the surface a difference quotient is no rate.
+
+    Args:
+        system: The system.
+        x: Consistent state of its integrated coordinates.
+    """
+    linear, loads = Linearization(system, system.acceleration), system.loads
+    full = system.expand(x)
+    if loads.reads_frames:
+        system.refresh(full.q, full.v)
+    system.loads = loads.beside(system.data, full)
+    try:
+        linear.update(x.t, x.q, x.v, None)
+    finally:
+        system.loads = loads
+    bounded = () if system.bounded is None else system.bounded.constraints.parts
+    gains = [part.gains for part in bounded]
+    n = system.nv
+    stiffness, damping = np.zeros((2, n + len(gains), n + len(gains)))
+    stiffness[:n, :n], damping[:n, :n] = linear.stiffness, linear.damping
+    for i, (kp, kd) in enumerate(gains, n):
+        stiffness[i, i], damping[i, i] = -kp, -kd
+    return LinearMotion(stiffness, damping)
+
+
+def fastest_rate(system: System, x: State) -> float:
+    """Largest absolute eigenvalue of the motion around a state [1/s]; as `linear_motion`.
+
+    It bounds what is stiff, oscillates or diverges there.
+    """
+    return linear_motion(system, x).rate
+
+
+def longest_step(method: Integrator, motion: LinearMotion, dt: float) -> float:
+    """Length up to which steps keep what does not grow by itself [s]; inf where dt does.
+
+    Args:
+        method: The method.
+        motion: What it integrates.
+        dt: Step in question [s].
+    """
+    if not method.is_explicit or motion.rate * dt <= method.stable * (1.0 + _SLACK):
+        return math.inf
+    short, long = method.stable / motion.rate, dt
+    if not short > 0.0 or not _is_bounded(method, motion, short):
+        return short
+    if _is_bounded(method, motion, dt):
+        return math.inf
+    for _ in range(_HALVINGS):
+        middle = math.sqrt(short * long)
+        if _is_bounded(method, motion, middle):
+            short = middle
+        else:
+            long = middle
+    return short
+
+
+def _is_bounded(method: Integrator, motion: LinearMotion, dt: float) -> bool:
+    return method.growth(motion, dt) <= motion.growth(dt) * (1.0 + _GROWTH)
+
+
+def spectral_radius(step: Array) -> float:
+    """Largest absolute eigenvalue of the matrix of a step."""
+    if not np.isfinite(step).all():
+        return math.inf
+    return float(np.abs(np.linalg.eigvals(step)).max(initial=0.0))
+
+
+def runge_kutta_growth(tableau: Tableau, motion: LinearMotion, dt: float) -> float:
+    """Largest |R(lambda dt)|, with the stability function R of a method.
+
+    Source: Hairer, Wanner, Solving Ordinary Differential Equations II, 1996, IV.2.
+
+    Args:
+        tableau: The method.
+        motion: What it integrates.
+        dt: Length of the step [s].
+    """
+    z, n = motion.eigenvalues * dt, tableau.stages
+    rates = np.zeros((n, len(z)), dtype=np.complex128)
+    for i, row in enumerate(tableau.a[:n]):
+        rates[i] = z * (1.0 + row[:n].dot(rates))
+    after = 1.0 + tableau.a[n][:n].dot(rates)
+    return float(np.abs(after).max(initial=0.0))
