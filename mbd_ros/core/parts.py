@@ -1,7 +1,8 @@
 """What a part of a scene must offer.
 
 A part reads `data`, never runs a Pinocchio algorithm that writes it, never changes its inputs, and
-keeps no memory of earlier states.
+keeps no memory of earlier states. Positions in `data` are counted from `Robot.origin`; those of
+frames at rest, the world among them, stand in `model.frames`.
 """
 
 import math
@@ -97,7 +98,7 @@ class Wrench(NamedTuple):
 
     Attributes:
         frame: The link.
-        point: Where the force acts, in the world [m], shape (3,).
+        point: Where the force acts, in the world less `Robot.origin` [m], shape (3,).
         force: In world axes [N], shape (3,).
         torque: About `point`, in world axes [N·m], shape (3,).
     """

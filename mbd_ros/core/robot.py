@@ -78,6 +78,8 @@ class Robot:
         fixed: Names of the joints that never move.
         rubbing: What `<dynamics>` says of joints; no force until a part of the scene brings it.
         ignored: What else the description holds and this package leaves out.
+        origin: Where positions in the model are counted from, in the world of the description
+            [m], shape (3,): 0, or the first joint of a fixed base that is more than 2 m away.
     """
 
     name: str
@@ -89,6 +91,7 @@ class Robot:
     fixed: frozenset[str]
     rubbing: Mapping[str, Rubbing]
     ignored: tuple[str, ...]
+    origin: Array
 
     def joint(self, name: str) -> Joint:
         """Joint of that topic name.

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 
+import eigenpy
 import numpy as np
 import pinocchio as pin
 
@@ -17,7 +18,6 @@ from mbd_ros.core.parts import Row, Wrench
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, Solution, State
 
-WORLD = pin.Convention.WORLD
 Accelerator = Callable[[float, Array, Array, Array | None, Array], None]  # the last one is written
 
 
@@ -34,6 +34,8 @@ class System:
     """Acceleration from state and command by the articulated-body algorithm.
 
     The base of the other tiers. One instance owns one Pinocchio `Data`: not for two threads.
+    Pinocchio's algorithms are asked in their local convention, the default: in that of the world
+    rounding grows with the distance from its origin.
 
     Args:
         robot: The robot.
@@ -88,8 +90,8 @@ class System:
         """Acceleration of the integrated coordinates [rad/s^2 or m/s^2], shape (nv,)."""
         self.evaluations += 1
         if self._is_free:
-            return self._aba(q, v, self._zero, WORLD)
-        a = self._aba(q, v, self._tau(t, q, v, u), WORLD)
+            return self._aba(q, v, self._zero)
+        a = self._aba(q, v, self._tau(t, q, v, u))
         return a if self.bounded is None else self.bounded.accelerate(self, t, q, v, a)
 
     def accelerator(self) -> Accelerator:
@@ -108,6 +110,8 @@ class System:
             x: State of the integrated coordinates.
             multipliers: Those of `solve` at this state.
         """
+        if not self.rows:
+            return ()
         self.refresh(x.q, x.v)
         return self.constraints.wrenches(self.data, x, self.order.bilateral(multipliers))
 
@@ -187,10 +191,10 @@ class System:
         Returns:
             Shape (nv of the robot, k).
         """
-        return pin.computeMinverse(self.model, self.data, q).dot(forces)
+        return eigenpy.LLT(self._full_mass(q)).solve(forces).reshape(forces.shape)
 
     def energy(self, x: State) -> float:
-        """Kinetic and potential energy [J] at a state of the integrated coordinates."""
+        """Kinetic and potential energy [J] at a state; heights are counted from `Robot.origin`."""
         full = self.expand(x)
         stored = float(pin.computeMechanicalEnergy(self.model, self.data, full.q, full.v))
         if self.loads.reads_frames:
@@ -217,4 +221,4 @@ class System:
         return State(t, q, self._zero)
 
     def _full_mass(self, q: Array) -> Array:
-        return pin.crba(self.model, self.data, q, WORLD)
+        return pin.crba(self.model, self.data, q)

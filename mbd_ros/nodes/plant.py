@@ -87,7 +87,8 @@ class Plant:
 
     def markers(self, stamp: int, length: float) -> Any:
         """MarkerArray of what loops, bars and anchors exert; `length` is [m/N]."""
-        arrows = [Arrow(w.frame, w.point, w.force) for w in self.live.wrenches()]
+        origin = self.scene.robot.origin
+        arrows = [Arrow(w.frame, w.point + origin, w.force) for w in self.live.wrenches()]
         return self._arrows.write(stamp, arrows, length)
 
     def details(self) -> dict[str, str]:

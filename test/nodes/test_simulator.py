@@ -253,9 +253,13 @@ def test_constraint_forces_and_markers(domain, tmp_path, solver):
     """The loop of the four-bar leg: multipliers by row, an arrow for each of the two bodies.
 
     A stop that the start is beyond comes first in the scene: it must not be taken for the loop.
+    The leg hangs 80 m away, and so do its arrows.
     """
+    leg = (ROOT / "config/robots/four_bar_leg.urdf").read_text(encoding="utf-8")
+    leg = leg.replace('<origin xyz="0 0 0.9275"/>', '<origin xyz="80 0 0.9275"/>')
+    (tmp_path / "leg.urdf").write_text(leg, encoding="utf-8")
     text = (ROOT / "config/scenes/four_bar_leg.yaml").read_text(encoding="utf-8")
-    text = text.replace("../robots", str(ROOT / "config/robots"))
+    text = text.replace("../robots/four_bar_leg.urdf", str(tmp_path / "leg.urdf"))
     stop = "- {type: joint_stop, joint: hip_flexion, upper: 0.2}"
     text = text.replace("constraints:", f"solver: {{type: {solver}}}\nconstraints:\n{stop}")
     with simulated(
@@ -282,6 +286,7 @@ def test_constraint_forces_and_markers(domain, tmp_path, solver):
         tails = [np.array([m.points[0].x, m.points[0].y, m.points[0].z]) for m in (upper, lower)]
         heads = [np.array([m.points[1].x, m.points[1].y, m.points[1].z]) for m in (upper, lower)]
         np.testing.assert_allclose(tails[0], tails[1], atol=1e-9)
+        np.testing.assert_allclose(tails[0], [80.0, 0.0, 0.5], atol=0.5)
         np.testing.assert_allclose(heads[0] - tails[0], tails[1] - heads[1], atol=1e-12)
         stamp = shown[0].header.stamp
         client.probe.spin_until(lambda: any(f.header.stamp == stamp for f in forces))

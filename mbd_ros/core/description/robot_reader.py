@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.description.far_base import centred
 from mbd_ros.core.description.urdf import parse_urdf
 from mbd_ros.core.description.urdf_reading import numbers
 from mbd_ros.core.robot import Joint, Mimic, Robot, Rubbing
@@ -52,8 +53,12 @@ def read_robot(
     kinds = _kinds(tree)
     fixed = frozenset(names[joint] for joint, kind in kinds.items() if kind == "fixed")
     mimics = _mimics(tree, names, source)
-    model = _build_model(tree, base == "floating", gravity, source)
-    model = _lock(model, locked, names, fixed, source)
+
+    def build(tree: ElementTree.Element) -> Any:
+        model = _build_model(tree, base == "floating", gravity, source)
+        return _lock(model, locked, names, fixed, source)
+
+    model, origin = (build(tree), np.zeros(3)) if base == "floating" else centred(build, tree)
     return Robot(
         name=tree.get("name", ""),
         model=model,
@@ -64,6 +69,7 @@ def read_robot(
         fixed=fixed,
         rubbing=_rubbing(tree, names),
         ignored=("URDF <transmission>",) if tree.find("transmission") is not None else (),
+        origin=origin,
     )
 
 

@@ -93,7 +93,9 @@ class BilateralSystem(System):
             tau = tau + added
         self._row_jacobian, self._lam = J, None
         if self.condition < _NEAR_TOGGLE:
-            a = pin.forwardDynamics(self.model, data, q, v, tau, J, drift, 0.0)
+            pin.crba(self.model, data, q)
+            pin.nonLinearEffects(self.model, data, q, v)
+            a = pin.forwardDynamics(self.model, data, tau, J, drift, 0.0)
             left = J.dot(a)
             left += drift
             if left.dot(left) <= _EXACT * (1.0 + drift.dot(drift)):

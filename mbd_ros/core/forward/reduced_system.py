@@ -15,7 +15,7 @@ from mbd_ros.core.laws import Linear
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.state import Array, Solution, State
-from mbd_ros.core.system import WORLD, System
+from mbd_ros.core.system import System
 
 
 class ReducedSystem(System):
@@ -70,7 +70,7 @@ class ReducedSystem(System):
             self._minus_GT.dot(self._bias(), self._r)
         else:
             self._GT.dot(self._tau(t, self._q, self._v, u) - self._bias(), self._r)
-        M = pin.crba(self.model, self.data, self._q, WORLD)
+        M = pin.crba(self.model, self.data, self._q)
         self._GT.dot(M, self._half).dot(self._G, self._M)
         self._cholesky.compute(self._M)
         a = self._cholesky.solve(self._r).reshape(self.nv)  # eigenpy has its own for one

@@ -125,8 +125,7 @@ class LiveSimulation:
 
     def wrenches(self) -> tuple[Wrench, ...]:
         """What bilateral rows exert on bodies at the newest state."""
-        system = self.simulation.system
-        return system.wrenches(self._y, self.now.multipliers) if system.rows else ()
+        return self.simulation.system.wrenches(self._y, self.now.multipliers)
 
     def _command(self) -> Array | None:
         """Commands of this tick, shape (nu,)."""

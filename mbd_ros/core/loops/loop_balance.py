@@ -96,4 +96,4 @@ class LoopBalance:
 
     def mass(self, q: Array) -> Array:
         """Mass matrix, shape (nv, nv); takes the place of the last state in `data`."""
-        return pin.crba(self._model, self._data, q, pin.Convention.WORLD)
+        return pin.crba(self._model, self._data, q)

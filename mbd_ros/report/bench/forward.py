@@ -131,11 +131,10 @@ def _ratios(
 ) -> dict[str, float]:
     """Median over interleaved rounds of the cost of each call over that of a bare aba."""
     model, data, tau = robot.model, robot.model.createData(), np.zeros(robot.model.nv)
-    world = pin.Convention.WORLD
     ratios: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(rounds):
         for name, call in calls.items():
-            bare = _time(lambda: pin.aba(model, data, q, v, tau, world))
+            bare = _time(lambda: pin.aba(model, data, q, v, tau))
             ratios[name].append(_time(call) / bare)
     return {name: float(np.median(values)) for name, values in ratios.items()}
 

@@ -95,11 +95,11 @@ def _noisy(scene: Scene, x: State) -> list[Measurement]:
 def _bare(scene: Scene, configurations: list[Array]) -> Callable[[], None]:
     """The mass matrix and one solve with it."""
     model, data = scene.robot.model, scene.robot.model.createData()
-    right, world = np.ones(model.nv), pin.Convention.WORLD
+    right = np.ones(model.nv)
 
     def run() -> None:
         for q in configurations:
-            eigenpy.LLT(pin.crba(model, data, q, world)).solve(right)
+            eigenpy.LLT(pin.crba(model, data, q)).solve(right)
 
     return run
 

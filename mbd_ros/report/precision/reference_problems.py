@@ -148,7 +148,10 @@ def _points(axes: str, *points: tuple[str, tuple[float, float, float]]) -> Outpu
     def outputs(robot: Robot, x: State) -> Array:
         model, data = robot.model, robot.model.createData()
         pin.framesForwardKinematics(model, data, x.q)
-        places = [data.oMf[robot.frame(link)].act(np.array(place)) for link, place in points]
+        places = [
+            data.oMf[robot.frame(link)].act(np.array(place)) + robot.origin
+            for link, place in points
+        ]
         return np.concatenate([place[chosen] for place in places])
 
     return outputs

@@ -111,7 +111,7 @@ class Witness:
         tau = self._forces.total(x)
         h = pin.rnea(model, data, x.q, x.v, np.zeros(model.nv))
         left = pin.rnea(model, data, x.q, x.v, a) - tau - pushed
-        M = pin.crba(model, data, x.q, pin.Convention.WORLD)
+        M = pin.crba(model, data, x.q)
         scale += size(M).dot(size(a)) + size(h) + size(tau)
         scale += _ROUNDED * scale.max()
         worst = int(np.argmax(size(left) / (scale + 1.0e-12)))

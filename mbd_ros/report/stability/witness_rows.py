@@ -141,7 +141,7 @@ def _loop_closure(robot: Robot, entry: Entry) -> Rows:
 def _frame_anchor(robot: Robot, entry: Entry) -> Rows:
     zero = (0.0, 0.0, 0.0)
     held = _place(robot, entry["frame"], entry.get("point", zero), entry.get("rpy", zero))
-    position, orientation = np.array(entry["position"]), entry.get("orientation")
+    position, orientation = entry["position"] - robot.origin, entry.get("orientation")
 
     def rows(data: Any, t: float, q: Array) -> Any:
         place = _at(data, held)
