@@ -113,8 +113,9 @@ class BagPlayer:
             if rate > 0:
                 self._until(begin + (log_time - first) * 1e-9 / rate)
             self._publish_clock(log_time)
-            if read_time(message.header.stamp) == 0:
-                write_time(message.header.stamp, log_time)
+            stamp = message.header.stamp
+            if stamp.sec == stamp.nanosec == 0:
+                write_time(stamp, log_time)
             self._publishers[name].publish(message)
             self.played += name == topic
             self._wait_for_answers(_IN_FLIGHT)

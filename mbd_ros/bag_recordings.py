@@ -13,7 +13,6 @@ from mbd_ros.errors import DataError
 from mbd_ros.records import Recording, SimulationRecord, TorqueRecord
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader, JointStateWriter
-from msg_adapters.multi_array import write_multi_array
 from msg_adapters.wrench import WrenchSample, read_wrench
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -149,7 +148,7 @@ def write_bag_torques(path: Path, torques: TorqueRecord) -> None:
     for part, effort in torques.parts.items():
         streams[f"/joint_torques/{part}"] = (torques.joints, {"effort": effort})
     with BagWriter(path) as bag:
-        _write_joint_states(bag, torques.stamps, streams)
+        _write_joint_states(path, bag, torques.stamps, streams)
 
 
 def write_bag_simulation(path: Path, record: SimulationRecord) -> None:
@@ -160,13 +159,14 @@ def write_bag_simulation(path: Path, record: SimulationRecord) -> None:
         streams["/constraint_forces"] = (record.rows, {"effort": record.multiplier})
     message = new_message(MULTI_ARRAY)
     with BagWriter(path) as bag:
-        _write_joint_states(bag, record.stamps, streams)
+        _write_joint_states(path, bag, record.stamps, streams)
         for stamp, balance in zip(record.stamps.tolist(), record.balance, strict=True):
-            filled = write_multi_array(message, balance)
-            bag.write("/energy_and_drift", MULTI_ARRAY, stamp, filled)
+            message.data = balance  # of a run that diverged too: what it has
+            bag.write("/energy_and_drift", MULTI_ARRAY, stamp, message)
 
 
 def _write_joint_states(
+    path: Path,
     bag: BagWriter,
     stamps: NDArray[np.int64],
     streams: Mapping[str, tuple[tuple[str, ...], Mapping[str, Array]]],
@@ -178,4 +178,8 @@ def _write_joint_states(
     for i, stamp in enumerate(stamps.tolist()):
         for topic, (_, fields) in streams.items():
             row = {field: values[i] for field, values in fields.items()}
-            bag.write(topic, JOINT_STATE, stamp, writers[topic].write(stamp, **row))
+            try:
+                message = writers[topic].write(stamp, **row)
+            except MessageError as error:
+                raise DataError(f"{path}: topic {topic}: {error}") from error
+            bag.write(topic, JOINT_STATE, stamp, message)

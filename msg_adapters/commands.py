@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msg_adapters.errors import MessageError
+from msg_adapters.errors import MessageError, listed
 from msg_adapters.joint_state import JointStateReader
 from msg_adapters.multi_array import read_multi_array
 
@@ -42,7 +42,7 @@ class CommandReader:
         sample, reader = self._reader.read(msg), self._reader
         if reader.extra:
             accepted = ", ".join(reader.names)
-            raise MessageError(f"unknown names {', '.join(reader.extra)}; accepted: {accepted}")
+            raise MessageError(f"unknown names {listed(reader.extra)}; accepted: {accepted}")
         if reader.missing:
             raise MessageError(f"names {', '.join(reader.missing)} are missing")
         if not np.isfinite(sample.effort).all():

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msg_adapters.errors import MessageError
+from msg_adapters.finite import require_finite
 from msg_adapters.time import read_time, write_time
 
 _FIELDS = ("positions", "velocities", "accelerations", "effort")
@@ -78,10 +79,14 @@ class JointMotionWriter:
         acceleration: NDArray[np.float64],
         effort: NDArray[np.float64],
     ) -> Any:
-        """The kept message with new contents; arguments as the attributes of `JointMotion`."""
+        """The kept message with new contents; arguments as the attributes of `JointMotion`.
+
+        Raises:
+            MessageError: A value is NaN or infinite, or no message can carry the stamp.
+        """
+        given = position, velocity, acceleration, effort
+        require_finite(**dict(zip(_FIELDS, given, strict=True)))
         write_time(self.msg.header.stamp, stamp)
-        for view, values in zip(
-            self._views, (position, velocity, acceleration, effort), strict=True
-        ):
+        for view, values in zip(self._views, given, strict=True):
             view[:] = values
         return self.msg

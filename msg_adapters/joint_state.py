@@ -1,13 +1,14 @@
 """sensor_msgs/JointState <-> arrays in a fixed joint order."""
 
 from array import array
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msg_adapters.errors import MessageError
+from msg_adapters.errors import MessageError, listed
 from msg_adapters.time import read_time, write_time
 
 
@@ -66,7 +67,8 @@ class JointStateReader:
             nobody may refill as long as they are used.
 
         Raises:
-            MessageError: Names empty or repeated, or an array neither empty nor as long as them.
+            MessageError: Names empty or repeated, an array neither empty nor as long as them, or
+                a stamp that no message can carry back.
         """
         if msg.name != self._message_names:
             self._learn(list(msg.name))
@@ -106,8 +108,8 @@ class JointStateReader:
             raise MessageError("name is empty")
         index = {name: i for i, name in enumerate(names)}
         if len(index) != len(names):
-            repeated = sorted({name for name in names if names.count(name) > 1})
-            raise MessageError(f"name repeats {', '.join(repeated)}")
+            repeated = sorted(name for name, count in Counter(names).items() if count > 1)
+            raise MessageError(f"name repeats {listed(repeated)}")
         found = [(row, index[name]) for row, name in enumerate(self.names) if name in index]
         self._rows = np.array([row for row, _ in found], dtype=np.intp)
         self._columns = np.array([column for _, column in found], dtype=np.intp)
@@ -175,6 +177,9 @@ class JointStateWriter:
 
         Returns:
             The same message object at every call.
+
+        Raises:
+            MessageError: No message can carry the stamp.
         """
         write_time(self.msg.header.stamp, stamp)
         for field, value in values.items():

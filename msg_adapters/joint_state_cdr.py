@@ -17,8 +17,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from msg_adapters.finite import is_surely_finite, require_finite
 from msg_adapters.joint_state import JointSample, JointStateReader
-from msg_adapters.time import NANOSECONDS
+from msg_adapters.time import seconds_of, stamp_of
 
 _LITTLE_ENDIAN = b"\x00\x01"
 _ENCAPSULATION = 4
@@ -118,8 +119,7 @@ class JointStateCdrReader:
                 self._layout = _layout(cdr)
                 self._is_arranged = self._reader.is_arranged(*self._layout.counts)
             return sample
-        sec, nanosec = _STAMP.unpack_from(body)
-        stamp = sec * NANOSECONDS + nanosec
+        stamp = stamp_of(*_STAMP.unpack_from(body))
         doubles = np.frombuffer(body, np.float64, layout.doubles)
         position, velocity, effort = layout.slices
         if self._is_arranged:
@@ -147,6 +147,9 @@ class JointStateCdrWriter:
             for field, part in zip(FIELDS, layout.slices, strict=True)
             if part.stop > part.start
         }
+        used = [part for part in layout.slices if part.stop > part.start]
+        # Counts stand in between: as doubles they are next to nothing, and finite.
+        self._numbers = doubles[used[0].start : used[-1].stop] if used else doubles[:0]
 
     def write(self, stamp: int, **values: Any) -> bytes:
         """The message with new contents.
@@ -154,11 +157,16 @@ class JointStateCdrWriter:
         Args:
             stamp: Header stamp [ns].
             **values: One array a field, in the order of the names.
+
+        Raises:
+            MessageError: A value is NaN or infinite, or no message can carry the stamp.
         """
-        _STAMP.pack_into(self._buffer, 2 * _ENCAPSULATION, *divmod(stamp, NANOSECONDS))
+        _STAMP.pack_into(self._buffer, 2 * _ENCAPSULATION, *seconds_of(stamp))
         if self._views:
             for field, value in values.items():
                 self._views[field][:] = value
+            if not is_surely_finite(self._numbers):
+                require_finite(**{field: self._views[field] for field in values})
         return bytes(self._message)
 
 

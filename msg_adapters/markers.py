@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from msg_adapters.finite import require_finite
 from msg_adapters.time import write_time
 
 _ARROW, _ADD = 0, 0  # Marker.ARROW, Marker.ADD
@@ -55,6 +56,9 @@ class ArrowWriter:
             stamp: Header stamp [ns].
             arrows: As many at every call.
             length: Of an arrow per force [m/N].
+
+        Raises:
+            MessageError: An end of an arrow is not finite, or no message can carry the stamp.
         """
         while len(self.msg.markers) < len(arrows):
             self.msg.markers.append(self._marker(len(self.msg.markers)))
@@ -62,8 +66,12 @@ class ArrowWriter:
             write_time(marker.header.stamp, stamp)
             marker.ns = arrow.name
             tail, head = marker.points
+            tip = arrow.point + length * arrow.force
+            require_finite(
+                **{f"arrow of {arrow.name}": tip, f"place of {arrow.name}": arrow.point}
+            )
             tail.x, tail.y, tail.z = arrow.point.tolist()
-            head.x, head.y, head.z = (arrow.point + length * arrow.force).tolist()
+            head.x, head.y, head.z = tip.tolist()
         return self.msg
 
     def _marker(self, number: int) -> Any:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msg_adapters.errors import MessageError
+from msg_adapters.finite import require_finite
 from msg_adapters.time import NANOSECONDS
 
 _STAMP = re.compile(r"(\d{1,10})\.(\d{9})", re.ASCII)
@@ -56,6 +57,11 @@ def write_answered(msg: Any, size: int, stamp: int) -> None:
 
 
 def write_multi_array(msg: Any, values: NDArray[np.float64]) -> Any:
-    """Fill a Float64MultiArray and return it."""
+    """Fill a Float64MultiArray and return it.
+
+    Raises:
+        MessageError: A value is NaN or infinite.
+    """
+    require_finite(data=values)
     msg.data = array("d", values.tolist())
     return msg

@@ -6,8 +6,11 @@ offset and number of values, 4 bytes each, then, aligned to 8, the values as dou
 Source: as `joint_state_cdr`.
 """
 
+import math
 import struct
 from collections.abc import Sequence
+
+from msg_adapters.errors import MessageError
 
 _HEAD = bytes([0, 1, 0, 0])  # little endian
 _LAYOUT = "<III"
@@ -26,5 +29,11 @@ class MultiArrayCdrWriter:
         self._values = struct.Struct(f"<{size}d")
 
     def write(self, values: Sequence[float]) -> bytes:
-        """A message with these values."""
+        """A message with these values.
+
+        Raises:
+            MessageError: A value is NaN or infinite.
+        """
+        if not all(map(math.isfinite, values)):
+            raise MessageError(f"data is not finite and is not sent: {list(values)}")
         return self._head + self._values.pack(*values)

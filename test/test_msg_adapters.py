@@ -1,25 +1,34 @@
 """Messages of rclpy and of rosbags, there and back, and the ways in which they are wrong."""
 
 import importlib
+import struct
+from array import array
+from functools import partial
 
 import numpy as np
 import pytest
 
+from mbd_ros.bag_types import from_cdr
 from mbd_ros.bags import new_message
 from msg_adapters import diagnostics as diag
 from msg_adapters.errors import MessageError
+from msg_adapters.joint_motion import JointMotionWriter
 from msg_adapters.joint_state import (
     JointStateReader,
     JointStateWriter,
     read_joint_state,
     write_joint_state,
 )
+from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
+from msg_adapters.markers import Arrow, ArrowWriter
 from msg_adapters.multi_array import read_multi_array, write_multi_array
+from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 from msg_adapters.time import read_time, write_time
 from msg_adapters.wrench import read_wrench, write_wrench
 
 STAMP = 1_760_000_000_123_456_789
 FIELDS = ("position", "velocity", "effort")
+JOINT_STATE, POINT = "sensor_msgs/msg/JointState", "geometry_msgs/msg/Point"
 
 
 def of_rclpy(msgtype):
@@ -155,6 +164,13 @@ def test_wrench_comes_back_as_it_was_and_must_be_finite(new):
             read_wrench(write_wrench(msg, STAMP, "plate", broken))
 
 
+def vector(new, values):
+    """A Float64MultiArray, whatever its values."""
+    msg = new("std_msgs/msg/Float64MultiArray")
+    msg.data = array("d", values)
+    return msg
+
+
 def test_multi_array_has_the_agreed_length_and_finite_values(new):
     msg = new("std_msgs/msg/Float64MultiArray")
     values = read_multi_array(write_multi_array(msg, np.array([1.5, -2.0])), 2)
@@ -164,7 +180,7 @@ def test_multi_array_has_the_agreed_length_and_finite_values(new):
     with pytest.raises(MessageError, match="data has 2 values, expected 3"):
         read_multi_array(msg, 3)
     with pytest.raises(MessageError, match="data is not finite"):
-        read_multi_array(write_multi_array(msg, np.array([np.nan])), 1)
+        read_multi_array(vector(new, [np.nan]), 1)
 
 
 @pytest.mark.parametrize("stamp", [0, 1, 999_999_999, 1_000_000_000, STAMP, 2**31 * 10**9 - 1, -5])
@@ -207,3 +223,57 @@ def test_adapters_come_in_pairs(name):
     writers = {f[6:] for f in own if f.startswith("write_")}
     assert readers == writers
     assert readers
+
+
+@pytest.mark.parametrize(("sec", "nanosec"), [(0, 10**9), (2**31 - 1, 2**32 - 1), (-1, 2**31)])
+def test_a_stamp_that_no_message_can_carry_back_is_refused(new, sec, nanosec):
+    msg = new("builtin_interfaces/msg/Time")
+    msg.sec, msg.nanosec = sec, nanosec
+    with pytest.raises(MessageError, match=f"nanosec is {nanosec}, accepted: 0 to 999999999"):
+        read_time(msg)
+    cdr = bytearray(JointStateCdrWriter(["a"]).write(5, position=1.0))
+    reader = JointStateCdrReader(JointStateReader(["a"]), lambda cdr: from_cdr(cdr, JOINT_STATE))
+    assert reader.read(bytes(cdr)).stamp == 5
+    cdr[4:12] = struct.pack("<iI", sec, nanosec)
+    with pytest.raises(MessageError, match=f"nanosec is {nanosec}"):
+        reader.read(bytes(cdr))  # in place
+    fresh = JointStateCdrReader(JointStateReader(["a"]), lambda cdr: from_cdr(cdr, JOINT_STATE))
+    with pytest.raises(MessageError, match=f"nanosec is {nanosec}"):
+        fresh.read(bytes(cdr))  # as message
+
+
+@pytest.mark.parametrize("stamp", [2**31 * 10**9, 2**31 * 10**9 + 5, -(2**31) * 10**9 - 1])
+def test_a_stamp_that_no_message_can_carry_is_not_written(new, stamp):
+    with pytest.raises(MessageError, match="does not fit into a message"):
+        write_time(new("builtin_interfaces/msg/Time"), stamp)
+    with pytest.raises(MessageError, match="does not fit into a message"):
+        JointStateCdrWriter(["a"]).write(stamp, position=1.0)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_every_writer_of_a_node_refuses_what_is_not_finite(new, bad):
+    good, lost = np.array([1e300, -1e300, 1.0]), np.array([0.0, 2.0, bad])
+    refused = pytest.raises(MessageError, match="not finite")
+    names = ["a", "b", "c"]
+    for fields in (FIELDS, ("position", "effort"), ("effort",)):
+        writer = JointStateCdrWriter(names, fields)
+        writer.write(1, **dict.fromkeys(fields, good))  # squares overflow, the numbers do not
+        for field in fields:
+            with refused as caught:
+                writer.write(2, **{**dict.fromkeys(fields, good), field: lost})
+            assert f"{field} is not finite at index 2" in str(caught.value)
+    with refused:
+        write_multi_array(new("std_msgs/msg/Float64MultiArray"), lost)
+    with refused:
+        MultiArrayCdrWriter(3).write(lost.tolist())
+    message = new("trajectory_msgs/msg/JointTrajectory")
+    motion = JointMotionWriter(message, new("trajectory_msgs/msg/JointTrajectoryPoint"), names)
+    motion.write(1, good, good, good, good)
+    with refused:
+        motion.write(1, good, good, lost, good)
+    classes = partial(new, "visualization_msgs/msg/Marker"), partial(new, POINT)
+    arrows = ArrowWriter(new("visualization_msgs/msg/MarkerArray"), *classes, "world")
+    with refused:
+        arrows.write(1, [Arrow("bar", np.zeros(3), lost)], 0.01)
+    with refused:
+        arrows.write(1, [Arrow("bar", lost, np.zeros(3))], 0.01)

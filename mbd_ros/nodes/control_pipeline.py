@@ -17,6 +17,7 @@ from mbd_ros.core.forward.loads import Loads
 from mbd_ros.core.guard import Guard
 from mbd_ros.core.manifold.observed_state import ObservedState
 from mbd_ros.core.state import NANOSECOND, Array, State
+from mbd_ros.errors import SolveError
 from mbd_ros.nodes.controller_parameters import (
     build_controller,
     effort_limits,
@@ -24,10 +25,11 @@ from mbd_ros.nodes.controller_parameters import (
 )
 from mbd_ros.nodes.driven_joints import command_order, driven_joints
 from mbd_ros.nodes.inverse_dynamics_parameters import tuning
-from mbd_ros.nodes.joint_state_bytes import joint_state
 from mbd_ros.nodes.loop_details import loop_details
 from mbd_ros.nodes.references import References
+from mbd_ros.nodes.serialized import joint_state
 from mbd_ros.scene import load_scene
+from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
 from msg_adapters.joint_trajectory import Trajectory
@@ -133,18 +135,25 @@ class ControlPipeline:
         self._violation = np.where(np.isfinite(off), off, 0.0)
         command = self.loop.update(x)
         write_answered(self._answer, len(self._order), stamp)
-        commands = write_multi_array(self._answer, self._told(command.effort))
+        commands = self._filled(self._answer, command.effort)
         return Answer(commands, self._loop_state(stamp, command))
 
     def commands(self, effort: Array) -> Any:
-        """Kept message with what the actuators are told to give these efforts."""
-        return write_multi_array(self._commands, self._told(effort))
+        """Kept message with what the actuators are told to give these efforts.
 
-    def _told(self, effort: Array) -> Array:
+        Raises:
+            SolveError: It is not finite.
+        """
+        return self._filled(self._commands, effort)
+
+    def _filled(self, message: Any, effort: Array) -> Any:
         if self._loads.actuators:
             x = self.x if self.x is not None else self.scene.initial
             effort = self._loads.command(effort, x)
-        return effort[self._order]
+        try:
+            return write_multi_array(message, effort[self._order])
+        except MessageError as error:
+            raise SolveError(f"commands: {error}") from error
 
     def _loop_state(self, stamp: int, command: Command) -> Any:
         chatter = self.loop.chatter.rms

@@ -22,6 +22,7 @@ from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_trajectory import read_joint_trajectory
 
+MOST_NOTES = 20  # what was said of references and is kept, so that it is said once
 WATCH = 0.01  # s between looks at the stream, and between commands while none comes
 COMMANDS = QoSProfile(depth=1)
 STATES = QoSProfile(depth=100)  # a recorder may be away for 0.1 s at 1 kHz
@@ -160,6 +161,6 @@ class ControllerNode(JointStateNode):
 
     def _note(self, text: str) -> None:
         """Say once what was mapped or left out of references."""
-        if text and text not in self._notes:
+        if text and text not in self._notes and len(self._notes) < MOST_NOTES:
             self._notes.add(text)
             self.get_logger().info(f"references: {text}")

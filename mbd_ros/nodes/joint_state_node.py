@@ -12,8 +12,9 @@ from std_srvs.srv import Trigger
 from mbd_ros.core.differentiation import Sample
 from mbd_ros.core.state import NANOSECOND
 from mbd_ros.nodes.scene_node import SceneNode
+from mbd_ros.nodes.serialized import require_size
 from msg_adapters.diagnostics import OK, STALE, WARN
-from msg_adapters.errors import MessageError
+from msg_adapters.errors import MessageError, listed
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader
 
@@ -23,6 +24,7 @@ SENSOR = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
 _NEVER = -(2**62)  # ns
 _STANDING = 0.5  # [s] for which one joint state may come again and again, or all be dropped
 _LATELY = 1.5  # s, a bit more than the time between two diagnostics
+MOST_IGNORED = 100  # joints whose names are kept to be listed once
 
 
 class JointStatePipeline(Protocol):
@@ -91,7 +93,7 @@ class JointStateNode(SceneNode):
         """Of the last second, for diagnostics."""
         answered, self._answered = self._answered, 0
         return {
-            "joints ignored": ", ".join(sorted(self._extra)) or "none",
+            "joints ignored": listed(sorted(self._extra)) or "none",
             "messages answered in the last second": str(answered),
             "age of the newest joint state": f"{self._age():.6g}" if self._newest else "none",
         }
@@ -136,6 +138,7 @@ class JointStateNode(SceneNode):
         """Read, judge and answer a serialized joint state."""
         pipeline = self._pipeline
         try:
+            require_size(cdr, JointState)
             sample = pipeline.reader.read(cdr)
         except MessageError as error:
             self.drop_state("malformed", f"joint_states: {error}")
@@ -143,7 +146,11 @@ class JointStateNode(SceneNode):
         stamp = self._stamp_of(sample.stamp)
         if stamp is None:
             return
-        refused = self.answer(stamp, sample)
+        try:
+            refused = self.answer(stamp, sample)
+        except MessageError as error:
+            self.drop_state("result", f"joint_states: what would answer is dropped: {error}")
+            return
         if refused is None:
             self._note_extra(pipeline.joints.extra)
             return
@@ -173,9 +180,9 @@ class JointStateNode(SceneNode):
 
     def _note_extra(self, extra: tuple[str, ...]) -> None:
         """Remember joints of a joint state that are not used; list them once."""
-        if not self._extra.issuperset(extra):
-            self._extra.update(extra)
-            self.get_logger().info(f"joints ignored: {', '.join(sorted(self._extra))}")
+        if not self._extra.issuperset(extra) and len(self._extra) < MOST_IGNORED:
+            self._extra.update(extra[:MOST_IGNORED])
+            self.get_logger().info(f"joints ignored: {listed(sorted(self._extra))}")
 
     def drop_state(self, reason: str, text: str) -> None:
         """Count a joint state that is not answered."""

@@ -4,20 +4,17 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import JointState
 
 from mbd_ros.core.differentiation import Sample
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator
 from mbd_ros.core.loops.observed_loops import ObservedLoops
 from mbd_ros.core.state import NANOSECOND
 from mbd_ros.nodes.inverse_dynamics_parameters import tuning
+from mbd_ros.nodes.serialized import joint_state
 from mbd_ros.nodes.wrench_queue import WrenchQueue
 from mbd_ros.scene import load_scene
 from mbd_ros.scene_check import tier
 from msg_adapters.diagnostics import OK, WARN
-from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
 
@@ -44,7 +41,7 @@ class Pipeline:
         self.estimator = TorqueEstimator(self.scene.robot, inverse, tuning(values))
         self._loops = inverse if isinstance(inverse, ObservedLoops) else None
         self.joints = JointStateReader(self.estimator.names, with_effort=False)
-        self.reader = JointStateCdrReader(self.joints, _joint_state)
+        self.reader = JointStateCdrReader(self.joints, joint_state)
         self._torques = JointStateCdrWriter(couplings.independent)
         rows = couplings.dependent if self._loops is None else self._loops.rows
         self._forces = JointStateCdrWriter(rows, ("position", "effort"))
@@ -126,10 +123,3 @@ class Pipeline:
     @property
     def _dependent(self) -> tuple[str, ...]:
         return self.scene.couplings.dependent
-
-
-def _joint_state(cdr: bytes) -> Any:
-    try:
-        return deserialize_message(cdr, JointState)
-    except rclpy_implementation.RMWError as error:
-        raise MessageError("its bytes are no JointState") from error

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
 
+import numpy as np
 import rclpy
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, SingleThreadedExecutor
@@ -52,6 +53,7 @@ def run(node_class: type[Shell], argv: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv if argv is None else argv)
     stop = _StopSignal()
+    np.seterr(over="ignore", invalid="ignore")  # results are checked; nobody reads such warnings
     try:
         _run(node_class, arguments, stop)
     finally:

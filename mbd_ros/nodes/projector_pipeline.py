@@ -4,9 +4,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import JointState
 
 from mbd_ros.core.differentiation import Sample
 from mbd_ros.core.forward.loads import Loads
@@ -15,9 +12,9 @@ from mbd_ros.core.manifold.state_reconstruction import StateReconstructor
 from mbd_ros.core.state import Array
 from mbd_ros.core.tiers import build_system
 from mbd_ros.nodes.joint_state_projector_parameters import tuning
+from mbd_ros.nodes.serialized import joint_state
 from mbd_ros.scene import load_scene
 from msg_adapters.diagnostics import OK, WARN
-from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
@@ -66,7 +63,7 @@ class ProjectorPipeline:
         )
         names = self.reconstructor.names
         self.joints = JointStateReader(names, with_effort=False)
-        self.reader = JointStateCdrReader(self.joints, _joint_state)
+        self.reader = JointStateCdrReader(self.joints, joint_state)
         low, high = np.isfinite(self._projector.lower), np.isfinite(self._projector.upper)
         self._limited = (low | high).nonzero()[0]
         self._rows = tuple(row.name for row in self._system.rows)
@@ -164,10 +161,3 @@ class ProjectorPipeline:
 
 def _largest(values: Array) -> float:
     return max(map(abs, values.tolist()), default=0.0)
-
-
-def _joint_state(cdr: bytes) -> Any:
-    try:
-        return deserialize_message(cdr, JointState)
-    except rclpy_implementation.RMWError as error:
-        raise MessageError("its bytes are no JointState") from error

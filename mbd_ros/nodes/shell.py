@@ -15,12 +15,15 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from mbd_ros.errors import MbdError
+from mbd_ros.nodes.clock_guard import guard_clock
 from mbd_ros.nodes.entities import Entities
 from mbd_ros.nodes.health import Diagnostics, Drops, Endpoint, topic_problems
 from mbd_ros.nodes.life_cycle import LifeCycle
 from mbd_ros.nodes.parameter_files import file_warnings
 from mbd_ros.nodes.parameters import Declared, Parameter, ParameterError
+from mbd_ros.nodes.serialized import message_of
 from msg_adapters.diagnostics import ERROR, OK, WARN
+from msg_adapters.errors import MessageError
 
 PARAMETERS = (
     Parameter("autostart", bool, "Configure and activate at the start.", True),
@@ -57,6 +60,7 @@ class Shell(LifeCycle):
         unheard = file_warnings(argv, self.get_fully_qualified_name())
         for line in self._declared.undeclared(self) + unheard:
             self.get_logger().warning(line)
+        guard_clock(self, lambda text: self.drop("clock", text))
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._diagnostics = Diagnostics(self)
         self.create_timer(1.0, self._guarded(self.report, True), clock=self._steady)
@@ -113,8 +117,9 @@ class Shell(LifeCycle):
             raw: The callback takes the serialized bytes.
         """
         silent = SubscriptionEventCallbacks(use_default_callbacks=False)  # topic_problems tells
+        take = self._guarded(callback if raw else self._decoded(kind, topic, callback), always)
         subscription = self.create_subscription(
-            kind, topic, self._guarded(callback, always), qos, event_callbacks=silent, raw=raw
+            kind, topic, take, qos, event_callbacks=silent, raw=True
         )
         endpoint = Endpoint(subscription, True, single_publisher)
         self._entities.keep(self.state, self.destroy_subscription, subscription, endpoint)
@@ -194,6 +199,19 @@ class Shell(LifeCycle):
     def release_activation(self) -> None:
         """Destroy what this activation made."""
         self._entities.release_activation()
+
+    def _decoded(
+        self, kind: type, topic: str, callback: Callable[[Any], None]
+    ) -> Callable[[bytes], None]:
+        def take(cdr: bytes) -> None:
+            try:
+                message = message_of(cdr, kind)
+            except MessageError as error:
+                self.drop("malformed", f"{self.resolve_topic_name(topic)}: {error}")
+                return
+            callback(message)
+
+        return take
 
     def _guarded(self, callback: Callable[..., None], always: bool) -> Callable[..., None]:
         def call(*message: Any) -> None:

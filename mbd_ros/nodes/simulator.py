@@ -45,6 +45,7 @@ class SimulatorNode(SceneNode):
         self._pace = Pace(1.0, 1.0)  # until configured
         self._standing = Standing()
         self._tick = self._guarded(self._advance, False)
+        self._show = self._guarded(self._publish, False)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(SetBool, "~/pause", self._on_pause)
@@ -148,13 +149,23 @@ class SimulatorNode(SceneNode):
         self._publish(due)
 
     def _publish(self, stamp: int) -> None:
-        """Show the newest state; `stamp` [ns] counts unless simulated time is published."""
+        """Show the newest state.
+
+        Args:
+            stamp: Counts unless simulated time is published [ns].
+
+        Raises:
+            DivergedError: It is not finite, or its time does not fit into a message.
+        """
         if self.parameters.publish_clock:
             stamp = self._plant.time
-        if self._simulated_clock is not None:
-            self._simulated_clock.show(stamp)
-        self._standing.show(stamp)
-        self._outputs.publish(stamp, self.parameters)
+        try:
+            if self._simulated_clock is not None:
+                self._simulated_clock.show(stamp)
+            self._standing.show(stamp)
+            self._outputs.publish(stamp, self.parameters)
+        except MessageError as error:
+            raise DivergedError(f"the state cannot be published: {error}") from error
 
     def _stand(self) -> None:
         """Show time and state again to who came late, or lost a message."""
@@ -206,8 +217,9 @@ class SimulatorNode(SceneNode):
             self._plant.live.reset()
             self._standing.restart()
             self._restart()
-            if self.active:
-                self._publish(self._begun)
+            was_active = self.active
+            self._show(self._begun)
+            response.success = self.active == was_active
         return self._answer(response, "at the initial state")
 
     def _on_step(self, request: Any, response: Any) -> Any:

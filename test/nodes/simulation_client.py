@@ -22,7 +22,6 @@ from trajectory_msgs.msg import JointTrajectory
 
 from msg_adapters.joint_motion import JointMotion, read_joint_motion
 from msg_adapters.joint_state import JointSample, read_joint_state
-from msg_adapters.multi_array import write_multi_array
 
 TARGET = ("-m", "mbd_ros.nodes.simulator")
 NAME = "/simulator"
@@ -130,7 +129,7 @@ class Client:
 
     def command(self, values: Sequence[float]) -> None:
         """Send a vector of commands, by whatever order the node takes."""
-        self.publish(write_multi_array(Float64MultiArray(), np.asarray(values, dtype=float)))
+        self.publish(Float64MultiArray(data=np.asarray(values, dtype=float).tolist()))
 
     def publish(self, message: Any) -> None:
         """Send a message to ~/commands or ~/joint_commands."""

@@ -87,7 +87,7 @@ class Guide:
             target: Where the joints should be when the next target comes.
 
         Raises:
-            TargetError: Not finite, or beyond a limit.
+            TargetError: Not finite, beyond a limit, or too far away to be reached.
         """
         self._limits.check(np.array([t]), target.q[None, :], target.v[None, :])
         now = self.at(t)
@@ -98,6 +98,7 @@ class Guide:
         duration = max(since, self._ramp_time(jump, 0.0), _SHORTEST)
         stop = self.timeout
         end = self._limits.nearest(target.q + 0.5 * stop * target.v)
+        _check_near(duration)
         still = np.zeros(len(end))
         self._course = Course(
             t + np.array([0.0, duration, duration + stop]),
@@ -144,6 +145,7 @@ class Guide:
         course = joined or Course(times, q, v, a)
         if joined is None:
             self._limits.check(*course.samples())
+            _check_near(self._ramp_time(now.q - course.at(t).q, self.ramp))
         self._course, self._last_target, self.kind = course, -np.inf, "trajectory"
         self._fade(t, now.q, now.v)
 
@@ -197,3 +199,12 @@ class Guide:
         """Time [s] for a distance at the speed of ramps."""
         speed = self.ramp_speed * self._limits.fastest
         return max(least, float((PEAK_SPEED * np.abs(distance) / speed).max(initial=0.0)))
+
+
+def _check_near(duration: float) -> None:
+    """Refuse what is so far that numbers end on the way: a ramp of that duration [s] to it."""
+    if not duration <= _FARTHEST:
+        raise TargetError(
+            f"reference refused: the way to it takes {duration:.3g} s at the speed of ramps, "
+            f"accepted are {_FARTHEST:g} s"
+        )

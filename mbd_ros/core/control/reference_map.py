@@ -11,6 +11,8 @@ from mbd_ros.core.couplings import Couplings
 from mbd_ros.core.laws import Linear
 from mbd_ros.core.state import Array
 
+_MOST = 8  # names in an error
+
 
 class Selection(NamedTuple):
     """How values of a reference become those of the controlled joints.
@@ -72,7 +74,7 @@ class ReferenceMap:
         unknown = [n for n in given if n not in self._names and n not in self._dependent]
         if unknown:
             raise TargetError(
-                f"reference refused: {', '.join(unknown)} not controlled; accepted: "
+                f"reference refused: {_first(unknown)} not controlled; accepted: "
                 f"{', '.join(self._names)}, or what follows them"
             )
         columns, factors, offsets, notes = [], [], [], []
@@ -101,3 +103,9 @@ class ReferenceMap:
         raise TargetError(
             f"reference refused: {name} is missing; accepted: {', '.join(self._names)}"
         )
+
+
+def _first(names: Sequence[str]) -> str:
+    """Some names for people, however many and long a message has them."""
+    some = ", ".join(f"{name:.64}" for name in names[:_MOST])
+    return some if len(names) <= _MOST else f"{some} and {len(names) - _MOST} more"

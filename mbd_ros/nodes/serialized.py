@@ -1,0 +1,51 @@
+"""Serialized messages as the transport delivers them -> messages.
+
+Nodes take bytes, whatever the type: what rclpy itself fails to deserialize vanishes without a
+trace, and what is too large is turned into objects first.
+"""
+
+from typing import Any
+
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+
+from msg_adapters.errors import MessageError
+
+LARGEST = 262_144  # bytes: 4000 joints
+_LARGER = {String: 2**26, JointTrajectory: 2**24}  # bytes; a scene says itself what is too long
+
+
+def message_of(cdr: bytes, kind: type) -> Any:
+    """The message of these bytes.
+
+    Raises:
+        MessageError: They are none, or too many.
+    """
+    require_size(cdr, kind)
+    try:
+        return deserialize_message(cdr, kind)
+    except rclpy_implementation.RMWError as error:
+        raise MessageError(f"its bytes are no {kind.__name__}") from error
+
+
+def require_size(cdr: bytes, kind: type) -> None:
+    """Refuse what would hold the node up, before any work is done.
+
+    Raises:
+        MessageError: Names size and limit.
+    """
+    largest = _LARGER.get(kind, LARGEST)
+    if len(cdr) > largest:
+        raise MessageError(f"{len(cdr)} bytes, accepted: {largest} of a {kind.__name__}")
+
+
+def joint_state(cdr: bytes) -> Any:
+    """The JointState of these bytes.
+
+    Raises:
+        MessageError: As `message_of`.
+    """
+    return message_of(cdr, JointState)
