@@ -65,6 +65,11 @@ class ControllerNode(JointStateNode):
         self._pipeline.forget()
         self._lapsed = perf_counter()
 
+    def reset(self, reason: str) -> None:
+        """Time began anew: what acts on the robot is unknown, so control comes in by its ramp."""
+        super().reset(reason)
+        self._pipeline.loop.weight = 1.0
+
     def retune(self, values: Any) -> None:
         """New gains and times; a refusal leaves the old ones."""
         self._pipeline.retune(values)

@@ -6,11 +6,13 @@ from typing import Any, Protocol
 
 from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from mbd_ros.core.differentiation import Sample
 from mbd_ros.core.state import NANOSECOND
+from mbd_ros.nodes.clock_watch import LOOK, ClockWatch
 from mbd_ros.nodes.scene_node import SceneNode
 from mbd_ros.nodes.serialized import require_size
 from msg_adapters.diagnostics import OK, STALE, WARN
@@ -21,6 +23,7 @@ from msg_adapters.joint_state_cdr import JointStateCdrReader
 # Best effort also hears reliable publishers; the depth bridges a pause of 0.5 s at 1 kHz,
 # beyond which the transport itself keeps no more.
 SENSOR = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
+CLOCK = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _NEVER = -(2**62)  # ns
 _STANDING = 0.5  # [s] for which one joint state may come again and again, or all be dropped
 _LATELY = 1.5  # s, a bit more than the time between two diagnostics
@@ -60,6 +63,7 @@ class JointStateNode(SceneNode):
         self._moved = self._heard
         self._two_clocks = self._last_drop = ""
         self._extra: set[str] = set()
+        self._clock_watch, self._hears_clock = ClockWatch(), False
         self.create_service(Trigger, "~/reset", self._on_reset)
 
     def forget(self) -> None:
@@ -78,10 +82,15 @@ class JointStateNode(SceneNode):
 
     def activate_core(self) -> None:
         """Begin with an empty past."""
-        self.reset("activated")
+        self.begin_anew()
 
     def reset(self, reason: str) -> None:
+        """Another past, or another clock: the same."""
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
         """Empty filters, forget what was answered."""
+        self._hear_clock()
         self._newest, self._answered, self._agreed = 0, 0, _NEVER
         self._two_clocks = self._last_drop = ""
         self._mark()
@@ -111,7 +120,7 @@ class JointStateNode(SceneNode):
         if self._age() > self.parameters.timeout:
             return STALE, f"newest answered joint state is {self._age():.2f} s old{dropped}"
         if self.silence() > self.parameters.timeout:
-            why = "; nobody publishes /clock any more" if self._is_clock_gone() else dropped
+            why = self._clock_fault() or dropped
             return STALE, f"no joint state answered for {self.silence():.2f} s{why}"
         return self._standing_health()
 
@@ -128,11 +137,28 @@ class JointStateNode(SceneNode):
     def silence(self) -> float:
         """For how long no joint state was answered [s]; a standing clock does not count.
 
-        Where the clock of a simulation has no publisher any more, steady time counts.
+        Where the clock of a simulation is silent or has no publisher any more, steady time counts.
         """
         if self._is_simulated() and not self._is_clock_gone():
-            return (self.get_clock().now().nanoseconds - self._heard_ros) * NANOSECOND
+            stood = (self.get_clock().now().nanoseconds - self._heard_ros) * NANOSECOND
+            return max(stood, self._clock_watch.silence(self.parameters.timeout))
         return perf_counter() - self._heard
+
+    def _clock_fault(self) -> str:
+        """What is wrong with the clock of a simulation; empty where nothing is."""
+        if not self._is_simulated():
+            return ""
+        if self._is_clock_gone():
+            return "; nobody publishes /clock any more"
+        silence = self._clock_watch.silence(self.parameters.timeout)
+        return f"; /clock is silent for {silence:.2f} s, a pause is not" if silence else ""
+
+    def _hear_clock(self) -> None:
+        """Watch /clock from the first moment on that it counts."""
+        if self._is_simulated() and not self._hears_clock:
+            self._hears_clock = True
+            self.create_subscription(Clock, "/clock", self._clock_watch.hear, CLOCK, raw=True)
+            self.create_timer(LOOK, self._clock_watch.look, clock=self._steady)
 
     def _take(self, cdr: bytes) -> None:
         """Read, judge and answer a serialized joint state."""
@@ -222,6 +248,6 @@ class JointStateNode(SceneNode):
         return False
 
     def _on_reset(self, request: Any, response: Any) -> Any:
-        self.reset("asked to")
+        self.begin_anew()
         response.success, response.message = True, "filters and buffers are empty"
         return response

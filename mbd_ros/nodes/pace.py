@@ -13,7 +13,7 @@ from rclpy.executors import Executor
 MARGIN = 2.0e-4  # s
 _HEARING = 1.0e-3  # [s] without callbacks at most, also while ticks are late
 _HEARD = 8  # callbacks at a time then
-PATIENCE = 0.1  # [s] that late ticks may catch up
+PATIENCE = 0.1  # [s] that late ticks may catch up, and that a wait lasts at most
 
 
 def wake_exactly(is_exact: bool = True) -> None:
@@ -60,9 +60,12 @@ class Pace:
         self._lateness: list[float] = []
 
     def wait(self, executor: Executor) -> bool:
-        """Handle callbacks until the next tick is due: True, or until `interrupt`: False."""
+        """Handle callbacks until the next tick is due: True; False to wait again."""
         now = perf_counter()
         spare = self.due - now - MARGIN
+        if spare > PATIENCE:
+            self.idle(executor, PATIENCE)
+            return False  # a signal must not wait for the next tick
         if spare > 0.0:
             is_due = self.idle(executor, spare)
         else:

@@ -28,7 +28,7 @@ from msg_adapters.time import NANOSECONDS
 # are waiting: a full reader then refuses them, and the writer sends them again.
 COMMANDS = QoSProfile(depth=500)
 EVERY_COMMAND = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-STANDING = 0.1  # s between messages of a standing clock, and looks for who comes late
+STANDING = 0.1  # s between looks for who comes late, while time stands
 
 
 class SimulatorNode(SceneNode):
@@ -168,11 +168,9 @@ class SimulatorNode(SceneNode):
             raise DivergedError(f"the state cannot be published: {error}") from error
 
     def _stand(self) -> None:
-        """Show time and state again to who came late, or lost a message."""
+        """Show the state again to who came late, or lost a message."""
         if self._is_running:
             return
-        if self._simulated_clock is not None:
-            self._simulated_clock.repeat()
         if self._standing.is_wanted(self._outputs.listeners, self._waits):
             stamp = self._plant.time if self.parameters.publish_clock else self._now()
             self._standing.show_again(stamp)

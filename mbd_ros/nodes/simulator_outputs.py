@@ -13,6 +13,7 @@ from mbd_ros.nodes.plant import Plant
 from mbd_ros.nodes.shell import Shell
 from msg_adapters.clock import write_clock
 
+BEAT = 0.05  # s between messages of a clock that stands
 STATES = QoSProfile(depth=100)  # a recorder may be away for 0.1 s at 1 kHz
 
 
@@ -63,7 +64,10 @@ class SimulatorOutputs:
 
 
 class SimulatedClock:
-    """Topic `/clock`.
+    """Topic `/clock`: every new time, and the same again where none comes.
+
+    Whoever listens can tell by these beats a simulation that stands or is slow from one that
+    ended.
 
     Args:
         node: Who publishes.
@@ -71,11 +75,15 @@ class SimulatedClock:
 
     def __init__(self, node: Shell) -> None:
         self._publisher, self._message = node.publish_to(Clock, "/clock", 10), Clock()
+        self._shown = perf_counter()
+        node.every(BEAT, self._beat)
 
     def show(self, stamp: int) -> None:
         """Publish a time [ns]."""
+        self._shown = perf_counter()
         self._publisher.publish(write_clock(self._message, stamp))
 
-    def repeat(self) -> None:
-        """Publish the newest time again."""
-        self._publisher.publish(self._message)
+    def _beat(self) -> None:
+        """Publish the newest time again, unless it is a new one."""
+        if perf_counter() - self._shown > BEAT / 2.0:
+            self._publisher.publish(self._message)

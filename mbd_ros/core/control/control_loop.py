@@ -40,7 +40,7 @@ class ControlLoop:
     The weight never jumps: it falls from 1 to 0 within `ramp` after the first state, rises when
     states stop (`lapse`), and falls again when they come back, from where it is. A state that
     comes later than `longest` after the last one, or before it, is a new beginning: the reference
-    goes on from what is measured.
+    goes on from what is measured. Before it: time began anew, and so does the weight, with 1.
 
     Args:
         controller: The law; may be replaced between updates by one for the same joints.
@@ -120,6 +120,8 @@ class ControlLoop:
         q, v = joints.positions(x), joints.velocities(x)
         self._v = v
         dt = 0.0 if self.is_open else min(max(x.t - self._t, 0.0), self.longest)
+        if not self.is_open and x.t < self._t:
+            self.weight = 1.0
         if self.is_open or not 0.0 <= x.t - self._t <= self.longest:
             self._close(x.t, q, v)
         self._t = x.t

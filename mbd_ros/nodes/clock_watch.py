@@ -1,0 +1,56 @@
+"""Whether the clock of a simulation is alive, seen from a clock that never stands."""
+
+from time import perf_counter
+from typing import Any
+
+LOOK = 0.01  # s between looks
+_FLOOR = 0.2  # s, some beats of a clock that stands
+_SLACK = 4.0  # of the longest of the last waits
+_FORGET = 0.99  # of that wait, a look that finds news
+_REGULAR = 10  # looks with news until a clock counts as regular
+
+
+class ClockWatch:
+    """Measures for how long no message of a clock came that used to come.
+
+    Simulated time cannot tell a pause from a death: it stands in both. Nor can the graph, which
+    keeps a killed publisher for up to 20 s. A simulator that is paused, slow or waits repeats its
+    time, and one that was killed or hangs does not. How long a wait may be is learnt from those
+    before. Time in which this process itself did not run counts for no more than two looks: where
+    the whole machine stands, the clock is not to blame.
+    """
+
+    def __init__(self) -> None:
+        self._messages = self._seen = 0
+        self._forget()
+
+    def hear(self, message: Any) -> None:
+        """A message came."""
+        self._messages += 1
+
+    def look(self) -> None:
+        """To be called every `LOOK` [s] of steady time."""
+        now = perf_counter()
+        self._quiet += min(now - self._looked, 2.0 * LOOK)
+        self._looked = now
+        if self._messages == self._seen:
+            return
+        if self._has_died or not self._news:
+            self._forget()  # the first message, or another clock: it has a pace of its own
+        self._seen, self._news = self._messages, self._news + 1
+        self._longest = max(_FORGET * self._longest, self._quiet)
+        self._quiet = 0.0
+
+    def silence(self, timeout: float) -> float:
+        """For how long the clock has been silent [s]; 0 while it is alive, or never was regular.
+
+        Args:
+            timeout: Shorter waits are none [s].
+        """
+        limit = max(timeout, _FLOOR, _SLACK * self._longest)
+        self._has_died = self._news >= _REGULAR and self._quiet > limit
+        return self._quiet if self._has_died else 0.0
+
+    def _forget(self) -> None:
+        self._news, self._longest, self._quiet = 0, 0.0, 0.0
+        self._has_died, self._looked = False, perf_counter()

@@ -1,0 +1,132 @@
+"""A simulation that dies, stands or is slow, as a controller in simulated time takes it."""
+
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from nodes.control_client import KINDS, POSE, STEP, controlled
+from nodes.simulation_client import ARM, DAMPED, NAME, simulated
+from rosgraph_msgs.msg import Clock
+
+from msg_adapters.clock import write_clock
+from msg_adapters.diagnostics import OK, STALE
+
+CALM = ARM + DAMPED
+RAMP, LARGEST = 0.5, 5.0
+TUNED = {
+    **{"use_sim_time": "true", "timeout": 0.1, "safe_ramp": RAMP, "max_age": 1.0},
+    "effort_limit": [LARGEST] * 4,
+}
+LONE = {"timeout": 10.0, "effort_limit": [50.0] * 4}
+SLOW_AND_REAL = [("sliding", 0.1), pytest.param("qp", 1.0, marks=pytest.mark.soak)]
+SAFE = "share of the safe command"
+
+
+@contextmanager
+def simulation(domain, tmp_path, name, **values):
+    """A simulator with a clock, which the test ends."""
+    (folder := tmp_path / name).mkdir()
+    given = {"publish_clock": "true", "marker_rate": 0.0, "command_timeout": 1e3, **values}
+    with simulated(domain, folder, CALM, stop=None, **given) as client:
+        yield client
+
+
+@contextmanager
+def controller(domain, tmp_path, kind="sliding", **values):
+    """The controller of that simulator."""
+    (folder := tmp_path / "controller").mkdir()
+    with controlled(domain, folder, CALM, kind=kind, plant=NAME, **TUNED | values) as client:
+        yield client
+
+
+def controls(client):
+    """Once the law alone acts; its status."""
+    return client.wait_health(lambda h: h.level == OK and h.values[SAFE] == "0")
+
+
+@pytest.mark.parametrize(("kind", "factor"), SLOW_AND_REAL)
+def test_a_killed_simulator_is_noticed_and_its_successor_gets_a_ramp(
+    domain, tmp_path, kind, factor
+):
+    """DDS forgets a killed process after 14 to 21 s: far later than the 5 s asked for here."""
+    values = {"rate": 200.0, "real_time_factor": factor}
+    with controller(domain, tmp_path, kind) as client:
+        with simulation(domain, tmp_path, "first", **values) as first:
+            controls(client)
+            first.node.process.kill()
+            first.node.wait()
+            killed = time.monotonic()
+            count = len(client.commands)
+            client.probe.spin_until(lambda: not client.commands[-1].any())
+            assert time.monotonic() - killed < 5.0
+            assert np.abs(client.commands[count:]).max() <= LARGEST
+        health = client.wait_health(lambda h: h.level == STALE)
+        assert "/clock is silent for" in health.message
+        count = len(client.commands)
+        with simulation(domain, tmp_path, "second", **values) as second:
+            controls(client)
+            second.node.stop()
+        rises = np.diff(np.abs([np.zeros(4), *client.commands[count:]]), axis=0)
+        assert rises.max() < 0.1 * LARGEST  # a tick is 0.01 of it
+        assert rises.max() > 0.0
+
+
+def test_slow_motion_and_a_pause_are_no_silence(domain, tmp_path):
+    """A tick a second, then none: the clock beats all the same."""
+    values = {"rate": 100.0, "real_time_factor": 1.0}
+    with (
+        simulation(domain, tmp_path, "plant", **values) as plant,
+        controller(domain, tmp_path) as client,
+    ):
+        before = controls(client).values["times gone safe"]
+        assert client.probe.set_parameter(NAME, "real_time_factor", 0.01).successful
+        plant.probe.spin_for(1.0)
+        ticks = len(plant.states)
+        client.probe.spin_for(2.5)
+        plant.probe.spin_for(0.1)
+        assert len(plant.states) - ticks <= 5
+        plant.pause(True)
+        client.probe.spin_for(1.5)
+        health = controls(client)
+        assert health.values["times gone safe"] == before
+        plant.pause(False)
+        asked = time.monotonic()
+        assert plant.node.stop() == 0
+        assert time.monotonic() - asked < 5.0
+
+
+def test_a_clock_that_ticked_and_stops_is_silence_though_its_publisher_is_there(domain, tmp_path):
+    """A simulator that hangs; where it goes on the command comes back by a ramp."""
+    with controlled(domain, tmp_path, **TUNED) as client:
+        clock = client.probe.node.create_publisher(Clock, "/clock", 10)
+        client.probe.spin_until(clock.get_subscription_count)
+
+        def tick(k):
+            clock.publish(write_clock(Clock(), k * STEP))
+            client.probe.spin_for(0.01)
+            return client.ask(stamp=k * STEP)
+
+        for k in range(1, 80):
+            command = tick(k)
+        assert command.any()
+        client.probe.spin_until(lambda: not client.commands[-1].any())
+        assert "/clock is silent for" in client.wait_health(lambda h: h.level == STALE).message
+        full = np.abs(client.holding(POSE)).max()
+        for k in range(80, 90):
+            assert np.abs(tick(k)).max() <= full * (k - 79) * STEP * 1e-9 / RAMP * 1.01
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_time_that_begins_anew_brings_control_back_by_a_ramp(domain, tmp_path, kind):
+    """A simulator that ended and began before anybody noticed, or that was reset."""
+    with controlled(domain, tmp_path, kind=kind, **TUNED | LONE) as client:
+        clock = client.probe.node.create_publisher(Clock, "/clock", 10)
+        client.probe.spin_until(clock.get_subscription_count)
+        for begin in (400, 0):
+            for k in range(1, 100):
+                clock.publish(write_clock(Clock(), (begin + k) * STEP))
+                command = client.ask(stamp=(begin + k) * STEP)
+                full = np.abs(client.holding()).max()
+                assert np.abs(command).max() <= full * max(k * STEP * 1e-9 / RAMP, 0.03) * 1.01
+            np.testing.assert_allclose(command, client.holding(), rtol=1e-9)
