@@ -42,6 +42,7 @@ setup(
         "ros-jazzy-rclpy",
         "ros-jazzy-rmw-fastrtps-cpp",
         "rosbags",
+        "scipy",
     ],
     extras_require={
         "dask": ["dask[distributed]"],
@@ -53,7 +54,6 @@ setup(
             "pytest-timeout",
             "quadprog",
             "ruff",
-            "scipy",
             "setuptools",
             "types-PyYAML",
         ],

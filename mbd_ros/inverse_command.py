@@ -31,16 +31,23 @@ def add_inverse(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         choices=("given", "causal", "zero-phase"),
         default="given",
         help="given: the motion has them; causal: filtered, lagging, as the node does; "
-        "zero-phase: local polynomial fit that sees the future (default: %(default)s)",
+        "zero-phase: low-pass that sees the future (default: %(default)s)",
     )
     inverse.add_argument(
         "--parts",
         action="store_true",
         help="also gravity, coriolis, inertial, ..; refused for scenes with loops",
     )
-    add_tuning(inverse)
     inverse.add_argument(
-        "--half-width", type=int, default=4, help="samples, zero-phase only (default: %(default)s)"
+        "--cutoff",
+        type=float,
+        help="half-power frequency of the filters in Hz (default: causal 5.0, zero-phase from the "
+        "noise of the recording, and printed)",
+    )
+    inverse.add_argument(
+        "--half-width",
+        type=int,
+        help="zero-phase only, in place of a cut-off: fits to so many samples on either side",
     )
     inverse.add_argument(
         "--topic",

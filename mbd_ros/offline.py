@@ -12,7 +12,13 @@ from mbd_ros.core.inverse_dynamics import Parts
 from mbd_ros.core.state import WrenchSamples
 from mbd_ros.error_source import about
 from mbd_ros.errors import DataError
-from mbd_ros.offline_derivatives import Derivatives, causal_line, differentiate, observe
+from mbd_ros.offline_derivatives import (
+    Derivatives,
+    causal_line,
+    differentiate,
+    observe,
+    unexplained,
+)
 from mbd_ros.offline_loops import close_loops, solve_loops
 from mbd_ros.offline_wrenches import read_loads, wrench_at
 from mbd_ros.progress import progress
@@ -62,19 +68,21 @@ def inverse_dynamics_of(
         raise DataError(f"{scene.path}: robot.base: files carry no pose of a floating base")
     inverse = scene.inverse_dynamics()
     with about("--cutoff"):
-        estimator = TorqueEstimator(scene.robot, inverse, Tuning(cutoff=derivatives.cutoff))
+        estimator = TorqueEstimator(scene.robot, inverse, Tuning(cutoff=derivatives.causal_cutoff))
     recording = read_motion(motion, estimator.names, topic=topic, required=needed)
     if scene.has_loops:
         recording, remarks = close_loops(scene, motion, recording)
         yield from remarks
     yield from _left_out(motion, recording)
     loads, dropped = read_loads(scene, motion, wrenches)
+    cutoff = None
     if derivatives.source == "causal":
         samples = observe(estimator, recording.motion, dropped)
-        yield causal_line(estimator.differentiator, derivatives.cutoff)
+        yield causal_line(estimator.differentiator, derivatives.causal_cutoff)
     else:
         with about(motion):
-            samples = differentiate(scene, motion, recording.motion, derivatives)
+            samples, cutoff, remarks = differentiate(scene, motion, recording.motion, derivatives)
+        yield from remarks
     yield from (f"{count} samples left out: {reason}" for reason, count in dropped.items())
     if not samples:
         raise DataError(f"{motion}: no sample can be used")
@@ -90,6 +98,8 @@ def inverse_dynamics_of(
         row = int(np.flatnonzero(~np.isfinite(numbers).all(axis=1))[0])
         raise DataError(f"{motion}: torques at {record.stamps[row] / 1e9} s are not finite")
     said = [*_violations(scene, samples), *remarks]
+    if cutoff is not None:
+        said += unexplained(recording.motion, record, cutoff)
     write_torques(out, record)  # nothing fails after it
     yield from said
     yield f"{len(samples)} samples, {derivatives.source} derivatives -> {out}"

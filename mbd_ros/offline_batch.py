@@ -25,8 +25,8 @@ class Batch(NamedTuple):
         out: Folder of the results; the result itself where there is one motion.
         wrenches: Table or bag of the external loads of every motion.
         derivatives: given, causal or zero-phase.
-        cutoff: Of causal filters [Hz].
-        half_width: Samples on either side of a zero-phase fit.
+        cutoff: Of the filters [Hz]; None: the default of `Derivatives`.
+        half_width: Samples on either side of a local zero-phase fit; None without one.
         topic: JointState topic of bags.
         parts: Also write the torques by cause.
         scheduler: Of a Dask cluster; None for processes of this machine.
@@ -38,8 +38,8 @@ class Batch(NamedTuple):
     out: Path
     wrenches: Path | None
     derivatives: str
-    cutoff: float
-    half_width: int
+    cutoff: float | None
+    half_width: int | None
     topic: str
     parts: bool
     scheduler: str | None

@@ -237,9 +237,14 @@ def test_every_kind_of_output_holds_the_same_torques(capsys, tmp_path, motion, n
         ("inverse SCENE m.csv -o o.csv --derivatives causal --cutoff nan", "cutoff nan Hz must"),
         (
             "inverse SCENE m.csv -o o.csv --derivatives zero-phase",
-            "at least 9 samples, there are 5",
+            "at least 6 samples, there are 5",
         ),
         ("inverse SCENE p.csv -o o.csv --derivatives zero-phase --half-width 1", "width 1 need"),
+        (
+            "inverse SCENE m.csv -o o.csv --derivatives zero-phase --half-width 2 --cutoff 3",
+            "--half-width and --cutoff: zero-phase derivatives take one of them",
+        ),
+        ("inverse SCENE m.csv -o o.csv --derivatives zero-phase --cutoff -1", "cutoff -1.0 Hz mu"),
     ],
 )
 def test_bad_input_is_2_with_one_line_on_stderr_and_nothing_left(
@@ -271,7 +276,10 @@ def test_failure_leaves_the_old_output_as_it_was(capsys, tmp_path, motion):
 @pytest.mark.parametrize(
     ("command", "options"),
     [
-        ("inverse", {"--cutoff": "5.0", "--half-width": "4", "--topic": "/joint_states"}),
+        (
+            "inverse",
+            {"--cutoff": "causal 5.0, zero-phase from the noise", "--topic": "/joint_states"},
+        ),
         ("replay", {"--cutoff": "5.0", "--skip": "0.5", "--rate": "1"}),
         ("simulate", {"--start": "0.0"}),
     ],
@@ -282,7 +290,7 @@ def test_help_shows_the_defaults(capsys, command, options):
     words = " ".join(capsys.readouterr().out.partition("options:")[2].split())
     for option, default in options.items():
         told = words.partition(f" {option} ")[2].partition(" --")[0]
-        assert f"(default: {default})" in told
+        assert f"(default: {default}" in told
 
 
 @pytest.mark.parametrize(

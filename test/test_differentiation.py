@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import expm
 
 from mbd_ros.core.differentiation import CausalDifferentiator, Sample
+from mbd_ros.core.estimation.local_polynomials import local_polynomials
 from mbd_ros.core.estimation.low_pass import LowPass
-from mbd_ros.core.estimation.zero_phase import zero_phase
 from mbd_ros.errors import DataError
 
 SECOND, MS = 1_000_000_000, 1_000_000
@@ -242,26 +242,27 @@ def shaken(n, seed=4):
 
 
 @pytest.mark.parametrize("half_width", [2, 4, 7])
-def test_zero_phase_is_exact_for_quartics_with_irregular_stamps(half_width):
+def test_local_polynomials_are_exact_for_quartics_with_irregular_stamps(half_width):
     stamps, t = shaken(60)
     c = np.random.default_rng(5).normal(size=(5, 3))
     p, v, a = (
         sum(f[k] * c[k] * t[:, None] ** max(k - d, 0) for k in range(5))
         for d, f in ((0, [1] * 5), (1, range(5)), (2, [k * (k - 1) for k in range(5)]))
     )
-    velocity, acceleration = zero_phase(stamps, p, half_width=half_width)
+    velocity, acceleration = local_polynomials(stamps, p, half_width=half_width)
     assert velocity == pytest.approx(v, abs=1e-8)
     assert acceleration == pytest.approx(a, abs=1e-5)
-    kept, from_velocity = zero_phase(stamps, p, v, half_width=half_width)
+    kept, from_velocity = local_polynomials(stamps, p, v, half_width=half_width)
     assert np.array_equal(kept, v)
     assert from_velocity == pytest.approx(a, abs=1e-8)
 
 
-def test_zero_phase_does_not_lag():
+def test_local_polynomials_do_not_lag():
     """In phase with the exact derivative; a lag of 1 us would show as 6e-6."""
     t = np.arange(400) / 200
     w, inner = 2 * np.pi, slice(50, 350)
-    velocity, acceleration = zero_phase((t * SECOND).astype(np.int64), np.sin(w * t)[:, None])
+    stamps = (t * SECOND).astype(np.int64)
+    velocity, acceleration = local_polynomials(stamps, np.sin(w * t)[:, None], half_width=4)
     for got, exact, quadrature in (
         (velocity, w * np.cos(w * t), np.sin(w * t)),
         (acceleration, -(w**2) * np.sin(w * t), np.cos(w * t)),
@@ -272,18 +273,18 @@ def test_zero_phase_does_not_lag():
         assert abs(lag) < 1e-6
 
 
-def test_zero_phase_takes_a_velocity_only_where_it_is_whole():
+def test_local_polynomials_take_a_velocity_only_where_it_is_whole():
     stamps, t = shaken(40)
     p = np.column_stack([t, 2 * t])
     given = np.column_stack([np.full(40, 7.0), np.full(40, 7.0)])
     given[20, 1] = np.nan
-    velocity, acceleration = zero_phase(stamps, p, given)
+    velocity, acceleration = local_polynomials(stamps, p, given, half_width=4)
     assert np.array_equal(velocity[:, 0], given[:, 0])
     assert velocity[:, 1] == pytest.approx(2.0, abs=1e-9)
     assert acceleration == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(("n", "half_width"), [(8, 4), (0, 4), (50, 1), (50, 0), (50, -3)])
-def test_zero_phase_says_what_it_needs(n, half_width):
+def test_local_polynomials_say_what_it_needs(n, half_width):
     with pytest.raises(DataError, match=rf"half width {half_width} need .* there are {n}"):
-        zero_phase(np.arange(n), np.zeros((n, 1)), half_width=half_width)
+        local_polynomials(np.arange(n), np.zeros((n, 1)), half_width=half_width)

@@ -11,8 +11,9 @@ from scipy.interpolate import CubicSpline
 from mbd_ros.bags import new_message
 from mbd_ros.cli import main
 from mbd_ros.core.estimation.torque_estimator import TorqueEstimator, Tuning
+from mbd_ros.recordings import read_motion
 from mbd_ros.scene import load_scene
-from mbd_ros.tables import read_table
+from mbd_ros.tables import read_table, write_table
 from msg_adapters.joint_state import JointStateReader, write_joint_state
 
 
@@ -270,3 +271,56 @@ def test_open_source_leg_holds_its_weight(data_dir, tmp_path):
         ]
         tau = scene.inverse_dynamics().solve(z, np.zeros(3), np.zeros(3)).tau
         assert tau == pytest.approx(slopes, abs=1e-7)
+
+
+PANDA = [f"fer_joint{i}" for i in range(1, 8)]
+
+
+def panda_motion(data_dir, folder, rate):
+    """The Panda's bag, or the same motion at another rate with encoder noise of 0.05 mrad."""
+    source = data_dir / "panda_unisa_ros2bag"
+    urdf, names = source / "panda_nohand.urdf", enumerate(PANDA, 1)
+    rename = ", ".join(f"panda_joint{i}: {name}" for i, name in names)
+    text = f"robot:\n  urdf: {urdf}\n  rename: {{{rename}}}\n"
+    (folder / "panda.yaml").write_text(text, encoding="utf-8")
+    recorded = read_motion(source / "bag", PANDA).motion
+    t = (recorded.stamps - recorded.stamps[0]) / 1e9
+    if rate is None:
+        return t, source / "bag", recorded.effort
+    dense, rng = np.arange(t[0], t[-1], 1 / rate), np.random.default_rng(rate)
+    noise = 5e-5 * rng.normal(size=(len(dense), 7))
+    fields = {
+        "position": CubicSpline(t, recorded.position)(dense) + noise,
+        "velocity": CubicSpline(t, recorded.velocity)(dense),
+        "effort": np.transpose([np.interp(dense, t, tau) for tau in recorded.effort.T]),
+    }
+    return dense, fields, fields["effort"]
+
+
+@pytest.mark.parametrize(
+    ("rate", "fields", "bound"),
+    [
+        (None, ("position", "velocity"), 5.5),
+        (500, ("position", "velocity"), 6.0),
+        (1000, ("position", "velocity"), 6.0),
+        (500, ("position",), 8.0),
+        (1000, ("position",), 8.0),
+    ],
+)
+def test_zero_phase_of_a_real_robot_at_any_rate(data_dir, tmp_path, capsys, rate, fields, bound):
+    """The command of the README; the first 0.5 s of the recording show the robot starting."""
+    t, motion, effort = panda_motion(data_dir, tmp_path, rate)
+    if rate is not None:
+        given = (*fields, "effort")
+        names = ["time", *(f"{name}.{field}" for field in given for name in PANDA)]
+        table = np.column_stack([t, *(motion[field] for field in given)])
+        write_table(tmp_path / "motion.csv", names, table)
+        motion = tmp_path / "motion.csv"
+    words = ["inverse", tmp_path / "panda.yaml", motion, "-o", tmp_path / "torques.csv"]
+    assert main([*map(str, words), "--derivatives", "zero-phase"]) == 0
+    said = capsys.readouterr().out
+    ours = columns(tmp_path / "torques.csv")
+    found, started = np.transpose([ours[f"{name}.effort"] for name in PANDA]), t > 0.5
+    off = np.linalg.norm((found - effort)[started]) / np.linalg.norm(effort[started])
+    assert 100 * off <= bound
+    assert float(said.split("off the measured effort by ")[1].split(" %")[0]) <= bound

@@ -1,8 +1,7 @@
-"""Velocity and acceleration from sampled positions.
+"""Velocity and acceleration from sampled positions, from the past only.
 
-Two ways, never to be mistaken for each other: `CausalDifferentiator` sees the past only, lags by a
-stated delay and runs live; `zero_phase` sees past and future, does not lag and needs the whole
-recording.
+It lags by a stated delay and runs live. `offline_zero_phase` sees past and future, does not lag
+and needs the whole recording: never one for the other.
 """
 
 import math

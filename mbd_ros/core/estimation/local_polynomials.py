@@ -1,4 +1,4 @@
-"""Velocity and acceleration of a whole recording: sees past and future, does not lag."""
+"""Velocity and acceleration of a whole recording by fits to a few samples around each."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,12 +7,12 @@ from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError
 
 
-def zero_phase(
+def local_polynomials(
     stamps: NDArray[np.int64],
     position: Array,
     velocity: Array | None = None,
     *,
-    half_width: int = 4,
+    half_width: int,
 ) -> tuple[Array, Array]:
     """Velocity and acceleration of a whole recording, without lag.
 

@@ -1,0 +1,190 @@
+"""Derivatives without lag against exact ones: rates, noise of every kind, gaps, short recordings.
+
+The cut-off is that of the recording unless a test says otherwise.
+"""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from test_offline import SCENES
+
+from mbd_ros.cli import main
+from mbd_ros.errors import DataError
+from mbd_ros.offline_zero_phase import low_passed, zero_phase
+from mbd_ros.tables import read_table, write_table
+
+SECOND = 1_000_000_000
+TURN = 2 * np.pi
+SLOW = (0.5, 0.1), (0.3, 0.25), (0.2, 0.6)  # rad, Hz: an arm that excites its parameters
+STEP = tuple((0.5 / k**2, float(k)) for k in range(1, 8))  # human walking: harmonics to 7 Hz
+BUZZ = (0.5, 0.3), (0.02, 8.0)  # slow, with a vibration far above
+
+
+def motion(tones, t, order=0):
+    """Sum of sines, or its derivatives, as a column; neither starts nor ends at rest."""
+    return sum(
+        a * (TURN * f) ** order * np.sin(TURN * f * t + i + order * np.pi / 2)
+        for i, (a, f) in enumerate(tones)
+    )[:, None]
+
+
+def stamps_of(t):
+    return np.round(t * SECOND).astype(np.int64) + 1_760_000_000 * SECOND
+
+
+def rms(values):
+    return np.sqrt(np.mean(values**2))
+
+
+def error(tones, t, x, velocity=None, **options):
+    """Root mean square error of the acceleration over that of the acceleration; the cut-off."""
+    found, exact = zero_phase(stamps_of(t), x, velocity, **options), motion(tones, t, 2)
+    return rms(found.acceleration - exact) / rms(exact), found.cutoff
+
+
+@pytest.mark.parametrize("tones", [SLOW, STEP, BUZZ])
+@pytest.mark.parametrize("rate", [100, 500, 1000])
+@pytest.mark.parametrize("noise", [1e-5, 5e-5, 5e-4])
+def test_noise_at_any_rate_leaves_a_few_percent(tones, rate, noise):
+    t, rng = np.arange(0, 8, 1 / rate), np.random.default_rng(1)
+    x = motion(tones, t) + noise * rng.normal(size=(len(t), 1))
+    found, cutoff = error(tones, t, x)
+    assert found <= (0.06 if noise < 1e-4 else 0.12)
+    assert cutoff[0] > max(f for _, f in tones)
+
+
+@pytest.mark.parametrize("tones", [SLOW, STEP, BUZZ])
+@pytest.mark.parametrize("rate", [100, 1000])
+def test_nothing_is_lost_where_there_is_no_noise(tones, rate):
+    t = np.arange(0, 8, 1 / rate)
+    found, cutoff = error(tones, t, motion(tones, t))
+    assert found <= (2e-3 if rate == 100 else 1e-6)
+    assert cutoff[0] >= 25 * (tones is not SLOW)
+    found, _ = error(tones, t, motion(tones, t), motion(tones, t, 1))
+    assert found <= (2e-4 if rate == 100 else 1e-6)
+
+
+@pytest.mark.parametrize("noise", [1e-3, 1e-2])
+def test_measured_velocity_is_smoothed_and_differentiated(noise):
+    t, rng = np.arange(0, 8, 2e-3), np.random.default_rng(2)
+    rough = [5e-5 * rng.normal(size=(len(t), 1)), noise * rng.normal(size=(len(t), 1))]
+    found, _ = error(SLOW, t, motion(SLOW, t) + rough[0], motion(SLOW, t, 1) + rough[1])
+    assert found <= 0.05
+    smooth = zero_phase(stamps_of(t), motion(SLOW, t), motion(SLOW, t, 1) + rough[1])
+    assert rms(smooth.velocity - motion(SLOW, t, 1)) < 0.2 * noise
+
+
+@pytest.mark.parametrize("counts", [4096, 65536])
+@pytest.mark.parametrize("rate", [200, 1000])
+def test_encoder_counts_are_noise_even_where_they_repeat(counts, rate):
+    """A motion of which a period is a whole number of samples has rounding in lines only."""
+    t, size = np.arange(0, 20, 1 / rate), TURN / counts
+    found, _ = error(((0.3, 0.8),), t, np.round(motion(((0.3, 0.8),), t) / size) * size)
+    assert found <= 0.03
+
+
+def test_noise_that_was_resampled_is_no_motion():
+    """0.3 mrad at 30 Hz look smooth at 1 kHz; below them there is white noise of 0.05 mrad."""
+    rng, coarse, t = np.random.default_rng(3), np.arange(0, 20.1, 1 / 30), np.arange(0, 20, 1e-3)
+    rough = motion(SLOW, coarse) + 3e-4 * rng.normal(size=(len(coarse), 1))
+    found, cutoff = error(
+        SLOW, t, CubicSpline(coarse, rough)(t) + 5e-5 * rng.normal(size=(20000, 1))
+    )
+    assert found <= 0.06
+    assert cutoff[0] < 6.0
+
+
+def test_every_joint_has_the_cutoff_of_its_own_noise():
+    t, rng = np.arange(0, 8, 2e-3), np.random.default_rng(4)
+    noise = np.array([0.0, 1e-5, 3e-3]) * rng.normal(size=(len(t), 3))
+    found = zero_phase(stamps_of(t), motion(SLOW, t) + noise)
+    assert np.isinf(found.cutoff[0]) or found.cutoff[0] > 20.0
+    assert found.cutoff[0] > found.cutoff[1] > found.cutoff[2] >= 2.0
+    exact = motion(SLOW, t, 2)
+    errors = [rms(column - exact[:, 0]) / rms(exact) for column in found.acceleration.T]
+    assert errors[0] < 1e-4 and errors[1] < 0.02 and errors[2] < 0.15
+
+
+def test_joint_that_only_has_noise_stands_still():
+    t, rng = np.arange(0, 8, 1e-3), np.random.default_rng(5)
+    found = zero_phase(stamps_of(t), 1.0 + 1e-3 * rng.normal(size=(len(t), 1)))
+    assert rms(found.acceleration) < 0.02
+    still = zero_phase(stamps_of(t), np.ones((len(t), 1)))
+    assert np.abs(still.acceleration).max() < 1e-6  # rounding of 1 at 1 kHz
+
+
+def test_irregular_stamps_lost_samples_and_gaps():
+    rng = np.random.default_rng(6)
+    t = np.cumsum(rng.uniform(5e-4, 4e-3, 8000))
+    t = t[rng.uniform(size=len(t)) > 0.1]
+    t = t[(t < 6.0) | (t > 9.0)]
+    x = motion(SLOW, t) + 5e-5 * rng.normal(size=(len(t), 1))
+    assert error(SLOW, t, x)[0] <= 0.06
+    assert error(SLOW, t, motion(SLOW, t))[0] <= 1e-4
+    lone = np.r_[t, t[-1] + 5.0, t[-1] + 5.1]
+    with pytest.raises(DataError, match=r"6 samples in a row, from .* there are 2 between gaps"):
+        zero_phase(stamps_of(lone), motion(SLOW, lone))
+
+
+@pytest.mark.parametrize("count", [6, 8, 12, 20])
+def test_recordings_of_few_samples(count):
+    t = np.arange(count) * 0.01
+    assert error(SLOW, t, motion(SLOW, t))[0] <= 0.02
+    with pytest.raises(DataError, match="at least 6 samples, there are 5"):
+        zero_phase(stamps_of(t[:5]), motion(SLOW, t[:5]))
+
+
+@pytest.mark.parametrize("rate", [100, 1000])
+def test_cutoff_is_the_frequency_of_half_power_without_lag(rate):
+    t, inner = np.arange(0, 10, 1 / rate), slice(2 * rate, 8 * rate)
+    found = zero_phase(stamps_of(t), motion(((1.0, 3.0),), t), cutoff=3.0)
+    assert found.cutoff.tolist() == [3.0]
+    for got, order in ((found.position, 0), (found.velocity, 1), (found.acceleration, 2)):
+        basis = [motion(((1.0, 3.0),), t, order + k)[inner, 0] for k in (0, 1)]
+        share, lag = np.linalg.lstsq(np.column_stack(basis), got[inner, 0], rcond=None)[0]
+        assert share == pytest.approx(np.sqrt(0.5), abs=0.03)
+        assert abs(lag) < 1e-5
+    assert low_passed(stamps_of(t), motion(((1.0, 3.0),), t), found.cutoff) == pytest.approx(
+        found.position, abs=1e-12
+    )
+
+
+@pytest.mark.parametrize("cutoff", [1e-300, 1e-3, 30.0, 1e300])
+def test_extreme_cutoffs_are_finite(cutoff):
+    t = np.arange(0, 4, 0.02)
+    found = zero_phase(stamps_of(t), motion(SLOW, t), cutoff=cutoff)
+    assert np.isfinite(found.acceleration).all()
+    assert found.cutoff[0] == (cutoff if cutoff < 20.0 else np.inf)
+
+
+@pytest.mark.parametrize("rate", [30, 1000])
+def test_inverse_says_the_cutoff_and_how_far_it_is_off_the_measured_effort(tmp_path, capsys, rate):
+    """Efforts with a tremor that the motion cannot have: both sides pass the same low-pass."""
+    t, rng = np.arange(0, 8, 1 / rate), np.random.default_rng(7)
+    names, scene = ["ankle", "hip_flexion", "knee"], SCENES / "prosthetic_leg.yaml"
+    x, v, a = (
+        np.hstack([motion(SLOW, t + i, k) - 0.5 * (k == 0) for i in range(3)]) for k in range(3)
+    )
+    columns = [f"{n}.{f}" for f in ("position", "velocity", "acceleration") for n in names]
+    write_table(tmp_path / "exact.csv", ["time", *columns], np.column_stack([t, x, v, a]))
+    words = ["inverse", scene, tmp_path / "exact.csv", "-o", tmp_path / "torques.csv"]
+    assert main([str(word) for word in words]) == 0
+    table = read_table(tmp_path / "torques.csv")
+    efforts = table.values[:, [table.columns.index(f"{n}.effort") for n in names]]
+    tremor = efforts + 0.5 * rms(efforts) * np.sin(TURN * 0.4 * rate * t)[:, None]
+    noisy = x + 5e-5 * rng.normal(size=x.shape)
+    columns = [f"{n}.{f}" for f in ("position", "effort") for n in names]
+    write_table(tmp_path / "m.csv", ["time", *columns], np.column_stack([t, noisy, tremor]))
+    capsys.readouterr()
+    words = ["inverse", scene, tmp_path / "m.csv", "-o", tmp_path / "o.csv"]
+    assert main([*map(str, words), "--derivatives", "zero-phase"]) == 0
+    said = capsys.readouterr().out
+    assert re.search(
+        r"low-pass of half power at [\d.]+ Hz.*, from the noise of the recording", said
+    )
+    assert float(re.search(r"off the measured effort by ([\d.e-]+) %", said)[1]) < 3.0
+    found = read_table(tmp_path / "o.csv")
+    ours = found.values[:, [found.columns.index(f"{n}.effort") for n in names]]
+    assert rms(ours - efforts) < 0.03 * rms(efforts)
