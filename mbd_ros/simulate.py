@@ -69,6 +69,7 @@ def simulate(scene: Scene, run: Run) -> Iterator[str]:
         said = list(_summary(simulation, record, wall, evaluations))
         found = step_warnings(simulation.system, simulation.integrator, simulation.dt, states)
         said += [f"warning: {text}" for text in found]
+        said += [f"warning: {text}" for text in simulation.passed_stops()]
     write_simulation(run.out, record)  # nothing fails after it
     if scene.wrenches and run.wrenches is None:
         yield f"unloaded: {', '.join(scene.wrenches)}; --wrenches FILE brings their values"

@@ -141,3 +141,20 @@ def test_a_state_without_a_rate_nearby_is_passed_over(monkeypatch):
 def test_a_near_toggle_is_warned_of():
     said = found(load_scene(NEAR_TOGGLE), {"type": "generalized_alpha"}, 0.01, 1.0)
     assert any("near a toggle at t = 0.71 s" in text for text in said)
+
+
+@pytest.mark.parametrize("law", [{"factor": 1e9}, {"polynomial": [0.0, 1e9, 1e3]}])
+def test_the_rate_of_a_steep_coupling_is_seen_in_every_tier(law):
+    """A joint that turns 1e9 times as far as its parent: a step of 1.5e-8 turns it by 15 rad."""
+    start = {"velocity": {"j1": 1e-6}}  # 1000 rad/s of the joint that follows
+    couplings = {"j2": {"parent": "j1", **law}}
+    scene = mechanism({"couplings": couplings, "initial": start}, *rods((1.0, 1.0, 1.0)))().scene
+    rates, said = [], []
+    for tier in ("auto", "kkt"):
+        system = scene.system(solver={"type": tier})
+        rates.append(fastest_rate(system, system.reduce(scene.initial)))
+        simulation = scene.simulation(solver={"type": tier}, integrator={"type": "rk4"}, dt=4e-3)
+        full = [system.expand(system.reduce(scene.initial))] * 2
+        said.append(list(step_warnings(simulation.system, simulation.integrator, 4e-3, full)))
+    assert rates[0] == pytest.approx(rates[1], rel=0.01) and rates[1] > 500.0
+    assert all("stiff: fastest rate" in texts[0] for texts in said)

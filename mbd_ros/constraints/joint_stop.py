@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.parts import Constraint, Row
+from mbd_ros.core.parts import Constraint, Row, Stop
 from mbd_ros.core.ranges import Duration
 from mbd_ros.core.robot import Joint, Robot
 from mbd_ros.core.state import Array, State
@@ -59,6 +59,7 @@ class JointStop(Constraint):
         self.rows = tuple(Row(f"{one.name}.stop", one.effort_unit) for one in stopped)
         self.bounds, self.gains = (np.zeros(n), np.full(n, math.inf)), (kp, kd)
         self._lower, self._upper = np.array(ends).T
+        self.stops = tuple(Stop(one, *end) for one, end in zip(stopped, ends, strict=True))
         self._q, self._v = _where([one.q for one in stopped]), _where([one.v for one in stopped])
         self._each, self._at = np.arange(n), np.array([one.v for one in stopped])
         self._ahead, self._zero, self._nv = kd / kp, np.zeros(n), int(robot.model.nv)

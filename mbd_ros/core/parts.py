@@ -10,6 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.robot import Joint
 from mbd_ros.core.state import Array, State
 
 
@@ -109,6 +110,20 @@ class Wrench(NamedTuple):
     torque: Array
 
 
+class Stop(NamedTuple):
+    """Ends that a constraint keeps a joint within.
+
+    Attributes:
+        joint: The joint.
+        lower: Lower end [rad or m], -inf without one.
+        upper: Upper end [rad or m], inf without one.
+    """
+
+    joint: Joint
+    lower: float
+    upper: float
+
+
 class Constraint:
     """Geometry of rows g(t, q) = 0 with the equation of motion M a + h = tau + J' lam.
 
@@ -124,6 +139,7 @@ class Constraint:
         gains: kp [1/s^2] and kd [1/s] of that condition; read for bounded rows only.
         driven: Joints whose drives exert the multipliers, one a row, or none: inverse dynamics
             then asks for the multipliers and demands nothing of the motion.
+        stops: Joints that it keeps within ends; a motion that passes one is said to.
     """
 
     rows: tuple[Row, ...]
@@ -131,6 +147,7 @@ class Constraint:
     bounds: tuple[Array, Array] | None = None
     gains: tuple[float, float] = (0.0, 0.0)
     driven: tuple[str, ...] = ()
+    stops: tuple[Stop, ...] = ()
 
     def residual(self, data: Any, x: State) -> Array:
         """g(t, q), shape (m,)."""

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from mbd_ros.core.forward.overshoots import Overshoots
 from mbd_ros.core.manifold.assembly import assemble
 from mbd_ros.core.stabilizing import Stabilization
 from mbd_ros.core.state import Array, State
@@ -31,6 +32,7 @@ class Simulation:
         steps: Steps taken so far.
         worst: Largest condition number of the rows after a step, inf where they are redundant,
             and its time [s]. Beyond some 1e6, near a toggle, multipliers are unreliable.
+        overshoots: How far joints went beyond their stops; None without any.
     """
 
     def __init__(
@@ -45,6 +47,9 @@ class Simulation:
         self._stride = getattr(self.stepper, "stride", None)  # several steps at once, if it can
         self.steps = 0
         self.worst = (1.0, 0.0)
+        parts = () if system.bounded is None else system.bounded.constraints.parts
+        has_stops = any(part.stops for part in parts)
+        self.overshoots = Overshoots(system) if has_stops else None
         self._is_corrected = bool(system.rows) and not integrator.keeps_constraints
 
     def start(self, x: State) -> State:
@@ -54,7 +59,10 @@ class Simulation:
             SolveError: The mechanism cannot be assembled near it.
         """
         self.stepper.restart()
-        return assemble(self.system, self.system.reduce(x))
+        y = assemble(self.system, self.system.reduce(x))
+        if self.overshoots is not None:
+            self.overshoots.begin(y)
+        return y
 
     def run(self, x: State, duration: float, commands: Commands | None = None) -> Iterator[State]:
         """States of all joints every dt, the first one included.
@@ -107,13 +115,18 @@ class Simulation:
             DivergedError: The state is no longer finite.
             SolveError: Equations contradict one another.
         """
+        is_looked_at = self._is_corrected or self.overshoots is not None
         nearly = due - max(_ROUNDING * self.dt, 2.0 * math.ulp(due))
         while y.t < nearly:
-            y_next = self._step(y, u, due, 1 if self._is_corrected else _STRIDE)
+            y_next = self._step(y, u, due, 1 if is_looked_at else _STRIDE)
             y = self._corrected(y_next)
             if y is not y_next:
                 self.stepper.continue_from(y)
         return y
+
+    def passed_stops(self) -> list[str]:
+        """What joints went beyond which stops since the start, one text each."""
+        return [] if self.overshoots is None else [str(one) for one in self.overshoots.found()]
 
     def _corrected(self, y: State) -> State:
         if not self._is_corrected:
@@ -134,6 +147,8 @@ class Simulation:
             raise type(error)(f"{error}; {last_finite(self.system, y)}") from error
         self.steps += count
         if math.isfinite(after.v.dot(after.v)) and math.isfinite(after.q.dot(after.q)):
+            if self.overshoots is not None:
+                self.overshoots.look(y, after)
             return after
         lost = int(np.count_nonzero(~np.isfinite(after.v)))
         raise DivergedError(

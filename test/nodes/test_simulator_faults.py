@@ -142,6 +142,21 @@ def test_17_a_pause_is_no_loss_of_commands(domain, tmp_path):
         assert client.step().effort.tolist() == [0.2]
 
 
+# ---------------------------------------------------------------------- stops
+
+
+def test_a_stop_that_is_passed_is_named_in_the_diagnostics(domain, tmp_path):
+    stop = "constraints: [{type: joint_stop, joint: hinge, upper: 3.0}]\n"
+    fast = PENDULUM.replace("hinge: 0.3}", "hinge: 0.3}, velocity: {hinge: 1000.0}")
+    with simulated(domain, tmp_path, fast + stop, paused="true") as client:
+        health = client.probe.wait_health(lambda h: True)
+        assert health.values["stops passed"] == "none"
+        for _ in range(20):
+            client.step()
+        health = client.probe.wait_health(lambda h: h.values["stops passed"] != "none")
+        assert health.values["stops passed"].startswith("hinge passes its stop at 3 rad by 1.")
+
+
 # ---------------------------------------------------------------------- divergence
 
 

@@ -53,6 +53,11 @@ class BoundedRows:
         self._free = self._lower < 0.0
         self._bound = np.where(np.isfinite(self._lower), self._lower, 0.0)
 
+    @property
+    def acts(self) -> bool:
+        """Whether any row was worth a solve in the last evaluation."""
+        return self.multipliers is not self._idle
+
     def accelerate(self, system: Any, t: float, q: Array, v: Array, a: Array) -> Array:
         """Accelerations of the integrated coordinates with the rows, shape as `a`.
 

@@ -4,11 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mbd_ros.core.state import Array
+from mbd_ros.core.state import Array, State
 from mbd_ros.core.system import System
 
 Field = Callable[[float, Array, Array, "Array | None"], Array]
 _STEP = 1.5e-8  # square root of the rounding unit: truncation and rounding are alike
+_SPACINGS = 4.0  # of the numbers around a position: a shorter step of it is rounding
 
 
 class Linearization:
@@ -37,10 +38,27 @@ class Linearization:
         field, step = self._field, self._step
         base = np.array(field(t, q, v, u))
         self.stiffness, self.damping = np.empty((2, len(step), len(step)))
+        lengths = self._lengths(t, q)
         for i in range(len(step)):
-            step[i] = _STEP
-            self.stiffness[:, i] = (field(t, self._system.integrate(q, step), v, u) - base) / _STEP
+            step[i] = lengths[i]
+            there = self._system.integrate(q, step)
+            length = there[i] - q[i] if self._system.is_flat else step[i]
+            self.stiffness[:, i] = (field(t, there, v, u) - base) / length
             step[i] = _STEP * max(1.0, abs(float(v[i])))
             moved = v + step
             self.damping[:, i] = (field(t, q, moved, u) - base) / (moved[i] - v[i])
             step[i] = 0.0
+
+    def _lengths(self, t: float, q: Array) -> Array:
+        """Steps of the coordinates that move no joint by more than `_STEP`, shape (nv,).
+
+        A joint that depends on one by a steep law moves further than it.
+        """
+        system, lengths = self._system, np.full(len(self._step), _STEP)
+        if system.nv == system.model.nv:
+            return lengths
+        for i, unit in enumerate(np.eye(system.nv)):
+            lengths[i] /= max(1.0, float(np.abs(system.expand(State(t, q, unit)).v).max()))
+        return (
+            np.maximum(lengths, _SPACINGS * np.spacing(np.abs(q))) if system.is_flat else lengths
+        )
