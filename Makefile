@@ -63,6 +63,9 @@ soak: venv
 fuzz: venv
 	PYTHONPATH=test $(BIN)/python -m fuzz.run $(if $(CASES),--cases $(CASES)) $(if $(SEED),--seed $(SEED))
 
+fuzz-nodes: venv
+	PYTHONPATH=test $(BIN)/python -m fuzz.nodes
+
 bench: venv
 	$(BIN)/python -m mbd_ros.report.bench.forward
 	$(BIN)/python -m mbd_ros.report.bench.inverse

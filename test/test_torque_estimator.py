@@ -151,6 +151,28 @@ def test_torques_that_are_not_finite_restart_the_filters():
     assert np.array_equal(again.acceleration, np.zeros(4))
 
 
+def measured(k):
+    """A sample with velocities of all joints."""
+    stamp, position, velocity, present = sample(k)
+    return stamp, position, np.linspace(0.1, 0.2, len(velocity)) * k, present
+
+
+@pytest.mark.parametrize("bad", [1e200, -1e308])
+def test_a_sample_without_torques_leaves_nothing_behind(bad):
+    """The next ones are answered to the bit as by an estimator that never saw it."""
+    seen, spared = estimator(), estimator()
+    for k in range(6):
+        for e in (seen, spared):
+            e.solve(e.observe(*measured(k)))
+        stamp, position, velocity, present = measured(k)
+        with np.errstate(all="ignore"):
+            lost = seen.observe(stamp + 1000, position, np.full_like(velocity, bad), present)
+            assert seen.solve(lost) is None
+    one, other = (e.solve(e.observe(*measured(6))) for e in (seen, spared))
+    np.testing.assert_array_equal(one.tau, other.tau)
+    np.testing.assert_array_equal(one.multipliers, other.multipliers)
+
+
 def test_new_tuning_takes_effect_at_once():
     e = estimator(cutoff=5.0)
     slow = e.differentiator.delay

@@ -6,6 +6,7 @@ and needs the whole recording: never one for the other.
 
 import math
 from enum import Enum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +93,22 @@ class CausalDifferentiator:
         """Forget everything; the next sample is a beginning."""
         self._stamp: int | None = None
         self._jumps, self._last_step, self._all_measured = 0, 0, False
+        self._position_runs, self._before = False, (np.zeros(len(self._ones)), self._rewind)
+
+    @property
+    def memory(self) -> tuple[Any, ...]:
+        """What the next samples are judged by; may be set, to what it was before a sample."""
+        filters = self._of_position.memory, self._of_velocity.memory
+        answer = self.position, self.velocity, self.acceleration, self._measured
+        judged = self._stamp, self._jumps, self._last_step, self._before
+        return filters, answer, judged, (self._all_measured, self._position_runs)
+
+    @memory.setter
+    def memory(self, memory: tuple[Any, ...]) -> None:
+        filters, answer, judged, (self._all_measured, self._position_runs) = memory
+        self._of_position.memory, self._of_velocity.memory = filters
+        self.position, self.velocity, self.acceleration, self._measured = answer
+        self._stamp, self._jumps, self._last_step, self._before = judged
 
     def update(
         self,

@@ -53,6 +53,8 @@ class System:
         order: Which multipliers of a `Solution` are those of bilateral and of bounded rows.
         multiplier_rows: What they are, in the same order under every tier.
         evaluations: How often the acceleration was asked for.
+        row_size: How large the bilateral rows have been so far; None forgets it, and what it was
+            before a state may be put back where that state is given up.
         condition: Condition number of the rows in the mass metric when last factorised; 1
             without rows.
     """
@@ -79,7 +81,7 @@ class System:
         self.multiplier_rows: tuple[Row, ...] = self.order.rows
         self.evaluations = 0
         self.condition = 1.0
-        self._row_size: Array | None = None
+        self.row_size: Array | None = None
         self._zero = np.zeros(self.model.nv)
         self._aba = partial(pin.aba, self.model, self.data)
         self._is_free = loads.is_empty and bounded is None
@@ -143,8 +145,8 @@ class System:
             M: Mass matrix, shape (nv, nv).
             J: Jacobian of the rows, shape (m, nv).
         """
-        factor = RowFactor(M, J, self._row_size)
-        self._row_size, self.condition = factor.size, factor.condition
+        factor = RowFactor(M, J, self.row_size)
+        self.row_size, self.condition = factor.size, factor.condition
         return factor
 
     def integrate(self, q: Array, dq: Array) -> Array:

@@ -109,6 +109,7 @@ class ControlPipeline:
     def forget(self) -> None:
         """Hold the next state that comes."""
         self.observer.reset()
+        self._controlled.system.row_size = None
         self.loop.restart()
         self._epoch = None
 
@@ -125,12 +126,21 @@ class ControlPipeline:
         Raises:
             SolveError: The state does not fit the loops, or the law has no answer and had none.
         """
-        seen = self.observer.observe(stamp, sample.position, sample.velocity, self.joints.present)
+        system, observer = self._controlled.system, self.observer
+        before = observer.memory, system.row_size
+        seen = observer.observe(stamp, sample.position, sample.velocity, self.joints.present)
         if not isinstance(seen, Observation):
             return seen
+        if observer.outcome is Sample.RESTARTED:
+            system.row_size = None
         if self._epoch is None:
             self._epoch = stamp
-        self.x = x = self._observed.state(self._seconds(stamp), seen.position, seen.velocity)
+        try:
+            x = self._observed.state(self._seconds(stamp), seen.position, seen.velocity)
+        except SolveError:
+            observer.memory, system.row_size = before
+            raise
+        self.x = x
         off = seen.dependent - self._observed.dependent
         self._violation = np.where(np.isfinite(off), off, 0.0)
         command = self.loop.update(x)

@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -132,11 +133,15 @@ class Target:
         swing = 0.05 * np.sin(0.3 * k) * np.eye(len(self.joints))[0]
         if self.is_simulator:
             return Float64MultiArray(data=(10.0 * swing).tolist())
+        return self.state(k)
+
+    def state(self, k: int) -> Any:
+        """Joint state k of a valid exchange."""
         x, joints = self.scene.initial, self.scene.robot.joints
-        q = x.q[[joint.q for joint in joints]] + swing
-        return write_joint_state(
-            JointState(), self.begin + k * STEP, self.joints, position=q, velocity=0.0 * q
-        )
+        q = x.q[[joint.q for joint in joints]]
+        q[0] += 0.05 * np.sin(0.3 * k)
+        names, stamp = [joint.name for joint in joints], self.begin + k * STEP
+        return write_joint_state(JointState(), stamp, names, position=q, velocity=0.0 * q)
 
     def ask(self, k: int) -> None:
         """Send message k of a valid exchange; it was answered when this returns."""
@@ -166,7 +171,12 @@ class Target:
             self.ask(k)
             between(k)
         self.probe.spin_until(lambda: all(map(self._is_complete, self.heard)), DEADLINE)
-        return {topic: list(heard) for topic, heard in self.heard.items() if topic != "markers"}
+        # A simulator that waits for a command shows its state again.
+        return {
+            topic: [cdr for cdr, _ in groupby(heard)]
+            for topic, heard in self.heard.items()
+            if topic != "markers"
+        }
 
     def fire(self, seed: int, messages: int) -> None:
         """Send hostile messages on all inputs; seeds say which."""

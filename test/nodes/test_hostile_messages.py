@@ -1,9 +1,14 @@
 """Hostile messages at real nodes over DDS: none ends a node, none leaves more than is stated."""
 
+import math
+
 import pytest
-from fuzz.nodes import under_fire
+from fuzz.nodes import SUBJECTS, under_fire
 from nodes.simulation_client import NAME, PENDULUM, simulated
+from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 
 from msg_adapters.clock import write_clock
@@ -60,3 +65,42 @@ def test_a_simulator_stops_before_its_time_does_not_fit_into_a_stamp(domain, tmp
             return own and own[-1].values["state"] == "inactive" and own[-1].level == ERROR
 
         client.probe.spin_until(is_stopped)
+
+
+def unusable(target):
+    """Messages for each input of which none can be used."""
+    for topic, kind in target.subject.inputs.items():
+        message = target.valid(0)
+        if kind is not type(message):
+            message = kind()
+        whole = serialize_message(message)
+        yield topic, whole[: len(whole) // 2]
+        yield topic, b"\x00\x01\x00\x00" + bytes(range(40))
+        at = 12 if kind is Float64MultiArray else 8  # of a length, or of nanosec
+        yield topic, whole[:at] + b"\xff" * 4 + whole[at + 4 :]
+        yield topic, serialize_message(kind())  # nothing in it
+        if kind is JointState:
+            for field, values in (
+                ("position", [math.nan] * 9),
+                ("velocity", [1.0]),
+                ("name", ["a"]),
+            ):
+                bad = target.state(0)
+                setattr(bad, field, values[: max(1, len(bad.name))])
+                yield topic, serialize_message(bad)
+
+
+@pytest.mark.parametrize("name", SUBJECTS)
+def test_dropped_messages_leave_nothing_but_their_count(domain, tmp_path, name):
+    """A valid exchange is answered to the bit as without them, and after any burst and ~/reset."""
+    with under_fire(name, domain, tmp_path) as target:
+        alone = target.exchange()
+        bad = list(unusable(target))
+
+        def between(k):
+            topic, cdr = bad[k % len(bad)]
+            target.publishers[topic].publish(cdr)
+
+        assert target.exchange(between) == alone
+        target.fire(seed=12, messages=400)
+        assert target.exchange() == alone

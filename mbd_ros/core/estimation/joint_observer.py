@@ -1,6 +1,6 @@
 """Joint-state samples -> accepted samples with derivatives, holes filled for a while."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +62,7 @@ class JointObserver:
     Attributes:
         names: Joints of a sample: the independent ones, then the dependent ones.
         differentiator: Where velocity and acceleration come from.
+        outcome: What became of the newest sample.
 
     Raises:
         ModelError: The base floats: joint states do not carry its pose.
@@ -95,9 +96,21 @@ class JointObserver:
     def reset(self) -> None:
         """Forget the past."""
         self.differentiator.reset()
+        self.outcome = Sample.USED
         self._position, self._velocity = np.zeros(self._n), np.full(self._n, np.nan)
         self._seen = np.full(self._n, _NEVER, dtype=np.int64)
         self._complete: int | None = None  # stamp of a complete sample since the last partial one
+
+    @property
+    def memory(self) -> tuple[Any, ...]:
+        """What the next samples depend on; may be set, to what it was before a sample."""
+        kept = self._position, self._velocity, self._complete, self._seen
+        return kept, self.differentiator.memory
+
+    @memory.setter
+    def memory(self, memory: tuple[Any, ...]) -> None:
+        kept, self.differentiator.memory = memory
+        self._position, self._velocity, self._complete, self._seen = kept
 
     def observe(
         self, stamp: int, position: Array, velocity: Array, present: NDArray[np.bool_]
@@ -119,12 +132,12 @@ class JointObserver:
         if present is not self._present:
             self._present, self._is_complete = present, bool(present[:n].all())
         if self._is_complete:
-            outcome = self.differentiator.update(stamp, z, v)
+            self.outcome = outcome = self.differentiator.update(stamp, z, v)
             if outcome in _UNUSED:
                 return outcome
             self._position, self._velocity, self._complete = z, v, stamp
         else:
-            outcome = self._take_part(stamp, z, v, present[:n])
+            self.outcome = outcome = self._take_part(stamp, z, v, present[:n])
             if outcome in _UNUSED:
                 return outcome
         d = self.differentiator
@@ -134,6 +147,7 @@ class JointObserver:
         """Take a sample that lacks joints: these keep their last position, for `max_age`."""
         if not np.isfinite(z[present]).all():
             return Sample.NOT_FINITE
+        self._seen = self._seen.copy()
         if self._complete is not None:
             self._seen[:], self._complete = self._complete, None
         z, v = np.where(present, z, self._position), np.where(present, v, self._velocity)

@@ -40,18 +40,18 @@ class LowPass:
         self.delay = order / self._w
         self.settling_time = _ONE_PERCENT[order] / self._w
         self._rows = np.zeros((order + 2, size))  # y, then u of the last and of this step
-        self._kept, self._newest = self._rows[:-1], self._rows[-1]
+        self._last = np.zeros((order + 1, size))  # y, then u; a new array each step
         self.state = np.zeros((order, size))
         self._terms = self._terms_of_step(order)
         self._step, self._product = 0, np.zeros((order + 1, order + 2))
 
     def start(self, signal: Array, slope: Array | float) -> None:
         """Begin in the steady response to a signal of that slope."""
-        self._kept[:] = 0.0
-        self._kept[0] = signal - self.delay * slope
-        self._kept[1] = slope
-        self._kept[-1] = signal
-        self.state = self._kept[:-1].copy()
+        self._last = np.zeros_like(self._last)
+        self._last[0] = signal - self.delay * slope
+        self._last[1] = slope
+        self._last[-1] = signal
+        self.state = self._last[:-1]
 
     def update(self, signal: Array, step: int) -> None:
         """Advance to a new sample.
@@ -66,9 +66,18 @@ class LowPass:
             weights = np.array((e, e * h, e * h * h, e / h, 1.0, 1.0 / h))
             weights.dot(self._terms, self._product.reshape(-1))
             self._step = step
-        self._newest[:] = signal
-        self._kept[:] = following = self._product.dot(self._rows)
-        self.state = following[:-1]
+        self._rows[:-1], self._rows[-1] = self._last, signal
+        self._last = self._product.dot(self._rows)
+        self.state = self._last[:-1]
+
+    @property
+    def memory(self) -> Array:
+        """What the next steps depend on; may be set, to what it was before."""
+        return self._last
+
+    @memory.setter
+    def memory(self, kept: Array) -> None:
+        self._last, self.state = kept, kept[:-1]
 
     def _terms_of_step(self, order: int) -> Array:
         """Factors of e, e h, e h^2, e/h, 1 and 1/h in [D, K+ - D K], with e = exp(-w h).

@@ -2,9 +2,12 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mbd_ros.core.differentiation import Sample
 from mbd_ros.core.estimation.joint_observer import JointObserver
 from mbd_ros.core.estimation.joint_observer import Observation as Observation
 from mbd_ros.core.estimation.joint_observer import Tuning as Tuning
@@ -12,6 +15,7 @@ from mbd_ros.core.inverse_dynamics import InverseDynamics, Torques
 from mbd_ros.core.loops.observed_loops import ObservedLoops
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array
+from mbd_ros.errors import SolveError
 
 
 class TorqueEstimator(JointObserver):
@@ -26,23 +30,67 @@ class TorqueEstimator(JointObserver):
     def __init__(
         self, robot: Robot, inverse: InverseDynamics | ObservedLoops, tuning: Tuning
     ) -> None:
+        self._inverse, self._loops = (
+            inverse,
+            inverse if isinstance(inverse, ObservedLoops) else None,
+        )
         super().__init__(robot, inverse.couplings, tuning)
-        self._inverse = inverse
         self._dependent_q = [robot.joint(name).q for name in inverse.couplings.dependent]
         self._ones = np.ones(len(inverse.couplings.independent))
 
     def solve(self, x: Observation, wrenches: Sequence[Array] = ()) -> Torques | None:
-        """Torques of an observation; None if they are not finite, after which the filters restart.
+        """Torques of an observation; None if they are not finite.
+
+        What has no torques leaves nothing behind: the next sample is judged and solved as if it
+        had not been there. Where later ones were observed before it was solved, it stays in the
+        filters, or they begin anew if its torques are not finite.
 
         Args:
             x: What `observe` returned.
             wrenches: One (6,) array for every load of the scene.
+
+        Raises:
+            SolveError: There are none.
         """
-        torques = self._inverse.solve(x.position, x.velocity, x.acceleration, wrenches)
-        if math.isfinite(torques.tau.dot(self._ones)):
-            return torques
-        self.reset()
+        before = self._loops.memory if self._loops is not None else ()
+        try:
+            torques = self._inverse.solve(x.position, x.velocity, x.acceleration, wrenches)
+            if math.isfinite(torques.tau.dot(self._ones)):
+                return torques
+        except SolveError:
+            self._give_up(x, before)
+            raise
+        is_newest = x is self._newest
+        self._give_up(x, before)
+        if not is_newest:
+            self.reset()
         return None
+
+    def reset(self) -> None:
+        """Forget the past."""
+        super().reset()
+        self._newest: Observation | None = None
+        if self._loops is not None:
+            self._loops.reset()
+
+    def observe(
+        self, stamp: int, position: Array, velocity: Array, present: NDArray[np.bool_]
+    ) -> Observation | Sample:
+        """As `JointObserver.observe`."""
+        before = self.memory
+        found = super().observe(stamp, position, velocity, present)
+        if isinstance(found, Observation):
+            self._newest, self._before = found, before
+            if self._loops is not None and self.outcome is Sample.RESTARTED:
+                self._loops.reset()
+        return found
+
+    def _give_up(self, x: Observation, of_loops: tuple[Any, ...]) -> None:
+        """Put back what was before an observation."""
+        if self._loops is not None:
+            self._loops.memory = of_loops
+        if x is self._newest:
+            self.memory, self._newest = self._before, None
 
     def violation(self, x: Observation) -> Array:
         """Measured minus coupled position of the dependent joints, of the newest `solve`.

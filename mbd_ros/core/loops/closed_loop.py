@@ -87,6 +87,15 @@ class ClosedLoopInverseDynamics:
         self._labels = (*efforts, *names[self._drives], *names[~self._drives])
         self._names = {joint.v: joint.name for joint in robot.joints}
 
+    @property
+    def memory(self) -> tuple[Any, ...]:
+        """What rows and efforts have been like so far; may be set, to what it was before."""
+        return self._size, self._freedom, self.motion.memory
+
+    @memory.setter
+    def memory(self, memory: tuple[Any, ...]) -> None:
+        self._size, self._freedom, self.motion.memory = memory
+
     def consistent(self, x: State, a: Array) -> tuple[State, Array]:
         """Measured motion moved onto the constraints; see `LoopMotion.consistent`."""
         return self.motion.consistent(x, a)

@@ -49,6 +49,15 @@ class LoopMotion:
         self._v = np.array([joint.v for joint in robot.joints], dtype=np.intp)
         self._size, self.condition = np.zeros(len(self._system.rows)), 1.0
 
+    @property
+    def memory(self) -> tuple[Any, ...]:
+        """How large rows have been so far; may be set, to what it was before a sample."""
+        return self._size, self._system.row_size
+
+    @memory.setter
+    def memory(self, memory: tuple[Any, ...]) -> None:
+        self._size, self._system.row_size = memory
+
     def consistent(self, x: State, a: Array) -> tuple[State, Array]:
         """The nearest state on the constraints and the nearest acceleration that they allow.
 

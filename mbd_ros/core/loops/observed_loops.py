@@ -1,6 +1,7 @@
 """Independent joints of a mechanism with loops -> torques, as `InverseDynamics` gives them."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -22,7 +23,7 @@ class ObservedLoops:
     Attributes:
         inverse: The solver.
         couplings: The dependent joints.
-        configuration: Consistent configuration of the last sample, a live view (nq,).
+        configuration: Consistent configuration of the last sample, shape (nq,).
         rows: Names of the multipliers: the dependent joints, then the rows of the constraints.
         moved: How far a joint of the last sample was moved onto the constraints [rad or m].
         gap: Residual of every row at the last sample as measured, shape (m,); 0 for drives and
@@ -41,6 +42,20 @@ class ObservedLoops:
         for part, mine in zip(constraints.parts, constraints.slices, strict=True):
             self._is_driven[mine] = bool(part.driven)
         self._v = [inverse.robot.joint(name).v for name in inverse.actuated]
+        self._begin = self.memory
+
+    @property
+    def memory(self) -> tuple[Any, ...]:
+        """What the next sample depends on; may be set, to what it was before a sample."""
+        return self.configuration, self.inverse.memory
+
+    @memory.setter
+    def memory(self, memory: tuple[Any, ...]) -> None:
+        self.configuration, self.inverse.memory = memory
+
+    def reset(self) -> None:
+        """Forget all samples."""
+        self.memory = self._begin
 
     def measured(
         self, t: float, position: Array, velocity: Array, acceleration: Array
@@ -81,7 +96,7 @@ class ObservedLoops:
         measured, given = self.measured(0.0, position, velocity, acceleration)
         self.gap = self._residual(measured)
         x, a = self.inverse.consistent(measured, given)
-        self.configuration[:] = x.q
+        self.configuration = x.q
         self.moved = float(np.abs(pin.difference(self._model, measured.q, x.q)).max(initial=0.0))
         found = self.inverse.solve(x, a, wrenches)
         tau = np.zeros(len(a))

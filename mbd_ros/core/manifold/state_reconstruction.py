@@ -100,7 +100,7 @@ class StateReconstructor:
             The nearest consistent state, or why the sample cannot be used.
 
         Raises:
-            SolveError: There is none; the next sample is a beginning for the filters.
+            SolveError: There is none; the sample leaves nothing behind.
         """
         q, v, known, measured = position, velocity, self._all, self._all
         total = position.dot(self._ones) + velocity.dot(self._ones)
@@ -109,10 +109,11 @@ class StateReconstructor:
             q, is_speed = self._filled(position, known), np.isfinite(velocity)
             measured = known & (self._independent | is_speed)  # or derived, where independent
             v = np.where(measured, np.where(is_speed, velocity, np.nan), self._last.v)
+        before, begin = self._differentiator.memory, self._measured
         try:
             found = self._take(stamp, q, v, known, measured)
         except SolveError:
-            self._differentiator.reset()
+            self._differentiator.memory, self._measured = before, begin
             raise
         if isinstance(found, Projection):
             self._measured_at[known] = stamp
