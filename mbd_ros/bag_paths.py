@@ -2,12 +2,10 @@
 
 from pathlib import Path, PurePosixPath
 
-import yaml
-
-from mbd_ros.errors import DataError
+from mbd_ros.errors import DataError, SceneError
+from mbd_ros.strict_yaml import read_mapping
 
 SUFFIXES = (".mcap", ".db3")
-METADATA_LIMIT = 10_000_000  # bytes
 MARK = ("written_by", "mbd_ros")
 
 
@@ -29,9 +27,10 @@ def _storage_files(folder: Path) -> list[Path]:
     metadata = folder / "metadata.yaml"
     if not metadata.is_file():
         raise DataError(f"{folder}: no metadata.yaml in it, so not a rosbag2 folder")
-    if metadata.stat().st_size > METADATA_LIMIT:
-        raise DataError(f"{metadata}: larger than {METADATA_LIMIT} bytes")
-    info = yaml.safe_load(metadata.read_bytes())["rosbag2_bagfile_information"]
+    try:
+        info = read_mapping(metadata, "metadata of the bag")["rosbag2_bagfile_information"]
+    except SceneError as error:
+        raise DataError(str(error)) from error
     files = [metadata]
     for name in info["relative_file_paths"]:
         named = PurePosixPath(name)

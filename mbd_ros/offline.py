@@ -8,7 +8,7 @@ import numpy as np
 from mbd_ros.bag_paths import is_bag
 from mbd_ros.built_scene import Scene
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
-from mbd_ros.core.inverse_dynamics import Parts
+from mbd_ros.core.inverse_dynamics import InverseDynamics, Parts
 from mbd_ros.core.state import WrenchSamples
 from mbd_ros.error_source import about
 from mbd_ros.errors import DataError
@@ -92,7 +92,7 @@ def inverse_dynamics_of(
         wrenches_at = [wrench_at(name, load, stamps) for name, load in loads.items()]
         record, remarks = solve_loops(scene, motion, samples, wrenches_at)
     else:
-        record = _solve(scene, samples, loads, with_parts)
+        record = _solve(inverse, samples, loads, with_parts)
     numbers = np.column_stack([record.effort, record.multiplier, *record.parts.values()])
     if not np.isfinite(numbers).all():
         row = int(np.flatnonzero(~np.isfinite(numbers).all(axis=1))[0])
@@ -113,7 +113,7 @@ def _left_out(motion: Path, recording: Recording) -> Iterator[str]:
 
 
 def _solve(
-    scene: Scene,
+    inverse: InverseDynamics,
     samples: Sequence[Observation],
     loads: dict[str, WrenchSamples],
     with_parts: bool,
@@ -124,7 +124,6 @@ def _solve(
         for field in ("position", "velocity", "acceleration")
     )
     wrenches = [wrench_at(name, load, stamps) for name, load in loads.items()]
-    inverse = scene.inverse_dynamics()
     chunks = [slice(i, i + _CHUNK) for i in range(0, len(stamps), _CHUNK)]
     solved = [
         inverse.batch(z[part], v[part], a[part], [w[part] for w in wrenches])
@@ -136,7 +135,7 @@ def _solve(
         rows = zip(z, v, a, *wrenches, strict=True)
         causes = [inverse.parts(*row[:3], row[3:]) for row in progress(rows, len(stamps), "parts")]
         parts = {name: np.array([c[i] for c in causes]) for i, name in enumerate(Parts._fields)}
-    couplings = scene.couplings
+    couplings = inverse.couplings
     return TorqueRecord(
         stamps, couplings.independent, z, v, a, tau, couplings.dependent, multipliers, parts
     )

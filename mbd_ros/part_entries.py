@@ -18,6 +18,8 @@ from mbd_ros.core.wrenches import ExternalWrench
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.registry import PARTS, resolve
 
+MAX_PARTS = 1000  # in one section
+MAX_ROWS = 600  # of all constraints: a solve costs their number cubed
 _WORD = "[A-Za-z_][A-Za-z0-9_]*"  # of a ROS 2 name
 _NAME, _TOPIC = re.compile(_WORD), re.compile(f"(~?/)?{_WORD}(/{_WORD})*")
 
@@ -63,6 +65,9 @@ def build_wrenches(path: Path, robot: Robot, entries: Any) -> dict[str, Measured
         SceneError: Names key, what is wrong and what is accepted.
     """
     entries = schema.value(entries, Mapping[str, Any], f"{path}: external_wrenches")
+    if len(entries) > MAX_PARTS:
+        what = f"{path}: external_wrenches"
+        raise SceneError(f"{what}: {len(entries)} entries, accepted are {MAX_PARTS}")
     wrenches = {}
     for name, entry in entries.items():
         where = f"{path}: external_wrenches.{name}"
@@ -84,10 +89,25 @@ def build_wrenches(path: Path, robot: Robot, entries: Any) -> dict[str, Measured
 def build_parts(path: Path, section: str, robot: Robot, entries: Any) -> tuple[Any, ...]:
     """A section that lists parts of a robot."""
     entries = schema.value(entries, Sequence[Any], f"{path}: {section}")
+    if len(entries) > MAX_PARTS:
+        raise SceneError(f"{path}: {section}: {len(entries)} entries, accepted are {MAX_PARTS}")
     return tuple(
         build_part(section, entry, f"{path}: {section}[{i}]", robot)
         for i, entry in enumerate(entries)
     )
+
+
+def build_constraints(path: Path, robot: Robot, entries: Any) -> tuple[Any, ...]:
+    """The `constraints` section.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    parts = build_parts(path, "constraints", robot, entries)
+    rows = sum(len(part.rows) for part in parts)
+    if rows > MAX_ROWS:
+        raise SceneError(f"{path}: constraints: {rows} rows, accepted are {MAX_ROWS}")
+    return parts
 
 
 def build_part(section: str, given: Any, where: str, *context: Any) -> Any:

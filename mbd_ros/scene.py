@@ -11,12 +11,14 @@ from mbd_ros.code_permission import code_of_others, require_permission
 from mbd_ros.core.couplings import Couplings
 from mbd_ros.core.live.safe_command import SafeCommand
 from mbd_ros.core.parts import Actuator
+from mbd_ros.core.ranges import Unlimited
 from mbd_ros.core.robot import Robot
 from mbd_ros.coupling_entries import coupling_laws
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.locate import find_file
 from mbd_ros.part_entries import (
     Solver,
+    build_constraints,
     build_part,
     build_parts,
     build_wrenches,
@@ -68,7 +70,7 @@ def load_scene(path: str | Path, description: str | None = None) -> Scene:
         couplings=couplings,
         laws=laws,
         wrenches=build_wrenches(path, robot, given.get("external_wrenches", {})),
-        constraints=build_parts(path, "constraints", robot, given.get("constraints", [])),
+        constraints=build_constraints(path, robot, given.get("constraints", [])),
         forces=build_parts(path, "forces", robot, given.get("forces", [])),
         actuators=actuators,
         stabilization=_single(path, "stabilization", "stabilization", given),
@@ -122,7 +124,7 @@ def _single(path: Path, key: str, section: str, given: Mapping[str, Any]) -> Any
 
 
 def _step(path: Path, given: Any) -> float:
-    dt: float = schema.value(given, float, f"{path}: dt")
+    dt: float = schema.value(given, Unlimited, f"{path}: dt")
     refuse_dt(dt, f"{path}: dt", SceneError)
     return dt
 

@@ -5,6 +5,7 @@ import sys
 import timeit
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -76,7 +77,9 @@ def _lines(scene: Scene) -> Iterator[str]:
     yield from _warnings(scene, system, start, factor)
     left_out = (*scene.absent, *_rubbing(scene), *robot.ignored)
     yield _line("left out", "; ".join(left_out) or "nothing")
-    cost = _loop_cost(scene, system.expand(start)) if scene.has_loops else _cost(scene)
+    cost = (
+        _loop_cost(scene, system.expand(start)) if scene.has_loops else _cost(scene, system.data)
+    )
     yield _line("cost", f"{cost}; {_forward_cost(scene, system)}")
 
 
@@ -204,10 +207,10 @@ def _line(label: str, text: str) -> str:
     return f"{label:<12}{text}"
 
 
-def _cost(scene: Scene) -> str:
+def _cost(scene: Scene, data: Any) -> str:
     robot, model = scene.robot, scene.robot.model
     inverse, loads = scene.inverse_dynamics(), [np.ones(6)] * len(scene.wrenches)
-    q, v, data = pin.neutral(model), np.zeros(model.nv), model.createData()
+    q, v = pin.neutral(model), np.zeros(model.nv)
     z, w = q[scene.couplings.q_index], v[scene.couplings.v_index]
     bare = _best(lambda: pin.rnea(model, data, q, v, v))
     ours = _best(lambda: inverse.solve(z, w, w, loads))
@@ -224,7 +227,7 @@ def _loop_cost(scene: Scene, x: State) -> str:
 
 def _forward_cost(scene: Scene, system: System) -> str:
     x = system.reduce(scene.initial)
-    model, data, zero = system.model, system.model.createData(), np.zeros(system.model.nv)
+    model, data, zero = system.model, system.data, np.zeros(system.model.nv)
     bare = _best(lambda: pin.aba(model, data, scene.initial.q, scene.initial.v, zero))
     ours = _best(lambda: system.acceleration(*x))
     return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"

@@ -71,15 +71,16 @@ def value(given: Any, hint: Any, where: str) -> Any:
         if not isinstance(given, list):
             raise SceneError(f"{where}: expected a list, got {given!r}")
         return [value(v, inner[0], f"{where}[{i}]") for i, v in enumerate(given)]
+    accepted = ANY_NUMBER
     if origin is Annotated:
-        return _within(value(given, inner[0], where), inner[1], where)
+        hint, accepted = inner
     if hint is Any:
         return given
     if hint is float and isinstance(given, int) and not isinstance(given, bool):
         given = float(given)
     if type(given) is not hint:
         raise SceneError(f"{where}: expected {_EXPECTED.get(hint, hint)}, got {given!r}")
-    return _within(given, ANY_NUMBER, where) if hint is float else given
+    return _within(given, accepted, where) if hint is float else given
 
 
 def _within(number: float, accepted: Within, where: str) -> float:

@@ -186,7 +186,7 @@ def test_damaged_metadata_is_refused(tmp_path):
 def test_senseless_metadata_is_refused(tmp_path, text):
     path = write_bag(tmp_path / "out", POSITIONS[:2])
     (path / "metadata.yaml").write_text(text)
-    with pytest.raises(DataError, match="out: truncated, corrupt or not readable"):
+    with pytest.raises(DataError, match=r"out(/metadata\.yaml)?: "):
         topic_types(path)
 
 
@@ -234,7 +234,7 @@ def test_metadata_may_name_a_missing_file_or_be_huge_without_harm(tmp_path):
     with pytest.raises(DataError, match=r"'out\.mcap' is no file of the bag"):
         topic_types(path)
     (path / "metadata.yaml").write_text("#" * 10_000_001)
-    with pytest.raises(DataError, match="larger than 10000000 bytes"):
+    with pytest.raises(DataError, match="has 10000001 bytes, accepted are 1048576"):
         topic_types(path)
 
 

@@ -82,7 +82,7 @@ def test_only_plain_numbers_are_numbers(file, text, value):
         ("a: " + "[" * 100 + "]" * 100, f"nested deeper than {MAX_DEPTH}"),
         ("a: " + "[" * 100_000, f"nested deeper than {MAX_DEPTH}"),
         ("a: 1\n---\nb: 2", "line 2: expected a single document in the stream, but found another"),
-        ("a: [1", "line 1: "),
+        ("a: [1", "while parsing a flow sequence, "),
         ("a: b: c", "line 1: "),
         ("a: 'x", "line 1: "),
         ("\ta: 1", "line 1: "),

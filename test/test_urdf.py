@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 
 from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.description.urdf import MAX_CHARACTERS, MAX_LINKS
+from mbd_ros.core.description.urdf import MAX_CHARACTERS, MAX_JOINTS, MAX_LINKS
 from mbd_ros.errors import ModelError
 
 LEG = (Path(__file__).parents[1] / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
@@ -124,10 +124,18 @@ def test_link_that_moves_without_any_mass_is_named():
 def test_longest_accepted_chain_builds():
     """Pinocchio's reader is recursive: what is accepted must not end the process."""
     links = [f"l{i}" for i in range(MAX_LINKS)]
-    pairs = itertools.pairwise(links)
-    joints = "".join(HINGE.format(f"j{b}", a, b) + LINK.format(b) for a, b in pairs)
-    text = f'<robot name="chain"><link name="l0"/>{joints}</robot>'
-    assert read_robot(text).model.nv == MAX_LINKS - 1
+    pairs = list(enumerate(itertools.pairwise(links)))
+    hinges = [HINGE.format(f"j{b}", a, b) for i, (a, b) in pairs]
+    fixed = [h if i < MAX_JOINTS else _fixed(h) for i, h in enumerate(hinges)]
+    bodies = "".join(LINK.format(link) for link in links[1:])
+    text = f'<robot name="chain"><link name="l0"/>{bodies}{"".join(fixed)}</robot>'
+    assert read_robot(text).model.nv == MAX_JOINTS
+    with pytest.raises(ModelError, match=f"999 joints that move, accepted are {MAX_JOINTS}"):
+        read_robot(text.replace("".join(fixed), "".join(hinges)))
+
+
+def _fixed(hinge):
+    return hinge.replace('"revolute"', '"fixed"').replace("'revolute'", "'fixed'")
 
 
 def test_every_mass_of_the_text_is_in_the_model():

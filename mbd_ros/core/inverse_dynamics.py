@@ -79,7 +79,7 @@ class InverseDynamics:
         self.couplings = couplings
         self.wrenches, self.forces = tuple(wrenches), tuple(forces)
         self._reads_frames = any(getattr(force, "reads_frames", False) for force in forces)
-        self._model, self._data = robot.model, robot.model.createData()
+        self._model, self._data = robot.model, pin.Data(robot.model)
         self.configuration = self._q = pin.neutral(robot.model)
         self._v, self._a = np.zeros(robot.model.nv), np.zeros(robot.model.nv)
         self._zero = np.zeros(robot.model.nv)

@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
+
+MAX_COEFFICIENTS = 1000  # of a polynomial, which costs its length whenever it is evaluated
 
 
 def _horner(coefficients: Any, z: Any) -> tuple[Any, Any, Any]:
@@ -30,6 +33,7 @@ class Polynomial:
     def __init__(self, coefficients: Sequence[float]) -> None:
         if len(coefficients) == 0:
             raise ModelError("polynomial has no coefficients")
+        _check_count(len(coefficients))
         self._highest_first = tuple(float(c) for c in reversed(coefficients))
 
     def __call__(self, z: Any) -> tuple[Any, Any, Any]:
@@ -72,6 +76,7 @@ class PiecewisePolynomial:
             )
         if len({len(row) for row in coefficients}) != 1 or len(coefficients[0]) == 0:
             raise ModelError("rows of coefficients differ in length or are empty")
+        _check_count(len(coefficients[0]))
         self._lefts = [float(b) for b in breaks[:-1]]
         self._inner = self._lefts[1:]
         self._rows = [tuple(float(c) for c in row) for row in coefficients]
@@ -102,14 +107,8 @@ def natural_cubic_spline(x: Sequence[float], y: Sequence[float]) -> PiecewisePol
     if len(x) != len(y):
         raise ModelError(f"spline has {len(x)} x and {len(y)} y")
     knots, values = np.array(x, dtype=np.float64), np.array(y, dtype=np.float64)
-    h, n = np.diff(knots), len(knots)
-    system, right = np.eye(n), np.zeros(n)
-    for i in range(1, n - 1):
-        system[i, i - 1 : i + 2] = h[i - 1], 2.0 * (h[i - 1] + h[i]), h[i]
-        right[i] = 6.0 * (
-            (values[i + 1] - values[i]) / h[i] - (values[i] - values[i - 1]) / h[i - 1]
-        )
-    curvature = np.linalg.solve(system, right)
+    h = np.diff(knots)
+    curvature = _curvatures(h, 6.0 * np.diff(np.diff(values) / h))
     cubic, quadratic = np.diff(curvature) / (6.0 * h), curvature[:-1] / 2.0
     slope = np.diff(values) / h - h * (2.0 * curvature[:-1] + curvature[1:]) / 6.0
     inside = np.column_stack([cubic, quadratic, slope, values[:-1]])
@@ -118,6 +117,29 @@ def natural_cubic_spline(x: Sequence[float], y: Sequence[float]) -> PiecewisePol
     after = [0.0, 0.0, end_slope, values[-1]]
     breaks = [knots[0] - h[0], *knots, knots[-1] + h[-1]]
     return PiecewisePolynomial(breaks, [before, *inside.tolist(), after])
+
+
+def _curvatures(h: Array, right: Array) -> Array:
+    """Second derivatives at the knots, zero at both ends, in a time linear in their number.
+
+    h_{i-1} k_{i-1} + 2 (h_{i-1} + h_i) k_i + h_i k_{i+1} = right_{i-1}, which elimination without
+    pivots solves stably, since the diagonal dominates. Source: G. H. Golub, C. F. Van Loan, Matrix
+    Computations, sec. 4.3.6.
+    """
+    off, pivots, reduced = h.tolist(), [1.0], [0.0]
+    for i, r in enumerate(right.tolist()):
+        share = off[i] / pivots[i] if i else 0.0
+        pivots.append(2.0 * (off[i] + off[i + 1]) - share * off[i])
+        reduced.append(r - share * reduced[i])
+    curvature = np.zeros(len(h) + 1)
+    for i in range(len(right), 0, -1):
+        curvature[i] = (reduced[i] - off[i] * curvature[i + 1]) / pivots[i]
+    return curvature
+
+
+def _check_count(coefficients: int) -> None:
+    if coefficients > MAX_COEFFICIENTS:
+        raise ModelError(f"{coefficients} coefficients, accepted are {MAX_COEFFICIENTS}")
 
 
 def _check_increasing(values: Sequence[float], name: str) -> None:

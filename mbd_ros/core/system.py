@@ -72,7 +72,7 @@ class System:
         self.robot, self.loads = robot, loads
         self.constraints = constraints or ConstraintRows((), robot.model.nv)
         self.bounded = bounded
-        self.model, self.data = robot.model, robot.model.createData()
+        self.model, self.data = robot.model, pin.Data(robot.model)
         self.nq, self.nv = int(self.model.nq), int(self.model.nv)
         self.is_flat = not robot.floating
         self.rows: tuple[Row, ...] = self.constraints.rows

@@ -41,7 +41,7 @@ class GravityCompensation(ForceTerm):
         names = every if list(joints) == [ALL] and ALL not in every else list(joints)
         if not names or len(set(names)) != len(names):
             raise ModelError(f"joints {list(joints)} must be [{ALL}] or different joints")
-        self._model, self._data = robot.model, robot.model.createData()
+        self._model, self._data = robot.model, pin.Data(robot.model)
         self._gain = np.zeros(int(robot.model.nv))
         self._gain[[robot.joint(name).v for name in names]] = factor
 

@@ -8,8 +8,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from fuzz.values import anything, spoil_bytes
 
-from mbd_ros.bag_recordings import _write_joint_states
-from mbd_ros.bags import BagWriter
+from mbd_ros.records import SimulationRecord
+from mbd_ros.results import write_simulation
 
 JOINTS = ("j1", "j2")
 
@@ -17,12 +17,16 @@ JOINTS = ("j1", "j2")
 @cache
 def recording(suffix: str) -> dict[str, bytes]:
     """Files of a sound bag by name; `suffix` .mcap, .db3 or empty for a folder."""
-    stamps = np.arange(1, 9) * 10_000_000
-    motion = {f: np.linspace(-1, 1, 16).reshape(8, 2) for f in ("position", "velocity")}
+    motion = np.linspace(-1.0, 1.0, 16).reshape(8, 2)
+    times = np.arange(1, 9) * 0.01
+    record = SimulationRecord(
+        *(np.round(times * 1e9).astype(np.int64), times, JOINTS),
+        *(motion, motion, motion, motion),
+        *((), np.zeros((8, 0)), np.zeros((8, 3))),
+    )
     with TemporaryDirectory() as folder:
         place = Path(folder) / f"bag{suffix}"
-        with BagWriter(place) as bag:
-            _write_joint_states(bag, stamps, {"/joint_states": (JOINTS, motion)})
+        write_simulation(place, record)
         files = [place] if place.is_file() else sorted(place.iterdir())
         return {str(file.relative_to(folder)): file.read_bytes() for file in files}
 

@@ -12,6 +12,7 @@ from mbd_ros.errors import ModelError
 
 MAX_CHARACTERS = 16 * 1024 * 1024
 MAX_NAME = 255
+MAX_JOINTS = 300  # that move: a Data of Pinocchio takes 32 bytes times their number cubed, 0.9 GB
 MAX_LINKS = 1000  # Pinocchio's URDF reader overflows the stack on chains of a few thousand
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -106,6 +107,9 @@ def _check_numbers(robot: ElementTree.Element, source: str) -> None:
 
 
 def _check_joints(robot: ElementTree.Element, source: str) -> None:
+    moving = sum(joint.get("type") != "fixed" for joint in robot.findall("joint"))
+    if moving > MAX_JOINTS:
+        raise ModelError(f"{source}: {moving} joints that move, accepted are {MAX_JOINTS}")
     links = {link.get("name") for link in robot.findall("link")}
     for joint in robot.findall("joint"):
         where = f"{source}: joint '{joint.get('name')}'"

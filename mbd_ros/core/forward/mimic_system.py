@@ -39,7 +39,7 @@ class MimicSystem(ReducedSystem):
         bounded: BoundedRows | None = None,
     ) -> None:
         super().__init__(robot, loads, couplings, bounded)
-        self._own_bias = partial(pin.nonLinearEffects, mimic_model, mimic_model.createData())
+        self._own_bias = partial(pin.nonLinearEffects, mimic_model, pin.Data(mimic_model))
         self._own_mass = mass_matrix(mimic_model)
         self._accelerate = self._free_accelerator()
 
@@ -113,7 +113,7 @@ def mass_matrix(mimic: Any) -> Callable[[Array], Array]:
     `crba` of Pinocchio 4.1 adds to what its last call left in the forces on parents of mimic
     joints: they are set to zero before each one.
     """
-    data = mimic.createData()
+    data = pin.Data(mimic)
     parents = {int(mimic.parents[i]) for i in mimic.mimicking_joints}
     left = [data.Fcrb[parent] for parent in sorted(parents)]
     crba = partial(pin.crba, mimic, data)
@@ -130,7 +130,7 @@ def _is_right(mimic: Any, full: Any, couplings: Couplings) -> bool:
     """Whether both models have the same reduced mass matrix at some configuration."""
     z = np.linspace(0.3, 1.1, len(couplings.q_index))
     q = couplings.positions(z)
-    G, M = couplings.jacobian(q), pin.crba(full, full.createData(), q)
+    G, M = couplings.jacobian(q), pin.crba(full, pin.Data(full), q)
     expected, mass = G.T.dot(M).dot(G), mass_matrix(mimic)
     mass(-z)  # the second call of Pinocchio is the one that may go wrong
     return bool(np.abs(mass(z) - expected).max() <= _SAME * np.abs(expected).max())

@@ -61,7 +61,7 @@ class LoopBalance:
         self.constraints = ConstraintRows([*coupled, *known], robot.model.nv)
         drives = [np.full(len(part.rows), bool(part.driven)) for part in self.constraints.parts]
         self.is_drive = np.concatenate([np.zeros(0, dtype=np.bool_), *drives])
-        self._model, self._data = robot.model, robot.model.createData()
+        self._model, self._data = robot.model, pin.Data(robot.model)
         self._forces, self._loads = tuple(forces), BodyLoads(robot, wrenches)
         self._reads_frames = self.constraints.reads_frames or any(
             getattr(force, "reads_frames", False) for force in forces

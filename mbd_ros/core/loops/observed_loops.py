@@ -37,7 +37,7 @@ class ObservedLoops:
         self._slopes: Slopes = [0.0] * len(inverse.couplings.links)
         constraints = inverse.constraints
         self.rows = tuple(row.name for row in constraints.rows)
-        self.gap, self._data = np.zeros(len(self.rows)), self._model.createData()
+        self.gap, self._data = np.zeros(len(self.rows)), pin.Data(self._model)
         self._is_driven = np.zeros(len(self.rows), dtype=np.bool_)
         for part, mine in zip(constraints.parts, constraints.slices, strict=True):
             self._is_driven[mine] = bool(part.driven)

@@ -52,7 +52,7 @@ class JointReactions:
         wrenches: Sequence[ExternalWrench] = (),
         forces: Sequence[ForceTerm] = (),
     ) -> None:
-        self._model, self._data = robot.model, robot.model.createData()
+        self._model, self._data = robot.model, pin.Data(robot.model)
         self._constraints = constraints
         self._forces = [force for force in forces if isinstance(force, ForceTerm)]
         self._loads = BodyLoads(robot, wrenches)
