@@ -11,7 +11,7 @@ from msg_adapters.time import NANOSECONDS, read_time
 
 
 class Trajectory(NamedTuple):
-    """A course of joints through points.
+    """A course of joints through points; without a point it asks to stop.
 
     Attributes:
         stamp: Header stamp [ns]; 0 means now.
@@ -34,12 +34,16 @@ def read_joint_trajectory(msg: Any) -> Trajectory:
     """Arrays of one message.
 
     Raises:
-        MessageError: No points, or an array neither left out by all points nor as long as the
-            names in each.
+        MessageError: Points without names, or an array neither left out by all points nor as long
+            as the names in each.
     """
     names, points = tuple(msg.joint_names), msg.points
-    if not points or not names:
-        raise MessageError("no points" if names else "no joint names")
+    if not points:
+        return Trajectory(
+            read_time(msg.header.stamp), names, np.zeros(0), np.zeros((0, len(names))), None, None
+        )
+    if not names:
+        raise MessageError("no joint names")
     times = [p.time_from_start.sec + p.time_from_start.nanosec / NANOSECONDS for p in points]
     position = _table(points, "positions", len(names))
     if position is None:

@@ -20,13 +20,14 @@ from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import SolveError
 from mbd_ros.nodes.controller_parameters import (
     build_controller,
+    check_lengths,
     effort_limits,
     gains,
 )
 from mbd_ros.nodes.driven_joints import command_order, driven_joints
 from mbd_ros.nodes.inverse_dynamics_parameters import tuning
 from mbd_ros.nodes.loop_details import loop_details
-from mbd_ros.nodes.references import References
+from mbd_ros.nodes.references import Plan, References
 from mbd_ros.nodes.serialized import joint_state
 from mbd_ros.scene import load_scene
 from msg_adapters.errors import MessageError
@@ -66,6 +67,7 @@ class ControlPipeline:
         self.scene = scene = load_scene(values.scene, description)
         self._controlled = scene.controlled_joints()
         names = self._controlled.names
+        check_lengths(values, self._controlled)
         self._loads = Loads(scene.robot.model.nv, (), scene.actuators)
         order = command_order(values.joints, driven_joints(scene.actuators) or names)
         self._order = [names.index(name) for name in order]
@@ -90,8 +92,14 @@ class ControlPipeline:
         self._epoch: int | None = None
         self._violation = np.zeros(len(scene.couplings.dependent))
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The controlled joints."""
+        return self._controlled.names
+
     def retune(self, values: Any) -> None:
         """New gains, limits and times; nothing changes where one of them is refused."""
+        check_lengths(values, self._controlled)
         if gains(values) != self._gains:
             self.loop.replace(build_controller(values, self._controlled))
         if tuning(values) != self._tuning:
@@ -183,9 +191,43 @@ class ControlPipeline:
         Raises:
             TargetError: It is refused.
         """
+        plan = self.plan(trajectory)
+        self.take(plan)
+        return plan.note
+
+    def plan(self, trajectory: Trajectory) -> Plan:
+        """Check a trajectory; one without points stops all joints.
+
+        Raises:
+            TargetError: It is refused.
+        """
         now = self._now()
+        if not len(trajectory.times):
+            self._references.check(trajectory.names)
+            return Plan(None, now, "")
         begin = self._seconds(trajectory.stamp) if trajectory.stamp else now
-        return self._references.follow(now, begin, trajectory)
+        return self._references.plan(now, begin, trajectory)
+
+    def take(self, plan: Plan) -> None:
+        """Follow a plan from now on."""
+        if plan.course is None:
+            self.stop()
+        else:
+            self.loop.guide.take(self._now(), plan.course)
+
+    def stop(self) -> None:
+        """Come to rest where the joints are; without a joint state the command is safe anyway."""
+        if self.x is not None and not self.loop.is_open:
+            self.loop.guide.hold(*self.measured())
+
+    def measured(self) -> tuple[float, Array, Array]:
+        """Newest time [s], positions and velocities of the controlled joints, shape (n,) each.
+
+        Raises:
+            TargetError: No joint state yet, or none any more.
+        """
+        x = self._newest()
+        return x.t, self._controlled.positions(x), self._controlled.velocities(x)
 
     def held(self) -> list[str]:
         """Independent joints that the newest joint state lacked."""
@@ -222,6 +264,9 @@ class ControlPipeline:
 
     def _now(self) -> float:
         """Time of the newest joint state [s]: the one in which references are followed."""
+        return self._newest().t
+
+    def _newest(self) -> State:
         if self.x is None or self.loop.is_open:
             raise TargetError("reference refused: no joint state yet, or none any more")
-        return self.x.t
+        return self.x

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Sequence
+from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -17,6 +18,7 @@ from mbd_ros.core.differentiation import Sample
 from mbd_ros.errors import SolveError
 from mbd_ros.nodes.control_pipeline import ControlPipeline
 from mbd_ros.nodes.joint_state_node import JointStateNode
+from mbd_ros.nodes.trajectory_action import ABSENT, NAME, TrajectoryAction, action_type
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
@@ -39,6 +41,7 @@ class ControllerNode(JointStateNode):
     def __init__(self, argv: Sequence[str] = ()) -> None:
         self._lapsed, self._is_heard = perf_counter(), True
         self._notes: set[str] = set()
+        self._action: TrajectoryAction | None = None
         super().__init__(argv)
 
     def build(self, description: str | None) -> None:
@@ -55,6 +58,7 @@ class ControllerNode(JointStateNode):
         super().configure_core()
         self.subscribe(JointState, "~/reference", self._on_reference, 10)
         self.subscribe(JointTrajectory, "~/joint_trajectory", self._on_trajectory, 10)
+        self._offer_action()
         self.every(WATCH, self._watch)
         powerless = self._pipeline.loop.guard.powerless
         if powerless:
@@ -76,6 +80,7 @@ class ControllerNode(JointStateNode):
 
     def safe(self) -> None:
         """The safe command, at the newest state if it is fresh; nothing before the first one."""
+        self._abort("the controller stops: the safe command took over")
         pipeline = self._pipeline
         if pipeline.x is None:
             return
@@ -98,7 +103,8 @@ class ControllerNode(JointStateNode):
     def health(self) -> tuple[int, str, dict[str, str]]:
         """State of the stream, then of the loop."""
         pipeline = self._pipeline
-        details = {**pipeline.details(), **self.stream_details()}
+        action = self.resolve_topic_name(NAME) if self._action else f"none: {ABSENT}"
+        details = {**pipeline.details(), "action": action, **self.stream_details()}
         level, text = self.stream_health()
         if level != OK or not self.active:
             return level, text, details
@@ -127,6 +133,8 @@ class ControllerNode(JointStateNode):
             return answer
         self._commands.publish(answer.commands)
         self._states.publish(answer.state)
+        if self._action is not None:
+            self._action.update(stamp)
         self.note_answer(stamp)
         self._count_failures()
         return None
@@ -145,10 +153,30 @@ class ControllerNode(JointStateNode):
         loop.is_frozen = not self._is_heard
         if self.silence() > self.parameters.timeout:
             effort = loop.lapse(since)
+            if loop.is_open:
+                self._abort("joint states stopped: the safe command took over")
             if effort is not None:
                 self._commands.publish(self._pipeline.commands(effort))
 
     # ------------------------------------------------------------------ references
+
+    def _offer_action(self) -> None:
+        """The action, where its messages are installed; else say why there is none."""
+        kind = action_type()
+        if kind is None:
+            self.get_logger().info(f"no action {self.resolve_topic_name(NAME)}: {ABSENT}")
+            return
+        refused = partial(self.drop, "goal")
+        self._action = TrajectoryAction(self, kind, lambda: self._pipeline, refused, self._note)
+        self._entities.keep(self.state, self._withdraw_action, self._action)
+
+    def _withdraw_action(self, action: TrajectoryAction) -> None:
+        self._action = None
+        action.destroy()
+
+    def _abort(self, why: str) -> None:
+        if self._action is not None:
+            self._action.abort(why)
 
     def _on_reference(self, msg: Any) -> None:
         try:

@@ -54,6 +54,38 @@ _COMMON = (
     tunable(
         "reference_timeout", 0.5, 1e-3, 60.0, "Age of a ~/reference from which it is held [s]."
     ),
+    Parameter(
+        "constraints.trajectory",
+        list[float],
+        "How far a goal of ~/follow_joint_trajectory may be off on its way [rad or m]; 0: any"
+        + _EACH,
+        (0.0,),
+        low=0.0,
+        read_only=False,
+    ),
+    Parameter(
+        "constraints.goal",
+        list[float],
+        "How far it may be off at its end [rad or m]; 0: any" + _EACH,
+        (0.0,),
+        low=0.0,
+        read_only=False,
+    ),
+    tunable(
+        "constraints.stopped_velocity_tolerance",
+        0.01,
+        0.0,
+        1e6,
+        "Velocity below which a goal has stopped at its end [rad/s or m/s]; 0: any.",
+    ),
+    tunable(
+        "constraints.goal_time",
+        0.0,
+        0.0,
+        3600.0,
+        "Time after the end within which a goal must be reached [s]; 0: any.",
+    ),
+    tunable("action_monitor_rate", 20.0, 0.1, 1000.0, "Feedback of a goal [Hz]."),
     tunable("failures", 20, 1, 1_000_000, "Failures of the law in a row that deactivate."),
     Parameter(
         "chatter_cutoff",
@@ -137,19 +169,27 @@ def gains(values: Any) -> tuple[Any, ...]:
     )
 
 
+def check_lengths(values: Any, joints: ControlledJoints) -> None:
+    """Refuse a list that has neither one value nor one a joint.
+
+    Raises:
+        ParameterError: Names the parameter.
+    """
+    for key, value in values._asdict().items():
+        is_list = key.startswith(("gains_", "constraints_")) and isinstance(value, tuple)
+        if is_list and len(value) not in (1, len(joints)):
+            raise ParameterError(
+                f"parameter '{key.replace('_', '.', 1)}' has {len(value)} values; accepted: "
+                f"one, or one for each of {', '.join(joints.names)}"
+            )
+
+
 def build_controller(values: Any, joints: ControlledJoints) -> Controller:
     """The law that the parameters describe.
 
     Raises:
         ParameterError: Names the gain, what is wrong and what is accepted.
     """
-    for key, value in values._asdict().items():
-        is_list = key.startswith("gains_") and isinstance(value, tuple)
-        if is_list and len(value) not in (1, len(joints)):
-            raise ParameterError(
-                f"parameter '{key.replace('_', '.', 1)}' has {len(value)} values; accepted: "
-                f"one, or one for each of {', '.join(joints.names)}"
-            )
     law = resolve("controllers", values.controller, "parameter 'controller'")
     names = list(inspect.signature(law).parameters)[1:]
     given = {name: _unwrapped(getattr(values, f"gains_{name}")) for name in names}

@@ -1,5 +1,6 @@
 """What a node tells about itself: dropped messages, topics that cannot work, one status."""
 
+import re
 from collections.abc import Callable, Iterable, Mapping
 from time import monotonic
 from typing import Any, NamedTuple
@@ -11,23 +12,34 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 
 from msg_adapters.diagnostics import OK, Health, write_diagnostics
 
-QUIET = 5.0  # [s] between two warnings for one reason
+QUIET = 5.0  # [s] between two equal warnings
+VARIETY = 10  # different warnings for one reason within that time
+_NUMBER = re.compile(r"(?<![A-Za-z_0-9])[+-]?\d[\d.]*(e[+-]?\d+)?")  # not that of `joint7`
 
 
 class Drops:
-    """Counts what a node ignores and warns at most once per `QUIET` and reason."""
+    """Counts what a node ignores, and warns at most once per `QUIET` of the same.
+
+    Warnings that differ in numbers alone are the same. A flood of different ones is cut off at
+    `VARIETY` a reason, so that neither log nor memory follows it.
+    """
 
     def __init__(self, warn: Callable[[str], Any]) -> None:
         self.counts: dict[str, int] = {}
         self._warn = warn
-        self._next: dict[str, float] = {}
+        self._said: dict[str, dict[str, float]] = {}
 
     def add(self, reason: str, text: str) -> None:
-        """Count one drop; `text` is logged unless this reason was logged just before."""
+        """Count one drop; `text` is logged unless the same was logged just before."""
         self.counts[reason] = count = self.counts.get(reason, 0) + 1
-        now = monotonic()
-        if now >= self._next.get(reason, 0.0):
-            self._next[reason] = now + QUIET
+        now, kind = monotonic(), _NUMBER.sub("#", text)
+        said = self._said.setdefault(reason, {})
+        if now < said.get(kind, 0.0):
+            return
+        for old in [old for old, quiet_until in said.items() if quiet_until <= now]:
+            del said[old]
+        if len(said) < VARIETY:
+            said[kind] = now + QUIET
             self._warn(f"{text} (dropped for '{reason}': {count})")
 
 

@@ -144,7 +144,7 @@ class Shell(LifeCycle):
         return timer
 
     def drop(self, reason: str, text: str) -> None:
-        """Count an ignored message; warns at most every 5 s per `reason` (a short key)."""
+        """Count an ignored message under a short key; warns at most every 5 s of the same."""
         self._drops.add(reason, text)
 
     def try_start(self) -> None:

@@ -52,6 +52,16 @@ class Guide:
         self._offset: Course | None = None
         self.hold(0.0, np.zeros(len(joints)), np.zeros(len(joints)))
 
+    @property
+    def course(self) -> Course:
+        """What is followed; another object once something else is."""
+        return self._course
+
+    @property
+    def end(self) -> float:
+        """When the reference comes to rest [s]."""
+        return max(self._course.end, -np.inf if self._offset is None else self._offset.end)
+
     def hold(self, t: float, q: Array, v: Array) -> None:
         """Come to rest at a measured position, from a measured velocity.
 
@@ -112,7 +122,23 @@ class Guide:
     def follow(
         self, t: float, times: Array, q: Array, v: Array | None = None, a: Array | None = None
     ) -> None:
-        """Take a whole trajectory; what was followed ends.
+        """Take a whole trajectory; what was followed ends. `plan`, then `take`.
+
+        Raises:
+            TargetError: See `plan`.
+        """
+        self.take(t, self.plan(t, times, q, v, a))
+
+    def take(self, t: float, course: Course) -> None:
+        """Follow at a time [s] a course that `plan` made; what was followed ends."""
+        now = self.at(t)
+        self._course, self._last_target, self.kind = course, -np.inf, "trajectory"
+        self._fade(t, now.q, now.v)
+
+    def plan(
+        self, t: float, times: Array, q: Array, v: Array | None = None, a: Array | None = None
+    ) -> Course:
+        """The course of a trajectory, within the limits; nothing is followed yet.
 
         Args:
             t: Now [s].
@@ -121,6 +147,9 @@ class Guide:
             q: [rad or m], shape (k, n).
             v: [rad/s or m/s], shape (k, n), or None.
             a: [rad/s^2 or m/s^2], shape (k, n), or None.
+
+        Returns:
+            What `take` follows.
 
         Raises:
             TargetError: Times do not increase or are over, something is not finite, or the
@@ -146,8 +175,7 @@ class Guide:
         if joined is None:
             self._limits.check(*course.samples())
             _check_near(self._ramp_time(now.q - course.at(t).q, self.ramp))
-        self._course, self._last_target, self.kind = course, -np.inf, "trajectory"
-        self._fade(t, now.q, now.v)
+        return course
 
     def at(self, t: float) -> Reference:
         """The reference at a time [s]."""
