@@ -10,6 +10,7 @@ from mbd_ros import schema
 from mbd_ros.core.control.contract import ControlledJoints
 from mbd_ros.core.couplings import Couplings
 from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.forward.mass_check import check_mass_anywhere
 from mbd_ros.core.inverse_dynamics import InverseDynamics
 from mbd_ros.core.live.safe_command import SafeCommand
 from mbd_ros.core.loops.closed_loop import ClosedLoopInverseDynamics
@@ -22,7 +23,7 @@ from mbd_ros.core.state import State
 from mbd_ros.core.stepping import Integrator
 from mbd_ros.core.system import System
 from mbd_ros.core.tiers import build_system
-from mbd_ros.errors import MbdError, ModelError, SceneError
+from mbd_ros.errors import MbdError, ModelError, SceneError, SolveError
 from mbd_ros.part_entries import (
     MeasuredWrench,
     Solver,
@@ -119,7 +120,7 @@ class Scene:
         """A solver for the efforts of `actuated` and all multipliers, with its own data.
 
         Raises:
-            SceneError: Joints move nothing with mass.
+            SceneError: An actuated joint is unknown or repeated.
         """
         loads = [wrench.load for wrench in self.wrenches.values()]
         try:
@@ -155,14 +156,15 @@ class Scene:
         """The actuated joints as a controller sees them, with their own Pinocchio data.
 
         Raises:
-            SceneError: No joint can be controlled.
+            SceneError: No joint can be controlled, or one moves nothing with mass.
         """
         bilateral = [part for part in self.constraints if part.bounds is None]
         loads = Loads(self.robot.model.nv, self.forces)
         try:
             system = build_system(self.robot, self.couplings, bilateral, loads)
+            check_mass_anywhere(system)
             return ControlledJoints(system, self.actuated)
-        except ModelError as error:
+        except (ModelError, SolveError) as error:
             raise SceneError(f"{self.path}: {error}") from error
 
     def simulation(

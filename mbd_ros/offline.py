@@ -67,6 +67,7 @@ def inverse_dynamics_of(
     if scene.robot.floating:
         raise DataError(f"{scene.path}: robot.base: files carry no pose of a floating base")
     inverse = scene.inverse_dynamics()
+    yield from (f"warning: {text}" for text in scene.robot.doubts)
     with about("--cutoff"):
         estimator = TorqueEstimator(scene.robot, inverse, Tuning(cutoff=derivatives.causal_cutoff))
     recording = read_motion(motion, estimator.names, topic=topic, required=needed)

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE, Scene
+from mbd_ros.core.forward.mass_check import check_mass
 from mbd_ros.core.forward.row_factor import TOGGLE, RowFactor
 from mbd_ros.core.integration.linear_motion import LinearMotion, linear_motion, longest_step
 from mbd_ros.core.loops.loop_torques import listed
@@ -52,10 +53,11 @@ def _lines(scene: Scene) -> Iterator[str]:
     yield _line("robot", f"{robot.name} from {scene.source}, {base} base")
     yield _line("gravity", f"{gravity} m/s^2, included in every torque")
     system = scene.system()
-    start, factor = _start(scene, system)
+    fault = _mass_fault(scene, system)
+    start, factor = _held_start(scene, system) if fault else _start(scene, system)
     if scene.integrator is not None:  # the default one takes every scene
         scene.simulation()
-    freedom = len(couplings.v_index) if factor is None else system.nv - factor.rank
+    freedom = system.nv - (0 if factor is None else factor.rank)
     yield _line("joints", f"{len(robot.joints)}, degrees of freedom {freedom}")
     yield _line("independent", ", ".join(couplings.independent) or "none")
     yield _line("dependent", "; ".join(f"{d} <- {law}" for d, law in scene.laws.items()) or "none")
@@ -73,14 +75,17 @@ def _lines(scene: Scene) -> Iterator[str]:
     yield _line("inverse", tier(scene))
     if scene.has_loops:
         yield from _reach(scene, system.expand(start))
-    yield _line("forward", _forward(scene, system))
+    yield _line("forward", f"refused: {fault}" if fault else _forward(scene, system))
+    yield from (_line("warning", text) for text in robot.doubts)
     yield from _warnings(scene, system, start, factor)
+    if not fault:
+        yield from _stiffness(scene, linear_motion(system, start))
     left_out = (*scene.absent, *_rubbing(scene), *robot.ignored)
     yield _line("left out", "; ".join(left_out) or "nothing")
     cost = (
         _loop_cost(scene, system.expand(start)) if scene.has_loops else _cost(scene, system.data)
     )
-    yield _line("cost", f"{cost}; {_forward_cost(scene, system)}")
+    yield _line("cost", cost if fault else f"{cost}; {_forward_cost(scene, system)}")
 
 
 def _rubbing(scene: Scene) -> Iterator[str]:
@@ -133,7 +138,6 @@ def _warnings(scene: Scene, system: System, x: State, factor: RowFactor | None) 
         yield _line("warning", f"Baumgarte: {used} = {floor(scene.dt):g} s")
     if factor is not None:
         yield from _rank_lines(factor)
-    yield from _stiffness(scene, linear_motion(system, x))
     driven = [scene.robot.joint(name) for part in scene.actuators for name in part.joints]
     without = [joint.name for joint in driven if joint.max_effort == 0.0]
     if without:
@@ -151,6 +155,24 @@ def _stiffness(scene: Scene, motion: LinearMotion) -> Iterator[str]:
         limit = f"steps of {name} need dt < {longest:.2g} s, gauss_legendre does not"
         stiff = f"stiff: fastest rate {motion.rate:.3g} 1/s at dt {scene.dt:g} s"
         yield _line("warning", f"{stiff}; {limit}")
+
+
+def _mass_fault(scene: Scene, system: System) -> str:
+    """Why forward dynamics has no answer at the start, empty where it has one."""
+    try:
+        check_mass(system, system.reduce(scene.initial).q)
+    except SolveError as error:
+        return str(error)
+    return ""
+
+
+def _held_start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
+    """Start of a scene for inverse dynamics only, and its rows in a metric that has one."""
+    if not scene.has_loops:
+        return system.reduce(scene.initial), None
+    motion = scene.closed_loop().motion
+    x = scene.initial._replace(q=motion.start(scene.initial))
+    return x, RowFactor(motion.metric(x.q), system.jacobian(x.t, x.q))
 
 
 def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:

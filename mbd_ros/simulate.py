@@ -53,7 +53,7 @@ def simulate(scene: Scene, run: Run) -> Iterator[str]:
     simulation = scene.simulation(forces=forces, **{**run.options, "dt": _interval(scene, run)})
     x, more = initial_state(scene, run)
     yield from (*remarks, *more)
-    odd = start_warnings(scene.robot, scene.constraints, x)
+    odd = (*scene.robot.doubts, *start_warnings(scene.robot, scene.constraints, x))
     yield from (f"warning: {text}" for text in odd)
     begin = time.perf_counter()
     states, failure = _states(simulation, x, run, commands)

@@ -76,6 +76,7 @@ class Robot:
         floating: Whether the first 7 (6) coordinates of q (v) are those of a free base.
         locked: Position [rad or m] of every joint that was frozen and removed.
         fixed: Names of the joints that never move.
+        doubts: Inertias that no body has and that can be used nevertheless, a line a link.
         rubbing: What `<dynamics>` says of joints; no force until a part of the scene brings it.
         ignored: What else the description holds and this package leaves out.
         origin: Where positions in the model are counted from, in the world of the description
@@ -89,6 +90,7 @@ class Robot:
     floating: bool
     locked: Mapping[str, float]
     fixed: frozenset[str]
+    doubts: tuple[str, ...]
     rubbing: Mapping[str, Rubbing]
     ignored: tuple[str, ...]
     origin: Array

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from mbd_ros.core.forward.mass_check import check_mass
 from mbd_ros.core.forward.overshoots import Overshoots
 from mbd_ros.core.manifold.assembly import assemble
 from mbd_ros.core.stabilizing import Stabilization
@@ -56,10 +57,14 @@ class Simulation:
         """The nearest consistent state of the integrated coordinates to a state of all joints.
 
         Raises:
-            SolveError: The mechanism cannot be assembled near it.
+            SolveError: The mechanism cannot be assembled near it, or its mass matrix is singular.
         """
         self.stepper.restart()
-        y = assemble(self.system, self.system.reduce(x))
+        y = self.system.reduce(x)
+        check_mass(self.system, y.q)
+        if self.system.rows:
+            y = assemble(self.system, y)
+            check_mass(self.system, y.q)
         if self.overshoots is not None:
             self.overshoots.begin(y)
         return y
@@ -153,8 +158,15 @@ class Simulation:
         lost = int(np.count_nonzero(~np.isfinite(after.v)))
         raise DivergedError(
             f"diverged at t = {after.t:.9g} s: {lost} of {len(after.v)} velocities are not "
-            f"finite; {last_finite(self.system, y)}; try a smaller dt"
+            f"finite; {last_finite(self.system, y)}; {self._advice(y)}"
         )
+
+    def _advice(self, y: State) -> str:
+        try:
+            check_mass(self.system, y.q)
+        except SolveError as error:
+            return str(error)
+        return "try a smaller dt"
 
 
 def last_finite(system: System, y: State) -> str:

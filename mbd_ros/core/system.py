@@ -11,7 +11,6 @@ from mbd_ros.core.forward.bounded_rows import BoundedRows
 from mbd_ros.core.forward.chart import chart_rate
 from mbd_ros.core.forward.constraint_rows import ConstraintRows
 from mbd_ros.core.forward.loads import Loads
-from mbd_ros.core.forward.mass_check import check_mass
 from mbd_ros.core.forward.row_factor import RowFactor
 from mbd_ros.core.forward.row_order import RowOrder
 from mbd_ros.core.parts import Row, Wrench
@@ -86,7 +85,6 @@ class System:
         self._aba = partial(pin.aba, self.model, self.data)
         self._is_free = loads.is_empty and bounded is None
         self._none = np.zeros(0)
-        check_mass(robot, self._full_mass(robot.neutral()))
 
     def acceleration(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
         """Acceleration of the integrated coordinates [rad/s^2 or m/s^2], shape (nv,)."""

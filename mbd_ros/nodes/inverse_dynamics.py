@@ -14,7 +14,7 @@ from mbd_ros.nodes.inverse_dynamics_parameters import PARAMETERS, tuning
 from mbd_ros.nodes.joint_state_node import SENSOR, JointStateNode
 from mbd_ros.nodes.pipeline import Pipeline
 from mbd_ros.nodes.process import run
-from msg_adapters.diagnostics import OK
+from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample
 from msg_adapters.wrench import read_wrench
@@ -59,6 +59,9 @@ class InverseDynamicsNode(JointStateNode):
         level, text = self.stream_health()
         if level == OK:
             level, text = self._pipeline.health(self.parameters.coupling_tolerance)
+        doubts = self._pipeline.scene.robot.doubts
+        if doubts:
+            return max(level, WARN), f"{text}; inertias in doubt: {'; '.join(doubts)}", details
         return level, text, details
 
     def answer(self, stamp: int, sample: JointSample) -> Sample | None:

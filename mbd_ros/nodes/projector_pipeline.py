@@ -7,6 +7,7 @@ import numpy as np
 
 from mbd_ros.core.differentiation import Sample
 from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.forward.mass_check import check_mass_anywhere
 from mbd_ros.core.manifold.state_projection import Projection, StateProjector
 from mbd_ros.core.manifold.state_reconstruction import StateReconstructor
 from mbd_ros.core.state import Array
@@ -55,6 +56,7 @@ class ProjectorPipeline:
         bilateral = [part for part in scene.constraints if part.bounds is None]
         loads = Loads(scene.robot.model.nv)
         self._system = build_system(scene.robot, scene.couplings, bilateral, loads, "kkt")
+        check_mass_anywhere(self._system)  # the metric of what is nearest
         self._projector = StateProjector(
             self._system, limits=values.limits, amplification=values.amplification
         )

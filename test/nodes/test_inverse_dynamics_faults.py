@@ -5,6 +5,7 @@ After each fault the node must answer the next good message with the exact torqu
 
 import math
 import os
+import re
 import signal
 import time
 
@@ -527,6 +528,17 @@ def _swap(stream, publisher, scene):
     heavier.begin = stream.begin
     heavier.ask(6)
     heavier.ask(7)
+    point = re.sub(r'(i[xyz]{2})="[^"]*"', r'\1="0"', GOOD)
+    publisher.publish(String(data=point))
+    doubt = "link 'arm': a point mass, all moments of inertia are 0"
+    stream.probe.wait_health(lambda h: h.values.get("inertias in doubt") == doubt)
+    light = JointStream(stream.node, stream.probe, scene, description=point)
+    light.connect()
+    light.begin = stream.begin
+    light.ask(8)
+    light.ask(9)
+    health = stream.probe.wait_health(lambda h: f"; inertias in doubt: {doubt}" in h.message)
+    assert health.level in (WARN, STALE)
 
 
 # ---------------------------------------------------------------------- wrenches

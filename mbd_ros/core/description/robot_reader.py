@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from mbd_ros.core.description.far_base import centred
 from mbd_ros.core.description.urdf import parse_urdf
+from mbd_ros.core.description.urdf_inertias import check_inertias
 from mbd_ros.core.description.urdf_reading import numbers
 from mbd_ros.core.robot import Joint, Mimic, Robot, Rubbing
 from mbd_ros.errors import ModelError
@@ -48,6 +49,7 @@ def read_robot(
     if base not in BASES:
         raise ModelError(f"base '{base}', accepted: {', '.join(BASES)}")
     tree = parse_urdf(text, source)
+    doubts = check_inertias(tree, source)
     names = _topic_names(tree, rename or {}, source)
     locked = dict(locked or {})
     kinds = _kinds(tree)
@@ -67,6 +69,7 @@ def read_robot(
         floating=base == "floating",
         locked=locked,
         fixed=fixed,
+        doubts=doubts,
         rubbing=_rubbing(tree, names),
         ignored=("URDF <transmission>",) if tree.find("transmission") is not None else (),
         origin=origin,

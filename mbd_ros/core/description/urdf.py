@@ -1,11 +1,10 @@
-"""URDF text -> a checked XML tree: strict numbers, a sound tree, inertias that can exist."""
+"""URDF text -> a checked XML tree: strict numbers and a sound tree."""
 
 import math
 import re
 from collections.abc import Iterator
 from xml.etree import ElementTree
 
-from mbd_ros.core.description.urdf_inertias import check_inertias
 from mbd_ros.core.description.urdf_reading import link_name, numbers
 from mbd_ros.core.ranges import LARGEST
 from mbd_ros.errors import ModelError
@@ -58,7 +57,6 @@ def parse_urdf(text: str, source: str) -> ElementTree.Element:
     _check_numbers(robot, source)
     _check_joints(robot, source)
     _check_tree(robot, source)
-    check_inertias(robot, source)
     return robot
 
 

@@ -1,36 +1,79 @@
-"""A robot that some force could move without resistance is refused."""
+"""Whether some force could move a robot without resistance, where it is to be simulated."""
+
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
-from mbd_ros.core.robot import Robot
-from mbd_ros.core.state import Array
-from mbd_ros.errors import ModelError
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
 
-_TINY = 1.0e-300
+_NOTHING = 1.0e-30  # of the largest moment of inertia: what rounding leaves of none
 _SINGULAR = 1.0e-16  # smallest eigenvalue of a mass matrix with ones on its diagonal
 _SHARE = 0.1  # of the base in the motion without mass, from which on the base is to blame
+_NAMED = 0.3  # share of a joint in that motion, of the largest, to be named
 
 
-def check_mass(robot: Robot, M: Array) -> None:
-    """Refuse a singular mass matrix.
+def check_mass(system: Any, q: Array) -> None:
+    """Refuse a configuration whose mass matrix is singular.
+
+    Judged is the matrix that is solved with, with couplings G' M G: a joint without mass of its
+    own may be tied to one that has some, and at another configuration nothing may be wrong.
 
     Args:
-        robot: The robot.
-        M: Its mass matrix at some configuration, shape (nv, nv).
+        system: A `System`.
+        q: Configuration of its integrated coordinates.
 
     Raises:
-        ModelError: Names the joint, or the floating base.
+        SolveError: Names the joints, or the floating base.
     """
-    size = np.sqrt(np.maximum(M.diagonal(), _TINY))
-    values, vectors = np.linalg.eigh(M / size[:, None] / size)
-    if len(M) == 0 or values[0] > _SINGULAR * len(M):
-        return
-    massless = np.abs(vectors[:, 0])
+    M: Array = system.mass(q)
+    diagonal = M.diagonal()
+    largest = float(diagonal.max(initial=0.0))
+    empty = diagonal <= _NOTHING * largest
+    size = np.sqrt(np.where(empty, 1.0, diagonal))
+    scaled = M / size[:, None] / size
+    scaled[empty] = scaled[:, empty] = 0.0
+    values, vectors = np.linalg.eigh(scaled)
+    if len(M) and not values[0] > _SINGULAR * len(M):
+        raise SolveError(_reason(system, np.abs(vectors[:, 0]), bool(empty.any())))
+
+
+def check_mass_anywhere(system: Any) -> None:
+    """Refuse a system whose mass matrix is singular at any configuration.
+
+    Args:
+        system: A `System`.
+
+    Raises:
+        SolveError: As `check_mass`.
+    """
+    model = system.robot.model
+    away = np.linspace(0.3, 1.1, int(model.nv))
+    q = pin.integrate(model, system.robot.neutral(), away)
+    check_mass(system, system.reduce(State(0.0, q, np.zeros_like(away))).q)
+
+
+def _reason(system: Any, free: Array, is_massless: bool) -> str:
+    robot = system.robot
     names = {joint.v: f"joint '{joint.name}'" for joint in robot.joints}
-    name = names.get(int(np.argmax(massless)), "the floating base")
-    if robot.floating and massless[:6].max() > _SHARE:
-        name = "the floating base"
-    raise ModelError(
-        f"{name} moves nothing that has mass: the mass matrix is singular, so forward dynamics "
-        "has no answer; give its link an <inertial>"
+    at = system.integrated(np.arange(int(robot.model.nv)))
+    chosen = [int(i) for i in np.argsort(-free, kind="stable") if free[i] > _NAMED * free.max()]
+    movers = list(dict.fromkeys(names.get(int(at[i]), "the floating base") for i in chosen))
+    if robot.floating and free[:6].max() > _SHARE:
+        movers = ["the floating base"]
+    if is_massless and system.rows:
+        return (
+            f"{movers[0]} moves nothing that has mass: tier {system.tier} starts from the mass "
+            "matrix without the constraints, which is singular; give its link an <inertial>"
+        )
+    if is_massless or len(movers) == 1:
+        return (
+            f"{movers[0]} moves nothing that has mass: the mass matrix is singular, so forward "
+            "dynamics has no answer; give its link an <inertial>"
+        )
+    return (
+        f"{', '.join(movers)} can move against one another without resistance: the mass matrix "
+        "is singular at this configuration (gimbal lock), so forward dynamics has no answer; "
+        "start from another one"
     )

@@ -14,7 +14,7 @@ import numpy as np
 from mbd_ros.core.couplings import Couplings
 from mbd_ros.core.loops.force_split import ForceSplit, Split
 from mbd_ros.core.loops.loop_balance import LoopBalance
-from mbd_ros.core.loops.loop_motion import LoopMotion
+from mbd_ros.core.loops.loop_motion import LoopMotion, with_inertia
 from mbd_ros.core.loops.loop_torques import LoopTorques, Reach
 from mbd_ros.core.parts import Constraint, ForceTerm
 from mbd_ros.core.robot import Robot
@@ -58,7 +58,7 @@ class ClosedLoopInverseDynamics:
         motion: Makes measured motion consistent.
 
     Raises:
-        ModelError: Unknown or repeated actuated joint, or joints that move nothing with mass.
+        ModelError: Unknown or repeated actuated joint.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class ClosedLoopInverseDynamics:
         if len(set(actuated)) < len(actuated):
             raise ModelError(f"actuated joints {', '.join(actuated)} must be different joints")
         self.robot, self.couplings, self.actuated = robot, couplings, tuple(actuated)
-        self.motion = LoopMotion(robot, couplings, constraints)
+        self.motion = LoopMotion(with_inertia(robot), couplings, constraints)
         self._balance = LoopBalance(robot, couplings, constraints, wrenches, forces)
         self.constraints = self._balance.constraints
         self._drives = self._balance.is_drive
@@ -141,7 +141,7 @@ class ClosedLoopInverseDynamics:
 
     def _split(self, x: State, J: Array) -> ForceSplit:
         self._E[:, self._na :] = J[self._drives].T
-        split = ForceSplit(self._balance.mass(x.q), self._E, J[~self._drives], self._size)
+        split = ForceSplit(self.motion.metric(x.q), self._E, J[~self._drives], self._size)
         self._size, self._freedom = split.size, min(self._freedom, split.freedom)
         return split
 
@@ -188,7 +188,7 @@ class ClosedLoopInverseDynamics:
 
     def _movers(self, directions: Array, x: State) -> tuple[str, ...]:
         """Joints that carry most of some motions, one a column, by kinetic energy."""
-        inertia = np.sqrt(self._balance.mass(x.q).diagonal())
+        inertia = np.sqrt(self.motion.metric(x.q).diagonal())
         share: Any = inertia * np.linalg.norm(directions, axis=1)
         order = np.argsort(-share, kind="stable")
         chosen = [int(i) for i in order if share[i] > _NAMED * share.max() > 0.0]

@@ -93,7 +93,3 @@ class LoopBalance:
         bias = pin.nonLinearEffects(model, data, x.q, x.v)
         inertial = pin.rnea(model, data, x.q, x.v, a) - bias
         return Terms(inertial, bias, loads + inertial + bias - loaded)
-
-    def mass(self, q: Array) -> Array:
-        """Mass matrix, shape (nv, nv); takes the place of the last state in `data`."""
-        return pin.crba(self._model, self._data, q)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,17 +10,21 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.couplings import Couplings
 from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.forward.mass_check import check_mass_anywhere
 from mbd_ros.core.loops.force_split import SINGULAR
 from mbd_ros.core.manifold.assembly import assemble
 from mbd_ros.core.parts import Constraint
 from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.system import System
 from mbd_ros.core.tiers import build_system
 from mbd_ros.errors import SolveError
 
 _STRIDE = 0.1  # largest step of a measured joint between two closures [rad or m]
 _ITERATIONS = 30
 _CLOSED = 1.0e-13  # step that no longer closes anything [rad or m]
+
+_LITTLE = 1.0e-3  # of the largest moment of inertia
 
 Mask = NDArray[np.bool_]
 
@@ -57,6 +62,10 @@ class LoopMotion:
     @memory.setter
     def memory(self, memory: tuple[Any, ...]) -> None:
         self._size, self._system.row_size = memory
+
+    def metric(self, q: Array) -> Array:
+        """Mass matrix with which distances are measured, shape (nv, nv)."""
+        return self._system.mass(q)
 
     def consistent(self, x: State, a: Array) -> tuple[State, Array]:
         """The nearest state on the constraints and the nearest acceleration that they allow.
@@ -156,6 +165,23 @@ class LoopMotion:
         self._size = np.maximum(self._size, np.linalg.norm(np.linalg.solve(L, J.T), axis=0))
         size: Array = np.where(self._size > 0.0, self._size, 1.0)
         return J, L, size
+
+
+def with_inertia(robot: Robot) -> Robot:
+    """The robot for a metric, which links without mass must not make singular.
+
+    Distances and ranks need a metric, not the masses: where some joints move nothing that has
+    mass, every joint gets a little inertia. Forces never come from this robot.
+    """
+    system = System(robot, Loads(robot.model.nv))
+    try:
+        check_mass_anywhere(system)
+    except SolveError:
+        diagonal = system.mass(robot.neutral()).diagonal()
+        model = robot.model.copy()
+        model.armature = model.armature + _LITTLE * (float(diagonal.max(initial=0.0)) or 1.0)
+        return replace(robot, model=model)
+    return robot
 
 
 def _shortest(J: Array, L: Array, size: Array, r: Array) -> Array:
