@@ -8,7 +8,7 @@ from typing import Any
 
 from mbd_ros.code_permission import permitting
 from mbd_ros.error_source import about
-from mbd_ros.errors import MbdError, printable
+from mbd_ros.errors import MbdError, install_hint, printable
 from mbd_ros.inverse_command import add_inverse, add_tuning, inverse_lines
 from mbd_ros.locate import path_word
 from mbd_ros.report.command import add_report, report_lines
@@ -35,6 +35,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             return int(arguments.run(arguments))
     except MbdError as error:
         print(f"mbd-ros {arguments.command}: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except ModuleNotFoundError as error:
+        hint = install_hint(str(error.name))
+        if not hint:
+            raise
+        print(f"mbd-ros {arguments.command}: {hint}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

@@ -53,3 +53,31 @@ class SolveError(MbdError):
 
 class DivergedError(MbdError):
     """A simulation that stopped being finite: names joint, time and last finite state."""
+
+
+_ROS = "ros-jazzy-rclpy ros-jazzy-common-interfaces ros-jazzy-rmw-fastrtps-cpp"
+_MESSAGES = "diagnostic geometry lifecycle rosgraph sensor std trajectory visualization"
+PACKAGES = {  # module -> what pip calls the package that brings it
+    **{name: name for name in ("apsw", "matplotlib", "mujoco", "numpy")},
+    **{name: name for name in ("proxsuite", "qpsolvers", "rosbags", "scipy")},
+    **dict.fromkeys(("rclpy", "rcl_interfaces", "std_srvs"), _ROS),
+    **{f"{name}_msgs": _ROS for name in _MESSAGES.split()},
+    "distributed": "'dask[distributed]'",
+    "eigenpy": "pin",
+    "pinocchio": "pin",
+    "pydrake": "drake",
+    "yaml": "PyYAML",
+}
+
+
+def install_hint(module: str) -> str:
+    """What to do about a module that is not installed; empty where this package needs none such.
+
+    Args:
+        module: As it is imported, perhaps with dots.
+    """
+    name = module.partition(".")[0]
+    if name not in PACKAGES:
+        return ""
+    sourced = ", or source a ROS 2 Jazzy installation" if PACKAGES[name] == _ROS else ""
+    return f"{name} is not installed: pip install {PACKAGES[name]}{sourced}"

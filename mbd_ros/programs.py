@@ -6,9 +6,14 @@ closed, and a signal ends the process at once, without a traceback out of some i
 
 import os
 import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType
 
-INTERRUPTED = 130
+from mbd_ros.errors import install_hint
+
+BAD_INPUT, INTERRUPTED = 2, 130
 
 
 def mbd_ros() -> int:
@@ -23,41 +28,53 @@ def mbd_ros() -> int:
 def inverse_dynamics() -> int:
     """Entry point `inverse_dynamics`."""
     _end_on_signals()
-    from mbd_ros.nodes.inverse_dynamics import main
-
+    with _naming_what_is_missing("inverse_dynamics"):
+        from mbd_ros.nodes.inverse_dynamics import main
     return main()
 
 
 def joint_state_projector() -> int:
     """Entry point `joint_state_projector`."""
     _end_on_signals()
-    from mbd_ros.nodes.joint_state_projector import main
-
+    with _naming_what_is_missing("joint_state_projector"):
+        from mbd_ros.nodes.joint_state_projector import main
     return main()
 
 
 def qp_controller() -> int:
     """Entry point `qp_controller`."""
     _end_on_signals()
-    from mbd_ros.nodes.qp_controller import main
-
+    with _naming_what_is_missing("qp_controller"):
+        from mbd_ros.nodes.qp_controller import main
     return main()
 
 
 def simulator() -> int:
     """Entry point `simulator`."""
     _end_on_signals()
-    from mbd_ros.nodes.simulator import main
-
+    with _naming_what_is_missing("simulator"):
+        from mbd_ros.nodes.simulator import main
     return main()
 
 
 def sliding_mode_controller() -> int:
     """Entry point `sliding_mode_controller`."""
     _end_on_signals()
-    from mbd_ros.nodes.sliding_mode_controller import main
-
+    with _naming_what_is_missing("sliding_mode_controller"):
+        from mbd_ros.nodes.sliding_mode_controller import main
     return main()
+
+
+@contextmanager
+def _naming_what_is_missing(node: str) -> Iterator[None]:
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        hint = install_hint(str(error.name))
+        if not hint:
+            raise
+        sys.stderr.write(f"{node}: {hint}\n")
+        raise SystemExit(BAD_INPUT) from error
 
 
 def _end_on_signals() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from mbd_ros.core.forward.active_set import complementarity, polish
 from mbd_ros.core.state import Array
-from mbd_ros.errors import ModelError, SolveError
+from mbd_ros.errors import ModelError, SolveError, install_hint
 
 _TOLERANCE = 1.0e-9  # of the size of the terms in A lam + b
 _DAMPING = 1.0e-10  # beside a diagonal of ones
@@ -130,7 +130,7 @@ def check_backend(backend: str) -> None:
         import qpsolvers
     except ImportError as error:
         raise ModelError(
-            f"solver backend {backend} needs qpsolvers: pip install qpsolvers {backend}"
+            f"solver backend {backend}: {install_hint('qpsolvers')} {backend}"
         ) from error
     if backend not in qpsolvers.available_solvers:
         have = ", ".join(dict.fromkeys(["proxqp", *qpsolvers.available_solvers]))
@@ -148,7 +148,7 @@ def import_proxqp() -> Any:
     try:
         from proxsuite import proxqp
     except ImportError as error:
-        raise ModelError("solver qp needs proxsuite: pip install proxsuite") from error
+        raise ModelError(f"solver qp: {install_hint('proxsuite')}") from error
     return proxqp
 
 

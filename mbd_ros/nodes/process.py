@@ -15,7 +15,8 @@ from rclpy.experimental import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 
-from mbd_ros.nodes.shell import Shell
+from mbd_ros.nodes.shell import PARAMETERS, Shell
+from mbd_ros.nodes.usage import asks_for_help, usage
 
 PATIENCE = 0.1  # [s] that a signal waits at most: an executor does not wake up for one
 
@@ -45,13 +46,16 @@ def run(node_class: type[Shell], argv: Sequence[str] | None = None) -> int:
         argv: Command line with program name; default `sys.argv`.
 
     Returns:
-        Exit code 0 after SIGINT or SIGTERM.
+        Exit code 0 after SIGINT or SIGTERM, and after the text for --help.
 
     Raises:
-        SystemExit: A command line or parameter file that rcl refuses.
+        SystemExit: An unknown argument, a command line or parameter file that rcl refuses.
         Exception: Whatever a callback raised that is not an MbdError.
     """
     arguments = list(sys.argv if argv is None else argv)
+    if asks_for_help(arguments, node_class.NAME):
+        sys.stdout.write(usage(node_class.NAME, node_class.PARAMETERS + PARAMETERS))
+        return 0
     stop = _StopSignal()
     np.seterr(over="ignore", invalid="ignore")  # results are checked; nobody reads such warnings
     try:
