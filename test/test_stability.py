@@ -401,3 +401,13 @@ def test_a_long_run_that_stops_at_once_keeps_the_reason(monkeypatch):
 
 def test_starting_rate_of_a_scene_at_rest_is_finite():
     assert 0.0 < starting_rate(mechanism({}, *rods((1.0,)))().scene) < 10.0
+
+
+@pytest.mark.parametrize("family", ["mounted", "gimbal lock"])
+def test_far_scenes_and_gimbal_lock_are_held_against_other_equations(family):
+    for row in (row for row in extremes(False) if row.family == family):
+        assert row.known is not None
+        cells = {cell["method"]: cell for cell in stability.extreme_row(row)["cells"]}
+        assert all(cell["kind"] != "WRONG" for cell in cells.values())
+        assert cells["equations"]["kind"] == "converged"
+        assert cells["dop853"]["kind"] == "converged" and cells["dop853"]["error"] <= 1e-7

@@ -12,6 +12,7 @@ from mbd_ros.built_scene import Scene
 from mbd_ros.errors import MbdError
 from mbd_ros.part_entries import build_part
 from mbd_ros.report.stability.motion import Grid
+from mbd_ros.report.stability.other_formulations import Known
 from mbd_ros.report.stability.reference_motion import Reference, reference
 from mbd_ros.report.stability.scene_text import Entry, LoadedScene
 from mbd_ros.report.stability.witness import Witness
@@ -58,6 +59,7 @@ class Case:
     Args:
         loaded: The scene.
         grid: Times of the comparison.
+        known: Gives the motion by other equations than those of the scene.
 
     Attributes:
         energies: Of the reference, at every quarter of an interval [J].
@@ -67,9 +69,9 @@ class Case:
         MbdError: The scene cannot even begin.
     """
 
-    def __init__(self, loaded: LoadedScene, grid: Grid) -> None:
+    def __init__(self, loaded: LoadedScene, grid: Grid, known: Known | None = None) -> None:
         self.scene, self.witness = loaded.scene, Witness(loaded)
-        self.reference: Reference = reference(self.scene, grid)
+        self.reference: Reference = reference(self.scene, grid, known)
         stored = [self.witness.energy(x) for x in self.reference.fine]
         kinetic = np.array([k for k, _ in stored])
         potential = np.array([p for _, p in stored])

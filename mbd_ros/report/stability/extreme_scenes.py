@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbd_ros.report.stability.motion import Grid
+from mbd_ros.report.stability.other_formulations import Known, elsewhere, rotor
 from mbd_ros.report.stability.scene_text import (
     ROBOT,
     LoadedScene,
@@ -38,6 +39,7 @@ class Extreme(NamedTuple):
         seconds: About how long it takes.
         stops: What the message of a stop that is expected here says; empty if none is.
         repeats: Whether another row has the runs of methods that choose their steps.
+        known: Gives the motion by other equations than those of the scene; by default DOP853 does.
     """
 
     family: str
@@ -49,6 +51,7 @@ class Extreme(NamedTuple):
     seconds: float = 3.0
     stops: str = ""
     repeats: bool = False
+    known: Known | None = None
 
     @property
     def name(self) -> str:
@@ -64,6 +67,7 @@ def item_name(text: str) -> str:
 def extremes(quick: bool) -> list[Extreme]:
     """All rows of the map, or one of each family."""
     families = (_masses, _stiffness, _steps, _speeds, _toggles, _redundant, _chains, _hours)
+    families = (*families, _places, _gimbals)
     found = [list(family()) for family in families]
     return [row for rows in found for row in (rows[:1] if quick else rows)]
 
@@ -84,12 +88,14 @@ def rod(name: str, length: float, mass: float) -> str:
     return link(name, mass, (0.5 * length, 0.0, 0.0), np.diag((thin, slender, slender)))
 
 
-def rods(masses: Sequence[float], length: float = 1.0) -> list[str]:
-    """A chain of rods in the x-y plane: joints j0, j1, .. and links b0, b1, .."""
+def rods(
+    masses: Sequence[float], length: float = 1.0, base: Sequence[float] = (0.0, 0.0, 0.0)
+) -> list[str]:
+    """A chain of rods in the x-y plane from a base: joints j0, j1, .. and links b0, b1, .."""
     elements = []
     for i, mass in enumerate(masses):
         ends = (f"b{i - 1}", f"b{i}") if i else ("world", "b0")
-        at = (length if i else 0.0, 0.0, 0.0)
+        at = (length, 0.0, 0.0) if i else base
         elements += [joint(f"j{i}", "continuous", ends, at), rod(f"b{i}", length, mass)]
     return elements
 
@@ -106,17 +112,21 @@ def _masses() -> Iterator[Extreme]:
 
 
 def _four_bar(
-    masses: Sequence[float], copies: int = 1, speed: float = 2.0
+    masses: Sequence[float],
+    copies: int = 1,
+    speed: float = 2.0,
+    base: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> Callable[[], LoadedScene]:
     """Three rods of 1 m on a ground of 1.3 m, closed by one or more equal constraints."""
     closure = {"type": "loop_closure", "kind": "point", "directions": "xy", "frame_a": "world"}
-    ends = {"point_a": [1.3, 0.0, 0.0], "frame_b": "b2", "point_b": [1.0, 0.0, 0.0]}
+    ground = [base[0] + 1.3, *base[1:]]
+    ends = {"point_a": ground, "frame_b": "b2", "point_b": [1.0, 0.0, 0.0]}
     initial = {
         "position": {"j0": 1.5708, "j1": -1.6174, "j2": -1.218},
         "velocity": {"j0": speed, "j1": -speed, "j2": speed},
     }
     sections = {"constraints": [{**closure, **ends}] * copies, "initial": initial}
-    return mechanism(sections, *rods(masses))
+    return mechanism(sections, *rods(masses, base=base))
 
 
 def _stiffness() -> Iterator[Extreme]:
@@ -192,3 +202,32 @@ def _hours() -> Iterator[Extreme]:
     yield Extreme("long", "oscillator, 4 h", mechanism(start, slide, bob), Grid(1200.0, 12))
     swing = {"initial": {"position": {"j0": -0.5}}}
     yield Extreme("long", "pendulum, 10 min", mechanism(swing, *rods((1,))), Grid(50.0, 12))
+
+
+def _places() -> Iterator[Extreme]:
+    """Reference: the same at the origin, with couplings as rows, and with rows in the QP."""
+    away, grid = (100.0, 100.0, 0.0), Grid(0.02, 12)
+    law = {"couplings": {"j2": {"parent": "j1", "factor": -0.7}}}
+    sections = {**law, "initial": {"velocity": {"j0": 2.0, "j1": -3.0}}}
+    here, there = (
+        mechanism(sections, *rods((1.0, 1.0, 1.0), base=base)) for base in ((0.0, 0.0, 0.0), away)
+    )
+    yield Extreme("mounted", "100 m away", there, grid, known=elsewhere(here, "kkt"))
+    masses = (1.0, 1.0, 1.0)
+    closed, loop = elsewhere(_four_bar(masses), "qp"), _four_bar(masses, base=away)
+    yield Extreme("mounted", "100 m away, in a loop", loop, grid, known=closed)
+
+
+def _gimbals() -> Iterator[Extreme]:
+    """Reference: Euler's equations, which have no mass matrix of the hinges."""
+    moments, rates, names = (0.1, 0.2, 0.3), (0.02, 4.0, 0.05), ("world", "outer", "inner", "body")
+    hinges = [
+        joint(f"h{i}", "continuous", (names[i], names[i + 1]), axis=axis)
+        for i, axis in enumerate(np.eye(3)[::-1])
+    ]
+    massless = [f'<link name="{name}"/>' for name in names[1:3]]
+    start = {"velocity": {f"h{i}": rate for i, rate in enumerate(rates)}}
+    body = link("body", 1.0, (0.0, 0.0, 0.0), np.diag(moments))
+    scene = mechanism({"initial": start}, *hinges, *massless, body)
+    known, grid = rotor(moments, rates), Grid(0.1, 10)
+    yield Extreme("gimbal lock", "free rotor", scene, grid, dt=5.0e-4, known=known)

@@ -22,6 +22,7 @@ from mbd_ros.report.stability.cases import (
 from mbd_ros.report.stability.equations import equations, unexpected
 from mbd_ros.report.stability.extreme_scenes import Extreme, extremes, item_name
 from mbd_ros.report.stability.motion import Grid
+from mbd_ros.report.stability.other_formulations import Known
 from mbd_ros.report.stability.page import stability_section
 from mbd_ros.report.stability.random_scenes import random_scene
 from mbd_ros.report.stability.reference_motion import LEAST_RATE, starting_rate
@@ -74,7 +75,7 @@ def extreme_row(row: Extreme) -> Outcome:
     """One scene under every method that takes it."""
     facts = {"family": row.family, "label": row.label, "factor": row.factor, "dt": row.dt}
     plan = partial(every_method, row.factor, row.dt, row.repeats)
-    return {**facts, **_row(row.load, row.grid, plan, row.stops)}
+    return {**facts, **_row(row.load, row.grid, plan, row.stops, row.known)}
 
 
 def user_row(name: str, factor: float) -> Outcome:
@@ -105,6 +106,7 @@ def _row(
     grid: Grid | None,
     plan: Callable[[Scene], list[Run]],
     stops: str | None,
+    known: Known | None = None,
 ) -> Outcome:
     """What a scene comes to: how far its motion is known, and its cells.
 
@@ -114,6 +116,7 @@ def _row(
         plan: The runs of a scene.
         stops: What the expected stop of a scene of this package says, empty if it must not stop;
             None for a scene of a user, which may.
+        known: Gives the motion by other equations than those of the scene.
     """
     try:
         loaded = read()
@@ -124,7 +127,7 @@ def _row(
         runs = plan(loaded.scene)
         steps = [asked_step(r.method, rate, r.factor, r.dt) for r in runs if rate > LEAST_RATE]
         longest = max(steps, default=0.0)
-        case = Case(loaded, room(grid or usual_grid(loaded), longest))
+        case = Case(loaded, room(grid or usual_grid(loaded), longest), known)
     except Exception as error:  # noqa: BLE001 - every exception is a verdict
         return {"cells": [_cell(_EQUATIONS, unexpected(raised(error), stops))]}
     known = case.reference

@@ -30,7 +30,9 @@ MEANINGS = (
     "nothing has a rate no step is recommended. Methods that choose their steps are run once a "
     "scene: where several rows differ by the step, in that of the recommended one.",
     "References: DOP853 with tolerance 1e-9, which Gauss-Legendre of order 6 or DOPRI5 with "
-    "tolerance confirms to 1e-4. Cells named `equations` hold the accelerations against "
+    "tolerance confirms to 1e-4. Where a scene stands far away or passes gimbal lock, they "
+    "come from other equations: the same scene at the origin in another tier, and Euler's "
+    "equations in body axes. Cells named `equations` hold the accelerations against "
     "mechanics evaluated apart from the code that made them: Newton-Euler residual, g'' and J "
     "by differences of constraints evaluated from frame placements, complementarity, energy "
     "against the work done.",

@@ -11,6 +11,7 @@ from mbd_ros.core.manifold.assembly import assemble
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 from mbd_ros.report.stability.motion import Grid, Motion, motion
+from mbd_ros.report.stability.other_formulations import Known
 
 _FIRST = {"type": "dop853"}
 _SECOND = {"type": "gauss_legendre", "stages": 3}
@@ -68,14 +69,20 @@ class Reference(NamedTuple):
         return round(quarters) if abs(quarters - round(quarters)) < _ON_TIME else None
 
 
-def reference(scene: Scene, grid: Grid) -> Reference:
+def reference(scene: Scene, grid: Grid, known: Known | None = None) -> Reference:
     """The reference motion of a scene.
+
+    Args:
+        scene: The scene.
+        grid: Its times.
+        known: Gives the motion by other equations than those of the scene.
 
     Raises:
         MbdError: It cannot even begin.
     """
     rate = starting_rate(scene)
-    found = first(scene, Grid(grid.interval / FINE, FINE * grid.count))
+    fine = Grid(grid.interval / FINE, FINE * grid.count)
+    found = first(scene, fine) if known is None else known(fine)
     if not found.states:
         raise SolveError(f"the reference does not begin: {found.reason}")
     states = found.states[::FINE]
