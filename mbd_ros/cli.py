@@ -99,7 +99,9 @@ def _add_simulate(commands: "argparse._SubParsersAction[argparse.ArgumentParser]
     )
     simulate.add_argument("--start", type=float, default=0.0, help="[s] (default: %(default)s)")
     simulate.add_argument(
-        "--efforts", type=path_word, help="CSV or bag: of actuators, else joints"
+        "--efforts",
+        type=path_word,
+        help="CSV: .command of actuators; CSV or bag: .effort",
     )
     simulate.add_argument("--wrenches", type=path_word, help="CSV or bag of the external loads")
     simulate.set_defaults(run=_simulate)

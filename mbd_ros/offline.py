@@ -12,6 +12,7 @@ from mbd_ros.core.inverse_dynamics import InverseDynamics, Parts
 from mbd_ros.core.state import WrenchSamples
 from mbd_ros.error_source import about
 from mbd_ros.errors import DataError
+from mbd_ros.offline_commands import with_commands
 from mbd_ros.offline_derivatives import (
     Derivatives,
     causal_line,
@@ -98,7 +99,8 @@ def inverse_dynamics_of(
     if not np.isfinite(numbers).all():
         row = int(np.flatnonzero(~np.isfinite(numbers).all(axis=1))[0])
         raise DataError(f"{motion}: torques at {record.stamps[row] / 1e9} s are not finite")
-    said = [*_violations(scene, samples), *remarks]
+    record, beyond = with_commands(scene, record)
+    said = [*_violations(scene, samples), *remarks, *beyond]
     if cutoff is not None:
         said += unexplained(recording.motion, record, cutoff)
     write_torques(out, record)  # nothing fails after it

@@ -30,8 +30,8 @@ def read_motion(
     finite are absent. One zero stamp makes all stamps those of the log.
 
     Args:
-        path: Table with columns `<joint>.position`, `.velocity`, `.acceleration`, `.effort`, or
-            a bag.
+        path: Table with columns `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,
+            `.command`, or a bag, which has no commands.
         joints: Names, in the order of the columns of the motion.
         topic: JointState topic of a bag.
         required: Joints whose position must be there; all without it. The others may be NaN.
@@ -47,13 +47,14 @@ def read_motion(
         return bag_motion(Path(path), joints, topic, needed)
     table = read_table(path)
     _check_columns(table, [f"{name}.position" for name in needed])
-    position, velocity, acceleration, effort = (
+    position, velocity, acceleration, effort, command = (
         _columns(table, [f"{name}.{field}" for name in joints])
-        for field in ("position", "velocity", "acceleration", "effort")
+        for field in ("position", "velocity", "acceleration", "effort", "command")
     )
     if position is None:
         position = np.full((len(table.values), len(joints)), np.nan)
-    motion = Motion(tuple(joints), _stamps(table), position, velocity, acceleration, effort)
+    fields = position, velocity, acceleration, effort, command
+    motion = Motion(tuple(joints), _stamps(table), *fields)
     return Recording(motion, Counter())
 
 

@@ -40,6 +40,8 @@ class TorqueRecord(NamedTuple):
         multiplier: Their torque or force [N·m or N], shape (n, len(dependent)).
         parts: Shares of `effort` by name (gravity, coriolis, ...), each of its shape.
         driven: Joints that `effort` belongs to; None: `joints`.
+        commanded: Joints whose actuators take something else than the torque of the joint.
+        command: What these actuators take, shape (n, len(commanded)); None without any.
     """
 
     stamps: NDArray[np.int64]
@@ -52,6 +54,8 @@ class TorqueRecord(NamedTuple):
     multiplier: Array
     parts: Mapping[str, Array] = MappingProxyType({})
     driven: tuple[str, ...] | None = None
+    commanded: tuple[str, ...] = ()
+    command: Array | None = None
 
 
 class SimulationRecord(NamedTuple):
@@ -68,6 +72,8 @@ class SimulationRecord(NamedTuple):
         rows: Names of the constraint rows.
         multiplier: Their multipliers, shape (n, len(rows)).
         balance: Energy [J] and the largest position and velocity drift, shape (n, 3).
+        commanded: Joints whose actuators take something else than the torque of the joint.
+        command: What these actuators take, shape (n, len(commanded)); None without any.
     """
 
     stamps: NDArray[np.int64]
@@ -80,6 +86,8 @@ class SimulationRecord(NamedTuple):
     rows: tuple[str, ...]
     multiplier: Array
     balance: Array
+    commanded: tuple[str, ...] = ()
+    command: Array | None = None
 
     def first(self, count: int) -> "SimulationRecord":
         """The first samples alone."""

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from mbd_ros.bag_paths import is_bag
+from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.records import SimulationRecord, TorqueRecord
 from mbd_ros.tables import write_table
@@ -56,7 +57,17 @@ def write_torques(path: str | Path, torques: TorqueRecord) -> None:
     columns += [f"{joint}.multiplier" for joint in torques.dependent]
     fields = (*motion.values(), *efforts.values())
     values = np.column_stack([torques.stamps / 1e9, *fields, torques.multiplier])
+    columns, values = _with_commands(columns, values, torques)
     write_table(path, ["time", *columns], values)
+
+
+def _with_commands(
+    columns: list[str], values: Array, record: TorqueRecord | SimulationRecord
+) -> tuple[list[str], Array]:
+    if record.command is None:
+        return columns, values
+    commands = [f"{joint}.command" for joint in record.commanded]
+    return [*columns, *commands], np.column_stack([values, record.command])
 
 
 def write_simulation(path: str | Path, record: SimulationRecord) -> None:
@@ -81,4 +92,5 @@ def write_simulation(path: str | Path, record: SimulationRecord) -> None:
     columns += ["energy", "drift.position", "drift.velocity"]
     motion = [getattr(record, field) for field in fields]
     values = np.column_stack([record.times, *motion, record.multiplier, record.balance])
+    columns, values = _with_commands(columns, values, record)
     write_table(path, ["time", *columns], values)

@@ -13,7 +13,7 @@ from mbd_ros.built_scene import SHORTEST_DT, Scene
 from mbd_ros.core.forward.row_factor import TOGGLE
 from mbd_ros.core.manifold.assembly import drift
 from mbd_ros.core.simulation import Commands, Simulation
-from mbd_ros.core.state import NANOSECOND, State
+from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.core.system import System
 from mbd_ros.core.tiers import tier_of
 from mbd_ros.error_source import about
@@ -154,9 +154,22 @@ def _record(
         rows=tuple(row.name for row in system.multiplier_rows),
         multiplier=multiplier,
         balance=balance,
+        **_commands(system, t[:, 0], commands),
     )
     count, lost = finite_rows(record)
     return record.first(count), lost or failure
+
+
+def _commands(system: System, times: Array, commands: Commands | None) -> dict[str, Any]:
+    """Fields of a record: what actuators take that is not the torque of the joint."""
+    takes = [a.takes for a in system.loads.actuators for _ in a.joints]
+    at = [i for i, what in enumerate(takes) if what]
+    if not at:
+        return {}
+    u = np.zeros((len(times), len(takes)))  # what no command stands for
+    if commands is not None:
+        u = np.array([commands(t) for t in times])
+    return {"commanded": tuple(system.loads.commands[i] for i in at), "command": u[:, at]}
 
 
 def _row(system: System, x: State, commands: Commands | None) -> tuple[Any, ...]:

@@ -14,7 +14,7 @@ from mbd_ros.built_scene import DEFAULT_INTEGRATOR, Scene, refuse_dt
 from mbd_ros.core.loops.loop_torques import listed
 from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.simulation import Commands
-from mbd_ros.core.state import NANOSECOND, Array, State
+from mbd_ros.core.state import NANOSECOND, Array, Motion, State
 from mbd_ros.error_source import about
 from mbd_ros.errors import DataError
 from mbd_ros.offline_wrenches import refuse_unused
@@ -36,8 +36,9 @@ class Run:
         origin: Table or bag whose joint state at `start` is the initial one; None takes that of
             the scene.
         start: Time at which the simulation begins [s].
-        efforts: Table or bag with the efforts of the actuators, held between samples, or, without
-            actuators, of the joints, linear in between.
+        efforts: Table or bag. With actuators `.command`, what they take, or `.effort` of those
+            that take the torque of their joint, held between samples. Without actuators `.effort`
+            of the joints, linear in between.
         wrenches: Table or bag of the external loads of the scene.
         options: Keyword arguments of `Scene.simulation`.
     """
@@ -168,20 +169,49 @@ def drives(scene: Scene, run: Run) -> tuple[Commands | None, list[ForceTerm], li
         return None, forces, []
     names = commanded or tuple(joint.name for joint in scene.robot.joints)
     motion = read_motion(run.efforts, names, required=()).motion
+    if commanded:
+        return _held(motion.stamps * NANOSECOND, _commands(scene, run.efforts, motion)), forces, []
     if motion.effort is None:
         raise DataError(f"{run.efforts}: no column <joint>.effort of {', '.join(names)}")
     times, effort = motion.stamps * NANOSECOND, np.nan_to_num(motion.effort)
     gaps = np.isnan(motion.effort).any(axis=0)
     lacking = [name for name, gap in zip(names, gaps, strict=True) if gap]
-    if commanded:
-        if lacking:
-            raise DataError(f"{run.efforts}: commands of {', '.join(lacking)} are missing")
-        return _held(times, motion.effort), forces, []
     part = resolve("forces", "prescribed_torque", "--efforts")
     said = [f"{run.efforts}: no effort of {listed(lacking)}: 0 there"] if lacking else []
     with about(run.efforts):
         torque = part(scene.robot, joints=names, times=times, torque=effort)
     return None, [torque, *forces], said
+
+
+def _commands(scene: Scene, path: Path, motion: Motion) -> Array:
+    """What the actuators take, from `.command`; from `.effort` where that is the same.
+
+    Raises:
+        DataError: Commands that are not there, and why an effort is none.
+    """
+    unknown = np.full((len(motion.stamps), len(motion.names)), np.nan)
+    given = unknown.copy() if motion.command is None else motion.command.copy()
+    effort = unknown if motion.effort is None else motion.effort
+    for actuator in scene.actuators:
+        for name in actuator.joints:
+            i = motion.names.index(name)
+            if not np.isnan(given[:, i]).all():
+                continue
+            if not actuator.takes:
+                given[:, i] = effort[:, i]
+            elif not np.isnan(effort[:, i]).all():
+                raise DataError(
+                    f"{path}: no column {name}.command: its actuator takes the {actuator.takes}, "
+                    f"{name}.effort is the torque of the joint; simulate and inverse write both "
+                    "into tables"
+                )
+    lacking = [name for name, u in zip(motion.names, given.T, strict=True) if np.isnan(u).any()]
+    if lacking:
+        raise DataError(
+            f"{path}: commands of {', '.join(lacking)} are missing: no column <joint>.command, "
+            "nor <joint>.effort for an actuator that takes the torque of its joint"
+        )
+    return given
 
 
 def _held(times: Array, effort: Array) -> Commands:

@@ -330,7 +330,7 @@ def test_commands_that_lack_are_named(capsys, tmp_path, driven):
     words = ["-t", 1, "-o", tmp_path / "p.csv", "--efforts", tmp_path / "u.csv"]
     code, _, err = called(capsys, "simulate", driven, *words)
     assert code == 2
-    assert "u.csv: no column <joint>.effort of shoulder_flexion" in err
+    assert "u.csv: commands of shoulder_flexion are missing" in err
 
 
 @pytest.mark.parametrize("option", ["--from", "--efforts", "--wrenches"])

@@ -41,6 +41,7 @@ class GearedMotor(Actuator):
         ModelError: Unknown joint, or a value out of its range.
     """
 
+    takes = "torque of the motor [N·m]"
     example = {"joint": "ankle", "ratio": 50.0, "rotor_inertia": 1.0e-5, "efficiency": 0.8}
 
     def __init__(
@@ -86,6 +87,14 @@ class GearedMotor(Actuator):
     def command(self, torque: Array, x: State) -> Array:
         """Motor torque of the lossless gear [N·m], shape (1,)."""
         return torque / self._ratio
+
+    def demanded(self, torque: Array, x: State) -> Array:
+        """Motor torque behind which the gear and its friction leave the torque [N·m]."""
+        rate = float(x.v[self.joint.v])
+        behind = torque + self._viscous * rate
+        driving = np.sign(behind) * math.tanh(rate / self._smoothing)
+        demanded: Array = behind / (self._ratio * self._efficiency**driving)
+        return demanded
 
     def limits(self) -> Array:
         """Torque of the joint that the motor drives through a lossless gear [N·m], shape (1,)."""

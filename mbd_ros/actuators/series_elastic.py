@@ -29,6 +29,7 @@ class SeriesElastic(Actuator):
         ModelError: Unknown joint, or a value out of its range.
     """
 
+    takes = "position of the motor side of the spring [rad or m]"
     example = {"joint": "ankle", "stiffness": 300.0, "damping": 1.0, "limit": 100.0}
 
     def __init__(

@@ -48,9 +48,11 @@ class Actuator:
 
     Attributes:
         joints: Topic names of the driven joints, one command each.
+        takes: What a command is, with its unit; empty where it is the torque of the joint.
     """
 
     joints: tuple[str, ...]
+    takes: str = ""
 
     def torque(self, u: Array, x: State) -> Array:
         """Generalized force [N·m or N], shape (nv,).
@@ -70,6 +72,18 @@ class Actuator:
             x: State.
         """
         return torque
+
+    def demanded(self, torque: Array, x: State) -> Array:
+        """Commands that give a torque, losses made up for, shape (len(joints),).
+
+        `torque` of them is that torque again, unless it is beyond a limit. For recordings: live,
+        noise of the velocity would come back as force.
+
+        Args:
+            torque: Of `joints` [N·m or N], shape (len(joints),).
+            x: State.
+        """
+        return self.command(torque, x)
 
     def limits(self) -> Array:
         """Largest torque of each of `joints` [N·m or N], shape (len(joints),), inf without."""

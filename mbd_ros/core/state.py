@@ -45,6 +45,7 @@ class Motion(NamedTuple):
         velocity: [rad/s or m/s], same shape; NaN where it was not measured; None without any.
         acceleration: [rad/s^2 or m/s^2], same shape, or None.
         effort: Measured effort [N·m or N], same shape, NaN where not measured; None without any.
+        command: What actuators take, same shape, NaN where there is none; None without any.
     """
 
     names: tuple[str, ...]
@@ -53,6 +54,7 @@ class Motion(NamedTuple):
     velocity: Array | None = None
     acceleration: Array | None = None
     effort: Array | None = None
+    command: Array | None = None
 
 
 class WrenchSamples(NamedTuple):
