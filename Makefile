@@ -20,7 +20,7 @@ OTHER_PYTHON := other_python
 endif
 endif
 
-.PHONY: venv test demo lint format report soak fuzz bench colcon clean other_python
+.PHONY: venv test demo lint format report soak fuzz fuzz-nodes bench colcon clean other_python
 
 venv: .venv/installed
 

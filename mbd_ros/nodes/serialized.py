@@ -13,6 +13,7 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 from msg_adapters.errors import MessageError
+from msg_adapters.joint_trajectory_cdr import require_points
 
 LARGEST = 262_144  # bytes: 4000 joints
 _LARGER = {String: 2**26, JointTrajectory: 2**24}  # bytes; a scene says itself what is too long
@@ -35,11 +36,13 @@ def require_size(cdr: bytes, kind: type) -> None:
     """Refuse what would hold the node up, before any work is done.
 
     Raises:
-        MessageError: Names size and limit.
+        MessageError: Names size, or points of a trajectory, and limit.
     """
     largest = _LARGER.get(kind, LARGEST)
     if len(cdr) > largest:
         raise MessageError(f"{len(cdr)} bytes, accepted: {largest} of a {kind.__name__}")
+    if kind is JointTrajectory:
+        require_points(cdr)
 
 
 def joint_state(cdr: bytes) -> Any:

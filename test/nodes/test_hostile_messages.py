@@ -1,18 +1,24 @@
 """Hostile messages at real nodes over DDS: none ends a node, none leaves more than is stated."""
 
 import math
+import time
 
 import pytest
+from builtin_interfaces.msg import Duration
 from fuzz.nodes import SUBJECTS, under_fire
 from nodes.simulation_client import NAME, PENDULUM, simulated
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from mbd_ros.nodes.serialized import message_of
 from msg_adapters.clock import write_clock
 from msg_adapters.diagnostics import ERROR, Health
+from msg_adapters.errors import MessageError
+from msg_adapters.joint_trajectory_cdr import MOST_POINTS
 
 LAST = (2**31 - 1, 2**32 - 1)  # sec, nanosec
 
@@ -104,3 +110,64 @@ def test_dropped_messages_leave_nothing_but_their_count(domain, tmp_path, name):
         assert target.exchange(between) == alone
         target.fire(seed=12, messages=400)
         assert target.exchange() == alone
+
+
+@pytest.mark.parametrize("name", ["sliding_arm", "qp_arm"])
+def test_a_trajectory_of_too_many_points_is_refused_unread(domain, tmp_path, name):
+    with under_fire(name, domain, tmp_path) as target:
+        target.reset()
+        target.ask(0)
+        start = target.state(0)
+        names = list(target.scene.controlled_joints().names)
+        pose = [start.position[list(start.name).index(joint)] for joint in names]
+        for k, (points, answer) in enumerate(
+            ((MOST_POINTS, "trajectory"), (100_000, "malformed"))
+        ):
+            course = JointTrajectory(joint_names=names)
+            for i in range(points):
+                since = Duration(sec=1 + i // 100, nanosec=i % 100 * 10_000_000)
+                course.points.append(JointTrajectoryPoint(positions=pose, time_from_start=since))
+            target.publishers["joint_trajectory"].publish(course)
+            text = f"{points} points, accepted: {MOST_POINTS}"
+            if answer == "malformed":
+                target.node.wait_for(text)
+            else:
+                target.probe.wait_health(lambda h: h.values.get("reference") == "trajectory")
+            target.ask(k + 1)
+
+
+def test_a_long_trajectory_is_refused_in_a_hundredth_of_the_time_to_read_it():
+    points = [JointTrajectoryPoint(positions=[0.1] * 4) for _ in range(20_000)]
+    cdr = serialize_message(JointTrajectory(joint_names=list("abcd"), points=points))
+    begin = time.perf_counter()
+    with pytest.raises(MessageError, match="20000 points, accepted"):
+        message_of(cdr, JointTrajectory)
+    refused = time.perf_counter() - begin
+    begin = time.perf_counter()
+    deserialize_message(cdr, JointTrajectory)
+    assert refused < 0.01 * (time.perf_counter() - begin)
+    for end in (5, 13, 30):
+        with pytest.raises(MessageError, match="its bytes are no JointTrajectory"):
+            message_of(cdr[:end], JointTrajectory)
+
+
+@pytest.mark.parametrize("name", ["inverse_arm", "projector_arm", "sliding_arm"])
+def test_names_of_ignored_joints_do_not_pile_up(domain, tmp_path, name):
+    with under_fire(name, domain, tmp_path) as target:
+        target.reset()
+        for k in range(200):
+            message = target.state(k)
+            more = [f"\n{k}_{i}" + "x" * 300 for i in range(20)]
+            message.name = [*message.name, *more]
+            message.position = [*message.position, *([0.0] * 20)]
+            message.velocity = [*message.velocity, *([0.0] * 20)]
+            seen = len(next(iter(target.heard.values())))
+            target.publishers["/joint_states"].publish(message)
+            answers = next(iter(target.heard.values()))
+            target.probe.spin_until(lambda seen=seen, answers=answers: len(answers) > seen)
+        ignored = target.probe.wait_health(lambda h: h.name == target.name).values[
+            "joints ignored"
+        ]
+        assert ignored.endswith("more") and len(ignored) < 1000
+        assert target.node.log.count("joints ignored") <= 10
+        assert len(target.node.log) < 20_000
