@@ -83,7 +83,7 @@ colcon: venv $(COLCON_VENV)/pinned
 	git ls-files -z --cached --others --exclude-standard | xargs -0 cp --parents -t $(COLCON_WS)/src/mbd_ros
 	. $(COLCON_VENV)/bin/activate && cd $(COLCON_WS) && \
 	test "$$(colcon list | cut -f 1,3)" = "$$(printf 'mbd_ros\t(ros.ament_python)')" && colcon build
-	cd $(COLCON_WS)/install/mbd_ros && for name in inverse_dynamics joint_state_projector qp_controller simulator \
+	cd $(COLCON_WS)/install/mbd_ros && for name in inverse_dynamics joint_state_projector qp_controller reference_player simulator \
 	sliding_mode_controller mbd-ros; do \
 	test -x lib/mbd_ros/$$name || exit 1; done \
 	&& test -f share/ament_index/resource_index/packages/mbd_ros && test -f share/mbd_ros/package.xml \

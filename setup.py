@@ -64,6 +64,7 @@ setup(
             "inverse_dynamics = mbd_ros.programs:inverse_dynamics",
             "joint_state_projector = mbd_ros.programs:joint_state_projector",
             "qp_controller = mbd_ros.programs:qp_controller",
+            "reference_player = mbd_ros.programs:reference_player",
             "simulator = mbd_ros.programs:simulator",
             "sliding_mode_controller = mbd_ros.programs:sliding_mode_controller",
         ]

@@ -1,8 +1,9 @@
-"""Start the node: ros2 launch mbd_ros sliding_mode_controller.launch.py scene:=..."""
+"""Start it: ros2 launch mbd_ros sliding_mode_controller.launch.py scene:=..."""
 
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import LifecycleNode
+from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 from launch import LaunchDescription
@@ -17,13 +18,16 @@ def generate_launch_description() -> LaunchDescription:
         package="mbd_ros",
         executable="sliding_mode_controller",
         name="sliding_mode_controller",
-        namespace="",
+        namespace=LaunchConfiguration("namespace"),
         output="screen",
         parameters=[
-            LaunchConfiguration("parameters"),
+            LaunchConfiguration("sliding_mode_controller_parameters"),
             {
-                "scene": LaunchConfiguration("scene"),
-                "use_sim_time": LaunchConfiguration("use_sim_time"),
+                "scene": ParameterValue(LaunchConfiguration("scene"), value_type=str),
+                "autostart": ParameterValue(LaunchConfiguration("autostart"), value_type=bool),
+                "use_sim_time": ParameterValue(
+                    LaunchConfiguration("use_sim_time"), value_type=bool
+                ),
             },
         ],
         remappings=[
@@ -34,10 +38,32 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             DeclareLaunchArgument("scene", default_value=arm, description="Scene file"),
-            DeclareLaunchArgument("parameters", default_value=parameters),
-            DeclareLaunchArgument("joint_states", default_value="joint_states"),
-            DeclareLaunchArgument("commands", default_value="simulator/commands"),
-            DeclareLaunchArgument("use_sim_time", default_value="false"),
+            DeclareLaunchArgument(
+                "sliding_mode_controller_parameters",
+                default_value=parameters,
+                description="Parameter file of this node",
+            ),
+            DeclareLaunchArgument(
+                "namespace", default_value="", description="Namespace of nodes and topics"
+            ),
+            DeclareLaunchArgument(
+                "autostart", default_value="true", description="Configure and activate at once"
+            ),
+            DeclareLaunchArgument(
+                "use_sim_time",
+                default_value="false",
+                description="Live in the simulated time of /clock, which the simulator publishes",
+            ),
+            DeclareLaunchArgument(
+                "joint_states",
+                default_value="joint_states",
+                description="Topic of joint states",
+            ),
+            DeclareLaunchArgument(
+                "commands",
+                default_value="simulator/commands",
+                description="Topic from the controller to the simulator",
+            ),
             node,
         ]
     )

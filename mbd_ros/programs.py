@@ -49,6 +49,14 @@ def qp_controller() -> int:
     return main()
 
 
+def reference_player() -> int:
+    """Entry point `reference_player`."""
+    _end_on_signals()
+    from mbd_ros.nodes.reference_player import main
+
+    return main()
+
+
 def simulator() -> int:
     """Entry point `simulator`."""
     _end_on_signals()

@@ -160,24 +160,59 @@ def parameters_of(executable):
     """Names of the parameters of the node behind an executable."""
     things = vars(importlib.import_module(f"mbd_ros.nodes.{executable}")).values()
     (node,) = (thing for thing in things if getattr(thing, "NAME", "") == executable)
-    return {parameter.name for parameter in node.PARAMETERS} | {"use_sim_time"}
+    shell = importlib.import_module("mbd_ros.nodes.shell").PARAMETERS
+    return {parameter.name for parameter in node.PARAMETERS + shell} | {"use_sim_time"}
+
+
+def calls_of(path):
+    """Calls in a file, with the names of what is called."""
+    tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
+    calls = [n for n in ast.walk(tree) if isinstance(n, ast.Call)]
+    return [(getattr(call.func, "id", ""), call) for call in calls]
+
+
+def declared_arguments(path):
+    """Name -> default, as text, of the arguments of a launch file."""
+    named = [call for name, call in calls_of(path) if name == "DeclareLaunchArgument"]
+    defaults = [{k.arg: k.value for k in call.keywords}["default_value"] for call in named]
+    return {c.args[0].value: ast.unparse(d) for c, d in zip(named, defaults, strict=True)}
+
+
+def test_launch_files_can_be_included_together():
+    """An argument of one is seen by the next: what has one name means one thing for all."""
+    files = sorted(names("launch", "*.py") - {"launch/demo.launch.py"})
+    arguments = {path: declared_arguments(path) for path in files}
+    assert len(files) >= 6
+    defaults = {}
+    for path, own in arguments.items():
+        assert {"scene", "namespace", "autostart", "use_sim_time"} <= own.keys()
+        (scene,) = re.findall(r"scenes.*?(\w+\.yaml)", (ROOT / path).read_text(encoding="utf-8"))
+        assert scene == "controlled_arm.yaml"
+        for name, default in own.items():
+            assert defaults.setdefault(name, default) == default, (path, name)
+    parameters = [name for own in arguments.values() for name in own if "parameters" in name]
+    assert len(parameters) == len(set(parameters)) == 5
+    assert "parameters" not in parameters
 
 
 @pytest.mark.parametrize("path", sorted(names("launch", "*.py")))
 def test_a_launch_file_names_what_there_is(path):
     """Executables, parameters, arguments and files; launch itself comes with ROS only."""
-    tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
-    calls = [n for n in ast.walk(tree) if isinstance(n, ast.Call)]
-    named = [(getattr(call.func, "id", ""), call) for call in calls]
+    named = calls_of(path)
     nodes = [{k.arg: k.value for k in c.keywords} for n, c in named if n == "LifecycleNode"]
     assert nodes
     for node in nodes:
         executable = node["executable"].value
         assert (node["package"].value, node["name"].value) == ("mbd_ros", executable)
+        assert "namespace" in node
         (values,) = (e for e in node["parameters"].elts if isinstance(e, ast.Dict))
         assert {key.value for key in values.keys} <= parameters_of(executable)
     arguments = {c.args[0].value for n, c in named if n == "DeclareLaunchArgument"}
     assert {c.args[0].value for n, c in named if n == "LaunchConfiguration"} == arguments
+    for _, declared in (entry for entry in named if entry[0] == "DeclareLaunchArgument"):
+        given = {k.arg: k.value for k in declared.keywords}
+        assert {"default_value", "description"} <= given.keys()
+        assert len(given["description"].value) > 5
     for name, call in named:
-        if name == "PathJoinSubstitution" and call.args[0].elts[0].id == "share":
+        if name == "PathJoinSubstitution" and getattr(call.args[0].elts[0], "id", "") == "share":
             assert ROOT.joinpath(*(part.value for part in call.args[0].elts[1:])).is_file()
