@@ -1,6 +1,6 @@
 """Commands of joints, as vector in an agreed order or by name -> vector in the order of use."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,9 +17,13 @@ class CommandReader:
     Args:
         joints: Order of the vectors in messages.
         order: The same joints in the order of the result.
+        takes: What a command is where it is no effort of the joint, by name.
     """
 
-    def __init__(self, joints: Sequence[str], order: Sequence[str]) -> None:
+    def __init__(
+        self, joints: Sequence[str], order: Sequence[str], takes: Mapping[str, str] | None = None
+    ) -> None:
+        self._takes = dict(takes or {})
         self._size = len(joints)
         self._columns = np.array([list(joints).index(name) for name in order], dtype=np.intp)
         self._reader = JointStateReader(order)
@@ -36,9 +40,11 @@ class CommandReader:
         """Commands of a JointState, its efforts by name, fresh.
 
         Raises:
-            MessageError: Names empty, repeated, unknown or missing, an array of wrong length, or
-                an effort that is absent, NaN or infinite.
+            MessageError: Names empty, repeated, unknown or missing, an array of wrong length, an
+                effort that is absent, NaN or infinite, or joints whose commands are no efforts.
         """
+        for name, what in self._takes.items():
+            raise MessageError(f"an effort is no command of {name}, which takes the {what}")
         sample, reader = self._reader.read(msg), self._reader
         if reader.extra:
             accepted = ", ".join(reader.names)

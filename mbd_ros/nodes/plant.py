@@ -43,7 +43,8 @@ class Plant:
         driven = driven_joints(scene.actuators)
         joints = command_order(values.joints, driven)
         self.has_actuators = bool(driven)
-        self.reader = CommandReader(joints, driven)
+        takes = {joint: a.takes for a in scene.actuators for joint in a.joints if a.takes}
+        self.reader = CommandReader(joints, driven, takes)
         watch = CommandWatch(values.command_timeout, values.safe_ramp)
         self.live = LiveSimulation(
             scene.simulation, scene.initial, 1.0 / values.rate, watch, scene.safe

@@ -79,6 +79,20 @@ def test_a_bad_command_is_dropped_counted_and_the_last_good_one_held(domain, tmp
         assert f"{text} (dropped for 'command': 1)" in client.node.log
 
 
+def test_an_effort_is_no_command_of_a_geared_motor(domain, tmp_path):
+    """`~/commands` is what the actuator takes, effort the torque of the joint: never mixed."""
+    geared = "actuators:\n- {type: geared_motor, joint: hinge, ratio: 50.0}\n"
+    text = PENDULUM.partition("actuators:")[0] + geared
+    with simulated(domain, tmp_path, text, paused="true", command_timeout=1e6) as client:
+        client.command([0.01])
+        assert client.step().effort == pytest.approx([0.5])
+        client.publish(efforts(["hinge"], [0.25]))
+        assert client.step().effort == pytest.approx([0.5])
+        client.probe.wait_health(lambda h: h.values.get("dropped.command") == "1")
+        reason = "an effort is no command of hinge, which takes the torque of the motor [N·m]"
+        assert reason in client.node.log
+
+
 def test_commands_of_best_effort_are_named_as_incompatible(domain, tmp_path):
     with simulated(domain, tmp_path, PENDULUM) as client:
         qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
