@@ -145,14 +145,16 @@ def test_every_law_takes_the_gains_of_every_robot(law, tmp_path):
 
 
 @pytest.mark.parametrize("name", ORIGINALS)
-def test_a_controlled_scene_is_the_scene_it_names_with_actuators(name):
+def test_a_controlled_scene_is_the_scene_it_names_with_actuators_and_stops(name):
     read = [
         yaml.safe_load((CONFIG / "scenes" / f"{stem}.yaml").read_text(encoding="utf-8"))
         for stem in (name, ORIGINALS[name])
     ]
     own, original = ({k: v for k, v in r.items() if k not in ("initial", "dt")} for r in read)
     actuators = own.pop("actuators")
-    assert own == original
+    stops, *others = own.pop("constraints")
+    assert stops == {"type": "joint_stop", "joints": ["all"]}
+    assert own | ({"constraints": others} if others else {}) == original
     scene = load_scene(CONFIG / "scenes" / f"{name}.yaml")
     for entry in actuators:
         for joint in entry["joints"]:
