@@ -45,7 +45,7 @@ class JointStateReader:
 
     def __init__(self, names: Sequence[str], *, with_effort: bool = True) -> None:
         self.names = tuple(names)
-        self._with_effort = with_effort
+        self.with_effort = with_effort
         self.present = np.zeros(len(names), dtype=np.bool_)
         self.missing: tuple[str, ...] = ()
         self.extra: tuple[str, ...] = ()
@@ -78,11 +78,11 @@ class JointStateReader:
     def is_arranged(self, positions: int, velocities: int, efforts: int) -> bool:
         """Whether arrays of these lengths, in the order of the last message, need no arranging.
 
-        Effort must not be asked for; it is `absent` then.
+        Effort is there where it is asked for, and `absent` where it is not.
         """
         n = len(self.names)
         read = self._in_order and positions == velocities == n
-        return read and not self._with_effort and efforts in (0, n)
+        return read and efforts in ((n,) if self.with_effort else (0, n))
 
     def arrange(self, stamp: int, position: Any, velocity: Any, effort: Any) -> JointSample:
         """Arrays in the order of `names`, of a message with the names of the last `read`.
@@ -125,7 +125,7 @@ class JointStateReader:
             raise MessageError(
                 f"{field} has {len(values)} values for {len(self._message_names)} names"
             )
-        if len(values) == 0 or (field == "effort" and not self._with_effort):
+        if len(values) == 0 or (field == "effort" and not self.with_effort):
             return self.absent
         given: NDArray[np.float64] = (
             values if isinstance(values, np.ndarray) else np.frombuffer(values, np.float64)

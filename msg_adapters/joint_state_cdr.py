@@ -123,7 +123,8 @@ class JointStateCdrReader:
         doubles = np.frombuffer(body, np.float64, layout.doubles)
         position, velocity, effort = layout.slices
         if self._is_arranged:
-            return JointSample(stamp, doubles[position], doubles[velocity], self._reader.absent)
+            acted = doubles[effort] if self._reader.with_effort else self._reader.absent
+            return JointSample(stamp, doubles[position], doubles[velocity], acted)
         return self._reader.arrange(stamp, doubles[position], doubles[velocity], doubles[effort])
 
 

@@ -9,8 +9,10 @@ from mbd_ros.core.control.contract import (
     EffortBox,
     Gain,
     Reference,
+    Response,
     per_joint,
 )
+from mbd_ros.core.control.delay_margin import LoopGains, disturbance, pd_gains
 from mbd_ros.core.control.mobility_factor import MobilityFactor
 from mbd_ros.core.control.sliding import sliding_variable
 from mbd_ros.core.state import Array, State
@@ -45,6 +47,14 @@ class ComputedTorque(Controller):
         self.joints = joints
         self._kd = per_joint(kd, len(joints), "kd")
         self._bandwidth = per_joint(kp, len(joints), "kp") / self._kd
+
+    def loop_gains(self, at_rest: Response, period: float) -> LoopGains:
+        """Its own gains."""
+        return pd_gains(self._kd * self._bandwidth, self._kd)
+
+    def tracking_bound(self, at_rest: Response, period: float) -> Array:
+        """What wrong masses cause / kp."""
+        return disturbance(at_rest.a_free) / (self._kd * self._bandwidth)
 
     def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
         """The control at a state; see `Controller.effort`."""

@@ -9,11 +9,15 @@ from mbd_ros.core.control.contract import (
     EffortBox,
     Gain,
     Reference,
+    Response,
     per_joint,
 )
+from mbd_ros.core.control.delay_margin import LoopGains, pd_gains
 from mbd_ros.core.control.mobility_factor import MobilityFactor
 from mbd_ros.core.control.sliding import sliding_variable
 from mbd_ros.core.state import Array, State
+
+_SLOWEST = 1.0e-6  # 1/s, of a mode that efforts do not move
 
 
 class GravityCompensation(Controller):
@@ -46,6 +50,13 @@ class GravityCompensation(Controller):
         self.joints = joints
         self._damping = per_joint(damping, len(joints), "damping")
         self._bandwidth = per_joint(stiffness, len(joints), "stiffness") / self._damping
+
+    def loop_gains(self, at_rest: Response, period: float) -> LoopGains:
+        """Of the modes: eigenvalues of A D, with the largest stiffness over damping."""
+        root = np.sqrt(self._damping)
+        rates = np.linalg.eigvalsh(root[:, None] * at_rest.mobility * root)
+        damping = np.maximum(rates, _SLOWEST)
+        return pd_gains(damping * self._bandwidth.max(), damping)
 
     def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
         """The control at a state; see `Controller.effort`."""

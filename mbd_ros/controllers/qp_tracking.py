@@ -15,6 +15,7 @@ from mbd_ros.core.control.contract import (
     Response,
     per_joint,
 )
+from mbd_ros.core.control.delay_margin import LoopGains, disturbance, pd_gains
 from mbd_ros.core.control.limited_qp import Counts, LimitedQp
 from mbd_ros.core.control.motion_limits import AccelerationBox, MotionLimits
 from mbd_ros.core.control.sliding import sliding_variable
@@ -105,6 +106,14 @@ class QpTracking(Controller):
     def details(self) -> dict[str, str]:
         """The counts."""
         return {f"qp {name}": str(count) for name, count in self.counts._asdict().items()}
+
+    def loop_gains(self, at_rest: Response, period: float) -> LoopGains:
+        """Those of computed torque: limits that act make the loop no faster."""
+        return pd_gains(self._kd * self._slope, self._kd)
+
+    def tracking_bound(self, at_rest: Response, period: float) -> Array:
+        """What wrong masses cause / kp."""
+        return disturbance(at_rest.a_free) / (self._kd * self._slope)
 
     def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
         """As `Controller.effort`.

@@ -9,8 +9,10 @@ from mbd_ros.core.control.contract import (
     EffortBox,
     Gain,
     Reference,
+    Response,
     per_joint,
 )
+from mbd_ros.core.control.delay_margin import LoopGains, sliding_gains
 from mbd_ros.core.control.mobility_factor import MobilityFactor
 from mbd_ros.core.control.reaching import ReachingLaw
 from mbd_ros.core.control.sliding import sliding_variable
@@ -65,6 +67,14 @@ class SlidingMode(Controller):
         equivalent = mobility.solve(a_keep - r.a_free)
         effort = equivalent - mobility.solve(self._law(s))
         return Control(effort, s, equivalent, np.zeros(0), np.zeros(0, dtype=np.bool_))
+
+    def loop_gains(self, at_rest: Response, period: float) -> LoopGains:
+        """The slope of the reaching law within its boundary layer."""
+        return sliding_gains(self._bandwidth, self._law.slope(period))
+
+    def tracking_bound(self, at_rest: Response, period: float) -> Array:
+        """The edge of the boundary layer / lambda: beyond, the law has no more to give."""
+        return self._law.layer(period) / self._bandwidth
 
     def bound(self, disturbance: Array | float, effectiveness: Array | float = 1.0) -> Array:
         """How large errors are at most once s has settled: width of the law / lambda.

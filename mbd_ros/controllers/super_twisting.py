@@ -9,12 +9,16 @@ from mbd_ros.core.control.contract import (
     EffortBox,
     Gain,
     Reference,
+    Response,
     per_joint,
 )
+from mbd_ros.core.control.delay_margin import LoopGains, sliding_gains
 from mbd_ros.core.control.mobility_factor import MobilityFactor
 from mbd_ros.core.control.sliding import sliding_variable
 from mbd_ros.core.control.twisting import reaching_time_bound, super_twisting
 from mbd_ros.core.state import Array, State
+
+_ROOT = 1.1128  # describing function of |s|^(1/2) sgn s at amplitude 1: 4/pi times a beta function
 
 
 class SuperTwisting(Controller):
@@ -38,7 +42,8 @@ class SuperTwisting(Controller):
             to an effectiveness of 0.7 (masses wrong by 30 %).
 
     Source: A. Levant, Int. J. Control 58, 1993, 1247-1263; J. A. Moreno, M. Osorio, IEEE Trans.
-        Autom. Control 57, 2012, 1035-1040.
+        Autom. Control 57, 2012, 1035-1040; I. Boiko, L. Fridman, IEEE Trans. Autom. Control 50,
+        2005, 1442-1446 (describing functions).
     """
 
     example = {"bandwidth": 20.0, "disturbance_rate": 500.0}
@@ -58,6 +63,7 @@ class SuperTwisting(Controller):
         self._limit = per_joint(disturbance_rate, n, "disturbance_rate")
         self._c1 = per_joint(proportional, n, "proportional")
         self._c2 = per_joint(integral, n, "integral", above=1.0)
+        self._width = self._limit / self._bandwidth**2
         self._k1, self._k2 = self._c1 * np.sqrt(self._limit), self._c2 * self._limit
 
     def begin(self) -> Array:
@@ -76,6 +82,19 @@ class SuperTwisting(Controller):
         denied = r.mobility.dot(effort - clipped)
         rate = np.where(denied * rate > 0.0, 0.0, mobility.reachable(rate))
         return Control(effort, s, equivalent, rate, np.zeros(0, dtype=np.bool_))
+
+    def loop_gains(self, at_rest: Response, period: float) -> LoopGains:
+        """Describing functions of both parts at |s| = `_width`.
+
+        A delay makes the law swing, by |s| ~ delay^2; up to the tolerable one it swings less.
+        """
+        push = _ROOT * self._k1 / np.sqrt(self._width)
+        integral = 4.0 / np.pi * self._k2 / self._width
+        return sliding_gains(self._bandwidth, push, integral)
+
+    def tracking_bound(self, at_rest: Response, period: float) -> Array:
+        """|s| / lambda, with what a disturbance of the rate L makes of s within 1 / lambda."""
+        return self._width / self._bandwidth
 
     def reaching_time(self, s: Array, excess: Array, effectiveness: float = 1.0) -> float:
         """A time within which s becomes zero for good, if `disturbance_rate` is a bound.

@@ -10,6 +10,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayou
 from mbd_ros.core.control.chatter import ChatterMeter
 from mbd_ros.core.control.control_loop import Command, ControlLoop
 from mbd_ros.core.control.guide import Guide
+from mbd_ros.core.control.loop_watch import LoopWatch, Tolerances, rest_responses
 from mbd_ros.core.control.reference_limits import TargetError
 from mbd_ros.core.differentiation import Sample
 from mbd_ros.core.estimation.joint_observer import JointObserver, Observation
@@ -54,6 +55,7 @@ class ControlPipeline:
     Attributes:
         scene: The scene.
         loop: Reference, law and guard.
+        watch: Whether the loop does what its gains promise.
         observer: Judges joint states.
         joints: Which joints the newest joint state carried.
         reader: Serialized joint states to samples.
@@ -73,17 +75,22 @@ class ControlPipeline:
         self._order = [names.index(name) for name in order]
         self._observed = ObservedState(self._controlled.system, scene.couplings)
         self.observer = JointObserver(scene.robot, scene.couplings, tuning(values))
+        law = build_controller(values, self._controlled)
+        rest = rest_responses(self._controlled, scene.initial)
+        self.watch = LoopWatch(names, law, rest, self._tolerances(values))
         self.loop = ControlLoop(
-            build_controller(values, self._controlled),
+            law,
             Guide(self._controlled),
             Guard(names, effort_limits(values, self._controlled, scene.actuators)),
             scene.safe,
             values.safe_ramp,
             values.timeout,
             ChatterMeter(len(names), values.chatter_cutoff),
+            self.watch,
         )
         self._tune(values)
-        self.joints = JointStateReader(self.observer.names, with_effort=False)
+        self.joints = JointStateReader(self.observer.names)
+        self._acted = [self.observer.names.index(name) for name in names]
         self.reader = JointStateCdrReader(self.joints, joint_state)
         self._references = References(self.loop.guide, names, scene.couplings)
         self._commands, self._state = Float64MultiArray(), JointStateCdrWriter(names)
@@ -113,6 +120,11 @@ class ControlPipeline:
         guide.timeout = values.reference_timeout
         loop.ramp, loop.longest = values.safe_ramp, values.timeout
         loop.guard.rate = values.effort_rate or math.inf
+        self.watch.tolerances = self._tolerances(values)
+
+    def _tolerances(self, values: Any) -> Tolerances:
+        speeds = np.array([joint.max_velocity for joint in self._controlled.joints])
+        return Tolerances(speeds, values.error_limit or math.inf)
 
     def forget(self) -> None:
         """Hold the next state that comes."""
@@ -151,7 +163,7 @@ class ControlPipeline:
         self.x = x
         off = seen.dependent - self._observed.dependent
         self._violation = np.where(np.isfinite(off), off, 0.0)
-        command = self.loop.update(x)
+        command = self.loop.update(x, sample.effort[self._acted])
         write_answered(self._answer, len(self._order), stamp)
         commands = self._filled(self._answer, command.effort)
         return Answer(commands, self._loop_state(stamp, command))

@@ -19,7 +19,7 @@ from mbd_ros.errors import SolveError
 from mbd_ros.nodes.control_pipeline import ControlPipeline
 from mbd_ros.nodes.joint_state_node import JointStateNode
 from mbd_ros.nodes.trajectory_action import ABSENT, NAME, TrajectoryAction, action_type
-from msg_adapters.diagnostics import OK, WARN
+from msg_adapters.diagnostics import ERROR, OK, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_trajectory import read_joint_trajectory
@@ -108,7 +108,10 @@ class ControllerNode(JointStateNode):
         level, text = self.stream_health()
         if level != OK or not self.active:
             return level, text, details
-        wrong = []
+        watch = pipeline.watch
+        if watch.fault:
+            return ERROR, f"the loop was lost, the command went safe: {watch.fault}", details
+        wrong = [*watch.warnings(), *([self._loss] if self._loss else [])]
         if not self._is_heard:
             wrong.append("nobody hears the commands: integrals stand still")
         if pipeline.loop.guard.powerless:

@@ -86,6 +86,13 @@ _COMMON = (
         "Time after the end within which a goal must be reached [s]; 0: any.",
     ),
     tunable("action_monitor_rate", 20.0, 0.1, 1000.0, "Feedback of a goal [Hz]."),
+    tunable(
+        "error_limit",
+        5.0,
+        0.0,
+        1e9,
+        "Multiple of the error bound of the law beyond which the command goes safe; 0: never.",
+    ),
     tunable("failures", 20, 1, 1_000_000, "Failures of the law in a row that deactivate."),
     Parameter(
         "chatter_cutoff",

@@ -26,6 +26,7 @@ SENSOR = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
 CLOCK = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _NEVER = -(2**62)  # ns
 _STANDING = 0.5  # [s] for which one joint state may come again and again, or all be dropped
+_DROPPED = 0.05  # share of the joint states of a second that may be dropped without a word
 _LATELY = 1.5  # s, a bit more than the time between two diagnostics
 MOST_IGNORED = 100  # joints whose names are kept to be listed once
 
@@ -59,6 +60,7 @@ class JointStateNode(SceneNode):
     def __init__(self, argv: Sequence[str] = ()) -> None:
         super().__init__(argv)
         self._newest, self._answered, self._is_stampless = 0, 0, False
+        self._dropped, self._loss = 0, ""
         self._mark()
         self._moved = self._heard
         self._two_clocks = self._last_drop = ""
@@ -101,9 +103,13 @@ class JointStateNode(SceneNode):
     def stream_details(self) -> dict[str, str]:
         """Of the last second, for diagnostics."""
         answered, self._answered = self._answered, 0
+        dropped, self._dropped = self._dropped, 0
+        is_much = dropped > _DROPPED * (dropped + answered)
+        self._loss = f"{dropped} of {dropped + answered} joint states dropped" if is_much else ""
         return {
             "joints ignored": listed(sorted(self._extra)) or "none",
             "messages answered in the last second": str(answered),
+            "messages dropped in the last second": str(dropped),
             "age of the newest joint state": f"{self._age():.6g}" if self._newest else "none",
         }
 
@@ -213,6 +219,7 @@ class JointStateNode(SceneNode):
     def drop_state(self, reason: str, text: str) -> None:
         """Count a joint state that is not answered."""
         self._last_drop = text
+        self._dropped += 1
         self.drop(reason, text)
 
     def _age(self) -> float:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from mbd_ros.core.control.control_loop import ControlLoop
+from mbd_ros.core.control.loop_watch import LoopWatch
 from mbd_ros.core.state import Array
 
 
@@ -24,6 +25,17 @@ def loop_details(loop: ControlLoop, t: float) -> dict[str, str]:
         "times gone safe": str(loop.lapses),
         "updates without an answer of the law": str(loop.failures),
         **loop.controller.details(),
+        **(_watched(loop.watch) if loop.watch is not None else {}),
+    }
+
+
+def _watched(watch: LoopWatch) -> dict[str, str]:
+    delay, is_known = watch.delay, watch.tolerable < np.inf
+    return {
+        "loop delay": "not measured" if delay is None else f"{delay:.6g} s",
+        "tolerable loop delay": f"{watch.tolerable:.6g} s" if is_known else "not known",
+        "error bounds": _listed(watch.bounds),
+        "times the loop was lost": str(watch.faults),
     }
 
 

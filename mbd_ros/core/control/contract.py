@@ -6,6 +6,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.core.control.delay_margin import LoopGains
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.system import System
 from mbd_ros.errors import ModelError
@@ -159,6 +160,27 @@ class Controller:
     def details(self) -> dict[str, str]:
         """What the law has to say of its work, for diagnostics."""
         return {}
+
+    def loop_gains(self, at_rest: Response, period: float) -> LoopGains | None:
+        """How the law answers small errors in a pose; None where it does not say so.
+
+        Args:
+            at_rest: How the joints answer there.
+            period: Of the loop [s].
+        """
+        return None
+
+    def tracking_bound(self, at_rest: Response, period: float) -> Array:
+        """Errors that the law keeps to in a pose, with masses wrong by `MASS_ERROR`.
+
+        Args:
+            at_rest: How the joints answer there.
+            period: Of the loop [s].
+
+        Returns:
+            [rad or m], shape (n,); inf where the law promises none.
+        """
+        return np.full(len(self.joints), np.inf)
 
     def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
         """The control at a state.

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.control.chatter import ChatterMeter
 from mbd_ros.core.control.contract import Control, Controller, EffortBox, Reference
 from mbd_ros.core.control.guide import Guide
+from mbd_ros.core.control.loop_watch import LoopWatch
 from mbd_ros.core.guard import Guard
 from mbd_ros.core.live.safe_command import SafeCommand
 from mbd_ros.core.state import Array, State
@@ -50,6 +51,7 @@ class ControlLoop:
         ramp: Duration of a hand-over [s], >= 0.
         longest: A longer time between states is a gap, and counts as no more than that [s].
         chatter: Measures the efforts that are sent.
+        watch: Says when the loop is lost; None trusts it.
 
     Attributes:
         controller: See above.
@@ -62,6 +64,7 @@ class ControlLoop:
         is_frozen: Whether nobody hears the commands. The memory of the law stands still then,
             and as long as the safe command takes part: it must not learn from what it did not do.
         chatter: See above.
+        watch: See above.
         control: What the law answered last.
         lapses: How often states stopped for so long that the command had to go safe.
         failures: Updates in a row without a usable answer of the law; the last one is kept.
@@ -76,7 +79,9 @@ class ControlLoop:
         ramp: float,
         longest: float,
         chatter: ChatterMeter,
+        watch: LoopWatch | None = None,
     ) -> None:
+        self.watch = watch
         self.controller, self.guide, self.guard, self.safe = controller, guide, guard, safe
         self.ramp, self.longest, self.chatter = ramp, longest, chatter
         self.is_frozen, self.lapses, self.weight = False, 0, 1.0
@@ -91,12 +96,16 @@ class ControlLoop:
         self.is_open, self.failures = True, 0
         self.guide.kind = "held"
         self.chatter.reset()
+        if self.watch is not None:
+            self.watch.reset()
 
     def replace(self, controller: Controller) -> None:
         """Use a new law from the next update on; its memory is kept where it fits."""
         if controller.begin().shape != self._memory.shape:
             self._memory = controller.begin()
         self.controller = controller
+        if self.watch is not None:
+            self.watch.use(controller)
 
     def take_over(self, other: "ControlLoop") -> None:
         """Go on without a bump where another loop for the same joints was at work."""
@@ -107,11 +116,12 @@ class ControlLoop:
         if other._memory.shape == self._memory.shape:
             self._memory = other._memory
 
-    def update(self, x: State) -> Command:
+    def update(self, x: State, acted: Array | None = None) -> Command:
         """The command for a new state.
 
         Args:
             x: Consistent state of all joints.
+            acted: Efforts that acted until then [N·m or N], NaN where not measured, shape (n,).
 
         Raises:
             SolveError: The law has no answer, and had none yet.
@@ -125,7 +135,8 @@ class ControlLoop:
         if self.is_open or not 0.0 <= x.t - self._t <= self.longest:
             self._close(x.t, q, v)
         self._t = x.t
-        self._shift(-dt)
+        is_lost = self._is_lost(x.t, dt, q, v, acted)
+        self._shift(dt if is_lost else -dt)
         box = self.guard.box(self._sent, dt)
         ref = self.guide.at(x.t)
         control = self._controlled(x, ref, box, dt)
@@ -135,6 +146,8 @@ class ControlLoop:
         admitted, held_back = self.guard.admit(effort, box)
         self.chatter.update(admitted, dt)
         self._sent = admitted
+        if self.watch is not None:
+            self.watch.meter.send(x.t, admitted)
         return Command(admitted, q - ref.q, control.s, held_back)
 
     def lapse(self, dt: float) -> Array | None:
@@ -172,7 +185,8 @@ class ControlLoop:
         newest = self.controller.joints.newest
         if newest is None:
             return self._none
-        effort = self.safe.torque(self._v, newest.mobility, step)
+        late = 0.0 if self.watch is None else self.watch.safe_step
+        effort = self.safe.torque(self._v, newest.mobility, step + late)
         return effort if np.isfinite(effort).all() else self._none
 
     def _close(self, t: float, q: Array, v: Array) -> None:
@@ -182,6 +196,19 @@ class ControlLoop:
             self._memory = self.controller.begin()
         self.is_open = self._is_lapsed = False
         self.chatter.reset()
+        if self.watch is not None:
+            self.watch.begin()
+
+    def _is_lost(self, t: float, dt: float, q: Array, v: Array, acted: Array | None) -> bool:
+        """Whether the command has to go safe; where it may come back the loop begins anew."""
+        watch = self.watch
+        if watch is None:
+            return False
+        was_lost = bool(watch.fault)
+        watch.update(t, dt, q - self.guide.at(t).q, v, acted, self.weight == 0.0)
+        if was_lost and not watch.fault:
+            self._close(t, q, v)
+        return bool(watch.fault)
 
     def _shift(self, dt: float) -> None:
         step = dt / self.ramp if self.ramp > 0.0 else np.copysign(np.inf, dt)

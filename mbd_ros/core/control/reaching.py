@@ -7,6 +7,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
 LAWS = ("constant", "exponential", "power_rate")
+_SAMPLED = 1.3  # for masses wrong by 30 %
 _NO_LAYER = 1.0e-300  # a layer without effect: s / _NO_LAYER neither overflows nor divides zeros
 
 
@@ -61,6 +62,19 @@ class ReachingLaw:
         elif self._is_exponential:
             rho += self._rate * s
         return rho
+
+    def layer(self, period: float) -> Array:
+        """Boundary layer [rad/s or m/s], shape (n,); without one what a period makes of it.
+
+        That is where a step of the law leads to, s = 1.3 h k s^p.
+        """
+        sampled = (_SAMPLED * period * self._gain) ** (1.0 / (1.0 - self._power))
+        return np.where(self._layer > _NO_LAYER, self._layer, sampled)
+
+    def slope(self, period: float) -> Array:
+        """Of rho within that layer [1/s], shape (n,)."""
+        layer = self.layer(period)
+        return self._gain * layer ** (self._power - 1.0) + self._rate
 
     def width(self, disturbance: Array | float, effectiveness: Array | float = 1.0) -> Array:
         """Where |s| settles under s' = d - g rho(s): rho(width) = disturbance / effectiveness.
