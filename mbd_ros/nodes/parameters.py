@@ -194,7 +194,8 @@ class Declared:
 
     def _converted(self, change: ros.Parameter) -> ros.Parameter:
         kind = self._specs[change.name].kind if change.name in self._specs else None
-        if get_origin(kind) is list and change.value is not None and len(change.value) == 0:
+        is_array = isinstance(change.value, list | tuple | array)
+        if get_origin(kind) is list and is_array and len(change.value) == 0:
             return ros.Parameter(change.name, _ROS_TYPES[kind], [])
         if kind is float and change.type_ == ros.Parameter.Type.INTEGER:
             return ros.Parameter(change.name, value=float(change.value))

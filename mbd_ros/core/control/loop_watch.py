@@ -110,9 +110,11 @@ class LoopWatch:
         """Time to add to the step of a safe command, which is as late as any other [s].
 
         A damper that is late by D is stable as long as it brakes no faster than within 2 D / pi.
+        D is what was measured; after a loss without a measurement it is taken for `LONGEST`.
         """
-        delay = LONGEST if self.meter.delay is None else self.meter.delay
-        return 2.0 * max(delay, self._late_by if self.fault else 0.0)
+        measured = self.meter.delay
+        late_by = self._late_by if measured is None or self.fault else measured
+        return 2.0 * max(late_by, measured or 0.0)
 
     @property
     def delay(self) -> float | None:
@@ -210,7 +212,7 @@ class LoopWatch:
             self._wait = min(2.0 * self._wait, _LONGEST_WAIT) if is_again else _FIRST_WAIT
             self.fault, self._since, self._passed = "; ".join(lost), t, 0
             self.faults += 1
-            self._late_by = self.meter.delay or 0.0
+            self._late_by = LONGEST if self.meter.delay is None else self.meter.delay
             self.meter.reset()  # it is to be measured anew, or to be forgotten
 
     def _maybe_return(self, t: float, is_lost: bool) -> None:
