@@ -82,7 +82,7 @@ def inverse_dynamics_of(
         samples = observe(estimator, recording.motion, dropped)
         yield causal_line(estimator.differentiator, derivatives.causal_cutoff)
     else:
-        with about(motion):
+        with about(motion), np.errstate(over="ignore", invalid="ignore"):
             samples, cutoff, remarks = differentiate(scene, motion, recording.motion, derivatives)
         yield from remarks
     yield from (f"{count} samples left out: {reason}" for reason, count in dropped.items())

@@ -151,7 +151,9 @@ def _stiffness(scene: Scene, motion: LinearMotion) -> Iterator[str]:
     elif motion.rate * scene.dt > DEFAULT_STABLE:
         method = build_part("integrators", DEFAULT_INTEGRATOR, "default")
     longest = math.inf if method is None else longest_step(method, motion, scene.dt)
-    if longest < math.inf:
+    if not math.isfinite(motion.rate):
+        yield _line("warning", f"stiff: forces change too steeply for any step of {name}")
+    elif longest < math.inf:
         limit = f"steps of {name} need dt < {longest:.2g} s, gauss_legendre does not"
         stiff = f"stiff: fastest rate {motion.rate:.3g} 1/s at dt {scene.dt:g} s"
         yield _line("warning", f"{stiff}; {limit}")

@@ -54,11 +54,13 @@ def _stiffness(
         motion = _motion(system, x)
         if motion is not None:
             worst = min(worst, (longest_step(method, motion, dt), motion.rate, x.t))
-    longest, rate, t = worst
-    if longest < math.inf:
+    (longest, rate, t), name = worst, type(method).__name__
+    if not math.isfinite(rate):
+        yield f"stiff: forces change too steeply at t = {t:.6g} s for any step of {name}"
+    elif longest < math.inf:
         yield (
             f"stiff: fastest rate {rate:.3g} 1/s at t = {t:.6g} s; steps of "
-            f"{type(method).__name__} need dt < {longest:.2g} s there"
+            f"{name} need dt < {longest:.2g} s there"
         )
 
 

@@ -61,6 +61,9 @@ CORPUS = {
     "a spring of 1e300": scene_case(
         forces=[{"type": "joint_spring", "joint": J, "stiffness": 1e300, "rest": 1.0}]
     ),
+    "a spring of 1e29": scene_case(
+        forces=[{"type": "joint_spring", "joint": J, "stiffness": 1e29, "rest": 1.0}]
+    ),
     "a stop of time constant 1e-300": scene_case(
         constraints=[{"type": "joint_stop", "joint": J, "lower": -1.0, "time_constant": 1e-300}]
     ),

@@ -63,7 +63,7 @@ def faults(case: Case, folder: Path | None = None) -> list[str]:
         return [_where(error)]
     new = {p.name for p in folder.iterdir()} - before
     return [
-        *_of_streams(ended, noise, str(folder)),
+        *_of_streams(ended, noise, str(folder), b"".join(case.files.values())),
         *_of_result(ended.code, out),
         *(f"left behind: {name}" for name in new if "diverged" not in name),
     ]
@@ -106,7 +106,7 @@ def _where(error: Exception) -> str:
     return f"traceback: {type(error).__name__} in {at}: {str(error)[:100]!r}"
 
 
-def _of_streams(ended: Ended, noise: list[str], folder: str) -> list[str]:
+def _of_streams(ended: Ended, noise: list[str], folder: str, given: bytes) -> list[str]:
     found, lines = list(dict.fromkeys(noise)), (ended.said + ended.told).splitlines()
     if ended.code not in (0, 1, 2):
         found.append(f"exit {ended.code}")
@@ -118,8 +118,11 @@ def _of_streams(ended: Ended, noise: list[str], folder: str) -> list[str]:
     if control := CONTROL.search(ended.said + ended.told):
         around = (ended.said + ended.told)[max(control.start() - 60, 0) : control.end() + 20]
         found.append(f"control character: {around!r}")
-    if ended.code == 0 and (word := NOT_FINITE.search(ended.said.replace(folder, ""))):
-        line = ended.said[ended.said.rfind("\n", 0, word.start()) + 1 :].partition("\n")[0]
+    shown = ended.said.replace(folder, "")
+    word = NOT_FINITE.search(shown)
+    is_name = word is not None and f"'{word.group()}'".encode() in given
+    if ended.code == 0 and word is not None and not is_name:
+        line = shown[shown.rfind("\n", 0, word.start()) + 1 :].partition("\n")[0]
         found.append(f"exit 0 with {word.group()}: {line[:150]!r}")
     return found
 

@@ -17,6 +17,8 @@ from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.state import Array, Solution, State
 from mbd_ros.core.system import System
 
+_BASE_Q, _BASE_V = 7, 6  # coordinates of a free base
+
 
 class ReducedSystem(System):
     """Integrates the independent coordinates only, so that no coupling can drift.
@@ -42,6 +44,8 @@ class ReducedSystem(System):
         super().__init__(robot, loads, bounded=bounded, order=order)
         self.couplings = couplings
         self.nq, self.nv = len(couplings.q_index), len(couplings.v_index)
+        self._base = pin.Model()
+        self._base.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
         self._zi, self._wi = couplings.q_index, couplings.v_index
         self._q, self._v = pin.neutral(robot.model), np.zeros(robot.model.nv)
         self._a, self._w0 = np.zeros(robot.model.nv), np.zeros(self.nv)
@@ -104,6 +108,20 @@ class ReducedSystem(System):
     def reduce(self, x: State) -> State:
         """State of the independent coordinates."""
         return State(x.t, x.q[self._zi], x.v[self._wi])
+
+    def integrate(self, q: Array, dq: Array) -> Array:
+        """Configuration q (+) dq of the independent coordinates, a free base first."""
+        if self.is_flat:
+            return q + dq
+        base = pin.integrate(self._base, q[:_BASE_Q], dq[:_BASE_V])
+        return np.concatenate((base, q[_BASE_Q:] + dq[_BASE_V:]))
+
+    def difference(self, q0: Array, q1: Array) -> Array:
+        """The dq with q0 (+) dq = q1, shape (nv,)."""
+        if self.is_flat:
+            return q1 - q0
+        base = pin.difference(self._base, q0[:_BASE_Q], q1[:_BASE_Q])
+        return np.concatenate((base, q1[_BASE_Q:] - q0[_BASE_Q:]))
 
     def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
         """q, v and a of all joints at the state of the last evaluation."""
