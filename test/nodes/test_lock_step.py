@@ -117,7 +117,7 @@ class LossyLoop:
             if self._begun is None:
                 self._begun = answered
             if answered < self._begun:
-                self._begun = -(10**9)  # of another simulation
+                self._begun = answered  # of another simulation
             share = min((answered - self._begun) * 1e-9 / RAMP + 1e-9, 1.0)
             self.highest = max(self.highest, (np.abs(values) / self._limit).max())
             damping = self._gain * np.abs(self._speeds.get(answered, np.inf))
@@ -138,7 +138,7 @@ def test_lock_step_with_losses_restarts_and_kills(
     """1 % of the messages are lost; controllers are stopped and killed, simulators killed.
 
     Never do both say OK while time stands for more than 2 s, and never is a command above the
-    ramp of its controller.
+    ramp that begins with either node.
     """
     with QuickProbe(domain) as probe, ended() as nodes:
         loop = LossyLoop(domain, tmp_path, probe, nodes)
