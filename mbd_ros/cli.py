@@ -166,7 +166,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
         _say(simulate(scene, run))
     except Interrupted as error:
         print(f"mbd-ros simulate: {error}", file=sys.stderr)
-        return FAILED
+        return INTERRUPTED if error.by_user else FAILED
     return OK
 
 

@@ -1,6 +1,7 @@
 """Forward simulation of a scene into a file: `mbd-ros simulate`."""
 
 import math
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -29,7 +30,17 @@ _ROUNDING = 1.0e-9  # of dt
 
 
 class Interrupted(MbdError):
-    """A simulation that ended early; what it had reached is in a file of its own."""
+    """A simulation that ended early; what it had reached is in a file of its own.
+
+    Attributes:
+        by_user: Whether Ctrl-C ended it.
+    """
+
+    by_user = False
+
+
+class _CtrlC(MbdError):
+    """Ctrl-C, as the reason why a simulation ended."""
 
 
 def simulate(scene: Scene, run: Run) -> Iterator[str]:
@@ -39,7 +50,8 @@ def simulate(scene: Scene, run: Run) -> Iterator[str]:
         The summary, a line each.
 
     Raises:
-        Interrupted: The state diverged or equations have no solution; the states so far are in
+        Interrupted: The state diverged, equations have no solution, steps became too short to go
+            on, or Ctrl-C was pressed; the states so far are in
             the file of `diverged_place`, named in the message.
         MbdError: Input that cannot be used.
     """
@@ -64,7 +76,9 @@ def simulate(scene: Scene, run: Run) -> Iterator[str]:
     if failure is not None:
         if not len(record.times):
             raise type(failure)(f"{scene.path}: {failure}") from failure
-        raise Interrupted(f"{failure}; {_kept(kept, record)}")
+        early = Interrupted(f"{failure}; {_kept(kept, record)}")
+        early.by_user = isinstance(failure, _CtrlC)
+        raise early
     with about(scene.path):
         said = list(_summary(simulation, record, wall, evaluations))
         found = step_warnings(simulation.system, simulation.integrator, simulation.dt, states)
@@ -110,6 +124,12 @@ def _kept(place: Path, record: SimulationRecord) -> str:
     return f"{len(record.times)} states so far are in {place}"
 
 
+def _warn(text: str) -> None:
+    """Said at once, while the run goes on."""
+    sys.stderr.write(f"warning: {text}\n")
+    sys.stderr.flush()
+
+
 def _states(
     simulation: Simulation, x: State, run: Run, commands: Commands | None
 ) -> tuple[list[State], MbdError | None]:
@@ -118,9 +138,14 @@ def _states(
     duration = _duration(run, simulation.dt)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a divergence says so itself
-            states.extend(progress(simulation.run(x, duration, commands), count, "simulate"))
+            every = simulation.run(x, duration, commands, _warn)
+            states.extend(progress(every, count, "simulate"))
     except (DivergedError, SolveError) as error:
         return states, error
+    except KeyboardInterrupt:
+        if not states:
+            raise
+        return states, _CtrlC(f"interrupted after t = {states[-1].t:.9g} s")
     return states, None
 
 

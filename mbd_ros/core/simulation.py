@@ -9,6 +9,7 @@ from mbd_ros.core.forward.mass_check import check_mass
 from mbd_ros.core.forward.overshoots import Overshoots
 from mbd_ros.core.manifold.assembly import assemble
 from mbd_ros.core.stabilizing import Stabilization
+from mbd_ros.core.stall import PATIENCE, WINDOW, Notice, StallWatch, refuse_crawl
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.stepping import Integrator
 from mbd_ros.core.system import System
@@ -69,16 +70,23 @@ class Simulation:
             self.overshoots.begin(y)
         return y
 
-    def run(self, x: State, duration: float, commands: Commands | None = None) -> Iterator[State]:
+    def run(
+        self,
+        x: State,
+        duration: float,
+        commands: Commands | None = None,
+        notice: Notice | None = None,
+    ) -> Iterator[State]:
         """States of all joints every dt, the first one included.
 
         Args:
             x: State of all joints; moved onto the constraints first.
             duration: [s], >= 0; a last shorter interval ends exactly there.
             commands: Time [s] -> commands, read every dt and held until the next.
+            notice: Is told once where steps are so short that the end is far away.
 
         Raises:
-            DivergedError: The state is no longer finite.
+            DivergedError: The state is no longer finite, or steps are too short to get to the end.
             SolveError: The mechanism cannot be assembled, or equations contradict one another.
         """
         y = self.start(x)
@@ -87,6 +95,8 @@ class Simulation:
         last, u, k = begin + duration, None, 1
         resolution = 2.0 * math.ulp(max(abs(begin), abs(last)))
         slack = max(_ROUNDING * self.dt, resolution)
+        watch, look_at = StallWatch(self.system, self.dt, notice), self.steps + WINDOW
+        watch.begin(begin)
         while k <= count:
             due = min(begin + k * self.dt, last)
             if commands is not None and y.t > due - self.dt - slack:
@@ -94,6 +104,9 @@ class Simulation:
             late = abs(begin + (k - 1) * self.dt - y.t)
             is_rounded = 0.2 * slack < late < 1.0e3 * slack  # a sum of steps, to be put right
             y_next = self._step(y, u, due if is_rounded or commands is not None else last)
+            if self.steps >= look_at:
+                watch.look(y_next, u, last)
+                look_at = self.steps + WINDOW
             if 0.0 < abs(y_next.t - due) <= resolution == slack:  # late times are coarse
                 y_next = y_next._replace(t=due)
                 self.stepper.continue_from(y_next)
@@ -122,7 +135,11 @@ class Simulation:
         """
         is_looked_at = self._is_corrected or self.overshoots is not None
         nearly = due - max(_ROUNDING * self.dt, 2.0 * math.ulp(due))
+        begin, first, look_at = y.t, self.steps, self.steps + PATIENCE * WINDOW
         while y.t < nearly:
+            if self.steps >= look_at:
+                refuse_crawl(self.system, y, u, (y.t - begin) / (self.steps - first), self.dt, due)
+                look_at = self.steps + WINDOW
             y_next = self._step(y, u, due, 1 if is_looked_at else _STRIDE)
             y = self._corrected(y_next)
             if y is not y_next:
