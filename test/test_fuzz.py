@@ -91,6 +91,14 @@ CORPUS = {
     "a joint with control characters": scene_case(
         robot=TWO.replace("'j2'", "'\x7f\u202e'"), command="check"
     ),
+    "a link named as a fixed joint, and a locked one": scene_case(
+        robot=TWO.replace(
+            "</robot>",
+            "<link name='x'/><joint name='l1' type='fixed'><parent link='l2'/><child link='x'/>"
+            "</joint></robot>",
+        ),
+        robot_entry={"locked": {"j2": 0.5}},
+    ),
     "a key with control characters": scene_case(**{"\x1b[2J": 1}),
     "a value of 200 000 characters": scene_case(integrator="x" * 200_000),
     "a file of one sample": Case(

@@ -153,7 +153,10 @@ def _lock(
             raise ModelError(f"{source}: locked: joint '{name}' {state}")
         q[model.joints[model.getJointId(urdf_names[name])].idx_q] = position
     ids = [model.getJointId(urdf_names[name]) for name in locked]
-    return pin.buildReducedModel(model, ids, q)
+    try:
+        return pin.buildReducedModel(model, ids, q)
+    except (ValueError, RuntimeError) as error:  # a link and a fixed joint of one name, for one
+        raise ModelError(f"{source}: locked: {str(error).splitlines()[0]}") from error
 
 
 def _joints(
