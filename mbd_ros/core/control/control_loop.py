@@ -135,10 +135,13 @@ class ControlLoop:
         if self.is_open or not 0.0 <= x.t - self._t <= self.longest:
             self._close(x.t, q, v)
         self._t = x.t
-        is_lost = self._is_lost(x.t, dt, q, v, acted)
+        ref = self.guide.at(x.t)
+        if self._is_back(x.t, dt, q - ref.q, v, acted):
+            self._close(x.t, q, v)
+            ref = self.guide.at(x.t)
+        is_lost = self.watch is not None and bool(self.watch.fault)
         self._shift(dt if is_lost else -dt)
         box = self.guard.box(self._sent, dt)
-        ref = self.guide.at(x.t)
         control = self._controlled(x, ref, box, dt)
         effort = control.effort
         if self.weight > 0.0:
@@ -199,16 +202,14 @@ class ControlLoop:
         if self.watch is not None:
             self.watch.begin()
 
-    def _is_lost(self, t: float, dt: float, q: Array, v: Array, acted: Array | None) -> bool:
-        """Whether the command has to go safe; where it may come back the loop begins anew."""
+    def _is_back(self, t: float, dt: float, error: Array, v: Array, acted: Array | None) -> bool:
+        """Whether a loop that was lost may close again."""
         watch = self.watch
         if watch is None:
             return False
         was_lost = bool(watch.fault)
-        watch.update(t, dt, q - self.guide.at(t).q, v, acted, self.weight == 0.0)
-        if was_lost and not watch.fault:
-            self._close(t, q, v)
-        return bool(watch.fault)
+        watch.update(t, dt, error, v, acted, self.weight == 0.0)
+        return was_lost and not watch.fault
 
     def _shift(self, dt: float) -> None:
         step = dt / self.ramp if self.ramp > 0.0 else np.copysign(np.inf, dt)

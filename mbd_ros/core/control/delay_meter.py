@@ -35,43 +35,49 @@ class DelayMeter:
     """
 
     def __init__(self, size: int) -> None:
-        self._sent = np.zeros((_CAPACITY, size))  # newest first
-        self._times = np.zeros(_CAPACITY)
+        self._sent = np.zeros((2 * _CAPACITY, size))  # from `first` on, newest first
+        self._times = np.zeros(2 * _CAPACITY)
         self._misfits = np.zeros(_CAPACITY)
         self.reset()
 
     def reset(self) -> None:
         """Forget what was sent."""
         self.delay: float | None = None
-        self._count = 0
+        self._count, self._first = 0, _CAPACITY
 
     def send(self, t: float, effort: Array) -> None:
         """Note the command that answers the state of time t [s]; effort of shape (n,)."""
-        self._sent[1:] = self._sent[:-1]
-        self._times[1:] = self._times[:-1]
-        self._sent[0], self._times[0] = effort, t
+        if self._first == 0:
+            self._first = _CAPACITY
+            self._sent[_CAPACITY:] = self._sent[:_CAPACITY]
+            self._times[_CAPACITY:] = self._times[:_CAPACITY]
+        self._first -= 1
+        self._sent[self._first], self._times[self._first] = effort, t
         if self._count < _CAPACITY:
             self._misfits[self._count] = 0.0
             self._count += 1
 
-    def measure(self, t: float, effort: Array, period: float) -> None:
+    def measure(self, t: float, effort: Array, period: float, oldest: float = _HORIZON) -> None:
         """Compare the effort that acted until a time with the commands that were sent before.
 
         Args:
             t: Of the state, later than that of the last command [s].
             effort: [N·m or N], shape (n,); nothing is learned from one that is not finite.
             period: Time for which a command acts [s].
+            oldest: Age up to which commands are compared [s].
         """
-        if not np.isfinite(effort).all():
+        total = float(effort.sum())
+        if total - total != 0.0:
             return
-        count = min(self._count, int(np.searchsorted(-self._times[: self._count], _HORIZON - t)))
-        miss = self._sent[:count] - effort
+        reach = int(min(oldest, _HORIZON) / period) + _ASIDE + _FEWEST
+        count, first = min(self._count, reach), self._first
+        miss = self._sent[first : first + count] - effort
         misfits = self._misfits[:count]
         misfits *= min(max(math.exp(-period / _MEMORY), _KEPT[0]), _KEPT[1])
         misfits += np.einsum("ij,ij->i", miss, miss)
         best = self._best(misfits[: count - _FEWEST]) if count > _FEWEST else None
         if best is not None:
-            self.delay = max(t - float(self._times[best]) - period, 0.0)
+            self.delay = max(t - float(self._times[first + best]) - period, 0.0)
 
     def _best(self, misfits: Array) -> int | None:
         """Where the least misfit is, if it stands out: far below those of ages about it."""

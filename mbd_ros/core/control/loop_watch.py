@@ -18,6 +18,7 @@ _TIMES = 2  # states in a row
 _SETTLING = 0.5  # [s] of full control until the error is judged, where it was not small before
 _FIRST_WAIT, _LONGEST_WAIT = 1.0, 60.0  # s
 _CALM = 30.0  # [s] without a fault after which the wait is the first one again
+_OLDEST, _RECENT = 4.0, 0.03  # times the tolerable delay, [s]: ages that are looked for
 _TOO_FAST = 2.0  # times the velocity limit: beyond, the loop counts as lost
 _CHANGE = 0.25  # of the period, after which the bounds are computed anew
 _SMOOTH = 0.1  # weight of the newest period
@@ -142,7 +143,8 @@ class LoopWatch:
         if dt > 0.0:
             self._note_period(dt)
             if effort is not None:
-                self.meter.measure(t, effort, self.period)
+                oldest = max(_OLDEST * min(self.tolerable, LONGEST), _RECENT)
+                self.meter.measure(t, effort, self.period, oldest)
         self._note_settling(t, error, is_full)
         self._reasons = self._late() + self._fast(v, 1.0) + self._off(error, 1.0)
         if self.fault:
