@@ -28,6 +28,8 @@ _LEFT = 1.0e-6  # of the forces at work: what may stay without an actuator
 _ZERO = 1.0e-9  # the same where nothing moves and nothing acts
 _NAMED = 0.3  # share of a joint in a direction, of the largest, to be named
 _SHOWN = 4  # joints in a message
+_DIGITS = 9  # of shares that differ; beyond them is rounding
+_NOTHING = 1.0e-300
 
 
 class ClosedLoopInverseDynamics:
@@ -187,9 +189,13 @@ class ClosedLoopInverseDynamics:
         )
 
     def _movers(self, directions: Array, x: State) -> tuple[str, ...]:
-        """Joints that carry most of some motions, one a column, by kinetic energy."""
+        """Joints that carry most of some motions, one a column, by kinetic energy.
+
+        Equal ones stand in the order of the robot, whatever rounding says.
+        """
         inertia = np.sqrt(self.motion.metric(x.q).diagonal())
         share: Any = inertia * np.linalg.norm(directions, axis=1)
+        share = np.round(share / max(share.max(), _NOTHING), _DIGITS)
         order = np.argsort(-share, kind="stable")
         chosen = [int(i) for i in order if share[i] > _NAMED * share.max() > 0.0]
         names = dict.fromkeys(self._names.get(i, "the floating base") for i in chosen)
