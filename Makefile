@@ -20,7 +20,7 @@ OTHER_PYTHON := other_python
 endif
 endif
 
-.PHONY: venv test demo lint format report soak fuzz fuzz-nodes bench colcon clean other_python
+.PHONY: venv test demo lint format report soak fuzz fuzz-nodes bench against colcon clean other_python
 
 venv: .venv/installed
 
@@ -71,6 +71,9 @@ bench: venv
 	$(BIN)/python -m mbd_ros.report.bench.inverse
 	$(BIN)/python -m mbd_ros.report.bench.projector
 	$(BIN)/python -m mbd_ros.report.bench.controllers
+
+against: venv
+	$(BIN)/python benchmarks/against.py $(or $(BASE),HEAD)
 
 $(COLCON_VENV)/pinned: requirements/colcon.txt .venv/pinned
 	rm -rf $(COLCON_VENV) && $(BIN)/python -m venv $(COLCON_VENV)

@@ -1,0 +1,38 @@
+"""`benchmarks/against.py`: another commit beside this one."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+AGAINST = [sys.executable, "benchmarks/against.py"]
+
+
+def run(*words, cwd=ROOT):
+    return subprocess.run(
+        [*AGAINST, *words], cwd=cwd, capture_output=True, text=True, timeout=1200, check=False
+    )
+
+
+def test_an_unknown_commit_is_refused():
+    done = run("no_such_commit", "--only", "bits")
+    assert done.returncode != 0 and "no_such_commit" in done.stderr
+
+
+@pytest.mark.soak
+def test_a_changed_number_is_seen_and_nothing_else(tmp_path):
+    """A clone whose gravity compensation is off by rounding, against the commit it came from."""
+    clone = tmp_path / "clone"
+    subprocess.run(["git", "clone", "--quiet", str(ROOT), str(clone)], check=True)
+    part = clone / "mbd_ros/forces/gravity_compensation.py"
+    text = part.read_text(encoding="utf-8")
+    changed = text.replace("= self._gain *", "= 1.0000000000000002 * self._gain *")
+    assert changed != text
+    part.write_text(changed, encoding="utf-8")
+    done = run("HEAD", "--only", "bits", cwd=clone)
+    found = json.loads(done.stdout)["bits"]
+    assert done.returncode == 1 and found["scenes"] > 40
+    assert {line.partition(":")[0] for line in found["different"]} == {"loads"}
