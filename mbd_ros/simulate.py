@@ -126,7 +126,8 @@ def _kept(place: Path, record: SimulationRecord) -> str:
 
 def _warn(text: str) -> None:
     """Said at once, while the run goes on."""
-    sys.stderr.write(f"warning: {text}\n")
+    erased = "\r\x1b[K" if sys.stderr.isatty() else ""  # the line of `progress`
+    sys.stderr.write(f"{erased}warning: {text}\n")
     sys.stderr.flush()
 
 
