@@ -37,7 +37,7 @@ class LossyLoop:
         scene = load_scene(SCENE)
         self._names, self._gain = list(scene.actuated), scene.safe.gain
         self._limit = np.array([scene.robot.joint(n).max_effort for n in self._names])
-        self._speeds = {}
+        self._speeds, self._begun = {}, None
         self._files = itertools.count()
         self.done = Counter()
         self.longest = self.highest = 0.0
@@ -53,6 +53,7 @@ class LossyLoop:
         self.end("controller", number)
         values = {"scene": SCENE, "use_sim_time": "true", "safe_ramp": RAMP}
         self.controller = self._started("sliding_mode_controller", REMAPPED, **values)
+        self._assert_ramped()  # what the one before sent last
         self._begun = None
 
     def end(self, which, number):
