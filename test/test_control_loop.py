@@ -184,14 +184,23 @@ def test_a_reset_goes_on_from_the_last_command_or_ramps_down(joints):
     assert loop.lapses == 1
 
 
-@pytest.mark.parametrize("begin", [-3.0, 7.0])
-def test_stamps_that_jump_begin_anew_without_a_bump(joints, begin):
+def test_stamps_that_jump_ahead_go_on_without_a_bump(joints):
     loop = loop_of(joints, (0.0, 0.0), ramp=0.0)
     loop.guide.follow(0.0, np.array([0.0, 8.0]), np.array([[0.3, 0.1], [1.1, 0.1]]))
     last = run(loop, 101)[-1]
     assert last.any()
-    np.testing.assert_allclose(run(loop, 1, begin)[0], last, atol=0.05 + 1e-12)  # memory is kept
-    np.testing.assert_allclose(loop.guide.at(begin).q, [0.3, 0.1], atol=1e-12)
+    np.testing.assert_allclose(run(loop, 1, 7.0)[0], last, atol=0.05 + 1e-12)  # memory is kept
+    np.testing.assert_allclose(loop.guide.at(7.0).q, [0.3, 0.1], atol=1e-12)
+
+
+def test_stamps_that_jump_back_begin_anew_by_the_ramp(joints):
+    """Integrals are reset, the robot is held where it is, and effort comes as at a start."""
+    loop, fresh = (loop_of(joints, (0.0, 0.0), ramp=0.1) for _ in range(2))
+    loop.guide.follow(0.0, np.array([0.0, 8.0]), np.array([[0.3, 0.1], [1.1, 0.1]]))
+    assert run(loop, 301)[-1].any()
+    again = run(loop, 150, -3.0)
+    assert not again[0].any() and again[-1].any()
+    np.testing.assert_array_equal(again, run(fresh, 150, -3.0))
 
 
 def test_a_loop_that_takes_over_goes_on_where_the_other_was(joints):
