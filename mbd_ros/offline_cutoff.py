@@ -24,6 +24,7 @@ _RISE = 1.5  # least rise of f^3 P over them
 _HUMP = 10.0  # rise of the density with the frequency that only motion has
 _SHARE = 0.04  # largest share of the variance that noise has, unless it is white
 _WHITE = 6  # bands up to the last that make noise white
+_HELD = 4  # samples a level, from which on a few levels are steps of an encoder
 _GENEROUS = 2.0  # times the least expected square error: motion lost is worse than noise left
 
 
@@ -99,7 +100,8 @@ def _step(signal: Array) -> float:
     """Resolution of a signal that only takes multiples of a step; 0 for any other."""
     steps = np.diff(np.unique(signal))
     steps = steps[steps > 1e-9 * np.ptp(signal)]
-    if len(steps) < 8:
+    few = len(steps) < 8
+    if len(steps) == 0 or (few and len(signal) < _HELD * (len(steps) + 1)):
         return 0.0
     multiples = steps / steps.min()
     return float(steps.min()) if np.abs(multiples - np.rint(multiples)).max() < 0.02 else 0.0

@@ -85,6 +85,17 @@ def test_encoder_counts_are_noise_even_where_they_repeat(counts, rate):
     assert found <= 0.03
 
 
+@pytest.mark.parametrize("span", [2, 8])
+@pytest.mark.parametrize("rate", [30, 100, 1000])
+def test_joint_that_crosses_few_counts_creeps(rate, span):
+    """4 mrad are 7 counts of an encoder, 1 mrad two: each count would be a blow of 1000 rad/s^2."""
+    t, size = np.arange(0, span, 1 / rate), TURN / 4096
+    slow = np.hstack([motion(((a, f),), t) for a, f in ((4e-3, 0.5), (1e-3, 0.3))])
+    found = zero_phase(stamps_of(t), np.round(slow / size) * size)
+    assert rms(found.acceleration) < 0.05
+    assert found.cutoff.tolist() == [2.0, 2.0]
+
+
 def test_noise_that_was_resampled_is_no_motion():
     """0.3 mrad at 30 Hz look smooth at 1 kHz; below them there is white noise of 0.05 mrad."""
     rng, coarse, t = np.random.default_rng(3), np.arange(0, 20.1, 1 / 30), np.arange(0, 20, 1e-3)
