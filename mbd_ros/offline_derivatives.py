@@ -159,9 +159,10 @@ def unexplained(motion: Motion, record: TorqueRecord, cutoff: Array) -> Iterator
         low_passed(motion.stamps, values, cutoff[theirs])
         for values in (effort[:, theirs], record.effort[:, ours])
     )
-    total = float(np.linalg.norm(known))
-    if total > 0:
-        share = 100.0 * float(np.linalg.norm(found - known)) / total
+    unit = np.abs([known, found]).max()  # squares of the efforts themselves may overflow
+    if known.any() and np.isfinite(unit):
+        total, off = (float(np.linalg.norm(tau / unit)) for tau in (known, found - known))
+        share = 100.0 * off / total
         yield (
             f"off the measured effort by {share:.3g} % (norm of differences over norm of efforts, "
             "all behind the same low-pass)"

@@ -28,6 +28,11 @@ def scene_case(*, command="simulate", robot=None, words=(), files=(), **sections
     return Case(("simulate", "@s.yaml", "-t", "0.003", "-o", "@o.csv", *words), given, "o.csv")
 
 
+def motion_case(table, derivatives, robot=PENDULUM.text):
+    words = "inverse", "@s.yaml", "@m.csv", "-o", "@o.csv", "--derivatives", derivatives
+    return Case(words, {"s.yaml": SCENE, "r.urdf": robot.encode(), "m.csv": table}, "o.csv")
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_short_run_finds_nothing(kind):
     names = [f"{kind}:{i}" for i in range(20 * SHARES[kind])]
@@ -87,6 +92,19 @@ CORPUS = {
             "m.csv": tables.table(random.Random(1), PENDULUM.joints),
         },
         "o.csv",
+    ),
+    "a position of 1e155 through causal filters": motion_case(
+        b"time,j1.position\n0,0\n0.01,1e155\n0.02,0\n",
+        "causal",
+        PENDULUM.text.replace("continuous", "revolute"),
+    ),
+    "an effort of 1e200": motion_case(
+        b"time,j1.position,j1.effort\n"
+        + b"".join(b"%g,%g,%g\n" % (0.01 * k, 0.1 * k, 1e200) for k in range(20)),
+        "zero-phase",
+    ),
+    "an attribute that is not ASCII": scene_case(
+        robot=PENDULUM.text.replace("xyz='", "xy\u0661z='", 1)
     ),
     "a joint with control characters": scene_case(
         robot=TWO.replace("'j2'", "'\x7f\u202e'"), command="check"

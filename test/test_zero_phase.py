@@ -88,7 +88,7 @@ def test_encoder_counts_are_noise_even_where_they_repeat(counts, rate):
 @pytest.mark.parametrize("span", [2, 8])
 @pytest.mark.parametrize("rate", [30, 100, 1000])
 def test_joint_that_crosses_few_counts_creeps(rate, span):
-    """4 mrad are 7 counts of an encoder, 1 mrad two: each count would be a blow of 1000 rad/s^2."""
+    """4 mrad are 7 counts of an encoder, 1 mrad two: taken as they are, each is a blow."""
     t, size = np.arange(0, span, 1 / rate), TURN / 4096
     slow = np.hstack([motion(((a, f),), t) for a, f in ((4e-3, 0.5), (1e-3, 0.3))])
     found = zero_phase(stamps_of(t), np.round(slow / size) * size)

@@ -62,7 +62,8 @@ def _fill(
     if rng.random() < 0.1:
         given["robot"]["locked"] = {rng.choice(robot.joints): _number(rng, nastiness)}
     if rng.random() < 0.4:
-        given["dt"] = rng.choice((1e-3, 1e-2, 1e-4, _number(rng, nastiness)))
+        dt = rng.choice((1e-3, 1e-2, 1e-4, _number(rng, nastiness)))
+        given["dt"] = 1e-6 if dt == 1e-9 else dt  # accepted, and millions of steps
     if rng.random() < 0.5:
         given["initial"] = {
             key: {joint: _number(rng, nastiness) for joint in robot.joints if rng.random() < 0.5}

@@ -4,6 +4,7 @@ Every joint has one coordinate. A continuous joint, for which Pinocchio would ke
 read as a revolute joint without limits, so that its position is an unwrapped angle everywhere.
 """
 
+import copy
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -115,7 +116,7 @@ def _build_model(
 ) -> Any:
     root = (pin.JointModelFreeFlyer(),) if floating else ()
     try:
-        single = ElementTree.fromstring(ElementTree.tostring(tree))
+        single = copy.deepcopy(tree)
         for joint in single.findall("joint"):
             if joint.get("type") == "continuous":
                 _without_limits(joint)
