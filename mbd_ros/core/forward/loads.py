@@ -56,7 +56,7 @@ class Loads:
             data: As for `total`.
             x: State of all joints.
         """
-        forces = [force.beside(data, x) for force in self.forces]
+        forces = [f.beside(data, x) if isinstance(f, ForceTerm) else f for f in self.forces]
         if all(one is other for one, other in zip(forces, self.forces, strict=True)):
             return self
         return Loads(len(self._zero), forces, self.actuators)
