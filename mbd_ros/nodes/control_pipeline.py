@@ -228,9 +228,10 @@ class ControlPipeline:
             self.loop.guide.take(self._now(), plan.course)
 
     def stop(self) -> None:
-        """Come to rest where the joints are; without a joint state the command is safe anyway."""
+        """Come to rest where the joints are, or where the next joint state finds them."""
         if self.x is not None and not self.loop.is_open:
             self.loop.guide.hold(*self.measured())
+        self.loop.guide.kind = "held"
 
     def measured(self) -> tuple[float, Array, Array]:
         """Newest time [s], positions and velocities of the controlled joints, shape (n,) each.

@@ -19,7 +19,7 @@ from mbd_ros.errors import SolveError
 from mbd_ros.nodes.control_pipeline import ControlPipeline
 from mbd_ros.nodes.joint_state_node import JointStateNode
 from mbd_ros.nodes.trajectory_action import ABSENT, NAME, TrajectoryAction, action_type
-from msg_adapters.diagnostics import ERROR, OK, WARN
+from msg_adapters.diagnostics import ERROR, OK, STALE, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_trajectory import read_joint_trajectory
@@ -80,7 +80,7 @@ class ControllerNode(JointStateNode):
 
     def safe(self) -> None:
         """The safe command, at the newest state if it is fresh; nothing before the first one."""
-        self._abort("the controller stops: the safe command took over")
+        self._give_up("the controller stops: the safe command took over")
         pipeline = self._pipeline
         if pipeline.x is None:
             return
@@ -106,12 +106,13 @@ class ControllerNode(JointStateNode):
         action = self.resolve_topic_name(NAME) if self._action else f"none: {ABSENT}"
         details = {**pipeline.details(), "action": action, **self.stream_details()}
         level, text = self.stream_health()
-        if level != OK or not self.active:
+        if level == STALE or not self.active:
             return level, text, details
-        watch = pipeline.watch
+        watch, wrong = pipeline.watch, [text] if text else []
         if watch.fault:
-            return ERROR, f"the loop was lost, the command went safe: {watch.fault}", details
-        wrong = [*watch.warnings(), *([self._loss] if self._loss else [])]
+            lost = f"the loop was lost, the command went safe: {watch.fault}"
+            return ERROR, "; ".join([lost, *wrong]), details
+        wrong += [*watch.warnings(), *([self._loss] if self._loss else [])]
         if not self._is_heard:
             wrong.append("nobody hears the commands: integrals stand still")
         if pipeline.loop.guard.powerless:
@@ -157,7 +158,7 @@ class ControllerNode(JointStateNode):
         if self.silence() > self.parameters.timeout:
             effort = loop.lapse(since)
             if loop.is_open:
-                self._abort("joint states stopped: the safe command took over")
+                self._give_up("joint states stopped: the safe command took over")
             if effort is not None:
                 self._commands.publish(self._pipeline.commands(effort))
 
@@ -177,9 +178,9 @@ class ControllerNode(JointStateNode):
         self._action = None
         action.destroy()
 
-    def _abort(self, why: str) -> None:
+    def _give_up(self, why: str) -> None:
         if self._action is not None:
-            self._action.abort(why)
+            self._action.give_up(why)
 
     def _on_reference(self, msg: Any) -> None:
         try:

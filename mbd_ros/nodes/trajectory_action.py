@@ -111,6 +111,9 @@ class TrajectoryAction:
             return
         pipeline, goal = self._pipeline(), self._running.goal
         guide = pipeline.loop.guide
+        if pipeline.watch.fault:
+            self.give_up(f"the loop was lost, the command goes safe: {pipeline.watch.fault}")
+            return
         if guide.course is not self._running.course:
             self.abort("something else is followed: a reference of a topic, or after ~/reset")
             return
@@ -131,6 +134,16 @@ class TrajectoryAction:
         if self._running is not None:
             self._end(Outcome(ResultCode.INVALID_GOAL, why))
 
+    def give_up(self, why: str) -> None:
+        """End the goal that is followed, if there is one: the safe command takes over.
+
+        Control would go on with its course when it comes back, but who sent it was told that
+        nobody follows it any more.
+        """
+        if self._running is not None:
+            self._pipeline().stop()
+            self.abort(why)
+
     def destroy(self) -> None:
         """Take the action away."""
         self.abort("the controller is no longer configured")
@@ -149,6 +162,8 @@ class TrajectoryAction:
         if not self._node.active:
             raise TargetError(f"goal refused: the controller is {self._node.state}")
         pipeline, goal = self._pipeline(), read_goal(request)
+        if pipeline.watch.fault:
+            raise TargetError(f"goal refused: the loop was lost: {pipeline.watch.fault}")
         path, end = (
             [JointTolerance(*entry) for entry in given] for given in (goal.path, goal.goal)
         )

@@ -248,6 +248,8 @@ def test_cancel_new_goals_topics_and_safe_commands_end_a_goal(domain, tmp_path):
         assert answer.status == ABORTED and "joint states stopped" in answer.result.error_string
 
         client.ask(robot.pose)
+        here = robot.pose.copy()
+        np.testing.assert_allclose(robot.live_for(0.6), here, atol=1e-9)
         handle = leader.send(points(TARGET))
         assert handle.accepted
         assert client.probe.change_state(client.name, "deactivate")
@@ -255,6 +257,21 @@ def test_cancel_new_goals_topics_and_safe_commands_end_a_goal(domain, tmp_path):
         assert answer.status == ABORTED and "the safe command" in answer.result.error_string
         assert not leader.send(points(TARGET)).accepted
         client.node.wait_for("goal refused: the controller is inactive")
+
+
+def test_a_lost_loop_ends_a_goal_which_does_not_go_on_when_control_comes_back(domain, tmp_path):
+    pytest.importorskip("control_msgs", reason="control_msgs is not installed")
+    with controlled(domain, tmp_path, **CALM, error_limit=5.0) as client:
+        leader, robot = Leader(client), Robot(client)
+        handle = leader.send(points(POSE + 0.4, half=4 * NANOSECONDS))
+        status, result = leader.result(handle, robot, stuck=True)
+        assert status == ABORTED
+        assert "the loop was lost" in result.error_string
+        assert "tracking error" in result.error_string
+        assert not leader.send(points(TARGET)).accepted
+        client.node.wait_for("goal refused: the loop was lost")
+        np.testing.assert_allclose(robot.live_for(1.5, stuck=True), POSE, atol=1e-9)
+        assert leader.result(leader.send(points(TARGET)), robot)[0] == SUCCEEDED
 
 
 def test_goals_that_cannot_be_followed_are_rejected_each_with_its_reason(domain, tmp_path):
