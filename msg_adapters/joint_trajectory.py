@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from msg_adapters.errors import MessageError
 from msg_adapters.time import NANOSECONDS, read_time
 
+MOST_POINTS = 3000
+
 
 class Trajectory(NamedTuple):
     """A course of joints through points; without a point it asks to stop.
@@ -30,18 +32,32 @@ class Trajectory(NamedTuple):
     acceleration: NDArray[np.float64] | None
 
 
+def require_few(points: int) -> None:
+    """Refuse a trajectory whose reading would hold a control loop up.
+
+    Raises:
+        MessageError: More than `MOST_POINTS` points.
+    """
+    if points > MOST_POINTS:
+        raise MessageError(
+            f"{points} points, accepted: {MOST_POINTS}, so that reading them does not hold the "
+            "loop up; send it in parts, or with points further apart"
+        )
+
+
 def read_joint_trajectory(msg: Any) -> Trajectory:
     """Arrays of one message.
 
     Raises:
-        MessageError: Points without names, or an array neither left out by all points nor as long
-            as the names in each.
+        MessageError: More than `MOST_POINTS` points, points without names, or an array neither
+            left out by all points nor as long as the names in each.
     """
     names, points = tuple(msg.joint_names), msg.points
     if not points:
         return Trajectory(
             read_time(msg.header.stamp), names, np.zeros(0), np.zeros((0, len(names))), None, None
         )
+    require_few(len(points))
     if not names:
         raise MessageError("no joint names")
     times = [p.time_from_start.sec + p.time_from_start.nanosec / NANOSECONDS for p in points]

@@ -18,7 +18,7 @@ from mbd_ros.nodes.serialized import message_of
 from msg_adapters.clock import write_clock
 from msg_adapters.diagnostics import ERROR, Health
 from msg_adapters.errors import MessageError
-from msg_adapters.joint_trajectory_cdr import MOST_POINTS
+from msg_adapters.joint_trajectory import MOST_POINTS
 
 # The loops of a four-bar remember most; open arms are left to `make soak`.
 FOUR_BARS = [
@@ -155,6 +155,15 @@ def test_a_long_trajectory_is_refused_in_a_hundredth_of_the_time_to_read_it():
     for end in (5, 13, 30):
         with pytest.raises(MessageError, match="its bytes are no JointTrajectory"):
             message_of(cdr[:end], JointTrajectory)
+
+
+def test_bytes_that_claim_many_names_are_refused_at_once():
+    """16 MiB of empty names: counting them took 4 s."""
+    cdr = bytes([0, 1, 0, 0]) + bytes(12) + b"\xff" * 4 + bytes(2**24 - 64)
+    begin = time.perf_counter()
+    with pytest.raises(MessageError, match="4294967295 joint names, accepted: 4000"):
+        message_of(cdr, JointTrajectory)
+    assert time.perf_counter() - begin < 0.1
 
 
 @pytest.mark.parametrize("name", ["inverse_arm", "projector_arm"])

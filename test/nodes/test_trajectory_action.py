@@ -297,6 +297,7 @@ def test_goals_that_cannot_be_followed_are_rejected_each_with_its_reason(domain,
             ("positions of [3] values", points(TARGET[:3]), {}),
             ("path_tolerance of 'thumb'", points(TARGET), {"path": [unknown]}),
             ("carry no accelerations", points(TARGET), {"goal": [accelerated]}),
+            ("3001 points, accepted: 3000", points(*[TARGET] * 3001, half=1_000_000), {}),
             (
                 "multi_dof_trajectory: joints have one",
                 points(TARGET),
@@ -305,5 +306,5 @@ def test_goals_that_cannot_be_followed_are_rejected_each_with_its_reason(domain,
         ):
             assert not leader.send(trajectory, **more).accepted, reason
             client.node.wait_for(reason)
-        client.wait_health(lambda h: h.values.get("dropped.goal") == "9")
+        client.wait_health(lambda h: h.values.get("dropped.goal") == "10")
         assert leader.result(leader.send(points(TARGET)), robot)[0] == SUCCEEDED
