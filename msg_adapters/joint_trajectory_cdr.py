@@ -1,4 +1,4 @@
-"""How many names and points a serialized trajectory_msgs/JointTrajectory claims, before it is read.
+"""How many names and points a serialized JointTrajectory claims, before it is read.
 
 Layout as in `joint_state_cdr`: stamp, frame_id, number of names, names, number of points.
 """

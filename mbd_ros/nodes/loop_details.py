@@ -34,10 +34,10 @@ def _watched(watch: LoopWatch) -> dict[str, str]:
     return {
         "loop delay": "not measured" if delay is None else f"{delay:.6g} s",
         "tolerable loop delay": f"{watch.tolerable:.6g} s" if is_known else "not known",
-        "error bounds": _listed(watch.bounds),
+        "error bounds": _listed(watch.bounds) if is_known else "not known",
         "times the loop was lost": str(watch.faults),
     }
 
 
-def _listed(efforts: Array) -> str:
-    return ", ".join(f"{value:.3g}" for value in efforts)
+def _listed(values: Array) -> str:
+    return ", ".join(f"{value:.3g}" if np.isfinite(value) else "none" for value in values)
