@@ -266,3 +266,19 @@ def test_gains_that_leave_no_room_say_so():
     loop.run(0.02)
     assert loop.watch.tolerable == 0.0
     assert "the gains leave no room for a delay at a period of 1 ms" in loop.watch.warnings()
+
+
+@pytest.mark.parametrize("name", ["controlled_arm", "controlled_four_bar"])
+def test_where_gains_leave_no_room_error_and_speed_decide(name):
+    """At 100 Hz, with commands that act a period late as in any loop that is not in lock step."""
+    loop = DelayedLoop(name, "sliding_mode", 100.0)
+    loop.run(0.5, 0.01)
+    loop.lead()
+    loop.run(2.5, 0.01)
+    assert loop.watch.tolerable == 0.0
+    assert loop.watch.delay == pytest.approx(0.01)
+    assert loop.worst > 1.0  # the tolerable delay is true
+    assert any("no room for a delay" in text for text in loop.watch.warnings())
+    assert loop.fault is None and loop.fastest < 1.0
+    loop.run(4.0, 0.04)
+    assert loop.fault is not None and "loop delay" not in loop.fault[1]

@@ -381,9 +381,9 @@ class Fragile(ForceTerm):
     def __init__(self, robot):
         self._zero = np.zeros(robot.model.nv)
     def force(self, data, x):
-        if x.q[0] > 0.54:
+        if 0.54 < x.q[0] < 0.56:
             raise ZeroDivisionError("it broke")
-        if x.q[0] < 0.46:
+        if 0.44 < x.q[0] < 0.46:
             raise SolveError("no way")
         return self._zero
 """

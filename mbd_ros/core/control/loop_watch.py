@@ -148,10 +148,10 @@ class LoopWatch:
         self._note_settling(t, error, is_full)
         self._reasons = self._late() + self._fast(v, 1.0) + self._off(error, 1.0)
         if self.fault:
-            self._maybe_return(t, bool(self._late() + self._fast(v, _TOO_FAST)))
+            self._maybe_return(t, bool(self._too_late() + self._fast(v, _TOO_FAST)))
         elif self._reasons:
             far = self._off(error, self.tolerances.error)
-            self._maybe_end(t, self._late() + self._fast(v, _TOO_FAST) + far)
+            self._maybe_end(t, self._too_late() + self._fast(v, _TOO_FAST) + far)
         else:
             self._passed = 0
 
@@ -185,6 +185,10 @@ class LoopWatch:
         if delay is None or delay <= self.tolerable + 0.5 * self.period:
             return []
         return [f"loop delay {1e3 * delay:.3g} ms, tolerable are {1e3 * self.tolerable:.3g} ms"]
+
+    def _too_late(self) -> list[str]:
+        """A delay that ends the loop: where gains leave no room for any, error and speed judge."""
+        return self._late() if self.tolerable > 0.0 else []
 
     def _fast(self, v: Array, margin: float) -> list[str]:
         limit = margin * self.tolerances.speed
