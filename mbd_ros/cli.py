@@ -8,7 +8,15 @@ from typing import Any
 
 from mbd_ros.code_permission import permitting
 from mbd_ros.error_source import about
-from mbd_ros.errors import MbdError, install_hint, printable
+from mbd_ros.errors import (
+    BAD_INPUT,
+    FAILED,
+    INTERRUPTED,
+    OK,
+    MbdError,
+    install_hint,
+    printable,
+)
 from mbd_ros.inverse_command import add_inverse, add_tuning, inverse_lines
 from mbd_ros.locate import path_word
 from mbd_ros.report.command import add_report, report_lines
@@ -16,7 +24,6 @@ from mbd_ros.report.demo.command import add_demo, demo_lines
 
 _ALLOW_CODE = "import the package.module:Class that a scene names; `check` lists them"
 _RUN_ARGUMENTS = ("out", "origin", "start", "efforts", "wrenches")
-OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:

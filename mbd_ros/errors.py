@@ -1,5 +1,6 @@
-"""Everything that mbd_ros raises on purpose."""
+"""Everything that mbd_ros raises on purpose, and the exit codes of its programs."""
 
+OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 _WORD, _LINE = 400, 2000  # characters that are shown whole
 
 

@@ -7,13 +7,11 @@ closed, and a signal ends the process at once, without a traceback out of some i
 import os
 import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from importlib import import_module
 from types import FrameType
 
-from mbd_ros.errors import install_hint
-
-BAD_INPUT, INTERRUPTED = 2, 130
+from mbd_ros.errors import BAD_INPUT, INTERRUPTED, OK, install_hint
 
 
 def mbd_ros() -> int:
@@ -25,69 +23,30 @@ def mbd_ros() -> int:
     return main()
 
 
-def inverse_dynamics() -> int:
-    """Entry point `inverse_dynamics`."""
-    _end_on_signals()
-    with _naming_what_is_missing("inverse_dynamics"):
-        from mbd_ros.nodes.inverse_dynamics import main
-    return main()
+def _node(name: str) -> Callable[[], int]:
+    """Entry point of the node in a module of this name."""
+
+    def start() -> int:
+        _end_on((signal.SIGINT, signal.SIGTERM), OK)  # until `process.run` takes them
+        try:
+            module = import_module(f"mbd_ros.nodes.{name}")
+        except ModuleNotFoundError as error:
+            hint = install_hint(str(error.name))
+            if not hint:
+                raise
+            sys.stderr.write(f"{name}: {hint}\n")
+            return BAD_INPUT
+        return int(module.main())
+
+    return start
 
 
-def joint_state_projector() -> int:
-    """Entry point `joint_state_projector`."""
-    _end_on_signals()
-    with _naming_what_is_missing("joint_state_projector"):
-        from mbd_ros.nodes.joint_state_projector import main
-    return main()
-
-
-def qp_controller() -> int:
-    """Entry point `qp_controller`."""
-    _end_on_signals()
-    with _naming_what_is_missing("qp_controller"):
-        from mbd_ros.nodes.qp_controller import main
-    return main()
-
-
-def reference_player() -> int:
-    """Entry point `reference_player`."""
-    _end_on_signals()
-    from mbd_ros.nodes.reference_player import main
-
-    return main()
-
-
-def simulator() -> int:
-    """Entry point `simulator`."""
-    _end_on_signals()
-    with _naming_what_is_missing("simulator"):
-        from mbd_ros.nodes.simulator import main
-    return main()
-
-
-def sliding_mode_controller() -> int:
-    """Entry point `sliding_mode_controller`."""
-    _end_on_signals()
-    with _naming_what_is_missing("sliding_mode_controller"):
-        from mbd_ros.nodes.sliding_mode_controller import main
-    return main()
-
-
-@contextmanager
-def _naming_what_is_missing(node: str) -> Iterator[None]:
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        hint = install_hint(str(error.name))
-        if not hint:
-            raise
-        sys.stderr.write(f"{node}: {hint}\n")
-        raise SystemExit(BAD_INPUT) from error
-
-
-def _end_on_signals() -> None:
-    """Let a signal end the process of a node, until `process.run` takes it."""
-    _end_on((signal.SIGINT, signal.SIGTERM), 0)
+inverse_dynamics = _node("inverse_dynamics")
+joint_state_projector = _node("joint_state_projector")
+qp_controller = _node("qp_controller")
+reference_player = _node("reference_player")
+simulator = _node("simulator")
+sliding_mode_controller = _node("sliding_mode_controller")
 
 
 def _end_on(numbers: tuple[signal.Signals, ...], code: int) -> None:

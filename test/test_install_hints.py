@@ -51,6 +51,7 @@ BAG = ("simulate", SCENES / "arm7.yaml", "-t", "0.002", "-o")
         ("rclpy", "simulator", ()),
         ("sensor_msgs", "inverse_dynamics", ()),
         ("pinocchio", "qp_controller", ()),
+        ("rosbags", "reference_player", ()),
     ],
 )
 def test_a_missing_package_is_named_with_what_brings_it(hidden, program, words, tmp_path):

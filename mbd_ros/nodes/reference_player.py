@@ -14,16 +14,19 @@ from mbd_ros.bags import raw_messages, topic_types
 from mbd_ros.code_permission import permitting
 from mbd_ros.core.control.contract import ControlledJoints
 from mbd_ros.errors import DataError
+from mbd_ros.nodes.inverse_dynamics_parameters import ALLOW_CODE
 from mbd_ros.nodes.parameters import Parameter, ParameterError
 from mbd_ros.nodes.process import run
 from mbd_ros.nodes.shell import Shell
 from mbd_ros.scene import load_scene
 from msg_adapters.diagnostics import OK, WARN
+from msg_adapters.joint_trajectory import MOST_POINTS
 from msg_adapters.time import NANOSECONDS
 
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 LOOK = 0.1  # s
 _RATE = 20.0  # points a second
+_LONGEST = 0.95 * MOST_POINTS / _RATE  # s
 _REACH, _SPEED = 0.3, 0.3  # shares of the room to the limits and of the velocity limits
 
 
@@ -39,9 +42,9 @@ class ReferencePlayer(Shell):
     NAME = "reference_player"
     PARAMETERS = (
         Parameter("scene", str, "Scene whose controlled joints move; not used with a bag.", ""),
-        Parameter("allow_code", bool, "Import the code that the scene names.", False, fixed=True),
+        ALLOW_CODE,
         Parameter("bag", str, "Bag with a JointTrajectory to send; empty: from the scene.", ""),
-        Parameter("duration", float, "Of a course from the scene [s].", 10.0, 1.0, 140.0),
+        Parameter("duration", float, "Of a course from the scene [s].", 10.0, 1.0, _LONGEST),
         Parameter("repeat", bool, "Send it again when it is over.", True, read_only=False),
     )
 

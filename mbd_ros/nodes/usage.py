@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from rclpy.utilities import remove_ros_args
 
+from mbd_ros.errors import BAD_INPUT
 from mbd_ros.nodes.parameters import Parameter
 
-BAD_INPUT = 2
 _HELP = ("-h", "--help")
 
 
