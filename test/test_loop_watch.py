@@ -12,7 +12,7 @@ from mbd_ros.core.control.control_loop import ControlLoop
 from mbd_ros.core.control.delay_margin import LoopGains, pd_gains, sliding_gains, tolerable_delay
 from mbd_ros.core.control.delay_meter import DelayMeter
 from mbd_ros.core.control.guide import Guide
-from mbd_ros.core.control.loop_watch import LoopWatch, Tolerances, rest_responses
+from mbd_ros.core.control.loop_watch import LoopWatch, LossLimits, rest_responses
 from mbd_ros.core.guard import Guard
 from mbd_ros.core.live.command_watch import CommandWatch
 from mbd_ros.core.live.live_simulation import LiveSimulation
@@ -49,7 +49,7 @@ class DelayedLoop:
             for key in ("max_effort", "max_velocity")
         )
         rest = rest_responses(joints, scene.initial)
-        self.watch = LoopWatch(joints.names, controller, rest, Tolerances(speeds, 5.0))
+        self.watch = LoopWatch(joints.names, controller, rest, LossLimits(speeds, 5.0))
         self.loop = ControlLoop(
             controller,
             Guide(joints),

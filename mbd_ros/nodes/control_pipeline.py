@@ -10,7 +10,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayou
 from mbd_ros.core.control.chatter import ChatterMeter
 from mbd_ros.core.control.control_loop import Command, ControlLoop
 from mbd_ros.core.control.guide import Guide
-from mbd_ros.core.control.loop_watch import LoopWatch, Tolerances, rest_responses
+from mbd_ros.core.control.loop_watch import LoopWatch, LossLimits, rest_responses
 from mbd_ros.core.control.reference_limits import TargetError
 from mbd_ros.core.differentiation import Sample
 from mbd_ros.core.estimation.joint_observer import JointObserver, Observation
@@ -77,7 +77,7 @@ class ControlPipeline:
         self.observer = JointObserver(scene.robot, scene.couplings, tuning(values))
         law = build_controller(values, self._controlled)
         rest = rest_responses(self._controlled, scene.initial)
-        self.watch = LoopWatch(names, law, rest, self._tolerances(values))
+        self.watch = LoopWatch(names, law, rest, self._limits(values))
         self.loop = ControlLoop(
             law,
             Guide(self._controlled),
@@ -120,11 +120,11 @@ class ControlPipeline:
         guide.timeout = values.reference_timeout
         loop.ramp, loop.longest = values.safe_ramp, values.timeout
         loop.guard.rate = values.effort_rate or math.inf
-        self.watch.tolerances = self._tolerances(values)
+        self.watch.limits = self._limits(values)
 
-    def _tolerances(self, values: Any) -> Tolerances:
+    def _limits(self, values: Any) -> LossLimits:
         speeds = np.array([joint.max_velocity for joint in self._controlled.joints])
-        return Tolerances(speeds, values.error_limit or math.inf)
+        return LossLimits(speeds, values.error_limit or math.inf)
 
     def forget(self) -> None:
         """Hold the next state that comes."""

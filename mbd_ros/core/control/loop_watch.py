@@ -24,7 +24,7 @@ _CHANGE = 0.25  # of the period, after which the bounds are computed anew
 _SMOOTH = 0.1  # weight of the newest period
 
 
-class Tolerances(NamedTuple):
+class LossLimits(NamedTuple):
     """When the loop counts as lost.
 
     Attributes:
@@ -65,7 +65,7 @@ class LoopWatch:
         names: Joints.
         controller: The law; may be replaced.
         rest: Of `rest_responses`.
-        tolerances: See there.
+        limits: See there.
 
     Attributes:
         fault: Why the command has to go safe; empty while it need not.
@@ -81,9 +81,9 @@ class LoopWatch:
         names: Sequence[str],
         controller: Controller,
         rest: Sequence[Response],
-        tolerances: Tolerances,
+        limits: LossLimits,
     ) -> None:
-        self._names, self._rest, self.tolerances = tuple(names), rest, tolerances
+        self._names, self._rest, self.limits = tuple(names), rest, limits
         self.meter, self.faults = DelayMeter(len(names)), 0
         self.period, self._wait, self._back = 0.0, _FIRST_WAIT, -np.inf
         self.reset()
@@ -150,7 +150,7 @@ class LoopWatch:
         if self.fault:
             self._maybe_return(t, bool(self._too_late() + self._fast(v, _TOO_FAST)))
         elif self._reasons:
-            far = self._off(error, self.tolerances.error)
+            far = self._off(error, self.limits.error)
             self._maybe_end(t, self._too_late() + self._fast(v, _TOO_FAST) + far)
         else:
             self._passed = 0
@@ -191,7 +191,7 @@ class LoopWatch:
         return self._late() if self.tolerable > 0.0 else []
 
     def _fast(self, v: Array, margin: float) -> list[str]:
-        limit = margin * self.tolerances.speed
+        limit = margin * self.limits.speed
         if (np.abs(v) <= limit).all():
             return []
         return [f"speed {self._worst(np.abs(v), limit)} beyond its limit"]
