@@ -213,7 +213,6 @@ class SimulatorNode(SceneNode):
         response.success = self.configured
         if self.configured:
             self._plant.live.reset()
-            self._standing.restart()
             self._restart()
             was_active = self.active
             self._show(self._begun)

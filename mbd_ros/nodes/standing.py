@@ -27,17 +27,13 @@ class Standing:
         self.repeats = self.doubled = 0
         self._listeners, self._until = 0, 0.0
         self._slowest = 0.0
-        self.restart()
-
-    def restart(self) -> None:
-        """Another past: no state was answered."""
         self._stamps: set[int] = set()
         self._answered: set[int] = set()
         self._since = self._shown = perf_counter()
 
     def show(self, stamp: int) -> None:
-        """A new state is shown under a stamp [ns]."""
-        self._answered, self._stamps = self._stamps, {stamp}
+        """A new state is shown under a stamp [ns]; answers to the one before come too late."""
+        self._answered, self._stamps = self._stamps - {stamp}, {stamp}
         self._since = self._shown = perf_counter()
 
     def show_again(self, stamp: int) -> None:

@@ -236,6 +236,13 @@ def test_a_state_that_was_repeated_is_answered_once(domain, tmp_path):
         assert health.values["simulated time"] == "0.002"
         client.command([0.0] * 4)
         client.probe.spin_until(lambda: client.newest.stamp == 3_000_000)
+        client.reset()
+        dimension.label = "0.003000000"  # under way while time began anew
+        client.publish(message)
+        health = client.probe.wait_health(
+            lambda h: h.values["commands that answered a state again"] == "2"
+        )
+        assert health.values["simulated time"] == "0"
 
 
 @pytest.mark.parametrize("factor", [0.1, 1.0])
