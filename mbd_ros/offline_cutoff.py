@@ -22,8 +22,9 @@ _STEEPEST = 3  # noise falls slower than f^-3
 _BANDS = 3  # that must look like noise in a row
 _RISE = 1.5  # least rise of f^3 P over them
 _HUMP = 10.0  # rise of the density with the frequency that only motion has
-_SHARE = 0.04  # largest share of the variance that noise has, unless it is white
+_SHARE = 0.005  # largest share of the variance that noise has, unless it is white
 _WHITE = 6  # bands up to the last that make noise white
+_RENEWED = 1 / 8  # largest cut-off per rate of new values, where samples are repeated
 _HELD = 4  # samples a level, from which on a few levels are steps of an encoder
 _GENEROUS = 2.0  # times the least expected square error: motion lost is worse than noise left
 
@@ -66,7 +67,9 @@ def cutoffs(pieces: Sequence[tuple[Array, Array]], order: int) -> Array:
     )
     signals = np.concatenate([values for _, values in pieces]).T
     rounding = [0.0 if order else _step(signal) ** 2 / 12.0 for signal in signals]
-    return np.array([_best(bands, column, r) for column, r in enumerate(rounding)])
+    best = np.array([_best(bands, column, r) for column, r in enumerate(rounding)])
+    fresh = np.array([_renewals(signal) for signal in signals]) * rate_of(longest)
+    return np.minimum(best, np.maximum(_RENEWED * fresh, LOWEST))
 
 
 def _frequencies(times: Array) -> Array:
@@ -105,6 +108,17 @@ def _step(signal: Array) -> float:
         return 0.0
     multiples = steps / steps.min()
     return float(steps.min()) if np.abs(multiples - np.rint(multiples)).max() < 0.02 else 0.0
+
+
+def _renewals(signal: Array) -> float:
+    """How often a signal that changes has a new value, per sample; inf where each is new.
+
+    A joint that rests in between is not one whose samples are repeated: most runs of equal
+    samples count, not most samples.
+    """
+    runs = np.diff(np.flatnonzero(np.diff(signal)))
+    usual = float(np.median(runs)) if len(runs) else 1.0
+    return 1.0 / usual if usual > 1.0 else np.inf
 
 
 def _best(bands: Bands, column: int, rounding: float) -> float:

@@ -66,6 +66,34 @@ def test_nothing_is_lost_where_there_is_no_noise(tones, rate):
     assert found <= (2e-4 if rate == 100 else 1e-6)
 
 
+@pytest.mark.parametrize("rate", [60, 125, 500])
+@pytest.mark.parametrize("noise", [0.0, 2.5e-4])
+def test_weak_harmonics_of_a_long_walk_are_motion(rate, noise):
+    """The third harmonic has 1 % of the variance of the position, the second less; 70 % of the
+    variance of the acceleration lie above."""
+    sizes = 0.22, 0.018, 0.02, 0.008, 0.012, 0.004, 0.003
+    tones = tuple((a, 0.72 * k) for k, a in enumerate(sizes, 1))
+    t, rng = np.arange(0, 20, 1 / rate), np.random.default_rng(8)
+    measured = motion(tones, t, 1) + noise * rng.normal(size=(len(t), 1))
+    for given in (None, measured):
+        x = motion(tones, t) + (0.02 * noise * rng.normal(size=(len(t), 1)))
+        found, cutoff = error(tones, t, x, given)
+        assert found <= 0.03
+        assert cutoff[0] > 5.0
+
+
+@pytest.mark.parametrize("rate", [100, 200, 500, 1000])
+@pytest.mark.parametrize("noise", [1e-5, 1e-4])
+def test_samples_that_a_driver_repeats_are_no_motion(rate, noise):
+    """New values come at 50 Hz: stairs, whose edges would be blows of thousands of rad/s^2."""
+    t, rng = np.arange(0, 10, 1 / rate), np.random.default_rng(9)
+    held = np.arange(len(t)) // (rate // 50) * (rate // 50)
+    x = (motion(SLOW, t) + noise * rng.normal(size=(len(t), 1)))[held]
+    found, cutoff = error(SLOW, t, x)
+    assert found <= 0.3
+    assert cutoff[0] == pytest.approx(50.0 / 8.0, rel=1e-6) or cutoff[0] < 50.0 / 8.0
+
+
 @pytest.mark.parametrize("noise", [1e-3, 1e-2])
 def test_measured_velocity_is_smoothed_and_differentiated(noise):
     t, rng = np.arange(0, 8, 2e-3), np.random.default_rng(2)
