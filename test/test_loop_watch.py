@@ -198,6 +198,34 @@ def test_a_lost_loop_comes_back_by_the_ramp_and_waits_longer_every_time():
     assert not loop.watch.fault
 
 
+def test_a_gap_in_the_states_does_not_shorten_the_wait_of_a_lost_loop():
+    loop = led("controlled_arm", "sliding_mode", 1000.0)
+    loop.run(BEGIN + 0.3, 0.02)
+    assert loop.watch.fault
+    for _ in range(200):
+        loop.live.tick()
+    begin = loop.live.now.t
+    loop.run(begin + 0.9)
+    assert loop.watch.fault
+    loop.run(begin + 1.5)
+    assert not loop.watch.fault
+
+
+def test_after_a_reset_the_first_loss_is_the_first_one_again():
+    loop = led("controlled_arm", "sliding_mode", 1000.0)
+    loop.run(BEGIN + 0.3, 0.02)
+    loop.run(BEGIN + 2.5)
+    assert loop.watch.faults == 1 and not loop.watch.fault
+    loop.loop.restart()
+    begin = loop.live.now.t
+    loop.run(begin + 0.5)
+    loop.lead()
+    loop.run(begin + 1.0, 0.02)
+    assert loop.watch.fault
+    loop.run(begin + 2.5)
+    assert not loop.watch.fault
+
+
 @pytest.mark.parametrize("rate", [100.0, 1000.0])
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 @pytest.mark.parametrize("late", [1, 4, 9])

@@ -85,7 +85,7 @@ class LoopWatch:
     ) -> None:
         self._names, self._rest, self.limits = tuple(names), rest, limits
         self.meter, self.faults = DelayMeter(len(names)), 0
-        self.period, self._wait, self._back = 0.0, _FIRST_WAIT, -np.inf
+        self.period = 0.0
         self.reset()
         self.use(controller)
 
@@ -97,12 +97,13 @@ class LoopWatch:
     def reset(self) -> None:
         """Forget a fault, and what was seen."""
         self.fault, self._reasons, self._late_by = "", list[str](), 0.0
+        self._wait, self._back = _FIRST_WAIT, -np.inf
         self.begin()
 
     def begin(self) -> None:
         """States come, for the first time or again."""
         self.meter.reset()
-        self._intervals, self._passed, self._since = 0, 0, 0.0
+        self._intervals, self._passed, self._since = 0, 0, np.inf
         self._full: float | None = None
         self._is_settled = False
 
@@ -222,7 +223,7 @@ class LoopWatch:
             self.meter.reset()  # it is to be measured anew, or to be forgotten
 
     def _maybe_return(self, t: float, is_lost: bool) -> None:
-        if is_lost:
+        if is_lost or t < self._since:  # also the first state after a gap
             self._since = t
         elif t - self._since >= self._wait:
             self.fault, self._back = "", t
