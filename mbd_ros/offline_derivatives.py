@@ -134,7 +134,8 @@ def _without_lag(
         fitted = local_polynomials(stamps, position, velocity, half_width=width)
         return position, *fitted, None, []
     found = zero_phase(stamps, position, velocity, cutoff=derivatives.cutoff)
-    return *found, list(cutoff_lines(found.cutoff, names, derivatives.cutoff is None))
+    said = cutoff_lines(found.cutoff, names, derivatives.cutoff is None, len(stamps))
+    return *found, list(said)
 
 
 def unexplained(motion: Motion, record: TorqueRecord, cutoff: Array) -> Iterator[str]:

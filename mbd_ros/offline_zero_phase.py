@@ -14,6 +14,7 @@ from mbd_ros.offline_low_pass import FEWEST, HIGHEST, low_pass, rate_of
 
 _GAP = 0.5  # s without a sample, and as many usual steps as below: nothing leads across
 _GAP_STEPS = 20
+_TELLING = 32  # samples from which on a spectrum has bands enough to show noise
 _PIECE, _PIECES = 25_000, 4  # samples that the cut-off is chosen from
 
 
@@ -98,8 +99,15 @@ def low_passed(stamps: NDArray[np.int64], values: Array, cutoff: Array) -> Array
     return passed
 
 
-def cutoff_lines(cutoff: Array, names: Sequence[str], chosen: bool) -> Iterator[str]:
-    """What the low-pass of each joint is."""
+def cutoff_lines(cutoff: Array, names: Sequence[str], chosen: bool, samples: int) -> Iterator[str]:
+    """What the low-pass of each joint is.
+
+    Args:
+        cutoff: That of the result of `zero_phase`.
+        names: Of the joints.
+        chosen: Whether the recording asked for it, not the user.
+        samples: Number of them.
+    """
     source = "from the noise of the recording" if chosen else "as asked for"
     smoothed = np.flatnonzero(np.isfinite(cutoff))
     if smoothed.size:
@@ -111,6 +119,8 @@ def cutoff_lines(cutoff: Array, names: Sequence[str], chosen: bool) -> Iterator[
     sharp = [name for name, f in zip(names, cutoff, strict=True) if np.isinf(f)]
     if sharp:
         why = "no noise is found" if chosen else "the sampling rate is too low for that cut-off"
+        if chosen and samples < _TELLING:
+            why = f"{samples} samples are too few to tell noise from motion (--cutoff smooths)"
         yield f"zero-phase derivatives: not smoothed, since {why}: {', '.join(sharp)}"
 
 

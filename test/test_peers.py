@@ -381,3 +381,4 @@ def test_a_report_of_peers_compares_the_scene_of_a_user_or_fails(tmp_path, capsy
     assert main([*words, str(tmp_path / "second")]) == 1
     said = capsys.readouterr().err
     assert "nothing was measured" in said and "couplings.out" in said
+    assert "Pareto" not in said  # how others were compared is no reason

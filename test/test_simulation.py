@@ -141,6 +141,39 @@ def test_divergence_names_joint_time_and_last_finite_state(tmp_path):
     assert all(np.isfinite([*x.q, *x.v]).all() for x in seen)
 
 
+BEAD = (  # on a spoke of a disc, which throws it outwards
+    "<robot name='r'><link name='base'/>"
+    + "".join(
+        f"<link name='{link}'><inertial><mass value='1'/><inertia ixx='.1' iyy='.1' izz='.1' "
+        "ixy='0' ixz='0' iyz='0'/></inertial></link>"
+        f"<joint name='{joint}' type='{kind}'><parent link='{parent}'/><child link='{link}'/>"
+        f"<axis xyz='{axis}'/><limit lower='-9' upper='9' effort='1' velocity='1'/></joint>"
+        for joint, kind, parent, link, axis in (
+            ("turn", "revolute", "base", "disc", "0 0 1"),
+            ("slide", "prismatic", "disc", "bead", "1 0 0"),
+        )
+    )
+    + "</robot>"
+)
+
+
+@pytest.mark.parametrize("method", ["semi_implicit_euler", "rk4"])
+def test_a_divergence_is_not_blamed_on_the_masses_of_a_sound_robot(tmp_path, method):
+    """At 1e50 m a mass matrix is rounding; velocities that are finite are not called lost."""
+    (tmp_path / "bead.urdf").write_text(BEAD, encoding="utf-8")
+    (tmp_path / "bead.yaml").write_text(
+        "robot: {urdf: bead.urdf}\ninitial: {position: {slide: 0.1}, "
+        "velocity: {turn: 1000.0, slide: 1000.0}}\n"
+        f"integrator: {{type: {method}}}\ndt: 1e-2\n",
+        encoding="utf-8",
+    )
+    loaded = load_scene(tmp_path / "bead.yaml")
+    with pytest.raises(DivergedError, match="diverged at t = ") as told:
+        collect(loaded.simulation().run(loaded.initial, 1.0), [])
+    assert "try a smaller dt" in str(told.value)
+    assert "mass" not in str(told.value) and " 0 of " not in str(told.value)
+
+
 def test_dt_that_is_none_is_refused():
     loaded = load_scene(SCENES / "arm7.yaml")
     for dt in (0.0, -1e-3, float("nan")):

@@ -175,6 +175,18 @@ def test_recordings_of_few_samples(count):
         zero_phase(stamps_of(t[:5]), motion(SLOW, t[:5]))
 
 
+@pytest.mark.parametrize(("count", "said"), [(20, "20 samples are too few"), (200, "no noise")])
+def test_few_samples_are_not_called_free_of_noise(tmp_path, capsys, count, said):
+    t = np.arange(count) * 0.01
+    write_table(tmp_path / "m.csv", ["time", "hinge.position"], np.c_[t, motion(SLOW, t)])
+    (tmp_path / "s.yaml").write_text(
+        f"robot: {{urdf: {SCENES.parent / 'robots/pendulum.urdf'}}}\n", encoding="utf-8"
+    )
+    words = ["inverse", tmp_path / "s.yaml", tmp_path / "m.csv", "-o", tmp_path / "o.csv"]
+    assert main([*map(str, words), "--derivatives", "zero-phase"]) == 0
+    assert f"not smoothed, since {said}" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("rate", [100, 1000])
 def test_cutoff_is_the_frequency_of_half_power_without_lag(rate):
     t, inner = np.arange(0, 10, 1 / rate), slice(2 * rate, 8 * rate)

@@ -65,12 +65,13 @@ def _reason(system: Any, free: Array, is_massless: bool) -> str:
     if is_massless and system.rows:
         return (
             f"{movers[0]} moves nothing that has mass: tier {system.tier} starts from the mass "
-            "matrix without the constraints, which is singular; give its link an <inertial>"
+            "matrix without the constraints, which is singular; give its link an <inertial> with "
+            "mass and moments"
         )
     if is_massless or len(movers) == 1:
         return (
             f"{movers[0]} moves nothing that has mass: the mass matrix is singular, so forward "
-            "dynamics has no answer; give its link an <inertial>"
+            "dynamics has no answer; give its link an <inertial> with mass and moments"
         )
     return (
         f"{', '.join(movers)} can move against one another without resistance: the mass matrix "

@@ -39,9 +39,7 @@ _TEXT = (
 
 def compose(outcomes: Sequence[tuple[str, Mapping[str, Any]]], missing: Sequence[str]) -> Section:
     """The section from outcomes by scene and the peers that are not installed."""
-    text = list(_TEXT) if outcomes else ["No scene was compared."]
-    for name in missing:
-        text.append(f"{name} is not installed: pip install {_INSTALL[name]}")
+    text = [f"{name} is not installed: pip install {_INSTALL[name]}" for name in missing]
     compared, figures, demands, finest, wrong = {}, {}, [], [], []
     for name, outcome in outcomes:
         if "failed" in outcome:
@@ -62,7 +60,8 @@ def compose(outcomes: Sequence[tuple[str, Mapping[str, Any]]], missing: Sequence
         finest += _finest(name, outcome, groups)
         figures[f"peers_{name}"] = _figure(name, groups)
     if not compared:
-        return Section("Other packages", text, wrong=wrong)
+        return Section("Other packages", ["No scene was compared.", *text], wrong=wrong)
+    text = [*_TEXT, *text]
     text += repeatable([run for _, outcome in outcomes for run in outcome.get("runs", ())])
     tables = [_costs(compared)]
     if demands:
