@@ -98,6 +98,11 @@ CORPUS = {
         "causal",
         PENDULUM.text.replace("continuous", "revolute"),
     ),
+    "a velocity limit of 1.8e308": motion_case(
+        b"time,j1.position,j1.velocity,j1.acceleration\n0,0,0,0\n0.01,0,0,0\n",
+        "given",
+        PENDULUM.text.replace("velocity='10'", "velocity='1.7976931348623157e308'"),
+    ),
     "an effort of 1e200": motion_case(
         b"time,j1.position,j1.effort\n"
         + b"".join(b"%g,%g,%g\n" % (0.01 * k, 0.1 * k, 1e200) for k in range(20)),

@@ -82,10 +82,12 @@ class JointObserver:
     def tune(self, tuning: Tuning) -> None:
         """Replace the tuning; the filters start again."""
         limits = np.array([joint.max_velocity for joint in self._independent])
+        with np.errstate(over="ignore"):  # a limit near the largest number is none
+            limits *= tuning.velocity_margin
         continuous = [joint.kind == "continuous" for joint in self._independent]
         self.differentiator = CausalDifferentiator(
             cutoff=tuning.cutoff,
-            velocity_limit=limits * tuning.velocity_margin,
+            velocity_limit=limits,
             wraps=np.array(continuous, dtype=np.bool_),
             patience=tuning.patience,
             rewind=tuning.rewind,
