@@ -35,7 +35,8 @@ venv: .venv/installed
 	@touch $@
 
 test: venv .venv/report
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist worksteal --ignore=test/nodes
+	$(BIN)/python -m pytest test/nodes
 
 demo: venv
 	$(BIN)/mbd-ros demo -o demo_out

@@ -52,6 +52,7 @@ setup(
             "mypy",
             "pytest",
             "pytest-timeout",
+            "pytest-xdist",
             "quadprog",
             "ruff",
             "setuptools",
