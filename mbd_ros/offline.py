@@ -100,7 +100,8 @@ def inverse_dynamics_of(
     if not np.isfinite(numbers).all():
         row = int(np.flatnonzero(~np.isfinite(numbers).all(axis=1))[0])
         raise DataError(f"{motion}: torques at {record.stamps[row] / 1e9} s are not finite")
-    record, beyond = with_commands(scene, record)
+    with about(motion), np.errstate(over="ignore", invalid="ignore"):
+        record, beyond = with_commands(scene, record)
     said = [*_violations(scene, samples), *remarks, *beyond]
     if cutoff is not None:
         said += unexplained(recording.motion, record, cutoff)

@@ -4,6 +4,7 @@ import numpy as np
 
 from mbd_ros.built_scene import Scene
 from mbd_ros.core.state import NANOSECOND, Array, State
+from mbd_ros.errors import DataError
 from mbd_ros.records import TorqueRecord
 
 _SAME = 1e-9  # of the largest effort
@@ -18,6 +19,9 @@ def with_commands(scene: Scene, record: TorqueRecord) -> tuple[TorqueRecord, lis
     Args:
         scene: The scene.
         record: The result.
+
+    Raises:
+        DataError: A command beyond the finite numbers.
     """
     named = record.joints if record.driven is None else record.driven
     column = {name: i for i, name in enumerate(named)}
@@ -31,6 +35,12 @@ def with_commands(scene: Scene, record: TorqueRecord) -> tuple[TorqueRecord, lis
         wanted = record.effort[:, [column[name] for name in actuator.joints]]
         pairs = list(zip(wanted, states, strict=True))
         u = np.array([actuator.demanded(tau, x) for tau, x in pairs])
+        if not np.isfinite(u).all():
+            row, i = np.argwhere(~np.isfinite(u))[0]
+            raise DataError(
+                f"{actuator.joints[i]}.command at {record.stamps[row] * NANOSECOND:.9g} s is not "
+                f"finite: no command of its actuator gives the effort {wanted[row, i]:.4g}"
+            )
         at = [scene.robot.joint(name).v for name in actuator.joints]
         given = np.array([actuator.torque(one, x)[at] for one, x in zip(u, states, strict=True)])
         short = np.abs(given - wanted) > _SAME * np.abs(wanted).max(initial=1.0)

@@ -153,3 +153,13 @@ def test_losses_of_the_motor_are_in_the_command_and_not_in_the_effort(tmp_path):
     inertia = columns(tmp_path / "heavy.csv")["hinge.effort"] - bare["hinge.effort"]
     acceleration = columns(tmp_path / "m.csv")["hinge.acceleration"]
     assert inertia == pytest.approx(0.25 * acceleration, abs=1e-9)
+
+
+def test_a_command_beyond_all_numbers_is_refused(tmp_path, capsys):
+    """A spring that hardly is one: its motor would have to wind it up for ever."""
+    weak = scene(tmp_path, "series_elastic, joint: hinge, stiffness: 1.0e-310")
+    out = tmp_path / "out.csv"
+    assert run("inverse", weak, motion(tmp_path / "motion.csv", 0.1), "-o", out) == 2
+    told = capsys.readouterr().err
+    assert "motion.csv: hinge.command at" in told and "is not finite" in told
+    assert not out.exists()
