@@ -454,10 +454,10 @@ def reached(simulation, controller):
 
 @contextmanager
 def running_arm(domain, tmp_path, **more):
-    """A simulator at 500 Hz, and a folder for what connects a controller to it."""
+    """A simulator at 200 Hz, and a folder for what connects a controller to it."""
     (folder := tmp_path / "simulator").mkdir()
     (other := tmp_path / "controller").mkdir()
-    with simulated(domain, folder, CALM, rate=500.0, marker_rate=0.0, **more) as simulation:
+    with simulated(domain, folder, CALM, rate=200.0, marker_rate=0.0, **more) as simulation:
         simulation.follow()
         simulation.probe.node.destroy_publisher(simulation._vectors)
         yield simulation, other

@@ -13,7 +13,7 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 
 _POSES = 12  # beside the initial one
-_HELD = 0.02  # [s] for which a bound must be passed, and
+_HELD = 0.04  # [s] for which a bound must be passed, less half the tolerable delay, and
 _TIMES = 2  # states in a row
 _SETTLING = 0.5  # [s] of full control until the error is judged, where it was not small before
 _FIRST_WAIT, _LONGEST_WAIT = 1.0, 60.0  # s
@@ -57,8 +57,8 @@ def rest_responses(joints: ControlledJoints, initial: State) -> list[Response]:
 class LoopWatch:
     """Compares error, speed and delay of a loop with its bounds.
 
-    What passes a bound for `_HELD` is a fault: the command has to go safe. It may come back after
-    a wait of 1 s without a fault of speed or delay; every fault within 30 s of the last return
+    What passes a bound for 20 to 40 ms is a fault: the command has to go safe. It may come back
+    after a wait of 1 s without a fault of speed or delay; every fault within 30 s of the last return
     doubles the wait, up to a minute. `reset` ends it at once.
 
     Args:
@@ -214,7 +214,8 @@ class LoopWatch:
         if not self._passed:
             self._since = t
         self._passed += 1
-        if self._passed >= _TIMES and t - self._since >= _HELD:
+        held = _HELD - 0.5 * min(self.tolerable, LONGEST)  # a late answer shows late
+        if self._passed >= _TIMES and t - self._since >= held:
             is_again = t - self._back < _CALM
             self._wait = min(2.0 * self._wait, _LONGEST_WAIT) if is_again else _FIRST_WAIT
             self.fault, self._since, self._passed = "; ".join(lost), t, 0
