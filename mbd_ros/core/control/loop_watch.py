@@ -58,8 +58,8 @@ class LoopWatch:
     """Compares error, speed and delay of a loop with its bounds.
 
     What passes a bound for 20 to 40 ms is a fault: the command has to go safe. It may come back
-    after a wait of 1 s without a fault of speed or delay; every fault within 30 s of the last return
-    doubles the wait, up to a minute. `reset` ends it at once.
+    after a wait of 1 s without a fault of speed or delay; every fault within 30 s of the last
+    return doubles the wait, up to a minute. `reset` ends it at once.
 
     Args:
         names: Joints.
