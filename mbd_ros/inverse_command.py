@@ -26,17 +26,28 @@ def add_inverse(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         type=path_word,
         help="CSV or bag of the loads in the scene; a bag motion carries its own",
     )
+    _add_derivatives(inverse)
+    inverse.add_argument(
+        "--parts",
+        action="store_true",
+        help="also gravity, coriolis, inertial, ..; refused for scenes with loops",
+    )
+    inverse.add_argument(
+        "--topic",
+        default="/joint_states",
+        help="JointState topic of a bag (default: %(default)s)",
+    )
+    add_workers(inverse)
+
+
+def _add_derivatives(inverse: argparse.ArgumentParser) -> None:
+    """Where velocities and accelerations come from."""
     inverse.add_argument(
         "--derivatives",
         choices=("given", "causal", "zero-phase"),
         default="given",
         help="given: the motion has them; causal: filtered, lagging, as the node does; "
         "zero-phase: low-pass that sees the future (default: %(default)s)",
-    )
-    inverse.add_argument(
-        "--parts",
-        action="store_true",
-        help="also gravity, coriolis, inertial, ..; refused for scenes with loops",
     )
     inverse.add_argument(
         "--cutoff",
@@ -49,12 +60,6 @@ def add_inverse(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         type=int,
         help="zero-phase only, in place of a cut-off: fits to so many samples on either side",
     )
-    inverse.add_argument(
-        "--topic",
-        default="/joint_states",
-        help="JointState topic of a bag (default: %(default)s)",
-    )
-    add_workers(inverse)
 
 
 def add_tuning(parser: argparse.ArgumentParser) -> None:
