@@ -18,6 +18,11 @@ from rclpy.signals import SignalHandlerOptions
 from mbd_ros.nodes.shell import PARAMETERS, Shell
 from mbd_ros.nodes.usage import asks_for_help, usage
 
+_REFUSALS = (
+    rclpy_implementation.RCLError,
+    rclpy_implementation.UnknownROSArgsError,
+    ParameterException,
+)
 PATIENCE = 0.1  # [s] that a signal waits at most: an executor does not wake up for one
 
 
@@ -53,7 +58,9 @@ def run(node_class: type[Shell], argv: Sequence[str] | None = None) -> int:
         Exception: Whatever a callback raised that is not an MbdError.
     """
     arguments = list(sys.argv if argv is None else argv)
-    if asks_for_help(arguments, node_class.NAME):
+    with _refused(node_class.NAME):
+        wants_help = asks_for_help(arguments, node_class.NAME)
+    if wants_help:
         sys.stdout.write(usage(node_class.NAME, node_class.PARAMETERS + PARAMETERS))
         return 0
     stop = _StopSignal()
@@ -67,17 +74,26 @@ def run(node_class: type[Shell], argv: Sequence[str] | None = None) -> int:
 
 
 def _run(node_class: type[Shell], arguments: list[str], stop: _StopSignal) -> None:
-    try:
+    with _refused(node_class.NAME):
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = node_class(arguments)
-    except (rclpy_implementation.RCLError, ParameterException) as error:
-        rclpy.try_shutdown()
-        raise SystemExit(f"{node_class.NAME}: {error}") from error
     with _closing(node), _driven(node) as executor:
         node.try_start()
         while not stop.name:
             node.raise_crash()
             node.drive(executor, PATIENCE)
+
+
+@contextmanager
+def _refused(name: str) -> Iterator[None]:
+    """What ROS refuses of a command line ends the process with its reason."""
+    try:
+        yield
+    except _REFUSALS as error:
+        rclpy.try_shutdown()
+        unknown = isinstance(error, rclpy_implementation.UnknownROSArgsError)
+        what = f"unknown after --ros-args: {error}" if unknown else error
+        raise SystemExit(f"{name}: {what}") from error
 
 
 @contextmanager

@@ -21,6 +21,7 @@ def asks_for_help(arguments: Sequence[str], name: str) -> bool:
 
     Raises:
         SystemExit: 2 after naming a word that is neither ROS's nor a wish for help.
+        RCLError: A command line or parameter file that rcl refuses.
     """
     words = remove_ros_args(list(arguments))[1:]
     if any(word in _HELP for word in words):

@@ -111,6 +111,13 @@ def test_overrides_without_effect_are_warned_about(start_node):
     assert "the keys /minimal do not match; accepted: /left/minimal or /**" in node.log
 
 
+def test_a_word_that_rcl_does_not_know_is_named(start_node):
+    node = start_node(arguments=("--bogus",))
+    assert node.wait() == 1
+    assert "unknown after --ros-args" in node.log and "--bogus" in node.log
+    assert "Traceback" not in node.log
+
+
 def test_a_file_that_rcl_refuses_ends_with_its_reason_and_no_traceback(start_node):
     node = start_node(yaml(weights="[1, 2.0]"))
     assert node.wait() == 1
