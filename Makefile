@@ -8,6 +8,8 @@ COLCON_WS := build/colcon_ws
 SUPPORTED := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))
 SHOW_VERSION := import sys; print(sys.version_info[:2])
 
+NODES = $(shell $(BIN)/python -c 'from mbd_ros.nodes.table import NODES; print(*NODES)')
+
 # The loop takes the first that really runs: a pyenv shim exists and fails.
 FIND_PYTHON = for python in $(or $(PYTHON),python3 python3.13 python3.12 python3.11 python3.10); do \
 	"$$python" -c '$(SUPPORTED)' 2>/dev/null && break; python=; done; \
@@ -87,8 +89,7 @@ colcon: venv $(COLCON_VENV)/pinned
 	git ls-files -z --cached --others --exclude-standard | xargs -0 cp --parents -t $(COLCON_WS)/src/mbd_ros
 	. $(COLCON_VENV)/bin/activate && cd $(COLCON_WS) && \
 	test "$$(colcon list | cut -f 1,3)" = "$$(printf 'mbd_ros\t(ros.ament_python)')" && colcon build
-	cd $(COLCON_WS)/install/mbd_ros && for name in inverse_dynamics joint_state_projector qp_controller reference_player simulator \
-	sliding_mode_controller mbd-ros; do \
+	cd $(COLCON_WS)/install/mbd_ros && for name in $(NODES) mbd-ros; do \
 	test -x lib/mbd_ros/$$name || exit 1; done \
 	&& test -f share/ament_index/resource_index/packages/mbd_ros && test -f share/mbd_ros/package.xml \
 	&& for folder in config launch; do diff -r ../../src/mbd_ros/$$folder share/mbd_ros/$$folder || exit 1; done \

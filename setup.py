@@ -1,11 +1,13 @@
 """Install mbd_ros, with pip or with colcon."""
 
 from pathlib import Path
+from runpy import run_path
 
 from setuptools import find_packages, setup
 
 NAME = "mbd_ros"
 SHARE = Path("share") / NAME
+NODES = run_path(f"{NAME}/nodes/table.py")["NODES"]  # whose packages need not be installed yet
 
 
 def shared_files() -> list[tuple[str, list[str]]]:
@@ -62,12 +64,7 @@ setup(
     entry_points={
         "console_scripts": [
             "mbd-ros = mbd_ros.programs:mbd_ros",
-            "inverse_dynamics = mbd_ros.programs:inverse_dynamics",
-            "joint_state_projector = mbd_ros.programs:joint_state_projector",
-            "qp_controller = mbd_ros.programs:qp_controller",
-            "reference_player = mbd_ros.programs:reference_player",
-            "simulator = mbd_ros.programs:simulator",
-            "sliding_mode_controller = mbd_ros.programs:sliding_mode_controller",
+            *(f"{node} = {NAME}.programs:{node}" for node in NODES),
         ]
     },
 )

@@ -8,10 +8,12 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from types import FrameType
 
 from mbd_ros.errors import BAD_INPUT, INTERRUPTED, OK, install_hint
+from mbd_ros.nodes.table import NODES
 
 
 def mbd_ros() -> int:
@@ -23,30 +25,26 @@ def mbd_ros() -> int:
     return main()
 
 
-def _node(name: str) -> Callable[[], int]:
-    """Entry point of the node in a module of this name."""
-
-    def start() -> int:
-        _end_on((signal.SIGINT, signal.SIGTERM), OK)  # until `process.run` takes them
-        try:
-            module = import_module(f"mbd_ros.nodes.{name}")
-        except ModuleNotFoundError as error:
-            hint = install_hint(str(error.name))
-            if not hint:
-                raise
-            sys.stderr.write(f"{name}: {hint}\n")
-            return BAD_INPUT
-        return int(module.main())
-
-    return start
+def __getattr__(name: str) -> Callable[[], int]:
+    """Entry points of the nodes."""
+    if name in NODES:
+        return partial(start_node, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-inverse_dynamics = _node("inverse_dynamics")
-joint_state_projector = _node("joint_state_projector")
-qp_controller = _node("qp_controller")
-reference_player = _node("reference_player")
-simulator = _node("simulator")
-sliding_mode_controller = _node("sliding_mode_controller")
+def start_node(name: str) -> int:
+    """Run a node of `NODES` until a signal ends it; the exit code."""
+    _end_on((signal.SIGINT, signal.SIGTERM), OK)  # until `process.run` takes them
+    module, _, node_class = NODES[name].partition(":")
+    try:
+        run = import_module("mbd_ros.nodes.process").run
+        return int(run(getattr(import_module(module), node_class)))
+    except ModuleNotFoundError as error:
+        hint = install_hint(str(error.name))
+        if not hint:
+            raise
+        sys.stderr.write(f"{name}: {hint}\n")
+        return BAD_INPUT
 
 
 def _end_on(numbers: tuple[signal.Signals, ...], code: int) -> None:

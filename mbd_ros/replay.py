@@ -115,7 +115,7 @@ def _node_process(
         "allow_code": str(is_permitted()).lower(),
     }
     words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    command = [sys.executable, "-m", "mbd_ros.nodes.inverse_dynamics", "--ros-args", *words]
+    command = [sys.executable, "-m", "mbd_ros.nodes", "inverse_dynamics", "--ros-args", *words]
     command += ["-r", f"joint_states:={replay.topic}"]
     process = subprocess.Popen(command, env=environment)
     try:

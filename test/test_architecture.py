@@ -115,6 +115,8 @@ def refused(path, found):
     if here == "part":
         outside = within(name, {"mbd_ros"}) and not within(name, ALLOWED["core"])
         return "is not for a part" if outside or within(name, SHELL_ONLY) or ros(name) else None
+    if name == "mbd_ros.nodes.table.NODES":
+        return None  # a table of names
     if here == "application" and within(name, {NODES}) and found.at_module_level:
         return "brings ROS nodes in at module level"
     return None

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+from mbd_ros.nodes.table import NODES
 from mbd_ros.registry import PARTS, resolve
 
 ROOT = Path(__file__).parents[1]
@@ -127,17 +128,11 @@ def test_the_changelog_counts_the_benchmark_scenes():
     assert f" {count} benchmark scenes " in changes
 
 
-def is_node(path):
-    """Whether a file is a program: the thin one of a node."""
-    return 'if __name__ == "__main__"' in path.read_text(encoding="utf-8")
-
-
 def test_every_entry_point_of_the_wheel_loads(wheel):
     parser = ConfigParser()
     parser.read_string(read(wheel, "entry_points.txt"))
     scripts = dict(parser["console_scripts"])
-    nodes = {path.stem for path in (ROOT / "mbd_ros/nodes").glob("*.py") if is_node(path)}
-    assert scripts.keys() == {"mbd-ros", *nodes}
+    assert scripts.keys() == {"mbd-ros", *NODES}
     for name, target in scripts.items():
         point = importlib.metadata.EntryPoint(name, target, "console_scripts")
         assert callable(point.load())
@@ -158,8 +153,9 @@ def test_every_requirement_has_an_exact_pin(wheel):
 
 def parameters_of(executable):
     """Names of the parameters of the node behind an executable."""
-    things = vars(importlib.import_module(f"mbd_ros.nodes.{executable}")).values()
-    (node,) = (thing for thing in things if getattr(thing, "NAME", "") == executable)
+    module, _, name = NODES[executable].partition(":")
+    node = getattr(importlib.import_module(module), name)
+    assert executable == node.NAME
     shell = importlib.import_module("mbd_ros.nodes.shell").PARAMETERS
     return {parameter.name for parameter in node.PARAMETERS + shell} | {"use_sim_time"}
 

@@ -1,6 +1,5 @@
 """Node `inverse_dynamics`: joint states and wrenches in, torques and coupling forces out."""
 
-import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -13,7 +12,6 @@ from mbd_ros.errors import SolveError
 from mbd_ros.nodes.inverse_dynamics_parameters import PARAMETERS, tuning
 from mbd_ros.nodes.joint_state_node import SENSOR, JointStateNode
 from mbd_ros.nodes.pipeline import Pipeline
-from mbd_ros.nodes.process import run
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample
@@ -120,12 +118,3 @@ class InverseDynamicsNode(JointStateNode):
         if constraint_forces is not None:
             self._constraint_forces.publish(constraint_forces)
         self.note_answer(x.stamp)
-
-
-def main() -> int:
-    """Entry point `inverse_dynamics`."""
-    return run(InverseDynamicsNode)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

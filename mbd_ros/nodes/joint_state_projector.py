@@ -1,6 +1,5 @@
 """Node `joint_state_projector`: measured joint states in, the nearest consistent ones out."""
 
-import sys
 from typing import Any
 
 from sensor_msgs.msg import JointState
@@ -10,7 +9,6 @@ from mbd_ros.core.differentiation import Sample
 from mbd_ros.errors import SolveError
 from mbd_ros.nodes.joint_state_node import JointStateNode
 from mbd_ros.nodes.joint_state_projector_parameters import PARAMETERS, tuning
-from mbd_ros.nodes.process import run
 from mbd_ros.nodes.projector_pipeline import ProjectorPipeline
 from msg_adapters.diagnostics import OK
 from msg_adapters.joint_state import JointSample
@@ -77,12 +75,3 @@ class JointStateProjectorNode(JointStateNode):
         if self._failures >= self.parameters.failures:
             raise SolveError(f"{self._failures} joint states in a row: {error}") from error
         self.drop_state("unsolved", f"joint_states: {error}")
-
-
-def main() -> int:
-    """Entry point `joint_state_projector`."""
-    return run(JointStateProjectorNode)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

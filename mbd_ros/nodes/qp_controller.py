@@ -1,10 +1,7 @@
 """Node `qp_controller`: see `controller`."""
 
-import sys
-
 from mbd_ros.nodes.controller import ControllerNode
 from mbd_ros.nodes.controller_parameters import QP
-from mbd_ros.nodes.process import run
 
 
 class QpControllerNode(ControllerNode):
@@ -12,12 +9,3 @@ class QpControllerNode(ControllerNode):
 
     NAME = "qp_controller"
     PARAMETERS = QP
-
-
-def main() -> int:
-    """Entry point `qp_controller`."""
-    return run(QpControllerNode)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,6 +1,5 @@
 """Node `reference_player`: leads a controller along a course, once it listens and answers."""
 
-import sys
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from mbd_ros.core.control.contract import ControlledJoints
 from mbd_ros.errors import DataError
 from mbd_ros.nodes.inverse_dynamics_parameters import ALLOW_CODE
 from mbd_ros.nodes.parameters import Parameter, ParameterError
-from mbd_ros.nodes.process import run
 from mbd_ros.nodes.shell import Shell
 from mbd_ros.scene import load_scene
 from msg_adapters.diagnostics import OK, WARN
@@ -146,12 +144,3 @@ def _swinging(joints: ControlledJoints, start: Any, duration: float) -> Any:
         point.time_from_start.sec, point.time_from_start.nanosec = divmod(since, NANOSECONDS)
         course.points.append(point)
     return course
-
-
-def main() -> int:
-    """Entry point `reference_player`."""
-    return run(ReferencePlayer)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,6 +1,5 @@
 """Node `simulator`: commands in, the motion of a scene out, tick by tick."""
 
-import sys
 from collections.abc import Callable, Sequence
 from time import perf_counter
 from typing import Any
@@ -14,7 +13,6 @@ from std_srvs.srv import SetBool, Trigger
 from mbd_ros.errors import DivergedError, MbdError
 from mbd_ros.nodes.pace import Pace, wake_exactly
 from mbd_ros.nodes.plant import Plant
-from mbd_ros.nodes.process import run
 from mbd_ros.nodes.scene_node import SceneNode
 from mbd_ros.nodes.simulator_outputs import SimulatedClock, SimulatorOutputs
 from mbd_ros.nodes.simulator_parameters import PARAMETERS
@@ -237,12 +235,3 @@ class SimulatorNode(SceneNode):
         else:
             response.message = self.fault or f"the node is {self.state}"
         return response
-
-
-def main() -> int:
-    """Entry point `simulator`."""
-    return run(SimulatorNode)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

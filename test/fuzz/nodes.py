@@ -235,7 +235,7 @@ def under_fire(name: str, domain: int, folder: Path, **parameters: Any) -> Itera
     subject = SUBJECTS[name]
     scene = SCENES / f"{subject.scene}.yaml"
     file = parameter_file(folder, {"scene": scene, **subject.parameters, **parameters})
-    words = ["-m", f"mbd_ros.nodes.{subject.module}", "--ros-args", "--params-file", str(file)]
+    words = ["-m", "mbd_ros.nodes", subject.module, "--ros-args", "--params-file", str(file)]
     node = NodeProcess([sys.executable, *words], domain)
     try:
         with QuickProbe(domain) as probe:

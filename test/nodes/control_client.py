@@ -192,7 +192,7 @@ def controlled(
     if not plant:
         values = {"error_limit": 0.0, **values}  # the test sends joint states that never follow
     file = parameter_file(folder, {"scene": path, **values})
-    target = ["-m", f"mbd_ros.nodes.{KINDS[kind]}"]
+    target = ["-m", "mbd_ros.nodes", KINDS[kind]]
     words = [*target, "--ros-args", "--params-file", str(file)]
     if plant:
         words += ["-r", f"~/commands:={plant}/commands"]

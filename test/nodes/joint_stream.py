@@ -25,7 +25,7 @@ from msg_adapters.wrench import write_wrench
 MS = 1_000_000
 STEP = 10 * MS  # between two samples of the motion
 DEEP = QoSProfile(depth=1000)
-TARGET = ("-m", "mbd_ros.nodes.inverse_dynamics")
+TARGET = ("-m", "mbd_ros.nodes", "inverse_dynamics")
 SCENES = ROOT / "config" / "scenes"
 ACTIVE = "]: active"
 

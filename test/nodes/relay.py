@@ -97,7 +97,7 @@ def started(
     folder.mkdir(exist_ok=True)
     values = {name.replace("__", "."): value for name, value in parameters.items()}
     file = parameter_file(folder, values)
-    target = ("-m", f"mbd_ros.nodes.{module}", "--ros-args", "--params-file", str(file))
+    target = ("-m", "mbd_ros.nodes", module, "--ros-args", "--params-file", str(file))
     return NodeProcess([sys.executable, *target, *arguments], domain)
 
 

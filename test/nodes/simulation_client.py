@@ -23,7 +23,7 @@ from trajectory_msgs.msg import JointTrajectory
 from msg_adapters.joint_motion import JointMotion, read_joint_motion
 from msg_adapters.joint_state import JointSample, read_joint_state
 
-TARGET = ("-m", "mbd_ros.nodes.simulator")
+TARGET = ("-m", "mbd_ros.nodes", "simulator")
 NAME = "/simulator"
 DEEP = QoSProfile(depth=100_000)
 JOINTS = ("shoulder_flexion", "shoulder_abduction", "wrist_rotation", "wrist_flexion")

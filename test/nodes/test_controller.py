@@ -231,7 +231,7 @@ def test_scenes_and_parameters_that_cannot_be_controlled_are_refused(domain, sta
     ):
         own = "" if extra.startswith("scene") else f"    scene: {scene}\n"
         text = f"/**:\n  ros__parameters:\n{own}    {extra}\n"
-        node = start_node(text, target=("-m", f"mbd_ros.nodes.{KINDS['sliding']}"))
+        node = start_node(text, target=("-m", "mbd_ros.nodes", KINDS["sliding"]))
         node.wait_for(reason)
         assert node.stop() == 0
         assert "Traceback" not in node.log

@@ -27,7 +27,7 @@ from msg_adapters.joint_state import JointStateWriter, write_joint_state
 from msg_adapters.time import read_time, write_time
 
 NAME = "/joint_state_projector"
-TARGET = ("-m", "mbd_ros.nodes.joint_state_projector")
+TARGET = ("-m", "mbd_ros.nodes", "joint_state_projector")
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 NAN = math.nan
 REVOLUTE, SLIDE = 5e-3, 3e-4  # rad, m: noise

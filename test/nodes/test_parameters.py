@@ -17,7 +17,7 @@ NODES = (
 
 
 def module(name):
-    return ("-m", f"mbd_ros.nodes.{name}")
+    return ("-m", "mbd_ros.nodes", name)
 
 
 def got(probe, node):

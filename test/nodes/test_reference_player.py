@@ -12,7 +12,7 @@ from mbd_ros.scene import load_scene
 from msg_adapters.diagnostics import ERROR, OK, WARN
 from msg_adapters.joint_trajectory import read_joint_trajectory
 
-TARGET = ("-m", "mbd_ros.nodes.reference_player")
+TARGET = ("-m", "mbd_ros.nodes", "reference_player")
 SCENES = ROOT / "config/scenes"
 ALL = ("controlled_arm", "controlled_arm7", "controlled_leg", "controlled_four_bar")
 

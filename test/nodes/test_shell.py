@@ -315,7 +315,7 @@ def test_a_node_imports_no_code_of_others_unasked(start_node, probe, tmp_path, m
         f"robot: {{urdf: {ROOT}/config/robots/arm7.urdf}}\nforces: [{{type: 'told_part:Rest'}}]\n"
     )
     scene.write_text(text)
-    target = ("-m", f"mbd_ros.nodes.{node}")
+    target = ("-m", "mbd_ros.nodes", node)
     start_node(yaml(scene=scene), target=target)
     health = probe.wait_health(lambda h: "names code of others" in h.message)
     assert health.level == ERROR and health.values["state"] == "unconfigured"

@@ -14,7 +14,7 @@ from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimato
 from mbd_ros.scene import load_scene
 from msg_adapters.joint_state import read_joint_state
 
-TARGET = ("-m", "mbd_ros.nodes.inverse_dynamics")
+TARGET = ("-m", "mbd_ros.nodes", "inverse_dynamics")
 CUTOFF = 20.0  # Hz
 TICK, TICKS = 1e-3, 800
 

@@ -16,7 +16,7 @@ def test_no_message_is_lost_at_1_khz_for_60_s(name):
     from mbd_ros.report.bench.node_load import measure
 
     scene = load_scene(ROOT / "config" / "scenes" / f"{name}.yaml")
-    node = ["-m", "mbd_ros.nodes.inverse_dynamics", "--ros-args", "-p", f"scene:={scene.path}"]
+    node = ["-m", "mbd_ros.nodes", "inverse_dynamics", "--ros-args", "-p", f"scene:={scene.path}"]
     load = measure(node, scene.couplings.independent, rate=1000.0, seconds=60.0)
     assert load.sent == 60_000
     assert load.answered == load.sent

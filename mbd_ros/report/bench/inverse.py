@@ -103,7 +103,7 @@ def _nodes(scene: Scene, seconds: float) -> dict[str, Any]:
     """The node beside a bare echo: kept busy, and at 1 kHz, where either sleeps in between."""
     joints = scene.couplings.independent
     echo = ["-m", "mbd_ros.report.bench.echo_node"]
-    ours = ["-m", "mbd_ros.nodes.inverse_dynamics", "--ros-args", "-p", f"scene:={scene.path}"]
+    ours = ["-m", "mbd_ros.nodes", "inverse_dynamics", "--ros-args", "-p", f"scene:={scene.path}"]
     streams = {"busy": {"in_flight": 8}, "at 1 kHz": {"rate": 1000.0}}
     return {
         stream: _side_by_side(

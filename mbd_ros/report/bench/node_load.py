@@ -53,7 +53,7 @@ def measure(
     """Start a node, send it joint states, count and time its answers.
 
     Args:
-        arguments: Of the Python interpreter, such as `-m mbd_ros.nodes.inverse_dynamics`.
+        arguments: Of the Python interpreter, such as `-m mbd_ros.nodes inverse_dynamics`.
         joints: Names in the messages.
         seconds: Duration of the stream.
         rate: Messages per second; 0 sends as fast as the node answers.

@@ -117,5 +117,5 @@ def _words(command: NodeCommand) -> list[str]:
     parameters = [
         word for name, value in command.parameters.items() for word in ("-p", f"{name}:={value}")
     ]
-    module = f"mbd_ros.nodes.{command.name}"
-    return [sys.executable, "-m", module, "--ros-args", *parameters, *command.arguments]
+    target = ["-m", "mbd_ros.nodes", command.name]
+    return [sys.executable, *target, "--ros-args", *parameters, *command.arguments]
