@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scenes_of_comparison import COSTS, EMBEDDED, PLANTED
 
-_LOADERS = ("mbd_ros:load_scene", "mbd_ros.scene:load_scene")  # where commits have it
+_LOADERS = ("mbd_ros.scene.reader:load_scene", "mbd_ros.scene:load_scene")  # where commits have it
 _PROGRAMS = ("mbd_ros.cli:main", "mbd_ros.__main__:main")
 
 

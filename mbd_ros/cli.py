@@ -6,8 +6,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from mbd_ros.code_permission import permitting
-from mbd_ros.error_source import about
+from mbd_ros.demo.command import add_demo, demo_lines
 from mbd_ros.errors import (
     BAD_INPUT,
     FAILED,
@@ -17,10 +16,11 @@ from mbd_ros.errors import (
     install_hint,
     printable,
 )
-from mbd_ros.inverse_command import add_inverse, add_tuning, inverse_lines
-from mbd_ros.locate import path_word
+from mbd_ros.jobs.error_source import about
+from mbd_ros.jobs.inverse.command import add_inverse, add_tuning, inverse_lines
 from mbd_ros.report.command import add_report, report_lines
-from mbd_ros.report.demo.command import add_demo, demo_lines
+from mbd_ros.scene.code_permission import permitting
+from mbd_ros.scene.locate import path_word
 
 _ALLOW_CODE = "import the package.module:Class that a scene names; `check` lists them"
 _RUN_ARGUMENTS = ("out", "origin", "start", "efforts", "wrenches")
@@ -139,8 +139,8 @@ def _add_replay(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from mbd_ros.scene import load_scene
-    from mbd_ros.scene_check import describe
+    from mbd_ros.scene.check import describe
+    from mbd_ros.scene.reader import load_scene
 
     with about(arguments.scene):
         _say(describe(load_scene(arguments.scene)))
@@ -153,9 +153,9 @@ def _inverse(arguments: argparse.Namespace) -> int:
 
 
 def _simulate(arguments: argparse.Namespace) -> int:
-    from mbd_ros.scene import load_scene
-    from mbd_ros.simulate import Interrupted, simulate
-    from mbd_ros.simulation_inputs import Run, method_entry
+    from mbd_ros.jobs.simulate.inputs import Run, method_entry
+    from mbd_ros.jobs.simulate.job import Interrupted, simulate
+    from mbd_ros.scene.reader import load_scene
 
     scene = load_scene(arguments.scene)
     options: dict[str, Any] = {} if arguments.dt is None else {"dt": arguments.dt}
@@ -178,9 +178,9 @@ def _simulate(arguments: argparse.Namespace) -> int:
 
 
 def _replay(arguments: argparse.Namespace) -> int:
-    from mbd_ros.replay import TORQUES, Replay, play
-    from mbd_ros.report.precision.torque_errors import compare
-    from mbd_ros.scene import load_scene
+    from mbd_ros.jobs.replay.job import TORQUES, Replay, play
+    from mbd_ros.jobs.torque_errors import compare
+    from mbd_ros.scene.reader import load_scene
 
     joints = load_scene(arguments.scene).couplings.independent
     names = ("bag", "scene", "out", "rate", "topic", "cutoff")
@@ -192,7 +192,7 @@ def _replay(arguments: argparse.Namespace) -> int:
 
 
 def _demo(arguments: argparse.Namespace) -> int:
-    from mbd_ros.report.demo.processes import Failed
+    from mbd_ros.demo.processes import Failed
 
     try:
         _say(demo_lines(arguments))

@@ -37,7 +37,7 @@ def start_node(name: str) -> int:
     _end_on((signal.SIGINT, signal.SIGTERM), OK)  # until `process.run` takes them
     module, _, node_class = NODES[name].partition(":")
     try:
-        run = import_module("mbd_ros.nodes.process").run
+        run = import_module("mbd_ros.nodes.shell.process").run
         return int(run(getattr(import_module(module), node_class)))
     except ModuleNotFoundError as error:
         hint = install_hint(str(error.name))

@@ -7,13 +7,13 @@ import pinocchio as pin
 from scipy.integrate import solve_ivp
 
 from mbd_ros.constraints.distance import Distance
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.forward.bilateral_system import BilateralSystem
-from mbd_ros.core.forward.constraint_rows import ConstraintRows
-from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.dynamics.bilateral_system import BilateralSystem
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.parts import Row
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import State
-from mbd_ros.core.system import System
 
 LEG = (Path(__file__).parents[1] / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
 GRAVITY = 9.81

@@ -10,7 +10,7 @@ import pytest
 from mbd_ros.actuators.geared_motor import GearedMotor
 from mbd_ros.actuators.ideal import Ideal
 from mbd_ros.actuators.series_elastic import SeriesElastic
-from mbd_ros.core.description.robot_reader import read_robot
+from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError
 

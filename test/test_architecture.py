@@ -1,4 +1,4 @@
-"""Who may import whom, and what the core may not touch. The table is that of the design."""
+"""Who may import whom, and what the core may not touch."""
 
 import ast
 import json
@@ -15,24 +15,38 @@ FILES = sorted(
     p.relative_to(ROOT) for d in ("mbd_ros", "msg_adapters") for p in (ROOT / d).rglob("*.py")
 )
 
+ORDER = (  # of the rooms: each may import those before it
+    "mbd_ros.errors",
+    "mbd_ros.core",
+    "parts",
+    "mbd_ros.scene",
+    "mbd_ros.files",
+    "mbd_ros.workers",
+    "mbd_ros.jobs",
+    "mbd_ros.nodes",
+    "mbd_ros.demo",
+    "mbd_ros.report",
+    "mbd_ros.cli",
+    "programs",
+)
+PROGRAMS = {"mbd_ros.programs", "mbd_ros.__main__", "mbd_ros.nodes.__main__"}
+CORE_ORDER = (  # of the subjects in `core`: the same
+    "state",
+    "ranges",
+    "model",
+    "parts",
+    "rows",
+    "optimization",
+    "dynamics",
+    "integration",
+    "projection",
+    "events",
+    "inverse",
+    "simulation",
+    "estimation",
+    "control",
+)
 CORE, NODES = "mbd_ros.core", "mbd_ros.nodes"
-SCENE = {
-    f"mbd_ros.{module}"
-    for module in (
-        "built_scene",
-        "code_permission",
-        "coupling_entries",
-        "locate",
-        "part_entries",
-        "registry",
-        "robot_entry",
-        "scene",
-        "scene_check",
-        "schema",
-        "start_check",
-        "strict_yaml",
-    )
-}
 PART_FOLDERS = {
     f"mbd_ros.{folder}"
     for folder in (
@@ -45,22 +59,16 @@ PART_FOLDERS = {
         "stabilization",
     )
 }
-LAYERS = {
-    "errors": {"mbd_ros.errors"},
-    "msg_adapters": {"msg_adapters"},
-    "core": {CORE},
-    "part": PART_FOLDERS,
-    "scene": SCENE,
-    "nodes": {NODES},
-}
+APPLICATIONS = {"mbd_ros.demo", "mbd_ros.report", "mbd_ros.cli", "programs"}
+NAMES_ONLY = "mbd_ros.nodes.table.NODES"  # which nodes there are, and where
 MATH = {"numpy", "pinocchio", "eigenpy"}
 WORLD = {"time", "datetime", "logging", "os", "io", "pathlib", "shutil", "socket", "subprocess"}
 SHELL_ONLY = {"rclpy", "rosbags", "yaml", "matplotlib", "msg_adapters"}
 ALLOWED = {
-    "errors": set(),
+    "mbd_ros.errors": set(),
     "msg_adapters": {"numpy", "msg_adapters"},
-    "core": {*MATH, "mbd_ros.errors", CORE},
-    "scene": {*MATH, "yaml", "mbd_ros.errors", CORE, *SCENE},
+    CORE: {*MATH, "mbd_ros"},
+    "mbd_ros.scene": {*MATH, "yaml", "mbd_ros.errors", CORE, "mbd_ros.scene"},
 }
 UNWANTED = {"proxsuite", "qpsolvers", "scipy", "matplotlib", "rosbags", "rclpy"}
 
@@ -93,31 +101,47 @@ def within(name, roots):
     return any(name == root or name.startswith(root + ".") for root in roots)
 
 
-def layer(path):
-    """A key of `LAYERS`, or application: the command line and what only it calls."""
-    module = ".".join(Path(path).with_suffix("").parts)
-    return next((n for n, roots in LAYERS.items() if within(module, roots)), "application")
+def room(module):
+    """An entry of `ORDER`, or msg_adapters; None for what is in none."""
+    if module in PROGRAMS:
+        return "programs"
+    if within(module, PART_FOLDERS):
+        return "parts"
+    return next((name for name in (*ORDER, "msg_adapters") if within(module, {name})), None)
+
+
+def subject(module):
+    """An entry of `CORE_ORDER`."""
+    return next((s for s in CORE_ORDER if within(module, {f"{CORE}.{s}"})), None)
+
+
+def runs_up(order, here, there):
+    return there in order and order.index(there) > order.index(here)
 
 
 def refused(path, found):
     """Why a file may not have this import, or None."""
-    name, here = found.name, layer(path)
+    module = ".".join(Path(path).with_suffix("").parts)
+    name, here, there = found.name, room(module), room(found.name)
     if name.startswith("."):
         return "is relative"
-    if here == "core" and within(name, {"proxsuite", "qpsolvers"}) and Path(path).name == "qp.py":
+    if here == CORE and within(name, {"proxsuite", "qpsolvers"}) and Path(path).name == "qp.py":
         return "is at module level" if found.at_module_level else None
-    if here in ("core", "part") and within(name, WORLD | {"importlib"}):
+    if here in (CORE, "parts") and within(name, WORLD | {"importlib"}):
         return "touches the world"
-    if name.split(".")[0] in sys.stdlib_module_names and here != "errors":
+    if name.split(".")[0] in sys.stdlib_module_names:
+        return None if here != "mbd_ros.errors" else "is not for errors"
+    if name == NAMES_ONLY:
         return None
-    if here in ALLOWED:
-        return None if within(name, ALLOWED[here]) else f"is not for {here}"
-    if here == "part":
-        outside = within(name, {"mbd_ros"}) and not within(name, ALLOWED["core"])
-        return "is not for a part" if outside or within(name, SHELL_ONLY) or ros(name) else None
-    if name == "mbd_ros.nodes.table.NODES":
-        return None  # a table of names
-    if here == "application" and within(name, {NODES}) and found.at_module_level:
+    if here in ALLOWED and not within(name, ALLOWED[here]):
+        return f"is not for {here}"
+    if here in ORDER and runs_up(ORDER, here, there):
+        return "runs up"
+    if here == there == CORE and runs_up(CORE_ORDER, subject(module), subject(name)):
+        return "runs up"
+    if here == "parts" and (there == here or within(name, SHELL_ONLY) or ros(name)):
+        return "is not for a part"
+    if here in APPLICATIONS and there == NODES and found.at_module_level:
         return "brings ROS nodes in at module level"
     return None
 
@@ -130,7 +154,7 @@ def violations(path, source):
     """Lines of a file that break the table."""
     tree = ast.parse(source)
     rows = [(i.line, f"{i.name} {why}") for i in imports(tree) if (why := refused(path, i))]
-    if layer(path) in ("core", "part"):
+    if room(".".join(Path(path).with_suffix("").parts)) in (CORE, "parts"):
         rows += [
             (n.lineno, f"{ast.unparse(n)} touches the world")
             for n in ast.walk(tree)
@@ -149,29 +173,33 @@ def test_every_file_keeps_to_its_layer():
     ("path", "source"),
     [
         ("mbd_ros/errors.py", "import math"),
-        ("mbd_ros/core/robot.py", "import rclpy"),
-        ("mbd_ros/core/robot.py", "from mbd_ros import scene"),
-        ("mbd_ros/core/robot.py", "from . import state"),
-        ("mbd_ros/core/robot.py", "import scipy.linalg"),
-        ("mbd_ros/core/robot.py", "def f():\n    import proxsuite"),
-        ("mbd_ros/core/qp.py", "import proxsuite"),
-        ("mbd_ros/core/robot.py", "from time import monotonic"),
-        ("mbd_ros/core/robot.py", "import logging"),
-        ("mbd_ros/core/robot.py", "def f(p):\n    return open(p)"),
-        ("mbd_ros/core/robot.py", "print(1)"),
+        ("mbd_ros/core/model/robot.py", "import rclpy"),
+        ("mbd_ros/core/model/robot.py", "from mbd_ros import scene"),
+        ("mbd_ros/core/model/robot.py", "from . import state"),
+        ("mbd_ros/core/model/robot.py", "import scipy.linalg"),
+        ("mbd_ros/core/model/robot.py", "def f():\n    import proxsuite"),
+        ("mbd_ros/core/optimization/qp.py", "import proxsuite"),
+        ("mbd_ros/core/model/robot.py", "from time import monotonic"),
+        ("mbd_ros/core/model/robot.py", "import logging"),
+        ("mbd_ros/core/model/robot.py", "def f(p):\n    return open(p)"),
+        ("mbd_ros/core/model/robot.py", "print(1)"),
         ("mbd_ros/forces/spring.py", "from mbd_ros.contacts.plane import Plane"),
-        ("mbd_ros/forces/spring.py", "from mbd_ros.scene import load_scene"),
+        ("mbd_ros/forces/spring.py", "from mbd_ros.scene.reader import load_scene"),
         ("mbd_ros/forces/spring.py", "import yaml"),
         ("mbd_ros/forces/spring.py", "from sensor_msgs.msg import JointState"),
-        ("mbd_ros/scene.py", "import rclpy"),
-        ("mbd_ros/registry.py", "from mbd_ros.forces.joint_spring import JointSpring"),
-        ("mbd_ros/scene.py", "from mbd_ros.nodes.shell import Shell"),
+        ("mbd_ros/scene/reader.py", "import rclpy"),
+        ("mbd_ros/scene/registry.py", "from mbd_ros.forces.joint_spring import JointSpring"),
+        ("mbd_ros/scene/reader.py", "from mbd_ros.nodes.shell.shell import Shell"),
         ("msg_adapters/wrench.py", "import rclpy"),
         ("msg_adapters/wrench.py", "from geometry_msgs.msg import Wrench"),
         ("msg_adapters/wrench.py", "from mbd_ros.errors import MbdError"),
-        ("mbd_ros/bags.py", "from mbd_ros.nodes import shell"),
-        ("mbd_ros/report/demo/run.py", "import mbd_ros.nodes.shell"),
-        ("mbd_ros/cli.py", "from mbd_ros.nodes.inverse_dynamics import main"),
+        ("mbd_ros/files/bags.py", "from mbd_ros.nodes import shell"),
+        ("mbd_ros/demo/run.py", "import mbd_ros.nodes.shell.shell"),
+        ("mbd_ros/cli.py", "from mbd_ros.nodes.inverse_dynamics.node import InverseDynamicsNode"),
+        ("mbd_ros/jobs/check.py", "def f():\n    import mbd_ros.nodes.shell.shell"),
+        ("mbd_ros/files/tables.py", "from mbd_ros.jobs.progress import progress"),
+        ("mbd_ros/core/rows/law.py", "from mbd_ros.core.dynamics.system import System"),
+        ("mbd_ros/core/state.py", "from mbd_ros.core.model.robot import Robot"),
     ],
 )
 def test_a_forbidden_line_is_seen(path, source):
@@ -181,14 +209,20 @@ def test_a_forbidden_line_is_seen(path, source):
 @pytest.mark.parametrize(
     ("path", "source"),
     [
-        ("mbd_ros/core/qp.py", "def build():\n    import proxsuite"),
+        ("mbd_ros/core/optimization/qp.py", "def build():\n    import proxsuite"),
         (
-            "mbd_ros/core/robot.py",
+            "mbd_ros/core/model/robot.py",
             "import math, numpy as np, pinocchio\nfrom mbd_ros.core import state",
         ),
-        ("mbd_ros/forces/spring.py", "import numpy as np\nfrom mbd_ros.core.robot import Robot"),
-        ("mbd_ros/cli.py", "def f():\n    from mbd_ros.nodes.inverse_dynamics import main"),
-        ("mbd_ros/nodes/shell.py", "import rclpy, time\nfrom mbd_ros.scene import load_scene"),
+        (
+            "mbd_ros/forces/spring.py",
+            "import numpy\nfrom mbd_ros.core.model.robot import Robot",
+        ),
+        ("mbd_ros/cli.py", "def f():\n    from mbd_ros.nodes.simulator.node import SimulatorNode"),
+        (
+            "mbd_ros/nodes/shell/shell.py",
+            "import rclpy, time\nfrom mbd_ros.scene.reader import load_scene",
+        ),
     ],
 )
 def test_an_allowed_line_passes(path, source):
@@ -197,7 +231,7 @@ def test_an_allowed_line_passes(path, source):
 
 def test_a_heavy_library_has_one_part_file():
     owners = {}
-    for path in (p for p in FILES if layer(p) == "part"):
+    for path in (p for p in FILES if "mbd_ros." + p.parts[1] in PART_FOLDERS):
         for found in imports(ast.parse((ROOT / path).read_text(encoding="utf-8"))):
             library = found.name.split(".")[0]
             if library not in {*sys.stdlib_module_names, *MATH, "mbd_ros"}:
@@ -205,10 +239,11 @@ def test_a_heavy_library_has_one_part_file():
     assert {name: files for name, files in owners.items() if len(files) > 1} == {}
 
 
-def test_every_folder_has_a_layer():
-    known = {"mbd_ros.report", "mbd_ros.workers"}.union(*LAYERS.values())
-    folders = {".".join(p.parent.parts) for p in FILES} - {"mbd_ros"}
-    assert [folder for folder in sorted(folders) if not within(folder, known)] == []
+def test_every_file_has_a_room():
+    modules = {".".join(p.with_suffix("").parts) for p in FILES} - {"mbd_ros.__init__"}
+    assert [m for m in sorted(modules) if room(m) is None] == []
+    core = {m for m in modules if within(m, {CORE})} - {f"{CORE}.__init__"}
+    assert [m for m in sorted(core) if subject(m) is None] == []
 
 
 def test_every_init_is_empty():
@@ -234,7 +269,7 @@ def loaded_by_check(scene):
 
 def test_an_empty_scene_imports_nothing_that_it_does_not_use():
     modules = loaded_by_check(ROOT / "config/scenes/empty.yaml")
-    assert "mbd_ros.core.inverse_dynamics" in modules
+    assert "mbd_ros.core.inverse.inverse_dynamics" in modules
     assert [m for m in modules if within(m, UNWANTED | PART_FOLDERS)] == []
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from mbd_ros.core.manifold.assembly import assemble, drift, project
+from mbd_ros.core.projection.assembly import assemble, drift, project
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 
 SCENES = Path(__file__).parents[1] / "config/scenes"
 LOOPS = [

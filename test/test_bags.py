@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import yaml
 
-from mbd_ros.bags import BagWriter, messages, new_message, raw_messages, topic_types
 from mbd_ros.errors import DataError
+from mbd_ros.files.bags import BagWriter, messages, new_message, raw_messages, topic_types
 from msg_adapters.joint_state import write_joint_state
 
 JOINT_STATE = "sensor_msgs/msg/JointState"

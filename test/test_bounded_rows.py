@@ -7,20 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.core.couplings import Coupling, Couplings
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.forward.active_set import complementarity
-from mbd_ros.core.forward.bounded_rows import BoundedRows
-from mbd_ros.core.forward.constraint_rows import ConstraintRows
-from mbd_ros.core.forward.loads import Loads
-from mbd_ros.core.laws import Linear
-from mbd_ros.core.simulation import Simulation
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.tiers import build_system, tier_of
+from mbd_ros.core.model.coupling_functions import Linear
+from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.optimization.active_set import complementarity
+from mbd_ros.core.optimization.bounded_rows import BoundedRows
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
-from mbd_ros.core.system import System
-from mbd_ros.core.tiers import build_system, tier_of
 from mbd_ros.integrators.rk4 import Rk4
-from mbd_ros.part_entries import build_part
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.part_entries import build_part
+from mbd_ros.scene.reader import load_scene
 from mbd_ros.stabilization.none import NoStabilization
 
 ROOT = Path(__file__).parents[1]

@@ -13,18 +13,18 @@ from mbd_ros.actuators.ideal import Ideal
 from mbd_ros.constraints.frame_anchor import FrameAnchor
 from mbd_ros.constraints.loop_closure import LoopClosure
 from mbd_ros.constraints.prescribed_motion import PrescribedMotion
-from mbd_ros.core.couplings import Couplings
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.forward.loads import Loads
-from mbd_ros.core.inverse_dynamics import InverseDynamics
-from mbd_ros.core.loops.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.state import State
-from mbd_ros.core.tiers import build_system
-from mbd_ros.core.wrenches import ExternalWrench
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.forces.joint_friction import JointFriction
 from mbd_ros.forces.joint_spring import JointSpring
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 
 SCENES = Path(__file__).parents[1] / "config/scenes"
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from mbd_ros.cli import main
-from mbd_ros.code_permission import is_permitted, permitting
 from mbd_ros.errors import SceneError
-from mbd_ros.scene import load_scene
-from mbd_ros.tables import write_table
+from mbd_ros.files.tables import write_table
+from mbd_ros.scene.code_permission import is_permitted, permitting
+from mbd_ros.scene.reader import load_scene
 
 URDF = Path(__file__).parents[1] / "config/robots/arm7.urdf"
 TOLD = """

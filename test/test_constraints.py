@@ -16,10 +16,10 @@ from mbd_ros.constraints.loop_closure import LoopClosure
 from mbd_ros.constraints.point_on_plane import PointOnPlane
 from mbd_ros.constraints.prescribed_motion import PrescribedMotion
 from mbd_ros.constraints.screw import Screw
-from mbd_ros.core.couplings import Coupling, Couplings
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.inverse_dynamics import InverseDynamics
-from mbd_ros.core.laws import Linear, Polynomial
+from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
+from mbd_ros.core.model.coupling_functions import Linear, Polynomial
+from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.parts import Row
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.rows.rotation_residual import AxisRotation, FullRotation

@@ -7,19 +7,19 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros import schema
-from mbd_ros.code_permission import permitting
 from mbd_ros.core.control.contract import ControlledJoints, Controller, EffortBox, Reference
-from mbd_ros.core.couplings import Couplings
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.parts import Actuator, Constraint, ForceTerm
-from mbd_ros.core.stabilizing import Stabilization
+from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.state import State
-from mbd_ros.core.stepping import Integrator
-from mbd_ros.core.tiers import build_system
 from mbd_ros.errors import SceneError
-from mbd_ros.registry import METHODS, PARTS, resolve
+from mbd_ros.scene import schema
+from mbd_ros.scene.code_permission import permitting
+from mbd_ros.scene.registry import METHODS, PARTS, resolve
 
 LEG = (Path(__file__).parents[1] / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
 NAMES = [(section, name) for section, names in PARTS.items() for name in names]

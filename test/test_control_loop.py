@@ -7,17 +7,17 @@ from mechanisms import chain, double_pendulum
 from mbd_ros.core.control.chatter import ChatterMeter
 from mbd_ros.core.control.contract import Control, ControlledJoints, Controller, EffortBox
 from mbd_ros.core.control.control_loop import ControlLoop
+from mbd_ros.core.control.guard import Guard
 from mbd_ros.core.control.guide import Guide
 from mbd_ros.core.control.reference_limits import TargetError
 from mbd_ros.core.control.reference_map import ReferenceMap
-from mbd_ros.core.couplings import Coupling, Couplings
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.forward.loads import Loads
-from mbd_ros.core.guard import Guard
-from mbd_ros.core.laws import Linear, Polynomial
-from mbd_ros.core.live.safe_command import SafeCommand
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.model.coupling_functions import Linear, Polynomial
+from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.core.state import State
-from mbd_ros.core.system import System
 from mbd_ros.errors import SolveError
 
 NAMES = ["joint_1", "joint_2"]

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 
 SCENES = Path(__file__).parents[1] / "config/scenes"
 

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros import schema
 from mbd_ros.core.control.contract import EffortBox, Reference, Response, per_joint
 from mbd_ros.core.control.mobility_factor import MobilityFactor
 from mbd_ros.core.control.sliding import mismatch, sliding_variable
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.forces.joint_torque import JointTorque
-from mbd_ros.registry import resolve
-from mbd_ros.scene import load_scene
+from mbd_ros.scene import schema
+from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.registry import resolve
 
 CONFIG = Path(__file__).parents[1] / "config"
 FOUR_BAR = ("knee_anterior", "knee_tibial", "knee_posterior")

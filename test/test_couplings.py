@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline, PPoly
 
-from mbd_ros.core.couplings import Coupling, Couplings
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.laws import PiecewisePolynomial, Polynomial, natural_cubic_spline
+from mbd_ros.core.model.coupling_functions import (
+    PiecewisePolynomial,
+    Polynomial,
+    natural_cubic_spline,
+)
+from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.errors import ModelError
 
 ARM = (Path(__file__).parents[1] / "config/robots/arm7.urdf").read_text(encoding="utf-8")

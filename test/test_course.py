@@ -10,9 +10,9 @@ from mbd_ros.core.control.contract import ControlledJoints, Reference
 from mbd_ros.core.control.course import Course
 from mbd_ros.core.control.guide import Guide
 from mbd_ros.core.control.reference_limits import TargetError
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.forward.loads import Loads
-from mbd_ros.core.system import System
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.model.robot_reader import read_robot
 
 TIMES = np.array([0.0, 0.4, 1.0, 1.1])
 Q = np.array([[0.0, 1.0], [0.5, -1.0], [0.2, 0.0], [0.1, 0.3]])

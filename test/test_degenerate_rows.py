@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from mbd_ros.core.couplings import Couplings
-from mbd_ros.core.forward.active_set import complementarity
-from mbd_ros.core.forward.row_factor import RowFactor
 from mbd_ros.core.integration.linear_motion import fastest_rate
-from mbd_ros.core.manifold.assembly import assemble, drift, project
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.optimization.active_set import complementarity
+from mbd_ros.core.projection.assembly import assemble, drift, project
+from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
 from mbd_ros.report.stability.extreme_scenes import mechanism, rods

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from mbd_ros.core.differentiation import CausalDifferentiator, Sample
+from mbd_ros.core.estimation.differentiation import CausalDifferentiator, Sample
 from mbd_ros.core.estimation.local_polynomials import local_polynomials
 from mbd_ros.core.estimation.low_pass import LowPass
 from mbd_ros.errors import DataError

@@ -10,8 +10,8 @@ from mbd_ros.actuators.ideal import Ideal
 from mbd_ros.actuators.series_elastic import SeriesElastic
 from mbd_ros.cli import main
 from mbd_ros.core.state import State
-from mbd_ros.scene import load_scene
-from mbd_ros.tables import read_table, write_table
+from mbd_ros.files.tables import read_table, write_table
+from mbd_ros.scene.reader import load_scene
 
 URDF = SCENES.parent / "robots/pendulum.urdf"
 GEAR = "geared_motor, joint: hinge, ratio: -50.0, rotor_inertia: 1.0e-5, efficiency: 0.7, "

@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 import yaml
 
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 
 ROOT = Path(__file__).parents[1]
 ROBOTS = ROOT / "config" / "robots"

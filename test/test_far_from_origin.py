@@ -9,15 +9,15 @@ import pinocchio as pin
 import pytest
 import yaml
 
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.forward.loads import Loads
-from mbd_ros.core.manifold.assembly import assemble
-from mbd_ros.core.simulation import Simulation
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.projection.assembly import assemble
+from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
-from mbd_ros.core.system import System
 from mbd_ros.integrators.dop853 import Dop853
 from mbd_ros.report.stability.scene_text import joint, link, robot
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 from mbd_ros.stabilization.none import NoStabilization
 
 CONFIG = Path(__file__).parents[1] / "config"

@@ -7,10 +7,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.couplings import Coupling, Couplings
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.inverse_dynamics import InverseDynamics
-from mbd_ros.core.laws import Polynomial
+from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
+from mbd_ros.core.model.coupling_functions import Polynomial
+from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError
 from mbd_ros.forces.applied_wrench import AppliedWrench

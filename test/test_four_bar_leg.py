@@ -8,7 +8,7 @@ import pytest
 from scene_geometry import Mechanism
 from scipy.optimize import fsolve
 
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 
 SCENES = Path(__file__).parents[1] / "config/scenes"
 

@@ -25,14 +25,14 @@ from row_systems import (
 )
 
 from mbd_ros.constraints.joint_stop import JointStop
-from mbd_ros.core.couplings import Couplings
-from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.integration.linearization import Linearization
 from mbd_ros.core.integration.newton import FAILED, converge
+from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.state import State
-from mbd_ros.core.system import System
-from mbd_ros.core.tiers import build_system
 from mbd_ros.errors import DivergedError, ModelError
 from mbd_ros.integrators.gauss_legendre import GaussLegendre
 from mbd_ros.integrators.generalized_alpha import GeneralizedAlpha

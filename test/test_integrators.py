@@ -9,12 +9,12 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.system import System, writing
 from mbd_ros.core.integration.dop853_tableau import DOP853
 from mbd_ros.core.integration.tableau import RK4
+from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import State
-from mbd_ros.core.system import System, writing
 from mbd_ros.errors import DivergedError, ModelError
 from mbd_ros.integrators.adams import Adams
 from mbd_ros.integrators.dop853 import Dop853

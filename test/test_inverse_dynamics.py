@@ -9,15 +9,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.couplings import Coupling, Couplings
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.inverse_dynamics import InverseDynamics
-from mbd_ros.core.laws import Polynomial, natural_cubic_spline
+from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
+from mbd_ros.core.model.coupling_functions import Polynomial, natural_cubic_spline
+from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.state import State
-from mbd_ros.core.wrenches import ExternalWrench
 from mbd_ros.forces.joint_friction import JointFriction
 from mbd_ros.forces.joint_spring import JointSpring
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 
 CONFIG = Path(__file__).parents[1] / "config"
 ARM = (CONFIG / "robots/arm7.urdf").read_text(encoding="utf-8")

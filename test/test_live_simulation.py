@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.core.inverse_dynamics import InverseDynamics
-from mbd_ros.core.live.command_watch import CommandWatch
-from mbd_ros.core.live.live_simulation import LiveSimulation
-from mbd_ros.core.live.safe_command import SafeCommand
+from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
+from mbd_ros.core.simulation.command_watch import CommandWatch
+from mbd_ros.core.simulation.live_simulation import LiveSimulation
+from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.errors import DivergedError, ModelError, SceneError
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 
 ROOT = Path(__file__).parents[1]
 ROBOTS = ROOT / "config/robots"

@@ -11,14 +11,14 @@ from mbd_ros.core.control.chatter import ChatterMeter
 from mbd_ros.core.control.control_loop import ControlLoop
 from mbd_ros.core.control.delay_margin import LoopGains, pd_gains, sliding_gains, tolerable_delay
 from mbd_ros.core.control.delay_meter import DelayMeter
+from mbd_ros.core.control.guard import Guard
 from mbd_ros.core.control.guide import Guide
 from mbd_ros.core.control.loop_watch import LoopWatch, LossLimits, rest_responses
-from mbd_ros.core.guard import Guard
-from mbd_ros.core.live.command_watch import CommandWatch
-from mbd_ros.core.live.live_simulation import LiveSimulation
-from mbd_ros.core.manifold.observed_state import ObservedState
-from mbd_ros.registry import resolve
-from mbd_ros.scene import load_scene
+from mbd_ros.core.projection.observed_state import ObservedState
+from mbd_ros.core.simulation.command_watch import CommandWatch
+from mbd_ros.core.simulation.live_simulation import LiveSimulation
+from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.registry import resolve
 
 SCENES = Path(__file__).parents[1] / "config/scenes"
 RAMP, BEGIN = 0.2, 0.9  # s

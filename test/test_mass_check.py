@@ -7,8 +7,8 @@ import pytest
 
 from mbd_ros.cli import main
 from mbd_ros.errors import SceneError, SolveError
-from mbd_ros.scene import load_scene
-from mbd_ros.tables import read_table, write_table
+from mbd_ros.files.tables import read_table, write_table
+from mbd_ros.scene.reader import load_scene
 
 JOINT = (
     '<joint name="{0}" type="continuous"><parent link="{1}"/><child link="{2}"/>'

@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mbd_ros.core.couplings import Coupling, Couplings
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.forward.loads import Loads
-from mbd_ros.core.forward.mimic_system import MimicSystem, mimic_model
-from mbd_ros.core.forward.reduced_system import ReducedSystem
-from mbd_ros.core.laws import Linear, Polynomial
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.mimic_system import MimicSystem, mimic_model
+from mbd_ros.core.dynamics.reduced_system import ReducedSystem
+from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.model.coupling_functions import Linear, Polynomial
+from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import State
-from mbd_ros.core.tiers import build_system
 from mbd_ros.forces.joint_spring import JointSpring
 from mbd_ros.report.stability.scene_text import joint, link, robot
 

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.bags import BagWriter, new_message
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
-from mbd_ros.core.wrenches import WrenchBuffer
+from mbd_ros.core.model.wrenches import WrenchBuffer
 from mbd_ros.errors import DataError
-from mbd_ros.offline import inverse_dynamics_of
-from mbd_ros.offline_derivatives import Derivatives
-from mbd_ros.scene import load_scene
-from mbd_ros.tables import read_table, write_table
+from mbd_ros.files.bags import BagWriter, new_message
+from mbd_ros.files.tables import read_table, write_table
+from mbd_ros.jobs.inverse.derivatives import Derivatives
+from mbd_ros.jobs.inverse.job import inverse_dynamics_of
+from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import write_joint_state
 from msg_adapters.wrench import write_wrench
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.bags import BagWriter, new_message
 from mbd_ros.cli import main
-from mbd_ros.tables import write_table
+from mbd_ros.files.bags import BagWriter, new_message
+from mbd_ros.files.tables import write_table
 from msg_adapters.joint_state import write_joint_state
 
 SCENE = Path(__file__).parents[1] / "config/scenes/prosthetic_arm.yaml"
@@ -16,7 +16,7 @@ FIELDS = ("position", "velocity", "acceleration")
 
 @pytest.fixture
 def joints():
-    from mbd_ros.scene import load_scene
+    from mbd_ros.scene.reader import load_scene
 
     return load_scene(SCENE).couplings.independent
 

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.bags import messages
 from mbd_ros.cli import main
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.core.state import Motion
 from mbd_ros.errors import DataError, SolveError
-from mbd_ros.offline_loops import close_loops
-from mbd_ros.records import Recording
-from mbd_ros.scene import load_scene
-from mbd_ros.tables import read_table, write_table
+from mbd_ros.files.bags import messages
+from mbd_ros.files.records import Recording
+from mbd_ros.files.tables import read_table, write_table
+from mbd_ros.jobs.inverse.loops import close_loops
+from mbd_ros.scene.reader import load_scene
 
 SCENES = Path(__file__).parents[1] / "config/scenes"
 KNEE = ("knee_anterior", "knee_tibial", "knee_posterior")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mbd_ros.cli import main
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 
 PENDULUM = Path(__file__).parents[1] / "config/robots/pendulum.urdf"
 METHODS = {

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 import pytest
 
 from mbd_ros.nodes.table import NODES
-from mbd_ros.registry import PARTS, resolve
+from mbd_ros.scene.registry import PARTS, resolve
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ElementTree.parse(ROOT / "package.xml").getroot()
@@ -156,7 +156,7 @@ def parameters_of(executable):
     module, _, name = NODES[executable].partition(":")
     node = getattr(importlib.import_module(module), name)
     assert executable == node.NAME
-    shell = importlib.import_module("mbd_ros.nodes.shell").PARAMETERS
+    shell = importlib.import_module("mbd_ros.nodes.shell.shell").PARAMETERS
     return {parameter.name for parameter in node.PARAMETERS + shell} | {"use_sim_time"}
 
 

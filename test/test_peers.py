@@ -14,7 +14,7 @@ from mbd_ros.report.peers.translation import common_ground, task_of
 from mbd_ros.report.precision.converged import known, motion_of
 from mbd_ros.report.precision.pareto import Point
 from mbd_ros.report.precision.reference_problems import SCENES
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 
 needs_mujoco = pytest.mark.skipif(
     importlib.util.find_spec("mujoco") is None,

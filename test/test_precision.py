@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from report_runs import RUNS, run_of
 
-from mbd_ros.core.forward.constraint_rows import ConstraintRows
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.report.items import Item
 from mbd_ros.report.left_out import kind as left_out
 from mbd_ros.report.precision import kind as precision
@@ -17,8 +17,8 @@ from mbd_ros.report.precision.pareto import Point, cheapest, cost_at, front
 from mbd_ros.report.precision.rattle_check import approach
 from mbd_ros.report.precision.reference_problems import PROBLEMS, SCENES
 from mbd_ros.report.precision.text import brief, compose, power
-from mbd_ros.scene import load_scene
-from mbd_ros.strict_yaml import read_mapping
+from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.strict_yaml import read_mapping
 
 PENDULUM = f"{SCENES}/a01_pendulum_maximal.yaml"
 TIMES = (0.5, 1.0)

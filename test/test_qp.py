@@ -6,11 +6,11 @@ import time
 import numpy as np
 import pytest
 
-from mbd_ros.core.control import limited_qp
-from mbd_ros.core.control.boxed_rows import COMPLIANCES, BoxedRows
-from mbd_ros.core.control.limited_qp import LimitedQp
-from mbd_ros.core.forward.active_set import complementarity
-from mbd_ros.core.qp import BoxQp
+from mbd_ros.core.optimization import limited_qp
+from mbd_ros.core.optimization.active_set import complementarity
+from mbd_ros.core.optimization.boxed_rows import COMPLIANCES, BoxedRows
+from mbd_ros.core.optimization.limited_qp import LimitedQp
+from mbd_ros.core.optimization.qp import BoxQp
 from mbd_ros.errors import ModelError, SolveError
 
 

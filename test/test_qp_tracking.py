@@ -8,11 +8,11 @@ from mbd_ros.actuators.ideal import Ideal
 from mbd_ros.controllers.qp_tracking import QpTracking
 from mbd_ros.core.control.contract import EffortBox, Reference
 from mbd_ros.core.control.motion_limits import MotionLimits
-from mbd_ros.core.forward.loads import Loads
-from mbd_ros.core.robot import Joint
-from mbd_ros.core.simulation import Simulation
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.model.robot import Joint
+from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
-from mbd_ros.core.tiers import build_system
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.integrators.rk4 import Rk4
 from mbd_ros.report.bench.controllers import (
@@ -22,7 +22,7 @@ from mbd_ros.report.bench.controllers import (
     moments,
     with_and_without_limits,
 )
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 from mbd_ros.stabilization.none import NoStabilization
 
 KP, KD = 100.0, 20.0

@@ -17,10 +17,10 @@ from row_systems import (
 )
 from scipy.special import ellipj
 
-from mbd_ros.core.forward.loads import Loads
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.state import State
-from mbd_ros.core.system import System
 from mbd_ros.errors import DivergedError
 from mbd_ros.integrators.generalized_alpha import GeneralizedAlpha
 from mbd_ros.integrators.rattle import Rattle

@@ -7,27 +7,27 @@ import pinocchio as pin
 import pytest
 from mechanisms import floating_body
 
-from mbd_ros import schema
 from mbd_ros.constraints.distance import Distance
 from mbd_ros.constraints.frame_anchor import FrameAnchor
-from mbd_ros.core.couplings import Couplings
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.forward.constraint_rows import ConstraintRows
-from mbd_ros.core.forward.loads import Loads
-from mbd_ros.core.loops.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.core.loops.reactions import JointReactions
-from mbd_ros.core.manifold.assembly import assemble
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.inverse.reactions import JointReactions
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Wrench
+from mbd_ros.core.projection.assembly import assemble
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import State
-from mbd_ros.core.tiers import build_system
-from mbd_ros.core.wrenches import ExternalWrench
 from mbd_ros.forces.applied_wrench import AppliedWrench
 from mbd_ros.forces.gravity_compensation import GravityCompensation
 from mbd_ros.forces.joint_spring import JointSpring
 from mbd_ros.forces.point_spring import PointSpring
 from mbd_ros.forces.prescribed_wrench import PrescribedWrench
-from mbd_ros.registry import PARTS, resolve
-from mbd_ros.scene import load_scene
+from mbd_ros.scene import schema
+from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.registry import PARTS, resolve
 
 CONFIG = Path(__file__).parents[1] / "config"
 

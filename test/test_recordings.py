@@ -10,15 +10,15 @@ from contextlib import contextmanager, suppress
 import numpy as np
 import pytest
 
-from mbd_ros.bag_paths import is_bag
-from mbd_ros.bags import BagWriter, messages, new_message, topic_types
 from mbd_ros.core.state import WrenchSamples
 from mbd_ros.errors import DataError
-from mbd_ros.progress import progress
-from mbd_ros.recordings import read_motion, read_wrenches
-from mbd_ros.records import TorqueRecord
-from mbd_ros.results import write_torques
-from mbd_ros.tables import read_table
+from mbd_ros.files.bag_paths import is_bag
+from mbd_ros.files.bags import BagWriter, messages, new_message, topic_types
+from mbd_ros.files.recordings import read_motion, read_wrenches
+from mbd_ros.files.records import TorqueRecord
+from mbd_ros.files.results import write_torques
+from mbd_ros.files.tables import read_table
+from mbd_ros.jobs.progress import progress
 from msg_adapters.time import write_time
 from msg_adapters.wrench import write_wrench
 
@@ -336,7 +336,7 @@ def test_progress_on_a_terminal_is_rare_and_cleared(monkeypatch):
 
 
 def test_progress_shows_the_share_that_is_done(monkeypatch):
-    monkeypatch.setattr("mbd_ros.progress.PERIOD", 0.0)
+    monkeypatch.setattr("mbd_ros.jobs.progress.PERIOD", 0.0)
     with terminal_as_stderr(monkeypatch) as shown:
         assert sum(1 for _ in progress("abcd", 4, "x")) == 4
     assert b"".join(shown).startswith(b"\rx 0 %\rx 25 %\rx 50 %\rx 75 %")

@@ -7,9 +7,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.state import State
-from mbd_ros.core.tiers import tier_of
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 
 CONFIG = Path(__file__).parents[1] / "config"
 LEG = (CONFIG / "scenes/four_bar_leg.yaml").read_text(encoding="utf-8")

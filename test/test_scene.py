@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.built_scene import Scene
-from mbd_ros.code_permission import permitting
-from mbd_ros.core.description.urdf import MAX_CHARACTERS
+from mbd_ros.core.model.urdf import MAX_CHARACTERS
 from mbd_ros.errors import SceneError
-from mbd_ros.scene import SECTIONS, description_topic, load_scene
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.code_permission import permitting
+from mbd_ros.scene.reader import SECTIONS, description_topic, load_scene
 
 ROOT = Path(__file__).parents[1]
 LEG = (ROOT / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")

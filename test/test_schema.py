@@ -6,9 +6,9 @@ from typing import Any, Literal, Optional
 
 import pytest
 
-from mbd_ros import schema
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.part_entries import Solver
+from mbd_ros.scene import schema
+from mbd_ros.scene.part_entries import Solver
 
 
 class Part:

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.bags import messages
 from mbd_ros.cli import main
-from mbd_ros.recordings import read_motion
-from mbd_ros.scene import load_scene
-from mbd_ros.simulate import diverged_place
-from mbd_ros.tables import read_table, write_table
+from mbd_ros.files.bags import messages
+from mbd_ros.files.recordings import read_motion
+from mbd_ros.files.tables import read_table, write_table
+from mbd_ros.jobs.simulate.job import diverged_place
+from mbd_ros.scene.reader import load_scene
 
 ROOT = Path(__file__).parents[1]
 SCENES = ROOT / "config/scenes"

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.core.manifold.assembly import drift
+from mbd_ros.core.dynamics.tiers import tier_of
+from mbd_ros.core.projection.assembly import drift
 from mbd_ros.core.state import State
-from mbd_ros.core.tiers import tier_of
 from mbd_ros.errors import DivergedError, SceneError
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 
 ROOT = Path(__file__).parents[1]
 SCENES = ROOT / "config/scenes"

@@ -17,7 +17,7 @@ from mbd_ros.core.control.sliding import mismatch, sliding_variable
 from mbd_ros.core.control.twisting import reaching_time_bound, super_twisting
 from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.state import State
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 

@@ -15,9 +15,9 @@ import pytest
 
 from mbd_ros.controllers.sliding_mode import SlidingMode
 from mbd_ros.core.control.contract import EffortBox, Reference
-from mbd_ros.core.discontinuous.switching import DiscontinuousForce
+from mbd_ros.core.events.switching import DiscontinuousForce
 from mbd_ros.core.parts import ForceTerm
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 NOTHING, BANDWIDTH, OUTPUT, END = np.zeros(0), 10.0, 0.01, 1.0

@@ -9,11 +9,11 @@ import pinocchio as pin
 import pytest
 
 from mbd_ros.constraints.distance import Distance
-from mbd_ros.core.forward.bilateral_system import BilateralSystem
-from mbd_ros.core.manifold.assembly import assemble, drift
+from mbd_ros.core.dynamics.bilateral_system import BilateralSystem
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.projection.assembly import assemble, drift
 from mbd_ros.core.rows.pair_rows import PairRows
 from mbd_ros.core.state import State
-from mbd_ros.core.system import System
 from mbd_ros.errors import DivergedError, SceneError, SolveError
 from mbd_ros.forces.joint_spring import JointSpring
 from mbd_ros.integrators.rk4 import Rk4

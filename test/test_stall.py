@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from mbd_ros.cli import main
-from mbd_ros.core.stall import WINDOW, StallWatch
+from mbd_ros.core.simulation.stall import WINDOW, StallWatch
 from mbd_ros.errors import DivergedError
-from mbd_ros.recordings import read_motion
-from mbd_ros.scene import load_scene
+from mbd_ros.files.recordings import read_motion
+from mbd_ros.scene.reader import load_scene
 
 ROOT = Path(__file__).parents[1]
 PENDULUM = f"robot: {{urdf: {ROOT}/config/robots/pendulum.urdf}}\n"

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 import qpsolvers
 
-from mbd_ros.core.couplings import Link
-from mbd_ros.core.forward.loads import Loads
-from mbd_ros.core.laws import Linear, Polynomial
-from mbd_ros.core.manifold.coupled_joints import CoupledJoints
-from mbd_ros.core.manifold.pushing_bounds import PushingBounds
-from mbd_ros.core.manifold.state_projection import Measurement, StateProjector
-from mbd_ros.core.qp import Statistics
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.model.coupling_functions import Linear, Polynomial
+from mbd_ros.core.model.couplings import Link
+from mbd_ros.core.optimization.pushing_bounds import PushingBounds
+from mbd_ros.core.optimization.qp import Statistics
+from mbd_ros.core.projection.coupled_joints import CoupledJoints
+from mbd_ros.core.projection.state_projection import Measurement, StateProjector
 from mbd_ros.core.state import State
-from mbd_ros.core.tiers import build_system
 from mbd_ros.errors import SolveError
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 
 SCENES = Path(__file__).parents[1] / "config/scenes"
 LEG, FOUR_BAR, ARM = "prosthetic_leg", "four_bar_leg", "prosthetic_arm"

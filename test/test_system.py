@@ -6,15 +6,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.couplings import Couplings
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.forward.loads import Loads
-from mbd_ros.core.manifold.assembly import assemble, project
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.tiers import build_system, tier_of
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.projection.assembly import assemble, project
 from mbd_ros.core.state import State
-from mbd_ros.core.tiers import build_system, tier_of
 from mbd_ros.errors import ModelError, SceneError, SolveError
-from mbd_ros.part_entries import build_part
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.part_entries import build_part
+from mbd_ros.scene.reader import load_scene
 
 ROOT = Path(__file__).parents[1]
 SCENES = ROOT / "config/scenes"

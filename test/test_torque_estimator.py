@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.core.couplings import Coupling, Couplings
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.differentiation import Sample
+from mbd_ros.core.estimation.differentiation import Sample
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
-from mbd_ros.core.inverse_dynamics import InverseDynamics
-from mbd_ros.core.laws import Polynomial
+from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
+from mbd_ros.core.model.coupling_functions import Polynomial
+from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.errors import ModelError
 
 MS = 1_000_000

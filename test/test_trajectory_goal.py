@@ -12,7 +12,7 @@ from mbd_ros.core.control.trajectory_goal import (
     Tolerances,
     TrajectoryGoal,
 )
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 
 NAMES = ("hip", "knee")
 ANY = np.full(2, np.inf)

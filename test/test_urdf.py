@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.description.urdf import MAX_CHARACTERS, MAX_JOINTS, MAX_LINKS
+from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.model.urdf import MAX_CHARACTERS, MAX_JOINTS, MAX_LINKS
 from mbd_ros.errors import ModelError
 
 LEG = (Path(__file__).parents[1] / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")

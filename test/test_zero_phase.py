@@ -12,8 +12,8 @@ from test_offline import SCENES
 
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
-from mbd_ros.offline_zero_phase import low_passed, zero_phase
-from mbd_ros.tables import read_table, write_table
+from mbd_ros.files.tables import read_table, write_table
+from mbd_ros.jobs.inverse.zero_phase import low_passed, zero_phase
 
 SECOND = 1_000_000_000
 TURN = 2 * np.pi

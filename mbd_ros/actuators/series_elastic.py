@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Actuator
-from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 

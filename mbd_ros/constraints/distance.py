@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Constraint, Row, Wrench
-from mbd_ros.core.robot import Robot
 from mbd_ros.core.rows.frame_pair import FramePair
 from mbd_ros.core.rows.frame_point import FramePoint
 from mbd_ros.core.state import Array, State

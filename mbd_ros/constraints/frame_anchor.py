@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.robot import Robot
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.rows.frame_pair import FramePair
 from mbd_ros.core.rows.frame_point import FramePoint, checked_vector
 from mbd_ros.core.rows.pair_rows import PairRows

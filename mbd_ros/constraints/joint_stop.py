@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.model.robot import Joint, Robot
 from mbd_ros.core.parts import Constraint, Row, Stop
 from mbd_ros.core.ranges import Duration
-from mbd_ros.core.robot import Joint, Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from mbd_ros.core.robot import Robot
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.rows.frame_pair import FramePair
 from mbd_ros.core.rows.frame_point import FramePoint
 from mbd_ros.core.rows.pair_rows import DIRECTIONS, PairRows

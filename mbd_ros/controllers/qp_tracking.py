@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.control.acting_limits import Candidate
 from mbd_ros.core.control.contract import (
     Control,
     ControlledJoints,
@@ -16,10 +15,11 @@ from mbd_ros.core.control.contract import (
     per_joint,
 )
 from mbd_ros.core.control.delay_margin import LoopGains, disturbance, pd_gains
-from mbd_ros.core.control.limited_qp import Counts, LimitedQp
 from mbd_ros.core.control.motion_limits import AccelerationBox, MotionLimits
 from mbd_ros.core.control.sliding import sliding_variable
 from mbd_ros.core.control.tracking_metric import TrackingMetric
+from mbd_ros.core.optimization.acting_limits import Candidate
+from mbd_ros.core.optimization.limited_qp import Counts, LimitedQp
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.robot import Joint
+from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.state import Array, State
 
 

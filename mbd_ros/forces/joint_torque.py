@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import ForceTerm
-from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 

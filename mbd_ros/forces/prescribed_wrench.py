@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import ForceTerm, Wrench
-from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.wrenches import ExternalWrench
 from mbd_ros.errors import ModelError
 
 

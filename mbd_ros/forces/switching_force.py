@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.discontinuous.switching import DiscontinuousForce
-from mbd_ros.core.laws import Polynomial
-from mbd_ros.core.robot import Robot
+from mbd_ros.core.events.switching import DiscontinuousForce
+from mbd_ros.core.model.coupling_functions import Polynomial
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 

@@ -7,7 +7,7 @@ from mbd_ros.core.integration.adaptive_runge_kutta import check_tolerance, runge
 from mbd_ros.core.integration.dop853_tableau import DOP853
 from mbd_ros.core.integration.linear_motion import LinearMotion, runge_kutta_growth
 from mbd_ros.core.integration.runge_kutta import RungeKutta
-from mbd_ros.core.stepping import Integrator
+from mbd_ros.core.integration.stepping import Integrator
 
 
 class Dop853(Integrator):

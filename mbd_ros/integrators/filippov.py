@@ -3,13 +3,13 @@
 import math
 from typing import Any, ClassVar
 
-from mbd_ros.core.discontinuous.sliding_field import SlidingField
-from mbd_ros.core.discontinuous.switching import DiscontinuousForce
-from mbd_ros.core.discontinuous.switching_steps import SwitchingSteps
+from mbd_ros.core.events.sliding_field import SlidingField
+from mbd_ros.core.events.switching import DiscontinuousForce
+from mbd_ros.core.events.switching_steps import SwitchingSteps
 from mbd_ros.core.integration.adaptive_runge_kutta import check_tolerance, runge_kutta
 from mbd_ros.core.integration.dop853_tableau import DOP853
 from mbd_ros.core.integration.linear_motion import LinearMotion, runge_kutta_growth
-from mbd_ros.core.stepping import Integrator, Stepper
+from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.errors import ModelError
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from mbd_ros.core.integration.linearization import Linearization
 from mbd_ros.core.integration.newton import FAILED, SLOW, converge, refuse_bounded_rows
 from mbd_ros.core.integration.step_length import clip
+from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.stepping import Integrator, Stepper
 from mbd_ros.errors import DivergedError, ModelError
 
 _SINGULAR = 1.0e-13  # of the largest singular value of the scaled matrix: redundant rows

@@ -4,8 +4,8 @@ from typing import Any, ClassVar
 
 from mbd_ros.core.integration.linear_motion import LinearMotion, runge_kutta_growth
 from mbd_ros.core.integration.runge_kutta import RungeKutta
+from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.integration.tableau import RK4
-from mbd_ros.core.stepping import Integrator
 
 
 class Rk4(Integrator):

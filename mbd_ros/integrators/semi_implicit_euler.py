@@ -7,8 +7,8 @@ import numpy as np
 
 from mbd_ros.core.integration.linear_motion import LinearMotion, spectral_radius
 from mbd_ros.core.integration.step_length import clip
+from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.stepping import Integrator, Stepper
 
 
 class SemiImplicitEuler(Integrator):

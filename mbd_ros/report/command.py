@@ -5,8 +5,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from mbd_ros.errors import DataError
-from mbd_ros.locate import path_word
 from mbd_ros.report import items
+from mbd_ros.scene.locate import path_word
+from mbd_ros.workers.arguments import add_workers
 
 _README = "put the headlines of -o DIR into this file, between its two marks; nothing is run"
 
@@ -27,15 +28,6 @@ def add_report(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     report.add_argument("--readme", type=path_word, metavar="FILE", help=_README)
 
 
-def add_workers(parser: argparse.ArgumentParser) -> None:
-    """Where the work is done."""
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument(
-        "--scheduler", metavar="ADDRESS", help="of a Dask cluster: tcp://host:8786, or local:N"
-    )
-    where.add_argument("--workers", type=_count, metavar="N", help="processes (default: cores)")
-
-
 def report_lines(arguments: argparse.Namespace) -> Iterator[str]:
     """Run what the words say, line by line."""
     if arguments.readme is not None:
@@ -54,9 +46,3 @@ def report_lines(arguments: argparse.Namespace) -> Iterator[str]:
             }
         )
     )
-
-
-def _count(text: str) -> int:
-    if not (text.isdecimal() and int(text)):
-        raise argparse.ArgumentTypeError(f"{text!r} is no number > 0")
-    return int(text)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mbd_ros.errors import DataError, MbdError
+from mbd_ros.files.tables import replacing
 from mbd_ros.report import items
 from mbd_ros.report.items import Item, Section
 from mbd_ros.report.machine import git_state, machine, package_versions
@@ -17,8 +18,7 @@ from mbd_ros.report.page import page
 from mbd_ros.report.program import program
 from mbd_ros.report.store import Store
 from mbd_ros.report.work import collect, finish, label
-from mbd_ros.scene import load_scene
-from mbd_ros.tables import replacing
+from mbd_ros.scene.reader import load_scene
 from mbd_ros.workers.opening import open_workers
 from mbd_ros.workers.remaining import Remaining, spoken
 from mbd_ros.workers.task import Result

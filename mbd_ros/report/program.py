@@ -16,7 +16,7 @@ import yaml
 
 import mbd_ros
 from mbd_ros.errors import SceneError
-from mbd_ros.locate import find_file
+from mbd_ros.scene.locate import find_file
 
 VERSIONS = ("numpy", "pin", "proxsuite", "scipy", "mujoco", "drake")
 _REPORT = "mbd_ros.report"
@@ -69,7 +69,7 @@ def named_files(value: Any) -> dict[str, str]:
 
 
 def _computes(path: Path) -> bool:
-    return path.parts[0] not in ("nodes", "report", "cli.py")
+    return path.parts[0] not in ("nodes", "demo", "report", "cli.py")
 
 
 def _contents(files: Iterable[Path]) -> Iterator[str]:

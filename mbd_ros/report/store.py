@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mbd_ros.errors import DataError
+from mbd_ros.files.tables import replacing
 from mbd_ros.report import items
 from mbd_ros.report.items import Item
 from mbd_ros.report.program import named_files, program, program_now
-from mbd_ros.tables import replacing
 from mbd_ros.workers.task import Result
 
 _NAME = re.compile(r"[\w.-]+", re.ASCII)

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.code_permission import is_permitted, permitting
 from mbd_ros.errors import DataError
 from mbd_ros.report import items
 from mbd_ros.report.items import Item, Outcome, Section
 from mbd_ros.report.program import program
 from mbd_ros.report.store import Store
+from mbd_ros.scene.code_permission import is_permitted, permitting
 from mbd_ros.workers.opening import Workers, do_all
 from mbd_ros.workers.remaining import watched
 from mbd_ros.workers.task import Result, Task

@@ -1,7 +1,7 @@
 """Feedback of position and velocity drift into the acceleration."""
 
+from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.ranges import Duration
-from mbd_ros.core.stabilizing import Stabilization
 from mbd_ros.errors import ModelError
 
 

@@ -1,6 +1,6 @@
 """No stabilization: g'' = 0 and nothing else."""
 
-from mbd_ros.core.stabilizing import Stabilization
+from mbd_ros.core.projection.stabilizing import Stabilization
 
 
 class NoStabilization(Stabilization):

@@ -1,9 +1,9 @@
 """Projection of position and velocity onto the constraints after every step."""
 
-from mbd_ros.core.manifold.assembly import project
-from mbd_ros.core.stabilizing import Stabilization
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.projection.assembly import project
+from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.state import State
-from mbd_ros.core.system import System
 
 
 class Projection(Stabilization):

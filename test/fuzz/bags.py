@@ -8,8 +8,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from fuzz.values import anything, spoil_bytes
 
-from mbd_ros.records import SimulationRecord
-from mbd_ros.results import write_simulation
+from mbd_ros.files.records import SimulationRecord
+from mbd_ros.files.results import write_simulation
 
 JOINTS = ("j1", "j2")
 

@@ -27,7 +27,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import write_joint_state
 
 STEP = 10_000_000  # ns between valid joint states

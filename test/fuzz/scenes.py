@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 from fuzz import urdf
 from fuzz.values import NUMBERS, anything, spoil_text
 
-from mbd_ros.registry import PARTS, resolve
-from mbd_ros.scene import SECTIONS
+from mbd_ros.scene.reader import SECTIONS
+from mbd_ros.scene.registry import PARTS, resolve
 
 LISTS = ("constraints", "forces", "actuators")
 CHOICES = {  # words that a key accepts

@@ -17,8 +17,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from mbd_ros.code_permission import permitting
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.code_permission import permitting
+from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import JointSample, read_joint_state, write_joint_state
 
 KINDS = {"sliding": "sliding_mode_controller", "qp": "qp_controller"}

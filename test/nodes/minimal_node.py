@@ -8,9 +8,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from mbd_ros.errors import DataError, SceneError
-from mbd_ros.nodes.parameters import Parameter
-from mbd_ros.nodes.process import run
-from mbd_ros.nodes.shell import Shell
+from mbd_ros.nodes.shell.parameters import Parameter
+from mbd_ros.nodes.shell.process import run
+from mbd_ros.nodes.shell.shell import Shell
 from msg_adapters.diagnostics import OK
 
 SENSOR = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)

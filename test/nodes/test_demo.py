@@ -15,10 +15,10 @@ from nodes.conftest import ROOT
 from scipy.interpolate import BPoly
 from test_demo import LAM, Task
 
-from mbd_ros.bags import messages
-from mbd_ros.report.demo.choices import ROBOTS
-from mbd_ros.report.demo.files import GAINS, MASS_SCALE, PLANT, RATE
-from mbd_ros.scene import load_scene
+from mbd_ros.demo.choices import ROBOTS
+from mbd_ros.demo.files import GAINS, MASS_SCALE, PLANT, RATE
+from mbd_ros.files.bags import messages
+from mbd_ros.scene.reader import load_scene
 from msg_adapters.time import read_time
 
 FILES = {"bag", "demo.png", "demo.html", "plant.yaml", "model.yaml", "model.urdf", GAINS}
@@ -264,7 +264,7 @@ def test_a_node_that_dies_is_1_and_leaves_nothing(tmp_path):
 
 @pytest.mark.parametrize("name", ["sliding_mode_controller", "qp_controller"])
 def test_the_parameter_file_holds_every_parameter_with_its_default(name):
-    from mbd_ros.nodes import controller_parameters
+    from mbd_ros.nodes.controller import parameters as controller_parameters
 
     own = {"sliding_mode_controller": "SLIDING_MODE", "qp_controller": "QP"}[name]
     declared = {p.name: p.default for p in getattr(controller_parameters, own)}

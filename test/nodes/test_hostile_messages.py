@@ -14,7 +14,7 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from mbd_ros.nodes.serialized import message_of
+from mbd_ros.nodes.shell.serialized import message_of
 from msg_adapters.clock import write_clock
 from msg_adapters.diagnostics import ERROR, Health
 from msg_adapters.errors import MessageError

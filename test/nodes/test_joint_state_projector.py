@@ -20,8 +20,8 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 from test_state_projection import FOUR_BAR, LEG, SCENES, measured, nearest_in_z, projector
 
-from mbd_ros.bags import raw_messages
-from mbd_ros.scene import load_scene
+from mbd_ros.files.bags import raw_messages
+from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import ERROR, OK, STALE, WARN
 from msg_adapters.joint_state import JointStateWriter, write_joint_state
 from msg_adapters.time import read_time, write_time

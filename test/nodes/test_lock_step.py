@@ -16,7 +16,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.time import read_time
 

@@ -16,10 +16,10 @@ from rclpy.experimental import EventsExecutor
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
-from mbd_ros.core.live.command_watch import CommandWatch
-from mbd_ros.core.live.live_simulation import LiveSimulation
-from mbd_ros.nodes.pace import PATIENCE, Pace, wake_exactly
-from mbd_ros.scene import load_scene
+from mbd_ros.core.simulation.command_watch import CommandWatch
+from mbd_ros.core.simulation.live_simulation import LiveSimulation
+from mbd_ros.nodes.simulator.pace import PATIENCE, Pace, wake_exactly
+from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import JointStateWriter
 
 PERIOD = 1e-3

@@ -18,7 +18,7 @@ def program(name, *words):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("imported", ["numpy.version", "rclpy.node", "mbd_ros.nodes.life_cycle"])
+@pytest.mark.parametrize("imported", ["numpy.version", "rclpy.node", "mbd_ros.nodes.shell.shell"])
 def test_a_signal_while_a_node_still_imports_ends_it_without_a_traceback(
     start_node, imported, number
 ):

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from nodes.conftest import ROOT
 
-from mbd_ros.bags import BagWriter, messages, new_message, topic_types
-from mbd_ros.scene import load_scene
+from mbd_ros.files.bags import BagWriter, messages, new_message, topic_types
+from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import write_joint_state
 from msg_adapters.time import read_time
 

@@ -11,7 +11,7 @@ from nodes.simulation_client import ARM, DAMPED, DEEP, simulated, streamed, swin
 from sensor_msgs.msg import JointState
 
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import read_joint_state
 
 TARGET = ("-m", "mbd_ros.nodes", "inverse_dynamics")

@@ -7,7 +7,7 @@ import sys
 import pytest
 from nodes.conftest import ROOT
 
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.reader import load_scene
 
 
 @pytest.mark.soak

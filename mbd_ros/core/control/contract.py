@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.control.delay_margin import LoopGains
+from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.system import System
 from mbd_ros.errors import ModelError
 
 Gain = float | Sequence[float]  # one for all joints, or one a joint

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.control.chatter import ChatterMeter
 from mbd_ros.core.control.contract import Control, Controller, EffortBox, Reference
+from mbd_ros.core.control.guard import Guard
 from mbd_ros.core.control.guide import Guide
 from mbd_ros.core.control.loop_watch import LoopWatch
-from mbd_ros.core.guard import Guard
-from mbd_ros.core.live.safe_command import SafeCommand
+from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 

@@ -8,7 +8,7 @@ import numpy as np
 from mbd_ros.core.control.contract import ControlledJoints, Controller, Response
 from mbd_ros.core.control.delay_margin import LONGEST, tolerable_delay
 from mbd_ros.core.control.delay_meter import DelayMeter
-from mbd_ros.core.manifold.assembly import assemble
+from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.control.reference_limits import TargetError
-from mbd_ros.core.couplings import Couplings
-from mbd_ros.core.laws import Linear
+from mbd_ros.core.model.coupling_functions import Linear
+from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.state import Array
 
 _MOST = 8  # names in an error

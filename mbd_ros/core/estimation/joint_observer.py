@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.couplings import Couplings
-from mbd_ros.core.differentiation import CausalDifferentiator, Sample
-from mbd_ros.core.robot import Robot
+from mbd_ros.core.estimation.differentiation import CausalDifferentiator, Sample
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import ModelError
 

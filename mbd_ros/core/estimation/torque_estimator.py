@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.differentiation import Sample
+from mbd_ros.core.estimation.differentiation import Sample
 from mbd_ros.core.estimation.joint_observer import JointObserver
 from mbd_ros.core.estimation.joint_observer import Observation as Observation
 from mbd_ros.core.estimation.joint_observer import Tuning as Tuning
-from mbd_ros.core.inverse_dynamics import InverseDynamics, Torques
-from mbd_ros.core.loops.observed_loops import ObservedLoops
-from mbd_ros.core.robot import Robot
+from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics, Torques
+from mbd_ros.core.inverse.observed_loops import ObservedLoops
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
 

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import eigenpy
 import numpy as np
 
-from mbd_ros.core.forward.row_factor import RowFactor
+from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.newton import FAILED, converge
+from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.system import System
 from mbd_ros.errors import DivergedError
 
 _CHORD = 10  # corrections with the rows at the start of the step; more means that they turned

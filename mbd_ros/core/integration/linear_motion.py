@@ -5,11 +5,11 @@ from functools import cached_property
 
 import numpy as np
 
+from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.linearization import Linearization
+from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.integration.tableau import Tableau
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.stepping import Integrator
-from mbd_ros.core.system import System
 
 _GROWTH = 1.0e-6  # of a step: what rounding adds, and methods that grow slowly
 _SLACK = 1.0e-9  # relative

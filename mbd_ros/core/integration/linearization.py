@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.system import System
 
 Field = Callable[[float, Array, Array, "Array | None"], Array]
 _STEP = 1.5e-8  # square root of the rounding unit: truncation and rounding are alike

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 
-from mbd_ros.core.system import System
+from mbd_ros.core.dynamics.system import System
 from mbd_ros.errors import ModelError
 
 FAILED = math.inf

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.couplings import Couplings
-from mbd_ros.core.laws import Linear
+from mbd_ros.core.model.coupling_functions import Linear
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Constraint, Row
-from mbd_ros.core.robot import Robot
 from mbd_ros.core.state import Array, State
 
 

@@ -15,17 +15,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.built_scene import Scene
 from mbd_ros.controllers.qp_tracking import QpTracking
 from mbd_ros.core.control.contract import ControlledJoints, Controller, EffortBox, Reference
-from mbd_ros.core.forward.loads import Loads
-from mbd_ros.core.manifold.assembly import assemble
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.tiers import build_system
 from mbd_ros.errors import SolveError
-from mbd_ros.locate import find_file
-from mbd_ros.registry import PARTS, resolve
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.locate import find_file
+from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.registry import PARTS, resolve
 
 _SCENES = "package://mbd_ros/config/scenes"
 _NO_MEMORY = np.zeros(0)

@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.couplings import Coupling, Couplings
-from mbd_ros.core.description.robot_reader import read_robot
-from mbd_ros.core.forward.loads import Loads
-from mbd_ros.core.laws import Linear
-from mbd_ros.core.robot import Robot
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.model.coupling_functions import Linear
+from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import State
-from mbd_ros.core.system import System
-from mbd_ros.core.tiers import build_system
-from mbd_ros.locate import find_file
-from mbd_ros.part_entries import build_part
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.locate import find_file
+from mbd_ros.scene.part_entries import build_part
+from mbd_ros.scene.reader import load_scene
 
 _CALLS = 400
 _SCENES = "package://mbd_ros/config/scenes"

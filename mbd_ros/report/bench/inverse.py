@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.built_scene import Scene
-from mbd_ros.locate import find_file
 from mbd_ros.report.bench.node_load import Load, measure
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.locate import find_file
+from mbd_ros.scene.reader import load_scene
 
 _SAMPLES, _ROUNDS = 100_000, 5
 

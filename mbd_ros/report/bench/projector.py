@@ -15,13 +15,13 @@ import eigenpy
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.built_scene import Scene
-from mbd_ros.core.forward.loads import Loads
-from mbd_ros.core.manifold.state_projection import Measurement, StateProjector
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.projection.state_projection import Measurement, StateProjector
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.tiers import build_system
-from mbd_ros.locate import find_file
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.locate import find_file
+from mbd_ros.scene.reader import load_scene
 
 _SCENES = ("prosthetic_leg", "prosthetic_arm", "four_bar_leg")
 _SAMPLES, _PASSES = 100, 4

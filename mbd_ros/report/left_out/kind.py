@@ -11,16 +11,16 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.built_scene import Scene
-from mbd_ros.code_permission import is_permitted
-from mbd_ros.core.manifold.assembly import project
-from mbd_ros.core.tiers import tier_of
+from mbd_ros.core.dynamics.tiers import tier_of
+from mbd_ros.core.projection.assembly import project
 from mbd_ros.errors import MbdError, ModelError
-from mbd_ros.part_entries import build_part
 from mbd_ros.report.items import Item, Outcome, Section, Spec, Table
 from mbd_ros.report.left_out.probe import LIBRARIES
 from mbd_ros.report.subjects import failures, subjects
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.code_permission import is_permitted
+from mbd_ros.scene.part_entries import build_part
+from mbd_ros.scene.reader import load_scene
 
 _PROBE = "mbd_ros.report.left_out.probe"
 _FAR = 1.0e6  # [rad or m]: a stop that nothing reaches

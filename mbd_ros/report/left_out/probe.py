@@ -20,9 +20,9 @@ LIBRARIES = (
 
 def main() -> int:
     """Build a scene and a simulation, take one step, and say what that imported."""
-    from mbd_ros.code_permission import permitting
-    from mbd_ros.registry import PARTS
-    from mbd_ros.scene import load_scene
+    from mbd_ros.scene.code_permission import permitting
+    from mbd_ros.scene.reader import load_scene
+    from mbd_ros.scene.registry import PARTS
 
     with permitting("--allow-code" in sys.argv[2:]):
         scene = load_scene(sys.argv[1])

@@ -7,13 +7,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mbd_ros.built_scene import Scene
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError
 from mbd_ros.report.precision.choices import Choice
 from mbd_ros.report.precision.converged import Known, distance, problem_of
 from mbd_ros.report.precision.reference_problems import error
 from mbd_ros.report.precision.rungs import Record, timed
+from mbd_ros.scene.built_scene import Scene
 
 _LONG = 0.3  # s; runs are not repeated beyond that
 _USELESS = 1.0e2  # error of a run that says nothing [rad or m]

@@ -5,7 +5,6 @@ import importlib.util
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from mbd_ros.built_scene import Scene
 from mbd_ros.errors import MbdError, SceneError
 from mbd_ros.report.items import Item, Outcome, Section, Spec
 from mbd_ros.report.peers.contenders import Contender, Ours, compete
@@ -14,7 +13,8 @@ from mbd_ros.report.peers.translation import common_ground, task_of
 from mbd_ros.report.precision.choices import Choice, stabilizations
 from mbd_ros.report.precision.converged import motion_of
 from mbd_ros.report.subjects import failures, is_own, subjects
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.reader import load_scene
 
 PEERS = {
     "mujoco": "mbd_ros.report.peers.mujoco_peer",

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.built_scene import Scene
-from mbd_ros.core.laws import Linear
+from mbd_ros.core.model.coupling_functions import Linear
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
 from mbd_ros.report.peers.task import Body, End, Follow, Spring, Task
-from mbd_ros.strict_yaml import read_mapping
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.strict_yaml import read_mapping
 
 _FORCES = ("joint_friction", "joint_spring", "joint_torque", "point_spring")
 _CLOSED = 1.0e-8  # m: directions that no row holds and that stay closed by themselves

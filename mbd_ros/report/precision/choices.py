@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from mbd_ros.built_scene import Scene
-from mbd_ros.core.simulation import Simulation
-from mbd_ros.core.tiers import TIERS
+from mbd_ros.core.dynamics.tiers import TIERS
+from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.errors import SceneError
+from mbd_ros.scene.built_scene import Scene
 
 BAUMGARTE = {"type": "baumgarte", "time_constant": 0.02}
 STABILIZATIONS: tuple[Mapping[str, Any], ...] = (
@@ -22,7 +22,7 @@ class Choice(NamedTuple):
     """One way to integrate a scene.
 
     Attributes:
-        solver: A tier of `mbd_ros.core.tiers`, `auto` for the cheapest.
+        solver: A tier of `mbd_ros.core.dynamics.tiers`, `auto` for the cheapest.
         stabilization: Its entry; None where there is nothing to stabilize.
         integrator: Its entry.
         dt: Step, or with a tolerance longest first step [s].

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.built_scene import Scene
-from mbd_ros.core.simulation import Simulation
+from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import MbdError, SolveError
 from mbd_ros.report.precision.choices import Choice
 from mbd_ros.report.precision.reference_problems import PROBLEMS, Problem, error, reference
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.reader import load_scene
 
 BY_NAME = {problem.name: problem for problem in PROBLEMS}
 _FINE = {"type": "dop853", "tolerance": 1e-13}

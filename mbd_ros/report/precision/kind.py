@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mbd_ros.built_scene import Scene
 from mbd_ros.errors import MbdError
 from mbd_ros.report.items import Item, Outcome, Section, Spec
 from mbd_ros.report.precision.converged import known
@@ -11,7 +10,8 @@ from mbd_ros.report.precision.ladders import climb, families, planned
 from mbd_ros.report.precision.rattle_check import approach
 from mbd_ros.report.precision.text import compose
 from mbd_ros.report.subjects import Subject, failures, is_own, subjects
-from mbd_ros.scene import load_scene
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.reader import load_scene
 
 _REFERENCE = "reference"
 

@@ -5,8 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from mbd_ros.built_scene import Scene
-from mbd_ros.core.discontinuous.switching import DiscontinuousForce
+from mbd_ros.core.events.switching import DiscontinuousForce
 from mbd_ros.report.precision.choices import (
     WANTED,
     Choice,
@@ -16,6 +15,7 @@ from mbd_ros.report.precision.choices import (
 )
 from mbd_ros.report.precision.converged import Known
 from mbd_ros.report.precision.rungs import Record, measure
+from mbd_ros.scene.built_scene import Scene
 
 _SERIES = (1.0, 2.0, 5.0)
 _FINER = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.4, 8.0)

@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from mbd_ros.built_scene import Scene
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError
 from mbd_ros.report.precision.choices import Choice
 from mbd_ros.report.precision.converged import Known, distance, trace
+from mbd_ros.scene.built_scene import Scene
 
 _STEPS = (1.0, 0.5, 0.25, 0.125)  # of the scene
 _NEAR = 1.0e-8  # [rad or m]: agreement that proves the point by itself

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.robot import Robot
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import MbdError
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.built_scene import Scene
-from mbd_ros.core.manifold.assembly import drift
-from mbd_ros.core.simulation import Simulation
+from mbd_ros.core.projection.assembly import drift
+from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError, SolveError
 from mbd_ros.report.precision.choices import Choice
 from mbd_ros.report.precision.converged import Known, distance, problem_of
 from mbd_ros.report.precision.reference_problems import error
+from mbd_ros.scene.built_scene import Scene
 
 Record = dict[str, Any]
 _USELESS = 1.0e3  # error of a run that says nothing [rad or m]

@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.built_scene import Scene
 from mbd_ros.errors import MbdError
-from mbd_ros.part_entries import build_part
 from mbd_ros.report.stability.motion import Grid
 from mbd_ros.report.stability.other_formulations import Known
 from mbd_ros.report.stability.reference_motion import Reference, reference
 from mbd_ros.report.stability.scene_text import Entry, LoadedScene
 from mbd_ros.report.stability.witness import Witness
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.part_entries import build_part
 
 CONVERGED, BOUNDED, STOPPED = "converged", "bounded", "stopped"
 WARNED, WRONG, UNKNOWN = "warned", "WRONG", "not comparable"

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.manifold.assembly import assemble
+from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.state import State
 from mbd_ros.report.stability.cases import (
     CLOSED,

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.built_scene import Scene
 from mbd_ros.report.items import Item, Outcome, Section, Spec
 from mbd_ros.report.stability.cases import (
     WRONG,
@@ -30,6 +29,7 @@ from mbd_ros.report.stability.runs import Run, every_method, some_methods, usual
 from mbd_ros.report.stability.scene_text import LoadedScene, SceneText, load, load_file
 from mbd_ros.report.stability.steps import asked_step, room
 from mbd_ros.report.stability.verdicts import judge, step_on
+from mbd_ros.scene.built_scene import Scene
 
 KIND = "stability"
 SCENES, BATCH, QUICK = 2100, 100, 30

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.simulation import Simulation
+from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError
 from mbd_ros.report.items import Item, Outcome, Section, Spec, Table

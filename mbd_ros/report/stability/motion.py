@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from mbd_ros.built_scene import Scene
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError
 from mbd_ros.report.stability.scene_text import Entry
+from mbd_ros.scene.built_scene import Scene
 
 
 class Grid(NamedTuple):

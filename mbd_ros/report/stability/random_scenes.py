@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.built_scene import Scene
 from mbd_ros.report.stability.scene_text import (
     ROBOT,
     Entry,
@@ -16,6 +15,7 @@ from mbd_ros.report.stability.scene_text import (
     robot,
     yaml_text,
 )
+from mbd_ros.scene.built_scene import Scene
 
 _STREAM = 20_250  # tells these numbers from those of others with the same seed
 _KINDS, _SHARES = ("revolute", "prismatic", "continuous"), (0.55, 0.25, 0.2)

@@ -5,13 +5,13 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.built_scene import Scene
 from mbd_ros.core.integration.linear_motion import LinearMotion, fastest_rate, linear_motion
-from mbd_ros.core.manifold.assembly import assemble
+from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 from mbd_ros.report.stability.motion import Grid, Motion, motion
 from mbd_ros.report.stability.other_formulations import Known
+from mbd_ros.scene.built_scene import Scene
 
 _FIRST = {"type": "dop853"}
 _SECOND = {"type": "gauss_legendre", "stages": 3}

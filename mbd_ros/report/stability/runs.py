@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.built_scene import Scene
 from mbd_ros.report.stability.cases import applicable, chooses_steps, tiers
 from mbd_ros.report.stability.motion import Grid
 from mbd_ros.report.stability.reference_motion import starting_rate
 from mbd_ros.report.stability.scene_text import LoadedScene
+from mbd_ros.scene.built_scene import Scene
 
 _RUNS = 3  # methods that each random scene meets
 _FACTORS, _SHARES = (0.1, 0.5, 2.0, 10.0), (0.65, 0.2, 0.1, 0.05)

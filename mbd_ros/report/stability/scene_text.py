@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mbd_ros.built_scene import Scene
-from mbd_ros.scene import load_scene
-from mbd_ros.strict_yaml import read_mapping
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.strict_yaml import read_mapping
 
 Entry = Mapping[str, Any]
 ROBOT = "robot.urdf"

@@ -7,6 +7,7 @@ import numpy as np
 
 from mbd_ros.core.integration.linear_motion import longest_step
 from mbd_ros.core.state import State
+from mbd_ros.jobs.simulate.step_check import step_warnings
 from mbd_ros.report.stability.cases import (
     BOUNDED,
     CLOSED,
@@ -25,7 +26,6 @@ from mbd_ros.report.stability.motion import Motion, motion
 from mbd_ros.report.stability.reference_motion import distance, starting_motion
 from mbd_ros.report.stability.scene_text import Entry
 from mbd_ros.report.stability.steps import asked_step, fitted
-from mbd_ros.step_check import step_warnings
 
 ASKED = 1.0e-3  # error relative to the size of the motion
 _SLOW = 1.0e-7  # the same of rates, relative to the fastest joint

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.system import System
 from mbd_ros.report.stability.scene_text import LoadedScene
 from mbd_ros.report.stability.witness_forces import WitnessForces
 from mbd_ros.report.stability.witness_rows import bilateral_rows, bounded_rows

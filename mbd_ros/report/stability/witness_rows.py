@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.built_scene import Scene
-from mbd_ros.core.robot import Robot
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.report.stability.scene_text import Entry, LoadedScene
+from mbd_ros.scene.built_scene import Scene
 
 Rows = Callable[[Any, float, Array], Any]  # Pinocchio data with placements, t, q -> g, shape (m,)
 Place = tuple[int, Any]  # joint that carries a frame, and where it is there

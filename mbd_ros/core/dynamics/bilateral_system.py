@@ -1,0 +1,122 @@
+"""Forward dynamics with bilateral rows: one factorised solve.
+
+M a + h = tau + J' lam,   J a + drift = -kd g' - kp g
+"""
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.optimization.bounded_rows import BoundedRows
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.rows.row_order import RowOrder
+from mbd_ros.core.state import Array, Solution, State
+from mbd_ros.errors import SolveError
+
+_NEAR_TOGGLE = 1.0e4  # condition number from which the eigenvalues decide
+_HELD = 1.0e-12  # of the free response: what rounding leaves where the rows hold a joint
+_EXACT = 1.0e-20  # square of the accepted residual of the rows, relative
+
+
+class BilateralSystem(System):
+    """Integrates all joints; constraint rows hold by multipliers.
+
+    A Cholesky factorisation solves it; redundant rows, and rows near a toggle, go through their
+    eigenvalues instead.
+
+    Args:
+        robot: The robot.
+        loads: What acts on its joints.
+        constraints: The rows.
+        bounded: Rows with bounded multipliers.
+        order: Where the multipliers of each stand; by default bounded ones come last.
+    """
+
+    tier = "kkt"
+
+    def __init__(
+        self,
+        robot: Robot,
+        loads: Loads,
+        constraints: ConstraintRows,
+        bounded: BoundedRows | None = None,
+        order: RowOrder | None = None,
+    ) -> None:
+        limits = () if bounded is None else bounded.constraints.parts
+        order = order or RowOrder((*constraints.parts, *limits))
+        super().__init__(robot, loads, constraints, bounded, order)
+        self._reads_frames = constraints.reads_frames or loads.reads_frames
+        self.condition = np.inf  # unknown yet
+        self._row_jacobian = np.zeros((len(constraints.rows), self.nv))
+        self._lam: Array | None = None
+
+    def acceleration(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """Accelerations of all joints [rad/s^2 or m/s^2], shape (nv,)."""
+        a = self._accelerate(t, q, v, u)
+        return a if self.bounded is None else self.bounded.accelerate(self, t, q, v, a)
+
+    def solve(self, x: State, u: Array | None = None) -> Solution:
+        """Accelerations and multipliers."""
+        a = self._accelerate(*x, u)
+        if self.bounded is None:
+            return Solution(a, self._multipliers())
+        self.bounded.accelerate(self, *x, a)
+        a = self._accelerate(*x, u, self.bounded.force)
+        return Solution(a, self.order.joined(self._multipliers(), self.bounded.multipliers))
+
+    def respond(self, q: Array, forces: Array) -> Array:
+        """Accelerations of all joints that forces on them add; as `System.respond`."""
+        M, J = self._full_mass(q), self._row_jacobian
+        factor = self.factorise(M, J)
+        free = np.linalg.solve(M, forces)
+        moved = free - factor.X.dot(factor.solve(J.dot(free)))
+        held = np.abs(moved).max(axis=0) <= _HELD * np.abs(free).max(axis=0)
+        moved[:, held] = 0.0
+        return moved
+
+    def _accelerate(
+        self, t: float, q: Array, v: Array, u: Array | None, added: Array | None = None
+    ) -> Array:
+        """Accelerations with bilateral rows alone, under the loads and an added force."""
+        self.evaluations += 1
+        data, constraints, x = self.data, self.constraints, State(t, q, v)
+        if self._reads_frames:
+            self.refresh(q, v)
+        if constraints.is_corrected:
+            J, drift = constraints.conditions(data, x)
+        else:
+            J, drift = constraints.accelerations(data, x)
+        tau = self._zero if self.loads.is_empty else self.loads.total(data, x, u)
+        if added is not None:
+            tau = tau + added
+        self._row_jacobian, self._lam = J, None
+        if self.condition < _NEAR_TOGGLE:
+            pin.crba(self.model, data, q)
+            pin.nonLinearEffects(self.model, data, q, v)
+            a = pin.forwardDynamics(self.model, data, tau, J, drift, 0.0)
+            left = J.dot(a)
+            left += drift
+            if left.dot(left) <= _EXACT * (1.0 + drift.dot(drift)):
+                return a
+        a, self._lam = self._by_rank(q, v, tau, J, drift)
+        return a
+
+    def _multipliers(self) -> Array:
+        """Those of the last `_accelerate`, fresh."""
+        return np.array(self.data.lambda_c) if self._lam is None else self._lam
+
+    def _by_rank(
+        self, q: Array, v: Array, tau: Array, J: Array, drift: Array
+    ) -> tuple[Array, Array]:
+        M = self._full_mass(q)
+        free = np.linalg.solve(M, tau - pin.nonLinearEffects(self.model, self.data, q, v))
+        factor = self.factorise(M, J)
+        moved = J.dot(free)
+        r = -(moved + drift)
+        row = factor.contradiction(r, drift, float(free.dot(M.dot(free))) ** 0.5)
+        if row is not None:
+            raise SolveError(f"constraint row {self.rows[row].name} contradicts the other rows")
+        lam = factor.solve(r)
+        return free + factor.X.dot(lam), lam

@@ -1,0 +1,160 @@
+"""Forward dynamics with dependent joints eliminated exactly: q = F(z), v = G z'.
+
+G' M G z'' = G' (tau - h - M dG/dt z')
+"""
+
+import eigenpy
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.model.coupling_functions import Linear
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.optimization.bounded_rows import BoundedRows
+from mbd_ros.core.rows.coupling_rows import CouplingRows
+from mbd_ros.core.rows.row_order import RowOrder
+from mbd_ros.core.state import Array, Solution, State
+
+_BASE_Q, _BASE_V = 7, 6  # coordinates of a free base
+
+
+class ReducedSystem(System):
+    """Integrates the independent coordinates only, so that no coupling can drift.
+
+    Args:
+        robot: The robot.
+        loads: What acts on its joints.
+        couplings: Its dependent joints.
+        bounded: Rows with bounded multipliers.
+    """
+
+    tier = "reduced"
+
+    def __init__(
+        self,
+        robot: Robot,
+        loads: Loads,
+        couplings: Couplings,
+        bounded: BoundedRows | None = None,
+    ) -> None:
+        limits = () if bounded is None else bounded.constraints.parts
+        order = RowOrder((CouplingRows(robot, couplings), *limits))
+        super().__init__(robot, loads, bounded=bounded, order=order)
+        self.couplings = couplings
+        self.nq, self.nv = len(couplings.q_index), len(couplings.v_index)
+        self._base = pin.Model()
+        self._base.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+        self._zi, self._wi = couplings.q_index, couplings.v_index
+        self._q, self._v = pin.neutral(robot.model), np.zeros(robot.model.nv)
+        self._a, self._w0 = np.zeros(robot.model.nv), np.zeros(self.nv)
+        self._slopes = [0.0] * len(couplings.links)
+        linear = all(isinstance(link.law, Linear) for link in couplings.links)
+        self._is_linear = linear and self.is_flat
+        self._offset = couplings.positions(np.zeros(self.nq)) if self.is_flat else self._q
+        self._is_offset = bool(self._offset.any())
+        self._G = couplings.jacobian(self._q)
+        self._GT, self._minus_GT = self._G.T, -self._G.T
+        column = {int(v): i for i, v in enumerate(self._wi)}
+        self._columns = []
+        for link in couplings.links:
+            column[link.child_v] = column[link.parent_v]
+            self._columns.append(column[link.child_v])
+        couplings.expand(self._q, self._v, self._a, self._slopes)
+        self._half = np.zeros((self.nv, robot.model.nv))
+        self._M, self._r = np.zeros((self.nv, self.nv)), np.zeros(self.nv)
+        self._cholesky = eigenpy.LLT(self.nv)
+
+    def acceleration(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """Z'' [rad/s^2 or m/s^2], shape (nv,)."""
+        self.evaluations += 1
+        self._expand(q, v)
+        if self.loads.is_empty:
+            self._minus_GT.dot(self._bias(), self._r)
+        else:
+            self._GT.dot(self._tau(t, self._q, self._v, u) - self._bias(), self._r)
+        M = pin.crba(self.model, self.data, self._q)
+        self._GT.dot(M, self._half).dot(self._G, self._M)
+        self._cholesky.compute(self._M)
+        a = self._cholesky.solve(self._r).reshape(self.nv)  # eigenpy has its own for one
+        return a if self.bounded is None else self.bounded.accelerate(self, t, q, v, a)
+
+    def solve(self, x: State, u: Array | None = None) -> Solution:
+        """Accelerations of all joints and the coupling multipliers."""
+        q, v, a = self.joint_motion(x.q, x.v, self.acceleration(*x, u))
+        needed = pin.rnea(self.model, self.data, q, v, a) - self._tau(x.t, q, v, u)
+        if self.bounded is None:
+            return Solution(a, self.couplings.reduce(needed, self._slopes)[1])
+        lam = self.couplings.reduce(needed - self.bounded.force, self._slopes)[1]
+        return Solution(a, self.order.joined(lam, self.bounded.multipliers))
+
+    def mass(self, q: Array) -> Array:
+        """G' M G, shape (nv, nv), fresh."""
+        self._expand(q, self._w0)
+        return self._GT.dot(self._full_mass(self._q)).dot(self._G)
+
+    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """G' (tau - h - M dG/dt z'), shape (nv,)."""
+        self.evaluations += 1
+        self._expand(q, v)
+        return self._GT.dot(self._tau(t, self._q, self._v, u) - self._bias())
+
+    def expand(self, x: State) -> State:
+        """State of all joints."""
+        self._expand(x.q, x.v)
+        return State(x.t, self._q.copy(), self._v.copy())
+
+    def reduce(self, x: State) -> State:
+        """State of the independent coordinates."""
+        return State(x.t, x.q[self._zi], x.v[self._wi])
+
+    def integrate(self, q: Array, dq: Array) -> Array:
+        """Configuration q (+) dq of the independent coordinates, a free base first."""
+        if self.is_flat:
+            return q + dq
+        base = pin.integrate(self._base, q[:_BASE_Q], dq[:_BASE_V])
+        return np.concatenate((base, q[_BASE_Q:] + dq[_BASE_V:]))
+
+    def difference(self, q0: Array, q1: Array) -> Array:
+        """The dq with q0 (+) dq = q1, shape (nv,)."""
+        if self.is_flat:
+            return q1 - q0
+        base = pin.difference(self._base, q0[:_BASE_Q], q1[:_BASE_Q])
+        return np.concatenate((base, q1[_BASE_Q:] - q0[_BASE_Q:]))
+
+    def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+        """q, v and a of all joints at the state of the last evaluation."""
+        return self._q, self._v, self._G.dot(a) + self._a
+
+    def integrated(self, a: Array) -> Array:
+        """Accelerations of the integrated coordinates among those of all joints."""
+        return a[self._wi]
+
+    def respond(self, q: Array, forces: Array) -> Array:
+        """Accelerations of all joints that forces on them add; as `System.respond`."""
+        reduced = self._GT.dot(forces)
+        return self._G.dot(self._cholesky.solve(reduced).reshape(reduced.shape))
+
+    def _expand(self, z: Array, w: Array) -> None:
+        """Q = F(z), v = G w, a = dG/dt w, and G."""
+        G, q, v = self._G, self._q, self._v
+        if self._is_linear:
+            G.dot(z, q)
+            if self._is_offset:
+                q += self._offset
+            G.dot(w, v)
+            return
+        q[self._zi], v[self._wi] = z, w
+        self.couplings.expand(q, v, self._a, self._slopes)
+        for link, slope, column in zip(
+            self.couplings.links, self._slopes, self._columns, strict=True
+        ):
+            G[link.child_v, column] = slope * G.item(link.parent_v, column)
+        np.negative(self._GT, self._minus_GT)
+
+    def _bias(self) -> Array:
+        """H + M dG/dt z'; the independent rows of `_a` stay zero."""
+        if self._is_linear:
+            return pin.nonLinearEffects(self.model, self.data, self._q, self._v)
+        return pin.rnea(self.model, self.data, self._q, self._v, self._a)

@@ -1,0 +1,224 @@
+"""Forward dynamics of an open chain: M(q) a + h(q, v) = tau."""
+
+from collections.abc import Callable
+from functools import partial
+
+import eigenpy
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.dynamics.chart import chart_rate
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.optimization.bounded_rows import BoundedRows
+from mbd_ros.core.parts import Row, Wrench
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.rows.row_factor import RowFactor
+from mbd_ros.core.rows.row_order import RowOrder
+from mbd_ros.core.state import Array, Solution, State
+
+Accelerator = Callable[[float, Array, Array, Array | None, Array], None]  # the last one is written
+
+
+def writing(acceleration: Callable[[float, Array, Array, Array | None], Array]) -> Accelerator:
+    """A function of t, q, v, u that writes its result into a fifth argument, shape (nv,)."""
+
+    def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+        out[...] = acceleration(t, q, v, u)
+
+    return accelerate
+
+
+class System:
+    """Acceleration from state and command by the articulated-body algorithm.
+
+    The base of the other tiers. One instance owns one Pinocchio `Data`: not for two threads.
+    Pinocchio's algorithms are asked in their local convention, the default: in that of the world
+    rounding grows with the distance from its origin.
+
+    Args:
+        robot: The robot.
+        loads: What acts on its joints.
+        constraints: Bilateral rows; this class solves for none, but can say how they are violated.
+        bounded: Rows with bounded multipliers, solved for by Gauss's principle.
+        order: Where the multipliers of each stand; by default those of `bounded` are all.
+
+    Attributes:
+        tier: Name of the way of solving.
+        nq: Size of the configuration that is integrated.
+        nv: Size of its velocity.
+        is_flat: Whether that configuration is a vector space with q' = v.
+        rows: Bilateral rows that an integrator may have to keep.
+        order: Which multipliers of a `Solution` are those of bilateral and of bounded rows.
+        multiplier_rows: What they are, in the same order under every tier.
+        evaluations: How often the acceleration was asked for.
+        row_size: How large the bilateral rows have been so far; None forgets it, and what it was
+            before a state may be put back where that state is given up.
+        condition: Condition number of the rows in the mass metric when last factorised; 1
+            without rows.
+    """
+
+    tier = "aba"
+
+    def __init__(
+        self,
+        robot: Robot,
+        loads: Loads,
+        constraints: ConstraintRows | None = None,
+        bounded: BoundedRows | None = None,
+        order: RowOrder | None = None,
+    ) -> None:
+        self.robot, self.loads = robot, loads
+        self.constraints = constraints or ConstraintRows((), robot.model.nv)
+        self.bounded = bounded
+        self.model, self.data = robot.model, pin.Data(robot.model)
+        self.nq, self.nv = int(self.model.nq), int(self.model.nv)
+        self.is_flat = not robot.floating
+        self.rows: tuple[Row, ...] = self.constraints.rows
+        parts = () if bounded is None else bounded.constraints.parts
+        self.order = order or RowOrder(parts)
+        self.multiplier_rows: tuple[Row, ...] = self.order.rows
+        self.evaluations = 0
+        self.condition = 1.0
+        self.row_size: Array | None = None
+        self._zero = np.zeros(self.model.nv)
+        self._aba = partial(pin.aba, self.model, self.data)
+        self._is_free = loads.is_empty and bounded is None
+        self._none = np.zeros(0)
+
+    def acceleration(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """Acceleration of the integrated coordinates [rad/s^2 or m/s^2], shape (nv,)."""
+        self.evaluations += 1
+        if self._is_free:
+            return self._aba(q, v, self._zero)
+        a = self._aba(q, v, self._tau(t, q, v, u))
+        return a if self.bounded is None else self.bounded.accelerate(self, t, q, v, a)
+
+    def accelerator(self) -> Accelerator:
+        """`acceleration` for loops that keep its results."""
+        return writing(self.acceleration)
+
+    def solve(self, x: State, u: Array | None = None) -> Solution:
+        """Accelerations and multipliers of all joints at a state of the integrated coordinates."""
+        a = self.acceleration(*x, u)
+        return Solution(a, self._none if self.bounded is None else self.bounded.multipliers)
+
+    def wrenches(self, x: State, multipliers: Array) -> tuple[Wrench, ...]:
+        """What bilateral constraints exert on bodies.
+
+        Args:
+            x: State of the integrated coordinates.
+            multipliers: Those of `solve` at this state.
+        """
+        if not self.rows:
+            return ()
+        self.refresh(x.q, x.v)
+        return self.constraints.wrenches(self.data, x, self.order.bilateral(multipliers))
+
+    def mass(self, q: Array) -> Array:
+        """Mass matrix of the integrated coordinates, symmetric, shape (nv, nv)."""
+        return self._full_mass(q)
+
+    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """Tau - h: generalized force without the constraints, shape (nv,)."""
+        self.evaluations += 1
+        return self._tau(t, q, v, u) - pin.nonLinearEffects(self.model, self.data, q, v)
+
+    def residual(self, t: float, q: Array) -> Array:
+        """g(t, q) of the bilateral rows, shape (m,)."""
+        return self.constraints.residual(self.data, self._placed(t, q))
+
+    def jacobian(self, t: float, q: Array) -> Array:
+        """dg/dq, shape (m, nv)."""
+        return self.constraints.jacobian(self.data, self._placed(t, q))
+
+    def rate(self, t: float, q: Array) -> Array:
+        """dg/dt, shape (m,)."""
+        return self.constraints.rate(State(t, q, self._zero))
+
+    def factorise(self, M: Array, J: Array) -> RowFactor:
+        """Factor of the bilateral rows; brings `condition` up to date.
+
+        Args:
+            M: Mass matrix, shape (nv, nv).
+            J: Jacobian of the rows, shape (m, nv).
+        """
+        factor = RowFactor(M, J, self.row_size)
+        self.row_size, self.condition = factor.size, factor.condition
+        return factor
+
+    def integrate(self, q: Array, dq: Array) -> Array:
+        """Configuration q (+) dq, shape (nq,)."""
+        return q + dq if self.is_flat else pin.integrate(self.model, q, dq)
+
+    def difference(self, q0: Array, q1: Array) -> Array:
+        """The dq with q0 (+) dq = q1, shape (nv,)."""
+        return q1 - q0 if self.is_flat else pin.difference(self.model, q0, q1)
+
+    def chart_rate(self, dq: Array, v: Array) -> Array:
+        """Rate of dq in q = q0 (+) dq while q moves with v, shape (nv,)."""
+        return v if self.is_flat else chart_rate(dq, v)
+
+    def correct_rows(self, kp: float, kd: float) -> None:
+        """Demand g'' + kd g' + kp g = 0 of the bilateral rows; kp [1/s^2], kd [1/s]."""
+        self.constraints.correct_free_rows(kp, kd)
+        if self.bounded is not None:
+            self.bounded.constraints.correct_free_rows(kp, kd)
+
+    def expand(self, x: State) -> State:
+        """State of all joints from that of the integrated coordinates."""
+        return x
+
+    def reduce(self, x: State) -> State:
+        """State of the integrated coordinates from that of all joints."""
+        return x
+
+    def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+        """q, v and a of all joints at the state of the last evaluation."""
+        return q, v, a
+
+    def integrated(self, a: Array) -> Array:
+        """Accelerations of the integrated coordinates among those of all joints."""
+        return a
+
+    def respond(self, q: Array, forces: Array) -> Array:
+        """Accelerations of all joints that forces on them add, constraints kept.
+
+        Args:
+            q: Configuration of the integrated coordinates at the last evaluation.
+            forces: One generalized force a column, shape (nv of the robot, k).
+
+        Returns:
+            Shape (nv of the robot, k).
+        """
+        return eigenpy.LLT(self._full_mass(q)).solve(forces).reshape(forces.shape)
+
+    def energy(self, x: State) -> float:
+        """Kinetic and potential energy [J] at a state; heights are counted from `Robot.origin`."""
+        full = self.expand(x)
+        stored = float(pin.computeMechanicalEnergy(self.model, self.data, full.q, full.v))
+        if self.loads.reads_frames:
+            self.refresh(full.q, full.v)
+        return stored + self.loads.potential(self.data, full)
+
+    def refresh(self, q: Array, v: Array) -> None:
+        """Placements, velocities, velocity-dependent accelerations and joint Jacobians."""
+        pin.forwardKinematics(self.model, self.data, q, v, self._zero)
+        pin.computeJointJacobians(self.model, self.data)
+
+    def _tau(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
+        """Loads at a state of all joints."""
+        if self.loads.is_empty:
+            return self._zero
+        if self.loads.reads_frames:
+            self.refresh(q, v)
+        return self.loads.total(self.data, State(t, q, v), u)
+
+    def _placed(self, t: float, q: Array) -> State:
+        """State at rest of all joints, with `data` as the rows need it."""
+        if self.constraints.reads_frames:
+            self.refresh(q, self._zero)
+        return State(t, q, self._zero)
+
+    def _full_mass(self, q: Array) -> Array:
+        return pin.crba(self.model, self.data, q)

@@ -1,0 +1,202 @@
+"""The smooth pieces of a system with switching forces, and its motion on their surfaces."""
+
+import itertools
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.system import Accelerator, System, writing
+from mbd_ros.core.events.surface_modes import Mode, equivalent_signs
+from mbd_ros.core.events.switching import DiscontinuousForce
+from mbd_ros.core.state import Array, State
+
+Choice = Callable[[State, Array | None], Array]
+_CORRECTIONS = 5
+
+
+class Answer(NamedTuple):
+    """How accelerations and rates answer the signs s of some surfaces.
+
+        acceleration = a + B s,   h' = r + D s
+
+    Attributes:
+        a: Of the integrated coordinates, shape (nv,).
+        B: One column a chosen surface, shape (nv, k).
+        r: Of all surfaces, shape (m,).
+        D: Shape (m, k).
+    """
+
+    a: Array
+    B: Array
+    r: Array
+    D: Array
+
+
+class SwitchedLoads(Loads):
+    """Loads whose switching forces follow given signs.
+
+    Args:
+        nv: Size of the velocity of the robot.
+        loads: The same loads, by the signs of the heights.
+        choice: Signs at a state of all joints while `signs` is None, shape (m,).
+
+    Attributes:
+        switching: The switching forces.
+        signs: One a surface, shape (m,).
+    """
+
+    def __init__(self, nv: int, loads: Loads, choice: Choice) -> None:
+        super().__init__(nv, loads.forces, loads.actuators)
+        self.switching = tuple(f for f in loads.forces if isinstance(f, DiscontinuousForce))
+        others = [f for f in loads.forces if not isinstance(f, DiscontinuousForce)]
+        self._smooth, self._choice = Loads(nv, others, loads.actuators), choice
+        ends = np.cumsum([0, *(len(f.surfaces) for f in self.switching)]).tolist()
+        self._mine = [slice(*pair) for pair in itertools.pairwise(ends)]
+        self.signs: Array | None = None
+
+    def total(self, data: Any, x: State, u: Array | None) -> Array:
+        """Generalized force [N·m or N], shape (nv,); as `Loads.total`."""
+        signs = self._choice(x, u) if self.signs is None else self.signs
+        tau = self._smooth.total(data, x, u)
+        for force, mine in zip(self.switching, self._mine, strict=True):
+            tau = tau + force.blend(data, x, signs[mine])
+        return tau
+
+
+class SlidingField:
+    """A system in one mode at a time: smooth, also across its switching surfaces.
+
+    Where it slides, a = a_0 + B s with the signs for which h' = 0: Filippov's combination, whose
+    weights are (1 + s) / 2 and (1 - s) / 2. The system is told the modes too: at a time that was
+    integrated over, its acceleration is that of the mode there, sliding included.
+
+    Source: A. F. Filippov, 1988, §4; L. Dieci, L. Lopez, SIAM J. Numer. Anal. 47, 2009, 2023-2051.
+
+    Args:
+        system: The system, without bounded rows; its loads are replaced.
+
+    Attributes:
+        mode: In which `acceleration` answers, one entry a surface.
+        names: Of the surfaces.
+        times: When modes began [s].
+        modes: Those modes.
+    """
+
+    def __init__(self, system: System) -> None:
+        self._system = system
+        self._loads = SwitchedLoads(int(system.model.nv), system.loads, self._recorded_signs)
+        system.loads = self._loads
+        self.names = tuple(name for f in self._loads.switching for name in f.surfaces)
+        self.nv, self.is_flat = system.nv, system.is_flat
+        self.integrate, self.chart_rate = system.integrate, system.chart_rate
+        self.mode: Mode = (1,) * len(self.names)
+        self.times: list[float] = []
+        self.modes: list[Mode] = []
+
+    @property
+    def sliding(self) -> list[int]:
+        """Surfaces that the motion slides on."""
+        return [i for i, way in enumerate(self.mode) if way == 0]
+
+    def acceleration(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """Acceleration of the integrated coordinates in this mode, shape (nv,)."""
+        if 0 not in self.mode:
+            return self._accelerate(State(t, q, v), u, np.array(self.mode, dtype=np.float64))
+        x, on = State(t, q, v), self.sliding
+        answer = self.answer(x, u, on)
+        return answer.a + answer.B.dot(self._equivalent(answer, on))
+
+    def accelerator(self) -> Accelerator:
+        """As that of a `System`."""
+        return writing(self.acceleration)
+
+    def heights(self, x: State) -> Array:
+        """The h of all surfaces, shape (m,)."""
+        full = self._placed(x)
+        parts = [f.heights(self._system.data, full) for f in self._loads.switching]
+        return np.concatenate(parts)
+
+    def rates(self, x: State, u: Array | None) -> Array:
+        """The h' of all surfaces in this mode, shape (m,)."""
+        return self._rates(x, self.acceleration(*x, u))
+
+    def signs(self, x: State, u: Array | None) -> Array:
+        """Signs that keep the motion on the surfaces that it slides on, shape (k,)."""
+        return self._equivalent(self.answer(x, u, self.sliding), self.sliding)
+
+    def answer(self, x: State, u: Array | None, chosen: Sequence[int]) -> Answer:
+        """How the motion answers the signs of some surfaces, the others in their mode."""
+        signs = np.array(self.mode, dtype=np.float64)
+        signs[list(chosen)] = 0.0
+        a = self._accelerate(x, u, signs).copy()
+        r = self._rates(x, a)
+        B, D = np.zeros((self.nv, len(chosen))), np.zeros((len(r), len(chosen)))
+        for column, i in enumerate(chosen):
+            signs[i] = 1.0
+            moved = self._accelerate(x, u, signs)
+            B[:, column], D[:, column] = moved - a, self._rates(x, moved) - r
+            signs[i] = 0.0
+        return Answer(a, B, r, D)
+
+    def onto(self, x: State, u: Array | None) -> State:
+        """The state on the surfaces that it slides on, moved only as their forces move it.
+
+        Newton's method for h(t, q, v + B c) = 0; dh/dv B = D. Rows J v = 0 stay, since J B = 0.
+        """
+        on = self.sliding
+        h = self.heights(x)[on] if on else np.zeros(0)
+        if not h.any():
+            return x
+        answer = self.answer(x, u, on)
+        for _ in range(_CORRECTIONS):
+            move = answer.B.dot(equivalent_signs(h, answer.D[on], self._named(on)))
+            nearer = State(x.t, x.q, x.v + move)
+            left = self.heights(nearer)[on]
+            if not np.abs(left).max() < np.abs(h).max():
+                break
+            x, h = nearer, left
+        return x
+
+    def _equivalent(self, answer: Answer, on: Sequence[int]) -> Array:
+        return equivalent_signs(answer.r[on], answer.D[on], self._named(on))
+
+    def _named(self, chosen: Sequence[int]) -> list[str]:
+        return [self.names[i] for i in chosen]
+
+    def _accelerate(self, x: State, u: Array | None, signs: Array) -> Array:
+        self._loads.signs = signs
+        try:
+            return self._system.acceleration(*x, u)
+        finally:
+            self._loads.signs = None
+
+    def _rates(self, x: State, a: Array) -> Array:
+        """The h' under an acceleration that was just evaluated at x."""
+        full_a = self._system.joint_motion(x.q, x.v, a)[2]
+        full = self._placed(x)
+        parts = [f.rates(self._system.data, full, full_a) for f in self._loads.switching]
+        return np.concatenate(parts)
+
+    def _placed(self, x: State) -> State:
+        """State of all joints, with `data` as the forces need it."""
+        full = self._system.expand(x)
+        if self._loads.reads_frames:
+            self._system.refresh(full.q, full.v)
+        return full
+
+    def _recorded_signs(self, full: State, u: Array | None) -> Array:
+        """Signs at a state of all joints that was integrated over, or else of its heights."""
+        x = self._system.reduce(full)
+        k = bisect_right(self.times, full.t) - 1
+        if k < 0:
+            return np.sign(self.heights(x))
+        now, self.mode = self.mode, self.modes[k]
+        signs = np.array(self.mode, dtype=np.float64)
+        if 0 in self.mode:
+            signs[self.sliding] = self.signs(x, u)
+        self.mode = now
+        self._placed(x)
+        return signs

@@ -1,0 +1,192 @@
+"""Motion and external loads -> torques of the independent coordinates and coupling multipliers.
+
+    tau_z = G' (rnea(F(z), G z', G z'' + dG/dt z') - sum J' w - sum f)
+
+with w the external wrenches and f the force terms of the scene.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.dynamics.body_loads import BodyLoads
+from mbd_ros.core.model.couplings import Couplings, Slopes
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.model.wrenches import ExternalWrench
+from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.state import Array, State
+
+_CHUNK = 2048  # samples
+
+
+class Torques(NamedTuple):
+    """What moves the robot as observed.
+
+    Attributes:
+        tau: Force of every independent coordinate [N·m or N], shape (nv_z,) or (n, nv_z).
+        multipliers: What the tendon, cam or gear of every dependent joint exerts on that joint
+            [N·m for a revolute joint, N for a prismatic one], shape (n_d,) or (n, n_d). Positive
+            pushes the joint in its positive direction. On its parent the coupling exerts -f' times
+            as much.
+    """
+
+    tau: Array
+    multipliers: Array
+
+
+class Parts(NamedTuple):
+    """Torques of the independent coordinates by cause; their sum is `Torques.tau`.
+
+    Attributes:
+        gravity: G' g(q).
+        coriolis: G' (C(q, v) v + M dG/dt z'): all that is quadratic in velocity.
+        inertial: G' M G z''.
+        external: -G' (sum J' w + sum f): what the environment and the force terms take over.
+    """
+
+    gravity: Array
+    coriolis: Array
+    inertial: Array
+    external: Array
+
+
+class InverseDynamics:
+    """Inverse dynamics with dependent joints and external wrenches.
+
+    One instance owns one Pinocchio `Data`: not for two threads. Nothing is allocated in a call but
+    its result and what the Pinocchio bindings return.
+
+    Args:
+        robot: The robot.
+        couplings: Its dependent joints.
+        wrenches: External loads, in the order in which `solve` takes their values.
+        forces: Force terms of the scene.
+
+    Attributes:
+        configuration: q = F(z) of the last `solve` of a coupled or loaded robot, a live view
+            (nq,).
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        couplings: Couplings,
+        wrenches: Sequence[ExternalWrench] = (),
+        forces: Sequence[ForceTerm] = (),
+    ) -> None:
+        self.couplings = couplings
+        self.wrenches, self.forces = tuple(wrenches), tuple(forces)
+        self._reads_frames = any(getattr(force, "reads_frames", False) for force in forces)
+        self._model, self._data = robot.model, pin.Data(robot.model)
+        self.configuration = self._q = pin.neutral(robot.model)
+        self._v, self._a = np.zeros(robot.model.nv), np.zeros(robot.model.nv)
+        self._zero = np.zeros(robot.model.nv)
+        self._slopes: Slopes = [0.0] * len(couplings.dependent)
+        self._no_multipliers = np.empty(0)
+        self._is_free = not couplings.dependent and not wrenches and not forces
+        self._loads = BodyLoads(robot, self.wrenches)
+
+    def solve(
+        self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
+    ) -> Torques:
+        """Torques of one sample.
+
+        Args:
+            position: z [rad or m], shape (nz,).
+            velocity: z' [rad/s or m/s], shape (nv_z,).
+            acceleration: z'' [rad/s^2 or m/s^2], shape (nv_z,).
+            wrenches: One (6,) array [N, N·m] for every load of the scene; none means unloaded.
+
+        Returns:
+            Fresh arrays.
+        """
+        if self._is_free and len(wrenches) == 0:
+            tau = pin.rnea(self._model, self._data, position, velocity, acceleration)
+            return Torques(tau, self._no_multipliers)
+        self._expand(position, velocity, acceleration)
+        return Torques(*self.couplings.reduce(self._full(wrenches), self._slopes))
+
+    def parts(
+        self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
+    ) -> Parts:
+        """Torques of one sample by cause; arguments as `solve`."""
+        self._expand(position, velocity, acceleration)
+        model, data, q, v, a = self._model, self._data, self._q, self._v, self._a
+        total = self._full(wrenches)
+        unloaded = pin.rnea(model, data, q, v, a)
+        gravity = pin.rnea(model, data, q, self._zero, self._zero)
+        self._expand(position, velocity, np.zeros_like(acceleration))
+        unaccelerated = pin.rnea(model, data, q, v, a)
+        causes = (gravity, unaccelerated - gravity, unloaded - unaccelerated, total - unloaded)
+        return Parts(*(self.couplings.reduce(cause, self._slopes)[0] for cause in causes))
+
+    def batch(
+        self,
+        position: Array,
+        velocity: Array,
+        acceleration: Array,
+        wrenches: Sequence[Array] = (),
+    ) -> Torques:
+        """Torques of many samples, one a row.
+
+        Args:
+            position: shape (n, nz).
+            velocity: shape (n, nv_z).
+            acceleration: shape (n, nv_z).
+            wrenches: One (n, 6) array for every load of the scene; none means unloaded.
+
+        Returns:
+            Rows in the order of the samples.
+        """
+        if self.forces or len(wrenches):
+            rows = zip(position, velocity, acceleration, *wrenches, strict=True)
+            solved = [self.solve(z, v, a, loads) for z, v, a, *loads in rows]
+            n, dependent = len(solved), len(self.couplings.dependent)
+            tau = np.array([s.tau for s in solved]).reshape(n, velocity.shape[1])
+            return Torques(tau, np.array([s.multipliers for s in solved]).reshape(n, dependent))
+        chunks, pool = range(0, max(len(position), 1), _CHUNK), pin.ModelPool(self._model, 1)
+        solved = [
+            self._chunk(pool, *(x[i : i + _CHUNK] for x in (position, velocity, acceleration)))
+            for i in chunks
+        ]
+        return Torques(*(np.concatenate(rows) for rows in zip(*solved, strict=True)))
+
+    def _chunk(self, pool: Any, position: Array, velocity: Array, acceleration: Array) -> Torques:
+        """Unloaded torques of so many samples that they stay in the cache."""
+        n, couplings = len(position), self.couplings
+        nq, nv = self._model.nq, self._model.nv
+        q, v, a = np.empty((nq, n)), np.empty((nv, n)), np.empty((nv, n))
+        q[couplings.q_index] = position.T
+        v[couplings.v_index], a[couplings.v_index] = velocity.T, acceleration.T
+        slopes = couplings.expand(q, v, a)
+        tau = np.empty((nv, n), order="F")
+        pin.rneaInParallel(1, pool, *map(np.asfortranarray, (q, v, a)), tau)
+        reduced, multipliers = couplings.reduce(tau, slopes)
+        return Torques(reduced.T, multipliers.T)
+
+    def _expand(self, position: Array, velocity: Array, acceleration: Array) -> None:
+        couplings = self.couplings
+        self._q[couplings.q_index] = position
+        self._v[couplings.v_index] = velocity
+        self._a[couplings.v_index] = acceleration
+        couplings.expand(self._q, self._v, self._a, self._slopes)
+
+    def _full(self, wrenches: Sequence[Array]) -> Array:
+        """rnea(q, v, a) - sum J' w - sum f over all joints."""
+        if len(wrenches) == 0 and not self.forces:
+            bare: Array = pin.rnea(self._model, self._data, self._q, self._v, self._a)
+            return bare
+        model, data, forces = self._model, self._data, self._loads.forces
+        pin.forwardKinematics(model, data, self._q)
+        self._loads.set(data, wrenches)
+        tau: Array = pin.rnea(model, data, self._q, self._v, self._a, forces)
+        if self.forces:
+            if self._reads_frames:
+                pin.forwardKinematics(model, data, self._q, self._v, self._zero)
+                pin.computeJointJacobians(model, data)
+            x = State(0.0, self._q, self._v)
+            for term in self.forces:
+                tau -= term.force(self._data, x)
+        return tau

@@ -1,0 +1,199 @@
+"""Measured motion of a mechanism with loops -> motion that its constraints allow."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.mass_check import check_mass_anywhere
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.inverse.force_split import SINGULAR
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.parts import Constraint
+from mbd_ros.core.projection.assembly import assemble
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
+
+_STRIDE = 0.1  # largest step of a measured joint between two closures [rad or m]
+_ITERATIONS = 30
+_CLOSED = 1.0e-13  # step that no longer closes anything [rad or m]
+
+_LITTLE = 1.0e-3  # of the largest moment of inertia
+
+Mask = NDArray[np.bool_]
+
+
+class LoopMotion:
+    """Nearest consistent motion in the mass metric, and joints that nobody measures.
+
+    Drives demand nothing here: the motion says what they did.
+
+    Args:
+        robot: The robot.
+        couplings: Its dependent joints, as rows.
+        constraints: Bilateral constraints of the scene; drives among them are left out.
+
+    Attributes:
+        condition: Condition number of the last `complete`; where it is large the loop folds, and
+            the measured joints no longer tell its two branches apart.
+    """
+
+    def __init__(
+        self, robot: Robot, couplings: Couplings, constraints: Sequence[Constraint]
+    ) -> None:
+        rows = [part for part in constraints if part.bounds is None and not part.driven]
+        self._system = build_system(robot, couplings, rows, Loads(robot.model.nv), tier="kkt")
+        self._names = {joint.v: joint.name for joint in robot.joints}
+        self._q = np.array([joint.q for joint in robot.joints], dtype=np.intp)
+        self._v = np.array([joint.v for joint in robot.joints], dtype=np.intp)
+        self._size, self.condition = np.zeros(len(self._system.rows)), 1.0
+
+    @property
+    def memory(self) -> tuple[Any, ...]:
+        """How large rows have been so far; may be set, to what it was before a sample."""
+        return self._size, self._system.row_size
+
+    @memory.setter
+    def memory(self, memory: tuple[Any, ...]) -> None:
+        self._size, self._system.row_size = memory
+
+    def metric(self, q: Array) -> Array:
+        """Mass matrix with which distances are measured, shape (nv, nv)."""
+        return self._system.mass(q)
+
+    def consistent(self, x: State, a: Array) -> tuple[State, Array]:
+        """The nearest state on the constraints and the nearest acceleration that they allow.
+
+        Args:
+            x: State of all joints, near the constraints.
+            a: Acceleration of all joints, shape (nv,).
+
+        Raises:
+            SolveError: The mechanism cannot be assembled near this position.
+        """
+        system = self._system
+        if not system.rows:
+            return x, a
+        q = assemble(system, x._replace(v=np.zeros_like(x.v))).q
+        J, L, size = self._rows(x.t, q)
+        v = x.v - _shortest(J, L, size, J.dot(x.v) + system.rate(x.t, q))
+        x = State(x.t, q, v)
+        return x, a - _shortest(J, L, size, J.dot(a) + self._drift(x))
+
+    def complete(self, before: Array, x: State, a: Array, measured: Mask) -> tuple[State, Array]:
+        """A state whose other joints close the loops, on the branch of an earlier one.
+
+        The measured joints go from where they were to where they are in steps that are short
+        enough for the others to follow.
+
+        Args:
+            before: Configuration on the constraints, shape (nq,).
+            x: State of all joints; what is not measured is ignored.
+            a: Acceleration of all joints; likewise, shape (nv,).
+            measured: Velocity coordinates that are measured, shape (nv,).
+
+        Returns:
+            State and acceleration with the other joints filled in: NaN where they follow from
+            measured rates that are NaN.
+        """
+        free, system = np.flatnonzero(~measured), self._system
+        kept = measured[self._v]
+        start, end = before[self._q[kept]], x.q[self._q[kept]]
+        q = before.copy()
+        strides = max(1, math.ceil(float(np.abs(end - start).max(initial=0.0)) / _STRIDE))
+        for i in range(1, strides + 1):
+            q[self._q[kept]] = start + (end - start) * (i / strides)
+            q = self._closed(x.t, q, free)
+        J = system.jacobian(x.t, q)
+        self.condition = float(np.linalg.cond(J[:, free])) if len(free) else 1.0
+        v, a = np.where(measured, x.v, 0.0), np.where(measured, a, 0.0)
+        v[free] = -_least(J[:, free], J.dot(v) + system.rate(x.t, q))
+        x = State(x.t, q, v)
+        a[free] = -_least(J[:, free], J.dot(a) + self._drift(x))
+        return x, a
+
+    def undetermined(self, x: State, measured: Mask) -> tuple[str, ...]:
+        """Joints that are not measured and that no row ties to those that are.
+
+        Args:
+            x: State on the constraints.
+            measured: Velocity coordinates that are measured, shape (nv,).
+        """
+        free = np.flatnonzero(~measured)
+        _, s, Vt = np.linalg.svd(self._system.jacobian(x.t, x.q)[:, free])
+        loose = Vt[int(np.count_nonzero(s > SINGULAR * max(1.0, s.max(initial=0.0)))) :]
+        share = np.linalg.norm(loose, axis=0)
+        names = (self._names.get(int(v), "the floating base") for v in free[share > SINGULAR])
+        return tuple(dict.fromkeys(names))
+
+    def start(self, x: State) -> Array:
+        """Configuration on the constraints nearest to that of a state.
+
+        Raises:
+            SolveError: There is none near it.
+        """
+        return assemble(self._system, x._replace(v=np.zeros_like(x.v))).q
+
+    def _closed(self, t: float, q: Array, free: NDArray[np.intp]) -> Array:
+        """Newton's method over some coordinates; as near as they come if they cannot close it."""
+        dq = np.zeros(self._system.nv)
+        for _ in range(_ITERATIONS):
+            J = self._system.jacobian(t, q)
+            dq[free] = -_least(J[:, free], self._system.residual(t, q))
+            largest = float(np.abs(dq).max(initial=0.0))
+            q = self._system.integrate(q, dq * min(1.0, _STRIDE / max(largest, _STRIDE)))
+            if largest <= _CLOSED:
+                break
+        return q
+
+    def _drift(self, x: State) -> Array:
+        self._system.refresh(x.q, x.v)
+        return self._system.constraints.accelerations(self._system.data, x)[1]
+
+    def _rows(self, t: float, q: Array) -> tuple[Array, Array, Array]:
+        """J, the Cholesky factor of M, and the size of the rows so far in the metric M^-1."""
+        J, M = self._system.jacobian(t, q), self._system.mass(q)
+        if not (np.isfinite(J).all() and np.isfinite(M).all()):
+            raise SolveError("constraint rows or masses are not finite")
+        L: Any = np.linalg.cholesky(M)
+        self._size = np.maximum(self._size, np.linalg.norm(np.linalg.solve(L, J.T), axis=0))
+        size: Array = np.where(self._size > 0.0, self._size, 1.0)
+        return J, L, size
+
+
+def with_inertia(robot: Robot) -> Robot:
+    """The robot for a metric, which links without mass must not make singular.
+
+    Distances and ranks need a metric, not the masses: where some joints move nothing that has
+    mass, every joint gets a little inertia. Forces never come from this robot.
+    """
+    system = System(robot, Loads(robot.model.nv))
+    try:
+        check_mass_anywhere(system)
+    except SolveError:
+        diagonal = system.mass(robot.neutral()).diagonal()
+        model = robot.model.copy()
+        model.armature = model.armature + _LITTLE * (float(diagonal.max(initial=0.0)) or 1.0)
+        return replace(robot, model=model)
+    return robot
+
+
+def _shortest(J: Array, L: Array, size: Array, r: Array) -> Array:
+    """The shortest motion in the metric M = L L' that changes the rows by r, shape (nv,)."""
+    weighted = np.linalg.solve(L, J.T) / size
+    shortest: Array = np.linalg.solve(L.T, _least(weighted.T, r / size))
+    return shortest
+
+
+def _least(A: Array, b: Array) -> Array:
+    """The shortest of the x with A x nearest to b; what vanishes at a toggle is left out."""
+    if not np.isfinite(b).all():
+        return np.full(A.shape[1], np.nan)
+    least: Any = np.linalg.lstsq(A, b, rcond=SINGULAR)[0]
+    return least

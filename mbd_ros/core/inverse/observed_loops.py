@@ -1,0 +1,111 @@
+"""Independent joints of a mechanism with loops -> torques, as `InverseDynamics` gives them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.inverse.inverse_dynamics import Torques
+from mbd_ros.core.model.couplings import Slopes
+from mbd_ros.core.state import Array, State
+
+
+class ObservedLoops:
+    """Makes what a robot measures consistent, then solves it.
+
+    For whoever feeds an `InverseDynamics` sample by sample.
+
+    Args:
+        inverse: The solver, owned from now on.
+
+    Attributes:
+        inverse: The solver.
+        couplings: The dependent joints.
+        configuration: Consistent configuration of the last sample, shape (nq,).
+        rows: Names of the multipliers: the dependent joints, then the rows of the constraints.
+        moved: How far a joint of the last sample was moved onto the constraints [rad or m].
+        gap: Residual of every row at the last sample as measured, shape (m,); 0 for drives and
+            for couplings, which say themselves how far a dependent joint is off.
+    """
+
+    def __init__(self, inverse: ClosedLoopInverseDynamics) -> None:
+        self.inverse, self.couplings = inverse, inverse.couplings
+        self.configuration, self.moved = inverse.robot.neutral(), 0.0
+        self._model = inverse.robot.model
+        self._slopes: Slopes = [0.0] * len(inverse.couplings.links)
+        constraints = inverse.constraints
+        self.rows = tuple(row.name for row in constraints.rows)
+        self.gap, self._data = np.zeros(len(self.rows)), pin.Data(self._model)
+        self._is_driven = np.zeros(len(self.rows), dtype=np.bool_)
+        for part, mine in zip(constraints.parts, constraints.slices, strict=True):
+            self._is_driven[mine] = bool(part.driven)
+        self._v = [inverse.robot.joint(name).v for name in inverse.actuated]
+        self._begin = self.memory
+
+    @property
+    def memory(self) -> tuple[Any, ...]:
+        """What the next sample depends on; may be set, to what it was before a sample."""
+        return self.configuration, self.inverse.memory
+
+    @memory.setter
+    def memory(self, memory: tuple[Any, ...]) -> None:
+        self.configuration, self.inverse.memory = memory
+
+    def reset(self) -> None:
+        """Forget all samples."""
+        self.memory = self._begin
+
+    def measured(
+        self, t: float, position: Array, velocity: Array, acceleration: Array
+    ) -> tuple[State, Array]:
+        """State and acceleration of all joints as measured, couplings alone kept.
+
+        Args:
+            t: Time [s].
+            position: Independent joints [rad or m], shape (nz,).
+            velocity: [rad/s or m/s], shape (nv_z,).
+            acceleration: [rad/s^2 or m/s^2], shape (nv_z,).
+        """
+        couplings, nv = self.couplings, int(self._model.nv)
+        q, v, a = self.configuration.copy(), np.zeros(nv), np.zeros(nv)
+        q[couplings.q_index] = position
+        v[couplings.v_index], a[couplings.v_index] = velocity, acceleration
+        couplings.expand(q, v, a, self._slopes)
+        return State(t, q, v), a
+
+    def solve(
+        self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
+    ) -> Torques:
+        """Torques of the independent coordinates of one sample, 0 where nothing acts.
+
+        Args:
+            position: z [rad or m], shape (nz,), near the constraints.
+            velocity: z' [rad/s or m/s], shape (nv_z,).
+            acceleration: z'' [rad/s^2 or m/s^2], shape (nv_z,).
+            wrenches: One (6,) array [N, N·m] for every load of the scene; none means unloaded.
+
+        Returns:
+            Fresh arrays; multipliers of `rows`.
+
+        Raises:
+            SolveError: The mechanism cannot be assembled near this position, or the actuators
+                cannot produce the motion.
+        """
+        measured, given = self.measured(0.0, position, velocity, acceleration)
+        self.gap = self._residual(measured)
+        x, a = self.inverse.consistent(measured, given)
+        self.configuration = x.q
+        self.moved = float(np.abs(pin.difference(self._model, measured.q, x.q)).max(initial=0.0))
+        found = self.inverse.solve(x, a, wrenches)
+        tau = np.zeros(len(a))
+        tau[self._v] = found.tau
+        reduced, _ = self.couplings.reduce(tau, self._slopes)
+        return Torques(reduced, found.multipliers)
+
+    def _residual(self, x: State) -> Array:
+        pin.forwardKinematics(self._model, self._data, x.q, x.v, np.zeros(len(x.v)))
+        pin.computeJointJacobians(self._model, self._data)
+        gap = self.inverse.constraints.residual(self._data, x)
+        return np.where(self._is_driven, 0.0, gap)

@@ -1,0 +1,85 @@
+"""What joints transmit, six components each: backward pass of the Newton-Euler recursion."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.dynamics.body_loads import BodyLoads
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.model.wrenches import ExternalWrench
+from mbd_ros.core.parts import ForceTerm, Wrench
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.state import Array, State
+
+
+class Reactions(NamedTuple):
+    """What bodies exert on one another.
+
+    Attributes:
+        local: What the parent of every joint exerts on its child: force [N], then torque [N·m]
+            about the origin of the joint, in the axes of the joint on the child, shape (n, 6).
+            Along the axis of the joint it is what acts there: actuator (without what turns its
+            own rotor, the armature), springs, friction, tendons.
+        world: The same in world axes, about the same point, shape (n, 6).
+        closures: What constraints exert on bodies.
+    """
+
+    local: Array
+    world: Array
+    closures: tuple[Wrench, ...]
+
+
+class JointReactions:
+    """Reaction wrenches of the joints of a tree, with loops closed by constraints.
+
+    Springs, actuators, couplings and friction of a joint act between its parent and its child.
+
+    One instance owns its Pinocchio data: not for two threads.
+
+    Args:
+        robot: The robot; reactions come in the order of its joints.
+        constraints: The rows that multipliers are given for.
+        wrenches: External loads, in the order in which `solve` takes their values.
+        forces: Force terms; those that act on bodies count as loads.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        constraints: ConstraintRows,
+        wrenches: Sequence[ExternalWrench] = (),
+        forces: Sequence[ForceTerm] = (),
+    ) -> None:
+        self._model, self._data = robot.model, pin.Data(robot.model)
+        self._constraints = constraints
+        self._forces = [force for force in forces if isinstance(force, ForceTerm)]
+        self._loads = BodyLoads(robot, wrenches)
+        at = {int(joint.idx_v): i for i, joint in enumerate(robot.model.joints) if i}
+        self._joints = [at[joint.v] for joint in robot.joints]
+        self._zero = np.zeros(robot.model.nv)
+
+    def solve(
+        self, x: State, a: Array, multipliers: Array, wrenches: Sequence[Array] = ()
+    ) -> Reactions:
+        """Reactions of a motion that satisfies the equation of motion.
+
+        Args:
+            x: State of all joints.
+            a: Acceleration of all joints [rad/s^2 or m/s^2], shape (nv,).
+            multipliers: One a row of the constraints, shape (m,).
+            wrenches: One (6,) array [N, N·m] for every load; none means unloaded.
+        """
+        model, data = self._model, self._data
+        pin.forwardKinematics(model, data, x.q, x.v, self._zero)
+        pin.computeJointJacobians(model, data)
+        closures = self._constraints.wrenches(data, x, multipliers)
+        self._loads.set(data, wrenches)
+        for wrench in (*closures, *(w for force in self._forces for w in force.wrenches(data, x))):
+            self._loads.add(data, wrench)
+        pin.rnea(model, data, x.q, x.v, a, self._loads.forces)
+        local = np.array([data.f[i].vector for i in self._joints]).reshape(-1, 6)
+        turns = np.array([data.oMi[i].rotation for i in self._joints]).reshape(-1, 3, 3)
+        world = np.einsum("nij,nkj->nki", turns, local.reshape(-1, 2, 3)).reshape(-1, 6)
+        return Reactions(local, world, closures)

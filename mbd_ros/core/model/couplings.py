@@ -1,0 +1,160 @@
+"""Dependent joints: q = F(z), with G = dF/dz and the drift dG/dt z'.
+
+Every dependent joint follows one other joint, its parent, by a law f. Chains are walked joint by
+joint:
+
+    q_d = f(q_p),    v_d = f' v_p,    a_d = f' a_p + f'' v_p^2
+
+from the independent joints outwards gives F(z), G z' and G z'' + dG/dt z'; the same walk
+backwards, tau_p += f' tau_d, gives G' tau. After the backward walk tau_d is the coupling
+multiplier lam_d.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.model.coupling_functions import Law, Linear
+from mbd_ros.core.model.robot import Joint, Robot
+from mbd_ros.core.state import Array
+from mbd_ros.errors import ModelError
+
+Slopes = list[Any]  # floats, or one array a joint for a batch
+
+
+class Coupling(NamedTuple):
+    """What a dependent joint follows, in topic names."""
+
+    parent: str
+    law: Law
+
+
+class Link(NamedTuple):
+    """A coupling in indices of q and v."""
+
+    child_q: int
+    child_v: int
+    parent_q: int
+    parent_v: int
+    law: Law
+
+
+class Couplings:
+    """All dependent joints of a robot.
+
+    Args:
+        robot: The robot; its `<mimic>` joints join in.
+        couplings: Dependent joint -> what it follows; wins over a `<mimic>` of the same joint.
+
+    Attributes:
+        independent: Names of the independent joints, in the order of z.
+        dependent: Names of the dependent joints, in the order of the multipliers.
+        parents: Dependent joint -> its direct parent.
+        q_index: Where z stands in q, shape (nz,); with a floating base its pose comes first.
+        v_index: Where z' stands in v, shape (nv_z,).
+        links: The couplings in indices, parents before children.
+
+    Raises:
+        ModelError: Unknown, fixed or locked joint, or a cycle, with the path.
+    """
+
+    def __init__(self, robot: Robot, couplings: Mapping[str, Coupling] | None = None) -> None:
+        laws = {m.joint: Coupling(m.parent, Linear(m.factor, m.offset)) for m in robot.mimics}
+        laws.update(couplings or {})
+        for name, coupling in laws.items():
+            _check_ends(robot, name, coupling.parent)
+        order = _outwards(laws)
+        child = {name: robot.joint(name) for name in order}
+        self.independent = tuple(j.name for j in robot.joints if j.name not in laws)
+        self.dependent = tuple(order)
+        self.parents = {name: laws[name].parent for name in order}
+        self.links = [_link(robot, child[name], laws[name]) for name in order]
+        dependent_q = [joint.q for joint in child.values()]
+        self._dependent_v = np.array([joint.v for joint in child.values()], dtype=np.intp)
+        self.q_index = np.setdiff1d(np.arange(robot.model.nq), dependent_q)
+        self.v_index = np.setdiff1d(np.arange(robot.model.nv), self._dependent_v)
+        self._nv = int(robot.model.nv)
+
+    def expand(self, q: Array, v: Array, a: Array, slopes: Slopes | None = None) -> Slopes:
+        """Fill the dependent rows of q, v and a from the independent ones, in place.
+
+        Args:
+            q: Configuration, shape (nq,), or a batch (nq, n).
+            v: Velocity, shape (nv,) or (nv, n).
+            a: Acceleration, shape (nv,) or (nv, n).
+            slopes: What an earlier call returned, to be overwritten; a new list without it.
+
+        Returns:
+            The slope f' of every dependent joint at this configuration.
+        """
+        slopes = [0.0] * len(self.links) if slopes is None else slopes
+        q_of, v_of, a_of = (x.item if x.ndim == 1 else x.__getitem__ for x in (q, v, a))
+        for i, (child_q, child_v, parent_q, parent_v, law) in enumerate(self.links):
+            q[child_q], slope, curvature = law(q_of(parent_q))
+            rate = v_of(parent_v)
+            v[child_v] = slope * rate
+            a[child_v] = slope * a_of(parent_v) + curvature * rate * rate
+            slopes[i] = slope
+        return slopes
+
+    def reduce(self, tau: Array, slopes: Slopes) -> tuple[Array, Array]:
+        """G' tau and the multipliers.
+
+        Args:
+            tau: Generalized forces of all joints, shape (nv,) or (nv, n); overwritten.
+            slopes: What `expand` returned.
+
+        Returns:
+            Forces of the independent coordinates, shape (nv_z,) or (nv_z, n), and the multiplier
+            of every dependent joint, shape (len(dependent),) or (len(dependent), n).
+        """
+        for slope, link in zip(reversed(slopes), reversed(self.links), strict=True):
+            tau[link.parent_v] += slope * tau[link.child_v]
+        return tau[self.v_index], tau[self._dependent_v]
+
+    def positions(self, z: Array) -> Array:
+        """F(z): all positions of a fixed-base robot, shape (nq,).
+
+        Args:
+            z: Independent positions [rad or m], shape (nz,).
+        """
+        q, v, a = np.empty(self._nv), np.zeros(self._nv), np.zeros(self._nv)
+        q[self.q_index] = z
+        self.expand(q, v, a)
+        return q
+
+    def jacobian(self, q: Array) -> Array:
+        """G = dF/dz at a configuration, shape (nv, nv_z)."""
+        G = np.zeros((self._nv, len(self.v_index)))
+        G[self.v_index, np.arange(len(self.v_index))] = 1.0
+        for link in self.links:
+            _, slope, _ = link.law(q.item(link.parent_q))
+            G[link.child_v] = slope * G[link.parent_v]
+        return G
+
+
+def _check_ends(robot: Robot, name: str, parent: str) -> None:
+    for role, joint in (("coupled joint", name), ("parent", parent)):
+        try:
+            robot.joint(joint)
+        except ModelError as error:
+            raise ModelError(f"coupling {name} <- {parent}: {role}: {error}") from error
+
+
+def _outwards(laws: Mapping[str, Coupling]) -> list[str]:
+    """Dependent joints, parents before children."""
+    order: list[str] = []
+    for name in laws:
+        path = [name]
+        while (parent := laws[path[-1]].parent) in laws and parent not in order:
+            if parent in path:
+                raise ModelError(f"couplings form a cycle: {' <- '.join([*path, parent])}")
+            path.append(parent)
+        order.extend(joint for joint in reversed(path) if joint not in order)
+    return order
+
+
+def _link(robot: Robot, child: Joint, coupling: Coupling) -> Link:
+    parent = robot.joint(coupling.parent)
+    return Link(child.q, child.v, parent.q, parent.v, coupling.law)

@@ -1,0 +1,205 @@
+"""URDF text -> a frozen robot on a Pinocchio model.
+
+Every joint has one coordinate. A continuous joint, for which Pinocchio would keep (cos, sin), is
+read as a revolute joint without limits, so that its position is an unwrapped angle everywhere.
+"""
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.model.far_base import centred
+from mbd_ros.core.model.robot import Joint, Mimic, Robot, Rubbing
+from mbd_ros.core.model.urdf import parse_urdf
+from mbd_ros.core.model.urdf_inertias import check_inertias
+from mbd_ros.core.model.urdf_reading import numbers
+from mbd_ros.errors import ModelError
+
+EARTH_GRAVITY = (0.0, 0.0, -9.81)
+BASES = ("fixed", "floating")
+
+
+def read_robot(
+    text: str,
+    *,
+    source: str = "robot description",
+    gravity: Sequence[float] = EARTH_GRAVITY,
+    base: str = "fixed",
+    locked: Mapping[str, float] | None = None,
+    rename: Mapping[str, str] | None = None,
+) -> Robot:
+    """Build a robot from a description.
+
+    Args:
+        text: URDF.
+        source: File or topic of the text, for the messages.
+        gravity: Acceleration of gravity in the world frame [m/s^2], shape (3,).
+        base: `fixed`, or `floating` for a root link that moves freely.
+        locked: Topic name -> position [rad or m] of joints to freeze and remove.
+        rename: URDF joint name -> name used on topics.
+
+    Raises:
+        ModelError: The description cannot be trusted, or an option names a joint that is not
+            there.
+    """
+    if base not in BASES:
+        raise ModelError(f"base '{base}', accepted: {', '.join(BASES)}")
+    tree = parse_urdf(text, source)
+    doubts = check_inertias(tree, source)
+    names = _topic_names(tree, rename or {}, source)
+    locked = dict(locked or {})
+    kinds = _kinds(tree)
+    fixed = frozenset(names[joint] for joint, kind in kinds.items() if kind == "fixed")
+    mimics = _mimics(tree, names, source)
+
+    def build(tree: ElementTree.Element) -> Any:
+        model = _build_model(tree, base == "floating", gravity, source)
+        return _lock(model, locked, names, fixed, source)
+
+    model, origin = (build(tree), np.zeros(3)) if base == "floating" else centred(build, tree)
+    return Robot(
+        name=tree.get("name", ""),
+        model=model,
+        joints=_joints(model, tree, names, floating=base == "floating"),
+        mimics=tuple(mimic for mimic in mimics if mimic.joint not in locked),
+        floating=base == "floating",
+        locked=locked,
+        fixed=fixed,
+        doubts=doubts,
+        rubbing=_rubbing(tree, names),
+        ignored=("URDF <transmission>",) if tree.find("transmission") is not None else (),
+        origin=origin,
+    )
+
+
+def _topic_names(
+    tree: ElementTree.Element, rename: Mapping[str, str], source: str
+) -> dict[str, str]:
+    urdf_names = [joint.get("name", "") for joint in tree.findall("joint")]
+    for name in rename:
+        if name not in urdf_names:
+            existing = ", ".join(urdf_names)
+            raise ModelError(f"{source}: rename: no joint '{name}'; the robot has {existing}")
+        if not rename[name]:
+            raise ModelError(f"{source}: rename: the new name of '{name}' is empty")
+    names = {name: rename.get(name, name) for name in urdf_names}
+    taken = list(names.values())
+    repeated = sorted({name for name in taken if taken.count(name) > 1})
+    if repeated:
+        raise ModelError(f"{source}: rename: two joints would be called {', '.join(repeated)}")
+    return names
+
+
+def _mimics(tree: ElementTree.Element, names: Mapping[str, str], source: str) -> list[Mimic]:
+    mimics = []
+    for joint in tree.findall("joint"):
+        element = joint.find("mimic")
+        if element is None:
+            continue
+        name, parent = names[joint.get("name", "")], element.get("joint", "")
+        if parent not in names:
+            raise ModelError(f"{source}: joint '{name}': mimic of unknown joint '{parent}'")
+        factor = numbers(element, "multiplier", "1")[0]
+        if factor == 0:
+            raise ModelError(f"{source}: joint '{name}': mimic multiplier is 0; lock the joint")
+        mimics.append(Mimic(name, names[parent], factor, numbers(element, "offset", "0")[0]))
+    return mimics
+
+
+def _build_model(
+    tree: ElementTree.Element, floating: bool, gravity: Sequence[float], source: str
+) -> Any:
+    root = (pin.JointModelFreeFlyer(),) if floating else ()
+    try:
+        single = copy.deepcopy(tree)
+        for joint in single.findall("joint"):
+            if joint.get("type") == "continuous":
+                _without_limits(joint)
+        model = pin.buildModelFromXML(ElementTree.tostring(single, encoding="unicode"), *root)
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(f"{source}: {error}") from error
+    model.gravity.linear = np.array(gravity, dtype=np.float64)
+    return model
+
+
+def _without_limits(joint: ElementTree.Element) -> None:
+    joint.set("type", "revolute")
+    limit = joint.find("limit")
+    if limit is None:
+        limit = ElementTree.SubElement(joint, "limit", {"effort": "0", "velocity": "0"})
+    limit.attrib.update({"lower": "-1e300", "upper": "1e300"})
+    limit.attrib.setdefault("effort", "0")
+    limit.attrib.setdefault("velocity", "0")
+
+
+def _lock(
+    model: Any,
+    locked: Mapping[str, float],
+    names: Mapping[str, str],
+    fixed: frozenset[str],
+    source: str,
+) -> Any:
+    if not locked:
+        return model
+    urdf_names = {topic: urdf for urdf, topic in names.items()}
+    q = pin.neutral(model)
+    for name, position in locked.items():
+        if name not in urdf_names or name in fixed:
+            state = "is fixed already" if name in fixed else "does not exist"
+            raise ModelError(f"{source}: locked: joint '{name}' {state}")
+        q[model.joints[model.getJointId(urdf_names[name])].idx_q] = position
+    ids = [model.getJointId(urdf_names[name]) for name in locked]
+    try:
+        return pin.buildReducedModel(model, ids, q)
+    except (ValueError, RuntimeError) as error:  # a link and a fixed joint of one name, for one
+        raise ModelError(f"{source}: locked: {str(error).splitlines()[0]}") from error
+
+
+def _joints(
+    model: Any, tree: ElementTree.Element, names: Mapping[str, str], *, floating: bool
+) -> tuple[Joint, ...]:
+    joints, kinds = [], _kinds(tree)
+    limited = {e.get("name", "") for e in tree.iterfind("joint") if _has_effort_limit(e)}
+    first = 2 if floating else 1  # after the universe and the free base
+    pairs = zip(list(model.names)[first:], list(model.joints)[first:], strict=True)
+    for urdf_name, joint in pairs:
+        kind, q, v = kinds[urdf_name], int(joint.idx_q), int(joint.idx_v)
+        bounded = kind != "continuous"
+        joints.append(
+            Joint(
+                name=names[urdf_name],
+                urdf_name=urdf_name,
+                kind=kind,
+                q=q,
+                v=v,
+                lower=float(model.lowerPositionLimit[q]) if bounded else -math.inf,
+                upper=float(model.upperPositionLimit[q]) if bounded else math.inf,
+                max_velocity=float(model.upperVelocityLimit[v]) or math.inf,
+                max_effort=float(model.upperEffortLimit[v]) if urdf_name in limited else math.inf,
+            )
+        )
+    return tuple(sorted(joints, key=lambda joint: joint.v))
+
+
+def _kinds(tree: ElementTree.Element) -> dict[str, str]:
+    return {e.get("name", ""): e.get("type", "") for e in tree.findall("joint")}
+
+
+def _has_effort_limit(joint: ElementTree.Element) -> bool:
+    limit = joint.find("limit")
+    return limit is not None and "effort" in limit.attrib
+
+
+def _rubbing(tree: ElementTree.Element, names: Mapping[str, str]) -> dict[str, Rubbing]:
+    found = {}
+    for joint in tree.findall("joint"):
+        element = joint.find("dynamics")
+        rub = Rubbing(numbers(element, "friction", "0")[0], numbers(element, "damping", "0")[0])
+        if any(rub):
+            found[names[joint.get("name", "")]] = rub
+    return found

@@ -1,0 +1,149 @@
+"""URDF text -> a checked XML tree: strict numbers and a sound tree."""
+
+import math
+import re
+from collections.abc import Iterator
+from xml.etree import ElementTree
+
+from mbd_ros.core.model.urdf_reading import link_name, numbers
+from mbd_ros.core.ranges import LARGEST
+from mbd_ros.errors import ModelError
+
+MAX_CHARACTERS = 16 * 1024 * 1024
+MAX_NAME = 255
+MAX_JOINTS = 300  # that move: a Data of Pinocchio takes 32 bytes times their number cubed, 0.9 GB
+MAX_LINKS = 1000  # Pinocchio's URDF reader overflows the stack on chains of a few thousand
+JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_WITHOUT_RANGE = "limit"  # 1e308 stands for no limit in many files
+_SHORTEST_AXIS = 1.0e-9
+_NUMERIC_ATTRIBUTES = {
+    "origin": {"xyz": 3, "rpy": 3},
+    "axis": {"xyz": 3},
+    "mass": {"value": 1},
+    "inertia": {"ixx": 1, "ixy": 1, "ixz": 1, "iyy": 1, "iyz": 1, "izz": 1},
+    "limit": {"lower": 1, "upper": 1, "effort": 1, "velocity": 1},
+    "mimic": {"multiplier": 1, "offset": 1},
+    "dynamics": {"damping": 1, "friction": 1},
+}
+
+
+def parse_urdf(text: str, source: str) -> ElementTree.Element:
+    """Root element of a URDF that has passed every check of this module.
+
+    Args:
+        text: The URDF.
+        source: File or topic it came from, for the messages.
+
+    Returns:
+        The `<robot>` element.
+
+    Raises:
+        ModelError: Names source, link or joint, attribute and what is wrong.
+    """
+    if not text.strip():
+        raise ModelError(f"{source}: robot description is empty")
+    if len(text) > MAX_CHARACTERS:
+        raise ModelError(f"{source}: {len(text)} characters, accepted are {MAX_CHARACTERS}")
+    if re.search(r"<!\s*(DOCTYPE|ENTITY)", text, re.IGNORECASE):
+        raise ModelError(f"{source}: DOCTYPE and ENTITY declarations are refused")
+    try:
+        robot = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, UnicodeEncodeError) as error:
+        raise ModelError(f"{source}: not well-formed XML: {error}") from error
+    if robot.tag != "robot":
+        raise ModelError(f"{source}: root element is <{robot.tag}>, expected <robot>")
+    _check_names(robot, source)
+    _check_numbers(robot, source)
+    _check_joints(robot, source)
+    _check_tree(robot, source)
+    return robot
+
+
+def _check_names(robot: ElementTree.Element, source: str) -> None:
+    for tag in ("link", "joint"):
+        names = [element.get("name") or "" for element in robot.findall(tag)]
+        if len(names) > MAX_LINKS:
+            raise ModelError(f"{source}: {len(names)} <{tag}>, accepted are {MAX_LINKS}")
+        if "" in names:
+            raise ModelError(f"{source}: a <{tag}> has no name")
+        odd = [name for name in names if not name.isprintable() or len(name) > MAX_NAME]
+        if odd:
+            raise ModelError(
+                f"{source}: <{tag}> name {odd[0]!r}: accepted are up to {MAX_NAME} characters "
+                "that can be printed"
+            )
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise ModelError(f"{source}: <{tag}> name used twice: {', '.join(repeated)}")
+    if robot.find("link") is None:
+        raise ModelError(f"{source}: no <link>")
+
+
+def _numeric_elements(robot: ElementTree.Element) -> Iterator[tuple[str, ElementTree.Element]]:
+    for owner in (*robot.findall("link"), *robot.findall("joint")):
+        where = f"{owner.tag} '{owner.get('name')}'"
+        scope = owner.findall("inertial") if owner.tag == "link" else [owner]
+        for element in scope:
+            for child in element:
+                yield where, child
+
+
+def _check_numbers(robot: ElementTree.Element, source: str) -> None:
+    for where, element in _numeric_elements(robot):
+        for attribute, count in _NUMERIC_ATTRIBUTES.get(element.tag, {}).items():
+            text = element.get(attribute)
+            if text is None:
+                continue
+            words, what = text.split(), f"{source}: {where}: <{element.tag} {attribute}='{text}'>"
+            sound = all(_NUMBER.fullmatch(word) and math.isfinite(float(word)) for word in words)
+            if len(words) != count or not sound:
+                expected = "a finite number" if count == 1 else f"{count} finite numbers"
+                raise ModelError(f"{what}: expected {expected} such as 1.5e-3")
+            if element.tag != _WITHOUT_RANGE and max(abs(float(w)) for w in words) > LARGEST:
+                raise ModelError(f"{what}: accepted are {-LARGEST:g} .. {LARGEST:g}")
+
+
+def _check_joints(robot: ElementTree.Element, source: str) -> None:
+    moving = sum(joint.get("type") != "fixed" for joint in robot.findall("joint"))
+    if moving > MAX_JOINTS:
+        raise ModelError(f"{source}: {moving} joints that move, accepted are {MAX_JOINTS}")
+    links = {link.get("name") for link in robot.findall("link")}
+    for joint in robot.findall("joint"):
+        where = f"{source}: joint '{joint.get('name')}'"
+        kind = joint.get("type")
+        if kind not in JOINT_TYPES:
+            raise ModelError(f"{where}: type '{kind}', accepted: {', '.join(JOINT_TYPES)}")
+        for role in ("parent", "child"):
+            element = joint.find(role)
+            link = None if element is None else element.get("link")
+            if link not in links:
+                raise ModelError(f"{where}: {role} link '{link}' does not exist")
+        axis = math.hypot(*numbers(joint.find("axis"), "xyz", "1 0 0"))
+        if kind != "fixed" and axis < _SHORTEST_AXIS:
+            state = f"shorter than {_SHORTEST_AXIS:g}" if axis else "zero"
+            raise ModelError(f"{where}: axis is {state}")
+        limit, needed = joint.find("limit"), kind in ("revolute", "prismatic")
+        lacks = limit is not None and None in (limit.get("effort"), limit.get("velocity"))
+        if (needed and limit is None) or (lacks and kind != "continuous"):
+            raise ModelError(f"{where}: a {kind} joint needs <limit> with effort and velocity")
+
+
+def _check_tree(robot: ElementTree.Element, source: str) -> None:
+    parent: dict[str, str] = {}
+    for joint in robot.findall("joint"):
+        child = link_name(joint, "child")
+        if child in parent:
+            raise ModelError(f"{source}: link '{child}' is the child of two joints")
+        parent[child] = link_name(joint, "parent")
+    names = [link.get("name", "") for link in robot.findall("link")]
+    roots = [name for name in names if name not in parent]
+    if len(roots) != 1:
+        found = ", ".join(roots) or "none: the joints form a cycle"
+        raise ModelError(f"{source}: expected one root link, found {found}")
+    for name in names:
+        seen = {name}
+        while (name := parent.get(name, "")) in parent:
+            if name in seen:
+                raise ModelError(f"{source}: links form a cycle through '{name}'")
+            seen.add(name)

@@ -1,0 +1,149 @@
+"""Measured external loads on bodies."""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.state import Array, WrenchSamples
+from mbd_ros.errors import ModelError
+
+
+class ExternalWrench:
+    """A load that acts on one body, given in one frame about one point.
+
+    Args:
+        robot: Robot of the scene.
+        frame: Link that carries the load.
+        expressed_in: Frame whose axes and, without `point`, whose origin the load refers to;
+            `frame` by default.
+        point: Point that the torque is taken about, in `expressed_in` [m], shape (3,).
+        threshold: Force norm below which the load counts as zero [N], >= 0. A force plate whose
+            centre of pressure is undefined at little load needs one.
+
+    Raises:
+        ModelError: Unknown frame or negative threshold.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        frame: str,
+        expressed_in: str | None = None,
+        point: Sequence[float] = (0.0, 0.0, 0.0),
+        threshold: float = 0.0,
+    ) -> None:
+        if len(point) != 3:
+            raise ModelError(f"point {list(point)} must have 3 coordinates")
+        if threshold < 0:
+            raise ModelError(f"threshold {threshold:g} N must be >= 0")
+        self.frame, self.expressed_in = frame, expressed_in or frame
+        self.point, self.threshold = tuple(point), threshold
+        frames = robot.model.frames
+        self.body = int(frames[robot.frame(frame)].parentJoint)
+        reference = frames[robot.frame(self.expressed_in)]
+        self._carrier = int(reference.parentJoint)
+        about = pin.SE3(np.eye(3), np.array(point, dtype=np.float64))
+        self._placement = reference.placement * about
+        self._is_world_origin = self._carrier == 0 and self._placement.isIdentity()
+
+    def is_loaded(self, wrench: Array) -> bool:
+        """Whether the force exceeds the threshold; without a threshold every load counts."""
+        return self.threshold == 0.0 or float(np.linalg.norm(wrench[:3])) > self.threshold
+
+    def in_body(self, data: Any, wrench: Array) -> Any:
+        """The load in the frame of the joint that carries the body.
+
+        Args:
+            data: Pinocchio data whose joint placements `oMi` are current.
+            wrench: Force [N] then torque [N·m] in `expressed_in`, shape (6,).
+
+        Returns:
+            `pin.Force` in the local frame of joint `body`.
+        """
+        load = pin.Force(wrench)
+        if not self._is_world_origin:
+            load = (data.oMi[self._carrier] * self._placement).act(load)
+        return data.oMi[self.body].actInv(load)
+
+
+def at_stamps(samples: WrenchSamples, stamps: NDArray[np.int64], max_age: int) -> Array:
+    """A recorded load at the stamps of a motion, as `WrenchBuffer.at` gives it.
+
+    Args:
+        samples: The recording.
+        stamps: Times [ns], shape (n,).
+        max_age: How long the newest sample stands for later times [ns].
+
+    Returns:
+        Wrenches, shape (n, 6); NaN where no sample is near enough.
+    """
+    begin = samples.stamps[0]  # differences are exact as floats, times since 1970 are not
+    times, known = stamps - begin, samples.stamps - begin
+    columns = [np.interp(times, known, column) for column in samples.wrench.T]
+    wrench = np.column_stack(columns)
+    wrench[(stamps < samples.stamps[0]) | (stamps > samples.stamps[-1] + max_age)] = np.nan
+    return wrench
+
+
+class WrenchBuffer:
+    """The newest samples of one load, to be read at the stamps of joint states.
+
+    Args:
+        max_age: How long the newest sample stands for later times [ns].
+        rewind: A stamp older than the last by more than this is a new beginning [ns].
+        length: Samples kept.
+    """
+
+    def __init__(self, max_age: int, rewind: int, length: int = 256) -> None:
+        self._max_age, self._rewind = max_age, rewind
+        self._samples: deque[tuple[int, Array]] = deque(maxlen=length)
+
+    def add(self, stamp: int, wrench: Array) -> bool:
+        """Keep a sample; False if its stamp [ns] is not newer than the last one."""
+        if self._samples and stamp <= self._samples[-1][0]:
+            if self._samples[-1][0] - stamp <= self._rewind:
+                return False
+            self.clear()
+        self._samples.append((stamp, wrench))
+        return True
+
+    def clear(self) -> None:
+        """Forget all samples."""
+        self._samples.clear()
+
+    def covers(self, stamp: int) -> bool:
+        """Whether no later sample can change what `at` gives."""
+        return bool(self._samples) and self._samples[-1][0] >= stamp
+
+    def at(self, stamp: int) -> Array | None:
+        """Wrench at a time: interpolated between samples, held after the newest for `max_age`.
+
+        Args:
+            stamp: Time [ns].
+
+        Returns:
+            Force [N] then torque [N·m], shape (6,), or None where no sample is near enough.
+        """
+        later: tuple[int, Array] | None = None
+        for sample in reversed(self._samples):
+            if sample[0] <= stamp:
+                return self._between(sample, later, stamp)
+            later = sample
+        return None
+
+    def _between(
+        self, before: tuple[int, Array], after: tuple[int, Array] | None, stamp: int
+    ) -> Array | None:
+        age = stamp - before[0]
+        if age == 0:
+            return before[1]
+        if after is None:
+            return before[1] if age <= self._max_age else None
+        share = age / (after[0] - before[0])
+        return before[1] + share * (after[1] - before[1])

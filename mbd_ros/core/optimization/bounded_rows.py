@@ -1,0 +1,121 @@
+"""Gauss's principle for bounded rows: joint stops, dry friction, limited drives.
+
+    M a + h = tau + J' lam,   w = J a + drift + kd g' + kp g,   lower <= lam <= upper,
+    w = 0 inside the bounds, w >= 0 at the lower one, w <= 0 at the upper one
+
+Among all accelerations that the rows allow, a is the nearest to that of the system without them,
+in the mass metric.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.optimization.active_set import complementarity, on_active_set
+from mbd_ros.core.optimization.qp import BoxQp
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.rows.row_factor import CONTRADICTION, is_rounding
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
+
+_EXACT = 1.0e-11  # complementarity residual of the right active set, relative
+_SMALL = 1.0e-12  # A_ii [1/kg, 1/(kg m^2)] from which on a row is not looked at
+_SILENT = 1.0e-20  # of the largest A_ii: what rounding leaves of one that moves nothing
+
+
+class BoundedRows:
+    """Adds bounded rows to a system that solves everything else.
+
+    While no row acts, an evaluation costs the check and nothing more. Otherwise the rows that
+    acted last are tried first; the QP is called when they turn out to be the wrong ones.
+
+    Args:
+        constraints: The rows.
+        nv: Size of the velocity of the robot.
+        backend: Solver of the QP, see `BoxQp`.
+
+    Attributes:
+        constraints: The rows.
+        rows: One entry a row.
+        qp: The solver with its statistics.
+        multipliers: Those of the last evaluation, shape (m,).
+        force: J' lam of the last evaluation, shape (nv,).
+    """
+
+    def __init__(self, constraints: ConstraintRows, nv: int, backend: str = "proxqp") -> None:
+        self.constraints = constraints
+        self.rows = constraints.rows
+        self._lower, self._upper = constraints.lower, constraints.upper
+        self.qp = BoxQp(len(self.rows), backend)
+        self._margins = [part.quick_margin for part in constraints.parts]
+        self._idle, self._no_force = np.zeros(len(self.rows)), np.zeros(nv)
+        self.multipliers, self.force = self._idle, self._no_force
+        self._free = self._lower < 0.0
+        self._bound = np.where(np.isfinite(self._lower), self._lower, 0.0)
+
+    @property
+    def acts(self) -> bool:
+        """Whether any row was worth a solve in the last evaluation."""
+        return self.multipliers is not self._idle
+
+    def accelerate(self, system: Any, t: float, q: Array, v: Array, a: Array) -> Array:
+        """Accelerations of the integrated coordinates with the rows, shape as `a`.
+
+        Args:
+            system: The system, just evaluated at t, q, v.
+            t: Time [s].
+            q: Integrated configuration.
+            v: Integrated velocity.
+            a: Acceleration without the rows.
+
+        Raises:
+            SolveError: No rung of the ladder of `BoxQp` solves it.
+        """
+        joint_q, joint_v, joint_a = system.joint_motion(q, v, a)
+        for margin in self._margins:
+            if margin(joint_q, joint_v, joint_a) < 0.0:
+                break
+        else:
+            self.multipliers, self.force = self._idle, self._no_force
+            return a
+        if self.constraints.reads_frames:
+            system.refresh(joint_q, joint_v)
+        J, b = self.constraints.conditions(system.data, State(t, joint_q, joint_v))
+        response = system.respond(q, J.T)
+        A, w = self._without_silent(J, J.dot(response), J.dot(joint_a) + b)
+        lam = self._multipliers(A, w)
+        self.multipliers, self.force = lam, J.T.dot(lam)
+        return system.integrated(joint_a + response.dot(lam))
+
+    def _multipliers(self, A: Array, w: Array) -> Array:
+        lower, upper = self._lower, self._upper
+        lam = on_active_set(A, w, self._bound, self._free)
+        if complementarity(A, w, lower, upper, lam) <= _EXACT:
+            return np.minimum(np.maximum(lam, lower), upper)
+        lam = self.qp.solve(A, w, lower, upper)
+        self._free = (lam > lower) & (lam < upper)
+        self._bound = lam
+        return lam
+
+    def _without_silent(self, J: Array, A: Array, w: Array) -> tuple[Array, Array]:
+        """A and w without rows that nothing moves, whose multipliers are then 0.
+
+        Raises:
+            SolveError: Such a row demands a motion.
+        """
+        size = A.diagonal()
+        if size.min() > _SMALL:
+            return A, w
+        largest = size.max(initial=0.0) or 1.0
+        silent = (size <= _SILENT * largest) | is_rounding(J)
+        if not silent.any():
+            return A, w
+        left = np.maximum(
+            np.where(self._upper > 0.0, -w, 0.0), np.where(self._lower < 0.0, w, 0.0)
+        )
+        left *= silent
+        worst = int(np.argmax(left))
+        if left[worst] > CONTRADICTION * (1.0 + float(np.abs(w).max())):
+            raise SolveError(f"nothing moves constraint row {self.rows[worst].name} as it demands")
+        kept = np.outer(~silent, ~silent)
+        return np.where(kept, A, np.diag(largest * silent)), np.where(silent, 0.0, w)

@@ -1,0 +1,162 @@
+"""The smallest vector within limits, some of which give way where not all can be kept.
+
+    min 1/2 |y|²   subject to   lower <= G y <= upper
+
+The first n rows of G, a regular matrix, are hard. Where the soft rows cannot be kept beside them,
+their excess is the least possible: sum (excess / |row|)² first, |y|² among what attains it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.optimization.acting_limits import Candidate, Sides, candidate
+from mbd_ros.core.optimization.boxed_rows import BoxedRows
+from mbd_ros.core.optimization.elastic_qp import ElasticQp
+from mbd_ros.core.state import Array
+from mbd_ros.errors import SolveError
+
+_COMPLIANCE = 1.0e-6  # of a soft row of length one
+_ACTS = 1.0e-7  # multiplier of a limit that acts; the largest gap is 1
+_CHANGES = 4  # of the acting limits on one rung
+_UNREACHED = 1.0e-9  # of the longest soft row: nothing moves it
+_AT_LIMIT = 1.0e-9  # of the largest gap
+_TINY = 1.0e-300
+
+
+class Counts(NamedTuple):
+    """How the solves of a `LimitedQp` went.
+
+    Attributes:
+        solves: Problems in all.
+        softened: Those whose soft rows cannot all be kept.
+        qp: Those that reached ProxQP.
+        cold: Those that needed a restart from nothing.
+        boxed: Those that ProxQP did not solve.
+        damped: Those that end with soft rows that yield a little more than they must.
+        failed: Those without an answer.
+    """
+
+    solves: int = 0
+    softened: int = 0
+    qp: int = 0
+    cold: int = 0
+    boxed: int = 0
+    damped: int = 0
+    failed: int = 0
+
+
+class LimitedQp:
+    """Solves the problem above; an answer is exact on its acting limits, and checked.
+
+    The ladder: the limits that acted twice before; those of a kept ProxQP whose soft rows yield
+    a little; the same from nothing; those of a descent in the box of the hard rows; then the
+    answer of that descent, whose excess is nearly the least. On all rungs but the last the
+    conditions of the optimum are recomputed, and limits exchanged where they do not hold.
+
+    Args:
+        n: Size of y, and number of hard rows.
+        soft: Number of soft rows.
+
+    Attributes:
+        counts: So far.
+
+    Raises:
+        ModelError: proxsuite is not installed.
+    """
+
+    def __init__(self, n: int, soft: int) -> None:
+        self.counts = Counts()
+        self._n = n
+        self._qp = ElasticQp(n, soft, _COMPLIANCE)
+        self._side: Sides = np.zeros(n + soft, dtype=np.int8)
+        self._is_steady = False  # whether the same limits acted twice
+
+    def solve(self, G: Array, lower: Array, upper: Array) -> Candidate:
+        """The optimum.
+
+        Args:
+            G: Rows, shape (n + soft, n).
+            lower: Shape (n + soft,), -inf without a limit.
+            upper: Same, >= lower.
+
+        Raises:
+            SolveError: Input that is not finite, lower > upper, or hard rows that are singular.
+        """
+        if not (np.isfinite(G).all() and (lower <= upper).all()):
+            raise SolveError("QP refused: a row is not finite, or lower > upper")
+        self._count("solves")
+        G, lower, upper = self._scaled(G, lower, upper)
+        size = max(float(lower.max()), float(-upper.min()), _TINY)
+        try:
+            found = self._exact(G, lower, upper, size) or self._damped(G, lower, upper, size)
+        except np.linalg.LinAlgError as error:
+            self._count("failed")
+            raise SolveError(f"QP not solved: {error}") from error
+        if found.is_softened:
+            self._count("softened")
+        self._is_steady = bool((found.side == self._side).all())
+        self._side = found.side
+        return found
+
+    def _count(self, what: str) -> None:
+        self.counts = self.counts._replace(**{what: getattr(self.counts, what) + 1})
+
+    def _scaled(self, G: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
+        """Rows of length one; those that nothing moves have no limit."""
+        length = np.sqrt((G * G).sum(axis=1))
+        soft = length[self._n :]
+        scale = 1.0 / np.maximum(length, _TINY)
+        low, high = scale * lower, scale * upper
+        unmoved = self._n + (soft <= _UNREACHED * soft.max(initial=0.0)).nonzero()[0]
+        scale[unmoved], low[unmoved], high[unmoved] = 0.0, -np.inf, np.inf
+        return scale[:, None] * G, low, high
+
+    def _exact(self, G: Array, lower: Array, upper: Array, size: float) -> Candidate | None:
+        if self._is_steady:
+            found = candidate(G, lower, upper, self._side, self._n, size)
+            if found.is_optimal:
+                return found
+        E = _inverse(G[: self._n])
+        C = G[self._n :].dot(E)
+        for rung in ("qp", "cold", "boxed"):
+            self._count(rung)
+            if rung == "boxed":
+                side = _at_limits(G.dot(_boxed(G, lower, upper)), lower, upper, size)
+            else:
+                scaled = lower / size, upper / size
+                force = self._qp.multipliers(E, C, *scaled, cold=rung == "cold")
+                side = np.where(np.abs(force) > _ACTS, np.sign(force), 0.0).astype(np.int8)
+            for _ in range(_CHANGES):
+                found = candidate(G, lower, upper, side, self._n, size)
+                if found.is_optimal:
+                    return found
+                side = found.side
+        return None
+
+    def _damped(self, G: Array, lower: Array, upper: Array, size: float) -> Candidate:
+        self._count("damped")
+        y = _boxed(G, lower, upper)
+        reached = G.dot(y)
+        excess = float(np.maximum(lower - reached, reached - upper).max())
+        side = _at_limits(reached, lower, upper, size)
+        return Candidate(y, side, excess > _AT_LIMIT * size, False)
+
+
+def _boxed(G: Array, lower: Array, upper: Array) -> Array:
+    """The y where stiff soft rows yield, with hard rows kept in any case."""
+    n = G.shape[1]
+    E = _inverse(G[:n])
+    rows = BoxedRows(E, G[n:].dot(E), lower[n:], upper[n:])
+    return E.dot(rows.solve(lower[:n], upper[:n]))
+
+
+def _inverse(T: Array) -> Array:
+    return np.asarray(np.linalg.inv(T), dtype=np.float64)
+
+
+def _at_limits(reached: Array, lower: Array, upper: Array, size: float) -> Sides:
+    """The limits that are reached or passed."""
+    slack = _AT_LIMIT * size
+    below, above = reached <= lower + slack, reached >= upper - slack
+    return below.astype(np.int8) - (above & ~below).astype(np.int8)

@@ -1,0 +1,186 @@
+"""The nearest state on the constraint manifold, in the mass metric.
+
+Position: min |q - q0|_M subject to g(t, q) = 0. Velocity: min |v - v0|_M subject to
+J v + dg/dt = 0. Source: E. Eich, SIAM J. Numer. Anal. 30 (1993).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.rows.row_factor import RowFactor
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
+
+_MAX_ITERATIONS = 100
+_POSITION = 1.0e-13  # [m or rad]: some rounding errors of a mechanism of metres
+_ACCEPTED = 1.0e-9  # a residual that no longer shrinks but is still an assembled mechanism
+_NEAREST = 1.0e-10  # step that no longer brings the state nearer [rad or m]
+_SMALLEST_STEP = 1.0e-6
+_VELOCITY = 1.0e-12  # rate of the rows that is rounding [m/s or rad/s], relative above 1
+_CORRECTIONS, _VELOCITY_CORRECTIONS = 12, 3
+_SHRINKS, _STUCK = 0.1, 4  # when rows count as having turned; how often they may
+_OPEN = 1.0e-6  # what rows at a toggle may leave open [m or rad]
+_STEP = 0.5  # largest step of one joint in one iteration [rad or m], so that the branch is kept
+
+
+class Drift(NamedTuple):
+    """How far a state is off the constraints.
+
+    Attributes:
+        position: Largest |g| [m or rad].
+        velocity: Largest |g'| [m/s or rad/s].
+    """
+
+    position: float
+    velocity: float
+
+
+def drift(system: System, x: State) -> Drift:
+    """How far a state of the integrated coordinates violates the bilateral rows."""
+    if not system.rows:
+        return Drift(0.0, 0.0)
+    g = system.residual(x.t, x.q)
+    rate = system.jacobian(x.t, x.q).dot(x.v) + system.rate(x.t, x.q)
+    return Drift(float(np.abs(g).max()), float(np.abs(rate).max()))
+
+
+def project(system: System, x: State) -> State:
+    """A state near the constraints moved onto them, for use after every step.
+
+    Rows that are dependent or at a toggle are left out there. `system.condition` is brought up to
+    date.
+
+    Raises:
+        SolveError: The state is too far away; names the time, and the row that stays open.
+    """
+    if not system.rows:
+        return x
+    try:
+        return _projected(system, x)
+    except SolveError as error:
+        raise SolveError(f"at t = {x.t:.9g} s: {error}") from error
+
+
+def _projected(system: System, x: State) -> State:
+    q, factor = _closed_nearby(system, x)
+    J, rate = system.jacobian(x.t, q), system.rate(x.t, q)
+    v, slow = x.v, _VELOCITY * (1.0 + float(np.abs(x.v).max()))
+    for attempt in range(_VELOCITY_CORRECTIONS):
+        if attempt == _VELOCITY_CORRECTIONS - 1:  # the rows have turned since they were factorised
+            factor = system.factorise(system.mass(q), J)
+        v = _consistent_velocity(v, J, rate, factor)
+        if float(np.abs(J.dot(v) + rate).max()) <= slow:
+            break
+    return State(x.t, q, v)
+
+
+def _closed_nearby(system: System, x: State) -> tuple[Array, RowFactor]:
+    """Newton's method with the rows of the start for as long as they serve."""
+    q, g = x.q, system.residual(x.t, x.q)
+    factor = system.factorise(system.mass(q), system.jacobian(x.t, q))
+    last, stuck = float(np.abs(g).max()), 0
+    for _ in range(_CORRECTIONS):
+        q = system.integrate(q, -factor.X.dot(factor.solve(g)))
+        g = system.residual(x.t, q)
+        worst = float(np.abs(g).max())
+        if worst <= _POSITION:
+            return q, factor
+        if not worst <= _SHRINKS * last:
+            stuck += 1
+            if worst <= _ACCEPTED or stuck == _STUCK or not worst < np.inf:
+                break
+            factor = system.factorise(system.mass(q), system.jacobian(x.t, q))
+        last = worst
+    if not worst <= _OPEN:
+        row = system.rows[int(np.argmax(np.abs(g)))].name
+        raise SolveError(
+            f"row {row} is {worst:.3g} m or rad open and does not close: the step was too long, "
+            "or the measurement does not fit the mechanism"
+        )
+    return q, factor
+
+
+def assemble(system: System, x: State) -> State:
+    """The nearest consistent state to one that may be far off, on its branch.
+
+    Args:
+        system: The system.
+        x: Any finite state of the integrated coordinates.
+
+    Raises:
+        SolveError: There is none near it; names the worst row and its residual.
+    """
+    if not system.rows:
+        return x
+    q = _nearest_configuration(system, x)
+    J, rate = system.jacobian(x.t, q), system.rate(x.t, q)
+    v, factor = x.v, system.factorise(system.mass(q), J)
+    for _ in range(_VELOCITY_CORRECTIONS):  # redundant rows leave some of the first one's error
+        v = _consistent_velocity(v, J, rate, factor)
+        left = J.dot(v) + rate
+        if float(np.abs(left).max()) <= _VELOCITY * (1.0 + float(np.abs(v).max())):
+            break
+    worst = int(np.argmax(np.abs(left)))
+    if not abs(left[worst]) <= _ACCEPTED * (1.0 + float(np.abs(x.v).max())):
+        raise SolveError(
+            f"no consistent velocity: row {system.rows[worst].name} keeps a rate of "
+            f"{left[worst]:.3g} per second; it contradicts the other rows"
+        )
+    return State(x.t, q, v)
+
+
+def _nearest_configuration(system: System, x: State) -> Array:
+    """Along the manifold, downhill in the distance to the start, from where Newton lands on it."""
+    M = system.mass(x.q)
+    landed, step = _closed(system, x.t, x.q, M), 1.0
+    if landed is None:
+        raise _not_assembled(system, x)
+    q = landed
+    away = system.difference(x.q, q)
+    for _ in range(_MAX_ITERATIONS):
+        J = system.jacobian(x.t, q)
+        factor = RowFactor(M, J)
+        downhill = factor.X.dot(factor.solve(J.dot(away))) - away
+        if np.abs(downhill).max() <= _NEAREST or step < _SMALLEST_STEP:
+            break
+        nearer = _closed(system, x.t, system.integrate(q, step * downhill), M)
+        if nearer is not None:
+            there = system.difference(x.q, nearer)
+            if there.dot(M.dot(there)) < away.dot(M.dot(away)):
+                q, away = nearer, there
+                continue
+        step *= 0.5
+    return q
+
+
+def _closed(system: System, t: float, start: Array, M: Array) -> Array | None:
+    """Newton's method with the shortest steps in the metric M; None if it does not close g."""
+    q = start
+    for _ in range(_MAX_ITERATIONS):
+        g = system.residual(t, q)
+        worst = float(np.abs(g).max())
+        if worst <= _POSITION:
+            return q
+        factor = RowFactor(M, system.jacobian(t, q))
+        dq = -factor.X.dot(factor.solve(g))
+        largest = float(np.abs(dq).max())
+        if not largest > _POSITION:
+            break
+        q = system.integrate(q, dq * min(1.0, _STEP / largest))
+    return q if float(np.abs(system.residual(t, q)).max()) <= _ACCEPTED else None
+
+
+def _not_assembled(system: System, x: State) -> SolveError:
+    g = np.abs(system.residual(x.t, x.q))
+    row = system.rows[int(np.argmax(g))]
+    return SolveError(
+        f"the mechanism cannot be assembled near this position: row {row.name} is "
+        f"{g.max():.3g} m or rad open and does not close; move the initial positions, or look for "
+        "constraints that contradict one another"
+    )
+
+
+def _consistent_velocity(v: Array, J: Array, rate: Array, factor: RowFactor) -> Array:
+    return v - factor.X.dot(factor.solve(J.dot(v) + rate))

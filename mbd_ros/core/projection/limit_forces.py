@@ -1,0 +1,130 @@
+"""Forces of joint limits that keep a move within them.
+
+    w = p + C mu,   low <= w <= high,   mu >= 0 at `low`, mu <= 0 at `high`, 0 elsewhere
+
+p is the move without limits and C the compliance: moves per force, constraints kept.
+"""
+
+from typing import Protocol
+
+import eigenpy
+import numpy as np
+
+from mbd_ros.core.optimization.pushing_bounds import PushingBounds
+from mbd_ros.core.optimization.qp import Statistics
+from mbd_ros.core.state import Array
+
+REACHED = 1.0e-9  # distance from a limit that counts as reached [rad or m]
+_CLOSED = 1.0e-12  # of the largest gap: what may be left of it
+_EXCHANGES = 6
+_BLOCKED = 1.0e-12  # what constraints leave of the mobility of a joint that they fix
+
+
+def stops(q: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Smallest and largest velocities, shapes (n,), that do not lead out of a reached limit.
+
+    Args:
+        q: Configuration, shape (n,).
+        lower: Smallest positions, shape (n,).
+        upper: Largest positions, shape (n,).
+    """
+    floor = np.where(q <= lower + REACHED, 0.0, -np.inf)
+    return floor, np.where(q >= upper - REACHED, 0.0, np.inf)
+
+
+class Compliance(Protocol):
+    """How joints answer forces."""
+
+    def moves(self, forces: Array) -> Array:
+        """C times forces, one a column, shape (n, k)."""
+
+    def mobility(self) -> Array:
+        """Moves per force of each joint if nothing constrained it, shape (n,)."""
+
+
+class LimitForces:
+    """Solves the problem above by exchanging limits, or else by a QP in mu.
+
+    Limits are exchanged all at once, from those that acted last: those that pull leave, those that
+    are violated join. Source: M. Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13 (2002).
+
+    Args:
+        n: Number of joints.
+        bounded: Whether bounds may ever be finite; without, no QP solver is imported.
+
+    Attributes:
+        solves: How often a limit acted.
+    """
+
+    def __init__(self, n: int, bounded: bool) -> None:
+        self._pushers = PushingBounds(2 * n) if bounded else None
+        self._sides, self._identity = np.repeat([1.0, -1.0], n), np.eye(n)
+        self._acting = np.zeros(n)  # 1 at a lower limit, -1 at an upper one
+        self.solves = 0
+
+    @property
+    def statistics(self) -> Statistics:
+        """How the QPs went."""
+        return Statistics() if self._pushers is None else self._pushers.statistics
+
+    def solve(self, compliance: Compliance, p: Array, low: Array, high: Array) -> Array | None:
+        """The forces mu, shape (n,); None where p is within the bounds.
+
+        Args:
+            compliance: C.
+            p: Move without bounds, shape (n,).
+            low: Smallest move, shape (n,).
+            high: Largest move, shape (n,).
+
+        Raises:
+            SolveError: The bounds contradict the constraints, or something is not finite.
+        """
+        if self._pushers is None or not ((p < low) | (p > high)).any():
+            return None
+        self.solves += 1
+        mu = self._by_exchange(compliance, p, low, high)
+        if mu is None:
+            mu = self._by_program(self._pushers, compliance, p, low, high)
+        self._acting = np.sign(mu)
+        return mu
+
+    def _by_exchange(
+        self, compliance: Compliance, p: Array, low: Array, high: Array
+    ) -> Array | None:
+        """Mu if the exchange ends soon, with limits that do not depend on one another."""
+        acting = self._acting if self._acting.any() else _violated(p, low, high)
+        for _ in range(_EXCHANGES):
+            bound = np.where(acting > 0.0, low, high)
+            rows = (np.isfinite(bound) & (acting != 0.0)).nonzero()[0]
+            if not len(rows):
+                return None
+            pushes, gap = self._identity[:, rows], bound[rows] - p[rows]
+            moves = compliance.moves(pushes)
+            force = eigenpy.LDLT(moves[rows]).solve(gap).reshape(gap.shape)
+            moved, slack = p + moves.dot(force), _CLOSED * float(np.abs(gap).max())
+            pulls = force * acting[rows] < 0.0
+            beyond = (moved < low - slack) | (moved > high + slack)
+            if not (pulls.any() or beyond.any()):
+                closed = np.abs(moved[rows] - bound[rows]) <= slack
+                return pushes.dot(force) if closed.all() else None
+            acting = np.where(beyond, _violated(moved, low, high), acting)
+            acting[rows[pulls]] = 0.0
+        return None
+
+    def _by_program(
+        self, pushers: PushingBounds, compliance: Compliance, p: Array, low: Array, high: Array
+    ) -> Array:
+        """A force >= 0 at each lower and each upper bound."""
+        C, mobility = compliance.moves(self._identity), compliance.mobility()
+        gap = np.concatenate([p - low, high - p])
+        A = self._sides[:, None] * np.tile(0.5 * (C + C.T), (2, 2)) * self._sides
+        movable = np.isfinite(gap) & (A.diagonal() > _BLOCKED * np.tile(mobility, 2))
+        scale = np.where(movable, 1.0 / np.sqrt(np.where(movable, A.diagonal(), 1.0)), 0.0)
+        scaled = scale[:, None] * A * scale, scale * np.where(movable, gap, 0.0)
+        force = scale * pushers.solve(*scaled)
+        return force[: len(p)] - force[len(p) :]
+
+
+def _violated(p: Array, low: Array, high: Array) -> Array:
+    """1 where p is below `low`, -1 where it is above `high`, shape (n,)."""
+    return np.where(p < low, 1.0, np.where(p > high, -1.0, 0.0))

@@ -1,0 +1,158 @@
+"""The nearest state where couplings are all there is, in the independent coordinates.
+
+    position   min 1/2 p' W p,  p = F(z) - q_m   subject to  lower <= F(z) <= upper
+    velocity   min 1/2 p' W p,  p = G z' - v_m   subject to  floor <= G z' <= ceiling
+
+The position by Newton's method: gradient G' W p, Hessian G' W G + diag(h), where h_k is the sum of
+(W p)_i d2F_i/dz_k2 over the joints i that follow z_k. Source: J. Nocedal and S. Wright, Numerical
+Optimization, 2006, ch. 3.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.projection.coupled_joints import CoupledJoints, Place, Tangent
+from mbd_ros.core.projection.limit_forces import REACHED, LimitForces, stops
+from mbd_ros.core.projection.nearest_point import Nearest
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
+
+_ITERATIONS = 12
+_NEAREST = 1.0e-11  # step that no longer brings the configuration nearer [rad or m]
+_WITHIN = 1.0e-13  # distance from a limit that is rounding [rad or m]
+_SLOW = 0.1  # step over the last one from which a new Hessian pays
+_STEP = 0.5  # longest step of one iteration [rad or m], so that the branch is kept
+_ON_MANIFOLD = 1.0e-12  # accepted |g| [rad or m], and |g'| per unit of velocity
+
+
+class _Stationary(NamedTuple):
+    """Where Newton's method ends.
+
+    Attributes:
+        place: F there.
+        pull: W p, shape (n,).
+        mu: Forces of the limits, shape (n,); None where none acts.
+        clearance: Distance from the nearest limit [rad or m].
+        iterations: Steps, the last of which changed nothing.
+    """
+
+    place: Place
+    pull: Array
+    mu: Array | None
+    clearance: float
+    iterations: int
+
+
+class NearestCoupled:
+    """Tries without limits first, unless some acted last time; with them, from within them.
+
+    Args:
+        joints: The couplings.
+        lower: Smallest positions [rad or m], shape (n,).
+        upper: Largest positions [rad or m], shape (n,).
+        of_position: Forces of the limits.
+        of_velocity: Forces of those that are reached.
+    """
+
+    def __init__(
+        self,
+        joints: CoupledJoints,
+        lower: Array,
+        upper: Array,
+        of_position: LimitForces,
+        of_velocity: LimitForces,
+    ) -> None:
+        self._joints, self._lower, self._upper = joints, lower, upper
+        self._of_position, self._of_velocity = of_position, of_velocity
+        self._zero, self._limits_act = np.zeros(len(lower)), False
+
+    def find(self, x: State, W: Array, W_velocity: Array) -> Nearest | None:
+        """The nearest state; None where this method does not find it.
+
+        Args:
+            x: The measurement, from which it starts.
+            W: Metric of positions, definite along G, shape (n, n).
+            W_velocity: The same of velocities.
+        """
+        try:
+            found = None if self._limits_act else self._stationary(x.q, W, limits_act=False)
+            found = found or self._stationary(x.q, W, limits_act=True)
+            if found is None:
+                return None
+            place, pull, mu, clearance, iterations = found
+            q = place.q if clearance > _WITHIN else self._on_limits(place.q)
+            v = self._velocity(q, place.slope, W_velocity, x.v, clearance <= REACHED)
+        except SolveError:  # in one linearisation; another way may lead to the limits
+            return None
+        self._limits_act = mu is not None
+        if not self._is_consistent(q, v):
+            return None
+        lam = self._joints.multipliers(pull if mu is None else pull - mu, place.link_slopes)
+        return Nearest(q, v, lam, self._zero if mu is None else mu, iterations, 1.0)
+
+    def violation(self, x: State) -> tuple[Array, Array]:
+        """Residual g and its rate g' at any state, shapes (m,) and (m,)."""
+        return self._joints.violation(x.q, x.v)
+
+    def _stationary(self, measured: Array, W: Array, *, limits_act: bool) -> _Stationary | None:
+        """Newton's method; a Hessian serves as long as it makes steps much shorter."""
+        ancestry, start = self._joints.ancestry, measured
+        if limits_act:
+            start = np.minimum(np.maximum(measured, self._lower), self._upper)
+        tangent, mu, length, last = None, None, math.inf, math.inf
+        for iteration in range(1, _ITERATIONS + 1):
+            place = self._joints.at(start)
+            pull = W.dot(place.q - measured)
+            gradient = (pull * place.slope).dot(ancestry)
+            if tangent is None or limits_act or length > _SLOW * last:
+                forces = pull if mu is None else pull - mu
+                tangent = Tangent(ancestry, place.slope, W, forces * place.curvature)
+                is_convex = tangent.is_convex
+                if not is_convex:
+                    tangent = Tangent(ancestry, place.slope, W)
+            step = tangent.along(-gradient)
+            if limits_act:
+                ends = self._lower - place.q, self._upper - place.q
+                mu = self._of_position.solve(tangent, step, *ends)
+                step = step if mu is None else step + tangent.moves(mu)
+            last, length = length, _norm(step)
+            if length <= _NEAREST:
+                clearance = self._clearance(place.q)
+                if clearance >= -_WITHIN and (is_convex or mu is not None):
+                    return _Stationary(place, pull, mu, clearance, iteration)
+                if not limits_act:
+                    return None
+            start = place.q + (step if length <= _STEP else step * (_STEP / length))
+        return None
+
+    def _velocity(
+        self, q: Array, slope: Array, W: Array, measured: Array, is_at_limit: bool
+    ) -> Array:
+        tangent = Tangent(self._joints.ancestry, slope, W)
+        v = tangent.moves(W.dot(measured))
+        if is_at_limit:
+            floor, ceiling = stops(q, self._lower, self._upper)
+            mu = self._of_velocity.solve(tangent, v, floor, ceiling)
+            v = v if mu is None else v + tangent.moves(mu)
+            v = np.minimum(np.maximum(v, floor), ceiling)
+        return v
+
+    def _clearance(self, q: Array) -> float:
+        """Distance from the nearest limit, negative beyond it [rad or m]."""
+        return min(min((q - self._lower).tolist()), min((self._upper - q).tolist()))
+
+    def _on_limits(self, q: Array) -> Array:
+        """The configuration with its joints exactly on limits that they reach."""
+        q = np.where(q - self._lower <= _WITHIN, self._lower, q)
+        return np.where(self._upper - q <= _WITHIN, self._upper, q)
+
+    def _is_consistent(self, q: Array, v: Array) -> bool:
+        g, rate = self._joints.violation(q, v)
+        size = 1.0 + _norm(v)
+        return _norm(g) <= _ON_MANIFOLD and _norm(rate) <= _ON_MANIFOLD * size < math.inf
+
+
+def _norm(vector: Array) -> float:
+    return math.sqrt(vector.dot(vector))

@@ -1,0 +1,47 @@
+"""Measured independent joints -> a consistent state of all joints."""
+
+import numpy as np
+
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.model.couplings import Couplings, Slopes
+from mbd_ros.core.projection.assembly import project
+from mbd_ros.core.state import Array, State
+
+
+class ObservedState:
+    """Adds the dependent joints, and moves what loops close onto them.
+
+    Args:
+        system: Whose bilateral rows are to be kept.
+        couplings: The dependent joints.
+
+    Attributes:
+        moved: How far a joint of the last state was moved onto the loops [rad or m].
+        dependent: Positions of the dependent joints of the last state [rad or m].
+    """
+
+    def __init__(self, system: System, couplings: Couplings) -> None:
+        self._system, self._couplings = system, couplings
+        self._neutral, self._nv = system.robot.neutral(), int(system.robot.model.nv)
+        self._slopes: Slopes = [0.0] * len(couplings.links)
+        self._dependent_q = [link.child_q for link in couplings.links]
+        self.moved, self.dependent = 0.0, np.zeros(len(couplings.links))
+
+    def state(self, t: float, position: Array, velocity: Array) -> State:
+        """The state at a time.
+
+        Args:
+            t: [s].
+            position: Independent joints [rad or m], shape (nz,).
+            velocity: [rad/s or m/s], shape (nv_z,).
+        """
+        q, v = self._neutral.copy(), np.zeros(self._nv)
+        q[self._couplings.q_index], v[self._couplings.v_index] = position, velocity
+        if self._couplings.links:
+            self._couplings.expand(q, v, np.zeros(self._nv), self._slopes)
+            self.dependent = q[self._dependent_q]
+        x = State(t, q, v)
+        if self._system.rows:
+            x = project(self._system, x)
+            self.moved = float(np.abs(x.q - q).max())
+        return x

@@ -1,0 +1,175 @@
+"""A simulation that is stepped tick by tick while commands come in."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.model.robot import Joint
+from mbd_ros.core.parts import Row, Wrench
+from mbd_ros.core.projection.assembly import Drift, drift
+from mbd_ros.core.simulation.command_watch import CommandWatch
+from mbd_ros.core.simulation.safe_command import SafeCommand
+from mbd_ros.core.simulation.simulation import Simulation, last_finite
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import DivergedError, MbdError, ModelError, SolveError
+
+_FITS = 1.0e-9  # of a step: two periods that are meant to be the same
+
+
+class Moment(NamedTuple):
+    """One state of a simulation with the forces that led to it.
+
+    Attributes:
+        t: Time [s].
+        position: Joints in the order of the robot [rad or m], shape (n,).
+        velocity: [rad/s or m/s], shape (n,).
+        acceleration: [rad/s^2 or m/s^2], shape (n,), under the command that ends here.
+        effort: What the actuators exert on each joint [N·m or N], shape (n,).
+        multipliers: Of the rows of the system, shape (m,).
+    """
+
+    t: float
+    position: Array
+    velocity: Array
+    acceleration: Array
+    effort: Array
+    multipliers: Array
+
+
+class LiveSimulation:
+    """Simulates a scene in ticks; a command holds over a tick.
+
+    Args:
+        build: Makes the simulation; asked again by `reset`, so that no history remains and a
+            replay gives the same bits.
+        initial: State of all joints at the start.
+        period: Length of a tick [s], a whole number of steps.
+        watch: Takes the commands, in the order of `Loads.commands`.
+        safe: What acts when no command does.
+
+    Attributes:
+        simulation: At work since the last reset.
+        watch: As given.
+        now: The newest state; after a divergence the last finite one.
+        fault: Why it diverged; empty as long as it did not.
+
+    Raises:
+        ModelError: The period is no whole number of steps; the base floats.
+        MbdError: The mechanism cannot be assembled, or its first state is not finite.
+    """
+
+    def __init__(
+        self,
+        build: Callable[[], Simulation],
+        initial: State,
+        period: float,
+        watch: CommandWatch,
+        safe: SafeCommand,
+    ) -> None:
+        self._build, self._initial, self._period = build, initial, period
+        self.watch, self._safe = watch, safe
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the initial state, with no memory of anything since."""
+        simulation = self._build()
+        robot, dt = simulation.system.robot, simulation.dt
+        if robot.floating:
+            raise ModelError("joint states carry no pose of a floating base; use base: fixed")
+        self._count = round(self._period / dt)
+        if self._count < 1 or abs(self._count * dt - self._period) > _FITS * dt:
+            raise ModelError(
+                f"a tick of {self._period:g} s is no whole number of steps of dt {dt:g} s; "
+                "choose another rate or dt"
+            )
+        self._q = np.array([joint.q for joint in robot.joints])
+        self._v = np.array([joint.v for joint in robot.joints])
+        commands = simulation.system.loads.commands
+        driven = [robot.joint(name).v for name in commands]
+        self._driven = np.array(driven, dtype=np.intp)
+        self._selection = np.eye(robot.model.nv)[:, self._driven]
+        self.simulation, self.fault, self._steps = simulation, "", 0
+        self.watch.restart()
+        self._y = simulation.start(self._initial)
+        self._x, self.now = self._observe(self._y, None)
+
+    def tick(self) -> Moment:
+        """Advance by one period.
+
+        Raises:
+            DivergedError: The state, or what follows from it, is no longer finite, now or since
+                the last reset. `now` stays.
+            SolveError: The equations have no solution. `now` stays, and so does the fault.
+        """
+        if self.fault:
+            raise DivergedError(f"{self.fault}; reset it first")
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # a divergence says so itself
+                self.watch.begin(self._period)
+                u = self._command()
+                y = self._y
+                for k in range(self._steps + 1, self._steps + self._count + 1):
+                    y = self.simulation.advance(y, u, self._initial.t + k * self.simulation.dt)
+                x, now = self._observe(y, u)
+        except (DivergedError, SolveError) as error:
+            self.fault = str(error)
+            raise
+        self._y, self._x, self.now = y, x, now
+        self._steps += self._count
+        return now
+
+    def drift(self) -> Drift:
+        """How far the newest state is off the bilateral rows."""
+        return drift(self.simulation.system, self._y)
+
+    def wrenches(self) -> tuple[Wrench, ...]:
+        """What bilateral rows exert on bodies at the newest state."""
+        return self.simulation.system.wrenches(self._y, self.now.multipliers)
+
+    def _command(self) -> Array | None:
+        """Commands of this tick, shape (nu,)."""
+        watch, loads = self.watch, self.simulation.system.loads
+        if not loads.actuators:
+            return None
+        if watch.held is not None and watch.weight == 0.0:
+            return watch.held
+        safe = loads.command(self._safe_torque(), self._x)
+        if watch.held is None:
+            return safe
+        return (1.0 - watch.weight) * watch.held + watch.weight * safe
+
+    def _safe_torque(self) -> Array:
+        """Of the actuated joints, shape (nu,)."""
+        v = self._x.v[self._driven]
+        if self._safe.is_zero:
+            return np.zeros(len(v))
+        system = self.simulation.system
+        system.acceleration(*self._y)  # `respond` answers for the state of the last evaluation
+        response = system.respond(self._y.q, self._selection)[self._driven]
+        return self._safe.torque(v, response, self._period)
+
+    def _observe(self, y: State, u: Array | None) -> tuple[State, Moment]:
+        system = self.simulation.system
+        x = system.expand(y)
+        a, multipliers = system.solve(y, u)
+        effort = system.loads.actuator_torque(x, u)
+        now = Moment(
+            x.t, x.q[self._q], x.v[self._v], a[self._v], effort[self._v], multipliers.copy()
+        )
+        for name, values in zip(now._fields[1:], now[1:], strict=True):
+            if not np.isfinite(values).all():
+                raise _not_finite(self, name, values, y)
+        return x, now
+
+
+def _not_finite(live: LiveSimulation, name: str, values: Array, y: State) -> MbdError:
+    """The error that names what is lost, and the last finite state if there is one."""
+    system = live.simulation.system
+    things: Sequence[Row | Joint] = system.robot.joints
+    if name == "multipliers":
+        things = system.multiplier_rows
+    finite = np.isfinite(values)
+    lost = ", ".join(thing.name for thing, ok in zip(things, finite, strict=True) if not ok)
+    kept = last_finite(system, live._y)
+    return DivergedError(f"diverged at t = {y.t:.9g} s: {name} of {lost} not finite; {kept}")

@@ -1,0 +1,133 @@
+"""Simulations that hardly go on: what their steps come to, and why they are so short."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.integration.linear_motion import linear_motion
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import DivergedError, SolveError
+
+Notice = Callable[[str], None]
+WINDOW = 10_000  # steps between two looks
+_SHORTENED, _SHORT = 0.05, 5.0e-5  # mean step, in dt
+_LONG, _HOPELESS = 3.0e6, 3.0e7  # steps left at this pace: minutes, and hours
+PATIENCE = 3  # windows in a row without hope
+_AT_THE_LIMIT = 0.3  # rate times step from which on the rate explains the step
+
+
+class StallWatch:
+    """Looks at the pace of a simulation, every `WINDOW` steps.
+
+    A run is slow where the method has shortened its steps and millions of them are left: that is
+    said once. It is hopeless where it takes more than 20 000 steps an interval of the output and
+    tens of millions are left, three looks in a row. A stiff scene whose end is within reach goes
+    on, and so does one that is slow for a while.
+
+    Args:
+        system: The system.
+        dt: Interval of the output [s].
+        notice: Is told of a slow run; None is nobody.
+    """
+
+    def __init__(self, system: System, dt: float, notice: Notice | None = None) -> None:
+        self._system, self._dt, self._notice = system, dt, notice
+        self._hopeless, self._t = 0, 0.0
+
+    def begin(self, t: float) -> None:
+        """Start to look at a time [s]."""
+        self._hopeless, self._t = 0, t
+
+    def look(self, x: State, u: Array | None, end: float) -> None:
+        """Judge the last `WINDOW` steps.
+
+        Args:
+            x: State of the integrated coordinates now.
+            u: Commands.
+            end: Time at which the run is to end [s].
+
+        Raises:
+            DivergedError: There is no hope; names joint, time and likely cause.
+        """
+        step, self._t = (x.t - self._t) / WINDOW, x.t
+        left = (end - x.t) / max(step, 1.0e-300)
+        if step > _SHORTENED * self._dt or left < _LONG:
+            self._hopeless = 0
+            return
+        is_hopeless = step < _SHORT * self._dt and left > _HOPELESS
+        self._hopeless = self._hopeless + 1 if is_hopeless else 0
+        if self._hopeless < PATIENCE and self._notice is None:
+            return
+        text = _described(self._system, x, u, step, end)
+        if self._hopeless >= PATIENCE:
+            raise DivergedError(f"stalled: {text}")
+        if self._notice is not None:
+            self._notice(text)
+            self._notice = None
+
+
+def refuse_crawl(
+    system: System, x: State, u: Array | None, step: float, dt: float, end: float
+) -> None:
+    """Refuse to go on within a tick that has taken `PATIENCE` windows of steps.
+
+    Args:
+        system: The system.
+        x: State of the integrated coordinates now.
+        u: Commands.
+        step: Mean step in this tick [s].
+        dt: Interval of the output [s].
+        end: Of the tick [s].
+
+    Raises:
+        DivergedError: Steps are far too short; names joint, time and likely cause.
+    """
+    if step < _SHORT * dt:
+        raise DivergedError(f"stalled: {_described(system, x, u, step, end)}")
+
+
+def _described(system: System, x: State, u: Array | None, step: float, end: float) -> str:
+    return (
+        f"steps of {step:.2g} s at t = {x.t:.9g} s: {(end - x.t) / max(step, 1e-300):.2g} of them "
+        f"to the end at {end:g} s; {_cause(system, x, u, step)}"
+    )
+
+
+def _cause(system: System, x: State, u: Array | None, step: float) -> str:
+    """The joint that asks for the short steps, and what makes it do so."""
+    full = system.expand(x)
+    if system.loads.reads_frames:
+        system.refresh(full.q, full.v)
+    if system.loads.beside(system.data, full) is not system.loads:
+        hardest = np.abs(system.acceleration(*x, u))
+        return (
+            f"{_joint(system, hardest)} has the largest acceleration; a switching force chatters "
+            "at its surface, which integrator filippov follows"
+        )
+    try:
+        motion = linear_motion(system, x)
+    except SolveError:
+        return "no acceleration nearby"
+    n = system.nv
+    if motion.rate * step > _AT_THE_LIMIT and np.isfinite(motion.rate):
+        first = np.block(
+            [[np.zeros((n, n)), np.eye(n)], [motion.stiffness[:n, :n], motion.damping[:n, :n]]]
+        )
+        values, vectors = np.linalg.eig(first)
+        mode = np.abs(vectors[:, int(np.abs(values).argmax())])
+        return (
+            f"{_joint(system, mode[:n] + mode[n:])} is stiff with a rate of {motion.rate:.3g} "
+            "1/s; soften its force, raise the tolerance or try integrator gauss_legendre"
+        )
+    return (
+        f"{_joint(system, np.abs(system.acceleration(*x, u)))} has the largest acceleration; its "
+        "force is not smooth, or the mechanism is near a singular configuration; raise the "
+        "tolerance, or smooth the force"
+    )
+
+
+def _joint(system: System, share: Array) -> str:
+    at = int(system.integrated(np.arange(float(system.model.nv)))[int(share.argmax())])
+    names = [joint.name for joint in system.robot.joints if joint.v == at]
+    return f"joint {names[0]}" if names else "the floating base"

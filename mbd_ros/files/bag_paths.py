@@ -1,0 +1,101 @@
+"""Which files belong to a bag, and where a bag may be written."""
+
+from pathlib import Path, PurePosixPath
+
+from mbd_ros.errors import DataError, SceneError
+from mbd_ros.scene.strict_yaml import read_mapping
+
+SUFFIXES = (".mcap", ".db3")
+MARK = ("written_by", "mbd_ros")
+
+
+def check_source(path: Path) -> None:
+    """Refuse what is not a bag, and a folder whose files are not all inside of it.
+
+    Raises:
+        DataError: What is wrong with which file.
+    """
+    if not path.exists():
+        raise DataError(f"{path}: does not exist")
+    if not path.is_dir() and (path.suffix not in SUFFIXES or not path.is_file()):
+        raise DataError(f"{path}: not a bag, expected a rosbag2 folder, .mcap or .db3 file")
+    for file in _storage_files(path) if path.is_dir() else [path]:
+        check_sqlite_path(file)
+
+
+def _storage_files(folder: Path) -> list[Path]:
+    metadata = folder / "metadata.yaml"
+    if not metadata.is_file():
+        raise DataError(f"{folder}: no metadata.yaml in it, so not a rosbag2 folder")
+    try:
+        info = read_mapping(metadata, "metadata of the bag")["rosbag2_bagfile_information"]
+    except SceneError as error:
+        raise DataError(str(error)) from error
+    files = [metadata]
+    for name in info["relative_file_paths"]:
+        named = PurePosixPath(name)
+        files.append(folder / named.name)  # before version 4 the folder itself is named, too
+        if named.is_absolute() or ".." in named.parts:
+            raise DataError(f"{metadata}: relative_file_paths: {name!r} leads out of the bag")
+        if not files[-1].is_file():
+            raise DataError(f"{metadata}: relative_file_paths: {name!r} is no file of the bag")
+    for file in files:
+        if not file.resolve().is_relative_to(folder.resolve()):
+            raise DataError(f"{file}: is a link that leads out of the bag")
+    return files[1:]
+
+
+def check_sqlite_path(path: Path) -> None:
+    """Refuse what changes meaning in the `file:` address by which rosbags opens sqlite."""
+    if path.suffix == ".db3" and set("#?%") & set(str(path)):
+        raise DataError(f"{path}: the path of a .db3 file must not contain '#', '?' or '%'")
+
+
+def check_target(path: Path) -> None:
+    """Refuse to write where something else than a bag of this package is.
+
+    Args:
+        path: A folder, or a file ending in .mcap or .db3.
+
+    Raises:
+        DataError: Another suffix, no directory to write in, or a place that is taken.
+    """
+    if path.suffix not in SUFFIXES and path.suffix and not path.is_dir():
+        raise DataError(f"{path}: {path.suffix!r} is no bag, expected a folder, .mcap or .db3")
+    if not path.parent.is_dir():
+        raise DataError(f"{path}: directory {path.parent} does not exist")
+    check_sqlite_path(path)
+    if (path.exists() or path.is_symlink()) and not _is_ours(path):
+        raise DataError(f"{path}: exists and is not a bag written by mbd_ros, not replaced")
+
+
+def _is_ours(path: Path) -> bool:
+    files = list(path.iterdir()) if path.is_dir() else [path]
+    names = {file.name for file in files}
+    known = all(file.suffix in SUFFIXES or file.name == "metadata.yaml" for file in files)
+    if (
+        path.is_symlink()
+        or not known
+        or not all(f.is_file() and not f.is_symlink() for f in files)
+    ):
+        return False
+    if path.is_dir() and "metadata.yaml" not in names:
+        return False
+    marked = path / "metadata.yaml" if path.is_dir() else path
+    return ": ".join(MARK).encode() in marked.read_bytes()
+
+
+def is_bag(path: str | Path) -> bool:
+    """Whether a path names a bag (a folder, .mcap, .db3 or no suffix) or a table (.csv, .csv.gz).
+
+    Raises:
+        DataError: Another suffix.
+    """
+    path = Path(path)
+    if path.is_dir() or path.suffix in ("", *SUFFIXES):
+        return True
+    if path.name.endswith((".csv", ".csv.gz")):
+        return False
+    raise DataError(
+        f"{path}: neither a table (.csv, .csv.gz) nor a bag (a folder, {', '.join(SUFFIXES)})"
+    )

@@ -1,0 +1,143 @@
+"""Inverse dynamics of many motions, a result each: `mbd-ros inverse SCENE MOTION MOTION ..`."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mbd_ros.errors import DataError, MbdError
+from mbd_ros.files.results import refuse_overwriting
+from mbd_ros.jobs.inverse.derivatives import Derivatives
+from mbd_ros.jobs.inverse.job import inverse_dynamics_of
+from mbd_ros.jobs.inverse.wrenches import refuse_unused
+from mbd_ros.scene.code_permission import is_permitted, permitting
+from mbd_ros.scene.reader import load_scene
+from mbd_ros.workers.opening import do_all, open_workers
+from mbd_ros.workers.remaining import watched
+from mbd_ros.workers.task import Task
+
+
+class Batch(NamedTuple):
+    """What is to be done.
+
+    Attributes:
+        motions: Tables and bags.
+        scene: The scene.
+        out: Folder of the results; the result itself where there is one motion.
+        wrenches: Table or bag of the external loads of every motion.
+        derivatives: given, causal or zero-phase.
+        cutoff: Of the filters [Hz]; None: the default of `Derivatives`.
+        half_width: Samples on either side of a local zero-phase fit; None without one.
+        topic: JointState topic of bags.
+        parts: Also write the torques by cause.
+        scheduler: Of a Dask cluster; None for processes of this machine.
+        workers: How many processes; None for one a core.
+    """
+
+    motions: Sequence[Path]
+    scene: Path
+    out: Path
+    wrenches: Path | None
+    derivatives: str
+    cutoff: float | None
+    half_width: int | None
+    topic: str
+    parts: bool
+    scheduler: str | None
+    workers: int | None
+
+
+def inverse_of_one(batch: Batch) -> Iterator[str]:
+    """What `inverse_dynamics_of` says of the only motion."""
+    if batch.scheduler is not None or batch.workers is not None:
+        raise DataError("--scheduler and --workers go with several motions")
+    return _inverse(batch, batch.motions[0], batch.out)
+
+
+def inverse_of_all(batch: Batch) -> Iterator[str]:
+    """Do all motions, each into a file or folder of its own name below `batch.out`.
+
+    Yields:
+        The summary of every motion, as they end.
+
+    Raises:
+        DataError: Motions that failed, by name, when the others are done; before any is done
+            names that would meet in the folder, or a folder that cannot be.
+    """
+    results = _places(batch.motions, batch.out)
+    for out in results.values():
+        refuse_overwriting(out, batch.wrenches)
+    refuse_unused(load_scene(batch.scene), batch.wrenches)
+    try:
+        batch.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{batch.out}: cannot be made a folder ({error.strerror})") from error
+    tasks = [_task(batch, motion, out) for motion, out in results.items()]
+    failed = []
+    with open_workers(batch.scheduler, batch.workers) as workers:
+        for task, result in watched(do_all(workers, tasks), tasks, workers.count):
+            lines, error = result.value or ([], result.failure)
+            if error:
+                failed.append(f"{task.name}: {error.removeprefix(f'{task.name}: ')}")
+            else:
+                yield f"{task.name}: {'; '.join(lines)}"
+    if failed:
+        told = "\n  ".join(sorted(failed))
+        raise DataError(f"{len(failed)} of {len(tasks)} motions failed:\n  {told}")
+
+
+def one(argument: Mapping[str, Any]) -> tuple[list[str], str]:
+    """One motion, in a worker.
+
+    Args:
+        argument: `batch`, the fields of a `Batch` with one motion, paths as text; `allow_code`,
+            whether its scene may name code of others.
+
+    Returns:
+        What is said of it, and why it failed.
+    """
+    fields = dict(argument["batch"])
+    for name in ("scene", "out", "wrenches"):
+        fields[name] = None if fields[name] is None else Path(fields[name])
+    batch = Batch(**{**fields, "motions": [Path(motion) for motion in fields["motions"]]})
+    lines: list[str] = []
+    try:
+        with permitting(argument["allow_code"]):
+            lines.extend(_inverse(batch, batch.motions[0], batch.out))
+    except MbdError as error:
+        return lines, str(error)
+    return lines, ""
+
+
+def _inverse(batch: Batch, motion: Path, out: Path) -> Iterator[str]:
+    return inverse_dynamics_of(
+        load_scene(batch.scene),
+        motion,
+        out,
+        derivatives=Derivatives(batch.derivatives, batch.cutoff, batch.half_width),
+        wrenches=batch.wrenches,
+        topic=batch.topic,
+        with_parts=batch.parts,
+    )
+
+
+def _task(batch: Batch, motion: Path, out: Path) -> Task:
+    place = Path if batch.scheduler is None else Path.absolute
+    fields = batch._asdict() | {"motions": [str(place(motion))], "out": str(out)}
+    for name in ("scene", "wrenches"):
+        fields[name] = None if fields[name] is None else str(place(fields[name]))
+    argument = {"batch": fields, "allow_code": is_permitted()}
+    return Task(str(motion), f"{__name__}:{one.__name__}", argument)
+
+
+def _places(motions: Sequence[Path], folder: Path) -> dict[Path, Path]:
+    """Motion -> result of the same name, and so of the same format."""
+    taken: dict[Path, Path] = {}
+    sources = {motion.resolve() for motion in motions}
+    for motion in motions:
+        out = folder.resolve() / motion.resolve().name
+        if out in taken:
+            raise DataError(f"{taken[out]} and {motion} have the same name, results would meet")
+        if out in sources:
+            raise DataError(f"{motion}: its result would take its place; choose another folder")
+        taken[out] = motion
+    return {motion: out for out, motion in taken.items()}

@@ -1,0 +1,167 @@
+"""Where the motion ends and the noise begins: the cut-off frequency that a recording asks for.
+
+A motion has little acceleration at high frequencies, since forces are finite; noise has ever more.
+In the density P(f) of positions [rad^2/Hz] a motion falls steeper than f^-3, noise does not:
+encoders and clocks give f^0, velocities with white noise, steps and repeated samples f^-2. Noise
+may end again (a recording that was resampled), so the lowest frequency counts from which on P
+stays flat for a while and after which no motion comes up.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.state import Array
+from mbd_ros.jobs.inverse.low_pass import HIGHEST, low_pass, rate_of, response
+
+LOWEST = 2.0  # Hz: below, even a poor encoder gives no acceleration worth mentioning
+_RATIO = np.sqrt(2.0)  # from band to band
+_STEEPEST = 3  # noise falls slower than f^-3
+_BANDS = 3  # that must look like noise in a row
+_RISE = 1.5  # least rise of f^3 P over them
+_HUMP = 10.0  # rise of the density with the frequency that only motion has
+_SHARE = 0.005  # largest share of the variance that noise has, unless it is white
+_WHITE = 6  # bands up to the last that make noise white
+_RENEWED = 1 / 8  # largest cut-off per rate of new values, where samples are repeated
+_HELD = 4  # samples a level, from which on a few levels are steps of an encoder
+_GENEROUS = 2.0  # times the least expected square error: motion lost is worse than noise left
+
+
+class Bands(NamedTuple):
+    """Signals split at k frequencies.
+
+    Attributes:
+        cutoff: Lower ends of the bands [Hz], shape (k,).
+        density: P in each [rad^2/Hz or m^2/Hz], shape (k, m).
+        acceleration: Mean square of the accelerations [rad^2/s^4 or m^2/s^4], shape (k, m).
+        width: Of each band [Hz], shape (k,).
+        gain: Acceleration in each from noise of density 1 [1/s^4 Hz], shape (k,).
+    """
+
+    cutoff: Array
+    density: Array
+    acceleration: Array
+    width: Array
+    gain: Array
+
+
+def cutoffs(pieces: Sequence[tuple[Array, Array]], order: int) -> Array:
+    """The cut-off at which the expected error of the acceleration is smallest, for each signal.
+
+    Args:
+        pieces: Times [s], shape (n,), and signals, shape (n, m), in one or several pieces.
+        order: 0 for positions, 1 for velocities.
+
+    Returns:
+        [Hz], shape (m,); inf where there is no noise.
+    """
+    longest = max(pieces, key=lambda piece: len(piece[0]))[0]
+    frequencies = _frequencies(longest)
+    split = [_bands(times, values, order, frequencies) for times, values in pieces]
+    sizes = np.array([len(times) for times, _ in pieces], dtype=np.float64)
+    bands = split[0]._replace(
+        density=np.average([b.density for b in split], axis=0, weights=sizes),
+        acceleration=np.average([b.acceleration for b in split], axis=0, weights=sizes),
+    )
+    signals = np.concatenate([values for _, values in pieces]).T
+    rounding = [0.0 if order else _step(signal) ** 2 / 12.0 for signal in signals]
+    best = np.array([_best(bands, column, r) for column, r in enumerate(rounding)])
+    fresh = np.array([_renewals(signal) for signal in signals]) * rate_of(longest)
+    return np.minimum(best, np.maximum(_RENEWED * fresh, LOWEST))
+
+
+def _frequencies(times: Array) -> Array:
+    """From a quarter of a period in the recording to where smoothing ends."""
+    lowest, highest = 0.25 / (times[-1] - times[0]), HIGHEST * rate_of(times)
+    count = max(int(np.ceil(np.log(highest / lowest) / np.log(_RATIO))), 1)
+    frequencies: Array = lowest * _RATIO ** np.arange(count)
+    return frequencies
+
+
+def _bands(times: Array, values: Array, order: int, cutoff: Array) -> Bands:
+    """What every cut-off passes and the one before does not."""
+    grid = np.geomspace(cutoff[0] / 16.0, rate_of(times) / 2.0, 4000)
+    step, turn = np.gradient(grid), 2.0 * np.pi * grid
+    orders = (0, 2 - order)
+    below, passed_below = low_pass(times, values, cutoff[0], orders), response(grid, cutoff[0])
+    density, acceleration, width, gain = [], [], [], []
+    for upper in (*cutoff[1:], np.inf):
+        above, passed = low_pass(times, values, upper, orders), response(grid, upper)
+        share = (passed - passed_below) ** 2 * step
+        energy, force = (((a - b) ** 2).mean(axis=0) for a, b in zip(above, below, strict=True))
+        density.append(energy / (share @ turn ** (2 * order)))
+        acceleration.append(force)
+        width.append(share.sum())
+        gain.append(share @ turn**4)
+        below, passed_below = above, passed
+    return Bands(cutoff, *(np.array(column) for column in (density, acceleration, width, gain)))
+
+
+def _step(signal: Array) -> float:
+    """Resolution of a signal that only takes multiples of a step; 0 for any other."""
+    steps = np.diff(np.unique(signal))
+    steps = steps[steps > 1e-9 * np.ptp(signal)]
+    few = len(steps) < 8
+    if len(steps) == 0 or (few and len(signal) < _HELD * (len(steps) + 1)):
+        return 0.0
+    multiples = steps / steps.min()
+    return float(steps.min()) if np.abs(multiples - np.rint(multiples)).max() < 0.02 else 0.0
+
+
+def _renewals(signal: Array) -> float:
+    """How often a signal that changes has a new value, per sample; inf where each is new.
+
+    A joint that rests in between is not one whose samples are repeated: most runs of equal
+    samples count, not most samples.
+    """
+    runs = np.diff(np.flatnonzero(np.diff(signal)))
+    usual = float(np.median(runs)) if len(runs) else 1.0
+    return 1.0 / usual if usual > 1.0 else np.inf
+
+
+def _best(bands: Bands, column: int, rounding: float) -> float:
+    density, acceleration = bands.density[:, column], bands.acceleration[:, column]
+    first = _first_of_noise(bands, density, rounding)
+    if first is None:
+        return np.inf
+    noise = np.minimum(density, density[first])
+    noise[:first] = density[first]
+    passed = noise * bands.gain
+    lost = np.maximum(acceleration - passed, 0.0)
+    lost[first:] = 0.0
+    error = np.cumsum(lost[::-1])[::-1] + np.r_[0.0, np.cumsum(passed)[:-1]]
+    best = bands.cutoff[np.flatnonzero(error <= _GENEROUS * error.min())[-1]]
+    return max(float(best), LOWEST)
+
+
+def _first_of_noise(bands: Bands, density: Array, rounding: float) -> int | None:
+    """First band that is noise and has only noise beyond it; None without any.
+
+    Args:
+        bands: The bands.
+        density: Of the signal in them.
+        rounding: Variance of its rounding [rad^2 or m^2].
+    """
+    count = len(density)
+    above = np.cumsum((density * bands.width)[::-1])[::-1]
+    rising = density * bands.cutoff**_STEEPEST
+    density = np.maximum(density, np.finfo(np.float64).tiny)
+    highest = np.maximum.accumulate(density[::-1])[::-1]
+    comes_up = np.maximum.accumulate((highest / density)[::-1])[::-1]
+    lowest = np.minimum.accumulate(density[::-1])[::-1]
+    for k in range(count - 1):
+        if not _is_flat(rising[k : k + 1 + _BANDS]):
+            continue
+        if above[k] <= 2.0 * rounding:
+            return k
+        is_noise = comes_up[k] <= _HUMP
+        is_white = count - k >= _WHITE and highest[k] <= _HUMP * lowest[k]
+        if is_noise and (is_white or above[k] <= _SHARE * above[0]):
+            return k
+    return None
+
+
+def _is_flat(rising: NDArray[np.float64]) -> bool:
+    return bool((rising[1:] > rising[0]).all() and rising[-1] > _RISE * rising[0])

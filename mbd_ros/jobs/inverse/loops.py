@@ -1,0 +1,190 @@
+"""Recorded motions of mechanisms with loops: joints that lack are closed, then all is solved."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mbd_ros.core.estimation.torque_estimator import Observation
+from mbd_ros.core.inverse.loop_motion import LoopMotion, Mask
+from mbd_ros.core.inverse.loop_torques import LoopTorques, listed
+from mbd_ros.core.model.robot import Joint
+from mbd_ros.core.state import NANOSECOND, Array, Motion, State
+from mbd_ros.errors import DataError, SolveError
+from mbd_ros.files.records import Recording, TorqueRecord
+from mbd_ros.jobs.progress import progress
+from mbd_ros.scene.built_scene import Scene
+
+FOLD = 1.0e3  # condition number beyond which joints no longer tell the branches apart
+TOGGLE = 1.0e6  # condition number beyond which multipliers are unreliable
+
+
+def close_loops(scene: Scene, path: Path, recording: Recording) -> tuple[Recording, list[str]]:
+    """A motion in which the loops have given the independent joints that nobody measured.
+
+    Their branch is that of the initial state of the scene, followed from sample to sample.
+
+    Args:
+        scene: A scene with loops.
+        path: Where the motion is from.
+        recording: Motion of the independent, then the dependent joints, NaN where absent.
+
+    Returns:
+        The motion, and what there is to say about it.
+
+    Raises:
+        DataError: The motion lacks a joint that no loop ties to the others.
+        SolveError: The initial state cannot be assembled.
+    """
+    names = scene.couplings.independent
+    position = recording.motion.position[:, : len(names)]
+    is_there = np.isfinite(position).any(axis=0)
+    if not is_there.any():
+        raise DataError(f"{path}: no position of any of {', '.join(names)}")
+    whole = np.isfinite(position[:, is_there]).all(axis=1)
+    if not whole.any():
+        raise DataError(f"{path}: no sample has all of its joints")
+    if not whole.all():
+        recording.dropped["the position of a joint is missing"] += int((~whole).sum())
+    motion = _kept(recording.motion, whole)
+    if is_there.all():
+        return recording._replace(motion=motion), []
+    joints = [scene.robot.joint(name) for name in names]
+    motion, fold = _completed(scene, path, motion, joints, is_there)
+    lacking = [name for name, there in zip(names, is_there, strict=True) if not there]
+    said = [f"{name} is reconstructed from the loops" for name in lacking]
+    return recording._replace(motion=motion), said + fold
+
+
+def solve_loops(
+    scene: Scene, path: Path, samples: Sequence[Observation], wrenches: Sequence[Array]
+) -> tuple[TorqueRecord, list[str]]:
+    """Efforts and multipliers of observations.
+
+    Args:
+        scene: A scene with loops.
+        path: Where the motion is from.
+        samples: The observations.
+        wrenches: One (n, 6) array for every load of the scene.
+
+    Returns:
+        The result, and what there is to say about it.
+
+    Raises:
+        SolveError: The mechanism cannot be assembled, or the actuators cannot produce the motion;
+            names the time.
+    """
+    observed = scene.inverse_dynamics()
+    inverse, solved, states, off = observed.inverse, [], [], []
+    for i, sample in enumerate(progress(samples, len(samples), "solving")):
+        t = sample.stamp * NANOSECOND
+        measured, given = observed.measured(t, *sample[1:4])
+        try:
+            x, a = inverse.consistent(measured, given)
+            solved.append(inverse.solve(x, a, [load[i] for load in wrenches]))
+        except SolveError as error:
+            raise SolveError(f"{path}: at {t:.9g} s: {error}") from error
+        states.append((x.q, x.v, a))
+        moves = x.q - measured.q, x.v - measured.v, a - given
+        off.append([np.abs(move).max(initial=0.0) for move in moves])
+    stamps = np.array([sample.stamp for sample in samples], dtype=np.int64)
+    q, v, a = (np.array(column) for column in zip(*states, strict=True))
+    joints = scene.robot.joints
+    at_q, at_v = [joint.q for joint in joints], [joint.v for joint in joints]
+    record = TorqueRecord(
+        stamps=stamps,
+        joints=tuple(joint.name for joint in joints),
+        position=q[:, at_q],
+        velocity=v[:, at_v],
+        acceleration=a[:, at_v],
+        effort=np.array([each.tau for each in solved]),
+        dependent=tuple(row.name for row in inverse.constraints.rows),
+        multiplier=np.array([each.multipliers for each in solved]),
+        driven=inverse.actuated,
+    )
+    return record, list(_remarks(np.max(off, axis=0), stamps, solved))
+
+
+def _remarks(off: Array, stamps: np.ndarray, solved: Sequence[LoopTorques]) -> Iterator[str]:
+    yield (
+        f"moved onto the constraints by at most {off[0]:.3g} rad or m, {off[1]:.3g} per s, "
+        f"{off[2]:.3g} per s^2"
+    )
+    widest = max(solved, key=lambda each: each.null_space)
+    if widest.null_space:
+        yield (
+            f"null space of dimension {widest.null_space}: {listed(widest.undetermined)} are "
+            "not determined, smallest norm taken"
+        )
+    worst = int(np.argmax([each.condition for each in solved]))
+    condition = solved[worst].condition
+    if condition > TOGGLE:
+        yield (
+            f"condition number {condition:.2g} at {stamps[worst] * NANOSECOND:.9g} s: near a "
+            "toggle, multipliers are unreliable there"
+        )
+
+
+def _kept(motion: Motion, rows: Mask) -> Motion:
+    columns = {
+        field: None if values is None else values[rows]
+        for field, values in motion._asdict().items()
+        if field != "names"
+    }
+    return motion._replace(**columns)
+
+
+def _completed(
+    scene: Scene, path: Path, motion: Motion, joints: Sequence[Joint], is_there: Mask
+) -> tuple[Motion, list[str]]:
+    """The motion with the independent joints that lack in it, and where its loops fold."""
+    loops, nv, n = scene.closed_loop().motion, scene.robot.model.nv, len(joints)
+    measured = np.zeros(nv, dtype=np.bool_)
+    measured[[joint.v for joint, there in zip(joints, is_there, strict=True) if there]] = True
+    fields = [np.full((len(motion.stamps), nv), np.nan) for _ in range(3)]
+    at = [joint.v for joint in joints]
+    for field, values in zip(fields, motion[2:5], strict=True):
+        if values is not None:
+            field[:, at] = values[:, :n]
+    turning = [joint.v for joint in joints if joint.kind == "continuous" and measured[joint.v]]
+    fields[0][:, turning] = np.unwrap(fields[0][:, turning], axis=0)
+    before, conditions = loops.start(scene.initial), []
+    rows = zip(motion.stamps.tolist(), *fields, strict=True)
+    for i, (stamp, q, v, a) in enumerate(progress(rows, len(motion.stamps), "closing")):
+        x, a = loops.complete(before, State(stamp * NANOSECOND, q, v), a, measured)
+        if i == 0:
+            _check_tied(path, loops, x, measured)
+        before = x.q
+        conditions.append(loops.condition)
+        for field, values in zip(fields, (x.q, x.v, a), strict=True):
+            field[i] = values
+    dependent = motion.position[:, n:]
+    columns = [
+        np.concatenate((field[:, at], other), axis=1)
+        for field, other in zip(fields, (dependent, *[dependent * np.nan] * 2), strict=True)
+    ]
+    for i, given in ((1, motion.velocity), (2, motion.acceleration)):
+        if given is None:
+            columns[i] = None
+    whole = motion._replace(**dict(zip(motion._fields[2:5], columns, strict=True)))
+    return whole, _folds(motion, conditions)
+
+
+def _folds(motion: Motion, conditions: Sequence[float]) -> list[str]:
+    worst = int(np.argmax(conditions))
+    if conditions[worst] <= FOLD:
+        return []
+    return [
+        f"the loops fold near {motion.stamps[worst] * NANOSECOND:.9g} s (condition number "
+        f"{conditions[worst]:.2g}): from there on what is reconstructed may be on another branch; "
+        "another joint should be measured"
+    ]
+
+
+def _check_tied(path: Path, loops: LoopMotion, x: State, measured: Mask) -> None:
+    loose = loops.undetermined(x, measured)
+    if loose:
+        raise DataError(
+            f"{path}: no position of {', '.join(loose)}, and no loop gives it from the joints "
+            "that are there"
+        )

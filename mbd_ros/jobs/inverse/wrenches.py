@@ -1,0 +1,77 @@
+"""External loads of a recorded motion."""
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from mbd_ros.core.model.wrenches import at_stamps
+from mbd_ros.core.state import NANOSECOND, Array, WrenchSamples
+from mbd_ros.errors import DataError
+from mbd_ros.files.bag_paths import is_bag
+from mbd_ros.files.recordings import read_wrenches
+from mbd_ros.scene.built_scene import Scene
+
+WRENCH_MAX_AGE = 0.1  # s
+
+
+def read_loads(
+    scene: Scene, motion: Path, wrenches: Path | None
+) -> tuple[dict[str, WrenchSamples], Counter[str]]:
+    """Samples of the loads of a scene, and messages left out, counted by reason.
+
+    Args:
+        scene: The scene.
+        motion: Table or bag of the motion; a bag carries its wrenches itself.
+        wrenches: Table or bag of the wrenches, or None.
+
+    Raises:
+        DataError: A file that cannot be read or that the scene has no use for, or a wrench in
+            another frame than the scene says.
+    """
+    refuse_unused(scene, wrenches)
+    dropped: Counter[str] = Counter()
+    if not scene.wrenches:
+        return {}, dropped
+    path = wrenches or motion
+    if not is_bag(path) and wrenches is None:
+        raise DataError(
+            f"{scene.path}: external_wrenches {', '.join(scene.wrenches)}: a table of joints does "
+            "not carry them; give --wrenches FILE"
+        )
+    topics = {name: wrench.topic for name, wrench in scene.wrenches.items()}
+    loads = read_wrenches(path, topics, dropped=dropped)
+    for name, samples in loads.items():
+        expected = scene.wrenches[name].load.expressed_in
+        if samples.frame_id not in ("", expected):
+            raise DataError(
+                f"{path}: wrench '{name}' is in frame '{samples.frame_id}', the scene expects "
+                f"'{expected}'"
+            )
+    return loads, dropped
+
+
+def refuse_unused(scene: Scene, wrenches: Path | None) -> None:
+    """Refuse a file of loads for a scene without any.
+
+    Raises:
+        DataError: The scene has no `external_wrenches`.
+    """
+    if wrenches is not None and not scene.wrenches:
+        raise DataError(f"--wrenches {wrenches}: {scene.path} has no external_wrenches to take it")
+
+
+def wrench_at(name: str, samples: WrenchSamples, stamps: np.ndarray) -> Array:
+    """A load at the stamps of a motion, shape (n, 6).
+
+    Raises:
+        DataError: It does not cover the motion.
+    """
+    wrench = at_stamps(samples, stamps, round(WRENCH_MAX_AGE / NANOSECOND))
+    lacking = np.flatnonzero(np.isnan(wrench[:, 0]))
+    if len(lacking):
+        raise DataError(
+            f"wrench '{name}' covers {samples.stamps[0] / 1e9} to {samples.stamps[-1] / 1e9} s, "
+            f"not the motion at {stamps[lacking[0]] / 1e9} s"
+        )
+    return wrench

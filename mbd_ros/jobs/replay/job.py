@@ -1,0 +1,133 @@
+"""A bag through the live node, which runs as its own process: `mbd-ros replay`."""
+
+import math
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.serialization import deserialize_message
+
+from mbd_ros.errors import DataError
+from mbd_ros.files.bags import BagWriter, RawMessage, raw_messages
+from mbd_ros.jobs.own_domain import own_domain
+from mbd_ros.jobs.replay.bag_player import (
+    CLASSES,
+    CONSTRAINT_FORCES,
+    JOINT_STATE,
+    NODE,
+    TORQUES,
+    WRENCH,
+    BagPlayer,
+    ReplayError,
+)
+from mbd_ros.scene.code_permission import is_permitted
+from mbd_ros.scene.reader import load_scene
+
+_STOP_TIMEOUT = 10.0  # s
+_WRENCH_WAIT = 1.0  # s: better a late answer than one without its wrench
+_CLOCK_TOLERANCE = 1e10  # s: recorders and robots may live in different times
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What to play and how.
+
+    Attributes:
+        bag: Recording to play.
+        scene: Scene of the node.
+        out: Bag of what the node answers.
+        rate: Speed factor; 0 plays as fast as the node answers.
+        topic: JointState topic of the bag.
+        cutoff: Half-power frequency of the node's derivative filters [Hz].
+    """
+
+    bag: Path
+    scene: Path
+    out: Path
+    rate: float
+    topic: str
+    cutoff: float
+
+
+def play(replay: Replay) -> tuple[int, int]:
+    """Play a bag to the node and record what it answers.
+
+    Both run on a DDS domain of their own, which never leaves this machine, under the time of the
+    bag. SIGTERM ends a replay as Ctrl-C does.
+
+    Returns:
+        Numbers of joint states played and answered.
+
+    Raises:
+        MbdError: The bag does not fit the scene, or the node does not start or fails.
+    """
+    _check(replay)
+    scene = load_scene(replay.scene)
+    topics = {replay.topic: JOINT_STATE}
+    for name, wrench in scene.wrenches.items():
+        topics[wrench.topic or f"{NODE}/wrench/{name}"] = WRENCH
+    messages = [
+        (raw.topic, raw.log_time, _message(replay.bag, raw))
+        for raw in raw_messages(replay.bag, topics)
+    ]
+    answers = (TORQUES, CONSTRAINT_FORCES) if scene.couplings.dependent else (TORQUES,)
+    with (
+        own_domain() as environment,
+        BagWriter(replay.out) as bag,
+        _node_process(replay, environment) as process,
+    ):
+        player = BagPlayer(topics, answers, bag, process)
+        player.wait_for_node()
+        player.play(messages, replay.topic, replay.rate)
+        return player.played, player.answered
+
+
+def _check(replay: Replay) -> None:
+    if not 0 <= replay.rate < math.inf:
+        raise ReplayError(f"rate {replay.rate:g} must be finite and >= 0")
+    if replay.out.resolve() == replay.bag.resolve():
+        raise ReplayError(f"{replay.out}: the output would replace the bag that is played")
+
+
+def _message(bag: Path, raw: RawMessage) -> Any:
+    try:
+        return deserialize_message(raw.cdr, CLASSES[raw.msgtype])
+    except rclpy_implementation.RMWError as error:
+        raise DataError(f"{bag}: topic {raw.topic}: unreadable message ({error})") from error
+
+
+@contextmanager
+def _node_process(
+    replay: Replay, environment: dict[str, str]
+) -> Iterator["subprocess.Popen[bytes]"]:
+    parameters = {
+        "scene": str(replay.scene.resolve()),
+        "use_sim_time": "true",
+        "cutoff": str(replay.cutoff),
+        "wrench_wait": str(_WRENCH_WAIT),
+        "clock_tolerance": str(_CLOCK_TOLERANCE),
+        "allow_code": str(is_permitted()).lower(),
+    }
+    words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+    command = [sys.executable, "-m", "mbd_ros.nodes", "inverse_dynamics", "--ros-args", *words]
+    command += ["-r", f"joint_states:={replay.topic}"]
+    process = subprocess.Popen(command, env=environment)
+    try:
+        yield process
+        process.send_signal(signal.SIGINT)
+        try:
+            code = process.wait(_STOP_TIMEOUT)
+        except subprocess.TimeoutExpired as error:
+            raise ReplayError(f"the node did not stop within {_STOP_TIMEOUT:g} s") from error
+        if code != 0:
+            raise ReplayError(f"the node ended with exit code {code}")
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait()

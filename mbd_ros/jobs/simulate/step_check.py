@@ -1,0 +1,92 @@
+"""Whether a motion was too fast for the step that computed it: what `simulate` warns of."""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.integration.linear_motion import LinearMotion, linear_motion, longest_step
+from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.rows.row_factor import RowFactor
+from mbd_ros.core.state import State
+from mbd_ros.errors import SolveError
+
+_LOOKS = 8  # states whose fastest rate is found, and the last one
+_FOLD_LOOKS = 2_000  # states whose rows are factorised
+_TURN = 0.5  # change of velocity in a step, of the largest one in the motion
+_FOLD = 30.0  # rise of the condition number of the rows that a toggle makes
+
+
+def step_warnings(
+    system: System, method: Integrator, dt: float, states: Sequence[State]
+) -> Iterator[str]:
+    """What speaks against the step; nothing for methods that choose their steps.
+
+    Args:
+        system: The system.
+        method: What integrated it.
+        dt: Step [s].
+        states: States of all joints, one a step.
+    """
+    if method.stable == math.inf or not states:
+        return
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        if method.is_explicit:
+            yield from _stiffness(system, method, dt, states)
+        speeds = np.array([x.v for x in states])
+        turns = np.abs(np.diff(speeds, axis=0)).max(axis=1, initial=0.0)
+        turns = turns / max(float(np.abs(speeds).max()), 1.0e-300)
+        k = int(np.argmax(turns)) if len(turns) else 0
+        if len(turns) and not turns[k] <= _TURN:
+            yield (
+                f"velocities change by {turns[k]:.0%} of the largest one in the step to t = "
+                f"{states[k + 1].t:.6g} s: the step does not resolve the motion"
+            )
+        yield from _folds(system, states)
+
+
+def _stiffness(
+    system: System, method: Integrator, dt: float, states: Sequence[State]
+) -> Iterator[str]:
+    some, worst = (*states[:: max(1, len(states) // _LOOKS)], states[-1]), (math.inf, 0.0, 0.0)
+    for x in some:
+        motion = _motion(system, x)
+        if motion is not None:
+            worst = min(worst, (longest_step(method, motion, dt), motion.rate, x.t))
+    (longest, rate, t), name = worst, type(method).__name__
+    if not math.isfinite(rate):
+        yield f"stiff: forces change too steeply at t = {t:.6g} s for any step of {name}"
+    elif longest < math.inf:
+        yield (
+            f"stiff: fastest rate {rate:.3g} 1/s at t = {t:.6g} s; steps of "
+            f"{name} need dt < {longest:.2g} s there"
+        )
+
+
+def _motion(system: System, x: State) -> LinearMotion | None:
+    """None where a state nearby has no acceleration and nothing can be told."""
+    try:
+        return linear_motion(system, system.reduce(x))
+    except SolveError:
+        return None
+
+
+def _folds(system: System, states: Sequence[State]) -> Iterator[str]:
+    """Where the mechanism nearly folds: beyond, it may be on another branch."""
+    if not system.rows:
+        return
+    looked, conditions, size = states[:: 1 + len(states) // _FOLD_LOOKS], [], None
+    for x in looked:
+        y = system.reduce(x)
+        factor = RowFactor(system.mass(y.q), system.jacobian(y.t, y.q), size)
+        size = factor.size  # a row that vanishes at a toggle is told from one that is small
+        conditions.append(factor.condition)
+    known = [c for c in conditions if c < math.inf]
+    if known and max(known) > _FOLD * min(known):
+        t = looked[conditions.index(max(known))].t
+        yield (
+            f"near a toggle at t = {t:.6g} s: the condition number of the rows rises "
+            f"{max(known) / min(known):.0f}-fold; a step too long may leave the branch there, a "
+            "smaller dt or a tolerance tells"
+        )

@@ -1,0 +1,285 @@
+"""A built scene between messages: from a serialized joint state to a command."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+
+from mbd_ros.core.control.chatter import ChatterMeter
+from mbd_ros.core.control.control_loop import Command, ControlLoop
+from mbd_ros.core.control.guard import Guard
+from mbd_ros.core.control.guide import Guide
+from mbd_ros.core.control.loop_watch import LoopWatch, LossLimits, rest_responses
+from mbd_ros.core.control.reference_limits import TargetError
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.estimation.differentiation import Sample
+from mbd_ros.core.estimation.joint_observer import JointObserver, Observation
+from mbd_ros.core.projection.observed_state import ObservedState
+from mbd_ros.core.state import NANOSECOND, Array, State
+from mbd_ros.errors import SolveError
+from mbd_ros.nodes.controller.loop_details import loop_details
+from mbd_ros.nodes.controller.parameters import (
+    build_controller,
+    check_lengths,
+    effort_limits,
+    gains,
+)
+from mbd_ros.nodes.controller.references import Plan, References
+from mbd_ros.nodes.inverse_dynamics.parameters import tuning
+from mbd_ros.nodes.shell.driven_joints import command_order, driven_joints
+from mbd_ros.nodes.shell.serialized import joint_state
+from mbd_ros.scene.reader import load_scene
+from msg_adapters.errors import MessageError
+from msg_adapters.joint_state import JointSample, JointStateReader
+from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
+from msg_adapters.joint_trajectory import Trajectory
+from msg_adapters.multi_array import write_answered, write_multi_array
+
+
+class Answer(NamedTuple):
+    """Kept messages that answer a joint state: commands, and the state of the loop."""
+
+    commands: Any
+    state: Any
+
+
+class ControlPipeline:
+    """What the node `controller` builds when it is configured.
+
+    Args:
+        values: Parameters of the node.
+        description: URDF, where the scene takes it from a topic.
+
+    Attributes:
+        scene: The scene.
+        loop: Reference, law and guard.
+        watch: Whether the loop does what its gains promise.
+        observer: Judges joint states.
+        joints: Which joints the newest joint state carried.
+        reader: Serialized joint states to samples.
+        x: The newest state; None before the first.
+
+    Raises:
+        MbdError: Scene, joints, limits or gains do not fit.
+    """
+
+    def __init__(self, values: Any, description: str | None) -> None:
+        self.scene = scene = load_scene(values.scene, description)
+        self._controlled = scene.controlled_joints()
+        names = self._controlled.names
+        check_lengths(values, self._controlled)
+        self._loads = Loads(scene.robot.model.nv, (), scene.actuators)
+        order = command_order(values.joints, driven_joints(scene.actuators) or names)
+        self._order = [names.index(name) for name in order]
+        self._observed = ObservedState(self._controlled.system, scene.couplings)
+        self.observer = JointObserver(scene.robot, scene.couplings, tuning(values))
+        law = build_controller(values, self._controlled)
+        rest = rest_responses(self._controlled, scene.initial)
+        self.watch = LoopWatch(names, law, rest, self._limits(values))
+        self.loop = ControlLoop(
+            law,
+            Guide(self._controlled),
+            Guard(names, effort_limits(values, self._controlled, scene.actuators)),
+            scene.safe,
+            values.safe_ramp,
+            values.timeout,
+            ChatterMeter(len(names), values.chatter_cutoff),
+            self.watch,
+        )
+        self._tune(values)
+        self.joints = JointStateReader(self.observer.names)
+        self._acted = [self.observer.names.index(name) for name in names]
+        self.reader = JointStateCdrReader(self.joints, joint_state)
+        self._references = References(self.loop.guide, names, scene.couplings)
+        self._commands, self._state = Float64MultiArray(), JointStateCdrWriter(names)
+        self._answer = Float64MultiArray(layout=MultiArrayLayout(dim=[MultiArrayDimension()]))
+        self.x: State | None = None
+        self._epoch: int | None = None
+        self._violation = np.zeros(len(scene.couplings.dependent))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The controlled joints."""
+        return self._controlled.names
+
+    def retune(self, values: Any) -> None:
+        """New gains, limits and times; nothing changes where one of them is refused."""
+        check_lengths(values, self._controlled)
+        if gains(values) != self._gains:
+            self.loop.replace(build_controller(values, self._controlled))
+        if tuning(values) != self._tuning:
+            self.observer.tune(tuning(values))
+        self._tune(values)
+
+    def _tune(self, values: Any) -> None:
+        guide, loop = self.loop.guide, self.loop
+        self._tuning, self._gains = tuning(values), gains(values)
+        guide.ramp, guide.ramp_speed = values.reference_ramp, values.reference_ramp_speed
+        guide.timeout = values.reference_timeout
+        loop.ramp, loop.longest = values.safe_ramp, values.timeout
+        loop.guard.rate = values.effort_rate or math.inf
+        self.watch.limits = self._limits(values)
+
+    def _limits(self, values: Any) -> LossLimits:
+        speeds = np.array([joint.max_velocity for joint in self._controlled.joints])
+        return LossLimits(speeds, values.error_limit or math.inf)
+
+    def forget(self) -> None:
+        """Hold the next state that comes."""
+        self.observer.reset()
+        self._controlled.system.row_size = None
+        self.loop.restart()
+        self._epoch = None
+
+    def take_over(self, other: "ControlPipeline") -> None:
+        """Go on without a bump where another pipeline was at work, if it has the same joints."""
+        fits = self._controlled.names == other._controlled.names
+        if fits and other.x is not None and len(other.x.q) == len(self.scene.initial.q):
+            self.x, self._epoch = other.x, other._epoch
+            self.loop.take_over(other.loop)
+
+    def answer(self, stamp: int, sample: JointSample) -> Answer | Sample:
+        """Messages for a joint state, or why it cannot be used.
+
+        Raises:
+            SolveError: The state does not fit the loops, or the law has no answer and had none.
+        """
+        system, observer = self._controlled.system, self.observer
+        before = observer.memory, system.row_size
+        seen = observer.observe(stamp, sample.position, sample.velocity, self.joints.present)
+        if not isinstance(seen, Observation):
+            return seen
+        if observer.outcome is Sample.RESTARTED:
+            system.row_size = None
+        if self._epoch is None:
+            self._epoch = stamp
+        try:
+            x = self._observed.state(self._seconds(stamp), seen.position, seen.velocity)
+        except SolveError:
+            observer.memory, system.row_size = before
+            raise
+        self.x = x
+        off = seen.dependent - self._observed.dependent
+        self._violation = np.where(np.isfinite(off), off, 0.0)
+        command = self.loop.update(x, sample.effort[self._acted])
+        write_answered(self._answer, len(self._order), stamp)
+        commands = self._filled(self._answer, command.effort)
+        return Answer(commands, self._loop_state(stamp, command))
+
+    def commands(self, effort: Array) -> Any:
+        """Kept message with what the actuators are told to give these efforts.
+
+        Raises:
+            SolveError: It is not finite.
+        """
+        return self._filled(self._commands, effort)
+
+    def _filled(self, message: Any, effort: Array) -> Any:
+        if self._loads.actuators:
+            x = self.x if self.x is not None else self.scene.initial
+            effort = self._loads.command(effort, x)
+        try:
+            return write_multi_array(message, effort[self._order])
+        except MessageError as error:
+            raise SolveError(f"commands: {error}") from error
+
+    def _loop_state(self, stamp: int, command: Command) -> Any:
+        chatter = self.loop.chatter.rms
+        return self._state.write(stamp, position=command.error, velocity=command.s, effort=chatter)
+
+    def aim(self, names: tuple[str, ...], sample: JointSample) -> str:
+        """Take a reference of one moment, `sample` in the order of `names`; what to tell of it.
+
+        Raises:
+            TargetError: It is refused.
+        """
+        return self._references.aim(self._now(), names, sample)
+
+    def follow(self, trajectory: Trajectory) -> str:
+        """Take a trajectory; what to tell of it.
+
+        Raises:
+            TargetError: It is refused.
+        """
+        plan = self.plan(trajectory)
+        self.take(plan)
+        return plan.note
+
+    def plan(self, trajectory: Trajectory) -> Plan:
+        """Check a trajectory; one without points stops all joints.
+
+        Raises:
+            TargetError: It is refused.
+        """
+        now = self._now()
+        if not len(trajectory.times):
+            self._references.check(trajectory.names)
+            return Plan(None, now, "")
+        begin = self._seconds(trajectory.stamp) if trajectory.stamp else now
+        return self._references.plan(now, begin, trajectory)
+
+    def take(self, plan: Plan) -> None:
+        """Follow a plan from now on."""
+        if plan.course is None:
+            self.stop()
+        else:
+            self.loop.guide.take(self._now(), plan.course)
+
+    def stop(self) -> None:
+        """Come to rest where the joints are, or where the next joint state finds them."""
+        if self.x is not None and not self.loop.is_open:
+            self.loop.guide.hold(*self.measured())
+        self.loop.guide.kind = "held"
+
+    def measured(self) -> tuple[float, Array, Array]:
+        """Newest time [s], positions and velocities of the controlled joints, shape (n,) each.
+
+        Raises:
+            TargetError: No joint state yet, or none any more.
+        """
+        x = self._newest()
+        return x.t, self._controlled.positions(x), self._controlled.velocities(x)
+
+    def held(self) -> list[str]:
+        """Independent joints that the newest joint state lacked."""
+        dependent = self.scene.couplings.dependent
+        return [name for name in self.joints.missing if name not in dependent]
+
+    def off_couplings(self, tolerance: float) -> str:
+        """Measured joints that are further off their couplings or loops than accepted."""
+        dependent = self.scene.couplings.dependent
+        pairs = zip(dependent, self._violation, strict=True)
+        off = [f"{name} by {by:.4g}" for name, by in pairs if abs(by) > tolerance]
+        if self._observed.moved > tolerance:
+            off.append(f"loops by {self._observed.moved:.4g}")
+        return ", ".join(off)
+
+    def details(self) -> Mapping[str, str]:
+        """What the commands contain and how they are made, for diagnostics."""
+        robot = self.scene.robot
+        reconstructed = [n for n in self.joints.missing if n in self.scene.couplings.dependent]
+        return {
+            "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
+            "joints dropped": ", ".join(robot.locked) or "none",
+            "joints reconstructed": ", ".join(reconstructed) or "none",
+            "joints held": ", ".join(self.held()) or "none",
+            "solver tier": self._controlled.system.tier,
+            "distance from couplings": f"{np.abs(self._violation).max(initial=0.0):.6g}",
+            "distance from loops": f"{self._observed.moved:.6g}",
+            **loop_details(self.loop, self.x.t if self.x is not None else 0.0),
+        }
+
+    def _seconds(self, stamp: int) -> float:
+        """Time since the first joint state [s]: a float of the epoch is good to 0.2 us only."""
+        return (stamp - (self._epoch or 0)) * NANOSECOND
+
+    def _now(self) -> float:
+        """Time of the newest joint state [s]: the one in which references are followed."""
+        return self._newest().t
+
+    def _newest(self) -> State:
+        if self.x is None or self.loop.is_open:
+            raise TargetError("reference refused: no joint state yet, or none any more")
+        return self.x

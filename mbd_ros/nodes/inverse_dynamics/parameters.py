@@ -1,0 +1,88 @@
+"""Parameters of the node `inverse_dynamics`."""
+
+from typing import Any
+
+from mbd_ros.core.estimation.torque_estimator import Tuning
+from mbd_ros.nodes.shell.parameters import Parameter
+
+_DEFAULT = Tuning()
+
+
+def tunable(name: str, default: float, low: float, high: float, text: str) -> Parameter:
+    """A number that may change while the node runs."""
+    return Parameter(name, type(default), text, default, low=low, high=high, read_only=False)
+
+
+ALLOW_CODE = Parameter(
+    "allow_code",
+    bool,
+    "Import the package.module:Class that the scene names: code of others runs in this node.",
+    False,
+    fixed=True,
+)
+PARAMETERS = (
+    Parameter("scene", str, "Scene file."),
+    ALLOW_CODE,
+    tunable(
+        "cutoff", _DEFAULT.cutoff, 1e-3, 1e6, "Half-power frequency of the causal filters [Hz]."
+    ),
+    tunable(
+        "velocity_margin",
+        _DEFAULT.velocity_margin,
+        0.1,
+        1e6,
+        "Position steps beyond margin x velocity limit x dt are encoder glitches.",
+    ),
+    tunable("patience", _DEFAULT.patience, 1, 10_000, "Glitches in a row that are believed."),
+    tunable(
+        "max_age",
+        _DEFAULT.max_age,
+        0.0,
+        60.0,
+        "How long a joint that messages lack keeps its last position [s].",
+    ),
+    tunable(
+        "rewind",
+        _DEFAULT.rewind,
+        0.0,
+        3600.0,
+        "A stamp older than the last by more than this is a new beginning [s].",
+    ),
+    tunable(
+        "timeout", 0.5, 1e-3, 3600.0, "Age of the newest joint state that is reported STALE [s]."
+    ),
+    tunable(
+        "clock_tolerance",
+        5.0,
+        1e-3,
+        1e10,
+        "Difference of stamp and node clock from which they count as two clocks [s].",
+    ),
+    tunable(
+        "coupling_tolerance",
+        0.05,
+        0.0,
+        100.0,
+        "Distance of a measured dependent joint from its coupling that is reported [rad, m].",
+    ),
+    tunable(
+        "wrench_wait",
+        0.01,
+        0.0,
+        10.0,
+        "How long a joint state waits for the wrenches of its stamp [s].",
+    ),
+    Parameter(
+        "wrench_max_age",
+        float,
+        "How long the newest wrench stands for later joint states [s].",
+        0.1,
+        low=0.0,
+        high=60.0,
+    ),
+)
+
+
+def tuning(values: Any) -> Tuning:
+    """The part of the parameters that tunes the estimator."""
+    return Tuning(*(getattr(values, field) for field in Tuning._fields))

@@ -1,0 +1,126 @@
+"""A built scene between messages: from a serialized joint state to those that answer it."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.estimation.differentiation import Sample
+from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator
+from mbd_ros.core.inverse.observed_loops import ObservedLoops
+from mbd_ros.core.state import NANOSECOND
+from mbd_ros.nodes.inverse_dynamics.parameters import tuning
+from mbd_ros.nodes.inverse_dynamics.wrench_queue import WrenchQueue
+from mbd_ros.nodes.shell.serialized import joint_state
+from mbd_ros.scene.check import tier
+from mbd_ros.scene.reader import load_scene
+from msg_adapters.diagnostics import OK, WARN
+from msg_adapters.joint_state import JointSample, JointStateReader
+from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
+
+
+class Pipeline:
+    """What the node `inverse_dynamics` builds when it is configured.
+
+    Args:
+        values: Parameters of the node.
+        description: URDF, where the scene takes it from a topic.
+
+    Attributes:
+        scene: The scene.
+        estimator: Samples to torques.
+        joints: Which joints the newest joint state carried.
+        reader: Serialized joint states to samples.
+        queue: Observations that wait for their wrenches; unused without wrenches.
+    """
+
+    def __init__(self, values: Any, description: str | None) -> None:
+        self.scene = load_scene(values.scene, description)
+        couplings = self.scene.couplings
+        inverse = self.scene.inverse_dynamics()
+        self.estimator = TorqueEstimator(self.scene.robot, inverse, tuning(values))
+        self._loops = inverse if isinstance(inverse, ObservedLoops) else None
+        self.joints = JointStateReader(self.estimator.names, with_effort=False)
+        self.reader = JointStateCdrReader(self.joints, joint_state)
+        self._torques = JointStateCdrWriter(couplings.independent)
+        rows = couplings.dependent if self._loops is None else self._loops.rows
+        self._forces = JointStateCdrWriter(rows, ("position", "effort"))
+        self._has_rows = bool(rows)
+        ages = round(values.wrench_max_age / NANOSECOND), round(values.rewind / NANOSECOND)
+        self.queue = WrenchQueue(self.scene.wrenches, *ages)
+        self._violation = np.zeros(len(couplings.dependent))
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self.estimator.reset()
+        self.queue.clear()
+
+    def answer(self, x: Observation, wrenches: Sequence[Any]) -> tuple[Any, Any] | None:
+        """Messages for an observation; None if the torques are not finite.
+
+        Args:
+            x: The observation.
+            wrenches: One (6,) array for every load of the scene.
+
+        Returns:
+            Kept messages: joint torques, and constraint forces (position = violation of the
+            coupling or loop, effort = multiplier) or None without any.
+        """
+        torques = self.estimator.solve(x, wrenches)
+        if torques is None:
+            return None
+        answer = self._torques.write(
+            x.stamp, position=x.position, velocity=x.velocity, effort=torques.tau
+        )
+        if not self._has_rows:
+            return answer, None
+        self._violation = off = self.estimator.violation(x)
+        if self._loops is not None:
+            off = np.concatenate([off, self._loops.gap[len(off) :]])
+        return answer, self._forces.write(x.stamp, position=off, effort=torques.multipliers)
+
+    def health(self, tolerance: float) -> tuple[int, str]:
+        """WARN where a measured joint is off its coupling, or off the loops.
+
+        Args:
+            tolerance: Accepted distance [rad or m].
+        """
+        off = [
+            f"{name} by {distance:.4g}"
+            for name, distance in zip(self._dependent, self._violation, strict=True)
+            if abs(distance) > tolerance
+        ]
+        if off:
+            return WARN, f"off their couplings: {', '.join(off)}; the independent joints are used"
+        if self._loops is not None and self._loops.moved > tolerance:
+            return WARN, f"off the loops by {self._loops.moved:.4g}; the nearest state is used"
+        return OK, "torques published"
+
+    def observe(self, stamp: int, sample: JointSample) -> Observation | Sample:
+        """A joint state with its derivatives, or why it cannot be used."""
+        present = self.joints.present
+        return self.estimator.observe(stamp, sample.position, sample.velocity, present)
+
+    def held(self) -> list[str]:
+        """Independent joints that the newest joint state lacked."""
+        return [name for name in self.joints.missing if name not in self._dependent]
+
+    def details(self) -> dict[str, str]:
+        """What the numbers contain and how they are made, for diagnostics."""
+        robot, filters = self.scene.robot, self.estimator.differentiator
+        reconstructed = [name for name in self.joints.missing if name in self._dependent]
+        return {
+            "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
+            "joints dropped": ", ".join(robot.locked) or "none",
+            "inertias in doubt": "; ".join(robot.doubts) or "none",
+            "joints reconstructed": ", ".join(reconstructed) or "none",
+            "joints held": ", ".join(self.held()) or "none",
+            "derivatives": f"causal, delay {filters.delay:.4f} s, "
+            f"settled after {filters.settling_time:.4f} s",
+            "largest coupling violation": f"{np.abs(self._violation).max(initial=0.0):.6g}",
+            "solver tier": tier(self.scene),
+        } | ({} if self._loops is None else {"off the loops": f"{self._loops.moved:.6g}"})
+
+    @property
+    def _dependent(self) -> tuple[str, ...]:
+        return self.scene.couplings.dependent

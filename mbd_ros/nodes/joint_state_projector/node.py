@@ -1,0 +1,77 @@
+"""Node `joint_state_projector`: measured joint states in, the nearest consistent ones out."""
+
+from typing import Any
+
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from mbd_ros.core.estimation.differentiation import Sample
+from mbd_ros.errors import SolveError
+from mbd_ros.nodes.joint_state_projector.parameters import PARAMETERS, tuning
+from mbd_ros.nodes.joint_state_projector.pipeline import ProjectorPipeline
+from mbd_ros.nodes.shell.joint_state_node import JointStateNode
+from msg_adapters.diagnostics import OK
+from msg_adapters.joint_state import JointSample
+
+DEPTH = 100  # a reader may be away for 0.1 s at 1 kHz
+
+
+class JointStateProjectorNode(JointStateNode):
+    """Answers every joint state with the nearest one on the constraints and within limits."""
+
+    NAME = "joint_state_projector"
+    PARAMETERS = PARAMETERS
+    _pipeline: ProjectorPipeline
+
+    def build(self, description: str | None) -> None:
+        """Build the scene."""
+        self._pipeline = ProjectorPipeline(self.parameters, description)
+        self._failures = 0
+
+    def configure_core(self) -> None:
+        """Build the scene and its topics."""
+        self._states = self.publish_to(JointState, "~/joint_states", DEPTH)
+        self._forces = self.publish_to(JointState, "~/constraint_forces", DEPTH)
+        self._violation = self.publish_to(Float64MultiArray, "~/violation", DEPTH)
+        super().configure_core()
+
+    def forget(self) -> None:
+        """Empty filters; missing joints start from the initial state of the scene again."""
+        self._pipeline.forget()
+        self._failures = 0
+
+    def retune(self, values: Any) -> None:
+        """New tuning; filters start again."""
+        if tuning(values) != tuning(self.parameters):
+            self._pipeline.reconstructor.tune(tuning(values))
+
+    def health(self) -> tuple[int, str, dict[str, str]]:
+        """State of the stream, then how the measurement fits the mechanism."""
+        details = {**self._pipeline.details(), **self.stream_details()}
+        level, text = self.stream_health()
+        if level == OK:
+            level, text = self._pipeline.health(self.parameters.violation_tolerance)
+        return level, text, details
+
+    def answer(self, stamp: int, sample: JointSample) -> Sample | None:
+        """Project one joint state."""
+        try:
+            answer = self._pipeline.answer(stamp, sample)
+        except SolveError as error:
+            self._drop_unsolved(error)
+            return None
+        if isinstance(answer, Sample):
+            return answer
+        self._failures = 0
+        self._states.publish(answer.states)
+        if answer.forces is not None:
+            self._forces.publish(answer.forces)
+        self._violation.publish(answer.violation)
+        self.note_answer(stamp)
+        return None
+
+    def _drop_unsolved(self, error: SolveError) -> None:
+        self._failures += 1
+        if self._failures >= self.parameters.failures:
+            raise SolveError(f"{self._failures} joint states in a row: {error}") from error
+        self.drop_state("unsolved", f"joint_states: {error}")

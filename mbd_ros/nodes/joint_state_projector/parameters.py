@@ -1,0 +1,44 @@
+"""Parameters of the node `joint_state_projector`."""
+
+from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS as INVERSE_DYNAMICS
+from mbd_ros.nodes.inverse_dynamics.parameters import tuning
+from mbd_ros.nodes.shell.parameters import Parameter
+
+__all__ = ["PARAMETERS", "tuning"]
+_SHARED = (
+    *("scene", "allow_code", "cutoff", "velocity_margin", "patience", "max_age", "rewind"),
+    *("timeout", "clock_tolerance"),
+)
+
+PARAMETERS = (
+    *(parameter for parameter in INVERSE_DYNAMICS if parameter.name in _SHARED),
+    Parameter("limits", bool, "Keep the position limits of the robot description.", True),
+    Parameter(
+        "amplification",
+        float,
+        "A missing joint whose error would exceed those of the measured ones by more than this "
+        "is held instead of reconstructed [-].",
+        20.0,
+        low=1.0,
+        high=1e6,
+    ),
+    Parameter(
+        "violation_tolerance",
+        float,
+        "Violation of a constraint or limit by the measurement that is reported [rad, m].",
+        0.05,
+        low=0.0,
+        high=100.0,
+        read_only=False,
+    ),
+    Parameter(
+        "failures",
+        int,
+        "Joint states in a row without a consistent state near them after which the node "
+        "deactivates.",
+        1000,
+        low=1,
+        high=1_000_000,
+        read_only=False,
+    ),
+)

@@ -1,0 +1,260 @@
+"""What nodes that answer joint states share: stamps, clocks, reset."""
+
+from collections.abc import Sequence
+from time import perf_counter
+from typing import Any, Protocol
+
+from rclpy.clock_type import ClockType
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from mbd_ros.core.estimation.differentiation import Sample
+from mbd_ros.core.state import NANOSECOND
+from mbd_ros.nodes.shell.clock_watch import LOOK, ClockWatch
+from mbd_ros.nodes.shell.scene_node import SceneNode
+from mbd_ros.nodes.shell.serialized import require_size
+from msg_adapters.diagnostics import OK, STALE, WARN
+from msg_adapters.errors import MessageError, listed
+from msg_adapters.joint_state import JointSample, JointStateReader
+from msg_adapters.joint_state_cdr import JointStateCdrReader
+
+# Best effort also hears reliable publishers; the depth bridges a pause of 0.5 s at 1 kHz,
+# beyond which the transport itself keeps no more.
+SENSOR = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
+CLOCK = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+_NEVER = -(2**62)  # ns
+_STANDING = 0.5  # [s] for which one joint state may come again and again, or all be dropped
+_DROPPED = 0.05  # share of the joint states of a second that may be dropped without a word
+_LATELY = 1.5  # s, a bit more than the time between two diagnostics
+MOST_IGNORED = 100  # joints whose names are kept to be listed once
+
+
+class JointStatePipeline(Protocol):
+    """What such a node builds when it is configured.
+
+    Attributes:
+        reader: Serialized joint states to samples.
+        joints: Which joints the newest joint state carried.
+    """
+
+    reader: JointStateCdrReader
+    joints: JointStateReader
+
+    def held(self) -> Sequence[str]:
+        """Joints that the newest joint state lacked, and that nothing else gives."""
+        ...
+
+
+class JointStateNode(SceneNode):
+    """Hears `joint_states` and judges their stamps; subclasses answer.
+
+    Subclasses override `build`, `forget` and `answer`. Parameters must hold scene, timeout and
+    clock_tolerance.
+    """
+
+    STAMPED = "joint states"  # whose stamps count
+    _pipeline: JointStatePipeline
+
+    def __init__(self, argv: Sequence[str] = ()) -> None:
+        super().__init__(argv)
+        self._newest, self._answered, self._is_stampless = 0, 0, False
+        self._dropped, self._loss = 0, ""
+        self._mark()
+        self._moved = self._heard
+        self._two_clocks = self._last_drop = ""
+        self._extra: set[str] = set()
+        self._clock_watch, self._hears_clock = ClockWatch(), False
+        self.create_service(Trigger, "~/reset", self._on_reset)
+
+    def forget(self) -> None:
+        """Empty filters."""
+
+    def answer(self, stamp: int, sample: JointSample) -> Sample | None:
+        """Answer a joint state of this time [ns]; why it cannot be used, if so."""
+        raise NotImplementedError
+
+    def configure_core(self) -> None:
+        """Build, and listen."""
+        super().configure_core()
+        self.subscribe(
+            JointState, "joint_states", self._take, SENSOR, single_publisher=True, raw=True
+        )
+
+    def activate_core(self) -> None:
+        """Begin with an empty past."""
+        self.begin_anew()
+
+    def reset(self, reason: str) -> None:
+        """Another past, or another clock: the same."""
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Empty filters, forget what was answered."""
+        self._hear_clock()
+        self._newest, self._answered, self._agreed = 0, 0, _NEVER
+        self._two_clocks = self._last_drop = ""
+        self._mark()
+        self._moved = self._heard
+        if self.is_built:
+            self.forget()
+
+    def stream_details(self) -> dict[str, str]:
+        """Of the last second, for diagnostics."""
+        answered, self._answered = self._answered, 0
+        dropped, self._dropped = self._dropped, 0
+        is_much = dropped > _DROPPED * (dropped + answered)
+        self._loss = f"{dropped} of {dropped + answered} joint states dropped" if is_much else ""
+        return {
+            "joints ignored": listed(sorted(self._extra)) or "none",
+            "messages answered in the last second": str(answered),
+            "messages dropped in the last second": str(dropped),
+            "age of the newest joint state": f"{self._age():.6g}" if self._newest else "none",
+        }
+
+    def stream_health(self) -> tuple[int, str]:
+        """STALE where nothing is answered, with the reason."""
+        if not self.active:
+            return OK, ""
+        if self._two_clocks:
+            return STALE, self._two_clocks
+        dropped = f"; last one dropped: {self._last_drop}" if self._last_drop else ""
+        if self._newest == 0:
+            topic = self.resolve_topic_name("joint_states")
+            return STALE, f"no joint state answered yet on {topic}{dropped}"
+        if self._age() > self.parameters.timeout:
+            return STALE, f"newest answered joint state is {self._age():.2f} s old{dropped}"
+        if self.silence() > self.parameters.timeout:
+            why = self._clock_fault() or dropped
+            return STALE, f"no joint state answered for {self.silence():.2f} s{why}"
+        return self._standing_health()
+
+    def _standing_health(self) -> tuple[int, str]:
+        """WARN where joint states come and time stands all the same."""
+        now = perf_counter()
+        if self._last_drop and now - self._heard > _STANDING:
+            return WARN, f"no joint state answered, last one dropped: {self._last_drop}"
+        if self._heard - self._moved > _STANDING and now - self._heard < _LATELY:
+            stamp = self._newest * NANOSECOND
+            return WARN, f"the joint state of {stamp:.9g} s comes again and again: time stands"
+        return OK, ""
+
+    def silence(self) -> float:
+        """For how long no joint state was answered [s]; a standing clock does not count.
+
+        Where the clock of a simulation is silent or has no publisher any more, steady time counts.
+        """
+        if self._is_simulated() and not self._is_clock_gone():
+            stood = (self.get_clock().now().nanoseconds - self._heard_ros) * NANOSECOND
+            return max(stood, self._clock_watch.silence(self.parameters.timeout))
+        return perf_counter() - self._heard
+
+    def _clock_fault(self) -> str:
+        """What is wrong with the clock of a simulation; empty where nothing is."""
+        if not self._is_simulated():
+            return ""
+        if self._is_clock_gone():
+            return "; nobody publishes /clock any more"
+        silence = self._clock_watch.silence(self.parameters.timeout)
+        return f"; /clock is silent for {silence:.2f} s, a pause is not" if silence else ""
+
+    def _hear_clock(self) -> None:
+        """Watch /clock from the first moment on that it counts."""
+        if self._is_simulated() and not self._hears_clock:
+            self._hears_clock = True
+            self.create_subscription(Clock, "/clock", self._clock_watch.hear, CLOCK, raw=True)
+            self.create_timer(LOOK, self._clock_watch.look, clock=self._steady)
+
+    def _take(self, cdr: bytes) -> None:
+        """Read, judge and answer a serialized joint state."""
+        pipeline = self._pipeline
+        try:
+            require_size(cdr, JointState)
+            sample = pipeline.reader.read(cdr)
+        except MessageError as error:
+            self.drop_state("malformed", f"joint_states: {error}")
+            return
+        stamp = self._stamp_of(sample.stamp)
+        if stamp is None:
+            return
+        try:
+            refused = self.answer(stamp, sample)
+        except MessageError as error:
+            self.drop_state("result", f"joint_states: what would answer is dropped: {error}")
+            return
+        if refused is None:
+            self._note_extra(pipeline.joints.extra)
+            return
+        lacking = f" ({', '.join(pipeline.held())})" if refused is Sample.INCOMPLETE else ""
+        self.drop_state(refused.name.lower(), f"joint_states: {refused.value}{lacking}")
+
+    def _stamp_of(self, stamp: int) -> int | None:
+        """The stamp [ns], receive time instead of 0; None if it is of another clock."""
+        stamp = stamp or self.receive_time()
+        return stamp if self._same_clock(stamp) else None
+
+    def receive_time(self) -> int:
+        """What stands for a stamp of 0 [ns]."""
+        if not self._is_stampless:
+            self._is_stampless = True
+            self.get_logger().warning(f"stamp 0 in {self.STAMPED}: receive time is used")
+        return int(self.get_clock().now().nanoseconds)
+
+    def note_answer(self, stamp: int) -> None:
+        """Remember that a joint state was answered."""
+        is_new = stamp != self._newest
+        self._newest, self._last_drop = stamp, ""
+        self._answered += 1
+        self._mark()
+        if is_new:
+            self._moved = self._heard
+
+    def _note_extra(self, extra: tuple[str, ...]) -> None:
+        """Remember joints of a joint state that are not used; list them once."""
+        if not self._extra.issuperset(extra) and len(self._extra) < MOST_IGNORED:
+            self._extra.update(extra[:MOST_IGNORED])
+            self.get_logger().info(f"joints ignored: {listed(sorted(self._extra))}")
+
+    def drop_state(self, reason: str, text: str) -> None:
+        """Count a joint state that is not answered."""
+        self._last_drop = text
+        self._dropped += 1
+        self.drop(reason, text)
+
+    def _age(self) -> float:
+        """Of the newest answered stamp [s]."""
+        return (self.get_clock().now().nanoseconds - self._newest) * NANOSECOND
+
+    def _mark(self) -> None:
+        """Silence begins now."""
+        self._heard, self._heard_ros = perf_counter(), self.get_clock().now().nanoseconds
+
+    def _is_simulated(self) -> bool:
+        clock = self.get_clock()
+        return clock.clock_type == ClockType.ROS_TIME and clock.ros_time_is_active
+
+    def _is_clock_gone(self) -> bool:
+        return self._is_simulated() and not self.count_publishers("/clock")
+
+    def _same_clock(self, stamp: int) -> bool:
+        """Whether stamp and node clock are one clock; asked again whenever the stamps moved on."""
+        tolerance = self.parameters.clock_tolerance
+        if not self._two_clocks and abs(stamp - self._agreed) * NANOSECOND < tolerance:
+            return True
+        now = self.get_clock().now().nanoseconds
+        ahead = (stamp - now) * NANOSECOND
+        if now == 0 or abs(ahead) <= tolerance:
+            self._two_clocks, self._agreed = "", stamp
+            return True
+        self._two_clocks = (
+            f"joint state of {stamp * NANOSECOND:.3f} s, node clock {now * NANOSECOND:.3f} s: "
+            "two clocks; does use_sim_time fit the publisher?"
+        )
+        self.drop("two_clocks", self._two_clocks)
+        return False
+
+    def _on_reset(self, request: Any, response: Any) -> Any:
+        self.begin_anew()
+        response.success, response.message = True, "filters and buffers are empty"
+        return response

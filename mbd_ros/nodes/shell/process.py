@@ -1,0 +1,119 @@
+"""The process of a node: starts it, drives its callbacks, ends it on a signal or a crash."""
+
+import gc
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
+
+import numpy as np
+import rclpy
+from rclpy.exceptions import ParameterException
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.signals import SignalHandlerOptions
+
+from mbd_ros.nodes.shell.shell import PARAMETERS, Shell
+from mbd_ros.nodes.shell.usage import asks_for_help, usage
+
+_REFUSALS = (
+    rclpy_implementation.RCLError,
+    rclpy_implementation.UnknownROSArgsError,
+    ParameterException,
+)
+PATIENCE = 0.1  # [s] that a signal waits at most: an executor does not wake up for one
+
+
+class _StopSignal:
+    """Remembers SIGINT and SIGTERM; launch and terminals send two, the second is no news."""
+
+    def __init__(self) -> None:
+        self.name = ""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._remember)
+
+    def ignore(self) -> None:
+        """From now on no signal matters: the interpreter would take it for the default and die."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+
+    def _remember(self, number: int, frame: FrameType | None) -> None:
+        self.name = signal.Signals(number).name
+
+
+def run(node_class: type[Shell], argv: Sequence[str] | None = None) -> int:
+    """Main of a node.
+
+    Args:
+        node_class: The node.
+        argv: Command line with program name; default `sys.argv`.
+
+    Returns:
+        Exit code 0 after SIGINT or SIGTERM, and after the text for --help.
+
+    Raises:
+        SystemExit: An unknown argument, a command line or parameter file that rcl refuses.
+        Exception: Whatever a callback raised that is not an MbdError.
+    """
+    arguments = list(sys.argv if argv is None else argv)
+    with _refused(node_class.NAME):
+        wants_help = asks_for_help(arguments, node_class.NAME)
+    if wants_help:
+        sys.stdout.write(usage(node_class.NAME, node_class.PARAMETERS + PARAMETERS))
+        return 0
+    stop = _StopSignal()
+    np.seterr(over="ignore", invalid="ignore")  # results are checked; nobody reads such warnings
+    try:
+        _run(node_class, arguments, stop)
+    finally:
+        stop.ignore()
+        gc.unfreeze()  # what configuring froze would outlive the libraries that count it
+    return 0
+
+
+def _run(node_class: type[Shell], arguments: list[str], stop: _StopSignal) -> None:
+    with _refused(node_class.NAME):
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        node = node_class(arguments)
+    with _closing(node), _driven(node) as executor:
+        node.try_start()
+        while not stop.name:
+            node.raise_crash()
+            node.drive(executor, PATIENCE)
+
+
+@contextmanager
+def _refused(name: str) -> Iterator[None]:
+    """What ROS refuses of a command line ends the process with its reason."""
+    try:
+        yield
+    except _REFUSALS as error:
+        rclpy.try_shutdown()
+        unknown = isinstance(error, rclpy_implementation.UnknownROSArgsError)
+        what = f"unknown after --ros-args: {error}" if unknown else error
+        raise SystemExit(f"{name}: {what}") from error
+
+
+@contextmanager
+def _driven(node: Shell) -> Iterator[Executor]:
+    events = node.parameters.executor != "single_threaded"
+    executor = EventsExecutor() if events else SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        yield executor
+    finally:
+        executor.remove_node(node)
+
+
+@contextmanager
+def _closing(node: Shell) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        try:
+            node.close(sys.exc_info()[1])
+        finally:
+            node.destroy_node()
+            rclpy.try_shutdown()

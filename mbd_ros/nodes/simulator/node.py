@@ -1,0 +1,237 @@
+"""Node `simulator`: commands in, the motion of a scene out, tick by tick."""
+
+from collections.abc import Callable, Sequence
+from time import perf_counter
+from typing import Any
+
+from rclpy.executors import Executor
+from rclpy.qos import HistoryPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+
+from mbd_ros.errors import DivergedError, MbdError
+from mbd_ros.nodes.shell.scene_node import SceneNode
+from mbd_ros.nodes.simulator.outputs import SimulatedClock, SimulatorOutputs
+from mbd_ros.nodes.simulator.pace import Pace, wake_exactly
+from mbd_ros.nodes.simulator.parameters import PARAMETERS
+from mbd_ros.nodes.simulator.plant import Plant
+from mbd_ros.nodes.simulator.standing import LATE, Standing
+from msg_adapters.diagnostics import OK, WARN
+from msg_adapters.errors import MessageError
+from msg_adapters.multi_array import read_answered
+from msg_adapters.time import NANOSECONDS
+
+# The depth bridges a pause of 0.5 s at 1 kHz. In lock step every command is a tick, however many
+# are waiting: a full reader then refuses them, and the writer sends them again.
+COMMANDS = QoSProfile(depth=500)
+EVERY_COMMAND = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+STANDING = 0.1  # s between looks for who comes late, while time stands
+
+
+class SimulatorNode(SceneNode):
+    """Advances a scene by one tick at a time and publishes every state."""
+
+    NAME = "simulator"
+    PARAMETERS = PARAMETERS
+    _plant: Plant
+    _simulated_clock: SimulatedClock | None = None  # of this activation
+
+    def __init__(self, argv: Sequence[str] = ()) -> None:
+        super().__init__(argv)
+        self._is_paused = False
+        self._pace = Pace(1.0, 1.0)  # until configured
+        self._standing = Standing()
+        self._tick = self._guarded(self._advance, False)
+        self._show = self._guarded(self._publish, False)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/step", self._on_step)
+        self.create_service(SetBool, "~/pause", self._on_pause)
+
+    def build(self, description: str | None) -> None:
+        """Build the scene."""
+        self._plant = Plant(self.parameters, description)
+
+    def replace(self, description: str) -> None:
+        """Keep the robot of a simulation that has begun; the next one takes the new robot."""
+        Plant(self.parameters, description)  # says what is wrong with it
+        self._description = description
+        raise MbdError("a simulation keeps its robot; clean up and configure to change it")
+
+    def configure_core(self) -> None:
+        """Build the scene and its topics."""
+        super().configure_core()
+        values, plant = self.parameters, self._plant
+        self._is_paused = values.paused
+        self._pace = Pace(1.0 / values.rate, values.real_time_factor)
+        wake_exactly()
+        self._outputs = SimulatorOutputs(self, plant)
+        if plant.has_actuators:
+            qos = EVERY_COMMAND if values.lock_step else COMMANDS
+            for kind, topic, read in (
+                (Float64MultiArray, "~/commands", plant.reader.read_vector),
+                (JointState, "~/joint_commands", plant.reader.read_efforts),
+            ):
+                take = self._on_command(topic, read)
+                self.subscribe(kind, topic, take, qos, single_publisher=True)
+
+    def activate_core(self) -> None:
+        """Go on from the state that was kept; show it at once.
+
+        The clock ends with the activation: who waits for it sees that nothing will come, which
+        is no pause.
+        """
+        if self._plant.live.fault:
+            raise DivergedError(f"{self._plant.live.fault}; call ~/reset first")
+        if self.parameters.publish_clock:
+            self._simulated_clock = SimulatedClock(self)
+        self.every(STANDING, self._stand)
+        self._restart()
+        self._publish(self._begun)
+
+    def deactivate_core(self) -> None:
+        """Stand still, and let the clock end."""
+        self._simulated_clock = None
+        self._pace.interrupt()
+
+    def retune(self, values: Any) -> None:
+        """New timeouts for the commands; another factor takes hold at once."""
+        watch = self._plant.live.watch
+        watch.timeout, watch.ramp = values.command_timeout, values.safe_ramp
+        if values.real_time_factor != self._pace.factor:
+            self._restart(values.real_time_factor)
+
+    def reset(self, reason: str) -> None:
+        """The node clock jumped: stamps follow it, the simulation does not."""
+        self._restart()
+
+    def drive(self, executor: Executor, patience: float) -> None:
+        """Tick, and handle callbacks in between."""
+        if not self._is_running:
+            self._pace.idle(executor, patience)
+        end = perf_counter() + patience
+        while self._is_running and perf_counter() < end:
+            if self._pace.wait(executor):
+                self._tick()
+                self._pace.ticked()
+
+    def health(self) -> tuple[int, str, dict[str, str]]:
+        """Whether time is kept and commands come, then what the motion contains."""
+        pace, live = self._pace, self._plant.live
+        details = {**self._plant.details(), **pace.details(self._is_running)}
+        wrong = [pace.lag] if self._is_running and pace.is_lagging else []
+        wrong += [self._plant.silence] if self._plant.silence else []
+        if self._waits and self._standing.waited > LATE and live.watch.held is not None:
+            wrong.append(f"no command for {self._standing.waited:.3g} s, the state is repeated")
+        details["states repeated"] = str(self._standing.repeats)
+        details["commands that answered a state again"] = str(self._standing.doubled)
+        pace.open_window()
+        standing = "paused" if self._is_paused else "waiting for a command"
+        what = "simulating" if self._is_running else standing
+        text = "; ".join([*wrong, f"{what}, t = {live.now.t:.9g} s"])
+        return (WARN if wrong else OK), text, details
+
+    @property
+    def _is_running(self) -> bool:
+        return self.active and not (self._is_paused or self.parameters.lock_step)
+
+    @property
+    def _waits(self) -> bool:
+        """Whether time stands until a command comes."""
+        return self.active and self.parameters.lock_step and not self._is_paused
+
+    def _advance(self) -> None:
+        self._plant.live.tick()
+        is_due = self._is_running and self._pace.factor > 0.0
+        due = self._epoch + round(self._pace.due * NANOSECONDS) if is_due else self._now()
+        self._publish(due)
+
+    def _publish(self, stamp: int) -> None:
+        """Show the newest state.
+
+        Args:
+            stamp: Counts unless simulated time is published [ns].
+
+        Raises:
+            DivergedError: It is not finite, or its time does not fit into a message.
+        """
+        if self.parameters.publish_clock:
+            stamp = self._plant.time
+        try:
+            if self._simulated_clock is not None:
+                self._simulated_clock.show(stamp)
+            self._standing.show(stamp)
+            self._outputs.publish(stamp, self.parameters)
+        except MessageError as error:
+            raise DivergedError(f"the state cannot be published: {error}") from error
+
+    def _stand(self) -> None:
+        """Show the state again to who came late, or lost a message."""
+        if self._is_running:
+            return
+        if self._standing.is_wanted(self._outputs.listeners, self._waits):
+            stamp = self._plant.time if self.parameters.publish_clock else self._now()
+            self._standing.show_again(stamp)
+            self._outputs.repeat(stamp)
+
+    def _now(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _restart(self, factor: float | None = None) -> None:
+        """The time between ticks begins now; the state of this moment needs no tick."""
+        self._pace.restart(factor)
+        self._begun = self._now()
+        self._epoch = self._begun - round(self._pace.due * NANOSECONDS)
+        self._pace.skip()
+        self._pace.interrupt()
+
+    def _on_command(self, topic: str, read: Callable[[Any], Any]) -> Callable[[Any], None]:
+        def take(msg: Any) -> None:
+            try:
+                command = read(msg)
+            except MessageError as error:
+                self.drop("command", f"{topic}: {error}; the last good command is held")
+                return
+            if self._waits and not self._standing.takes(read_answered(msg)):
+                return
+            self._plant.live.watch.take(command)
+            if self._waits:
+                self._advance()
+
+        return take
+
+    def _on_pause(self, request: Any, response: Any) -> Any:
+        response.success = self.configured
+        if self.configured:
+            self._is_paused = request.data
+            self._restart()
+        return self._answer(response, "paused" if request.data else "not paused")
+
+    def _on_reset(self, request: Any, response: Any) -> Any:
+        response.success = self.configured
+        if self.configured:
+            self._plant.live.reset()
+            self._restart()
+            was_active = self.active
+            self._show(self._begun)
+            response.success = self.active == was_active
+        return self._answer(response, "at the initial state")
+
+    def _on_step(self, request: Any, response: Any) -> Any:
+        """One tick; an error in it deactivates, as in any tick."""
+        response.success = self.active and not self._is_running
+        if response.success:
+            self._tick()
+            response.success = self.active
+        elif self.active:
+            response.message = "not paused: call ~/pause first"
+            return response
+        return self._answer(response, "one tick done")
+
+    def _answer(self, response: Any, done: str) -> Any:
+        """Fill in what a service says: what it did, or why it could not."""
+        if response.success:
+            response.message = f"{done}, t = {self._plant.live.now.t:.9g} s"
+        else:
+            response.message = self.fault or f"the node is {self.state}"
+        return response

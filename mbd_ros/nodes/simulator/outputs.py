@@ -1,0 +1,89 @@
+"""What the node `simulator` publishes of a state."""
+
+from time import perf_counter
+from typing import Any
+
+from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import MarkerArray
+
+from mbd_ros.nodes.shell.shell import Shell
+from mbd_ros.nodes.simulator.plant import Plant
+from msg_adapters.clock import write_clock
+
+BEAT = 0.05  # s between messages of a clock that stands
+STATES = QoSProfile(depth=100)  # a recorder may be away for 0.1 s at 1 kHz
+
+
+class SimulatorOutputs:
+    """Topics of a configured simulator; those that a scene has nothing for are not made.
+
+    Args:
+        node: Who publishes.
+        plant: What is shown.
+    """
+
+    def __init__(self, node: Shell, plant: Plant) -> None:
+        self._plant = plant
+        self._states = node.publish_to(JointState, "joint_states", STATES)
+        self._motion = node.publish_to(JointTrajectory, "~/motion", STATES)
+        self._forces = self._markers = None
+        if plant.rows:
+            self._forces = node.publish_to(JointState, "~/constraint_forces", STATES)
+        if plant.live.wrenches():
+            self._markers, self._marked = node.publish_to(MarkerArray, "~/markers", 10), 0.0
+
+    @property
+    def listeners(self) -> int:
+        """How many listen to joint states."""
+        return int(self._states.get_subscription_count())
+
+    def repeat(self, stamp: int) -> None:
+        """Publish the newest joint state again, under a stamp [ns]."""
+        self._states.publish(self._plant.joint_states(stamp))
+
+    def publish(self, stamp: int, values: Any) -> None:
+        """Show the newest state.
+
+        Args:
+            stamp: [ns].
+            values: Parameters of the node.
+        """
+        plant = self._plant
+        self._states.publish(plant.joint_states(stamp))
+        if self._forces is not None:
+            self._forces.publish(plant.constraint_forces(stamp))
+        if self._motion.get_subscription_count():
+            self._motion.publish(plant.motion(stamp))
+        rate, now = values.marker_rate, perf_counter()
+        if self._markers is not None and rate > 0.0 and now >= self._marked + 1.0 / rate:
+            self._marked = now
+            self._markers.publish(plant.markers(stamp, values.marker_scale))
+
+
+class SimulatedClock:
+    """Topic `/clock`: every new time, and the same again where none comes.
+
+    Whoever listens can tell by these beats a simulation that stands or is slow from one that
+    ended.
+
+    Args:
+        node: Who publishes.
+    """
+
+    def __init__(self, node: Shell) -> None:
+        self._publisher, self._message = node.publish_to(Clock, "/clock", 10), Clock()
+        self._shown = perf_counter()
+        node.every(BEAT, self._beat)
+
+    def show(self, stamp: int) -> None:
+        """Publish a time [ns]."""
+        self._shown = perf_counter()
+        self._publisher.publish(write_clock(self._message, stamp))
+
+    def _beat(self) -> None:
+        """Publish the newest time again, unless it is a new one."""
+        if perf_counter() - self._shown > BEAT / 2.0:
+            self._publisher.publish(self._message)

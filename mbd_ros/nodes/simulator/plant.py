@@ -1,0 +1,128 @@
+"""A built scene between commands and the messages that show its motion."""
+
+from typing import Any
+
+from geometry_msgs.msg import Point
+from pinocchio import FrameType
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from visualization_msgs.msg import Marker, MarkerArray
+
+from mbd_ros.core.dynamics.tiers import tier_of
+from mbd_ros.core.simulation.command_watch import CommandWatch
+from mbd_ros.core.simulation.live_simulation import LiveSimulation
+from mbd_ros.nodes.shell.driven_joints import command_order, driven_joints
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.reader import load_scene
+from msg_adapters.commands import CommandReader
+from msg_adapters.joint_motion import JointMotionWriter
+from msg_adapters.joint_state_cdr import JointStateCdrWriter
+from msg_adapters.markers import Arrow, ArrowWriter
+from msg_adapters.time import NANOSECONDS
+
+
+class Plant:
+    """What the node `simulator` builds when it is configured.
+
+    Args:
+        values: Parameters of the node.
+        description: URDF, where the scene takes it from a topic.
+
+    Attributes:
+        scene: The scene.
+        live: The simulation.
+        reader: Messages to commands.
+        has_actuators: Whether anything can be commanded.
+        rows: Names of the constraint rows.
+
+    Raises:
+        MbdError: The scene, `joints` or `rate` do not fit.
+    """
+
+    def __init__(self, values: Any, description: str | None) -> None:
+        self.scene = scene = load_scene(values.scene, description)
+        driven = driven_joints(scene.actuators)
+        joints = command_order(values.joints, driven)
+        self.has_actuators = bool(driven)
+        takes = {joint: a.takes for a in scene.actuators for joint in a.joints if a.takes}
+        self.reader = CommandReader(joints, driven, takes)
+        watch = CommandWatch(values.command_timeout, values.safe_ramp)
+        self.live = LiveSimulation(
+            scene.simulation, scene.initial, 1.0 / values.rate, watch, scene.safe
+        )
+        names = [joint.name for joint in scene.robot.joints]
+        self.rows = [row.name for row in self.live.simulation.system.multiplier_rows]
+        self._states = JointStateCdrWriter(names)
+        self._forces = JointStateCdrWriter(self.rows, ("effort",))
+        self._motion = JointMotionWriter(JointTrajectory(), JointTrajectoryPoint(), names)
+        self._arrows = ArrowWriter(MarkerArray(), Marker, Point, _root_link(scene))
+
+    @property
+    def time(self) -> int:
+        """Simulated time [ns]; 1 at the start, as ROS reads 0 as no time at all."""
+        return round(self.live.now.t * NANOSECONDS) or 1
+
+    @property
+    def silence(self) -> str:
+        """Since when no command acts, and what does instead; empty while one does."""
+        watch = self.live.watch
+        if not (self.has_actuators and watch.is_safe):
+            return ""
+        since = "yet" if watch.held is None else f"for {watch.age:.3g} s"
+        return f"no command {since}, instead: {self.scene.safe}"
+
+    def joint_states(self, stamp: int) -> bytes:
+        """Serialized JointState of the newest state."""
+        now = self.live.now
+        return self._states.write(
+            stamp, position=now.position, velocity=now.velocity, effort=now.effort
+        )
+
+    def constraint_forces(self, stamp: int) -> bytes:
+        """Serialized JointState with the multipliers."""
+        return self._forces.write(stamp, effort=self.live.now.multipliers)
+
+    def motion(self, stamp: int) -> Any:
+        """JointTrajectory whose point is the newest state with accelerations."""
+        now = self.live.now
+        return self._motion.write(stamp, now.position, now.velocity, now.acceleration, now.effort)
+
+    def markers(self, stamp: int, length: float) -> Any:
+        """MarkerArray of what loops, bars and anchors exert; `length` is [m/N]."""
+        origin = self.scene.robot.origin
+        arrows = [Arrow(w.frame, w.point + origin, w.force) for w in self.live.wrenches()]
+        return self._arrows.write(stamp, arrows, length)
+
+    def details(self) -> dict[str, str]:
+        """What the motion contains and how it is made, for diagnostics."""
+        robot, live, watch = self.scene.robot, self.live, self.live.watch
+        system, drift = live.simulation.system, live.drift()
+        unloaded = ", ".join(self.scene.wrenches)
+        details = {
+            "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
+            "joints dropped": ", ".join(robot.locked) or "none",
+            "external wrenches left out": unloaded or "none",
+            "solver tier": tier_of(system),
+            "simulated time": f"{live.now.t:.9g}",
+            "drift of positions": f"{drift.position:.3g}",
+            "drift of velocities": f"{drift.velocity:.3g}",
+            "commands received": str(watch.received),
+            "commands superseded before a tick": str(watch.superseded),
+            "age of the last command": "none" if watch.held is None else f"{watch.age:.6g}",
+            "share of the safe command": "1" if watch.held is None else f"{watch.weight:.6g}",
+            "safe command": str(self.scene.safe),
+        }
+        if live.simulation.overshoots is not None:
+            details["stops passed"] = "; ".join(live.simulation.passed_stops()) or "none"
+        if system.bounded is not None:
+            s = system.bounded.qp.statistics
+            details["QP"] = (
+                f"{s.solves} solves, {s.cold} cold, {s.damped} damped, {s.failed} failed"
+            )
+        return details
+
+
+def _root_link(scene: Scene) -> str:
+    """Link that stands where the world is."""
+    frames = scene.robot.model.frames
+    links = [f.name for f in frames if f.type == FrameType.BODY and f.parentJoint == 0]
+    return str(links[0]) if links else "world"

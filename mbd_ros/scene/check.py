@@ -1,0 +1,267 @@
+"""What a scene builds, what it leaves out, and what one call costs."""
+
+import math
+import sys
+import timeit
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.dynamics.mass_check import check_mass
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.tiers import tier_of
+from mbd_ros.core.integration.linear_motion import LinearMotion, linear_motion, longest_step
+from mbd_ros.core.inverse.loop_torques import listed
+from mbd_ros.core.projection.assembly import assemble
+from mbd_ros.core.rows.row_factor import TOGGLE, RowFactor
+from mbd_ros.core.state import State
+from mbd_ros.errors import SolveError
+from mbd_ros.scene.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE, Scene
+from mbd_ros.scene.part_entries import build_part
+from mbd_ros.scene.start_check import start_warnings
+
+_CALLS, _REPEATS = 2000, 5
+MEASURED = 0.02  # s for which a call is timed, a few times over
+_TIERS = {
+    "aba": "open chain, articulated-body algorithm",
+    "reduced": "couplings eliminated exactly, q = F(z)",
+    "kkt": "bilateral rows, one factorised solve",
+}
+
+
+def describe(scene: Scene) -> Iterator[str]:
+    """The lines of `mbd-ros check`.
+
+    Args:
+        scene: A built scene.
+
+    Yields:
+        One line each, label then text.
+    """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        yield from _lines(scene)
+
+
+def _lines(scene: Scene) -> Iterator[str]:
+    robot, couplings = scene.robot, scene.couplings
+    gravity = np.array2string(robot.model.gravity.linear, separator=", ")
+    base = "floating" if robot.floating else "fixed"
+    yield _line("scene", str(scene.path))
+    yield _line("robot", f"{robot.name} from {scene.source}, {base} base")
+    yield _line("gravity", f"{gravity} m/s^2, included in every torque")
+    system = scene.system()
+    fault = _mass_fault(scene, system)
+    start, factor = _held_start(scene, system) if fault else _start(scene, system)
+    if scene.integrator is not None:  # the default one takes every scene
+        scene.simulation()
+    freedom = system.nv - (0 if factor is None else factor.rank)
+    yield _line("joints", f"{len(robot.joints)}, degrees of freedom {freedom}")
+    yield _line("independent", ", ".join(couplings.independent) or "none")
+    yield _line("dependent", "; ".join(f"{d} <- {law}" for d, law in scene.laws.items()) or "none")
+    if robot.locked:
+        locked = ", ".join(f"{name} at {value:g}" for name, value in robot.locked.items())
+        yield _line("locked", locked)
+    for name, wrench in scene.wrenches.items():
+        load, topic = wrench.load, wrench.topic or f"~/wrench/{name}"
+        text = f"{name} on {load.frame}, expressed in {load.expressed_in}, topic {topic}"
+        yield _line("wrench", text)
+    yield from _parts(scene)
+    for key, name in scene.code.items():
+        file = sys.modules[name.partition(":")[0]].__file__
+        yield _line("code", f"{key}: {name} from {file}")
+    yield _line("inverse", tier(scene))
+    if scene.has_loops:
+        yield from _reach(scene, system.expand(start))
+    yield _line("forward", f"refused: {fault}" if fault else _forward(scene, system))
+    yield from (_line("warning", text) for text in robot.doubts)
+    yield from _warnings(scene, system, start, factor)
+    if not fault:
+        yield from _stiffness(scene, linear_motion(system, start))
+    left_out = (*scene.absent, *_rubbing(scene), *robot.ignored)
+    yield _line("left out", "; ".join(left_out) or "nothing")
+    cost = (
+        _loop_cost(scene, system.expand(start)) if scene.has_loops else _cost(scene, system.data)
+    )
+    yield _line("cost", cost if fault else f"{cost}; {_forward_cost(scene, system)}")
+
+
+def _rubbing(scene: Scene) -> Iterator[str]:
+    """Friction and damping of the description that no part of the scene brings in."""
+    covered: set[tuple[str, str]] = set()
+    for part in (*scene.forces, *scene.constraints):
+        joint = getattr(getattr(part, "joint", None), "name", None)
+        covered.update((key, joint) for key in getattr(part, "brings", ()) if joint)
+    for key in ("friction", "damping"):
+        names = [n for n, rub in scene.robot.rubbing.items() if getattr(rub, key)]
+        lacking = [name for name in names if (key, name) not in covered]
+        if lacking:
+            yield f"URDF <dynamics> {key} of {', '.join(lacking)}"
+
+
+def _parts(scene: Scene) -> Iterator[str]:
+    for label, parts in (("force", scene.forces), ("actuator", scene.actuators)):
+        for part in parts:
+            where = getattr(part, "joints", None) or [getattr(part, "joint", None)]
+            names = ", ".join(str(getattr(joint, "name", joint)) for joint in where if joint)
+            yield _line(label, f"{_name(part)}{f' at {names}' if names else ''}")
+    for constraint in scene.constraints:
+        rows = ", ".join(f"{row.name} [{row.unit}]" for row in constraint.rows)
+        law = "bilateral" if constraint.bounds is None else "bounded"
+        yield _line("constraint", f"{_name(constraint)}, {law}: {rows}")
+
+
+def _forward(scene: Scene, system: System) -> str:
+    """The tier, the method and the step."""
+    rows = f", {len(system.rows)} rows" if system.rows else ""
+    method = "integrator" if scene.integrator is None else type(scene.integrator).__name__
+    default = f" {DEFAULT_INTEGRATOR['type']} by default" if scene.integrator is None else ""
+    text = f"{tier_of(system)}: {_TIERS[system.tier]}{rows}; {method}{default}, dt {scene.dt:g} s"
+    if system.rows:
+        kept = scene.stabilization
+        text += f"; stabilization {'projection by default' if kept is None else _name(kept)}"
+    return text
+
+
+def _name(part: object) -> str:
+    return type(part).__name__
+
+
+def _warnings(scene: Scene, system: System, x: State, factor: RowFactor | None) -> Iterator[str]:
+    for text in start_warnings(scene.robot, scene.constraints, scene.initial):
+        yield _line("warning", text)
+    floor = getattr(scene.stabilization, "floor", None)
+    if system.rows and floor is not None and floor(scene.dt) > scene.stabilization.time_constant:
+        used = f"time constant {scene.stabilization.time_constant:g} s raised to 2 dt"
+        yield _line("warning", f"Baumgarte: {used} = {floor(scene.dt):g} s")
+    if factor is not None:
+        yield from _rank_lines(factor)
+    driven = [scene.robot.joint(name) for part in scene.actuators for name in part.joints]
+    without = [joint.name for joint in driven if joint.max_effort == 0.0]
+    if without:
+        yield _line("warning", f"no authority: effort limit 0 of {', '.join(without)}")
+
+
+def _stiffness(scene: Scene, motion: LinearMotion) -> Iterator[str]:
+    method, name = scene.integrator, DEFAULT_INTEGRATOR["type"]
+    if method is not None:
+        name = _name(method)
+    elif motion.rate * scene.dt > DEFAULT_STABLE:
+        method = build_part("integrators", DEFAULT_INTEGRATOR, "default")
+    longest = math.inf if method is None else longest_step(method, motion, scene.dt)
+    if not math.isfinite(motion.rate):
+        yield _line("warning", f"stiff: forces change too steeply for any step of {name}")
+    elif longest < math.inf:
+        limit = f"steps of {name} need dt < {longest:.2g} s, gauss_legendre does not"
+        stiff = f"stiff: fastest rate {motion.rate:.3g} 1/s at dt {scene.dt:g} s"
+        yield _line("warning", f"{stiff}; {limit}")
+
+
+def _mass_fault(scene: Scene, system: System) -> str:
+    """Why forward dynamics has no answer at the start, empty where it has one."""
+    try:
+        check_mass(system, system.reduce(scene.initial).q)
+    except SolveError as error:
+        return str(error)
+    return ""
+
+
+def _held_start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
+    """Start of a scene for inverse dynamics only, and its rows in a metric that has one."""
+    if not scene.has_loops:
+        return system.reduce(scene.initial), None
+    motion = scene.closed_loop().motion
+    x = scene.initial._replace(q=motion.start(scene.initial))
+    return x, RowFactor(motion.metric(x.q), system.jacobian(x.t, x.q))
+
+
+def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
+    """The assembled start and its rows; a mechanism that cannot be assembled is an error."""
+    try:
+        x = assemble(system, system.reduce(scene.initial))
+    except SolveError as error:
+        raise SolveError(f"{scene.path}: {error}") from error
+    a = system.acceleration(*x)
+    if not np.isfinite(a).all():
+        raise SolveError(f"{scene.path}: accelerations at the start are not finite: {a}")
+    if not system.rows:
+        return x, None
+    return x, system.factorise(system.mass(x.q), system.jacobian(x.t, x.q))
+
+
+def _rank_lines(factor: RowFactor) -> Iterator[str]:
+    """How many of the rows are independent, and how well conditioned they are."""
+    rows = len(factor.A)
+    if factor.rank < rows:
+        text = f"rank {factor.rank} of {rows} rows: redundant, multipliers of smallest norm"
+        yield _line("rank", text)
+        return
+    yield _line("rank", f"{rows} of {rows} rows, condition number {factor.condition:.2g}")
+    if factor.condition > TOGGLE:
+        yield _line("warning", "near a toggle position: multipliers are unreliable here")
+
+
+def tier(scene: Scene) -> str:
+    """How inverse dynamics is solved."""
+    if scene.has_loops:
+        return "loops: efforts and multipliers by rank, of smallest norm where undetermined"
+    if not scene.couplings.dependent:
+        return "rnea: no dependent joint, one call"
+    return "reduced: dependent joints eliminated exactly, q = F(z)"
+
+
+def _reach(scene: Scene, x: State) -> Iterator[str]:
+    """What the actuators can do at the assembled start, for inverse dynamics."""
+    reach = scene.closed_loop().reach(x)
+    names = listed(scene.actuated) or "none"
+    reason = "" if scene.actuators else "; no actuators section: every independent joint"
+    yield _line("actuated", f"{names}{reason}; {reach.driven} of {reach.freedom} motions driven")
+    if reach.null_space:
+        text = f"dimension {reach.null_space}: {listed(reach.undetermined)}"
+        yield _line("null space", f"{text} are not determined by a motion")
+    if reach.undriven:
+        joints = ", ".join(reach.undriven)
+        text = f"nothing drives {joints}: inverse takes motions that need nothing there"
+        yield _line("warning", text)
+
+
+def _line(label: str, text: str) -> str:
+    return f"{label:<12}{text}"
+
+
+def _cost(scene: Scene, data: Any) -> str:
+    robot, model = scene.robot, scene.robot.model
+    inverse, loads = scene.inverse_dynamics(), [np.ones(6)] * len(scene.wrenches)
+    q, v = pin.neutral(model), np.zeros(model.nv)
+    z, w = q[scene.couplings.q_index], v[scene.couplings.v_index]
+    bare = _best(lambda: pin.rnea(model, data, q, v, v))
+    ours = _best(lambda: inverse.solve(z, w, w, loads))
+    ratio = f"{ours / bare:.1f} x a bare rnea of {len(robot.joints)} joints"
+    return f"one inverse-dynamics call {ours * 1e6:.1f} us, {ratio}"
+
+
+def _loop_cost(scene: Scene, x: State) -> str:
+    every = replace(scene, actuators=()).closed_loop()  # so that no fixed base is out of reach
+    x, a = every.consistent(x, np.zeros(scene.robot.model.nv))
+    call = (lambda: every.reach(x)) if scene.robot.floating else (lambda: every.solve(x, a))
+    return f"one inverse-dynamics call {_best(call) * 1e6:.0f} us"
+
+
+def _forward_cost(scene: Scene, system: System) -> str:
+    x = system.reduce(scene.initial)
+    model, data, zero = system.model, system.data, np.zeros(system.model.nv)
+    bare = _best(lambda: pin.aba(model, data, scene.initial.q, scene.initial.v, zero))
+    ours = _best(lambda: system.acceleration(*x))
+    return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"
+
+
+def _best(call: object) -> float:
+    """Shortest time of a call [s], by as many calls as there is time for."""
+    timer = timeit.Timer(call)  # type: ignore[arg-type]
+    first = timer.timeit(1)
+    if first >= MEASURED:
+        return first
+    calls = int(min(max(MEASURED / first, 1), _CALLS))
+    return min(timer.repeat(_REPEATS, calls)) / calls

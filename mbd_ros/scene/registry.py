@@ -1,0 +1,108 @@
+"""Where every part lives: one line a part, imported only when a scene names it."""
+
+import importlib
+import inspect
+from collections.abc import Mapping
+from typing import Any
+
+from mbd_ros.errors import SceneError
+from mbd_ros.scene.code_permission import module_path, require_permission
+
+PARTS: Mapping[str, Mapping[str, str]] = {
+    "actuators": {
+        "geared_motor": "mbd_ros.actuators.geared_motor:GearedMotor",
+        "ideal": "mbd_ros.actuators.ideal:Ideal",
+        "series_elastic": "mbd_ros.actuators.series_elastic:SeriesElastic",
+    },
+    "constraints": {
+        "distance": "mbd_ros.constraints.distance:Distance",
+        "dry_friction": "mbd_ros.constraints.dry_friction:DryFriction",
+        "frame_anchor": "mbd_ros.constraints.frame_anchor:FrameAnchor",
+        "joint_stop": "mbd_ros.constraints.joint_stop:JointStop",
+        "loop_closure": "mbd_ros.constraints.loop_closure:LoopClosure",
+        "point_on_plane": "mbd_ros.constraints.point_on_plane:PointOnPlane",
+        "prescribed_motion": "mbd_ros.constraints.prescribed_motion:PrescribedMotion",
+        "screw": "mbd_ros.constraints.screw:Screw",
+    },
+    "controllers": {
+        "computed_torque": "mbd_ros.controllers.computed_torque:ComputedTorque",
+        "gravity_compensation": "mbd_ros.controllers.gravity_compensation:GravityCompensation",
+        "qp_tracking": "mbd_ros.controllers.qp_tracking:QpTracking",
+        "sliding_mode": "mbd_ros.controllers.sliding_mode:SlidingMode",
+        "super_twisting": "mbd_ros.controllers.super_twisting:SuperTwisting",
+    },
+    "forces": {
+        "applied_wrench": "mbd_ros.forces.applied_wrench:AppliedWrench",
+        "gravity_compensation": "mbd_ros.forces.gravity_compensation:GravityCompensation",
+        "joint_friction": "mbd_ros.forces.joint_friction:JointFriction",
+        "joint_spring": "mbd_ros.forces.joint_spring:JointSpring",
+        "joint_torque": "mbd_ros.forces.joint_torque:JointTorque",
+        "point_spring": "mbd_ros.forces.point_spring:PointSpring",
+        "prescribed_torque": "mbd_ros.forces.prescribed_torque:PrescribedTorque",
+        "prescribed_wrench": "mbd_ros.forces.prescribed_wrench:PrescribedWrench",
+        "switching_force": "mbd_ros.forces.switching_force:SwitchingForce",
+    },
+    "integrators": {
+        "adams": "mbd_ros.integrators.adams:Adams",
+        "dop853": "mbd_ros.integrators.dop853:Dop853",
+        "dopri5": "mbd_ros.integrators.dopri5:Dopri5",
+        "filippov": "mbd_ros.integrators.filippov:Filippov",
+        "gauss_legendre": "mbd_ros.integrators.gauss_legendre:GaussLegendre",
+        "generalized_alpha": "mbd_ros.integrators.generalized_alpha:GeneralizedAlpha",
+        "rattle": "mbd_ros.integrators.rattle:Rattle",
+        "rk4": "mbd_ros.integrators.rk4:Rk4",
+        "semi_implicit_euler": "mbd_ros.integrators.semi_implicit_euler:SemiImplicitEuler",
+        "shake": "mbd_ros.integrators.shake:Shake",
+    },
+    "stabilization": {
+        "baumgarte": "mbd_ros.stabilization.baumgarte:Baumgarte",
+        "none": "mbd_ros.stabilization.none:NoStabilization",
+        "projection": "mbd_ros.stabilization.projection:Projection",
+    },
+}
+METHODS = {  # what the parts of a section must have
+    "actuators": "torque",
+    "constraints": "residual",
+    "controllers": "effort",
+    "forces": "force",
+    "integrators": "prepare",
+    "stabilization": "correct",
+}
+
+
+def resolve(section: str, name: str, where: str) -> Any:
+    """The class behind `type: name` in a section of a scene.
+
+    Args:
+        section: Key of the scene, such as `forces`, or `controllers`.
+        name: A name of the registry, or `package.module:Class` of code outside this package,
+            which is looked for as Python does: in PYTHONPATH and the installed packages.
+        where: File and key, for the messages.
+
+    Raises:
+        SceneError: There is none, with what exists; or nobody permitted code of others.
+    """
+    target = PARTS[section].get(name, name)
+    module, _, attribute = target.partition(":")
+    if not all(word.isidentifier() for word in (*module.split("."), attribute)):
+        accepted = ", ".join(PARTS[section])
+        raise SceneError(
+            f"{where}: unknown type '{name}', accepted: {accepted}, or package.module:Class"
+        )
+    if name not in PARTS[section]:
+        require_permission(where, {"type": name})
+    part = _imported(module, attribute, f"{where}: type '{name}'")
+    if not (inspect.isclass(part) and hasattr(part, METHODS[section])):
+        raise SceneError(
+            f"{where}: type '{name}' is not a class with a method '{METHODS[section]}'"
+        )
+    return part
+
+
+def _imported(module: str, attribute: str, where: str) -> Any:
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except ModuleNotFoundError as error:
+        raise SceneError(f"{where}: {error}; {module_path()}") from error
+    except (ImportError, SyntaxError, AttributeError) as error:
+        raise SceneError(f"{where}: {error}") from error

@@ -1,0 +1,51 @@
+"""Whether a state is one to start from: within stops and limits, radians rather than degrees."""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.model.robot import Joint, Robot
+from mbd_ros.core.parts import Constraint
+from mbd_ros.core.state import State
+
+_SLACK = 1.0e-6  # rad or m beyond an end that is rounding
+
+
+def start_warnings(robot: Robot, constraints: Sequence[Constraint], x: State) -> Iterator[str]:
+    """Where a state to start from is beyond stops, or beyond the limits of the description.
+
+    Args:
+        robot: The robot.
+        constraints: Constraints of the scene.
+        x: State of all joints.
+    """
+    stops = [part for part in constraints if _is_stop(part)]
+    at_rest, data = x._replace(v=np.zeros_like(x.v)), None
+    if any(part.reads_frames for part in stops):
+        data = pin.Data(robot.model)
+        pin.framesForwardKinematics(robot.model, data, x.q)
+    for part in stops:
+        for name, gap in zip(part.joints, part.residual(data, at_rest), strict=True):
+            if gap < -_SLACK:
+                unit = _unit(robot.joint(name))
+                yield f"{name} starts {-gap:.3g} {unit} beyond its {type(part).__name__}"
+    for joint in robot.joints:
+        value = float(x.q[joint.q])
+        if not joint.lower - _SLACK <= value <= joint.upper + _SLACK:
+            unit = _unit(joint)
+            doubt = "; radians?" if unit == "rad" and abs(value) > math.pi else ""
+            limits = f"{joint.lower:g} .. {joint.upper:g}"
+            yield f"{joint.name} starts at {value:g} {unit}, outside its limits {limits}{doubt}"
+
+
+def _is_stop(part: Any) -> bool:
+    """Whether every row of a constraint keeps one joint from an end of its range."""
+    is_one_sided = part.bounds is not None and bool(np.all(part.bounds[0] == 0.0))
+    return is_one_sided and len(getattr(part, "joints", ())) == len(part.rows)
+
+
+def _unit(joint: Joint) -> str:
+    return "m" if joint.kind == "prismatic" else "rad"
