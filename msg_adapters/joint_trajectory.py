@@ -13,7 +13,7 @@ MOST_POINTS = 3000
 
 
 class Trajectory(NamedTuple):
-    """A course of joints through points; without a point it asks to stop.
+    """A trajectory of joints through points; without a point it asks to stop.
 
     Attributes:
         stamp: Header stamp [ns]; 0 means now.

@@ -98,9 +98,9 @@ def test_stop_that_is_out_of_reach_changes_no_bit(coupled):
     assert with_stops.bounded.qp.statistics.solves == 0
 
 
-def simulate(path, entries, duration, dt=1e-3, **course):
+def simulate(path, entries, duration, dt=1e-3, **trajectory):
     robot = f"robot: {{urdf: {ROOT / 'config/robots/pendulum.urdf'}}}\n"
-    initial = f"initial: {{position: {{hinge: {course.get('position', 0.0)}}}}}\n"
+    initial = f"initial: {{position: {{hinge: {trajectory.get('position', 0.0)}}}}}\n"
     path.write_text(robot + f"constraints: [{entries}]\ndt: {dt}\n" + initial, encoding="utf-8")
     loaded = load_scene(path)
     simulation = loaded.simulation(integrator={"type": "rk4"})
@@ -142,10 +142,10 @@ def test_dry_friction_sticks_below_its_limit_and_slides_at_it():
 
 def test_drive_with_a_limit_follows_until_its_effort_ends():
     robot = read_robot(PENDULUM)
-    course = {"type": "prescribed_motion", "joint": "hinge", "polynomial": [0.4]}
+    trajectory = {"type": "prescribed_motion", "joint": "hinge", "polynomial": [0.4]}
     pull = None
     for limit, held in ((1e3, True), (0.01, False)):
-        drive = build_part("constraints", {**course, "limit": limit}, "t", robot)
+        drive = build_part("constraints", {**trajectory, "limit": limit}, "t", robot)
         system = build_system(robot, Couplings(robot), [drive], Loads(1))
         x = State(0.0, np.array([0.4]), np.zeros(1))
         a, lam = system.solve(x)

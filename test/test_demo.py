@@ -20,7 +20,7 @@ from mbd_ros.demo.files import MASS_SCALE, MODEL, PLANT, RATE, write_gains, writ
 from mbd_ros.demo.folder import replacing_folder
 from mbd_ros.demo.page import Content, page
 from mbd_ros.demo.tables import Table, lines
-from mbd_ros.demo.task import course, disturbance
+from mbd_ros.demo.task import disturbance, trajectory
 from mbd_ros.errors import DataError
 from mbd_ros.scene.reader import load_scene
 
@@ -42,8 +42,8 @@ class Task:
         self.scene = load_scene(self.robot.scene)
         self.truth = self.scene.controlled_joints()
         self.start = self.truth.positions(self.scene.initial)
-        self.course = course(self.robot, self.start, duration)
-        self.added = disturbance(self.scene, self.course)
+        self.trajectory = trajectory(self.robot, self.start, duration)
+        self.added = disturbance(self.scene, self.trajectory)
         write_scenes(folder, self.robot, self.truth.names, self.added)
         self.gains = write_gains(folder, self.robot, "sliding_mode", self.scene)
         self.plant, model = load_scene(folder / PLANT), load_scene(folder / MODEL)
@@ -54,7 +54,7 @@ class Task:
         observed = ObservedState(self.truth.system, self.scene.couplings)
         z, w = self.scene.couplings.q_index, self.scene.couplings.v_index
         q, v = self.scene.initial.q.copy(), np.zeros(self.scene.robot.model.nv)
-        for t, position, velocity, acceleration in zip(*self.course, strict=True):
+        for t, position, velocity, acceleration in zip(*self.trajectory, strict=True):
             q[[j.q for j in self.truth.joints]] = position
             v[[j.v for j in self.truth.joints]] = velocity
             x = observed.state(t, q[z], v[w])
@@ -77,7 +77,7 @@ def task(request, tmp_path_factory):
 
 def test_the_reference_begins_at_rest_and_is_its_own_integral(task):
     """Each step against the integral of its derivatives by their values at both ends."""
-    t, q, v, a = task.course
+    t, q, v, a = task.trajectory
     np.testing.assert_allclose(q[0], task.start, atol=1e-15)
     assert not v[0].any() and not a[0].any()
     steps = np.diff(t)[:, None]
@@ -91,7 +91,7 @@ def test_the_reference_is_within_the_limits_however_long_it_lasts():
     for robot in ROBOTS.values():
         joints = load_scene(robot.scene).controlled_joints()
         start = joints.positions(load_scene(robot.scene).initial)
-        asked = course(robot, start, 60.0)
+        asked = trajectory(robot, start, 60.0)
         for i, joint in enumerate(joints.joints):
             assert joint.lower < asked.q[:, i].min() and asked.q[:, i].max() < joint.upper
             assert np.abs(asked.v[:, i]).max() < 0.9 * joint.max_velocity
@@ -101,7 +101,7 @@ def test_the_disturbance_is_a_fifth_of_the_largest_gravity_torque(tmp_path):
     """By inverse dynamics at rest, an independent way to the torques that hold the arm."""
     task = Task("arm", tmp_path, 10.0)
     inverse, zero = task.scene.inverse_dynamics(), np.zeros(4)
-    held = np.array([inverse.solve(q, zero, zero).tau for q in task.course.q])
+    held = np.array([inverse.solve(q, zero, zero).tau for q in task.trajectory.q])
     np.testing.assert_allclose(task.added.size, 0.2 * np.abs(held).max(axis=0), rtol=1e-9)
     np.testing.assert_allclose(np.abs(task.added.torque).max(axis=0), task.added.size, rtol=2e-3)
 

@@ -170,8 +170,8 @@ def test_a_row_that_nothing_moves_carries_nothing():
     assert found.multipliers == pytest.approx([0.0, *expected.multipliers], abs=1e-9)
 
 
-def motion(**course):
-    return {"type": "prescribed_motion", "joint": "hinge", **course}
+def motion(**trajectory):
+    return {"type": "prescribed_motion", "joint": "hinge", **trajectory}
 
 
 def test_rows_that_contradict_each_other_are_refused():

@@ -19,7 +19,7 @@ from mbd_ros.demo.choices import LAWS
 from mbd_ros.demo.files import GAINS, MODEL, PLANT, RATE
 from mbd_ros.demo.processes import Failed, NodeCommand, running
 from mbd_ros.demo.recorder import Recorder
-from mbd_ros.demo.task import Course
+from mbd_ros.demo.task import ReferenceTrajectory
 from mbd_ros.files.bags import BagWriter
 from mbd_ros.jobs.own_domain import own_domain
 from mbd_ros.jobs.progress import progress
@@ -38,7 +38,7 @@ class LoopRun(NamedTuple):
         watched: Scene of the inverse dynamics: the true robot, without the disturbance.
         law: A key of `LAWS`.
         joints: Actuated joints.
-        course: Their reference.
+        trajectory: Their reference.
         duration: [s].
         has_rows: Whether the plant has constraint rows.
         has_coupling: Whether it has dependent joints.
@@ -48,7 +48,7 @@ class LoopRun(NamedTuple):
     watched: Path
     law: str
     joints: tuple[str, ...]
-    course: Course
+    trajectory: ReferenceTrajectory
     duration: float
     has_rows: bool
     has_coupling: bool
@@ -148,7 +148,7 @@ class _Lead:
     def _send_reference(self) -> None:
         """The reference, whose time 0 is that of the standing clock."""
         recorder, name = self._recorder, self._run.controller
-        self._trajectory.publish(_message(self._run.joints, self._run.course))
+        self._trajectory.publish(_message(self._run.joints, self._run.trajectory))
         self._trajectory.wait_for_all_acked(Duration(seconds=_STALL))
 
         def is_taken() -> bool:
@@ -183,9 +183,9 @@ class _Lead:
         return read_time(self._recorder.read(topic).header.stamp)
 
 
-def _message(joints: tuple[str, ...], course: Course) -> JointTrajectory:
+def _message(joints: tuple[str, ...], trajectory: ReferenceTrajectory) -> JointTrajectory:
     message = JointTrajectory(joint_names=list(joints))
-    for t, q, v, a in zip(*course, strict=True):
+    for t, q, v, a in zip(*trajectory, strict=True):
         point = JointTrajectoryPoint(
             positions=q.tolist(), velocities=v.tolist(), accelerations=a.tolist()
         )

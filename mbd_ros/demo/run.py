@@ -26,7 +26,7 @@ from mbd_ros.demo.plot import overview, pictures
 from mbd_ros.demo.processes import Failed
 from mbd_ros.demo.signals import read_signals
 from mbd_ros.demo.tables import Table, lines, tables
-from mbd_ros.demo.task import DISTURBANCE_SHARE, course, disturbance
+from mbd_ros.demo.task import DISTURBANCE_SHARE, disturbance, trajectory
 from mbd_ros.errors import DataError
 from mbd_ros.scene.reader import load_scene
 
@@ -89,7 +89,7 @@ def _prepare(order: Demo, folder: Path) -> tuple[LoopRun, dict[str, Any]]:
     robot = ROBOTS[order.robot]
     scene = load_scene(robot.scene)
     joints = scene.controlled_joints()
-    reference = course(robot, joints.positions(scene.initial), order.time)
+    reference = trajectory(robot, joints.positions(scene.initial), order.time)
     write_scenes(folder, robot, joints.names, disturbance(scene, reference))
     gains = write_gains(folder, robot, order.law, scene)
     rows = load_scene(folder / PLANT).simulation().system.multiplier_rows

@@ -17,7 +17,7 @@ MARGIN = 1.0  # s that reference and disturbance outlast the demo
 _SECOND_SIZE, _SECOND_SPEED = 0.3, 2.3  # of the second sine, in those of the first
 
 
-class Course(NamedTuple):
+class ReferenceTrajectory(NamedTuple):
     """Samples of the reference, one row a sample, one column an actuated joint.
 
     Attributes:
@@ -47,7 +47,7 @@ class Disturbance(NamedTuple):
     size: Array
 
 
-def course(robot: DemoRobot, start: Array, duration: float) -> Course:
+def trajectory(robot: DemoRobot, start: Array, duration: float) -> ReferenceTrajectory:
     """Sums of two sines a joint, which begin at rest at `start` and come to speed within 1 s.
 
         q(t) = start + size (0.7 sin(w T) + 0.3 sin(2.3 w T)),   T' = smooth step of t
@@ -71,10 +71,10 @@ def course(robot: DemoRobot, start: Array, duration: float) -> Course:
         q = q + amplitude * np.sin(speed * warped)
         v = v + slope * rate
         a = a + curvature * rate**2 + slope * rate_change
-    return Course(t[:, 0], q, v, a)
+    return ReferenceTrajectory(t[:, 0], q, v, a)
 
 
-def disturbance(scene: Scene, reference: Course) -> Disturbance:
+def disturbance(scene: Scene, reference: ReferenceTrajectory) -> Disturbance:
     """Sines of a fifth of the largest torque that holds each joint along the reference."""
     size = DISTURBANCE_SHARE * np.abs(_gravity_torques(scene, reference)).max(axis=0)
     times = np.arange(round(reference.times[-1] * DISTURBANCE_RATE) + 1) / DISTURBANCE_RATE
@@ -83,7 +83,7 @@ def disturbance(scene: Scene, reference: Course) -> Disturbance:
     return Disturbance(times, torque, size)
 
 
-def _gravity_torques(scene: Scene, reference: Course) -> Array:
+def _gravity_torques(scene: Scene, reference: ReferenceTrajectory) -> Array:
     """Torques of the actuated joints that hold the robot at rest [N·m], shape (k, n)."""
     joints = replace(scene, forces=()).controlled_joints()
     observed = ObservedState(joints.system, scene.couplings)

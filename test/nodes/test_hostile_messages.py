@@ -129,11 +129,13 @@ def test_a_trajectory_of_too_many_points_is_refused_unread(domain, tmp_path, nam
         for k, (points, answer) in enumerate(
             ((MOST_POINTS, "trajectory"), (100_000, "malformed"))
         ):
-            course = JointTrajectory(joint_names=names)
+            trajectory = JointTrajectory(joint_names=names)
             for i in range(points):
                 since = Duration(sec=1 + i // 100, nanosec=i % 100 * 10_000_000)
-                course.points.append(JointTrajectoryPoint(positions=pose, time_from_start=since))
-            target.publishers["joint_trajectory"].publish(course)
+                trajectory.points.append(
+                    JointTrajectoryPoint(positions=pose, time_from_start=since)
+                )
+            target.publishers["joint_trajectory"].publish(trajectory)
             text = f"{points} points, accepted: {MOST_POINTS}"
             if answer == "malformed":
                 target.node.wait_for(text)

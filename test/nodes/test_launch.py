@@ -154,7 +154,7 @@ def test_the_bring_up_moves_by_itself(launched, probe, use_sim_time):
     states = []
     probe.node.create_subscription(JointState, "/joint_states", states.append, 100)
     with launched("mbd_ros", "bringup.launch.py", f"use_sim_time:={use_sim_time}") as running:
-        running.wait_for("course of 10 s sent")
+        running.wait_for("trajectory of 10 s sent")
         probe.wait_health(lambda h: h.name == "/inverse_dynamics" and h.level == 0)
         probe.wait_health(lambda h: h.values.get("reference") == "trajectory")
 
@@ -184,7 +184,7 @@ def test_the_live_demo_gets_its_reference_and_can_be_started_again(launched, pro
     for _ in range(2):
         seen = len(probe.health)
         with launched("mbd_ros", "demo.launch.py") as running:
-            running.wait_for("[reference_player]: course of")
+            running.wait_for("[reference_player]: trajectory of")
             followed = lambda h: h.values.get("reference") == "trajectory"  # noqa: E731
             probe.wait_health(followed)
             assert len(probe.health) > seen

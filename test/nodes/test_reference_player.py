@@ -17,7 +17,7 @@ SCENES = ROOT / "config/scenes"
 ALL = ("controlled_arm", "controlled_arm7", "controlled_leg", "controlled_four_bar")
 
 
-def courses(probe):
+def trajectories(probe):
     """What arrives, for a listener that comes after the node, and answers later still."""
     probe.wait_health(lambda h: h.level == WARN and "waiting for the controller" in h.message)
     got = []
@@ -36,23 +36,23 @@ def courses(probe):
 def test_a_course_moves_every_joint_of_a_scene_within_its_limits(start_node, probe, name):
     scene = SCENES / f"{name}.yaml"
     node = start_node(arguments=["-p", f"scene:={scene}", "-p", "repeat:=false"], target=TARGET)
-    (message,) = courses(probe)
-    course, built = read_joint_trajectory(message), load_scene(scene)
+    (message,) = trajectories(probe)
+    trajectory, built = read_joint_trajectory(message), load_scene(scene)
     joints = built.controlled_joints()
-    assert course.names == joints.names
-    assert course.stamp == 0
+    assert trajectory.names == joints.names
+    assert trajectory.stamp == 0
     start = joints.positions(built.initial)
-    np.testing.assert_allclose(course.position[[0, -1]], [start, start], atol=1e-9)
-    np.testing.assert_allclose(course.velocity[[0, -1]], 0.0, atol=1e-9)
-    rates = np.gradient(course.position, course.times, axis=0)
-    np.testing.assert_allclose(course.velocity[1:-1], rates[1:-1], atol=0.02)
-    changes = np.gradient(course.velocity, course.times, axis=0)
-    np.testing.assert_allclose(course.acceleration[1:-1], changes[1:-1], atol=0.1)
+    np.testing.assert_allclose(trajectory.position[[0, -1]], [start, start], atol=1e-9)
+    np.testing.assert_allclose(trajectory.velocity[[0, -1]], 0.0, atol=1e-9)
+    rates = np.gradient(trajectory.position, trajectory.times, axis=0)
+    np.testing.assert_allclose(trajectory.velocity[1:-1], rates[1:-1], atol=0.02)
+    changes = np.gradient(trajectory.velocity, trajectory.times, axis=0)
+    np.testing.assert_allclose(trajectory.acceleration[1:-1], changes[1:-1], atol=0.1)
     for k, joint in enumerate(joints.joints):
-        assert joint.lower <= course.position[:, k].min()
-        assert course.position[:, k].max() <= joint.upper
-        assert np.abs(course.velocity[:, k]).max() <= 0.5 * joint.max_velocity
-        assert np.ptp(course.position[:, k]) > 0.05
+        assert joint.lower <= trajectory.position[:, k].min()
+        assert trajectory.position[:, k].max() <= joint.upper
+        assert np.abs(trajectory.velocity[:, k]).max() <= 0.5 * joint.max_velocity
+        assert np.ptp(trajectory.position[:, k]) > 0.05
     assert node.stop() == 0
 
 
@@ -69,7 +69,7 @@ def test_the_trajectory_of_a_bag_begins_when_it_is_sent_and_is_repeated(
     with BagWriter(tmp_path / "bag") as writer:
         writer.write(topic, kind, 5, serialize_message(message))
     start_node(arguments=["-p", f"bag:={tmp_path / 'bag'}"], target=TARGET)
-    got = courses(probe)
+    got = trajectories(probe)
     assert (got[0].header.stamp.sec, got[0].points) == (0, message.points)
     probe.spin_until(lambda: len(got) > 2)
 

@@ -1,10 +1,10 @@
-"""What a controller is to follow: a held state, single targets or whole courses, without jumps."""
+"""What a controller is to follow: a held state, single targets or whole trajectories, without jumps."""
 
 import numpy as np
 
 from mbd_ros.core.control.contract import ControlledJoints, Reference
-from mbd_ros.core.control.course import PEAK_SPEED, Course, slopes
 from mbd_ros.core.control.reference_limits import ReferenceLimits, TargetError
+from mbd_ros.core.control.trajectory import PEAK_SPEED, ReferenceTrajectory, slopes
 from mbd_ros.core.state import Array
 
 _SHORTEST = 1.0e-4  # s
@@ -12,11 +12,11 @@ _FARTHEST = 3600.0  # [s] that a trajectory may lie ahead: another clock is off 
 
 
 class Guide:
-    """Turns targets and courses into one reference that is smooth over time.
+    """Turns targets and trajectories into one reference that is smooth over time.
 
-    A course that does not begin where the reference is gets an offset that decays as a quintic,
+    A trajectory that does not begin where the reference is gets an offset that decays as a quintic,
 
-        ref(t) = course(t) + offset(t),   offset -> 0 within T,
+        ref(t) = trajectory(t) + offset(t),   offset -> 0 within T,
 
     T so long that the offset moves no joint faster than `ramp_speed` of its velocity limit, and
     at least `ramp`. A single target is reached after the time since the last one, so that a
@@ -49,18 +49,18 @@ class Guide:
     ) -> None:
         self.ramp, self.ramp_speed, self.timeout = ramp, ramp_speed, timeout
         self._limits = ReferenceLimits(joints)
-        self._offset: Course | None = None
+        self._offset: ReferenceTrajectory | None = None
         self.hold(0.0, np.zeros(len(joints)), np.zeros(len(joints)))
 
     @property
-    def course(self) -> Course:
+    def trajectory(self) -> ReferenceTrajectory:
         """What is followed; another object once something else is."""
-        return self._course
+        return self._trajectory
 
     @property
     def end(self) -> float:
         """When the reference comes to rest [s]."""
-        return max(self._course.end, -np.inf if self._offset is None else self._offset.end)
+        return max(self._trajectory.end, -np.inf if self._offset is None else self._offset.end)
 
     def hold(self, t: float, q: Array, v: Array) -> None:
         """Come to rest at a measured position, from a measured velocity.
@@ -71,7 +71,7 @@ class Guide:
             v: [rad/s or m/s], shape (n,).
         """
         self.kind, self._last_target, self._interval = "held", -np.inf, 0.0
-        self._course = Course(np.array([t]), q[None, :].copy())
+        self._trajectory = ReferenceTrajectory(np.array([t]), q[None, :].copy())
         self._limits.begin(q)
         self._fade(t, q, v)
 
@@ -86,7 +86,7 @@ class Guide:
     def take_over(self, t: float, other: "Guide") -> None:
         """Go on at a time [s] with what another guide of the same joints follows."""
         self._limits.begin(other.at(t).q)
-        self.kind, self._course, self._offset = other.kind, other._course, other._offset
+        self.kind, self._trajectory, self._offset = other.kind, other._trajectory, other._offset
         self._last_target, self._interval = other._last_target, other._interval
 
     def aim(self, t: float, target: Reference) -> None:
@@ -110,7 +110,7 @@ class Guide:
         end = self._limits.nearest(target.q + 0.5 * stop * target.v)
         _check_near(duration)
         still = np.zeros(len(end))
-        self._course = Course(
+        self._trajectory = ReferenceTrajectory(
             t + np.array([0.0, duration, duration + stop]),
             np.array([now.q, target.q, end]),
             np.array([now.v, target.v, still]),
@@ -129,16 +129,16 @@ class Guide:
         """
         self.take(t, self.plan(t, times, q, v, a))
 
-    def take(self, t: float, course: Course) -> None:
-        """Follow at a time [s] a course that `plan` made; what was followed ends."""
+    def take(self, t: float, trajectory: ReferenceTrajectory) -> None:
+        """Follow at a time [s] a trajectory that `plan` made; what was followed ends."""
         now = self.at(t)
-        self._course, self._last_target, self.kind = course, -np.inf, "trajectory"
+        self._trajectory, self._last_target, self.kind = trajectory, -np.inf, "trajectory"
         self._fade(t, now.q, now.v)
 
     def plan(
         self, t: float, times: Array, q: Array, v: Array | None = None, a: Array | None = None
-    ) -> Course:
-        """The course of a trajectory, within the limits; nothing is followed yet.
+    ) -> ReferenceTrajectory:
+        """The trajectory of a trajectory, within the limits; nothing is followed yet.
 
         Args:
             t: Now [s].
@@ -153,7 +153,7 @@ class Guide:
 
         Raises:
             TargetError: Times do not increase or are over, something is not finite, or the
-                course leaves a limit, between the points too.
+                trajectory leaves a limit, between the points too.
         """
         given = [part for part in (times, q, v, a) if part is not None]
         if not all(np.isfinite(part).all() for part in given):
@@ -171,15 +171,15 @@ class Guide:
             )
         now = self.at(t)
         joined = self._led_in(t, now, times, q, v, a) if times[0] > t else None
-        course = joined or Course(times, q, v, a)
+        trajectory = joined or ReferenceTrajectory(times, q, v, a)
         if joined is None:
-            self._limits.check(*course.samples())
-            _check_near(self._ramp_time(now.q - course.at(t).q, self.ramp))
-        return course
+            self._limits.check(*trajectory.samples())
+            _check_near(self._ramp_time(now.q - trajectory.at(t).q, self.ramp))
+        return trajectory
 
     def at(self, t: float) -> Reference:
         """The reference at a time [s]."""
-        ref, offset = self._course.at(t), self._offset
+        ref, offset = self._trajectory.at(t), self._offset
         if offset is not None and t < offset.end:
             away = offset.at(t)
             ref = Reference(ref.q + away.q, ref.v + away.v, ref.a + away.a)
@@ -189,14 +189,14 @@ class Guide:
         """What is followed at a time [s], for people."""
         if self.kind == "target" and t - self._last_target > self.timeout:
             return f"target of {t - self._last_target:.3g} s ago: held"
-        if self.kind == "trajectory" and t >= self._course.end:
+        if self.kind == "trajectory" and t >= self._trajectory.end:
             return "end of the trajectory: held"
         return self.kind
 
     def _led_in(
         self, t: float, now: Reference, times: Array, q: Array, v: Array | None, a: Array | None
-    ) -> Course | None:
-        """The course from where the reference is; None where it would leave a limit."""
+    ) -> ReferenceTrajectory | None:
+        """The trajectory from where the reference is; None where it would leave a limit."""
         times, q = np.append(t, times), np.vstack([now.q, q])
         if v is None:
             v, a = slopes(times, q), None
@@ -204,22 +204,22 @@ class Guide:
         else:
             v = np.vstack([now.v, v])
             a = None if a is None else np.vstack([np.zeros(len(now.q)), a])
-        course = Course(times, q, v, a)
+        trajectory = ReferenceTrajectory(times, q, v, a)
         try:
-            self._limits.check(*course.samples())
+            self._limits.check(*trajectory.samples())
         except TargetError:
             return None
-        return course
+        return trajectory
 
     def _fade(self, t: float, q: Array, v: Array) -> None:
-        """Begin at a position with a velocity, and let the offset to the course decay."""
-        ref = self._course.at(t)
+        """Begin at a position with a velocity, and let the offset to the trajectory decay."""
+        ref = self._trajectory.at(t)
         away, rate, still = q - ref.q, v - ref.v, np.zeros(len(q))
         if not (away.any() or rate.any()):
             self._offset = None
             return
         times = np.array([t, t + max(self._ramp_time(away, self.ramp), _SHORTEST)])
-        self._offset = Course(
+        self._offset = ReferenceTrajectory(
             times, np.array([away, still]), np.array([rate, still]), np.array([still, still])
         )
 

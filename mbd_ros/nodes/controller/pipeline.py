@@ -222,10 +222,10 @@ class ControlPipeline:
 
     def take(self, plan: Plan) -> None:
         """Follow a plan from now on."""
-        if plan.course is None:
+        if plan.trajectory is None:
             self.stop()
         else:
-            self.loop.guide.take(self._now(), plan.course)
+            self.loop.guide.take(self._now(), plan.trajectory)
 
     def stop(self) -> None:
         """Come to rest where the joints are, or where the next joint state finds them."""

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.control.contract import Reference
-from mbd_ros.core.control.course import Course
 from mbd_ros.core.control.guide import Guide
 from mbd_ros.core.control.reference_map import ReferenceMap, Selection
+from mbd_ros.core.control.trajectory import ReferenceTrajectory
 from mbd_ros.core.model.couplings import Couplings
 from msg_adapters.joint_state import JointSample
 from msg_adapters.joint_trajectory import Trajectory
@@ -18,12 +18,12 @@ class Plan(NamedTuple):
     """A trajectory that was checked and is not followed yet.
 
     Attributes:
-        course: What the guide would follow; None to stop.
+        trajectory: What the guide would follow; None to stop.
         begin: Time from which the times of its points count [s].
         note: What was mapped or left out, for people.
     """
 
-    course: Course | None
+    trajectory: ReferenceTrajectory | None
     begin: float
     note: str
 
@@ -70,8 +70,8 @@ class References:
             for part in parts
         )
         q = np.where(given, selection.positions(trajectory.position), held)
-        course = self._guide.plan(now, begin + trajectory.times, q, v, a)
-        return Plan(course, begin, selection.note)
+        trajectory = self._guide.plan(now, begin + trajectory.times, q, v, a)
+        return Plan(trajectory, begin, selection.note)
 
     def check(self, names: tuple[str, ...]) -> None:
         """Refuse joints of a trajectory without points that are not controlled.

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 
-from mbd_ros.core.control.course import Course
 from mbd_ros.core.control.reference_limits import TargetError
+from mbd_ros.core.control.trajectory import ReferenceTrajectory
 from mbd_ros.core.control.trajectory_goal import (
     JointTolerance,
     Outcome,
@@ -64,7 +64,7 @@ class _Running(NamedTuple):
 
     handle: Any
     goal: TrajectoryGoal
-    course: Course
+    trajectory: ReferenceTrajectory
 
 
 class TrajectoryAction:
@@ -114,7 +114,7 @@ class TrajectoryAction:
         if pipeline.watch.fault:
             self.give_up(f"the loop was lost, the command goes safe: {pipeline.watch.fault}")
             return
-        if guide.course is not self._running.course:
+        if guide.trajectory is not self._running.trajectory:
             self.abort("something else is followed: a reference of a topic, or after ~/reset")
             return
         t, q, v = pipeline.measured()
@@ -137,7 +137,7 @@ class TrajectoryAction:
     def give_up(self, why: str) -> None:
         """End the goal that is followed, if there is one: the safe command takes over.
 
-        Control would go on with its course when it comes back, but who sent it was told that
+        Control would go on with its trajectory when it comes back, but who sent it was told that
         nobody follows it any more.
         """
         if self._running is not None:
@@ -179,8 +179,8 @@ class TrajectoryAction:
         pipeline = self._pipeline()
         guide = pipeline.loop.guide
         pipeline.take(plan)
-        goal = TrajectoryGoal(pipeline.names, within, plan.begin, guide.course.end, guide.end)
-        self._running, self._next_feedback = _Running(handle, goal, guide.course), 0.0
+        goal = TrajectoryGoal(pipeline.names, within, plan.begin, guide.trajectory.end, guide.end)
+        self._running, self._next_feedback = _Running(handle, goal, guide.trajectory), 0.0
         self._noted(plan.note)
         handle.execute()
 

@@ -1,4 +1,4 @@
-"""Node `reference_player`: leads a controller along a course, once it listens and answers."""
+"""Node `reference_player`: leads a controller along a trajectory, once it listens and answers."""
 
 from typing import Any
 
@@ -31,7 +31,7 @@ _REACH, _SPEED = 0.3, 0.3  # shares of the room to the limits and of the velocit
 class ReferencePlayer(Shell):
     """Sends a JointTrajectory when the controller can hear it, and again when it is over.
 
-    The course comes from a bag, or moves each controlled joint of a scene about its initial
+    The trajectory comes from a bag, or moves each controlled joint of a scene about its initial
     position. It begins when it is sent: its stamp is 0. A message that is published before DDS
     has matched both ends is lost, so it waits for a listener, and for the first state of the
     controller, which says that it answers.
@@ -42,39 +42,39 @@ class ReferencePlayer(Shell):
         Parameter("scene", str, "Scene whose controlled joints move; not used with a bag.", ""),
         ALLOW_CODE,
         Parameter("bag", str, "Bag with a JointTrajectory to send; empty: from the scene.", ""),
-        Parameter("duration", float, "Of a course from the scene [s].", 10.0, 1.0, _LONGEST),
+        Parameter("duration", float, "Of a trajectory from the scene [s].", 10.0, 1.0, _LONGEST),
         Parameter("repeat", bool, "Send it again when it is over.", True, read_only=False),
     )
 
     def configure_core(self) -> None:
-        """Make the course and its topics."""
+        """Make the trajectory and its topics."""
         values = self.parameters
         if not (values.bag or values.scene):
             raise ParameterError("parameter 'scene' must be given, or 'bag'")
         if values.bag:
-            self._course = _recorded(values.bag)
+            self._trajectory = _recorded(values.bag)
         else:
             with permitting(values.allow_code):
                 joints, start = _controlled(values.scene)
-            self._course = _swinging(joints, start, values.duration)
-        last = self._course.points[-1].time_from_start
+            self._trajectory = _swinging(joints, start, values.duration)
+        last = self._trajectory.points[-1].time_from_start
         self._length = last.sec * NANOSECONDS + last.nanosec
         self._publisher = self.publish_to(JointTrajectory, "joint_trajectory", 1)
         self.subscribe(JointState, "state", self._on_state, 10, raw=True)
         self.every(LOOK, self._look)
 
     def activate_core(self) -> None:
-        """Begin with the course."""
+        """Begin with the trajectory."""
         self._is_answered, self._sent = False, 0
         self._next: int | None = None
 
     def reset(self, reason: str) -> None:
-        """Time began anew, and so does the course."""
+        """Time began anew, and so does the trajectory."""
         self.activate_core()
 
     def health(self) -> tuple[int, str, dict[str, str]]:
         """Whether somebody follows."""
-        details = {"courses sent": str(self._sent) if self.active else "0"}
+        details = {"trajectories sent": str(self._sent) if self.active else "0"}
         if not self.active:
             return OK, "", details
         if self._sent:
@@ -90,10 +90,10 @@ class ReferencePlayer(Shell):
         now = self.get_clock().now().nanoseconds
         is_due = self._next is None or (self.parameters.repeat and now >= self._next)
         if is_due and self._is_answered and self._publisher.get_subscription_count():
-            self._publisher.publish(self._course)
+            self._publisher.publish(self._trajectory)
             self._publisher.wait_for_all_acked(Duration(seconds=1.0))
             self._next, self._sent = now + self._length, self._sent + 1
-            self.get_logger().info(f"course of {self._length / NANOSECONDS:.3g} s sent")
+            self.get_logger().info(f"trajectory of {self._length / NANOSECONDS:.3g} s sent")
 
 
 def _recorded(bag: str) -> Any:
@@ -103,13 +103,13 @@ def _recorded(bag: str) -> Any:
         raise DataError(f"{bag}: no topic of type {TRAJECTORY}")
     message = next(raw_messages(bag, topics))
     try:
-        course = deserialize_message(message.cdr, JointTrajectory)
+        trajectory = deserialize_message(message.cdr, JointTrajectory)
     except rclpy_implementation.RMWError as error:
         raise DataError(f"{bag}: topic {message.topic}: unreadable message") from error
-    if not course.points:
+    if not trajectory.points:
         raise DataError(f"{bag}: topic {message.topic}: a trajectory without points")
-    course.header.stamp.sec = course.header.stamp.nanosec = 0
-    return course
+    trajectory.header.stamp.sec = trajectory.header.stamp.nanosec = 0
+    return trajectory
 
 
 def _controlled(scene: str) -> tuple[ControlledJoints, Any]:
@@ -133,7 +133,7 @@ def _swinging(joints: ControlledJoints, start: Any, duration: float) -> Any:
     most = _SPEED * speed * duration / (np.pi * np.maximum(np.abs(reach), 1e-9))
     turns = np.clip(np.floor(most), 0.0, np.arange(len(start)) % 3 + 2.0)
     w = 2.0 * np.pi * turns / duration
-    course = JointTrajectory(joint_names=list(joints.names))
+    trajectory = JointTrajectory(joint_names=list(joints.names))
     for t in np.linspace(0.0, duration, round(duration * _RATE) + 1):
         point = JointTrajectoryPoint(
             positions=(start + 0.5 * reach * (1.0 - np.cos(w * t))).tolist(),
@@ -142,5 +142,5 @@ def _swinging(joints: ControlledJoints, start: Any, duration: float) -> Any:
         )
         since = round(t * NANOSECONDS)
         point.time_from_start.sec, point.time_from_start.nanosec = divmod(since, NANOSECONDS)
-        course.points.append(point)
-    return course
+        trajectory.points.append(point)
+    return trajectory

@@ -1,4 +1,4 @@
-"""Courses and guides: smooth, within limits, and exactly where they were told to be."""
+"""Trajectories and guides: smooth, within limits, and exactly where they were told to be."""
 
 from dataclasses import replace
 
@@ -7,9 +7,9 @@ import pytest
 from mechanisms import double_pendulum
 
 from mbd_ros.core.control.contract import ControlledJoints, Reference
-from mbd_ros.core.control.course import Course
 from mbd_ros.core.control.guide import Guide
 from mbd_ros.core.control.reference_limits import TargetError
+from mbd_ros.core.control.trajectory import ReferenceTrajectory
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.model.robot_reader import read_robot
@@ -21,38 +21,38 @@ A = np.array([[1.0, 0.1], [0.0, -0.4], [-0.2, 2.0], [0.0, 0.3]])
 H = 1e-5
 
 
-def derivatives(course, t):
+def derivatives(trajectory, t):
     """Central differences of position [per s, per s^2]."""
-    before, now, after = (course.at(t + k * H).q for k in (-1, 0, 1))
+    before, now, after = (trajectory.at(t + k * H).q for k in (-1, 0, 1))
     return (after - before) / (2 * H), (after - 2 * now + before) / H**2
 
 
 @pytest.mark.parametrize(("v", "a"), [(None, None), (V, None), (V, A)])
 def test_a_course_passes_its_points_with_true_derivatives(v, a):
-    course = Course(TIMES, Q, v, a)
+    trajectory = ReferenceTrajectory(TIMES, Q, v, a)
     for k, t in enumerate(TIMES[:-1]):
-        ref = course.at(t)
+        ref = trajectory.at(t)
         np.testing.assert_allclose(ref.q, Q[k], atol=1e-14)
         if v is not None:
             np.testing.assert_allclose(ref.v, v[k], atol=1e-13)
         if a is not None:
             np.testing.assert_allclose(ref.a, a[k], atol=1e-11)
     for t in (0.1, 0.39, 0.7, 1.05):
-        rate, curvature = derivatives(course, t)
-        np.testing.assert_allclose(course.at(t).v, rate, atol=1e-8)
-        np.testing.assert_allclose(course.at(t).a, curvature, atol=2e-4)
-    np.testing.assert_array_equal(course.at(-1.0).q, Q[0])
-    np.testing.assert_array_equal(course.at(9.0).q, Q[-1])
-    assert not course.at(9.0).v.any()
+        rate, curvature = derivatives(trajectory, t)
+        np.testing.assert_allclose(trajectory.at(t).v, rate, atol=1e-8)
+        np.testing.assert_allclose(trajectory.at(t).a, curvature, atol=2e-4)
+    np.testing.assert_array_equal(trajectory.at(-1.0).q, Q[0])
+    np.testing.assert_array_equal(trajectory.at(9.0).q, Q[-1])
+    assert not trajectory.at(9.0).v.any()
 
 
 @pytest.mark.parametrize(("v", "a"), [(None, None), (V, None), (V, A)])
 @pytest.mark.parametrize("count", [1, len(TIMES)])
 def test_the_samples_of_a_course_are_on_it(v, a, count):
     parts = [part if part is None else part[:count] for part in (Q, v, a)]
-    course = Course(TIMES[:count], *parts)
-    times, q, v = course.samples()
-    found = [course.at(float(t)) for t in times]
+    trajectory = ReferenceTrajectory(TIMES[:count], *parts)
+    times, q, v = trajectory.samples()
+    found = [trajectory.at(float(t)) for t in times]
     np.testing.assert_allclose(q, [ref.q for ref in found], atol=1e-12)
     np.testing.assert_allclose(v, [ref.v for ref in found], atol=1e-11)
 
@@ -60,10 +60,10 @@ def test_the_samples_of_a_course_are_on_it(v, a, count):
 def test_a_course_between_points_has_no_jumps():
     """Velocity everywhere; acceleration too where the points give it."""
     for v, a, fields in ((V, A, 3), (V, None, 2), (None, None, 2)):
-        course = Course(TIMES, Q, v, a)
+        trajectory = ReferenceTrajectory(TIMES, Q, v, a)
         for t in TIMES[1:-1]:
             for field in range(fields):
-                before, after = course.at(t - 1e-12)[field], course.at(t + 1e-12)[field]
+                before, after = trajectory.at(t - 1e-12)[field], trajectory.at(t + 1e-12)[field]
                 np.testing.assert_allclose(before, after, atol=1e-6)
 
 
@@ -136,9 +136,9 @@ def test_a_trajectory_that_begins_elsewhere_is_joined_without_a_jump(joints):
     guide.follow(0.0, TIMES, Q, V, A)  # begins now, at (0, 1)
     np.testing.assert_allclose(guide.at(0.0).q, [1.0, 1.0], atol=1e-13)
     smooth(guide, 0.0, 1.5)
-    course = Course(TIMES, Q, V, A)
+    trajectory = ReferenceTrajectory(TIMES, Q, V, A)
     for t in (0.5, 0.9, 1.05):
-        np.testing.assert_allclose(guide.at(t).q, course.at(t).q, atol=1e-12)
+        np.testing.assert_allclose(guide.at(t).q, trajectory.at(t).q, atol=1e-12)
     guide.follow(0.7, TIMES + 1.0, Q)  # begins later: goes there from where the reference is
     smooth(guide, 0.7, 3.0)
     np.testing.assert_allclose(guide.at(1.4).q, Q[1], atol=1e-12)
@@ -154,7 +154,9 @@ def test_after_a_break_the_reference_begins_where_the_joints_are(joints):
     for given, expected in zip(guide.at(0.5)[:2], measured, strict=True):
         np.testing.assert_allclose(given, expected, atol=1e-12)
     smooth(guide, 0.5, 2.0)
-    np.testing.assert_allclose(guide.at(1.05).q, Course(TIMES, Q, V).at(1.05).q, atol=1e-12)
+    np.testing.assert_allclose(
+        guide.at(1.05).q, ReferenceTrajectory(TIMES, Q, V).at(1.05).q, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Courses of joints over time: polynomials between points, at rest before and after."""
+"""Trajectories of joints over time: polynomials between points, at rest before and after."""
 
 import numpy as np
 
@@ -29,7 +29,7 @@ PEAK_SPEED = 1.875  # of a quintic from rest to rest, in distance over duration
 _SAMPLES = 16  # a piece, where extremes are looked for
 
 
-class Course:
+class ReferenceTrajectory:
     """Quintic pieces through points with accelerations, else cubic ones; C2 or C1.
 
     Before the first point it stands there, and after the last one likewise. A point without
