@@ -11,7 +11,7 @@ from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
 from mbd_ros.report.stability.extreme_scenes import mechanism, rods
-from mbd_ros.report.stability.witness import Witness
+from mbd_ros.report.stability.oracle import Oracle
 
 STOP = {"type": "joint_stop", "joint": "j0", "upper": 0.1}
 FRICTION = {"type": "dry_friction", "joint": "j1", "limit": 0.1}
@@ -31,7 +31,7 @@ def test_eliminated_and_kept_couplings_agree_beside_bounded_rows(couplings, boun
         y = system.reduce(loaded.scene.initial)
         assert system.acceleration(*y).shape == (system.nv,)
         found.append(system.solve(y))
-        assert Witness(loaded).complaints(system, y) == []
+        assert Oracle(loaded).complaints(system, y) == []
     assert found[0].a == pytest.approx(found[1].a, rel=1e-9)
     assert found[0].multipliers == pytest.approx(found[1].multipliers, rel=1e-9, abs=1e-9)
 

@@ -31,13 +31,13 @@ from mbd_ros.report.stability.cases import (
 from mbd_ros.report.stability.equations import equations
 from mbd_ros.report.stability.extreme_scenes import extremes, mechanism, rods
 from mbd_ros.report.stability.motion import Grid
+from mbd_ros.report.stability.oracle import Oracle
 from mbd_ros.report.stability.random_scenes import random_scene
 from mbd_ros.report.stability.reference_motion import reference, starting_rate
 from mbd_ros.report.stability.row_labels import row_label
 from mbd_ros.report.stability.scene_text import load
 from mbd_ros.report.stability.steps import FITTING, asked_step, fitted, is_another, room
 from mbd_ros.report.stability.verdicts import judge
-from mbd_ros.report.stability.witness import Witness
 from mbd_ros.stabilization.projection import Projection
 
 FOUR_BAR, SPRING = "redundant_rows-closed_1_times", "stiffness-1e3_N_m_at_1_ms"
@@ -346,14 +346,14 @@ def test_no_outcome_is_a_section_too():
 
 
 @pytest.mark.parametrize("seed", [5, 8, 17, 58])
-def test_witness_agrees_with_every_tier(seed):
+def test_oracle_agrees_with_every_tier(seed):
     loaded = load(random_scene(seed))
-    witness = Witness(loaded)
+    oracle = Oracle(loaded)
     for tier in tiers(loaded.scene, "rk4"):
         system = loaded.scene.system(solver={"type": tier})
         y = assemble(system, system.reduce(loaded.scene.initial))
-        assert witness.complaints(system, y) == []
-        assert witness.violation(system.expand(y)) <= 1e-11
+        assert oracle.complaints(system, y) == []
+        assert oracle.violation(system.expand(y)) <= 1e-11
         assert drift(system, y).position <= 1e-11
 
 
@@ -383,7 +383,7 @@ def test_long_runs_have_every_method_on_every_scene():
 def test_a_long_run_whose_velocities_leave_the_constraints_is_wrong(monkeypatch):
     spec = {"scene": "four_bar", "method": "generalized_alpha", "steps": 500}
     assert long_runs.run(spec)["wrong"] == ""
-    monkeypatch.setattr(Witness, "rate", lambda self, x: 1.0e-3)
+    monkeypatch.setattr(Oracle, "rate", lambda self, x: 1.0e-3)
     for method in ("rk4", "generalized_alpha"):
         assert "per second" in long_runs.run({**spec, "method": method})["wrong"]
 
@@ -392,7 +392,7 @@ def test_a_long_run_that_stops_at_once_keeps_the_reason(monkeypatch):
     def failing(self, x):
         raise DivergedError("diverged at t = 0 s")
 
-    monkeypatch.setattr(Witness, "energy", failing)
+    monkeypatch.setattr(Oracle, "energy", failing)
     outcome = long_runs.run({"scene": "pendulum", "method": "rk4", "steps": 100})
     assert outcome["wrong"] == "stopped: DivergedError: diverged at t = 0 s"
     section = long_runs.section([(Item("long_runs", "a", {}, 1.0), outcome)])

@@ -10,10 +10,10 @@ import pinocchio as pin
 
 from mbd_ros.errors import MbdError
 from mbd_ros.report.stability.motion import Grid
+from mbd_ros.report.stability.oracle import Oracle
 from mbd_ros.report.stability.other_formulations import Known
 from mbd_ros.report.stability.reference_motion import Reference, reference
 from mbd_ros.report.stability.scene_text import Entry, LoadedScene
-from mbd_ros.report.stability.witness import Witness
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.part_entries import build_part
 
@@ -70,9 +70,9 @@ class Case:
     """
 
     def __init__(self, loaded: LoadedScene, grid: Grid, known: Known | None = None) -> None:
-        self.scene, self.witness = loaded.scene, Witness(loaded)
+        self.scene, self.oracle = loaded.scene, Oracle(loaded)
         self.reference: Reference = reference(self.scene, grid, known)
-        stored = [self.witness.energy(x) for x in self.reference.fine]
+        stored = [self.oracle.energy(x) for x in self.reference.fine]
         kinetic = np.array([k for k, _ in stored])
         potential = np.array([p for _, p in stored])
         swing = float(np.ptp(potential)) + float(kinetic.max())

@@ -58,8 +58,8 @@ def unexpected(found: Verdict, stops: str | None) -> Verdict:
 def _equations(case: Case, tiers: list[str]) -> Verdict:
     try:
         for x in case.reference.states:
-            if not case.witness.violation(x) <= CLOSED * (1.0 + float(np.abs(x.q).max())):
-                open_by = case.witness.violation(x)
+            if not case.oracle.violation(x) <= CLOSED * (1.0 + float(np.abs(x.q).max())):
+                open_by = case.oracle.violation(x)
                 return Verdict(WRONG, math.inf, f"constraints {open_by:.3g} open at {x.t:.6g} s")
         for tier in tiers:
             found = _complaints(case, tier)
@@ -83,7 +83,7 @@ def _complaints(case: Case, tier: str) -> list[str]:
     states = case.reference.states
     system = case.scene.system(solver={"type": tier})
     for x in states[:: max(1, len(states) // _STATES)]:
-        found = case.witness.complaints(system, assemble(system, system.reduce(x)))
+        found = case.oracle.complaints(system, assemble(system, system.reduce(x)))
         if found:
             return found
     return []
@@ -114,9 +114,9 @@ def imbalance(case: Case, finer: int = 1) -> tuple[float, float]:
     if count == 0:
         return 0.0, 0.0
     system, step = case.scene.system(), grid.interval / FINE / finer
-    power = [case.witness.power(system, system.reduce(x)) for x in fine[: count + 1]]
+    power = [case.oracle.power(system, system.reduce(x)) for x in fine[: count + 1]]
     work, rough = _simpson(power, step), _simpson(power[::2], 2.0 * step)
-    before, after = (sum(case.witness.energy(x)) for x in (fine[0], fine[count]))
+    before, after = (sum(case.oracle.energy(x)) for x in (fine[0], fine[count]))
     size = case.swing + step * float(np.abs(power).sum())
     return abs(after - before - work), _BALANCED * size + _QUADRATURE * abs(work - rough)
 

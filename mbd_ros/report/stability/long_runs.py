@@ -12,8 +12,8 @@ from mbd_ros.errors import MbdError
 from mbd_ros.report.items import Item, Outcome, Section, Spec, Table
 from mbd_ros.report.stability.figures import drift_plot
 from mbd_ros.report.stability.long_scenes import LONG_SCENES, SCENES
+from mbd_ros.report.stability.oracle import Oracle
 from mbd_ros.report.stability.reference_motion import starting_rate
-from mbd_ros.report.stability.witness import Witness
 
 KIND, TITLE = "long_runs", "Long runs"
 STEPS, QUICK_STEPS, SAMPLES = 1_000_000, 5_000, 250
@@ -74,14 +74,14 @@ def run(spec: Spec) -> Outcome:
     """Energy and drift at some moments of a long run."""
     loaded, dt = SCENES[spec["scene"]](), LONG_SCENES[spec["scene"]].dt
     scene, steps = loaded.scene, int(spec["steps"])
-    witness = Witness(loaded)
+    oracle = Oracle(loaded)
     found: dict[str, Any] = {**spec, "dt": dt, "reason": ""}
     samples: list[Sample] = []
     try:
         entry = _METHODS[spec["method"]]
         solver = "kkt" if spec["method"] in _KEEPERS and loaded.scene.laws else "auto"
         simulation = scene.simulation(integrator=entry, dt=dt, solver={"type": solver})
-        swing = _follow(simulation, scene.initial, steps, witness, samples)
+        swing = _follow(simulation, scene.initial, steps, oracle, samples)
         found["fastest"] = float(f"{starting_rate(scene):.6g}")
         found["swing"] = float(f"{swing:.6g}")
     except MbdError as error:
@@ -94,17 +94,17 @@ def run(spec: Spec) -> Outcome:
 
 
 def _follow(
-    simulation: Simulation, start: State, steps: int, witness: Witness, samples: list[Sample]
+    simulation: Simulation, start: State, steps: int, oracle: Oracle, samples: list[Sample]
 ) -> float:
     """Sample a run; returns the energy that it turns between kinetic and potential [J]."""
     every, first, swing = max(1, steps // SAMPLES), None, 0.0
     for i, x in enumerate(simulation.run(start, steps * simulation.dt)):
         if i % every == 0:
-            kinetic, potential = witness.energy(x)
+            kinetic, potential = oracle.energy(x)
             first = kinetic + potential if first is None else first
             change = kinetic + potential - first
             speed = float(np.abs(x.v).max())
-            samples.append(Sample(x.t, change, witness.violation(x), witness.rate(x), speed))
+            samples.append(Sample(x.t, change, oracle.violation(x), oracle.rate(x), speed))
             swing = max(swing, kinetic)
     return swing
 

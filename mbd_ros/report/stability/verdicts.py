@@ -154,14 +154,14 @@ class _Run:
 
     def _drift(self, states: list[State]) -> str:
         """What only a warning excuses: constraints that do not hold."""
-        witness = self._case.witness
+        oracle = self._case.oracle
         for x in [] if self._others.get("stabilization") else states:
-            open_by = witness.violation(x)
+            open_by = oracle.violation(x)
             if not open_by <= CLOSED * (1.0 + float(np.abs(x.q).max())):
                 return f"constraints are {open_by:.3g} open at t = {x.t:.6g} s"
             if self._entry["type"] == "generalized_alpha":
                 continue  # whose velocities keep the constraints to O(h^2) only
-            rate = witness.rate(x)
+            rate = oracle.rate(x)
             if not rate <= _SLOW * (1.0 + float(np.abs(x.v).max())):
                 return f"constraints open with {rate:.3g} per second at t = {x.t:.6g} s"
         return ""
@@ -172,7 +172,7 @@ class _Run:
         for x in states:
             k = case.reference.quarter(x)
             if k is not None:
-                energy = sum(case.witness.energy(x))
+                energy = sum(case.oracle.energy(x))
                 if not abs(energy - case.energies[min(k, last)]) <= _ENERGY * case.swing:
                     return False
         return True

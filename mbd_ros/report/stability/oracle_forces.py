@@ -10,7 +10,7 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.report.stability.scene_text import Entry, LoadedScene
 
 
-class WitnessForces:
+class OracleForces:
     """Generalized forces of a scene without commands.
 
     Types that are not known here fall back on the part itself.

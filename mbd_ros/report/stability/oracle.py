@@ -14,9 +14,9 @@ import pinocchio as pin
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.state import Array, State
+from mbd_ros.report.stability.oracle_forces import OracleForces
+from mbd_ros.report.stability.oracle_rows import bilateral_rows, bounded_rows
 from mbd_ros.report.stability.scene_text import LoadedScene
-from mbd_ros.report.stability.witness_forces import WitnessForces
-from mbd_ros.report.stability.witness_rows import bilateral_rows, bounded_rows
 
 _STEP = 1.0e-6  # rad or m, of central differences
 _BALANCE = 1.0e-6  # of the terms of an equation of motion; differences of g leave 1e-9
@@ -28,7 +28,7 @@ _COMPLEMENTARY = 1.0e-6
 _STENCIL = ((-2, -1.0), (-1, 16.0), (0, -30.0), (1, 16.0), (2, -1.0))  # twelfths
 
 
-class Witness:
+class Oracle:
     """What the equations of a scene demand, evaluated independently.
 
     Args:
@@ -39,7 +39,7 @@ class Witness:
         self.robot = loaded.scene.robot
         self._model, self._data = self.robot.model, self.robot.model.createData()
         self._rows, self._bounded = bilateral_rows(loaded), bounded_rows(loaded)
-        self._forces = WitnessForces(loaded)
+        self._forces = OracleForces(loaded)
 
     def residual(self, t: float, q: Array) -> Array:
         """Residual g of couplings and bilateral constraints, shape (m,)."""
