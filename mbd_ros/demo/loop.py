@@ -21,7 +21,7 @@ from mbd_ros.demo.processes import Failed, NodeCommand, running
 from mbd_ros.demo.recorder import Recorder
 from mbd_ros.demo.task import ReferenceTrajectory
 from mbd_ros.files.bags import BagWriter
-from mbd_ros.jobs.own_domain import own_domain
+from mbd_ros.jobs.isolated_domain import isolated_domain
 from mbd_ros.jobs.progress import progress
 from msg_adapters.time import NANOSECONDS, read_time
 
@@ -69,7 +69,7 @@ def record_loop(run: LoopRun, bag: Path) -> None:
     recorded = topics.recorded(run.controller, run.has_rows, run.has_coupling)
     with (
         BagWriter(bag) as writer,
-        own_domain() as environment,
+        isolated_domain() as environment,
         running(_commands(run), environment, run.folder) as processes,
     ):
         recorder = Recorder(recorded, processes.check)

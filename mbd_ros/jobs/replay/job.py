@@ -15,7 +15,7 @@ from rclpy.serialization import deserialize_message
 
 from mbd_ros.errors import DataError
 from mbd_ros.files.bags import BagWriter, RawMessage, raw_messages
-from mbd_ros.jobs.own_domain import own_domain
+from mbd_ros.jobs.isolated_domain import isolated_domain
 from mbd_ros.jobs.replay.bag_player import (
     CLASSES,
     CONSTRAINT_FORCES,
@@ -78,7 +78,7 @@ def play(replay: Replay) -> tuple[int, int]:
     ]
     answers = (TORQUES, CONSTRAINT_FORCES) if scene.couplings.dependent else (TORQUES,)
     with (
-        own_domain() as environment,
+        isolated_domain() as environment,
         BagWriter(replay.out) as bag,
         _node_process(replay, environment) as process,
     ):

@@ -10,7 +10,7 @@ from rclpy.signals import SignalHandlerOptions
 
 
 @contextmanager
-def own_domain() -> Iterator[dict[str, str]]:
+def isolated_domain() -> Iterator[dict[str, str]]:
     """Environment of processes on a DDS domain that this one has joined, on this machine only.
 
     SIGTERM raises KeyboardInterrupt, as Ctrl-C does.
