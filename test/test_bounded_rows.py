@@ -13,8 +13,8 @@ from mbd_ros.core.dynamics.tiers import build_system, tier_of
 from mbd_ros.core.model.coupling_functions import Linear
 from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.optimization.active_set import complementarity
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
+from mbd_ros.core.optimization.box_active_set import complementarity
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from mbd_ros.core.optimization import limited_qp
-from mbd_ros.core.optimization.active_set import complementarity
-from mbd_ros.core.optimization.boxed_rows import COMPLIANCES, BoxedRows
+from mbd_ros.core.optimization.bounded_least_squares import COMPLIANCES, BoundedLeastSquares
+from mbd_ros.core.optimization.box_active_set import complementarity
 from mbd_ros.core.optimization.limited_qp import LimitedQp
 from mbd_ros.core.optimization.qp import BoxQp
 from mbd_ros.errors import ModelError, SolveError
@@ -292,7 +292,7 @@ def test_descent_in_a_box_ends_where_no_slope_is_left():
         E, C = rng.normal(size=(4, 4)) + 2.0 * np.eye(4), rng.normal(size=(5, 4))
         low = rng.normal(size=5)
         lower, upper = -rng.random(4), rng.random(4)
-        x = BoxedRows(E, C, low, low + 0.1).solve(lower, upper)
+        x = BoundedLeastSquares(E, C, low, low + 0.1).solve(lower, upper)
         assert (lower <= x).all() and (x <= upper).all()
         excess = np.minimum(C @ x - low, 0.0) + np.maximum(C @ x - low - 0.1, 0.0)
         slope = E.T @ (E @ x) * COMPLIANCES[-1] + C.T @ excess

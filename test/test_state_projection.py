@@ -11,7 +11,7 @@ from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.model.coupling_functions import Linear, Polynomial
 from mbd_ros.core.model.couplings import Link
-from mbd_ros.core.optimization.pushing_bounds import PushingBounds
+from mbd_ros.core.optimization.complementarity import ComplementarityProblem
 from mbd_ros.core.optimization.qp import Statistics
 from mbd_ros.core.projection.coupled_joints import CoupledJoints
 from mbd_ros.core.projection.state_projection import Measurement, StateProjector
@@ -413,7 +413,7 @@ def test_pushing_bounds_equal_quadprog_also_where_they_depend():
         root /= np.linalg.norm(root, axis=1)[:, None]
         A = root @ root.T
         gap = root @ rng.normal(size=n)
-        force = PushingBounds(n).solve(A, gap)
+        force = ComplementarityProblem(n).solve(A, gap)
         left = A @ force + gap
         assert force.min() >= 0.0 and left.min() >= -1e-10
         assert abs(force @ left) <= 1e-10 * (1.0 + force.max())

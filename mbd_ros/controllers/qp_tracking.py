@@ -18,7 +18,7 @@ from mbd_ros.core.control.delay_margin import LoopGains, disturbance, pd_gains
 from mbd_ros.core.control.motion_limits import AccelerationBox, MotionLimits
 from mbd_ros.core.control.sliding import sliding_variable
 from mbd_ros.core.control.tracking_metric import TrackingMetric
-from mbd_ros.core.optimization.acting_limits import Candidate
+from mbd_ros.core.optimization.limit_active_set import Candidate
 from mbd_ros.core.optimization.limited_qp import Counts, LimitedQp
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.optimization.active_set import complementarity, on_active_set
+from mbd_ros.core.optimization.box_active_set import complementarity, on_active_set
 from mbd_ros.core.optimization.qp import BoxQp
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_factor import CONTRADICTION, is_rounding

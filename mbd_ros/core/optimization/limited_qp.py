@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.optimization.acting_limits import Candidate, Sides, candidate
-from mbd_ros.core.optimization.boxed_rows import BoxedRows
-from mbd_ros.core.optimization.elastic_qp import ElasticQp
+from mbd_ros.core.optimization.bounded_least_squares import BoundedLeastSquares
+from mbd_ros.core.optimization.limit_active_set import Candidate, Sides, candidate
+from mbd_ros.core.optimization.soft_qp import SoftQp
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
 
@@ -68,7 +68,7 @@ class LimitedQp:
     def __init__(self, n: int, soft: int) -> None:
         self.counts = Counts()
         self._n = n
-        self._qp = ElasticQp(n, soft, _COMPLIANCE)
+        self._qp = SoftQp(n, soft, _COMPLIANCE)
         self._side: Sides = np.zeros(n + soft, dtype=np.int8)
         self._is_steady = False  # whether the same limits acted twice
 
@@ -147,7 +147,7 @@ def _boxed(G: Array, lower: Array, upper: Array) -> Array:
     """The y where stiff soft rows yield, with hard rows kept in any case."""
     n = G.shape[1]
     E = _inverse(G[:n])
-    rows = BoxedRows(E, G[n:].dot(E), lower[n:], upper[n:])
+    rows = BoundedLeastSquares(E, G[n:].dot(E), lower[n:], upper[n:])
     return E.dot(rows.solve(lower[:n], upper[:n]))
 
 

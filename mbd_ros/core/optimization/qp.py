@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.optimization.active_set import complementarity, polish
+from mbd_ros.core.optimization.box_active_set import complementarity, polish
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError, SolveError, install_hint
 

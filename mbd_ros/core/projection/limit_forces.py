@@ -10,7 +10,7 @@ from typing import Protocol
 import eigenpy
 import numpy as np
 
-from mbd_ros.core.optimization.pushing_bounds import PushingBounds
+from mbd_ros.core.optimization.complementarity import ComplementarityProblem
 from mbd_ros.core.optimization.qp import Statistics
 from mbd_ros.core.state import Array
 
@@ -57,7 +57,7 @@ class LimitForces:
     """
 
     def __init__(self, n: int, bounded: bool) -> None:
-        self._pushers = PushingBounds(2 * n) if bounded else None
+        self._pushers = ComplementarityProblem(2 * n) if bounded else None
         self._sides, self._identity = np.repeat([1.0, -1.0], n), np.eye(n)
         self._acting = np.zeros(n)  # 1 at a lower limit, -1 at an upper one
         self.solves = 0
@@ -112,7 +112,12 @@ class LimitForces:
         return None
 
     def _by_program(
-        self, pushers: PushingBounds, compliance: Compliance, p: Array, low: Array, high: Array
+        self,
+        pushers: ComplementarityProblem,
+        compliance: Compliance,
+        p: Array,
+        low: Array,
+        high: Array,
     ) -> Array:
         """A force >= 0 at each lower and each upper bound."""
         C, mobility = compliance.moves(self._identity), compliance.mobility()

@@ -13,7 +13,7 @@ _EVENTS = 60  # for each compliance
 _PULLS = 1.0e-9  # of the largest slope: one with which a bound holds nothing
 
 
-class BoxedRows:
+class BoundedLeastSquares:
     """The problem above for compliances that fall to the last of `COMPLIANCES`.
 
     A primal active-set method: from one point of the box towards the least cost on the bounds

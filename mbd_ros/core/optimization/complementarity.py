@@ -20,7 +20,7 @@ _ROUNDING = 1.0e-14
 _RANK = 1.0e-11
 
 
-class PushingBounds:
+class ComplementarityProblem:
     """Solves the problem above; every answer is exact on its acting bounds, and checked.
 
     The bounds that acted last are tried first. Otherwise a kept QP says which ones act, and

@@ -10,7 +10,7 @@ from mbd_ros.core.state import Array
 _TOLERANCE = 1.0e-9  # enough to tell which limits act
 
 
-class ElasticQp:
+class SoftQp:
     """A kept, warm-started ProxQP whose multipliers tell which limits act; whoever asks checks.
 
         min 1/2 |E x|² + 1/2 |e|²   subject to   lower <= (x, C x + sqrt(compliance) e) <= upper
