@@ -17,7 +17,7 @@ from mbd_ros.errors import DivergedError, MbdError, ModelError, SolveError
 _FITS = 1.0e-9  # of a step: two periods that are meant to be the same
 
 
-class Moment(NamedTuple):
+class Snapshot(NamedTuple):
     """One state of a simulation with the forces that led to it.
 
     Attributes:
@@ -94,7 +94,7 @@ class LiveSimulation:
         self._y = simulation.start(self._initial)
         self._x, self.now = self._observe(self._y, None)
 
-    def tick(self) -> Moment:
+    def tick(self) -> Snapshot:
         """Advance by one period.
 
         Raises:
@@ -149,12 +149,12 @@ class LiveSimulation:
         response = system.respond(self._y.q, self._selection)[self._driven]
         return self._safe.torque(v, response, self._period)
 
-    def _observe(self, y: State, u: Array | None) -> tuple[State, Moment]:
+    def _observe(self, y: State, u: Array | None) -> tuple[State, Snapshot]:
         system = self.simulation.system
         x = system.expand(y)
         a, multipliers = system.solve(y, u)
         effort = system.loads.actuator_torque(x, u)
-        now = Moment(
+        now = Snapshot(
             x.t, x.q[self._q], x.v[self._v], a[self._v], effort[self._v], multipliers.copy()
         )
         for name, values in zip(now._fields[1:], now[1:], strict=True):

@@ -38,7 +38,7 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
 RATES = {"torque": np.inf, "rate": 0.05, "any_rate": 0.2}
 
 
-class Moment(NamedTuple):
+class Snapshot(NamedTuple):
     """A state with a reference and the efforts that the next command may have."""
 
     x: State
@@ -68,7 +68,7 @@ def mechanism(name: str) -> tuple[Scene, ControlledJoints]:
 
 def moments(
     scene: Scene, joints: ControlledJoints, rng: Any, count: int, kind: str
-) -> Iterator[Moment]:
+) -> Iterator[Snapshot]:
     """States within the limits of all joints, some faster, and references that ask for more.
 
     Args:
@@ -90,7 +90,7 @@ def moments(
             near = free.effort(x, ref, _NO_MEMORY, none).effort + 0.1 * limit * rng.normal(size=n)
             sent = np.clip(near, -limit, limit)
         reach = RATES[kind] * limit
-        yield Moment(
+        yield Snapshot(
             x, ref, EffortBox(np.maximum(-limit, sent - reach), np.minimum(limit, sent + reach))
         )
 
@@ -116,7 +116,7 @@ def _states(scene: Scene, joints: ControlledJoints, rng: Any, count: int) -> Ite
         count -= 1
 
 
-def timed(controller: Controller, given: Sequence[Moment]) -> Array:
+def timed(controller: Controller, given: Sequence[Snapshot]) -> Array:
     """CPU time of each call [us], shape (len(given),); a collection would take longer."""
     spent, memory = np.zeros(len(given)), controller.begin()
     gc.disable()
@@ -131,7 +131,7 @@ def timed(controller: Controller, given: Sequence[Moment]) -> Array:
 
 
 def with_and_without_limits(
-    joints: ControlledJoints, given: Sequence[Moment]
+    joints: ControlledJoints, given: Sequence[Snapshot]
 ) -> tuple[Array, Array, QpTracking]:
     """What calls of `qp_tracking` cost.
 
@@ -147,7 +147,7 @@ def with_and_without_limits(
     at_rest = []
     for x, _, _ in given:
         x = x._replace(v=np.zeros(len(x.v)))
-        at_rest.append(Moment(x, Reference(joints.positions(x), still, still), none))
+        at_rest.append(Snapshot(x, Reference(joints.positions(x), still, still), none))
     spent, without = [], []
     for _ in range(_PASSES):
         controller = QpTracking(joints)
