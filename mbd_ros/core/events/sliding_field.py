@@ -17,7 +17,7 @@ Choice = Callable[[State, Array | None], Array]
 _CORRECTIONS = 5
 
 
-class Answer(NamedTuple):
+class SignResponse(NamedTuple):
     """How accelerations and rates answer the signs s of some surfaces.
 
         acceleration = a + B s,   h' = r + D s
@@ -127,7 +127,7 @@ class SlidingField:
         """Signs that keep the motion on the surfaces that it slides on, shape (k,)."""
         return self._equivalent(self.answer(x, u, self.sliding), self.sliding)
 
-    def answer(self, x: State, u: Array | None, chosen: Sequence[int]) -> Answer:
+    def answer(self, x: State, u: Array | None, chosen: Sequence[int]) -> SignResponse:
         """How the motion answers the signs of some surfaces, the others in their mode."""
         signs = np.array(self.mode, dtype=np.float64)
         signs[list(chosen)] = 0.0
@@ -139,7 +139,7 @@ class SlidingField:
             moved = self._accelerate(x, u, signs)
             B[:, column], D[:, column] = moved - a, self._rates(x, moved) - r
             signs[i] = 0.0
-        return Answer(a, B, r, D)
+        return SignResponse(a, B, r, D)
 
     def onto(self, x: State, u: Array | None) -> State:
         """The state on the surfaces that it slides on, moved only as their forces move it.
@@ -160,7 +160,7 @@ class SlidingField:
             x, h = nearer, left
         return x
 
-    def _equivalent(self, answer: Answer, on: Sequence[int]) -> Array:
+    def _equivalent(self, answer: SignResponse, on: Sequence[int]) -> Array:
         return equivalent_signs(answer.r[on], answer.D[on], self._named(on))
 
     def _named(self, chosen: Sequence[int]) -> list[str]:

@@ -38,7 +38,7 @@ from msg_adapters.joint_trajectory import Trajectory
 from msg_adapters.multi_array import write_answered, write_multi_array
 
 
-class Answer(NamedTuple):
+class ControlMessages(NamedTuple):
     """Kept messages that answer a joint state: commands, and the state of the loop."""
 
     commands: Any
@@ -140,7 +140,7 @@ class ControlPipeline:
             self.x, self._epoch = other.x, other._epoch
             self.loop.take_over(other.loop)
 
-    def answer(self, stamp: int, sample: JointSample) -> Answer | Sample:
+    def answer(self, stamp: int, sample: JointSample) -> ControlMessages | Sample:
         """Messages for a joint state, or why it cannot be used.
 
         Raises:
@@ -166,7 +166,7 @@ class ControlPipeline:
         command = self.loop.update(x, sample.effort[self._acted])
         write_answered(self._answer, len(self._order), stamp)
         commands = self._filled(self._answer, command.effort)
-        return Answer(commands, self._loop_state(stamp, command))
+        return ControlMessages(commands, self._loop_state(stamp, command))
 
     def commands(self, effort: Array) -> Any:
         """Kept message with what the actuators are told to give these efforts.

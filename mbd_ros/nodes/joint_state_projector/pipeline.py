@@ -23,7 +23,7 @@ from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 _TOGGLE = 1.0e6  # condition number from which multipliers are unreliable
 
 
-class Answer(NamedTuple):
+class ProjectorMessages(NamedTuple):
     """Messages that answer a joint state.
 
     Attributes:
@@ -83,7 +83,7 @@ class ProjectorPipeline:
         self._off = np.zeros(len(self._rows))
         self._worst = [0.0, 0.0, 0.0]
 
-    def answer(self, stamp: int, sample: JointSample) -> Answer | Sample:
+    def answer(self, stamp: int, sample: JointSample) -> ProjectorMessages | Sample:
         """Messages for a sample, or why it cannot be used.
 
         Args:
@@ -110,7 +110,7 @@ class ProjectorPipeline:
                 effort=np.concatenate([found.multipliers, found.limit_multipliers[self._limited]]),
             )
         states = self._states.write(stamp, position=found.x.q, velocity=found.x.v)
-        return Answer(states, forces, self._violation.write(self._worst))
+        return ProjectorMessages(states, forces, self._violation.write(self._worst))
 
     def health(self, tolerance: float) -> tuple[int, str]:
         """WARN where the measurement is off a constraint or beyond a limit, or near a toggle.
