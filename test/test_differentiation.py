@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from mbd_ros.core.estimation.differentiation import CausalDifferentiator, Sample
+from mbd_ros.core.estimation.differentiation import CausalDifferentiator, SampleStatus
 from mbd_ros.core.estimation.local_polynomials import local_polynomials
 from mbd_ros.core.estimation.low_pass import LowPass
 from mbd_ros.errors import DataError
@@ -126,25 +126,25 @@ def test_velocity_missing_for_some_joints_or_for_a_while_never_shows():
 
 def test_spike_is_rejected_and_a_jump_that_stays_is_believed():
     d = causal([2.0], patience=4)
-    assert feed(d, range(0, 10 * MS, MS), np.arange(10) * 1e-3) == [Sample.USED] * 10
+    assert feed(d, range(0, 10 * MS, MS), np.arange(10) * 1e-3) == [SampleStatus.USED] * 10
     before = d.position, d.velocity, d.acceleration
-    assert feed(d, [10 * MS], [7.0]) == [Sample.JUMP]
+    assert feed(d, [10 * MS], [7.0]) == [SampleStatus.JUMP]
     assert (d.position, d.velocity, d.acceleration) == before
-    assert feed(d, [11 * MS], [0.011]) == [Sample.USED]
+    assert feed(d, [11 * MS], [0.011]) == [SampleStatus.USED]
     assert d.velocity[0] == pytest.approx(1.0, abs=1e-6)
     jumped = feed(d, range(12 * MS, 16 * MS, MS), 7.0 + np.arange(4) * 1e-3)
-    assert jumped == [Sample.JUMP] * 3 + [Sample.RESTARTED]
-    assert feed(d, [16 * MS, 17 * MS], [1.0, 7.005]) == [Sample.JUMP, Sample.USED]
+    assert jumped == [SampleStatus.JUMP] * 3 + [SampleStatus.RESTARTED]
+    assert feed(d, [16 * MS, 17 * MS], [1.0, 7.005]) == [SampleStatus.JUMP, SampleStatus.USED]
     assert (d.position[0], d.velocity[0]) == pytest.approx((7.005, 1.0), abs=1e-6)
 
 
 def test_limit_holds_for_every_joint_and_grows_with_the_time_between_samples():
     d = causal([1.0, np.inf, 1.0])
     none, still = np.full(3, np.nan), np.zeros(3)
-    assert d.update(0, still, none) is Sample.USED
-    assert d.update(10 * MS, np.array([0.0099, 50.0, 0.0]), none) is Sample.USED
-    assert d.update(20 * MS, np.array([0.0099, 0.0, 0.0102]), none) is Sample.JUMP
-    assert d.update(30 * MS, np.array([0.0099, 0.0, 0.0102]), none) is Sample.USED
+    assert d.update(0, still, none) is SampleStatus.USED
+    assert d.update(10 * MS, np.array([0.0099, 50.0, 0.0]), none) is SampleStatus.USED
+    assert d.update(20 * MS, np.array([0.0099, 0.0, 0.0102]), none) is SampleStatus.JUMP
+    assert d.update(30 * MS, np.array([0.0099, 0.0, 0.0102]), none) is SampleStatus.USED
 
 
 @pytest.mark.parametrize("step", [MS, 2 * MS, 33 * MS])
@@ -161,24 +161,24 @@ def test_a_joint_that_really_moves_faster_than_its_limit_is_no_glitch(step, is_m
         velocity = np.array([v[k] if is_measured else np.nan])
         glitch = np.array([q[k] + 3.0 * limit * h])
         if k == 150:
-            assert d.update(k * step, glitch, velocity) is Sample.JUMP
+            assert d.update(k * step, glitch, velocity) is SampleStatus.JUMP
         else:
-            assert d.update(k * step, q[k : k + 1], velocity) is Sample.USED
+            assert d.update(k * step, q[k : k + 1], velocity) is SampleStatus.USED
     assert d.velocity[0] == pytest.approx(20.0, rel=0.05)
 
 
 def test_a_fast_joint_without_velocity_is_believed_once_for_all():
     d = causal([2.0], patience=3)
-    assert d.update(0, np.array([0.0]), np.array([np.nan])) is Sample.USED
-    assert feed(d, [MS] * 3, [0.02] * 3) == [Sample.JUMP] * 2 + [Sample.RESTARTED]
-    assert feed(d, range(2 * MS, 9 * MS, MS), 0.02 * np.arange(2, 9)) == [Sample.USED] * 7
+    assert d.update(0, np.array([0.0]), np.array([np.nan])) is SampleStatus.USED
+    assert feed(d, [MS] * 3, [0.02] * 3) == [SampleStatus.JUMP] * 2 + [SampleStatus.RESTARTED]
+    assert feed(d, range(2 * MS, 9 * MS, MS), 0.02 * np.arange(2, 9)) == [SampleStatus.USED] * 7
 
 
 def test_a_first_step_of_a_fast_joint_is_believed_where_its_velocity_is_measured():
     d = causal([2.0])
-    assert d.update(0, np.array([0.0]), np.array([20.0])) is Sample.USED
-    assert d.update(MS, np.array([0.02]), np.array([20.0])) is Sample.USED
-    assert d.update(2 * MS, np.array([0.06]), np.array([20.0])) is Sample.JUMP
+    assert d.update(0, np.array([0.0]), np.array([20.0])) is SampleStatus.USED
+    assert d.update(MS, np.array([0.02]), np.array([20.0])) is SampleStatus.USED
+    assert d.update(2 * MS, np.array([0.06]), np.array([20.0])) is SampleStatus.JUMP
 
 
 def test_two_pi_wrap_is_unwrapped_only_where_the_joint_is_continuous():
@@ -186,7 +186,7 @@ def test_two_pi_wrap_is_unwrapped_only_where_the_joint_is_continuous():
     for t in range(0, 3 * SECOND, 5 * MS):
         angle = 9.0 * t / SECOND
         wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
-        assert d.update(t, np.array([wrapped, wrapped]), np.full(2, np.nan)) is Sample.USED
+        assert d.update(t, np.array([wrapped, wrapped]), np.full(2, np.nan)) is SampleStatus.USED
         assert d.position == pytest.approx([angle, wrapped], abs=1e-9)
         if t:
             assert d.velocity[0] == pytest.approx(9.0, abs=1e-6)
@@ -197,14 +197,14 @@ def test_duplicate_old_and_rewound_stamps():
     d = causal(rewind=0.5)
     feed(d, [0, SECOND, 2 * SECOND], [0.0, 1.0, 2.0])
     before = d.velocity.copy(), d.acceleration.copy()
-    assert feed(d, [2 * SECOND], [2.0]) == [Sample.DUPLICATE]
-    assert feed(d, [2 * SECOND - 1, SECOND + SECOND // 2], [9.0, 9.0]) == [Sample.OLD] * 2
+    assert feed(d, [2 * SECOND], [2.0]) == [SampleStatus.DUPLICATE]
+    assert feed(d, [2 * SECOND - 1, SECOND + SECOND // 2], [9.0, 9.0]) == [SampleStatus.OLD] * 2
     assert (d.position[0], d.velocity, d.acceleration) == (2.0, *before)
-    assert feed(d, [SECOND + SECOND // 2 - 1], [9.0]) == [Sample.RESTARTED]
+    assert feed(d, [SECOND + SECOND // 2 - 1], [9.0]) == [SampleStatus.RESTARTED]
     assert (d.position[0], d.velocity[0], d.acceleration[0]) == (9.0, 0.0, 0.0)
-    assert feed(d, [2 * SECOND], [9.0]) == [Sample.USED]
+    assert feed(d, [2 * SECOND], [9.0]) == [SampleStatus.USED]
     d.reset()
-    assert feed(d, [0], [5.0]) == [Sample.USED]
+    assert feed(d, [0], [5.0]) == [SampleStatus.USED]
     assert d.velocity[0] == 0.0
 
 

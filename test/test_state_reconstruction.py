@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_state_projection import FOUR_BAR, LEG, projector
 
-from mbd_ros.core.estimation.differentiation import Sample
+from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.state_reconstruction import StateReconstructor
 from mbd_ros.core.estimation.torque_estimator import Tuning
 from mbd_ros.core.projection.state_projection import Projection
@@ -28,7 +28,7 @@ class Stream:
         return self.names.index(name)
 
     def observe(self, k, q, v=None, missing=(), stamp=None):
-        """Sample k without the joints named in `missing`; v None: no velocities at all."""
+        """SampleStatus k without the joints named in `missing`; v None: no velocities at all."""
         present = np.array([name not in missing for name in self.names])
         q = np.where(present, q, np.nan)
         v = np.full(len(q), np.nan) if v is None else np.where(present, v, np.nan)
@@ -75,7 +75,7 @@ def test_a_dependent_position_that_is_not_finite_is_missing(leg):
     assert_state(leg.observe(0, given, v), q, v)
     assert leg.reconstructor.missing == ("knee_slide_y",)
     given[leg.row("knee")] = np.inf
-    assert leg.observe(1, given, v) is Sample.NOT_FINITE
+    assert leg.observe(1, given, v) is SampleStatus.NOT_FINITE
 
 
 @pytest.mark.parametrize("missing", ["knee_anterior", "knee_tibial", "knee_posterior"])
@@ -102,7 +102,7 @@ def test_what_nothing_determines_is_held_and_is_incomplete_when_it_is_too_old():
         assert found.x.q[ankle] == pytest.approx(q0[ankle], abs=1e-12)
         np.testing.assert_allclose(np.delete(found.x.q, ankle), np.delete(q, ankle), atol=1e-12)
     for k in (11, 12, 30):
-        assert stream.observe(k, *swing(stream.scene, k), ["ankle"]) is Sample.INCOMPLETE
+        assert stream.observe(k, *swing(stream.scene, k), ["ankle"]) is SampleStatus.INCOMPLETE
         assert stream.reconstructor.held == ("ankle",)
     q, v = swing(stream.scene, 31)
     assert_state(stream.observe(31, q, v), q, v)
@@ -111,11 +111,11 @@ def test_what_nothing_determines_is_held_and_is_incomplete_when_it_is_too_old():
 
 def test_what_was_never_seen_is_incomplete(leg):
     q, v = swing(leg.scene, 0)
-    assert leg.observe(0, q, v, ["ankle"]) is Sample.INCOMPLETE
+    assert leg.observe(0, q, v, ["ankle"]) is SampleStatus.INCOMPLETE
     assert isinstance(leg.observe(1, q, v), Projection)
     assert isinstance(leg.observe(2, q, v, ["ankle"]), Projection)
     leg.reconstructor.reset()
-    assert leg.observe(3, q, v, ["ankle"]) is Sample.INCOMPLETE
+    assert leg.observe(3, q, v, ["ankle"]) is SampleStatus.INCOMPLETE
 
 
 def test_velocities_that_are_not_measured_are_derived():
@@ -139,10 +139,10 @@ def test_a_jump_is_rejected_until_it_is_believed():
     far = q.copy()
     far[stream.row("hip_flexion")] += 1.0
     for k in (1, 2):
-        assert stream.observe(k, far, v) is Sample.JUMP
+        assert stream.observe(k, far, v) is SampleStatus.JUMP
     assert_state(stream.observe(3, q, v), q, v)
     for k in (4, 5):
-        assert stream.observe(k, far, v) is Sample.JUMP
+        assert stream.observe(k, far, v) is SampleStatus.JUMP
     assert_state(stream.observe(6, far, v), far, v)
 
 
@@ -161,7 +161,7 @@ def test_the_past_is_old_and_the_far_past_a_new_beginning():
     stream = Stream(LEG, rewind=1.0)
     q, v = swing(stream.scene, 0)
     assert_state(stream.observe(10, q, v), q, v)
-    assert stream.observe(5, q, v) is Sample.OLD
+    assert stream.observe(5, q, v) is SampleStatus.OLD
     far = q.copy()
     far[stream.row("hip_flexion")] += 1.0  # no jump: time begins anew
     assert_state(stream.observe(-200, far, v), far, v)
@@ -182,5 +182,5 @@ def test_an_unsolved_sample_leaves_nothing_behind(leg):
         leg.observe(1, q, bad)
     far = q.copy()
     far[leg.row("hip_flexion")] += 1.0
-    assert leg.observe(2, far, v) is Sample.JUMP
+    assert leg.observe(2, far, v) is SampleStatus.JUMP
     assert_state(leg.observe(3, q, v), q, v)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.core.estimation.differentiation import Sample
+from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.model.coupling_functions import Polynomial
@@ -72,26 +72,26 @@ def test_position_that_is_not_finite_drops_the_sample():
     for bad in (np.nan, np.inf, -np.inf):
         stamp, position, velocity, present = sample(5)
         position[2] = bad
-        assert e.observe(stamp, position, velocity, present) is Sample.NOT_FINITE
+        assert e.observe(stamp, position, velocity, present) is SampleStatus.NOT_FINITE
     assert e.observe(*sample(5)).velocity == pytest.approx(RATE, abs=1e-6)
 
 
 def test_missing_joint_is_held_for_max_age_and_then_the_sample_is_incomplete():
     e = estimator(max_age=0.02)
-    assert e.observe(*sample(0, lacking=[1])) is Sample.INCOMPLETE
+    assert e.observe(*sample(0, lacking=[1])) is SampleStatus.INCOMPLETE
     assert isinstance(e.observe(*sample(10)), Observation)
     for t in (20, 30):
         x = e.observe(*sample(t, lacking=[1]))
         assert x.position[1] == sample(10)[1][1]
         assert x.position[0] == sample(t)[1][0]
-    assert e.observe(*sample(40, lacking=[1])) is Sample.INCOMPLETE
+    assert e.observe(*sample(40, lacking=[1])) is SampleStatus.INCOMPLETE
     assert isinstance(e.observe(*sample(50)), Observation)
     assert isinstance(e.observe(*sample(60, lacking=[0, 1, 2, 3])), Observation)
 
 
 def test_two_publishers_with_half_of_the_joints_each_make_a_whole():
     e = estimator(max_age=0.02)
-    assert e.observe(*sample(0, lacking=[0, 1])) is Sample.INCOMPLETE
+    assert e.observe(*sample(0, lacking=[0, 1])) is SampleStatus.INCOMPLETE
     for t in range(5, 200, 5):
         x = e.observe(*sample(t, lacking=[2, 3] if t % 10 else [0, 1]))
         assert isinstance(x, Observation)
@@ -103,12 +103,12 @@ def test_no_position_of_the_past_survives_a_rewind():
     e = estimator(max_age=0.02)
     e.observe(*sample(49_990))
     assert isinstance(e.observe(*sample(50_000, lacking=[1])), Observation)
-    assert e.observe(*sample(1000, lacking=[1])) is Sample.INCOMPLETE
-    assert e.observe(*sample(1010, lacking=[1])) is Sample.INCOMPLETE
+    assert e.observe(*sample(1000, lacking=[1])) is SampleStatus.INCOMPLETE
+    assert e.observe(*sample(1010, lacking=[1])) is SampleStatus.INCOMPLETE
     assert isinstance(e.observe(*sample(1020)), Observation)
     x = e.observe(*sample(1030, lacking=[1]))
     assert x.position[1] == sample(1020)[1][1]
-    assert e.observe(*sample(1050, lacking=[1])) is Sample.INCOMPLETE
+    assert e.observe(*sample(1050, lacking=[1])) is SampleStatus.INCOMPLETE
 
 
 def test_rejected_spike_is_not_what_a_missing_joint_is_held_at():
@@ -117,7 +117,7 @@ def test_rejected_spike_is_not_what_a_missing_joint_is_held_at():
         e.observe(*sample(t))
     stamp, position, velocity, present = sample(10)
     position[1] += 3.0
-    assert e.observe(stamp, position, velocity, present) is Sample.JUMP
+    assert e.observe(stamp, position, velocity, present) is SampleStatus.JUMP
     x = e.observe(*sample(15, lacking=[1]))
     assert isinstance(x, Observation)
     assert x.position[1] == sample(5)[1][1]
@@ -125,7 +125,7 @@ def test_rejected_spike_is_not_what_a_missing_joint_is_held_at():
 
 @pytest.mark.parametrize(
     ("t", "outcome"),
-    [(99, Sample.OLD), (100, None), (-899, Sample.OLD), (-901, None)],
+    [(99, SampleStatus.OLD), (100, None), (-899, SampleStatus.OLD), (-901, None)],
 )
 def test_stamps_that_do_not_increase(t, outcome):
     """An old sample is dropped, a repeated stamp changes no derivative, a rewind starts anew."""

@@ -18,7 +18,7 @@ from mbd_ros.errors import DataError
 _SLOWEST, _FASTEST = 1.0e-6, 1.0e9  # cut-off frequencies [Hz] whose powers are numbers
 
 
-class Sample(Enum):
+class SampleStatus(Enum):
     """What became of a sample."""
 
     USED = "used"
@@ -116,7 +116,7 @@ class CausalDifferentiator:
         position: Array,
         velocity: Array,
         since: NDArray[np.int64] | None = None,
-    ) -> Sample:
+    ) -> SampleStatus:
         """Take the next sample.
 
         Args:
@@ -131,12 +131,12 @@ class CausalDifferentiator:
             good sample.
         """
         if self._stamp is None:
-            return self._start(stamp, position, velocity, Sample.USED)
+            return self._start(stamp, position, velocity, SampleStatus.USED)
         step = stamp - self._stamp
         if step < 0:
             if -step <= self._rewind:
-                return Sample.OLD
-            return self._start(stamp, position, velocity, Sample.RESTARTED)
+                return SampleStatus.OLD
+            return self._start(stamp, position, velocity, SampleStatus.RESTARTED)
         change = position - self.position
         if self._wraps is not None:
             change -= np.where(self._wraps, TURN * np.rint(change / TURN), 0.0)
@@ -145,18 +145,18 @@ class CausalDifferentiator:
         h = least * NANOSECOND
         if not change.dot(change) < (self._smallest_limit * h) ** 2:  # else no joint is too fast
             if not np.isfinite(change).all():
-                return Sample.NOT_FINITE
+                return SampleStatus.NOT_FINITE
             elapsed = h if since is None else np.maximum(since, least) * NANOSECOND
             if self._is_glitch(change / elapsed, velocity):
                 self._jumps += 1
                 if self._jumps < self._patience:
-                    return Sample.JUMP
-                started = self._start(stamp, position, velocity, Sample.RESTARTED)
+                    return SampleStatus.JUMP
+                started = self._start(stamp, position, velocity, SampleStatus.RESTARTED)
                 self._before = change, least
                 return started
         if step == 0:
             self.position = position
-            return Sample.DUPLICATE
+            return SampleStatus.DUPLICATE
         if self._all_measured and math.isfinite(velocity.dot(self._ones)):
             self._of_velocity.update(velocity, step)
             self.velocity, self.acceleration = velocity, self._of_velocity.state[1]
@@ -164,7 +164,7 @@ class CausalDifferentiator:
             self._derive(step, position, velocity)
         self.position, self._stamp, self._jumps = position, stamp, 0
         self._last_step, self._before = step, (change, step)
-        return Sample.USED
+        return SampleStatus.USED
 
     def _is_glitch(self, rate: Array, velocity: Array) -> bool:
         """Whether a joint is faster than its limit, and nothing says that it really moves so."""
@@ -176,9 +176,11 @@ class CausalDifferentiator:
             unexpected = np.abs(rate - expected) > self._limit
         return bool((too_fast & unexpected).any())
 
-    def _start(self, stamp: int, position: Array, velocity: Array, outcome: Sample) -> Sample:
+    def _start(
+        self, stamp: int, position: Array, velocity: Array, outcome: SampleStatus
+    ) -> SampleStatus:
         if not np.isfinite(position).all():
-            return Sample.NOT_FINITE
+            return SampleStatus.NOT_FINITE
         self._measured = np.isfinite(velocity)
         self._all_measured = bool(self._measured.all())
         self.position = position

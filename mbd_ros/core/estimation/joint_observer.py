@@ -5,14 +5,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.estimation.differentiation import CausalDifferentiator, Sample
+from mbd_ros.core.estimation.differentiation import CausalDifferentiator, SampleStatus
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import ModelError
 
 _NEVER = -(2**62)
-_UNUSED = (Sample.OLD, Sample.JUMP, Sample.NOT_FINITE, Sample.INCOMPLETE)
+_UNUSED = (SampleStatus.OLD, SampleStatus.JUMP, SampleStatus.NOT_FINITE, SampleStatus.INCOMPLETE)
 
 
 class Tuning(NamedTuple):
@@ -98,7 +98,7 @@ class JointObserver:
     def reset(self) -> None:
         """Forget the past."""
         self.differentiator.reset()
-        self.outcome = Sample.USED
+        self.outcome = SampleStatus.USED
         self._position, self._velocity = np.zeros(self._n), np.full(self._n, np.nan)
         self._seen = np.full(self._n, _NEVER, dtype=np.int64)
         self._complete: int | None = None  # stamp of a complete sample since the last partial one
@@ -116,7 +116,7 @@ class JointObserver:
 
     def observe(
         self, stamp: int, position: Array, velocity: Array, present: NDArray[np.bool_]
-    ) -> Observation | Sample:
+    ) -> Observation | SampleStatus:
         """Take a sample of the motion.
 
         Args:
@@ -145,15 +145,17 @@ class JointObserver:
         d = self.differentiator
         return Observation(stamp, d.position, d.velocity, d.acceleration, position[n:])
 
-    def _take_part(self, stamp: int, z: Array, v: Array, present: NDArray[np.bool_]) -> Sample:
+    def _take_part(
+        self, stamp: int, z: Array, v: Array, present: NDArray[np.bool_]
+    ) -> SampleStatus:
         """Take a sample that lacks joints: these keep their last position, for `max_age`."""
         if not np.isfinite(z[present]).all():
-            return Sample.NOT_FINITE
+            return SampleStatus.NOT_FINITE
         self._seen = self._seen.copy()
         if self._complete is not None:
             self._seen[:], self._complete = self._complete, None
         z, v = np.where(present, z, self._position), np.where(present, v, self._velocity)
-        since, outcome = stamp - self._seen, Sample.INCOMPLETE
+        since, outcome = stamp - self._seen, SampleStatus.INCOMPLETE
         if int(np.abs(since[~present]).max()) <= self._max_age:
             outcome = self.differentiator.update(stamp, z, v, since)
             if outcome in _UNUSED:

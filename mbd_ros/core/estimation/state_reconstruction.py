@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.estimation.differentiation import CausalDifferentiator, Sample
+from mbd_ros.core.estimation.differentiation import CausalDifferentiator, SampleStatus
 from mbd_ros.core.estimation.torque_estimator import Tuning
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.projection.assembly import assemble
@@ -19,7 +19,7 @@ from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import SolveError
 
 _NEVER, _EVER = -(2**62), 2**62  # ns
-_UNUSED = (Sample.OLD, Sample.JUMP, Sample.NOT_FINITE)
+_UNUSED = (SampleStatus.OLD, SampleStatus.JUMP, SampleStatus.NOT_FINITE)
 _NOISY = 1_000_000  # ns: within less, noise looks like speed
 _STRIDE = 0.1  # [rad or m] that joints move at most while others have to follow on their branch
 _MOST_STRIDES = 100
@@ -87,7 +87,7 @@ class StateReconstructor:
 
     def observe(
         self, stamp: int, position: Array, velocity: Array, present: NDArray[np.bool_]
-    ) -> Projection | Sample:
+    ) -> Projection | SampleStatus:
         """Take a sample.
 
         Args:
@@ -123,17 +123,17 @@ class StateReconstructor:
 
     def _take(
         self, stamp: int, q: Array, v: Array, known: NDArray[np.bool_], measured: NDArray[np.bool_]
-    ) -> Projection | Sample:
+    ) -> Projection | SampleStatus:
         """Judge a sample whose holes are filled, then project it."""
         self.missing = self.held = ()
         prepared, d = None, self._differentiator
         if not (known is self._all or known.all()):
             if not np.isfinite(q).all():
-                return Sample.NOT_FINITE
+                return SampleStatus.NOT_FINITE
             prepared = self._prepared(stamp, q, known, measured)
             if prepared is None:
                 self._seen[known] = stamp
-                return Sample.INCOMPLETE
+                return SampleStatus.INCOMPLETE
         since = np.where(known, np.maximum(stamp - self._measured_at, _NOISY), _EVER)
         outcome = d.update(stamp, q, v, since)
         if outcome in _UNUSED:

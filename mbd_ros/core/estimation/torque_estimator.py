@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.estimation.differentiation import Sample
+from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.joint_observer import JointObserver
 from mbd_ros.core.estimation.joint_observer import Observation as Observation
 from mbd_ros.core.estimation.joint_observer import Tuning as Tuning
@@ -75,13 +75,13 @@ class TorqueEstimator(JointObserver):
 
     def observe(
         self, stamp: int, position: Array, velocity: Array, present: NDArray[np.bool_]
-    ) -> Observation | Sample:
+    ) -> Observation | SampleStatus:
         """As `JointObserver.observe`."""
         before = self.memory
         found = super().observe(stamp, position, velocity, present)
         if isinstance(found, Observation):
             self._newest, self._before = found, before
-            if self._loops is not None and self.outcome is Sample.RESTARTED:
+            if self._loops is not None and self.outcome is SampleStatus.RESTARTED:
                 self._loops.reset()
         return found
 

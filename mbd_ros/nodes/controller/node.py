@@ -14,7 +14,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from mbd_ros.core.control.reference_limits import TargetError
-from mbd_ros.core.estimation.differentiation import Sample
+from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.errors import SolveError
 from mbd_ros.nodes.controller.pipeline import ControlPipeline
 from mbd_ros.nodes.controller.trajectory_action import ABSENT, NAME, TrajectoryAction, action_type
@@ -125,7 +125,7 @@ class ControllerNode(JointStateNode):
 
     # ------------------------------------------------------------------ joint states
 
-    def answer(self, stamp: int, sample: JointSample) -> Sample | None:
+    def answer(self, stamp: int, sample: JointSample) -> SampleStatus | None:
         """Command what the law says."""
         try:
             answer = self._pipeline.answer(stamp, sample)
@@ -133,7 +133,7 @@ class ControllerNode(JointStateNode):
             self._count_failures()
             self.drop_state("unsolved", f"joint_states: {error}")
             return None
-        if isinstance(answer, Sample):
+        if isinstance(answer, SampleStatus):
             return answer
         self._commands.publish(answer.commands)
         self._states.publish(answer.state)

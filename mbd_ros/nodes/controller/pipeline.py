@@ -14,7 +14,7 @@ from mbd_ros.core.control.guide import Guide
 from mbd_ros.core.control.loop_watch import LoopWatch, LossLimits, rest_responses
 from mbd_ros.core.control.reference_limits import TargetError
 from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.estimation.differentiation import Sample
+from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.joint_observer import JointObserver, Observation
 from mbd_ros.core.projection.observed_state import ObservedState
 from mbd_ros.core.state import NANOSECOND, Array, State
@@ -140,7 +140,7 @@ class ControlPipeline:
             self.x, self._epoch = other.x, other._epoch
             self.loop.take_over(other.loop)
 
-    def answer(self, stamp: int, sample: JointSample) -> ControlMessages | Sample:
+    def answer(self, stamp: int, sample: JointSample) -> ControlMessages | SampleStatus:
         """Messages for a joint state, or why it cannot be used.
 
         Raises:
@@ -151,7 +151,7 @@ class ControlPipeline:
         seen = observer.observe(stamp, sample.position, sample.velocity, self.joints.present)
         if not isinstance(seen, Observation):
             return seen
-        if observer.outcome is Sample.RESTARTED:
+        if observer.outcome is SampleStatus.RESTARTED:
             system.row_size = None
         if self._epoch is None:
             self._epoch = stamp

@@ -6,7 +6,7 @@ from typing import Any
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 
-from mbd_ros.core.estimation.differentiation import Sample
+from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.torque_estimator import Observation
 from mbd_ros.errors import SolveError
 from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS, tuning
@@ -62,11 +62,11 @@ class InverseDynamicsNode(JointStateNode):
             return max(level, WARN), f"{text}; inertias in doubt: {'; '.join(doubts)}", details
         return level, text, details
 
-    def answer(self, stamp: int, sample: JointSample) -> Sample | None:
+    def answer(self, stamp: int, sample: JointSample) -> SampleStatus | None:
         """Publish the torques of one joint state, or let it wait for its wrenches."""
         pipeline = self._pipeline
         x = pipeline.observe(stamp, sample)
-        if isinstance(x, Sample):
+        if isinstance(x, SampleStatus):
             return x
         if pipeline.scene.wrenches:
             pipeline.queue.add(x, self.parameters.wrench_wait)

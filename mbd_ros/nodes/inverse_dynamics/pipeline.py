@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.estimation.differentiation import Sample
+from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator
 from mbd_ros.core.inverse.observed_loops import ObservedLoops
 from mbd_ros.core.state import NANOSECOND
@@ -96,7 +96,7 @@ class Pipeline:
             return WARN, f"off the loops by {self._loops.moved:.4g}; the nearest state is used"
         return OK, "torques published"
 
-    def observe(self, stamp: int, sample: JointSample) -> Observation | Sample:
+    def observe(self, stamp: int, sample: JointSample) -> Observation | SampleStatus:
         """A joint state with its derivatives, or why it cannot be used."""
         present = self.joints.present
         return self.estimator.observe(stamp, sample.position, sample.velocity, present)

@@ -5,7 +5,7 @@ from typing import Any
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from mbd_ros.core.estimation.differentiation import Sample
+from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.errors import SolveError
 from mbd_ros.nodes.joint_state_projector.parameters import PARAMETERS, tuning
 from mbd_ros.nodes.joint_state_projector.pipeline import ProjectorPipeline
@@ -53,14 +53,14 @@ class JointStateProjectorNode(JointStateNode):
             level, text = self._pipeline.health(self.parameters.violation_tolerance)
         return level, text, details
 
-    def answer(self, stamp: int, sample: JointSample) -> Sample | None:
+    def answer(self, stamp: int, sample: JointSample) -> SampleStatus | None:
         """Project one joint state."""
         try:
             answer = self._pipeline.answer(stamp, sample)
         except SolveError as error:
             self._drop_unsolved(error)
             return None
-        if isinstance(answer, Sample):
+        if isinstance(answer, SampleStatus):
             return answer
         self._failures = 0
         self._states.publish(answer.states)

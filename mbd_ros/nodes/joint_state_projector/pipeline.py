@@ -8,7 +8,7 @@ import numpy as np
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mass_check import check_mass_anywhere
 from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.estimation.differentiation import Sample
+from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.state_reconstruction import StateReconstructor
 from mbd_ros.core.projection.state_projection import Projection, StateProjector
 from mbd_ros.core.state import Array
@@ -83,7 +83,7 @@ class ProjectorPipeline:
         self._off = np.zeros(len(self._rows))
         self._worst = [0.0, 0.0, 0.0]
 
-    def answer(self, stamp: int, sample: JointSample) -> ProjectorMessages | Sample:
+    def answer(self, stamp: int, sample: JointSample) -> ProjectorMessages | SampleStatus:
         """Messages for a sample, or why it cannot be used.
 
         Args:
@@ -96,7 +96,7 @@ class ProjectorPipeline:
         found = self.reconstructor.observe(
             stamp, sample.position, sample.velocity, self.joints.present
         )
-        if isinstance(found, Sample):
+        if isinstance(found, SampleStatus):
             return found
         self._newest, excess = found, found.excess[self._limited]
         self._off = np.concatenate([found.gap, excess])

@@ -10,7 +10,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from mbd_ros.core.estimation.differentiation import Sample
+from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.state import NANOSECOND
 from mbd_ros.nodes.shell.clock_watch import LOOK, ClockWatch
 from mbd_ros.nodes.shell.scene_node import SceneNode
@@ -71,7 +71,7 @@ class JointStateNode(SceneNode):
     def forget(self) -> None:
         """Empty filters."""
 
-    def answer(self, stamp: int, sample: JointSample) -> Sample | None:
+    def answer(self, stamp: int, sample: JointSample) -> SampleStatus | None:
         """Answer a joint state of this time [ns]; why it cannot be used, if so."""
         raise NotImplementedError
 
@@ -186,7 +186,7 @@ class JointStateNode(SceneNode):
         if refused is None:
             self._note_extra(pipeline.joints.extra)
             return
-        lacking = f" ({', '.join(pipeline.held())})" if refused is Sample.INCOMPLETE else ""
+        lacking = f" ({', '.join(pipeline.held())})" if refused is SampleStatus.INCOMPLETE else ""
         self.drop_state(refused.name.lower(), f"joint_states: {refused.value}{lacking}")
 
     def _stamp_of(self, stamp: int) -> int | None:

@@ -34,7 +34,7 @@ _TRUNCATED = 1.0 / 12.0  # of dt^2 v'': error of the trapezoidal rule
 _MICROSECONDS = {"pendulum": 30.0, "coupled_arm": 100.0, "four_bar": 200.0}  # a step, about
 
 
-class Sample(NamedTuple):
+class RunSample(NamedTuple):
     """What is kept of one moment of a run.
 
     Attributes:
@@ -76,7 +76,7 @@ def run(spec: Spec) -> Outcome:
     scene, steps = loaded.scene, int(spec["steps"])
     oracle = Oracle(loaded)
     found: dict[str, Any] = {**spec, "dt": dt, "reason": ""}
-    samples: list[Sample] = []
+    samples: list[RunSample] = []
     try:
         entry = _METHODS[spec["method"]]
         solver = "kkt" if spec["method"] in _KEEPERS and loaded.scene.laws else "auto"
@@ -88,15 +88,15 @@ def run(spec: Spec) -> Outcome:
         found["reason"] = f"{type(error).__name__}: {error}"
     series = {
         name: [float(f"{sample[k]:.6g}") for sample in samples]
-        for k, name in enumerate(Sample._fields)
+        for k, name in enumerate(RunSample._fields)
     }
     return {**found, "series": series, "wrong": _wrong(found, samples)}
 
 
 def _follow(
-    simulation: Simulation, start: State, steps: int, oracle: Oracle, samples: list[Sample]
+    simulation: Simulation, start: State, steps: int, oracle: Oracle, samples: list[RunSample]
 ) -> float:
-    """Sample a run; returns the energy that it turns between kinetic and potential [J]."""
+    """RunSample a run; returns the energy that it turns between kinetic and potential [J]."""
     every, first, swing = max(1, steps // SAMPLES), None, 0.0
     for i, x in enumerate(simulation.run(start, steps * simulation.dt)):
         if i % every == 0:
@@ -104,12 +104,12 @@ def _follow(
             first = kinetic + potential if first is None else first
             change = kinetic + potential - first
             speed = float(np.abs(x.v).max())
-            samples.append(Sample(x.t, change, oracle.violation(x), oracle.rate(x), speed))
+            samples.append(RunSample(x.t, change, oracle.violation(x), oracle.rate(x), speed))
             swing = max(swing, kinetic)
     return swing
 
 
-def _wrong(found: Mapping[str, Any], samples: Sequence[Sample]) -> str:
+def _wrong(found: Mapping[str, Any], samples: Sequence[RunSample]) -> str:
     """Why the run is wrong; empty if it is not."""
     if found["reason"]:
         return f"stopped: {found['reason']}"
@@ -128,7 +128,7 @@ def _wrong(found: Mapping[str, Any], samples: Sequence[Sample]) -> str:
     return ""
 
 
-def _slow(found: Mapping[str, Any], samples: Sequence[Sample]) -> float:
+def _slow(found: Mapping[str, Any], samples: Sequence[RunSample]) -> float:
     """Rate of constraints that a method may leave [m/s or rad/s].
 
     Generalized-alpha keeps positions only: its velocities are off by what the trapezoidal rule
