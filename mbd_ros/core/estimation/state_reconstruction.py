@@ -12,7 +12,7 @@ from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.projection.state_projection import (
     Measurement,
     Prepared,
-    Projection,
+    ProjectedState,
     StateProjector,
 )
 from mbd_ros.core.state import NANOSECOND, Array, State
@@ -87,7 +87,7 @@ class StateReconstructor:
 
     def observe(
         self, stamp: int, position: Array, velocity: Array, present: NDArray[np.bool_]
-    ) -> Projection | SampleStatus:
+    ) -> ProjectedState | SampleStatus:
         """Take a sample.
 
         Args:
@@ -115,7 +115,7 @@ class StateReconstructor:
         except SolveError:
             self._differentiator.memory, self._measured = before, begin
             raise
-        if isinstance(found, Projection):
+        if isinstance(found, ProjectedState):
             self._measured_at[known] = stamp
             self._seen[known | ~found.undetermined] = stamp
             self._last, self._is_placed = found.x, True
@@ -123,7 +123,7 @@ class StateReconstructor:
 
     def _take(
         self, stamp: int, q: Array, v: Array, known: NDArray[np.bool_], measured: NDArray[np.bool_]
-    ) -> Projection | SampleStatus:
+    ) -> ProjectedState | SampleStatus:
         """Judge a sample whose holes are filled, then project it."""
         self.missing = self.held = ()
         prepared, d = None, self._differentiator
@@ -153,7 +153,7 @@ class StateReconstructor:
         fresh = np.abs(stamp - self._seen[free]) <= self._max_age
         return prepared if fresh.all() else None
 
-    def _project(self, m: Measurement, prepared: Prepared | None, filled: Array) -> Projection:
+    def _project(self, m: Measurement, prepared: Prepared | None, filled: Array) -> ProjectedState:
         """In small strides, where joints have to follow on their branch."""
         if prepared is None:
             self._measured = m.x.q

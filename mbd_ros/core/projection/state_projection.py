@@ -56,7 +56,7 @@ class Prepared(NamedTuple):
     rows: Rows | None = None
 
 
-class Projection(NamedTuple):
+class ProjectedState(NamedTuple):
     """The nearest consistent state, and how far the measurement was from it.
 
     The multipliers are no forces of the mechanism: W (q - q_m) = J' multipliers + limit
@@ -150,7 +150,7 @@ class StateProjector:
             of_velocity = metric_of(M, rows[1], m.known_velocity, self._amplification)
         return Prepared(metric, of_velocity, is_whole, rows)
 
-    def project(self, m: Measurement, prepared: Prepared | None = None) -> Projection:
+    def project(self, m: Measurement, prepared: Prepared | None = None) -> ProjectedState:
         """The nearest consistent state.
 
         Args:
@@ -176,7 +176,7 @@ class StateProjector:
         else:
             gap, rate = self._on_rows.violation(raw, rows if is_whole else None)
         excess = raw.q - np.minimum(np.maximum(raw.q, self.lower), self.upper)
-        return Projection(
+        return ProjectedState(
             *(State(x.t, q, v), near.lam, near.mu, gap, rate, excess),
             *(metric.undetermined, near.iterations, near.condition),
         )

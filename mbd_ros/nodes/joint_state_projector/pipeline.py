@@ -10,7 +10,7 @@ from mbd_ros.core.dynamics.mass_check import check_mass_anywhere
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.state_reconstruction import StateReconstructor
-from mbd_ros.core.projection.state_projection import Projection, StateProjector
+from mbd_ros.core.projection.state_projection import ProjectedState, StateProjector
 from mbd_ros.core.state import Array
 from mbd_ros.nodes.joint_state_projector.parameters import tuning
 from mbd_ros.nodes.shell.serialized import joint_state
@@ -79,7 +79,7 @@ class ProjectorPipeline:
     def forget(self) -> None:
         """Forget the past."""
         self.reconstructor.reset()
-        self._newest: Projection | None = None
+        self._newest: ProjectedState | None = None
         self._off = np.zeros(len(self._rows))
         self._worst = [0.0, 0.0, 0.0]
 
