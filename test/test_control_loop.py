@@ -8,7 +8,7 @@ from mbd_ros.core.control.chatter import ChatterMeter
 from mbd_ros.core.control.contract import Control, ControlledJoints, Controller, EffortBox
 from mbd_ros.core.control.control_loop import ControlLoop
 from mbd_ros.core.control.guard import Guard
-from mbd_ros.core.control.guide import Guide
+from mbd_ros.core.control.reference_generator import ReferenceGenerator
 from mbd_ros.core.control.reference_limits import TargetError
 from mbd_ros.core.control.reference_map import ReferenceMap
 from mbd_ros.core.dynamics.loads import Loads
@@ -51,7 +51,7 @@ def loop_of(joints, effort=(8.0, -4.0), *, safe=None, ramp=0.1, **limits):
     limit = np.array(limits.pop("limit", [100.0, 100.0]))
     return ControlLoop(
         Scripted(joints, effort),
-        Guide(joints),
+        ReferenceGenerator(joints),
         Guard(NAMES, limit, **limits),
         safe or SafeCommand("zero"),
         ramp,
@@ -74,7 +74,7 @@ def test_control_takes_over_within_the_ramp_and_holds_where_it_began(joints):
     efforts = run(loop, 151)
     expected = np.minimum(np.arange(151) * DT / 0.1, 1.0)[:, None] * [8.0, -4.0]
     np.testing.assert_allclose(efforts, expected, atol=1e-12)
-    np.testing.assert_array_equal(loop.guide.at(1.0).q, [0.3, 0.1])
+    np.testing.assert_array_equal(loop.generator.at(1.0).q, [0.3, 0.1])
 
 
 def test_the_share_of_the_safe_command_damps(joints):
@@ -186,17 +186,17 @@ def test_a_reset_goes_on_from_the_last_command_or_ramps_down(joints):
 
 def test_stamps_that_jump_ahead_go_on_without_a_bump(joints):
     loop = loop_of(joints, (0.0, 0.0), ramp=0.0)
-    loop.guide.follow(0.0, np.array([0.0, 8.0]), np.array([[0.3, 0.1], [1.1, 0.1]]))
+    loop.generator.follow(0.0, np.array([0.0, 8.0]), np.array([[0.3, 0.1], [1.1, 0.1]]))
     last = run(loop, 101)[-1]
     assert last.any()
     np.testing.assert_allclose(run(loop, 1, 7.0)[0], last, atol=0.05 + 1e-12)  # memory is kept
-    np.testing.assert_allclose(loop.guide.at(7.0).q, [0.3, 0.1], atol=1e-12)
+    np.testing.assert_allclose(loop.generator.at(7.0).q, [0.3, 0.1], atol=1e-12)
 
 
 def test_stamps_that_jump_back_begin_anew_by_the_ramp(joints):
     """Integrals are reset, the robot is held where it is, and effort comes as at a start."""
     loop, fresh = (loop_of(joints, (0.0, 0.0), ramp=0.1) for _ in range(2))
-    loop.guide.follow(0.0, np.array([0.0, 8.0]), np.array([[0.3, 0.1], [1.1, 0.1]]))
+    loop.generator.follow(0.0, np.array([0.0, 8.0]), np.array([[0.3, 0.1], [1.1, 0.1]]))
     assert run(loop, 301)[-1].any()
     again = run(loop, 150, -3.0)
     assert not again[0].any() and again[-1].any()
@@ -205,12 +205,12 @@ def test_stamps_that_jump_back_begin_anew_by_the_ramp(joints):
 
 def test_a_loop_that_takes_over_goes_on_where_the_other_was(joints):
     loop = loop_of(joints, (1.0, -1.0), ramp=0.0)
-    loop.guide.follow(0.0, np.array([0.0, 1.0]), np.array([[0.3, 0.1], [1.1, 0.1]]))
+    loop.generator.follow(0.0, np.array([0.0, 1.0]), np.array([[0.3, 0.1], [1.1, 0.1]]))
     last = run(loop, 101)[-1]
     other = loop_of(joints, (1.0, -1.0), ramp=0.0)
     other.take_over(loop)
     np.testing.assert_allclose(run(other, 1, begin=0.101)[0], last, atol=2e-3)
-    np.testing.assert_array_equal(other.guide.at(0.4).q, loop.guide.at(0.4).q)
+    np.testing.assert_array_equal(other.generator.at(0.4).q, loop.generator.at(0.4).q)
 
 
 def test_what_is_not_finite_is_no_safe_command(joints):

@@ -12,8 +12,8 @@ from mbd_ros.core.control.control_loop import ControlLoop
 from mbd_ros.core.control.delay_margin import LoopGains, pd_gains, sliding_gains, tolerable_delay
 from mbd_ros.core.control.delay_meter import DelayMeter
 from mbd_ros.core.control.guard import Guard
-from mbd_ros.core.control.guide import Guide
 from mbd_ros.core.control.loop_watch import LoopWatch, LossLimits, rest_responses
+from mbd_ros.core.control.reference_generator import ReferenceGenerator
 from mbd_ros.core.projection.observed_state import ObservedState
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
@@ -52,7 +52,7 @@ class DelayedLoop:
         self.watch = LoopWatch(joints.names, controller, rest, LossLimits(speeds, 5.0))
         self.loop = ControlLoop(
             controller,
-            Guide(joints),
+            ReferenceGenerator(joints),
             Guard(joints.names, limits),
             scene.safe,
             RAMP,
@@ -74,14 +74,14 @@ class DelayedLoop:
 
     def lead(self):
         """A slow swing of every joint."""
-        now, (q,) = self.live.now.t, self.loop.guide.at(self.live.now.t)[:1]
+        now, (q,) = self.live.now.t, self.loop.generator.at(self.live.now.t)[:1]
         t = np.arange(0.0, 5.0, 0.05)
         lower, upper = (
             np.array([getattr(joint, key) for joint in self.joints.joints])
             for key in ("lower", "upper")
         )
         away = 0.1 * (1.0 - np.cos(3.0 * t))[:, None] * np.where(q > 0.5 * (lower + upper), -1, 1)
-        self.loop.guide.follow(now, now + t, q + away)
+        self.loop.generator.follow(now, now + t, q + away)
 
     def run(self, until, delay=0.0):
         while self.live.now.t < until - 1e-9:

@@ -51,7 +51,7 @@ def leg():
 
 
 def assert_state(found, q, v, atol=1e-12):
-    assert isinstance(found, Projection)
+    assert isinstance(found, ProjectedState)
     np.testing.assert_allclose(found.x.q, q, rtol=0, atol=atol)
     np.testing.assert_allclose(found.x.v, v, rtol=0, atol=atol)
 
@@ -111,8 +111,8 @@ def test_what_nothing_determines_is_held_and_is_incomplete_when_it_is_too_old():
 def test_what_was_never_seen_is_incomplete(leg):
     q, v = swing(leg.scene, 0)
     assert leg.observe(0, q, v, ["ankle"]) is SampleStatus.INCOMPLETE
-    assert isinstance(leg.observe(1, q, v), Projection)
-    assert isinstance(leg.observe(2, q, v, ["ankle"]), Projection)
+    assert isinstance(leg.observe(1, q, v), ProjectedState)
+    assert isinstance(leg.observe(2, q, v, ["ankle"]), ProjectedState)
     leg.reconstructor.reset()
     assert leg.observe(3, q, v, ["ankle"]) is SampleStatus.INCOMPLETE
 

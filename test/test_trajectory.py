@@ -7,7 +7,7 @@ import pytest
 from mechanisms import double_pendulum
 
 from mbd_ros.core.control.contract import ControlledJoints, Reference
-from mbd_ros.core.control.guide import Guide
+from mbd_ros.core.control.reference_generator import ReferenceGenerator
 from mbd_ros.core.control.reference_limits import TargetError
 from mbd_ros.core.control.trajectory import ReferenceTrajectory
 from mbd_ros.core.dynamics.loads import Loads
@@ -67,7 +67,7 @@ def test_a_course_between_points_has_no_jumps():
                 np.testing.assert_allclose(before, after, atol=1e-6)
 
 
-# ---------------------------------------------------------------------- guide
+# ---------------------------------------------------------------------- generator
 
 
 @pytest.fixture
@@ -77,10 +77,10 @@ def joints():
     return ControlledJoints(System(robot, Loads(robot.model.nv)), ["joint_1", "joint_2"])
 
 
-def smooth(guide, begin, end, step=1e-3):
+def smooth(generator, begin, end, step=1e-3):
     """Asserts that position and velocity never jump, and that velocity is the slope."""
     times = np.arange(begin, end, step)
-    refs = [guide.at(t) for t in times]
+    refs = [generator.at(t) for t in times]
     q, v = np.array([ref.q for ref in refs]), np.array([ref.v for ref in refs])
     a = np.abs([ref.a for ref in refs]).max()
     np.testing.assert_allclose(np.diff(q, axis=0), 0.5 * step * (v[1:] + v[:-1]), atol=a * step**2)
@@ -88,74 +88,74 @@ def smooth(guide, begin, end, step=1e-3):
 
 
 def test_a_moving_joint_comes_to_rest_where_it_was_measured(joints):
-    guide = Guide(joints)
+    generator = ReferenceGenerator(joints)
     q, v = np.array([0.3, -0.2]), np.array([1.0, 0.0])
-    guide.hold(2.0, q, v)
-    np.testing.assert_allclose(guide.at(2.0).v, v, atol=1e-12)
-    positions, _ = smooth(guide, 2.0, 3.0)
+    generator.hold(2.0, q, v)
+    np.testing.assert_allclose(generator.at(2.0).v, v, atol=1e-12)
+    positions, _ = smooth(generator, 2.0, 3.0)
     np.testing.assert_allclose(positions[-1], q, atol=1e-12)
     assert np.abs(positions - q).max() < 0.2
 
 
 def test_a_stream_of_targets_is_reached_one_interval_later(joints):
     """A sine at 50 Hz; what is followed is the sine of 20 ms ago."""
-    guide = Guide(joints, ramp=0.05)
-    guide.hold(0.0, np.zeros(2), np.zeros(2))
+    generator = ReferenceGenerator(joints, ramp=0.05)
+    generator.hold(0.0, np.zeros(2), np.zeros(2))
     wave = lambda t: Reference(  # noqa: E731
         np.sin([3 * t, 2 * t]), np.array([3, 2]) * np.cos([3 * t, 2 * t]), np.zeros(2)
     )
     worst = 0.0
     for k in range(1, 100):
         t = 0.02 * k
-        guide.aim(t, wave(t))
-        smooth(guide, t, t + 0.02)
+        generator.aim(t, wave(t))
+        smooth(generator, t, t + 0.02)
         for part in (0.0, 0.25, 0.5, 0.99):
             if k > 10:
-                off = guide.at(t + 0.02 * part).q - wave(t - 0.02 + 0.02 * part).q
+                off = generator.at(t + 0.02 * part).q - wave(t - 0.02 + 0.02 * part).q
                 worst = max(worst, np.abs(off).max())
     assert worst < 1e-3
-    assert guide.state(t) == "target"
-    ends = guide.at(t + 5.0)
+    assert generator.state(t) == "target"
+    ends = generator.at(t + 5.0)
     assert not ends.v.any()
-    assert "held" in guide.state(t + 5.0)
+    assert "held" in generator.state(t + 5.0)
     np.testing.assert_allclose(ends.q, wave(t).q + 0.25 * wave(t).v, atol=1e-12)
 
 
 def test_a_step_is_a_ramp_within_its_share_of_the_speed_limit(joints):
-    guide = Guide(joints, ramp=0.1, ramp_speed=0.5)
-    guide.hold(0.0, np.zeros(2), np.zeros(2))
-    guide.aim(0.0, Reference(np.array([3.0, -0.1]), np.zeros(2), np.zeros(2)))
-    q, v = smooth(guide, 0.0, 3.0)
+    generator = ReferenceGenerator(joints, ramp=0.1, ramp_speed=0.5)
+    generator.hold(0.0, np.zeros(2), np.zeros(2))
+    generator.aim(0.0, Reference(np.array([3.0, -0.1]), np.zeros(2), np.zeros(2)))
+    q, v = smooth(generator, 0.0, 3.0)
     assert np.abs(v).max() == pytest.approx(5.0, rel=1e-3)  # half of 10/s
     np.testing.assert_allclose(q[-1], [3.0, -0.1], atol=1e-12)
 
 
 def test_a_trajectory_that_begins_elsewhere_is_joined_without_a_jump(joints):
-    guide = Guide(joints, ramp=0.2)
-    guide.hold(0.0, np.array([1.0, 1.0]), np.zeros(2))
-    guide.follow(0.0, TIMES, Q, V, A)  # begins now, at (0, 1)
-    np.testing.assert_allclose(guide.at(0.0).q, [1.0, 1.0], atol=1e-13)
-    smooth(guide, 0.0, 1.5)
+    generator = ReferenceGenerator(joints, ramp=0.2)
+    generator.hold(0.0, np.array([1.0, 1.0]), np.zeros(2))
+    generator.follow(0.0, TIMES, Q, V, A)  # begins now, at (0, 1)
+    np.testing.assert_allclose(generator.at(0.0).q, [1.0, 1.0], atol=1e-13)
+    smooth(generator, 0.0, 1.5)
     trajectory = ReferenceTrajectory(TIMES, Q, V, A)
     for t in (0.5, 0.9, 1.05):
-        np.testing.assert_allclose(guide.at(t).q, trajectory.at(t).q, atol=1e-12)
-    guide.follow(0.7, TIMES + 1.0, Q)  # begins later: goes there from where the reference is
-    smooth(guide, 0.7, 3.0)
-    np.testing.assert_allclose(guide.at(1.4).q, Q[1], atol=1e-12)
-    assert guide.state(1.4) == "trajectory"
-    assert "held" in guide.state(9.0)
+        np.testing.assert_allclose(generator.at(t).q, trajectory.at(t).q, atol=1e-12)
+    generator.follow(0.7, TIMES + 1.0, Q)  # begins later: goes there from where the reference is
+    smooth(generator, 0.7, 3.0)
+    np.testing.assert_allclose(generator.at(1.4).q, Q[1], atol=1e-12)
+    assert generator.state(1.4) == "trajectory"
+    assert "held" in generator.state(9.0)
 
 
 def test_after_a_break_the_reference_begins_where_the_joints_are(joints):
-    guide = Guide(joints)
-    guide.follow(0.0, TIMES, Q, V)
+    generator = ReferenceGenerator(joints)
+    generator.follow(0.0, TIMES, Q, V)
     measured = np.array([0.4, 0.4]), np.array([0.1, -0.1])
-    guide.resume(0.5, *measured)
-    for given, expected in zip(guide.at(0.5)[:2], measured, strict=True):
+    generator.resume(0.5, *measured)
+    for given, expected in zip(generator.at(0.5)[:2], measured, strict=True):
         np.testing.assert_allclose(given, expected, atol=1e-12)
-    smooth(guide, 0.5, 2.0)
+    smooth(generator, 0.5, 2.0)
     np.testing.assert_allclose(
-        guide.at(1.05).q, ReferenceTrajectory(TIMES, Q, V).at(1.05).q, atol=1e-12
+        generator.at(1.05).q, ReferenceTrajectory(TIMES, Q, V).at(1.05).q, atol=1e-12
     )
 
 
@@ -168,23 +168,23 @@ def test_after_a_break_the_reference_begins_where_the_joints_are(joints):
     ],
 )
 def test_a_target_beyond_limits_is_refused_and_changes_nothing(joints, q, v, message):
-    guide = Guide(joints)
-    guide.hold(0.0, np.ones(2), np.zeros(2))
+    generator = ReferenceGenerator(joints)
+    generator.hold(0.0, np.ones(2), np.zeros(2))
     with pytest.raises(TargetError, match=message):
-        guide.aim(1.0, Reference(np.array(q), np.array(v), np.zeros(2)))
-    np.testing.assert_array_equal(guide.at(2.0).q, [1.0, 1.0])
+        generator.aim(1.0, Reference(np.array(q), np.array(v), np.zeros(2)))
+    np.testing.assert_array_equal(generator.at(2.0).q, [1.0, 1.0])
 
 
 def test_a_trajectory_that_leaves_the_limits_between_its_points_is_refused(joints):
-    guide, times = Guide(joints), np.array([0.0, 10.0])
+    generator, times = ReferenceGenerator(joints), np.array([0.0, 10.0])
     q, v = np.array([[98.0, 0.0], [98.0, 0.0]]), np.array([[9.0, 0.0], [-9.0, 0.0]])
     with pytest.raises(TargetError, match=r"joint_1 at .* at t = .*accepted: -99 to 99"):
-        guide.follow(0.0, times, q, v)
+        generator.follow(0.0, times, q, v)
     with pytest.raises(TargetError, match="must increase"):
-        guide.follow(0.0, times[::-1], q)
+        generator.follow(0.0, times[::-1], q)
     with pytest.raises(TargetError, match=r"ended 1\.000 s ago"):
-        guide.follow(11.0, times, q)
-    assert guide.state(0.0) == "held"
+        generator.follow(11.0, times, q)
+    assert generator.state(0.0) == "held"
 
 
 # ---------------------------------------------------------------------- limits on the way
@@ -198,9 +198,9 @@ def narrow(joints):
     return joints
 
 
-def extent(guide, begin, end):
+def extent(generator, begin, end):
     """Largest position and velocity of a reference."""
-    refs = [guide.at(t) for t in np.arange(begin, end, 1e-3)]
+    refs = [generator.at(t) for t in np.arange(begin, end, 1e-3)]
     return np.abs([ref.q for ref in refs]).max(), np.abs([ref.v for ref in refs]).max()
 
 
@@ -208,70 +208,70 @@ def extent(guide, begin, end):
 @pytest.mark.parametrize("after", [0.001, 0.01, 0.05, 0.1])
 def test_a_trajectory_that_begins_too_soon_is_ramped_to(narrow, distance, after):
     """One point from rest; what is within the limits is there in time, nothing swings."""
-    guide = Guide(narrow)
-    guide.hold(0.0, np.full(2, 0.5), np.zeros(2))
-    guide.follow(0.0, np.array([after]), np.full((1, 2), 0.5 + distance))
-    q, v = smooth(guide, 0.0, 3.0)
+    generator = ReferenceGenerator(narrow)
+    generator.hold(0.0, np.full(2, 0.5), np.zeros(2))
+    generator.follow(0.0, np.array([after]), np.full((1, 2), 0.5 + distance))
+    q, v = smooth(generator, 0.0, 3.0)
     assert (q > 0.5 - 1e-12).all()
     assert (q < 0.5 + distance + 1e-12).all()
     assert np.abs(v).max() <= 3.0
     in_time = 1.5 * distance / after <= 3.0  # peak of a cubic from rest to rest
-    assert np.allclose(guide.at(after).q, 0.5 + distance) == in_time
+    assert np.allclose(generator.at(after).q, 0.5 + distance) == in_time
 
 
 def test_noise_of_a_stream_does_not_swing_what_comes_after(narrow):
     noise = np.random.default_rng(2)
-    guide = Guide(narrow)
-    guide.hold(0.0, np.zeros(2), np.zeros(2))
+    generator = ReferenceGenerator(narrow)
+    generator.hold(0.0, np.zeros(2), np.zeros(2))
     t = 0.0
     for _ in range(400):
         t += noise.uniform(4e-3, 8e-3)
-        guide.aim(t, Reference(noise.normal(0.0, 1e-3, 2), np.zeros(2), np.zeros(2)))
-    guide.aim(t + 5e-3, Reference(np.full(2, 0.4), np.zeros(2), np.zeros(2)))
-    positions = np.array([guide.at(time).q for time in np.arange(t, t + 3.0, 1e-3)])
+        generator.aim(t, Reference(noise.normal(0.0, 1e-3, 2), np.zeros(2), np.zeros(2)))
+    generator.aim(t + 5e-3, Reference(np.full(2, 0.4), np.zeros(2), np.zeros(2)))
+    positions = np.array([generator.at(time).q for time in np.arange(t, t + 3.0, 1e-3)])
     assert positions.min() > -0.1
     assert positions.max() < 0.5
 
 
 def test_no_target_takes_the_reference_beyond_a_position_limit(narrow):
     noise, t = np.random.default_rng(3), 0.0
-    guide = Guide(narrow)
-    guide.hold(0.0, np.array([0.95, 0.0]), np.array([3.0, 0.0]))
-    assert extent(guide, 0.0, 2.0)[0] <= 1.0
+    generator = ReferenceGenerator(narrow)
+    generator.hold(0.0, np.array([0.95, 0.0]), np.array([3.0, 0.0]))
+    assert extent(generator, 0.0, 2.0)[0] <= 1.0
     for _ in range(100):
         t += noise.choice([0.01, 0.3, 1.0])
         q, v = noise.uniform(-1.0, 1.0, 2), noise.uniform(-3.0, 3.0, 2)
-        guide.aim(t, Reference(q, v, np.zeros(2)))
-        assert extent(guide, t, t + 2.0)[0] <= 1.0
+        generator.aim(t, Reference(q, v, np.zeros(2)))
+        assert extent(generator, t, t + 2.0)[0] <= 1.0
 
 
 def test_a_measured_state_beyond_a_limit_is_held_there(narrow):
-    guide = Guide(narrow)
-    guide.hold(0.0, np.array([1.02, 0.0]), np.zeros(2))
-    np.testing.assert_array_equal(guide.at(1.0).q, [1.02, 0.0])
+    generator = ReferenceGenerator(narrow)
+    generator.hold(0.0, np.array([1.02, 0.0]), np.zeros(2))
+    np.testing.assert_array_equal(generator.at(1.0).q, [1.02, 0.0])
 
 
 def test_another_guide_goes_on_beyond_a_limit(narrow):
-    guide, other = Guide(narrow), Guide(narrow)
-    guide.hold(0.0, np.array([1.02, 0.0]), np.zeros(2))
-    other.take_over(0.5, guide)
+    generator, other = ReferenceGenerator(narrow), ReferenceGenerator(narrow)
+    generator.hold(0.0, np.array([1.02, 0.0]), np.zeros(2))
+    other.take_over(0.5, generator)
     np.testing.assert_array_equal(other.at(1.0).q, [1.02, 0.0])
 
 
 def test_two_targets_at_once_are_the_second_one(joints):
     """What comes between two joint states must not break the stream that it belongs to."""
-    guide, other = Guide(joints), Guide(joints)
-    for one in (guide, other):
+    generator, other = ReferenceGenerator(joints), ReferenceGenerator(joints)
+    for one in (generator, other):
         one.hold(0.0, np.zeros(2), np.zeros(2))
     for k in range(1, 50):
         target = Reference(np.full(2, 0.01 * k), np.full(2, 0.5), np.zeros(2))
-        guide.aim(0.02 * k, target)
-        guide.aim(0.02 * k, target)
+        generator.aim(0.02 * k, target)
+        generator.aim(0.02 * k, target)
         other.aim(0.02 * k, target)
-    np.testing.assert_allclose(guide.at(0.995).q, other.at(0.995).q, atol=1e-12)
+    np.testing.assert_allclose(generator.at(0.995).q, other.at(0.995).q, atol=1e-12)
 
 
 def test_a_trajectory_of_another_clock_is_refused(joints):
-    guide = Guide(joints)
+    generator = ReferenceGenerator(joints)
     with pytest.raises(TargetError, match=r"begins in 1\.7e\+09 s, .* 3600 s; .*use_sim_time"):
-        guide.follow(0.0, np.array([1.7e9]), np.zeros((1, 2)))
+        generator.follow(0.0, np.array([1.7e9]), np.zeros((1, 2)))

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from mbd_ros.core.control.chatter import ChatterMeter
 from mbd_ros.core.control.contract import Control, Controller, EffortBox, Reference
 from mbd_ros.core.control.guard import Guard
-from mbd_ros.core.control.guide import Guide
 from mbd_ros.core.control.loop_watch import LoopWatch
+from mbd_ros.core.control.reference_generator import ReferenceGenerator
 from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
@@ -45,7 +45,7 @@ class ControlLoop:
 
     Args:
         controller: The law; may be replaced between updates by one for the same joints.
-        guide: The reference.
+        generator: The reference.
         guard: Limits.
         safe: What acts when the control must not be trusted.
         ramp: Duration of a hand-over [s], >= 0.
@@ -55,7 +55,7 @@ class ControlLoop:
 
     Attributes:
         controller: See above.
-        guide: See above.
+        generator: See above.
         guard: See above.
         ramp: See above; may change at any time.
         longest: See above; may change at any time.
@@ -73,7 +73,7 @@ class ControlLoop:
     def __init__(
         self,
         controller: Controller,
-        guide: Guide,
+        generator: ReferenceGenerator,
         guard: Guard,
         safe: SafeCommand,
         ramp: float,
@@ -82,7 +82,7 @@ class ControlLoop:
         watch: LoopWatch | None = None,
     ) -> None:
         self.watch = watch
-        self.controller, self.guide, self.guard, self.safe = controller, guide, guard, safe
+        self.controller, self.generator, self.guard, self.safe = controller, generator, guard, safe
         self.ramp, self.longest, self.chatter = ramp, longest, chatter
         self.is_frozen, self.lapses, self.weight = False, 0, 1.0
         self.control: Control | None = None
@@ -94,7 +94,7 @@ class ControlLoop:
     def restart(self) -> None:
         """Hold the next state, whatever was followed; from the command that was sent last."""
         self.is_open, self.failures = True, 0
-        self.guide.kind = "held"
+        self.generator.kind = "held"
         self.chatter.reset()
         if self.watch is not None:
             self.watch.reset()
@@ -112,7 +112,7 @@ class ControlLoop:
         self.weight, self.lapses, self._is_lapsed = other.weight, other.lapses, other._is_lapsed
         self.is_open, self._t, self._v = other.is_open, other._t, other._v
         self._sent, self.control = other._sent, other.control
-        self.guide.take_over(other._t, other.guide)
+        self.generator.take_over(other._t, other.generator)
         if other._memory.shape == self._memory.shape:
             self._memory = other._memory
 
@@ -135,10 +135,10 @@ class ControlLoop:
         if self.is_open or not 0.0 <= x.t - self._t <= self.longest:
             self._close(x.t, q, v)
         self._t = x.t
-        ref = self.guide.at(x.t)
+        ref = self.generator.at(x.t)
         if self._is_back(x.t, dt, q - ref.q, v, acted):
             self._close(x.t, q, v)
-            ref = self.guide.at(x.t)
+            ref = self.generator.at(x.t)
         is_lost = self.watch is not None and bool(self.watch.fault)
         self._shift(dt if is_lost else -dt)
         box = self.guard.box(self._sent, dt)
@@ -194,7 +194,7 @@ class ControlLoop:
 
     def _close(self, t: float, q: Array, v: Array) -> None:
         """States come, for the first time or again; the law begins anew where it had ended."""
-        self.guide.resume(t, q, v)
+        self.generator.resume(t, q, v)
         if self.weight >= 1.0:
             self._memory = self.controller.begin()
         self.is_open = self._is_lapsed = False

@@ -15,7 +15,7 @@ def loop_details(loop: ControlLoop, t: float) -> dict[str, str]:
         limits = [name for name, is_active in acts if is_active]
         largest = float(np.abs(control.s).max())
     return {
-        "reference": loop.guide.state(t),
+        "reference": loop.generator.state(t),
         "largest |s|": f"{largest:.6g}",
         "equivalent part": "none" if control is None else _listed(control.equivalent),
         "chatter": _listed(loop.chatter.rms),

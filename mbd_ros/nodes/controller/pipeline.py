@@ -10,8 +10,8 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayou
 from mbd_ros.core.control.chatter import ChatterMeter
 from mbd_ros.core.control.control_loop import Command, ControlLoop
 from mbd_ros.core.control.guard import Guard
-from mbd_ros.core.control.guide import Guide
 from mbd_ros.core.control.loop_watch import LoopWatch, LossLimits, rest_responses
+from mbd_ros.core.control.reference_generator import ReferenceGenerator
 from mbd_ros.core.control.reference_limits import TargetError
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.estimation.differentiation import SampleStatus
@@ -80,7 +80,7 @@ class ControlPipeline:
         self.watch = LoopWatch(names, law, rest, self._limits(values))
         self.loop = ControlLoop(
             law,
-            Guide(self._controlled),
+            ReferenceGenerator(self._controlled),
             Guard(names, effort_limits(values, self._controlled, scene.actuators)),
             scene.safe,
             values.safe_ramp,
@@ -92,7 +92,7 @@ class ControlPipeline:
         self.joints = JointStateReader(self.observer.names)
         self._acted = [self.observer.names.index(name) for name in names]
         self.reader = JointStateCdrReader(self.joints, joint_state)
-        self._references = References(self.loop.guide, names, scene.couplings)
+        self._references = References(self.loop.generator, names, scene.couplings)
         self._commands, self._state = Float64MultiArray(), JointStateCdrWriter(names)
         self._answer = Float64MultiArray(layout=MultiArrayLayout(dim=[MultiArrayDimension()]))
         self.x: State | None = None
@@ -114,10 +114,10 @@ class ControlPipeline:
         self._tune(values)
 
     def _tune(self, values: Any) -> None:
-        guide, loop = self.loop.guide, self.loop
+        generator, loop = self.loop.generator, self.loop
         self._tuning, self._gains = tuning(values), gains(values)
-        guide.ramp, guide.ramp_speed = values.reference_ramp, values.reference_ramp_speed
-        guide.timeout = values.reference_timeout
+        generator.ramp, generator.ramp_speed = values.reference_ramp, values.reference_ramp_speed
+        generator.timeout = values.reference_timeout
         loop.ramp, loop.longest = values.safe_ramp, values.timeout
         loop.guard.rate = values.effort_rate or math.inf
         self.watch.limits = self._limits(values)
@@ -225,13 +225,13 @@ class ControlPipeline:
         if plan.trajectory is None:
             self.stop()
         else:
-            self.loop.guide.take(self._now(), plan.trajectory)
+            self.loop.generator.take(self._now(), plan.trajectory)
 
     def stop(self) -> None:
         """Come to rest where the joints are, or where the next joint state finds them."""
         if self.x is not None and not self.loop.is_open:
-            self.loop.guide.hold(*self.measured())
-        self.loop.guide.kind = "held"
+            self.loop.generator.hold(*self.measured())
+        self.loop.generator.kind = "held"
 
     def measured(self) -> tuple[float, Array, Array]:
         """Newest time [s], positions and velocities of the controlled joints, shape (n,) each.

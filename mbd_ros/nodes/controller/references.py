@@ -1,4 +1,4 @@
-"""Messages with references -> targets of the guide."""
+"""Messages with references -> targets of the generator."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.control.contract import Reference
-from mbd_ros.core.control.guide import Guide
+from mbd_ros.core.control.reference_generator import ReferenceGenerator
 from mbd_ros.core.control.reference_map import ReferenceMap, Selection
 from mbd_ros.core.control.trajectory import ReferenceTrajectory
 from mbd_ros.core.model.couplings import Couplings
@@ -18,7 +18,7 @@ class Plan(NamedTuple):
     """A trajectory that was checked and is not followed yet.
 
     Attributes:
-        trajectory: What the guide would follow; None to stop.
+        trajectory: What the reference generator would follow; None to stop.
         begin: Time from which the times of its points count [s].
         note: What was mapped or left out, for people.
     """
@@ -29,16 +29,18 @@ class Plan(NamedTuple):
 
 
 class References:
-    """Hands references of any joints to the guide of the controlled ones.
+    """Hands references of any joints to the reference generator of the controlled ones.
 
     Args:
-        guide: Follows them.
+        generator: Follows them.
         names: Controlled joints.
         couplings: Those of the scene.
     """
 
-    def __init__(self, guide: Guide, names: Sequence[str], couplings: Couplings) -> None:
-        self._guide = guide
+    def __init__(
+        self, generator: ReferenceGenerator, names: Sequence[str], couplings: Couplings
+    ) -> None:
+        self._generator = generator
         self._map = ReferenceMap(names, couplings)
         self._selections: dict[tuple[tuple[str, ...], bool], Selection] = {}
 
@@ -51,7 +53,7 @@ class References:
         selection = self._selection(names, False)
         rates = np.where(np.isfinite(sample.velocity), sample.velocity, 0.0)
         q = selection.positions(sample.position)
-        self._guide.aim(now, Reference(q, selection.rates(rates), np.zeros(len(q))))
+        self._generator.aim(now, Reference(q, selection.rates(rates), np.zeros(len(q))))
         return selection.note
 
     def plan(self, now: float, begin: float, trajectory: Trajectory) -> Plan:
@@ -62,7 +64,7 @@ class References:
         Raises:
             TargetError: It is refused.
         """
-        selection, held = self._selection(trajectory.names, True), self._guide.at(now).q
+        selection, held = self._selection(trajectory.names, True), self._generator.at(now).q
         given, rest = selection.is_given, np.zeros(len(held))
         parts = trajectory.velocity, trajectory.acceleration
         v, a = (
@@ -70,7 +72,7 @@ class References:
             for part in parts
         )
         q = np.where(given, selection.positions(trajectory.position), held)
-        trajectory = self._guide.plan(now, begin + trajectory.times, q, v, a)
+        trajectory = self._generator.plan(now, begin + trajectory.times, q, v, a)
         return Plan(trajectory, begin, selection.note)
 
     def check(self, names: tuple[str, ...]) -> None:

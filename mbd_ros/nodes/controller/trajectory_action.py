@@ -60,7 +60,7 @@ class _Server(ActionServer):  # type: ignore[misc]
 
 
 class _Running(NamedTuple):
-    """The goal that is followed, and what the guide follows for it."""
+    """The goal that is followed, and what the reference generator follows for it."""
 
     handle: Any
     goal: TrajectoryGoal
@@ -110,15 +110,15 @@ class TrajectoryAction:
         if self._running is None:
             return
         pipeline, goal = self._pipeline(), self._running.goal
-        guide = pipeline.loop.guide
+        generator = pipeline.loop.generator
         if pipeline.watch.fault:
             self.give_up(f"the loop was lost, the command goes safe: {pipeline.watch.fault}")
             return
-        if guide.trajectory is not self._running.trajectory:
+        if generator.trajectory is not self._running.trajectory:
             self.abort("something else is followed: a reference of a topic, or after ~/reset")
             return
         t, q, v = pipeline.measured()
-        ref = guide.at(t)
+        ref = generator.at(t)
         outcome = goal.judge(t, q, v, ref)
         if outcome is not None or t >= self._next_feedback:
             self._next_feedback = t + 1.0 / self._node.parameters.action_monitor_rate
@@ -126,7 +126,7 @@ class TrajectoryAction:
             self._running.handle.publish_feedback(message)
         if outcome is not None:
             if outcome.code != ResultCode.SUCCESSFUL:
-                guide.hold(t, q, v)
+                generator.hold(t, q, v)
             self._end(outcome)
 
     def abort(self, why: str) -> None:
@@ -177,10 +177,12 @@ class TrajectoryAction:
         (plan, within), self._accepted = self._accepted, None
         self.abort("preempted by a new goal")
         pipeline = self._pipeline()
-        guide = pipeline.loop.guide
+        generator = pipeline.loop.generator
         pipeline.take(plan)
-        goal = TrajectoryGoal(pipeline.names, within, plan.begin, guide.trajectory.end, guide.end)
-        self._running, self._next_feedback = _Running(handle, goal, guide.trajectory), 0.0
+        goal = TrajectoryGoal(
+            pipeline.names, within, plan.begin, generator.trajectory.end, generator.end
+        )
+        self._running, self._next_feedback = _Running(handle, goal, generator.trajectory), 0.0
         self._noted(plan.note)
         handle.execute()
 

@@ -11,7 +11,7 @@ _SHORTEST = 1.0e-4  # s
 _FARTHEST = 3600.0  # [s] that a trajectory may lie ahead: another clock is off by years
 
 
-class Guide:
+class ReferenceGenerator:
     """Turns targets and trajectories into one reference that is smooth over time.
 
     A trajectory that does not begin where the reference is gets an offset that decays as a quintic,
@@ -83,7 +83,7 @@ class Guide:
             self._limits.begin(q)
             self._fade(t, q, v)
 
-    def take_over(self, t: float, other: "Guide") -> None:
+    def take_over(self, t: float, other: "ReferenceGenerator") -> None:
         """Go on at a time [s] with what another guide of the same joints follows."""
         self._limits.begin(other.at(t).q)
         self.kind, self._trajectory, self._offset = other.kind, other._trajectory, other._offset
