@@ -36,7 +36,7 @@ class Torques(NamedTuple):
     multipliers: Array
 
 
-class Parts(NamedTuple):
+class TorqueComponents(NamedTuple):
     """Torques of the independent coordinates by cause; their sum is `Torques.tau`.
 
     Attributes:
@@ -110,7 +110,7 @@ class InverseDynamics:
 
     def parts(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
-    ) -> Parts:
+    ) -> TorqueComponents:
         """Torques of one sample by cause; arguments as `solve`."""
         self._expand(position, velocity, acceleration)
         model, data, q, v, a = self._model, self._data, self._q, self._v, self._a
@@ -120,7 +120,9 @@ class InverseDynamics:
         self._expand(position, velocity, np.zeros_like(acceleration))
         unaccelerated = pin.rnea(model, data, q, v, a)
         causes = (gravity, unaccelerated - gravity, unloaded - unaccelerated, total - unloaded)
-        return Parts(*(self.couplings.reduce(cause, self._slopes)[0] for cause in causes))
+        return TorqueComponents(
+            *(self.couplings.reduce(cause, self._slopes)[0] for cause in causes)
+        )
 
     def batch(
         self,

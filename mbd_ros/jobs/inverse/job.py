@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
-from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics, Parts
+from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics, TorqueComponents
 from mbd_ros.core.state import WrenchSamples
 from mbd_ros.errors import DataError
 from mbd_ros.files.bag_paths import is_bag
@@ -139,7 +139,10 @@ def _solve(
     if with_parts:
         rows = zip(z, v, a, *wrenches, strict=True)
         causes = [inverse.parts(*row[:3], row[3:]) for row in progress(rows, len(stamps), "parts")]
-        parts = {name: np.array([c[i] for c in causes]) for i, name in enumerate(Parts._fields)}
+        parts = {
+            name: np.array([c[i] for c in causes])
+            for i, name in enumerate(TorqueComponents._fields)
+        }
     couplings = inverse.couplings
     return TorqueRecord(
         stamps, couplings.independent, z, v, a, tau, couplings.dependent, multipliers, parts
