@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from mbd_ros.core.projection.assembly import assemble, drift, project
+from mbd_ros.core.projection.assembly import assemble, project
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
 from mbd_ros.scene.reader import load_scene

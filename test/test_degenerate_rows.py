@@ -6,7 +6,7 @@ import pytest
 from mbd_ros.core.integration.linear_motion import fastest_rate
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.optimization.box_active_set import complementarity
-from mbd_ros.core.projection.assembly import assemble, drift, project
+from mbd_ros.core.projection.assembly import assemble, project
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from mbd_ros.core.dynamics.tiers import tier_of
-from mbd_ros.core.projection.assembly import drift
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, SceneError
 from mbd_ros.scene.reader import load_scene

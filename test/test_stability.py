@@ -11,7 +11,7 @@ import pytest
 from mbd_ros.constraints.distance import Distance
 from mbd_ros.core.dynamics.bilateral_system import BilateralSystem
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.projection.assembly import assemble, drift
+from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.rows.pair_rows import PairRows
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, SceneError, SolveError

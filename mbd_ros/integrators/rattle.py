@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from mbd_ros.core.integration.constrained_verlet import ConstrainedVerlet, Drift
+from mbd_ros.core.integration.constrained_verlet import ConstrainedVerlet, PositionStep
 from mbd_ros.core.integration.newton import refuse_bounded_rows
 from mbd_ros.core.integration.step_length import clip
 from mbd_ros.core.integration.stepping import Integrator, Stepper
@@ -65,14 +65,14 @@ class _Steps(Stepper):
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step."""
-        drift = Drift(*clip(x.t, self._dt, end))
+        move = PositionStep(*clip(x.t, self._dt, end))
         q_last, u_last, force = self._last
         if q_last is not x.q or u_last is not u:
             force = self._system.applied(*x, u)
-        half = 0.5 * drift.h
-        w, q = self._verlet.advance(x, u, drift, half, 1.0, force)
-        there = self._verlet.at(drift.t, q)
-        force = self._system.applied(drift.t, q, w, u)
+        half = 0.5 * move.h
+        w, q = self._verlet.advance(x, u, move, half, 1.0, force)
+        there = self._verlet.at(move.t, q)
+        force = self._system.applied(move.t, q, w, u)
         v = w + half * there.respond(force)
         self._last = (q, u, force)
-        return State(drift.t, q, there.project(v) if self._has_rows else v)
+        return State(move.t, q, there.project(v) if self._has_rows else v)

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from mbd_ros.core.integration.constrained_verlet import ConstrainedVerlet, Drift
+from mbd_ros.core.integration.constrained_verlet import ConstrainedVerlet, PositionStep
 from mbd_ros.core.integration.newton import refuse_bounded_rows
 from mbd_ros.core.integration.step_length import clip
 from mbd_ros.core.integration.stepping import Integrator, Stepper
@@ -69,10 +69,10 @@ class _Steps(Stepper):
         commands = None if u is None else u.tobytes()
         if x is not y or commands != commands_then or h != h_then:
             force = self._system.applied(*x, u)
-            w, q = self._verlet.advance(x, u, Drift(h, t), 0.5 * h, 0.0, force)
+            w, q = self._verlet.advance(x, u, PositionStep(h, t), 0.5 * h, 0.0, force)
         middle = State(t, q, w)
         force = self._system.applied(*middle, u)
-        w_next, q_next = self._verlet.advance(middle, u, Drift(h, t + h), h, 0.5, force)
+        w_next, q_next = self._verlet.advance(middle, u, PositionStep(h, t + h), h, 0.5, force)
         y = State(t, q, 0.5 * (w + w_next))
         self._ahead = (y, commands, h, w_next, q_next)
         return y

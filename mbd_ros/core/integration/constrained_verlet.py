@@ -1,4 +1,4 @@
-"""Kick and drift onto position constraints: what SHAKE and RATTLE share."""
+"""Kick, and a move onto position constraints: what SHAKE and RATTLE share."""
 
 from math import isfinite
 from typing import NamedTuple
@@ -19,7 +19,7 @@ _FORESEEN = 1.0e-2  # of the tolerance: what a last correction, by its contracti
 _VELOCITY = 1.0e-10  # [m/s, rad/s], relative above 1: where the iteration of a(q, v) may stop
 
 
-class Drift(NamedTuple):
+class PositionStep(NamedTuple):
     """Length of a step and the time it ends at [s]."""
 
     h: float
@@ -60,7 +60,7 @@ class Configuration:
 
 
 class ConstrainedVerlet:
-    """A kick and a drift that ends on the constraints.
+    """A kick and a move that ends on the constraints.
 
         w = v + kick M^-1 f(t, q, v + share (w - v)) - lift s,   g(t + h, q (+) h w) = 0
 
@@ -91,14 +91,20 @@ class ConstrainedVerlet:
         return here
 
     def advance(
-        self, x: State, u: Array | None, drift: Drift, kick: float, share: float, force: Array
+        self,
+        x: State,
+        u: Array | None,
+        move: PositionStep,
+        kick: float,
+        share: float,
+        force: Array,
     ) -> tuple[Array, Array]:
         """Velocity w of the step and the configuration it leads to.
 
         Args:
             x: State.
             u: Commands.
-            drift: Length of the step and the time it ends at [s].
+            move: Length of the step and the time it ends at [s].
             kick: [s].
             share: How much of w the velocity in f has.
             force: f to begin with, that of the solution if f does not depend on the velocity.
@@ -108,11 +114,11 @@ class ConstrainedVerlet:
         """
         here, applied = self.at(x.t, x.q), self._system.applied
         first = 2.0 * self._s - self._s_before
-        s, w, q = self._drift(here, x.v + kick * here.respond(force), first, drift)
+        s, w, q = self._drift(here, x.v + kick * here.respond(force), first, move)
         if share:
             now = applied(x.t, x.q, x.v + share * (w - x.v), u)
             if now.tobytes() != force.tobytes():
-                s, w, q = self._settle(x, u, drift, kick, share, (s, w, now))
+                s, w, q = self._settle(x, u, move, kick, share, (s, w, now))
         if not isfinite(w.dot(w)):
             raise DivergedError(f"{self._name}: velocities after t = {x.t:.9g} s are not finite")
         self._s_before, self._s = self._s, s
@@ -122,7 +128,7 @@ class ConstrainedVerlet:
         self,
         x: State,
         u: Array | None,
-        drift: Drift,
+        move: PositionStep,
         kick: float,
         share: float,
         first: tuple[Array, Array, Array],
@@ -133,26 +139,26 @@ class ConstrainedVerlet:
         def correct() -> float:
             nonlocal s, w, q, force
             last = w
-            s, w, q = self._drift(here, x.v + kick * here.respond(force), s, drift)
+            s, w, q = self._drift(here, x.v + kick * here.respond(force), s, move)
             force = self._system.applied(x.t, x.q, x.v + share * (w - x.v), u)
             return float(np.abs(w - last).max())
 
         if converge(correct, _VELOCITY * max(1.0, float(np.abs(x.v).max()))) == FAILED:
             raise DivergedError(
                 f"{self._name}: forces that depend on the velocity change too much in the step "
-                f"from t = {x.t:.9g} s by {drift.h:g} s; try a smaller dt or an implicit method"
+                f"from t = {x.t:.9g} s by {move.h:g} s; try a smaller dt or an implicit method"
             )
         return s, w, q
 
     def _drift(
-        self, here: Configuration, w: Array, s: Array, drift: Drift
+        self, here: Configuration, w: Array, s: Array, move: PositionStep
     ) -> tuple[Array, Array, Array]:
         """The s, w - lift s and the configuration, with g = 0 there.
 
         The rows at the start serve as derivatives. The observed contraction, also that of the last
         step, lengthens or shortens corrections (Aitken), which for one row is the secant method.
         """
-        (h, t), integrate, q0 = drift, self._system.integrate, here.q
+        (h, t), integrate, q0 = move, self._system.integrate, here.q
         if not self._system.rows:
             return s, w, integrate(q0, h * w)
         lift, residual = here.lift, self._system.residual
@@ -171,13 +177,13 @@ class ConstrainedVerlet:
                 return s, v, integrate(q0, h * v)
             last = g
         self._stretch = 1.0
-        return self._drift_by_newton(here, w, s, drift)
+        return self._drift_by_newton(here, w, s, move)
 
     def _drift_by_newton(
-        self, here: Configuration, w: Array, s: Array, drift: Drift
+        self, here: Configuration, w: Array, s: Array, move: PositionStep
     ) -> tuple[Array, Array, Array]:
         """The same with fresh rows in every correction, for rows that turn within the step."""
-        (h, t), system, lift, worst, last = drift, self._system, here.lift, 0, np.inf
+        (h, t), system, lift, worst, last = move, self._system, here.lift, 0, np.inf
         for _ in range(_NEWTON):
             q = system.integrate(here.q, h * (w - lift.dot(s)))
             g = system.residual(t, q)

@@ -25,7 +25,7 @@ _OPEN = 1.0e-6  # what rows at a toggle may leave open [m or rad]
 _STEP = 0.5  # largest step of one joint in one iteration [rad or m], so that the branch is kept
 
 
-class Drift(NamedTuple):
+class Violation(NamedTuple):
     """How far a state is off the constraints.
 
     Attributes:
@@ -37,13 +37,13 @@ class Drift(NamedTuple):
     velocity: float
 
 
-def drift(system: System, x: State) -> Drift:
+def violation(system: System, x: State) -> Violation:
     """How far a state of the integrated coordinates violates the bilateral rows."""
     if not system.rows:
-        return Drift(0.0, 0.0)
+        return Violation(0.0, 0.0)
     g = system.residual(x.t, x.q)
     rate = system.jacobian(x.t, x.q).dot(x.v) + system.rate(x.t, x.q)
-    return Drift(float(np.abs(g).max()), float(np.abs(rate).max()))
+    return Violation(float(np.abs(g).max()), float(np.abs(rate).max()))
 
 
 def project(system: System, x: State) -> State:

@@ -11,7 +11,6 @@ import numpy as np
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import tier_of
-from mbd_ros.core.projection.assembly import drift
 from mbd_ros.core.rows.row_factor import TOGGLE
 from mbd_ros.core.simulation.simulation import Commands, Simulation
 from mbd_ros.core.state import NANOSECOND, Array, State

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.projection.assembly import drift
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError, SolveError
