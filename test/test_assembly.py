@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from mbd_ros.core.projection.assembly import assemble, project
+from mbd_ros.core.projection.assembly import assemble, project, violation
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
 from mbd_ros.scene.reader import load_scene
@@ -33,7 +33,7 @@ def off(name, size, seed=0):
 def test_assembled_state_is_consistent(name, size):
     system, x = off(name, size)
     y = assemble(system, x)
-    left = drift(system, y)
+    left = violation(system, y)
     assert left.position <= 1e-12
     assert left.velocity <= 1e-12 * (1.0 + np.abs(y.v).max())
     assert np.abs(y.q - x.q).max() <= 20.0 * size

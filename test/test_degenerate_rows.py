@@ -6,7 +6,7 @@ import pytest
 from mbd_ros.core.integration.linear_motion import fastest_rate
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.optimization.box_active_set import complementarity
-from mbd_ros.core.projection.assembly import assemble, project
+from mbd_ros.core.projection.assembly import assemble, project, violation
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
@@ -92,7 +92,7 @@ def test_projection_closes_positions_and_velocities_after_a_long_step():
     system = scene.system()
     x = assemble(system, scene.initial)
     far = State(0.0, x.q + np.array([0.2, -0.1, 0.15]), np.array([5.0, -3.0, 2.0]))
-    assert drift(system, project(system, far)) <= (1e-13, 1e-11)
+    assert violation(system, project(system, far)) <= (1e-13, 1e-11)
 
 
 def test_projection_from_beyond_reach_is_an_error_with_row_and_time():
@@ -106,7 +106,7 @@ def test_projection_from_beyond_reach_is_an_error_with_row_and_time():
             assert "t = 0.5 s" in str(error)
             assert "world-b2" in str(error)
         else:
-            assert drift(system, landed).position <= 1e-6
+            assert violation(system, landed).position <= 1e-6
 
 
 def test_bounded_rows_count_in_the_fastest_rate():
@@ -122,4 +122,4 @@ def test_coupling_rows_overflow_to_infinity():
     part = system.constraints.parts[0]
     fast = State(0.0, scene.initial.q, np.full(3, 1e200))
     with np.errstate(over="ignore"):
-        assert np.isinf(part.drift(None, fast)[1])
+        assert np.isinf(part.violation(None, fast)[1])

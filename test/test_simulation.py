@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mbd_ros.core.dynamics.tiers import tier_of
+from mbd_ros.core.projection.assembly import violation
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, SceneError
 from mbd_ros.scene.reader import load_scene
@@ -21,7 +22,7 @@ def run(name, duration, **options):
 
 
 def worst_drift(simulation, states):
-    drifts = [drift(simulation.system, simulation.system.reduce(x)) for x in states]
+    drifts = [violation(simulation.system, simulation.system.reduce(x)) for x in states]
     return np.array(drifts).max(axis=0)
 
 
@@ -237,5 +238,5 @@ def test_run_starts_from_the_nearest_consistent_state():
     simulation = loaded.simulation()
     x = State(0.0, loaded.initial.q + 0.02, loaded.initial.v + 0.5)
     first = next(iter(simulation.run(x, 0.01)))
-    left = drift(simulation.system, first)
+    left = violation(simulation.system, first)
     assert max(left) <= 1e-12

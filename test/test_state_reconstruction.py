@@ -7,6 +7,7 @@ from test_state_projection import FOUR_BAR, LEG, projector
 from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.state_reconstruction import StateReconstructor
 from mbd_ros.core.estimation.torque_estimator import Tuning
+from mbd_ros.core.projection.state_projection import ProjectedState
 from mbd_ros.errors import SolveError
 
 MS = 1_000_000  # ns

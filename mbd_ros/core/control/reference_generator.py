@@ -1,4 +1,4 @@
-"""What a controller is to follow: a held state, single targets or whole trajectories, without jumps."""
+"""What a controller is to follow: a held state, single targets or trajectories, without jumps."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ _FARTHEST = 3600.0  # [s] that a trajectory may lie ahead: another clock is off 
 class ReferenceGenerator:
     """Turns targets and trajectories into one reference that is smooth over time.
 
-    A trajectory that does not begin where the reference is gets an offset that decays as a quintic,
+    A trajectory that does not begin where the reference is gets an offset, a quintic that decays,
 
         ref(t) = trajectory(t) + offset(t),   offset -> 0 within T,
 
@@ -84,7 +84,7 @@ class ReferenceGenerator:
             self._fade(t, q, v)
 
     def take_over(self, t: float, other: "ReferenceGenerator") -> None:
-        """Go on at a time [s] with what another guide of the same joints follows."""
+        """Go on at a time [s] with what another generator of the same joints follows."""
         self._limits.begin(other.at(t).q)
         self.kind, self._trajectory, self._offset = other.kind, other._trajectory, other._offset
         self._last_target, self._interval = other._last_target, other._interval

@@ -103,7 +103,7 @@ class TrajectoryGoal:
         tolerances: See there.
         begin: Time from which the times of the points count [s].
         end: Of the last point [s].
-        rest: When the reference comes to rest, after a ramp to a trajectory that began elsewhere [s].
+        rest: When the reference comes to rest, after a ramp to a trajectory from elsewhere [s].
     """
 
     def __init__(

@@ -114,7 +114,7 @@ class ConstrainedVerlet:
         """
         here, applied = self.at(x.t, x.q), self._system.applied
         first = 2.0 * self._s - self._s_before
-        s, w, q = self._drift(here, x.v + kick * here.respond(force), first, move)
+        s, w, q = self._move(here, x.v + kick * here.respond(force), first, move)
         if share:
             now = applied(x.t, x.q, x.v + share * (w - x.v), u)
             if now.tobytes() != force.tobytes():
@@ -139,7 +139,7 @@ class ConstrainedVerlet:
         def correct() -> float:
             nonlocal s, w, q, force
             last = w
-            s, w, q = self._drift(here, x.v + kick * here.respond(force), s, move)
+            s, w, q = self._move(here, x.v + kick * here.respond(force), s, move)
             force = self._system.applied(x.t, x.q, x.v + share * (w - x.v), u)
             return float(np.abs(w - last).max())
 
@@ -150,7 +150,7 @@ class ConstrainedVerlet:
             )
         return s, w, q
 
-    def _drift(
+    def _move(
         self, here: Configuration, w: Array, s: Array, move: PositionStep
     ) -> tuple[Array, Array, Array]:
         """The s, w - lift s and the configuration, with g = 0 there.
@@ -177,9 +177,9 @@ class ConstrainedVerlet:
                 return s, v, integrate(q0, h * v)
             last = g
         self._stretch = 1.0
-        return self._drift_by_newton(here, w, s, move)
+        return self._move_by_newton(here, w, s, move)
 
-    def _drift_by_newton(
+    def _move_by_newton(
         self, here: Configuration, w: Array, s: Array, move: PositionStep
     ) -> tuple[Array, Array, Array]:
         """The same with fresh rows in every correction, for rows that turn within the step."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.parts import Row, Wrench
-from mbd_ros.core.projection.assembly import Violation
+from mbd_ros.core.projection.assembly import Violation, violation
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.core.simulation.simulation import Simulation, last_finite
@@ -121,7 +121,7 @@ class LiveSimulation:
 
     def violation(self) -> Violation:
         """How far the newest state is off the bilateral rows."""
-        return drift(self.simulation.system, self._y)
+        return violation(self.simulation.system, self._y)
 
     def wrenches(self) -> tuple[Wrench, ...]:
         """What bilateral rows exert on bodies at the newest state."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import tier_of
+from mbd_ros.core.projection.assembly import violation
 from mbd_ros.core.rows.row_factor import TOGGLE
 from mbd_ros.core.simulation.simulation import Commands, Simulation
 from mbd_ros.core.state import NANOSECOND, Array, State
@@ -202,7 +203,7 @@ def _row(system: System, x: State, commands: Commands | None) -> tuple[Any, ...]
     y = system.reduce(x)
     u = None if commands is None else commands(x.t)
     a, lam = system.solve(y, u)
-    balance = system.energy(y), *drift(system, y)
+    balance = system.energy(y), *violation(system, y)
     return x.t, x.q, x.v, a, system.loads.actuator_torque(x, u), lam, balance
 
 

@@ -95,7 +95,7 @@ class Plant:
     def details(self) -> dict[str, str]:
         """What the motion contains and how it is made, for diagnostics."""
         robot, live, watch = self.scene.robot, self.live, self.live.watch
-        system, drift = live.simulation.system, live.drift()
+        system, violation = live.simulation.system, live.violation()
         unloaded = ", ".join(self.scene.wrenches)
         details = {
             "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
@@ -103,8 +103,8 @@ class Plant:
             "external wrenches left out": unloaded or "none",
             "solver tier": tier_of(system),
             "simulated time": f"{live.now.t:.9g}",
-            "drift of positions": f"{drift.position:.3g}",
-            "drift of velocities": f"{drift.velocity:.3g}",
+            "drift of positions": f"{violation.position:.3g}",
+            "drift of velocities": f"{violation.velocity:.3g}",
             "commands received": str(watch.received),
             "commands superseded before a tick": str(watch.superseded),
             "age of the last command": "none" if watch.held is None else f"{watch.age:.6g}",

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.projection.assembly import violation
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError, SolveError
@@ -87,7 +88,7 @@ def errors(
     pairs = list(zip(states, motion.states, strict=True))
     off = float(np.max([distance(scene, x, known) for x, known in pairs]))  # nan stays nan
     position = off if problem is None else error(problem, scene.robot, states)
-    drifts = [drift(system, y) for y in ys]
+    drifts = [violation(system, y) for y in ys]
     energies = np.array([system.energy(y) for y in ys])
     found: dict[str, float] = {
         "position": position,
