@@ -59,14 +59,14 @@ class ReferenceMap:
         self._names = tuple(names)
         self._linear: dict[str, tuple[str, float, float]] = {}  # independent, factor, offset
         self._roots: dict[str, str] = {}
-        for name, link in zip(couplings.dependent, couplings.links, strict=True):
+        for name, pair in zip(couplings.dependent, couplings.pairs, strict=True):
             parent = couplings.parents[name]
             self._roots[name] = self._roots.get(parent, parent)
             root, factor, offset = self._linear.get(parent, (parent, 1.0, 0.0))
             followed = parent not in self._roots or parent in self._linear
-            if followed and isinstance(link.law, Linear) and link.law.factor != 0.0:
-                factor, offset = link.law.factor * factor, link.law.factor * offset
-                self._linear[name] = (root, factor, offset + link.law.offset)
+            if followed and isinstance(pair.law, Linear) and pair.law.factor != 0.0:
+                factor, offset = pair.law.factor * factor, pair.law.factor * offset
+                self._linear[name] = (root, factor, offset + pair.law.offset)
 
     def select(self, given: Sequence[str], *, partial: bool = False) -> Selection:
         """How to read a reference of these names.

@@ -91,18 +91,18 @@ def mimic_model(robot: Robot, couplings: Couplings) -> Any:
     joint_at = {joint.idx_v: joint.id for joint in robot.model.joints if joint.nv == 1}
     follows: dict[int, tuple[int, Linear]] = {}
     model, armature = robot.model, robot.model.armature.copy()
-    for link in couplings.links:
-        first, law = link.parent_v, link.law
+    for pair in couplings.pairs:
+        first, law = pair.parent_v, pair.law
         if not isinstance(law, Linear):
             return None
         ancestor, up = follows.get(first, (first, Linear(1.0)))
         law = Linear(law.factor * up.factor, law.factor * up.offset + law.offset)
-        follows[link.child_v] = ancestor, law
-        parent, child = joint_at[ancestor], joint_at[link.child_v]
+        follows[pair.child_v] = ancestor, law
+        parent, child = joint_at[ancestor], joint_at[pair.child_v]
         if parent > child:
             return None
         model = pin.transformJointIntoMimic(model, parent, child, law.factor, law.offset)
-        armature[ancestor] += law.factor**2 * armature[link.child_v]
+        armature[ancestor] += law.factor**2 * armature[pair.child_v]
     model.armature = armature[couplings.v_index]  # Pinocchio leaves that of mimic joints out
     return model if _is_right(model, robot.model, couplings) else None
 

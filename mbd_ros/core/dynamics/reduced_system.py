@@ -49,8 +49,8 @@ class ReducedSystem(System):
         self._zi, self._wi = couplings.q_index, couplings.v_index
         self._q, self._v = pin.neutral(robot.model), np.zeros(robot.model.nv)
         self._a, self._w0 = np.zeros(robot.model.nv), np.zeros(self.nv)
-        self._slopes = [0.0] * len(couplings.links)
-        linear = all(isinstance(link.law, Linear) for link in couplings.links)
+        self._slopes = [0.0] * len(couplings.pairs)
+        linear = all(isinstance(pair.law, Linear) for pair in couplings.pairs)
         self._is_linear = linear and self.is_flat
         self._offset = couplings.positions(np.zeros(self.nq)) if self.is_flat else self._q
         self._is_offset = bool(self._offset.any())
@@ -58,9 +58,9 @@ class ReducedSystem(System):
         self._GT, self._minus_GT = self._G.T, -self._G.T
         column = {int(v): i for i, v in enumerate(self._wi)}
         self._columns = []
-        for link in couplings.links:
-            column[link.child_v] = column[link.parent_v]
-            self._columns.append(column[link.child_v])
+        for pair in couplings.pairs:
+            column[pair.child_v] = column[pair.parent_v]
+            self._columns.append(column[pair.child_v])
         couplings.expand(self._q, self._v, self._a, self._slopes)
         self._half = np.zeros((self.nv, robot.model.nv))
         self._M, self._r = np.zeros((self.nv, self.nv)), np.zeros(self.nv)
@@ -147,10 +147,10 @@ class ReducedSystem(System):
             return
         q[self._zi], v[self._wi] = z, w
         self.couplings.expand(q, v, self._a, self._slopes)
-        for link, slope, column in zip(
-            self.couplings.links, self._slopes, self._columns, strict=True
+        for pair, slope, column in zip(
+            self.couplings.pairs, self._slopes, self._columns, strict=True
         ):
-            G[link.child_v, column] = slope * G.item(link.parent_v, column)
+            G[pair.child_v, column] = slope * G.item(pair.parent_v, column)
         np.negative(self._GT, self._minus_GT)
 
     def _bias(self) -> Array:

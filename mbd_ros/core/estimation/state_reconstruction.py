@@ -181,9 +181,9 @@ class StateReconstructor:
     def _filled(self, q: Array, known: NDArray[np.bool_], last: Array | None = None) -> Array:
         """A configuration whose unknown joints follow their coupling, or stay at the last one."""
         q = np.where(known, q, self._last.q if last is None else last)
-        for link in () if known.all() else self._couplings.links:
-            if not known[link.child_v]:
-                q[link.child_q] = link.law(q.item(link.parent_q))[0]
+        for pair in () if known.all() else self._couplings.pairs:
+            if not known[pair.child_v]:
+                q[pair.child_q] = pair.law(q.item(pair.parent_q))[0]
         return q
 
     def _named(self, chosen: NDArray[np.bool_]) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ class ObservedLoops:
         self.inverse, self.couplings = inverse, inverse.couplings
         self.configuration, self.moved = inverse.robot.neutral(), 0.0
         self._model = inverse.robot.model
-        self._slopes: Slopes = [0.0] * len(inverse.couplings.links)
+        self._slopes: Slopes = [0.0] * len(inverse.couplings.pairs)
         constraints = inverse.constraints
         self.rows = tuple(row.name for row in constraints.rows)
         self.gap, self._data = np.zeros(len(self.rows)), pin.Data(self._model)

@@ -30,7 +30,7 @@ class Coupling(NamedTuple):
     law: Law
 
 
-class Link(NamedTuple):
+class CoupledPair(NamedTuple):
     """A coupling in indices of q and v."""
 
     child_q: int
@@ -53,7 +53,7 @@ class Couplings:
         parents: Dependent joint -> its direct parent.
         q_index: Where z stands in q, shape (nz,); with a floating base its pose comes first.
         v_index: Where z' stands in v, shape (nv_z,).
-        links: The couplings in indices, parents before children.
+        pairs: The couplings in indices, parents before children.
 
     Raises:
         ModelError: Unknown, fixed or locked joint, or a cycle, with the path.
@@ -69,7 +69,7 @@ class Couplings:
         self.independent = tuple(j.name for j in robot.joints if j.name not in laws)
         self.dependent = tuple(order)
         self.parents = {name: laws[name].parent for name in order}
-        self.links = [_link(robot, child[name], laws[name]) for name in order]
+        self.pairs = [_pair(robot, child[name], laws[name]) for name in order]
         dependent_q = [joint.q for joint in child.values()]
         self._dependent_v = np.array([joint.v for joint in child.values()], dtype=np.intp)
         self.q_index = np.setdiff1d(np.arange(robot.model.nq), dependent_q)
@@ -88,9 +88,9 @@ class Couplings:
         Returns:
             The slope f' of every dependent joint at this configuration.
         """
-        slopes = [0.0] * len(self.links) if slopes is None else slopes
+        slopes = [0.0] * len(self.pairs) if slopes is None else slopes
         q_of, v_of, a_of = (x.item if x.ndim == 1 else x.__getitem__ for x in (q, v, a))
-        for i, (child_q, child_v, parent_q, parent_v, law) in enumerate(self.links):
+        for i, (child_q, child_v, parent_q, parent_v, law) in enumerate(self.pairs):
             q[child_q], slope, curvature = law(q_of(parent_q))
             rate = v_of(parent_v)
             v[child_v] = slope * rate
@@ -109,8 +109,8 @@ class Couplings:
             Forces of the independent coordinates, shape (nv_z,) or (nv_z, n), and the multiplier
             of every dependent joint, shape (len(dependent),) or (len(dependent), n).
         """
-        for slope, link in zip(reversed(slopes), reversed(self.links), strict=True):
-            tau[link.parent_v] += slope * tau[link.child_v]
+        for slope, pair in zip(reversed(slopes), reversed(self.pairs), strict=True):
+            tau[pair.parent_v] += slope * tau[pair.child_v]
         return tau[self.v_index], tau[self._dependent_v]
 
     def positions(self, z: Array) -> Array:
@@ -128,9 +128,9 @@ class Couplings:
         """G = dF/dz at a configuration, shape (nv, nv_z)."""
         G = np.zeros((self._nv, len(self.v_index)))
         G[self.v_index, np.arange(len(self.v_index))] = 1.0
-        for link in self.links:
-            _, slope, _ = link.law(q.item(link.parent_q))
-            G[link.child_v] = slope * G[link.parent_v]
+        for pair in self.pairs:
+            _, slope, _ = pair.law(q.item(pair.parent_q))
+            G[pair.child_v] = slope * G[pair.parent_v]
         return G
 
 
@@ -155,6 +155,6 @@ def _outwards(laws: Mapping[str, Coupling]) -> list[str]:
     return order
 
 
-def _link(robot: Robot, child: Joint, coupling: Coupling) -> Link:
+def _pair(robot: Robot, child: Joint, coupling: Coupling) -> CoupledPair:
     parent = robot.joint(coupling.parent)
-    return Link(child.q, child.v, parent.q, parent.v, coupling.law)
+    return CoupledPair(child.q, child.v, parent.q, parent.v, coupling.law)

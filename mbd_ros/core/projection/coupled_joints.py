@@ -10,7 +10,7 @@ from typing import NamedTuple
 import eigenpy
 import numpy as np
 
-from mbd_ros.core.model.couplings import Link
+from mbd_ros.core.model.couplings import CoupledPair
 from mbd_ros.core.state import Array
 
 _SUCCESS = eigenpy.ComputationInfo.Success
@@ -37,19 +37,19 @@ class CoupledJoints:
 
     Args:
         n: Number of joints.
-        links: The couplings, parents before children.
+        pairs: The couplings, parents before children.
 
     Attributes:
         free: The independent joints, shape (nz,).
         ancestry: 1 where a joint moves with an independent one, shape (n, nz).
     """
 
-    def __init__(self, n: int, links: Sequence[Link]) -> None:
-        self._links = tuple((link.child_v, link.parent_v, link.law) for link in links)
-        self.free = np.setdiff1d(np.arange(n), [child for child, _, _ in self._links])
+    def __init__(self, n: int, pairs: Sequence[CoupledPair]) -> None:
+        self._pairs = tuple((pair.child_v, pair.parent_v, pair.law) for pair in pairs)
+        self.free = np.setdiff1d(np.arange(n), [child for child, _, _ in self._pairs])
         self.ancestry = np.zeros((n, len(self.free)))
         self.ancestry[self.free, np.arange(len(self.free))] = 1.0
-        for child, parent, _ in self._links:
+        for child, parent, _ in self._pairs:
             self.ancestry[child] = self.ancestry[parent]
         self._ones, self._zeros = [1.0] * n, [0.0] * n
 
@@ -61,7 +61,7 @@ class CoupledJoints:
         """
         q, slope, curvature = start.tolist(), self._ones.copy(), self._zeros.copy()
         slopes = []
-        for child, parent, law in self._links:
+        for child, parent, law in self._pairs:
             q[child], first, second = law(q[parent])
             up = slope[parent]
             slope[child] = first * up
@@ -79,15 +79,15 @@ class CoupledJoints:
         """
         carried = forces.tolist()
         for (child, parent, _), slope in zip(
-            reversed(self._links), reversed(link_slopes), strict=True
+            reversed(self._pairs), reversed(link_slopes), strict=True
         ):
             carried[parent] += slope * carried[child]
-        return np.array([carried[child] for child, _, _ in self._links])
+        return np.array([carried[child] for child, _, _ in self._pairs])
 
     def violation(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Residual g and its rate g' at any state of all joints, shapes (m,) and (m,)."""
         at, speed, g, rate = q.tolist(), v.tolist(), [], []
-        for child, parent, law in self._links:
+        for child, parent, law in self._pairs:
             follows, slope, _ = law(at[parent])
             g.append(at[child] - follows)
             rate.append(speed[child] - slope * speed[parent])

@@ -23,9 +23,9 @@ class ObservedState:
     def __init__(self, system: System, couplings: Couplings) -> None:
         self._system, self._couplings = system, couplings
         self._neutral, self._nv = system.robot.neutral(), int(system.robot.model.nv)
-        self._slopes: Slopes = [0.0] * len(couplings.links)
-        self._dependent_q = [link.child_q for link in couplings.links]
-        self.moved, self.dependent = 0.0, np.zeros(len(couplings.links))
+        self._slopes: Slopes = [0.0] * len(couplings.pairs)
+        self._dependent_q = [pair.child_q for pair in couplings.pairs]
+        self.moved, self.dependent = 0.0, np.zeros(len(couplings.pairs))
 
     def state(self, t: float, position: Array, velocity: Array) -> State:
         """The state at a time.
@@ -37,7 +37,7 @@ class ObservedState:
         """
         q, v = self._neutral.copy(), np.zeros(self._nv)
         q[self._couplings.q_index], v[self._couplings.v_index] = position, velocity
-        if self._couplings.links:
+        if self._couplings.pairs:
             self._couplings.expand(q, v, np.zeros(self._nv), self._slopes)
             self.dependent = q[self._dependent_q]
         x = State(t, q, v)

@@ -122,7 +122,7 @@ class StateProjector:
         parts = [part for part in system.constraints.parts if isinstance(part, CouplingRows)]
         self._coupled: NearestCoupled | None = None
         if n and len(parts) == len(system.constraints.parts):
-            couplings = CoupledJoints(n, [link for part in parts for link in part.links])
+            couplings = CoupledJoints(n, [pair for part in parts for pair in part.pairs])
             self._coupled = NearestCoupled(couplings, self.lower, self.upper, *self._limits)
 
     @property

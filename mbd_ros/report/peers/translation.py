@@ -160,7 +160,7 @@ def _couplings(scene: Scene) -> Iterator[Follow]:
     given = read_mapping(scene.path).get("couplings") or {}
     model = scene.robot.model
     bodies = {int(joint.idx_v): i for i, joint in enumerate(model.joints) if i}
-    links = zip(scene.couplings.dependent, scene.couplings.links, strict=True)
+    links = zip(scene.couplings.dependent, scene.couplings.pairs, strict=True)
     for name, link in links:
         if isinstance(link.law, Linear):
             coefficients: tuple[float, ...] = (link.law.offset, link.law.factor)

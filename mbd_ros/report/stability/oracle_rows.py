@@ -94,7 +94,7 @@ def _own(part: Any) -> Rows:
 
 
 def _couplings(scene: Scene) -> Rows:
-    links = scene.couplings.links
+    links = scene.couplings.pairs
 
     def rows(data: Any, t: float, q: Array) -> Any:
         return [q[i.child_q] - i.law(float(q[i.parent_q]))[0] for i in links]
