@@ -66,7 +66,7 @@ def test_every_section_is_built(write, tmp_path):
     assert scene.source == str(tmp_path / "leg.urdf")
     assert scene.robot.model.gravity.linear == pytest.approx([0, 1.5, -9.81])
     assert scene.couplings.independent == ("hip", "knee")
-    assert scene.laws == {
+    assert scene.coupling_kinds == {
         "knee_slide_x": "knee (factor)",
         "knee_slide_y": "knee_slide_x (polynomial)",
     }
@@ -93,7 +93,7 @@ def test_every_section_is_built(write, tmp_path):
 def test_empty_section_is_an_absent_one(write, rest):
     scene = load_scene(write("robot: {urdf: leg.urdf}\n" + rest))
     assert scene.absent == SECTIONS[1:]
-    assert (scene.laws, scene.forces, scene.wrenches) == ({}, (), {})
+    assert (scene.coupling_kinds, scene.forces, scene.wrenches) == ({}, (), {})
 
 
 @pytest.mark.parametrize(

@@ -298,7 +298,7 @@ def test_random_scenes_are_the_same_for_the_same_seed_and_load():
         *("revolute", "prismatic", "continuous")
     }
     assert sum(scene.has_loops for scene in scenes) > 5
-    assert sum(bool(scene.laws) for scene in scenes) > 5
+    assert sum(bool(scene.coupling_kinds) for scene in scenes) > 5
     assert sum(any(c.bounds is not None for c in scene.constraints) for scene in scenes) > 5
     assert sum(bool(scene.forces) for scene in scenes) > 20
 

@@ -92,11 +92,11 @@ def _motion(
     harmonic: Mapping[str, float] | None,
     spline: Mapping[str, Sequence[float]] | None,
 ) -> Motion:
-    laws = {"polynomial": polynomial, "harmonic": harmonic, "spline": spline}
-    given = [key for key, law in laws.items() if law is not None]
+    functions = {"polynomial": polynomial, "harmonic": harmonic, "spline": spline}
+    given = [key for key, function in functions.items() if function is not None]
     if len(given) != 1:
         raise ModelError(
-            f"give exactly one of {', '.join(laws)}; got {', '.join(given) or 'none'}"
+            f"give exactly one of {', '.join(functions)}; got {', '.join(given) or 'none'}"
         )
     if harmonic is not None:
         return _harmonic(harmonic)

@@ -68,15 +68,15 @@ class SwitchingForce(DiscontinuousForce):
     def heights(self, data: Any, x: State) -> Array:
         """The h at a state, shape (1,)."""
         h = self._time(x.t)[0]
-        h += sum(law(x.v.item(v))[0] for v, law in self._rate_terms)
-        h += sum(law(x.q.item(q))[0] for q, _, law in self._place_terms)
+        h += sum(function(x.v.item(v))[0] for v, function in self._rate_terms)
+        h += sum(function(x.q.item(q))[0] for q, _, function in self._place_terms)
         return np.array([h])
 
     def rates(self, data: Any, x: State, a: Array) -> Array:
         """The dh/dt = w' + sum p_j' v_j + sum r_j' a_j, shape (1,)."""
         rate = self._time(x.t)[1]
-        rate += sum(law(x.v.item(v))[1] * a.item(v) for v, law in self._rate_terms)
-        rate += sum(law(x.q.item(q))[1] * x.v.item(v) for q, v, law in self._place_terms)
+        rate += sum(function(x.v.item(v))[1] * a.item(v) for v, function in self._rate_terms)
+        rate += sum(function(x.q.item(q))[1] * x.v.item(v) for q, v, function in self._place_terms)
         return np.array([rate])
 
     def blend(self, data: Any, x: State, signs: Array) -> Array:

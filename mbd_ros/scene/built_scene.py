@@ -61,7 +61,7 @@ class Scene:
         source: File or topic of the robot description.
         robot: The robot, with the inertia of its drives.
         couplings: Its dependent joints.
-        laws: Dependent joint -> parent and kind of law, for people.
+        coupling_kinds: Dependent joint -> parent and kind of coupling function, for people.
         wrenches: External loads by name.
         constraints: Constraints besides the couplings.
         forces: Force terms.
@@ -81,7 +81,7 @@ class Scene:
     source: str
     robot: Robot
     couplings: Couplings
-    laws: Mapping[str, str]
+    coupling_kinds: Mapping[str, str]
     wrenches: Mapping[str, MeasuredWrench]
     constraints: tuple[Constraint, ...]
     forces: tuple[ForceTerm, ...]

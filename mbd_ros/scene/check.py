@@ -60,7 +60,8 @@ def _lines(scene: Scene) -> Iterator[str]:
     freedom = system.nv - (0 if factor is None else factor.rank)
     yield _line("joints", f"{len(robot.joints)}, degrees of freedom {freedom}")
     yield _line("independent", ", ".join(couplings.independent) or "none")
-    yield _line("dependent", "; ".join(f"{d} <- {law}" for d, law in scene.laws.items()) or "none")
+    dependent = "; ".join(f"{name} <- {kind}" for name, kind in scene.coupling_kinds.items())
+    yield _line("dependent", dependent or "none")
     if robot.locked:
         locked = ", ".join(f"{name} at {value:g}" for name, value in robot.locked.items())
         yield _line("locked", locked)

@@ -1,11 +1,11 @@
-"""The `couplings` section of a scene -> laws."""
+"""The `couplings` section of a scene -> functions."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from mbd_ros.core.model.coupling_functions import (
-    Law,
+    CouplingFunction,
     Linear,
     PiecewisePolynomial,
     Polynomial,
@@ -16,8 +16,8 @@ from mbd_ros.errors import ModelError
 from mbd_ros.scene import schema
 
 
-def coupling_laws(path: Path, entries: Any) -> dict[str, tuple[Coupling, str]]:
-    """Every dependent joint with what it follows and the kind of law.
+def coupling_functions(path: Path, entries: Any) -> dict[str, tuple[Coupling, str]]:
+    """Every dependent joint with what it follows and the kind of function.
 
     Args:
         path: Scene file, for the messages.
@@ -44,16 +44,16 @@ def _coupling(
     spline: Any = None,
     piecewise_polynomial: Any = None,
 ) -> tuple[Coupling, str]:
-    laws: dict[str, Any] = {
+    functions: dict[str, Any] = {
         "factor": factor,
         "polynomial": polynomial,
         "spline": spline,
         "piecewise_polynomial": piecewise_polynomial,
     }
-    given = [kind for kind, law in laws.items() if law is not None]
+    given = [kind for kind, function in functions.items() if function is not None]
     if len(given) != 1:
         raise ModelError(
-            f"give exactly one of {', '.join(laws)}; got {', '.join(given) or 'none'}"
+            f"give exactly one of {', '.join(functions)}; got {', '.join(given) or 'none'}"
         )
     if offset is not None and factor is None:
         raise ModelError("'offset' goes with 'factor' only")
@@ -61,14 +61,14 @@ def _coupling(
         raise ModelError(f"factor is 0: the joint never moves; use robot.locked.{name} instead")
     kind = given[0]
     where = f"{path}: couplings.{name}.{kind}"
-    return Coupling(parent, _law(kind, laws[kind], offset or 0.0, where)), kind
+    return Coupling(parent, _function(kind, functions[kind], offset or 0.0, where)), kind
 
 
-def _law(kind: str, entry: Any, offset: float, where: str) -> Law:
+def _function(kind: str, entry: Any, offset: float, where: str) -> CouplingFunction:
     if kind == "factor":
         return Linear(entry, offset)
     if kind == "polynomial":
         return Polynomial(entry)
     curve = natural_cubic_spline if kind == "spline" else PiecewisePolynomial
-    law: Law = schema.call(curve, entry, where)
-    return law
+    function: CouplingFunction = schema.call(curve, entry, where)
+    return function

@@ -14,7 +14,7 @@ from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.built_scene import Scene, refuse_dt
 from mbd_ros.scene.code_permission import code_of_others, require_permission
-from mbd_ros.scene.coupling_entries import coupling_laws
+from mbd_ros.scene.coupling_entries import coupling_functions
 from mbd_ros.scene.locate import find_file
 from mbd_ros.scene.part_entries import (
     Solver,
@@ -60,7 +60,7 @@ def load_scene(path: str | Path, description: str | None = None) -> Scene:
     code = code_of_others(given)
     require_permission(str(path), code)
     robot, source = build_robot(path, read_entry(path, given["robot"]), description)
-    couplings, laws = _build_couplings(path, robot, given.get("couplings", {}))
+    couplings, kinds = _build_couplings(path, robot, given.get("couplings", {}))
     actuators = build_parts(path, "actuators", robot, given.get("actuators", []))
     robot = _with_armature(robot, actuators)
     return Scene(
@@ -68,7 +68,7 @@ def load_scene(path: str | Path, description: str | None = None) -> Scene:
         source=source,
         robot=robot,
         couplings=couplings,
-        laws=laws,
+        coupling_kinds=kinds,
         wrenches=build_wrenches(path, robot, given.get("external_wrenches", {})),
         constraints=build_constraints(path, robot, given.get("constraints", [])),
         forces=build_parts(path, "forces", robot, given.get("forces", [])),
@@ -110,12 +110,14 @@ def _read_sections(path: Path) -> dict[str, Any]:
 def _build_couplings(
     path: Path, robot: Robot, section: Any
 ) -> tuple[Couplings, Mapping[str, str]]:
-    laws = coupling_laws(path, section)
+    functions = coupling_functions(path, section)
     try:
-        couplings = Couplings(robot, {name: coupling for name, (coupling, _) in laws.items()})
+        couplings = Couplings(robot, {name: coupling for name, (coupling, _) in functions.items()})
     except ModelError as error:
         raise SceneError(f"{path}: couplings: {error}") from error
-    kinds = {m.joint: "URDF mimic" for m in robot.mimics} | {n: k for n, (_, k) in laws.items()}
+    kinds = {m.joint: "URDF mimic" for m in robot.mimics} | {
+        n: k for n, (_, k) in functions.items()
+    }
     return couplings, {n: f"{couplings.parents[n]} ({kinds[n]})" for n in couplings.dependent}
 
 

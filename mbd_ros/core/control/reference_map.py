@@ -47,8 +47,8 @@ class Selection(NamedTuple):
 class ReferenceMap:
     """Selects the controlled joints from references of any order.
 
-    A joint that follows a controlled one by a linear law may stand for it; beside it, it is left
-    out, since the coupling decides where it goes.
+    A joint that follows a controlled one by a linear function may stand for it; beside it, it is
+    left out, since the coupling decides where it goes.
 
     Args:
         names: Controlled joints.
@@ -64,9 +64,9 @@ class ReferenceMap:
             self._roots[name] = self._roots.get(parent, parent)
             root, factor, offset = self._linear.get(parent, (parent, 1.0, 0.0))
             followed = parent not in self._roots or parent in self._linear
-            if followed and isinstance(pair.law, Linear) and pair.law.factor != 0.0:
-                factor, offset = pair.law.factor * factor, pair.law.factor * offset
-                self._linear[name] = (root, factor, offset + pair.law.offset)
+            if followed and isinstance(pair.function, Linear) and pair.function.factor != 0.0:
+                factor, offset = pair.function.factor * factor, pair.function.factor * offset
+                self._linear[name] = (root, factor, offset + pair.function.offset)
 
     def select(self, given: Sequence[str], *, partial: bool = False) -> Selection:
         """How to read a reference of these names.
@@ -124,8 +124,8 @@ class ReferenceMap:
         for name in given:
             if self._roots.get(name) in missing:
                 raise TargetError(
-                    f"reference refused: {name} follows {self._roots[name]} by a law that is not "
-                    f"linear; give {self._roots[name]}"
+                    f"reference refused: {name} follows {self._roots[name]} by a function that is "
+                    f"not linear; give {self._roots[name]}"
                 )
 
     def _source(self, name: str, given: Sequence[str]) -> tuple[str | None, float, float]:

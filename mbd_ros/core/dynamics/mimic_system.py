@@ -92,17 +92,18 @@ def mimic_model(robot: Robot, couplings: Couplings) -> Any:
     follows: dict[int, tuple[int, Linear]] = {}
     model, armature = robot.model, robot.model.armature.copy()
     for pair in couplings.pairs:
-        first, law = pair.parent_v, pair.law
-        if not isinstance(law, Linear):
+        first, function = pair.parent_v, pair.function
+        if not isinstance(function, Linear):
             return None
         ancestor, up = follows.get(first, (first, Linear(1.0)))
-        law = Linear(law.factor * up.factor, law.factor * up.offset + law.offset)
-        follows[pair.child_v] = ancestor, law
+        factor = function.factor
+        function = Linear(factor * up.factor, factor * up.offset + function.offset)
+        follows[pair.child_v] = ancestor, function
         parent, child = joint_at[ancestor], joint_at[pair.child_v]
         if parent > child:
             return None
-        model = pin.transformJointIntoMimic(model, parent, child, law.factor, law.offset)
-        armature[ancestor] += law.factor**2 * armature[pair.child_v]
+        model = pin.transformJointIntoMimic(model, parent, child, function.factor, function.offset)
+        armature[ancestor] += function.factor**2 * armature[pair.child_v]
     model.armature = armature[couplings.v_index]  # Pinocchio leaves that of mimic joints out
     return model if _is_right(model, robot.model, couplings) else None
 

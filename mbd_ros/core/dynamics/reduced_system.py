@@ -50,7 +50,7 @@ class ReducedSystem(System):
         self._q, self._v = pin.neutral(robot.model), np.zeros(robot.model.nv)
         self._a, self._w0 = np.zeros(robot.model.nv), np.zeros(self.nv)
         self._slopes = [0.0] * len(couplings.pairs)
-        linear = all(isinstance(pair.law, Linear) for pair in couplings.pairs)
+        linear = all(isinstance(pair.function, Linear) for pair in couplings.pairs)
         self._is_linear = linear and self.is_flat
         self._offset = couplings.positions(np.zeros(self.nq)) if self.is_flat else self._q
         self._is_offset = bool(self._offset.any())

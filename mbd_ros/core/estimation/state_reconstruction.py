@@ -183,7 +183,7 @@ class StateReconstructor:
         q = np.where(known, q, self._last.q if last is None else last)
         for pair in () if known.all() else self._couplings.pairs:
             if not known[pair.child_v]:
-                q[pair.child_q] = pair.law(q.item(pair.parent_q))[0]
+                q[pair.child_q] = pair.function(q.item(pair.parent_q))[0]
         return q
 
     def _named(self, chosen: NDArray[np.bool_]) -> tuple[str, ...]:

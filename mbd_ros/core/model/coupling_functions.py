@@ -147,4 +147,4 @@ def _check_increasing(values: Sequence[float], name: str) -> None:
         raise ModelError(f"{name} must be at least two increasing numbers, got {list(values)}")
 
 
-Law = Linear | Polynomial | PiecewisePolynomial
+CouplingFunction = Linear | Polynomial | PiecewisePolynomial

@@ -1,7 +1,7 @@
 """Dependent joints: q = F(z), with G = dF/dz and the drift dG/dt z'.
 
-Every dependent joint follows one other joint, its parent, by a law f. Chains are walked joint by
-joint:
+Every dependent joint follows one other joint, its parent, by a coupling function f. Chains are
+walked joint by joint:
 
     q_d = f(q_p),    v_d = f' v_p,    a_d = f' a_p + f'' v_p^2
 
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.model.coupling_functions import Law, Linear
+from mbd_ros.core.model.coupling_functions import CouplingFunction, Linear
 from mbd_ros.core.model.robot import Joint, Robot
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
@@ -27,7 +27,7 @@ class Coupling(NamedTuple):
     """What a dependent joint follows, in topic names."""
 
     parent: str
-    law: Law
+    function: CouplingFunction
 
 
 class CoupledPair(NamedTuple):
@@ -37,7 +37,7 @@ class CoupledPair(NamedTuple):
     child_v: int
     parent_q: int
     parent_v: int
-    law: Law
+    function: CouplingFunction
 
 
 class Couplings:
@@ -60,16 +60,16 @@ class Couplings:
     """
 
     def __init__(self, robot: Robot, couplings: Mapping[str, Coupling] | None = None) -> None:
-        laws = {m.joint: Coupling(m.parent, Linear(m.factor, m.offset)) for m in robot.mimics}
-        laws.update(couplings or {})
-        for name, coupling in laws.items():
+        functions = {m.joint: Coupling(m.parent, Linear(m.factor, m.offset)) for m in robot.mimics}
+        functions.update(couplings or {})
+        for name, coupling in functions.items():
             _check_ends(robot, name, coupling.parent)
-        order = _outwards(laws)
+        order = _outwards(functions)
         child = {name: robot.joint(name) for name in order}
-        self.independent = tuple(j.name for j in robot.joints if j.name not in laws)
+        self.independent = tuple(j.name for j in robot.joints if j.name not in functions)
         self.dependent = tuple(order)
-        self.parents = {name: laws[name].parent for name in order}
-        self.pairs = [_pair(robot, child[name], laws[name]) for name in order]
+        self.parents = {name: functions[name].parent for name in order}
+        self.pairs = [_pair(robot, child[name], functions[name]) for name in order]
         dependent_q = [joint.q for joint in child.values()]
         self._dependent_v = np.array([joint.v for joint in child.values()], dtype=np.intp)
         self.q_index = np.setdiff1d(np.arange(robot.model.nq), dependent_q)
@@ -90,8 +90,8 @@ class Couplings:
         """
         slopes = [0.0] * len(self.pairs) if slopes is None else slopes
         q_of, v_of, a_of = (x.item if x.ndim == 1 else x.__getitem__ for x in (q, v, a))
-        for i, (child_q, child_v, parent_q, parent_v, law) in enumerate(self.pairs):
-            q[child_q], slope, curvature = law(q_of(parent_q))
+        for i, (child_q, child_v, parent_q, parent_v, function) in enumerate(self.pairs):
+            q[child_q], slope, curvature = function(q_of(parent_q))
             rate = v_of(parent_v)
             v[child_v] = slope * rate
             a[child_v] = slope * a_of(parent_v) + curvature * rate * rate
@@ -129,7 +129,7 @@ class Couplings:
         G = np.zeros((self._nv, len(self.v_index)))
         G[self.v_index, np.arange(len(self.v_index))] = 1.0
         for pair in self.pairs:
-            _, slope, _ = pair.law(q.item(pair.parent_q))
+            _, slope, _ = pair.function(q.item(pair.parent_q))
             G[pair.child_v] = slope * G[pair.parent_v]
         return G
 
@@ -142,12 +142,12 @@ def _check_ends(robot: Robot, name: str, parent: str) -> None:
             raise ModelError(f"coupling {name} <- {parent}: {role}: {error}") from error
 
 
-def _outwards(laws: Mapping[str, Coupling]) -> list[str]:
+def _outwards(functions: Mapping[str, Coupling]) -> list[str]:
     """Dependent joints, parents before children."""
     order: list[str] = []
-    for name in laws:
+    for name in functions:
         path = [name]
-        while (parent := laws[path[-1]].parent) in laws and parent not in order:
+        while (parent := functions[path[-1]].parent) in functions and parent not in order:
             if parent in path:
                 raise ModelError(f"couplings form a cycle: {' <- '.join([*path, parent])}")
             path.append(parent)
@@ -157,4 +157,4 @@ def _outwards(laws: Mapping[str, Coupling]) -> list[str]:
 
 def _pair(robot: Robot, child: Joint, coupling: Coupling) -> CoupledPair:
     parent = robot.joint(coupling.parent)
-    return CoupledPair(child.q, child.v, parent.q, parent.v, coupling.law)
+    return CoupledPair(child.q, child.v, parent.q, parent.v, coupling.function)

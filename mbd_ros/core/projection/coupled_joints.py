@@ -33,7 +33,7 @@ class Place(NamedTuple):
 
 
 class CoupledJoints:
-    """Couplings of a fixed-base robot; each law is evaluated once a place.
+    """Couplings of a fixed-base robot; each function is evaluated once a place.
 
     Args:
         n: Number of joints.
@@ -45,7 +45,7 @@ class CoupledJoints:
     """
 
     def __init__(self, n: int, pairs: Sequence[CoupledPair]) -> None:
-        self._pairs = tuple((pair.child_v, pair.parent_v, pair.law) for pair in pairs)
+        self._pairs = tuple((pair.child_v, pair.parent_v, pair.function) for pair in pairs)
         self.free = np.setdiff1d(np.arange(n), [child for child, _, _ in self._pairs])
         self.ancestry = np.zeros((n, len(self.free)))
         self.ancestry[self.free, np.arange(len(self.free))] = 1.0
@@ -61,8 +61,8 @@ class CoupledJoints:
         """
         q, slope, curvature = start.tolist(), self._ones.copy(), self._zeros.copy()
         slopes = []
-        for child, parent, law in self._pairs:
-            q[child], first, second = law(q[parent])
+        for child, parent, function in self._pairs:
+            q[child], first, second = function(q[parent])
             up = slope[parent]
             slope[child] = first * up
             curvature[child] = second * up * up + first * curvature[parent]
@@ -87,8 +87,8 @@ class CoupledJoints:
     def violation(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Residual g and its rate g' at any state of all joints, shapes (m,) and (m,)."""
         at, speed, g, rate = q.tolist(), v.tolist(), [], []
-        for child, parent, law in self._pairs:
-            follows, slope, _ = law(at[parent])
+        for child, parent, function in self._pairs:
+            follows, slope, _ = function(at[parent])
             g.append(at[child] - follows)
             rate.append(speed[child] - slope * speed[parent])
         return np.array(g), np.array(rate)

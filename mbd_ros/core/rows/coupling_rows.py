@@ -27,30 +27,30 @@ class CouplingRows(Constraint):
         self.rows = tuple(Row(name, robot.joint(name).effort_unit) for name in couplings.dependent)
         self._nv = int(robot.model.nv)
         self._constant: tuple[Array, Array] | None = None
-        if all(isinstance(pair.law, Linear) for pair in couplings.pairs):
+        if all(isinstance(pair.function, Linear) for pair in couplings.pairs):
             rest = State(0.0, robot.neutral(), np.zeros(self._nv))
             self._constant = self.jacobian(None, rest), self.drift(None, rest)
 
     def accelerations(self, data: Any, x: State) -> tuple[Array, Array]:
-        """Both `jacobian` and `drift`, which do not change where all laws are linear."""
+        """Both `jacobian` and `drift`, which do not change where all functions are linear."""
         return self._constant or (self.jacobian(data, x), self.drift(data, x))
 
     def residual(self, data: Any, x: State) -> Array:
         """q_d - f(q_p), shape (m,)."""
         q = x.q.tolist()
-        return np.array([q[i.child_q] - i.law(q[i.parent_q])[0] for i in self.pairs])
+        return np.array([q[i.child_q] - i.function(q[i.parent_q])[0] for i in self.pairs])
 
     def jacobian(self, data: Any, x: State) -> Array:
         """1 at the dependent joint, -f' at its parent, shape (m, nv)."""
         J = np.zeros((len(self.pairs), self._nv))
         for row, i in enumerate(self.pairs):
             J[row, i.child_v] = 1.0
-            J[row, i.parent_v] = -i.law(x.q.item(i.parent_q))[1]
+            J[row, i.parent_v] = -i.function(x.q.item(i.parent_q))[1]
         return J
 
     def drift(self, data: Any, x: State) -> Array:
         """-f'' v_p^2, shape (m,)."""
         q, v = x.q.tolist(), x.v.tolist()  # floats: their squares by ** would not overflow to inf
         return np.array(
-            [-i.law(q[i.parent_q])[2] * v[i.parent_v] * v[i.parent_v] for i in self.pairs]
+            [-i.function(q[i.parent_q])[2] * v[i.parent_v] * v[i.parent_v] for i in self.pairs]
         )

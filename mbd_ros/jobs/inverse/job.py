@@ -162,4 +162,4 @@ def _violations(scene: Scene, samples: Sequence[Observation]) -> Iterator[str]:
             off = np.abs(measured - q[scene.robot.joint(name).q]).max()
             yield f"{name} is off its coupling by at most {off:.3g}"
         else:
-            yield f"{name} is reconstructed from {scene.laws[name]}"
+            yield f"{name} is reconstructed from {scene.coupling_kinds[name]}"

@@ -162,12 +162,13 @@ def _couplings(scene: Scene) -> Iterator[Follow]:
     bodies = {int(joint.idx_v): i for i, joint in enumerate(model.joints) if i}
     links = zip(scene.couplings.dependent, scene.couplings.pairs, strict=True)
     for name, link in links:
-        if isinstance(link.law, Linear):
-            coefficients: tuple[float, ...] = (link.law.offset, link.law.factor)
+        if isinstance(link.function, Linear):
+            coefficients: tuple[float, ...] = (link.function.offset, link.function.factor)
         elif "polynomial" in given[name]:
             coefficients = tuple(float(c) for c in given[name]["polynomial"])
         else:
-            raise SceneError(f"couplings.{name}: peers take polynomials, not {scene.laws[name]}")
+            kind = scene.coupling_kinds[name]
+            raise SceneError(f"couplings.{name}: peers take polynomials, not {kind}")
         yield Follow(bodies[link.child_v], bodies[link.parent_v], coefficients)
 
 

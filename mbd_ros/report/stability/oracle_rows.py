@@ -97,7 +97,7 @@ def _couplings(scene: Scene) -> Rows:
     links = scene.couplings.pairs
 
     def rows(data: Any, t: float, q: Array) -> Any:
-        return [q[i.child_q] - i.law(float(q[i.parent_q]))[0] for i in links]
+        return [q[i.child_q] - i.function(float(q[i.parent_q]))[0] for i in links]
 
     return rows
 
