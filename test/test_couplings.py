@@ -146,7 +146,7 @@ def test_reduction_is_the_transpose_and_multipliers_balance_the_constraint_rows(
     for row, name in enumerate(couplings.dependent):
         parent = robot.joint(couplings.parents[name])
         Jc[row, robot.joint(name).v] = 1.0
-        Jc[row, parent.v] = -CHAIN[name].law(float(q[parent.q]))[1]
+        Jc[row, parent.v] = -CHAIN[name].function(float(q[parent.q]))[1]
     B = np.eye(7)[:, couplings.v_index]
     assert B @ reduced + Jc.T @ lam == pytest.approx(tau, abs=1e-14)
 

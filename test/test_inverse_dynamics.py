@@ -58,7 +58,7 @@ def constraint_rows(robot, couplings, laws, q):
     for row, name in enumerate(couplings.dependent):
         parent = robot.joint(couplings.parents[name])
         Jc[row, robot.joint(name).v] = 1.0
-        Jc[row, parent.v] = -laws[name].law(float(q[parent.q]))[1]
+        Jc[row, parent.v] = -laws[name].function(float(q[parent.q]))[1]
     return Jc
 
 

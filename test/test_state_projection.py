@@ -10,7 +10,7 @@ import qpsolvers
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.model.coupling_functions import Linear, Polynomial
-from mbd_ros.core.model.couplings import Link
+from mbd_ros.core.model.couplings import CoupledPair
 from mbd_ros.core.optimization.complementarity import ComplementarityProblem
 from mbd_ros.core.optimization.qp import Statistics
 from mbd_ros.core.projection.coupled_joints import CoupledJoints
@@ -242,7 +242,7 @@ def test_chained_couplings_and_their_derivatives():
     """Derivatives by differences; a law that is no spline, so that these are exact to 1e-9."""
     laws = [Polynomial([0.1, 0.5, -0.3]), Polynomial([0.0, 1.0, 2.0]), Linear(-2.0, 0.3)]
     edges = [(1, 0), (3, 1), (4, 3)]  # joints 0 and 2 are free
-    links = [Link(c, c, p, p, law) for (c, p), law in zip(edges, laws, strict=True)]
+    links = [CoupledPair(c, c, p, p, law) for (c, p), law in zip(edges, laws, strict=True)]
     joints, h = CoupledJoints(5, links), 1e-4
     assert joints.free.tolist() == [0, 2]
     assert joints.ancestry.argmax(axis=1).tolist() == [0, 0, 1, 0, 0]

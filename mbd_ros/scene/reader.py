@@ -115,9 +115,8 @@ def _build_couplings(
         couplings = Couplings(robot, {name: coupling for name, (coupling, _) in functions.items()})
     except ModelError as error:
         raise SceneError(f"{path}: couplings: {error}") from error
-    kinds = {m.joint: "URDF mimic" for m in robot.mimics} | {
-        n: k for n, (_, k) in functions.items()
-    }
+    kinds = {mimic.joint: "URDF mimic" for mimic in robot.mimics}
+    kinds |= {name: kind for name, (_, kind) in functions.items()}
     return couplings, {n: f"{couplings.parents[n]} ({kinds[n]})" for n in couplings.dependent}
 
 

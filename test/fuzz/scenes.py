@@ -78,7 +78,7 @@ def _fill(
         given["solver"] = {"type": kind, "backend": backend}
     if rng.random() < 0.1:
         given["external_wrenches"] = {
-            "load": {"frame": rng.choice(robot.pairs), "threshold": _number(rng, nastiness)}
+            "load": {"frame": rng.choice(robot.links), "threshold": _number(rng, nastiness)}
         }
     if rng.random() < 0.1:
         given["safe"] = {"type": "damping", "gain": _number(rng, nastiness)}

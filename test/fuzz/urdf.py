@@ -58,7 +58,7 @@ def mutated(rng: random.Random) -> Described:
         text = rng.choice((_value, _value, _value, _swap, _cut_element, _repeat, spoil_text))(
             rng, text
         )
-    return Described(text, sound.joints, sound.pairs)
+    return Described(text, sound.joints, sound.links)
 
 
 def _value(rng: random.Random, text: str) -> str:
