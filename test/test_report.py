@@ -1,4 +1,4 @@
-"""`mbd-ros report` as a user meets it, on a fake part: results, page, bad input, README."""
+"""`mbd-ros report` as a user meets it, on a fake part: results, page, bad input, headlines."""
 
 import json
 import re
@@ -119,7 +119,7 @@ def test_bad_input(tmp_path, words, capsys):
     assert capsys.readouterr().err.startswith("mbd-ros report: ")
 
 
-def test_headlines_go_between_the_marks_of_a_readme(tmp_path):
+def test_headlines_go_between_the_marks_of_a_page(tmp_path):
     out, readme = tmp_path / "out", tmp_path / "README.md"
     marks = "<!-- report: begin -->", "<!-- report: end -->"
     readme.write_text(f"# before\n{marks[0]}\nold\n{marks[1]}\nafter\n", encoding="utf-8")
@@ -131,5 +131,5 @@ def test_headlines_go_between_the_marks_of_a_readme(tmp_path):
         assert text.endswith(f"{marks[1]}\nafter\n")
         assert "| number-02 | 0.66666666666666663 | converged |" in text
         assert "old" not in text
-        assert "![thirds](docs/report.png)" in text
-        assert (tmp_path / "docs/report.png").read_bytes() == (out / "thirds.png").read_bytes()
+        assert "![thirds](images/report.png)" in text
+        assert (tmp_path / "images/report.png").read_bytes() == (out / "thirds.png").read_bytes()

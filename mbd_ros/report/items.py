@@ -58,7 +58,7 @@ class Section(NamedTuple):
             tables.
         wrong: Why the report fails; empty where everything is right.
         snippets: Title -> lines that a user can paste into a scene.
-        headline: Titles of the tables, and names of the figures, that the README shows, too.
+        headline: Titles of the tables, and names of the figures, that docs/report.md shows, too.
     """
 
     title: str

@@ -1,4 +1,4 @@
-"""The headlines of a report in a README: `mbd-ros report --readme`."""
+"""The headlines of a report in a page: `mbd-ros report --readme`."""
 
 import json
 import os
@@ -12,21 +12,21 @@ from mbd_ros.files.tables import replacing
 
 BEGIN, END = "<!-- report: begin -->", "<!-- report: end -->"
 _BETWEEN = re.compile(f"{re.escape(BEGIN)}.*?{re.escape(END)}", re.DOTALL)
-_PLOT = Path("docs/report.png")
+_PLOT = Path("images/report.png")
 
 
 def put_headlines(readme: Path, folder: Path) -> Iterator[str]:
-    """Replace what is between the marks of a README, and the plot beside it.
+    """Replace what is between the marks of a page, and the plot in `images` beside it.
 
     Args:
-        readme: The file.
+        readme: The page.
         folder: That of a report.
 
     Yields:
         What was written.
 
     Raises:
-        DataError: There is no report, or no marks in the file.
+        DataError: There is no report, or the page has no marks.
     """
     numbers = _load(folder / "report.json")
     try:

@@ -1,7 +1,7 @@
 """Velocity and acceleration from sampled positions, from the past only.
 
-It lags by a stated delay and runs live. `offline_zero_phase` sees past and future, does not lag
-and needs the whole recording: never one for the other.
+It lags by a stated delay and runs live. `jobs/inverse/zero_phase.py` sees past and future, does
+not lag and needs the whole recording. Neither takes the place of the other.
 """
 
 import math

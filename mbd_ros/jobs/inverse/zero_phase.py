@@ -53,7 +53,7 @@ def zero_phase(
         velocity: [rad/s or m/s], shape (n, m); a column with a NaN is not used. None: not
             measured.
         cutoff: Half-power frequency for all joints [Hz], > 0. None: for each joint the one that
-            its spectrum asks for, see `offline_cutoff`.
+            its spectrum asks for, see `cutoff`.
 
     Raises:
         DataError: Too few samples in a row, or a cut-off out of its range.

@@ -1,0 +1,121 @@
+"""What the pages name exists: files, modules, links, pages, commands and goals of make."""
+
+import re
+import subprocess
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from mbd_ros.report.readme import BEGIN, END
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/*.md"))]
+FOLDERS = ("benchmarks", "config", "docs", "launch", "mbd_ros", "msg_adapters", "test")
+IDS = [page.name for page in PAGES]
+
+FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+CODE = re.compile(r"`([^`\n]+)`")
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+PATH = re.compile(r"[\w.-]+(?:/[\w.*-]+)*/?")
+MODULE = re.compile(r"mbd_ros(?:\.[a-z_]\w*)+")
+
+
+def words_of(page):
+    """What stands between backticks, and every word of the fenced blocks."""
+    text = page.read_text(encoding="utf-8")
+    blocks = "\n".join(FENCE.findall(text))
+    return [w for code in CODE.findall(FENCE.sub("", text)) for w in code.split()], blocks
+
+
+def tracked():
+    listed = subprocess.run(["git", "ls-files", "-co", "--exclude-standard"], **RUN).stdout
+    return listed.splitlines()
+
+
+RUN = {"cwd": ROOT, "capture_output": True, "text": True, "check": True}
+
+
+def paths_in(words):
+    """Words that can only be paths of this package, without line numbers and classes."""
+    inside = {f.name for f in (ROOT / "mbd_ros").iterdir() if f.is_dir()}
+    for word in words:
+        match = PATH.fullmatch(word.rstrip(",.;:"))
+        if match is None:
+            continue
+        name, first = match[0], match[0].split("/")[0]
+        if name.endswith(".py") or ("/" in name and first in {*FOLDERS, *inside}):
+            yield name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=IDS)
+def test_every_path_exists(page):
+    files = tracked()
+    words, _ = words_of(page)
+
+    def exists(name):
+        if "/" not in name:
+            return any(f.rsplit("/", 1)[-1] == name for f in files)
+        return any(any(base.glob(name.rstrip("/"))) for base in (ROOT, ROOT / "mbd_ros"))
+
+    assert [name for name in paths_in(words) if not exists(name)] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=IDS)
+def test_every_module_exists(page):
+    named = MODULE.findall(page.read_text(encoding="utf-8"))
+    entry_points = {"mbd_ros.commands", "mbd_ros.formats", "mbd_ros.sections"}
+    assert [name for name in named if name not in entry_points and not is_module(name)] == []
+
+
+def is_module(name):
+    """A module, or a public name in one."""
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        path = ROOT.joinpath(*parts[:count])
+        if path.with_suffix(".py").is_file():
+            rest = parts[count:]
+            return not rest or re.search(rf"\b{rest[0]}\b", path.with_suffix(".py").read_text())
+        if path.is_dir() and count == len(parts):
+            return True
+    return hasattr(__import__(parts[0]), parts[1]) if find_spec(parts[0]) else False
+
+
+@pytest.mark.parametrize("page", PAGES, ids=IDS)
+def test_every_link_leads_somewhere(page):
+    lost = []
+    for target in LINK.findall(FENCE.sub("", page.read_text(encoding="utf-8"))):
+        if target.startswith(("http://", "https://")):
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path) if path else page
+        if not file.exists() or (anchor and anchor not in anchors(file)):
+            lost.append(target)
+    assert lost == []
+
+
+def anchors(file):
+    """What a heading is called in a link, as code hosts make it."""
+    headings = re.findall(r"^#+ (.+)$", file.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=IDS)
+def test_every_goal_of_make_exists(page):
+    goals = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    named = re.findall(r"(?:`|^)make ([a-z-]+)", page.read_text(encoding="utf-8"), re.MULTILINE)
+    assert set(named) <= set(goals)
+
+
+def test_the_readme_lists_every_page():
+    listed = set(LINK.findall((ROOT / "README.md").read_text(encoding="utf-8")))
+    assert [page.name for page in PAGES[2:] if f"docs/{page.name}" not in listed] == []
+
+
+def test_the_report_page_has_one_place_for_the_headlines():
+    text = (ROOT / "docs/report.md").read_text(encoding="utf-8")
+    assert (text.count(BEGIN), text.count(END)) == (1, 1)
+
+
+def test_pictures_are_small():
+    assert [f for f in ROOT.glob("docs/images/*") if f.stat().st_size > 150_000] == []
