@@ -1,0 +1,243 @@
+"""What every job returns: tables by name, columns with name, unit, frame and any shape."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.errors import DataError, install_hint
+
+MAIN = "samples"  # the table that every job has
+_LISTED = 4  # tables, and names, in a text
+
+
+class Column(NamedTuple):
+    """One quantity, a value a row.
+
+    Attributes:
+        name: As `knee.position`.
+        values: Shape (n, *shape): numbers, truth values or texts.
+        unit: Empty for texts and pure numbers.
+        frame: In whose axes vectors are; empty for scalars.
+    """
+
+    name: str
+    values: NDArray[Any]
+    unit: str = ""
+    frame: str = ""
+
+    @property
+    def label(self) -> str:
+        """Name, unit and frame for people."""
+        where = f" in {self.frame}" if self.frame else ""
+        return self.name + (f" [{self.unit}]" if self.unit else "") + where
+
+
+class Table(Mapping[str, NDArray[Any]]):
+    """Columns of equal length; reads as a mapping from name to values.
+
+    Equal are tables with the same columns in the same order: names, units, frames, kinds, shapes
+    and values, one NaN as good as another.
+
+    Args:
+        columns: The columns, in their order.
+
+    Raises:
+        DataError: Names that repeat, lengths that differ, or values of another kind.
+    """
+
+    def __init__(self, columns: Iterable[Column]) -> None:
+        self.columns = tuple(one._replace(values=np.asarray(one.values)) for one in columns)
+        self._at = {column.name: column for column in self.columns}
+        if len(self._at) < len(self.columns):
+            names = [column.name for column in self.columns]
+            repeated = sorted({name for name in names if names.count(name) > 1})
+            raise DataError(f"columns must have names of their own, repeated: {_some(repeated)}")
+        for name, values in self.items():
+            if values.ndim < 1 or values.dtype.kind not in "fiubU":
+                raise DataError(
+                    f"column {name}: {values.dtype} of shape {values.shape}; accepted are "
+                    "numbers, truth values and texts, one a row"
+                )
+            if len(values) != self.rows:
+                raise DataError(
+                    f"columns of unequal length: {self.columns[0].name} has {self.rows} rows, "
+                    f"{name} has {len(values)}"
+                )
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.column(name).values
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._at)
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Table):
+            return NotImplemented
+        pairs = zip(self.columns, other.columns, strict=False)
+        return len(self) == len(other) and all(_same(*pair) for pair in pairs)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return f"Table of {self.rows} rows: {_some([column.label for column in self.columns])}"
+
+    def _repr_html_(self) -> str:
+        """First and last rows and columns, for a notebook."""
+        from mbd_ros.files.table_page import table_html
+
+        return table_html(self)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.columns[0].values) if self.columns else 0
+
+    def column(self, name: str) -> Column:
+        """The column of a name.
+
+        Raises:
+            DataError: There is none; says which there are.
+        """
+        try:
+            return self._at[name]
+        except KeyError:
+            raise MissingColumnError(f"no column {name}; there are: {_some(list(self))}") from None
+
+    def first(self, count: int) -> "Table":
+        """The first rows alone."""
+        return Table(column._replace(values=column.values[:count]) for column in self.columns)
+
+
+class MissingColumnError(DataError, KeyError):
+    """A column or table that is not there: names it and those that are."""
+
+    def __str__(self) -> str:  # that of KeyError puts a sentence in quotes
+        return DataError.__str__(self)
+
+
+class Result(Mapping[str, Table]):
+    """What a job found: tables by name, and where they come from.
+
+    Args:
+        tables: Name -> table; that of the job itself is `samples`.
+        metadata: What JSON holds: scene, inputs, versions, seed, remarks.
+    """
+
+    def __init__(
+        self, tables: Mapping[str, Table], metadata: Mapping[str, Any] | None = None
+    ) -> None:
+        self.tables, self.metadata = dict(tables), dict(metadata or {})
+
+    def __getitem__(self, name: str) -> Table:
+        try:
+            return self.tables[name]
+        except KeyError:
+            there = _some(list(self.tables))
+            raise MissingColumnError(f"no table {name}; there are: {there}") from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.tables)
+
+    def __len__(self) -> int:
+        return len(self.tables)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Result):
+            return NotImplemented
+        return self.tables == other.tables and self.metadata == other.metadata
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        lines = [f"  {name}: {table!r}" for name, table in list(self.tables.items())[:_LISTED]]
+        if len(self) > _LISTED:
+            lines.append(f"  and {len(self) - _LISTED} more tables")
+        about = _some(list(self.metadata)) if self.metadata else "none"
+        return "\n".join([f"Result of {len(self)} tables", *lines, f"  metadata: {about}"])
+
+    def _repr_html_(self) -> str:
+        """Its tables, for a notebook."""
+        from mbd_ros.files.table_page import result_html
+
+        return result_html(self)
+
+    def to(self, path: str | Path, *, among: tuple[str, ...] = (), **options: Any) -> None:
+        """Write a file; its suffix chooses the format, see `formats`.
+
+        Args:
+            path: The file, or the folder of a bag.
+            among: Suffixes that are accepted; all that are known without any.
+            **options: Those of the format.
+
+        Raises:
+            DataError: A suffix that no format has, what the format cannot hold, or a place that
+                cannot be written to; nothing is left behind then.
+        """
+        from mbd_ros.files.formats import write_result
+
+        write_result(path, self, among, **options)
+
+    def to_csv(self, path: str | Path, **options: Any) -> None:
+        """Write a .csv or .csv.gz: scalar columns, no metadata."""
+        self.to(path, among=(".csv", ".csv.gz"), **options)
+
+    def to_bag(self, path: str | Path, **options: Any) -> None:
+        """Write a rosbag2 folder, or a file ending in .mcap or .db3."""
+        self.to(path, among=("", ".mcap", ".db3"), **options)
+
+    def to_npz(self, path: str | Path, **options: Any) -> None:
+        """Write a .npz: every shape, to the bit."""
+        self.to(path, among=(".npz",), **options)
+
+    def to_parquet(self, path: str | Path, **options: Any) -> None:
+        """Write a .parquet: every shape, to the bit; needs pyarrow."""
+        self.to(path, among=(".parquet",), **options)
+
+    def to_dataframe(self, table: str = MAIN) -> Any:
+        """A pandas DataFrame of a table; an array in each cell of a column that is not scalar.
+
+        Args:
+            table: Name of the table.
+
+        Raises:
+            DataError: pandas is not installed, or there is no such table.
+        """
+        try:
+            import pandas
+        except ModuleNotFoundError as error:
+            raise DataError(install_hint("pandas")) from error
+        columns = self[table].items()
+        return pandas.DataFrame({n: v if v.ndim == 1 else list(v) for n, v in columns})
+
+    def plot(self, path: str | Path | None = None, **options: Any) -> Any:
+        """A figure of matplotlib with the curves of a table.
+
+        Args:
+            path: Also write it: .png, .svg or .pdf.
+            **options: Those of `mbd_ros.files.plot.figure`: table, columns.
+        """
+        from mbd_ros.files.plot import figure, save
+
+        drawn = figure(self, **options)
+        if path is not None:
+            save(drawn, Path(path))
+        return drawn
+
+
+def _same(one: Column, other: Column) -> bool:
+    a, b = one.values, other.values
+    alike = one[0] == other[0] and one[2:] == other[2:] and a.dtype.kind == b.dtype.kind
+    return alike and np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+
+
+def _some(names: list[str]) -> str:
+    """The first names of many, cut where they are long."""
+    text = ", ".join(names[:_LISTED]) or "none"
+    text = text if len(text) <= 200 else text[:200] + ".."
+    return text + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
