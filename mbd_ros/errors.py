@@ -30,7 +30,13 @@ def _cut(text: str, longest: int) -> str:
 
 
 class MbdError(Exception):
-    """Root of the errors of this package; its message is `printable`."""
+    """Root of the errors of this package; its message is `printable`.
+
+    Attributes:
+        exit_code: That of a program which this error ends.
+    """
+
+    exit_code = BAD_INPUT
 
     def __init__(self, message: str = "") -> None:
         super().__init__(printable(message))

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from mbd_ros.errors import MbdError
+from mbd_ros.errors import FAILED, MbdError
 
 _STOP_TIMEOUT = 10.0  # s
 _LOG_LINES = 5  # of a node that failed, shown
@@ -17,6 +17,8 @@ _LOG_LINES = 5  # of a node that failed, shown
 
 class Failed(MbdError):
     """The demo ran and failed: a process died, or a number is none."""
+
+    exit_code = FAILED
 
 
 class NodeCommand(NamedTuple):

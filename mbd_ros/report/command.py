@@ -4,7 +4,9 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
-from mbd_ros.errors import DataError
+from mbd_ros.errors import OK, DataError
+from mbd_ros.jobs.arguments import add_allow_code
+from mbd_ros.jobs.lines import say_all
 from mbd_ros.report import items
 from mbd_ros.scene.locate import path_word
 from mbd_ros.workers.arguments import add_workers
@@ -12,24 +14,27 @@ from mbd_ros.workers.arguments import add_workers
 _README = "put the headlines of -o DIR into this file, between its two marks; nothing is run"
 
 
-def add_report(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The words that `report` understands."""
-    report = commands.add_parser(
-        "report", help="error against run time, stability and cost, on one page"
-    )
-    report.add_argument("scenes", nargs="*", metavar="SCENE", help="default: all of this package")
-    report.add_argument("--quick", action="store_true", help="a small part, in two minutes")
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help="default: all of this package")
+    parser.add_argument("--quick", action="store_true", help="a small part, in two minutes")
     folder, text = Path("report_out"), "folder of the report (default: %(default)s)"
-    report.add_argument("-o", "--out", type=path_word, default=folder, metavar="DIR", help=text)
-    report.add_argument(
+    parser.add_argument("-o", "--out", type=path_word, default=folder, metavar="DIR", help=text)
+    parser.add_argument(
         "--only", nargs="+", choices=list(items.PARTS), metavar="KIND", help=", ".join(items.PARTS)
     )
-    add_workers(report)
-    report.add_argument("--readme", type=path_word, metavar="FILE", help=_README)
+    add_workers(parser)
+    parser.add_argument("--readme", type=path_word, metavar="FILE", help=_README)
+    add_allow_code(parser)
 
 
-def report_lines(arguments: argparse.Namespace) -> Iterator[str]:
-    """Run what the words say, line by line."""
+def run(arguments: argparse.Namespace) -> int:
+    """Do what the words say; the exit code."""
+    say_all(_lines(arguments))
+    return OK
+
+
+def _lines(arguments: argparse.Namespace) -> Iterator[str]:
     if arguments.readme is not None:
         from mbd_ros.report.readme import put_headlines
 

@@ -9,7 +9,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mbd_ros.errors import DataError, MbdError
+from mbd_ros.errors import FAILED, DataError, MbdError
 from mbd_ros.files.tables import replacing
 from mbd_ros.report import items
 from mbd_ros.report.items import Item, Section
@@ -48,6 +48,8 @@ class Order(NamedTuple):
 
 class Wrong(MbdError):
     """A report that says what is wrong; its page is complete."""
+
+    exit_code = FAILED
 
 
 def report(order: Order) -> Iterator[str]:

@@ -1,78 +1,73 @@
 """Words of `mbd-ros inverse`."""
 
 import argparse
-from collections.abc import Iterator
 
+from mbd_ros.errors import OK
+from mbd_ros.jobs.arguments import add_scene
+from mbd_ros.jobs.lines import say_all
 from mbd_ros.scene.locate import path_word
 from mbd_ros.workers.arguments import add_workers
 
 
-def add_inverse(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The words that `inverse` understands."""
-    inverse = commands.add_parser("inverse", help="torques and coupling forces of a motion")
-    inverse.add_argument("scene", type=path_word)
-    inverse.add_argument(
+    add_scene(parser)
+    parser.add_argument(
         "motion", type=path_word, nargs="+", help="CSV (.gz) or rosbag2 folder, .mcap or .db3"
     )
-    inverse.add_argument(
+    parser.add_argument(
         "-o",
         "--out",
         type=path_word,
         required=True,
         help="CSV (.gz) or bag; of several motions a folder (required)",
     )
-    inverse.add_argument(
+    parser.add_argument(
         "--wrenches",
         type=path_word,
         help="CSV or bag of the loads in the scene; a bag motion carries its own",
     )
-    _add_derivatives(inverse)
-    inverse.add_argument(
+    _add_derivatives(parser)
+    parser.add_argument(
         "--parts",
         action="store_true",
         help="also gravity, coriolis, inertial, ..; refused for scenes with loops",
     )
-    inverse.add_argument(
+    parser.add_argument(
         "--topic",
         default="/joint_states",
         help="JointState topic of a bag (default: %(default)s)",
     )
-    add_workers(inverse)
+    add_workers(parser)
 
 
-def _add_derivatives(inverse: argparse.ArgumentParser) -> None:
+def _add_derivatives(parser: argparse.ArgumentParser) -> None:
     """Where velocities and accelerations come from."""
-    inverse.add_argument(
+    parser.add_argument(
         "--derivatives",
         choices=("given", "causal", "zero-phase"),
         default="given",
         help="given: the motion has them; causal: filtered, lagging, as the node does; "
         "zero-phase: low-pass that sees the future (default: %(default)s)",
     )
-    inverse.add_argument(
+    parser.add_argument(
         "--cutoff",
         type=float,
         help="half-power frequency of the filters in Hz (default: causal 5.0, zero-phase from the "
         "noise of the recording, and printed)",
     )
-    inverse.add_argument(
+    parser.add_argument(
         "--half-width",
         type=int,
         help="zero-phase only, in place of a cut-off: fits to so many samples on either side",
     )
 
 
-def add_tuning(parser: argparse.ArgumentParser) -> None:
-    """Of the filters that estimate derivatives."""
-    parser.add_argument(
-        "--cutoff", type=float, default=5.0, help="Hz, causal only (default: %(default)s)"
-    )
-
-
-def inverse_lines(arguments: argparse.Namespace) -> Iterator[str]:
-    """Do what the words say, line by line."""
+def run(arguments: argparse.Namespace) -> int:
+    """Do what the words say; the exit code."""
     from mbd_ros.jobs.inverse.batch import Batch, inverse_of_all, inverse_of_one
 
     fields = (field for field in Batch._fields if field != "motions")
     batch = Batch(arguments.motion, **{name: getattr(arguments, name) for name in fields})
-    return inverse_of_one(batch) if len(batch.motions) == 1 else inverse_of_all(batch)
+    say_all(inverse_of_one(batch) if len(batch.motions) == 1 else inverse_of_all(batch))
+    return OK

@@ -15,7 +15,14 @@ from mbd_ros.core.projection.assembly import violation
 from mbd_ros.core.rows.row_factor import TOGGLE
 from mbd_ros.core.simulation.simulation import Commands, Simulation
 from mbd_ros.core.state import NANOSECOND, Array, State
-from mbd_ros.errors import DataError, DivergedError, MbdError, SolveError
+from mbd_ros.errors import (
+    FAILED,
+    INTERRUPTED,
+    DataError,
+    DivergedError,
+    MbdError,
+    SolveError,
+)
 from mbd_ros.files.bag_paths import SUFFIXES, is_bag
 from mbd_ros.files.records import SimulationRecord, finite_rows
 from mbd_ros.files.results import refuse_overwriting, write_simulation
@@ -30,13 +37,9 @@ _ROUNDING = 1.0e-9  # of dt
 
 
 class Interrupted(MbdError):
-    """A simulation that ended early; what it had reached is in a file of its own.
+    """A simulation that ended early; what it had reached is in a file of its own."""
 
-    Attributes:
-        by_user: Whether Ctrl-C ended it.
-    """
-
-    by_user = False
+    exit_code = FAILED
 
 
 class _CtrlC(MbdError):
@@ -77,7 +80,7 @@ def simulate(scene: Scene, run: Run) -> Iterator[str]:
         if not len(record.times):
             raise type(failure)(f"{scene.path}: {failure}") from failure
         early = Interrupted(f"{failure}; {_kept(kept, record)}")
-        early.by_user = isinstance(failure, _CtrlC)
+        early.exit_code = INTERRUPTED if isinstance(failure, _CtrlC) else FAILED
         raise early
     with about(scene.path):
         said = list(_summary(simulation, record, wall, evaluations))

@@ -1,0 +1,18 @@
+"""Words that several commands understand."""
+
+import argparse
+
+from mbd_ros.scene.locate import path_word
+
+_ALLOW_CODE = "import the package.module:Class that a scene names; `check` lists them"
+
+
+def add_scene(parser: argparse.ArgumentParser) -> None:
+    """The scene of a command, and the permission to import the code that it names."""
+    parser.add_argument("scene", type=path_word)
+    add_allow_code(parser)
+
+
+def add_allow_code(parser: argparse.ArgumentParser) -> None:
+    """The permission to import the code that scenes name; the program acts on it."""
+    parser.add_argument("--allow-code", action="store_true", help=_ALLOW_CODE)
