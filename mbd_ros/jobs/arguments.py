@@ -2,14 +2,16 @@
 
 import argparse
 
-from mbd_ros.scene.locate import path_word
+from mbd_ros.scene.locate import scene_word
 
 _ALLOW_CODE = "import the package.module:Class that a scene names; `check` lists them"
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
     """The scene of a command, and the permission to import the code that it names."""
-    parser.add_argument("scene", type=path_word)
+    parser.add_argument(
+        "scene", type=scene_word, help="file, or name of an embedded scene (`mbd-ros scenes`)"
+    )
     add_allow_code(parser)
 
 

@@ -22,6 +22,7 @@ class Command(NamedTuple):
 
 COMMANDS: Mapping[str, Command] = {
     "check": Command("mbd_ros.jobs.check", "what a scene builds, leaves out and costs"),
+    "scenes": Command("mbd_ros.jobs.scenes", "the embedded scenes, with a line each"),
     "inverse": Command("mbd_ros.jobs.inverse.command", "torques and coupling forces of a motion"),
     "simulate": Command(
         "mbd_ros.jobs.simulate.command", "motion from forces, with constraint forces"

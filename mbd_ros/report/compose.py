@@ -18,6 +18,7 @@ from mbd_ros.report.page import page
 from mbd_ros.report.program import program
 from mbd_ros.report.store import Store
 from mbd_ros.report.work import collect, finish, label
+from mbd_ros.scene.locate import find_scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.workers.opening import open_workers
 from mbd_ros.workers.remaining import Remaining, spoken
@@ -30,7 +31,7 @@ class Order(NamedTuple):
     """What a user wants.
 
     Attributes:
-        scenes: Files or package:// names; none for all of ours.
+        scenes: Files, package:// names, or names of embedded scenes; none for all of ours.
         quick: The short version.
         out: Folder for page, numbers, plots and results.
         scheduler: Of a Dask cluster; None for processes of this machine.
@@ -119,9 +120,10 @@ def _scene(name: str) -> str:
         MbdError: There is no such scene, or what is wrong with it.
     """
     if not name.startswith("package://"):
-        if not Path(name).is_file():
+        path = find_scene(name)
+        if not path.is_file():
             raise DataError(f"{name}: does not exist")
-        name = str(Path(name).resolve())
+        name = str(path.resolve())
     load_scene(name)
     return name
 

@@ -15,7 +15,7 @@ from mbd_ros.scene import schema
 from mbd_ros.scene.built_scene import Scene, refuse_dt
 from mbd_ros.scene.code_permission import code_of_others, require_permission
 from mbd_ros.scene.coupling_entries import coupling_functions
-from mbd_ros.scene.locate import find_file
+from mbd_ros.scene.locate import find_scene
 from mbd_ros.scene.part_entries import (
     Solver,
     build_constraints,
@@ -48,14 +48,14 @@ def load_scene(path: str | Path, description: str | None = None) -> Scene:
     """Read and build a scene.
 
     Args:
-        path: Scene file, or `package://<package>/<path>`.
+        path: Scene file, `package://<package>/<path>`, or the name of an embedded scene.
         description: URDF that arrived on the `description_topic` of the scene.
 
     Raises:
         SceneError: Names file, key, what is wrong and what is accepted; or code of others that
             `permitting` does not allow.
     """
-    path = find_file(Path(), str(path), "scene")
+    path = find_scene(path)
     given = _read_sections(path)
     code = code_of_others(given)
     require_permission(str(path), code)
@@ -91,7 +91,7 @@ def description_topic(path: str | Path) -> str | None:
     Raises:
         SceneError: The file cannot be read, or its robot section is wrong.
     """
-    path = find_file(Path(), str(path), "scene")
+    path = find_scene(path)
     return read_entry(path, _read_sections(path)["robot"]).description_topic
 
 

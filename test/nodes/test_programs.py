@@ -59,3 +59,12 @@ def test_a_qp_that_has_solved_leaves_no_leak_lines_at_exit(start_node, probe, tm
     assert node.stop() == 0
     assert plant.stop() == 0
     assert "nanobind" not in node.log
+
+
+def test_a_node_takes_the_name_of_an_embedded_scene(start_node, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    start_node(arguments=["-p", "scene:=arm7"], target=program("inverse_dynamics")).wait_for(
+        "]: active"
+    )
+    node = start_node(arguments=["-p", "scene:=arm8"], target=program("joint_state_projector"))
+    node.wait_for("no embedded scene of that name; nearest: arm7;")

@@ -21,7 +21,7 @@ ALLOW_CODE = Parameter(
     fixed=True,
 )
 PARAMETERS = (
-    Parameter("scene", str, "Scene file."),
+    Parameter("scene", str, "Scene: a file, or the name of an embedded one."),
     ALLOW_CODE,
     tunable(
         "cutoff", _DEFAULT.cutoff, 1e-3, 1e6, "Half-power frequency of the causal filters [Hz]."

@@ -4,7 +4,7 @@ from mbd_ros.nodes.inverse_dynamics.parameters import ALLOW_CODE
 from mbd_ros.nodes.shell.parameters import Parameter
 
 PARAMETERS = (
-    Parameter("scene", str, "Scene file."),
+    Parameter("scene", str, "Scene: a file, or the name of an embedded one."),
     ALLOW_CODE,
     Parameter(
         "rate",
