@@ -6,6 +6,7 @@ from typing import Any, Literal, Optional
 
 import pytest
 
+from mbd_ros.core.ranges import Gain
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.part_entries import Solver
@@ -36,6 +37,9 @@ class Part:
         ({"a": [1]}, dict[str, Sequence[float]], {"a": [1.0]}),
         ({"a": [1, "x"]}, Any, {"a": [1, "x"]}),
         ([1], list, [1]),
+        ("b", Literal["a", "b"], "b"),
+        (1, Gain, 1.0),
+        ([1, 2.5], Gain, [1.0, 2.5]),
     ],
 )
 def test_value_that_fits_passes_and_integers_are_numbers(given, hint, expected):
@@ -62,7 +66,10 @@ def test_value_that_fits_passes_and_integers_are_numbers(given, hint, expected):
         ([1], Mapping[str, float], "f: k: expected a mapping, got [1]"),
         ({"a": {"b": "x"}}, Mapping[str, Mapping[str, float]], "f: k.a.b: expected a number"),
         ("/tmp", Path, "f: k: expected <class 'pathlib"),
-        ("a", Literal["a", "b"], "f: k: expected typing.Literal['a', 'b'], got 'a'"),
+        ("c", Literal["a", "b"], "f: k: expected one of a, b, got 'c'"),
+        ([1, -1], Gain, "f: k[1]: -1 is out of range, accepted: 0 .. inf"),
+        (-1, Gain, "f: k: -1 is out of range, accepted: 0 .. inf"),
+        ("x", Gain, "f: k: expected a number, got 'x'"),
     ],
 )
 def test_value_that_does_not_fit_is_named(given, hint, message):

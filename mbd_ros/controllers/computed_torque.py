@@ -1,5 +1,7 @@
 """Computed torque control."""
 
+from typing import Annotated
+
 import numpy as np
 
 from mbd_ros.core.control.contract import (
@@ -7,7 +9,6 @@ from mbd_ros.core.control.contract import (
     ControlledJoints,
     Controller,
     EffortBox,
-    Gain,
     Reference,
     Response,
     per_joint,
@@ -15,6 +16,7 @@ from mbd_ros.core.control.contract import (
 from mbd_ros.core.control.delay_margin import LoopGains, disturbance, pd_gains
 from mbd_ros.core.control.mobility_factor import MobilityFactor
 from mbd_ros.core.control.sliding import sliding_variable
+from mbd_ros.core.ranges import Gain, Unit
 from mbd_ros.core.state import Array, State
 
 
@@ -28,8 +30,8 @@ class ComputedTorque(Controller):
 
     Args:
         joints: What it controls.
-        kp: [1/s^2].
-        kd: [1/s]; 2 kp^(1/2) damps critically.
+        kp: Acceleration per error.
+        kd: Acceleration per velocity error; 2 kp^(1/2) damps critically.
 
     Source: J. Y. S. Luh, M. W. Walker, R. P. C. Paul, IEEE Trans. Autom. Control 25, 1980,
         468-474.
@@ -41,8 +43,8 @@ class ComputedTorque(Controller):
         self,
         joints: ControlledJoints,
         *,
-        kp: Gain,
-        kd: Gain,
+        kp: Annotated[Gain, Unit("1/s^2")] = 400.0,
+        kd: Annotated[Gain, Unit("1/s")] = 40.0,
     ) -> None:
         self.joints = joints
         self._kd = per_joint(kd, len(joints), "kd")

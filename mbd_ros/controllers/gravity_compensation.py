@@ -1,5 +1,7 @@
 """Springs and dampers about the reference, on top of what holds the mechanism at rest."""
 
+from typing import Annotated
+
 import numpy as np
 
 from mbd_ros.core.control.contract import (
@@ -7,7 +9,6 @@ from mbd_ros.core.control.contract import (
     ControlledJoints,
     Controller,
     EffortBox,
-    Gain,
     Reference,
     Response,
     per_joint,
@@ -15,6 +16,7 @@ from mbd_ros.core.control.contract import (
 from mbd_ros.core.control.delay_margin import LoopGains, pd_gains
 from mbd_ros.core.control.mobility_factor import MobilityFactor
 from mbd_ros.core.control.sliding import sliding_variable
+from mbd_ros.core.ranges import Gain, Unit
 from mbd_ros.core.state import Array, State
 
 _SLOWEST = 1.0e-6  # 1/s, of a mode that efforts do not move
@@ -32,8 +34,8 @@ class GravityCompensation(Controller):
 
     Args:
         joints: What it controls.
-        stiffness: [N·m/rad or N/m].
-        damping: [N·m·s/rad or N·s/m].
+        stiffness: Effort per error.
+        damping: Effort per velocity error; far less than inertia over the period of the loop.
 
     Source: M. Takegaki, S. Arimoto, J. Dyn. Syst. Meas. Control 103, 1981, 119-125.
     """
@@ -44,8 +46,8 @@ class GravityCompensation(Controller):
         self,
         joints: ControlledJoints,
         *,
-        stiffness: Gain,
-        damping: Gain,
+        stiffness: Annotated[Gain, Unit("N·m/rad or N/m")] = 50.0,
+        damping: Annotated[Gain, Unit("N·m·s/rad or N·s/m")] = 5.0,
     ) -> None:
         self.joints = joints
         self._damping = per_joint(damping, len(joints), "damping")

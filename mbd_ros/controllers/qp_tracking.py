@@ -1,6 +1,6 @@
 """Accelerations as near to those of the reference as the limits of drives and joints allow."""
 
-from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from mbd_ros.core.control.sliding import sliding_variable
 from mbd_ros.core.control.tracking_metric import TrackingMetric
 from mbd_ros.core.optimization.limit_active_set import Candidate
 from mbd_ros.core.optimization.limited_qp import Counts, LimitedQp
+from mbd_ros.core.ranges import Gain, Unit, Within
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 
@@ -41,15 +42,15 @@ class QpTracking(Controller):
 
     Args:
         joints: What it controls.
-        kp: Stiffness of the error [1/s^2], > 0; all of them in the order of the joints.
-        kd: Damping of the error [1/s], > 0.
-        weight: Cost of a squared acceleration error [s^4/rad^2 or s^4/m^2], > 0.
-        horizon: Time ahead for which limits of motion are kept [s]; at least the period of the
+        kp: Acceleration per error, > 0.
+        kd: Acceleration per velocity error, > 0; 2 kp^(1/2) damps critically.
+        weight: Cost of a squared acceleration error, > 0.
+        horizon: Time ahead for which limits of motion are kept; at least the period of the
             commands, longer for drives that need longer to turn their torque round.
-        braking: Time in which a joint can be brought from its largest velocity to rest [s].
-        position_margin: Distance to keep from position limits [rad or m].
-        position_limits: Whether those of the robot description are kept.
-        velocity_limits: Same.
+        braking: Time in which a joint can be brought from its largest velocity to rest.
+        position_margin: Distance to keep from position limits.
+        position_limits: Whether position limits of the robot description are kept.
+        velocity_limits: Whether velocity limits of the robot description are kept.
 
     Attributes:
         counts: How the QPs went so far.
@@ -64,12 +65,12 @@ class QpTracking(Controller):
         self,
         joints: ControlledJoints,
         *,
-        kp: float | Sequence[float] = 100.0,
-        kd: float | Sequence[float] = 20.0,
-        weight: float | Sequence[float] = 1.0,
-        horizon: float = 0.02,
-        braking: float = 0.2,
-        position_margin: float = 0.0,
+        kp: Annotated[Gain, Unit("1/s^2")] = 100.0,
+        kd: Annotated[Gain, Unit("1/s")] = 20.0,
+        weight: Annotated[Gain, Unit("s^4/rad^2 or s^4/m^2")] = 1.0,
+        horizon: Annotated[float, Within(1.0e-6, 10.0), Unit("s")] = 0.02,
+        braking: Annotated[float, Within(1.0e-6, 10.0), Unit("s")] = 0.2,
+        position_margin: Annotated[float, Within(0.0, 10.0), Unit("rad or m")] = 0.0,
         position_limits: bool = True,
         velocity_limits: bool = True,
     ) -> None:

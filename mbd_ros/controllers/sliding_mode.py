@@ -1,5 +1,7 @@
 """Sliding mode control with a boundary layer."""
 
+from typing import Annotated
+
 import numpy as np
 
 from mbd_ros.core.control.contract import (
@@ -7,15 +9,15 @@ from mbd_ros.core.control.contract import (
     ControlledJoints,
     Controller,
     EffortBox,
-    Gain,
     Reference,
     Response,
     per_joint,
 )
 from mbd_ros.core.control.delay_margin import LoopGains, sliding_gains
 from mbd_ros.core.control.mobility_factor import MobilityFactor
-from mbd_ros.core.control.reaching import ReachingLaw
+from mbd_ros.core.control.reaching import ReachingLaw, ReachingName
 from mbd_ros.core.control.sliding import sliding_variable
+from mbd_ros.core.ranges import Gain, Unit, Within
 from mbd_ros.core.state import Array, State
 
 
@@ -29,13 +31,12 @@ class SlidingMode(Controller):
 
     Args:
         joints: What it controls.
-        bandwidth: lambda [1/s]: errors decay by exp(-lambda t) on s = 0.
-        gain: k [rad/s^2 or m/s^2]: must exceed the accelerations that model error and
-            disturbance cause.
-        boundary_layer: phi [rad/s or m/s], >= 0: width within which the command is continuous;
-            at least `gain` times the period of the loop keeps it from chattering.
-        law: constant, exponential or power_rate.
-        rate: c of the exponential law [1/s].
+        bandwidth: lambda: errors decay by exp(-lambda t) on s = 0.
+        gain: k: must exceed the accelerations that model error and disturbance cause.
+        boundary_layer: phi, >= 0: width within which the command is continuous; at least `gain`
+            times the period of the loop keeps it from chattering.
+        law: Reaching law rho.
+        rate: c of the exponential law.
         power: Exponent of the power-rate law, > 0 and < 1.
 
     Source: V. Utkin, IEEE Trans. Autom. Control 22, 1977, 212-222; J.-J. E. Slotine, W. Li,
@@ -48,12 +49,12 @@ class SlidingMode(Controller):
         self,
         joints: ControlledJoints,
         *,
-        bandwidth: Gain,
-        gain: Gain,
-        boundary_layer: Gain,
-        law: str = "constant",
-        rate: Gain = 10.0,
-        power: float = 0.5,
+        bandwidth: Annotated[Gain, Unit("1/s")] = 20.0,
+        gain: Annotated[Gain, Unit("rad/s^2 or m/s^2")] = 60.0,
+        boundary_layer: Annotated[Gain, Unit("rad/s or m/s")] = 0.5,
+        law: ReachingName = "constant",
+        rate: Annotated[Gain, Unit("1/s")] = 10.0,
+        power: Annotated[float, Within(1.0e-6, 0.999999), Unit("-")] = 0.5,
     ) -> None:
         self.joints = joints
         self._bandwidth = per_joint(bandwidth, len(joints), "bandwidth")

@@ -1,5 +1,7 @@
 """Continuous sliding mode control of second order."""
 
+from typing import Annotated
+
 import numpy as np
 
 from mbd_ros.core.control.contract import (
@@ -7,7 +9,6 @@ from mbd_ros.core.control.contract import (
     ControlledJoints,
     Controller,
     EffortBox,
-    Gain,
     Reference,
     Response,
     per_joint,
@@ -16,6 +17,7 @@ from mbd_ros.core.control.delay_margin import LoopGains, sliding_gains
 from mbd_ros.core.control.mobility_factor import MobilityFactor
 from mbd_ros.core.control.sliding import sliding_variable
 from mbd_ros.core.control.twisting import reaching_time_bound, super_twisting
+from mbd_ros.core.ranges import Gain, Unit
 from mbd_ros.core.state import Array, State
 
 _ROOT = 1.1128  # describing function of |s|^(1/2) sgn s at amplitude 1: 4/pi times a beta function
@@ -34,12 +36,12 @@ class SuperTwisting(Controller):
 
     Args:
         joints: What it controls.
-        bandwidth: lambda [1/s]: errors decay by exp(-lambda t) on s = 0.
-        disturbance_rate: L [rad/s^3 or m/s^3]: must exceed the rate of change of the
-            accelerations that model error and disturbance cause.
-        proportional: c1.
-        integral: c2, > 1; with c2 > 1 + 2 / c1^2 the reaching time is provable, by default down
-            to an effectiveness of 0.7 (masses wrong by 30 %).
+        bandwidth: lambda: errors decay by exp(-lambda t) on s = 0.
+        disturbance_rate: L: must exceed the rate of change of the accelerations that model error
+            and disturbance cause.
+        proportional: c1, factor of k1.
+        integral: c2, factor of k2, > 1; with c2 > 1 + 2 / c1^2 the reaching time is provable, by
+            default down to an effectiveness of 0.7 (masses wrong by 30 %).
 
     Source: A. Levant, Int. J. Control 58, 1993, 1247-1263; J. A. Moreno, M. Osorio, IEEE Trans.
         Autom. Control 57, 2012, 1035-1040; I. Boiko, L. Fridman, IEEE Trans. Autom. Control 50,
@@ -52,10 +54,10 @@ class SuperTwisting(Controller):
         self,
         joints: ControlledJoints,
         *,
-        bandwidth: Gain,
-        disturbance_rate: Gain,
-        proportional: Gain = 3.0,
-        integral: Gain = 2.5,
+        bandwidth: Annotated[Gain, Unit("1/s")] = 20.0,
+        disturbance_rate: Annotated[Gain, Unit("rad/s^3 or m/s^3")] = 200.0,
+        proportional: Annotated[Gain, Unit("-")] = 3.0,
+        integral: Annotated[Gain, Unit("-")] = 2.5,
     ) -> None:
         n = len(joints)
         self.joints = joints

@@ -24,12 +24,12 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "prescribed_motion": "mbd_ros.constraints.prescribed_motion:PrescribedMotion",
         "screw": "mbd_ros.constraints.screw:Screw",
     },
-    "controllers": {
+    "controllers": {  # in the order in which a node offers them
+        "sliding_mode": "mbd_ros.controllers.sliding_mode:SlidingMode",
+        "super_twisting": "mbd_ros.controllers.super_twisting:SuperTwisting",
         "computed_torque": "mbd_ros.controllers.computed_torque:ComputedTorque",
         "gravity_compensation": "mbd_ros.controllers.gravity_compensation:GravityCompensation",
         "qp_tracking": "mbd_ros.controllers.qp_tracking:QpTracking",
-        "sliding_mode": "mbd_ros.controllers.sliding_mode:SlidingMode",
-        "super_twisting": "mbd_ros.controllers.super_twisting:SuperTwisting",
     },
     "forces": {
         "applied_wrench": "mbd_ros.forces.applied_wrench:AppliedWrench",

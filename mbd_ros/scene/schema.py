@@ -4,9 +4,9 @@ import inspect
 import types
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any
+from typing import Any, Literal
 
-from mbd_ros.core.ranges import ANY_NUMBER, Within
+from mbd_ros.core.ranges import ANY_NUMBER, Within, described
 from mbd_ros.errors import ModelError, SceneError
 
 _EXPECTED = {
@@ -54,26 +54,35 @@ def call(function: Callable[..., Any], entry: Any, where: str, *context: Any) ->
         raise SceneError(f"{where}: {error}") from error
 
 
-def value(given: Any, hint: Any, where: str) -> Any:
+def value(given: Any, hint: Any, where: str, accepted: Within = ANY_NUMBER) -> Any:
     """A value checked against a type hint and its range; integers pass as numbers.
+
+    Args:
+        given: The value.
+        hint: Its annotation, perhaps with a range.
+        where: File and key, for the messages.
+        accepted: Range of numbers whose annotation has none.
 
     Raises:
         SceneError: Names the key, what is expected and what was given.
     """
+    hint, within, _ = described(hint)
+    accepted = within or accepted
     origin, inner = typing.get_origin(hint), typing.get_args(hint)
     if origin in (types.UnionType, typing.Union):
-        return None if given is None else value(given, inner[0], where)
+        return None if given is None else value(given, _member(given, inner), where, accepted)
+    if origin is Literal:
+        if given not in inner:
+            raise SceneError(f"{where}: expected one of {', '.join(inner)}, got {given!r}")
+        return given
     if isinstance(origin, type) and issubclass(origin, Mapping):
         if not isinstance(given, dict):
             raise SceneError(f"{where}: expected a mapping, got {given!r}")
-        return {key: value(v, inner[1], f"{where}.{key}") for key, v in given.items()}
+        return {key: value(v, inner[1], f"{where}.{key}", accepted) for key, v in given.items()}
     if isinstance(origin, type) and issubclass(origin, Sequence):
         if not isinstance(given, list):
             raise SceneError(f"{where}: expected a list, got {given!r}")
-        return [value(v, inner[0], f"{where}[{i}]") for i, v in enumerate(given)]
-    accepted = ANY_NUMBER
-    if origin is Annotated:
-        hint, accepted = inner
+        return [value(v, inner[0], f"{where}[{i}]", accepted) for i, v in enumerate(given)]
     if hint is Any:
         return given
     if hint is float and isinstance(given, int) and not isinstance(given, bool):
@@ -81,6 +90,14 @@ def value(given: Any, hint: Any, where: str) -> Any:
     if type(given) is not hint:
         raise SceneError(f"{where}: expected {_EXPECTED.get(hint, hint)}, got {given!r}")
     return _within(given, accepted, where) if hint is float else given
+
+
+def _member(given: Any, union: Sequence[Any]) -> Any:
+    """The first member of a union, but for a list the first that is one."""
+    lists = [
+        m for m in union if isinstance(o := typing.get_origin(m), type) and issubclass(o, Sequence)
+    ]
+    return lists[0] if lists and isinstance(given, list) else union[0]
 
 
 def _within(number: float, accepted: Within, where: str) -> float:

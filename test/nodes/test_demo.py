@@ -257,21 +257,3 @@ def test_a_node_that_dies_is_1_and_leaves_nothing(tmp_path):
     )
     assert code == 1
     assert said.startswith("mbd-ros demo: node simulator ended with exit code -9")
-
-
-# ---------------------------------------------------------------------- parameter files
-
-
-@pytest.mark.parametrize("name", ["sliding_mode_controller", "qp_controller"])
-def test_the_parameter_file_holds_every_parameter_with_its_default(name):
-    from mbd_ros.nodes.controller import parameters as controller_parameters
-
-    own = {"sliding_mode_controller": "SLIDING_MODE", "qp_controller": "QP"}[name]
-    declared = {p.name: p.default for p in getattr(controller_parameters, own)}
-    path = ROOT / f"config/nodes/{name}.yaml"
-    given = yaml.safe_load(path.read_text(encoding="utf-8"))["/**"]["ros__parameters"]
-    assert given.keys() == declared.keys()
-    for key in given.keys() - {"scene"}:
-        default = declared[key]
-        assert given[key] == (list(default) if isinstance(default, tuple) else default), key
-    assert load_scene(given["scene"]).actuators

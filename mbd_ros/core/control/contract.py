@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.control.delay_margin import LoopGains
 from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.ranges import Gain
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
-
-Gain = float | Sequence[float]  # one for all joints, or one a joint
 
 
 class Reference(NamedTuple):
@@ -136,9 +135,10 @@ class ControlledJoints:
 class Controller:
     """A control law; a value: new gains are a new controller for the same joints.
 
-    The keyword arguments of the constructor are its gains and the schema of whoever configures
-    it: floats for all joints, or sequences with one value a joint. A constructor raises a
-    ModelError that names the gain, what is wrong and what is accepted.
+    The constructor takes `joints` and, by keyword, the gains. It is the only home of their
+    defaults, ranges and units (`mbd_ros.core.ranges`), and its docstring of their meaning: whoever
+    configures the law reads them there. `Gain` stands for a float for all joints, or one a joint.
+    A constructor raises a ModelError that names the gain, what is wrong and what is accepted.
 
     A law with states of its own (an integral) keeps none: it says how they change
     (`Control.memory_rate`), and the loop integrates them, or freezes them.

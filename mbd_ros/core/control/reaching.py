@@ -1,12 +1,16 @@
 """Reaching laws of sliding mode control: how fast s is driven to zero."""
 
+from typing import Literal, get_args
+
 import numpy as np
 
-from mbd_ros.core.control.contract import Gain, per_joint
+from mbd_ros.core.control.contract import per_joint
+from mbd_ros.core.ranges import Gain
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
-LAWS = ("constant", "exponential", "power_rate")
+ReachingName = Literal["constant", "exponential", "power_rate"]
+LAWS: tuple[ReachingName, ...] = get_args(ReachingName)
 _SAMPLED = 1.3  # for masses wrong by 30 %
 _NO_LAYER = 1.0e-300  # a layer without effect: s / _NO_LAYER neither overflows nor divides zeros
 
@@ -40,7 +44,7 @@ class ReachingLaw:
     """
 
     def __init__(
-        self, n: int, law: str, gain: Gain, rate: Gain, power: float, boundary_layer: Gain
+        self, n: int, law: ReachingName, gain: Gain, rate: Gain, power: float, boundary_layer: Gain
     ) -> None:
         if law not in LAWS:
             raise ModelError(f"law '{law}', accepted: {', '.join(LAWS)}")

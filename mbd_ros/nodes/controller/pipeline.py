@@ -19,13 +19,9 @@ from mbd_ros.core.estimation.joint_observer import JointObserver, Observation
 from mbd_ros.core.projection.observed_state import ObservedState
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import SolveError
+from mbd_ros.nodes.controller.laws import build_controller
 from mbd_ros.nodes.controller.loop_details import loop_details
-from mbd_ros.nodes.controller.parameters import (
-    build_controller,
-    check_lengths,
-    effort_limits,
-    gains,
-)
+from mbd_ros.nodes.controller.parameters import check_lengths, effort_limits, gains
 from mbd_ros.nodes.controller.references import Plan, References
 from mbd_ros.nodes.inverse_dynamics.parameters import tuning
 from mbd_ros.nodes.shell.driven_joints import command_order, driven_joints
