@@ -1,12 +1,15 @@
 """What the pages name exists: files, modules, links, pages, commands and goals of make."""
 
 import re
+import shlex
 import subprocess
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from mbd_ros.cli import main
 from mbd_ros.report.readme import BEGIN, END
 
 ROOT = Path(__file__).parents[1]
@@ -119,3 +122,46 @@ def test_the_report_page_has_one_place_for_the_headlines():
 
 def test_pictures_are_small():
     assert [f for f in ROOT.glob("docs/images/*") if f.stat().st_size > 150_000] == []
+
+
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def follow(heading, folder, monkeypatch):
+    """Write the files of a section of docs/extend.md and run its commands, in a folder.
+
+    Returns:
+        What the commands must have left behind is up to the caller.
+    """
+    text = (ROOT / "docs/extend.md").read_text(encoding="utf-8")
+    section = re.search(rf"^## {heading}$(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL)[1]
+    monkeypatch.chdir(folder)
+    monkeypatch.syspath_prepend(folder)
+    for kind, block in BLOCK.findall(section):
+        if kind:
+            Path(block.split("\n", 1)[0].removeprefix("# ")).write_text(block, encoding="utf-8")
+        else:
+            for line in block.splitlines():
+                words = shlex.split(line.removeprefix("PYTHONPATH=. "))
+                assert words[0] == "mbd-ros" and main(words[1:]) == 0, line
+
+
+def table(name):
+    names = Path(name).read_text(encoding="utf-8").split("\n", 1)[0].split(",")
+    values = np.loadtxt(name, delimiter=",", skiprows=1)
+    return dict(zip(names, values.T, strict=True))
+
+
+def test_a_force_of_ones_own(tmp_path, monkeypatch, capsys):
+    follow("A force", tmp_path, monkeypatch)
+    assert "hard_spring:HardSpring" in capsys.readouterr().out
+    swing = table("swing.csv")
+    np.testing.assert_allclose(swing["energy"], swing["energy"][0], rtol=0, atol=1e-9)
+    assert np.ptp(swing["hinge.position"]) > 0.9
+
+
+def test_a_constraint_of_ones_own(tmp_path, monkeypatch, capsys):
+    follow("A constraint", tmp_path, monkeypatch)
+    fall = table("fall.csv")
+    np.testing.assert_allclose(fall["joint4.position"] + fall["joint6.position"], 0.3, atol=1e-12)
+    assert np.abs(fall["joint4.level.multiplier"]).max() > 0.1
