@@ -46,7 +46,7 @@ def driven(tmp_path):
     return file
 
 
-def test_table_holds_motion_multipliers_energy_and_drift(capsys, tmp_path):
+def test_table_holds_motion_multipliers_energy_and_violations(capsys, tmp_path):
     out = tmp_path / "out.csv"
     code, said, err = called(
         capsys, "simulate", SCENES / "four_bar_leg.yaml", "-t", 0.1, "-o", out
@@ -67,7 +67,7 @@ def test_table_holds_motion_multipliers_energy_and_drift(capsys, tmp_path):
     assert re.search(r"Dopri5, tier kkt: 100 steps, 600 evaluations \(6\.00 a step\)", said)
     assert re.search(r"real-time factor \d", said)
     assert re.search(r"energy -?\d.* J, largest change", said)
-    assert re.search(r"largest drift: position \d", said)
+    assert re.search(r"largest violation: position \d", said)
     assert said.endswith(f"101 states -> {out}\n")
 
 

@@ -21,9 +21,9 @@ def run(name, duration, **options):
     return simulation, list(simulation.run(loaded.initial, duration))
 
 
-def worst_drift(simulation, states):
-    drifts = [violation(simulation.system, simulation.system.reduce(x)) for x in states]
-    return np.array(drifts).max(axis=0)
+def worst_violation(simulation, states):
+    violations = [violation(simulation.system, simulation.system.reduce(x)) for x in states]
+    return np.array(violations).max(axis=0)
 
 
 @pytest.mark.parametrize(
@@ -31,7 +31,7 @@ def worst_drift(simulation, states):
 )
 def test_projection_keeps_position_and_velocity_at_rounding(name):
     duration = {"benchmark/a03_andrews": 0.01}.get(name, 0.2)
-    position, velocity = worst_drift(*run(name, duration))
+    position, velocity = worst_violation(*run(name, duration))
     assert position <= 1e-12
     assert velocity <= 1e-11
 
@@ -50,15 +50,17 @@ def test_couplings_hold_in_every_tier_and_all_move_alike(name, tier):
         assert np.abs(x.q - y.q).max() <= 1e-9
 
 
-def test_drift_without_stabilization_with_baumgarte_and_with_projection():
-    """Free drift grows; feedback bounds it; projection removes it."""
+def test_violation_without_stabilization_with_baumgarte_and_with_projection():
+    """Without stabilization violations grow; feedback bounds them; projection removes them."""
     name, options = "four_bar_leg", {"integrator": {"type": "rk4"}, "dt": 5e-3}
     kinds = {
         "none": {"type": "none"},
         "baumgarte": {"type": "baumgarte", "time_constant": 0.05},
         "projection": {"type": "projection"},
     }
-    left = {k: worst_drift(*run(name, 1.0, stabilization=s, **options)) for k, s in kinds.items()}
+    left = {
+        k: worst_violation(*run(name, 1.0, stabilization=s, **options)) for k, s in kinds.items()
+    }
     assert left["projection"][0] <= 1e-12
     assert left["baumgarte"][0] <= 0.5 * left["none"][0]
     assert left["none"][0] > 1e-10
@@ -68,7 +70,7 @@ def test_baumgarte_below_two_steps_is_raised():
     short = {"type": "baumgarte", "time_constant": 1e-4}
     simulation, states = run("four_bar_leg", 0.1, stabilization=short)
     assert simulation.stabilization.floor(simulation.dt) == 2e-3
-    assert worst_drift(simulation, states)[0] <= 1e-6
+    assert worst_violation(simulation, states)[0] <= 1e-6
 
 
 @pytest.mark.parametrize(

@@ -89,14 +89,14 @@ def _forces(numbers: DemoNumbers) -> Table:
 
 
 def _loop(numbers: DemoNumbers) -> Table:
-    latency, (position, velocity) = numbers.latency, numbers.drift
+    latency, (position, velocity) = numbers.latency, numbers.violation
     rows = [
         ("joint state -> command, median", f"{latency.median:.3f} ms"),
         ("joint state -> command, 99 %", f"{latency.p99:.3f} ms"),
         ("joint state -> command, longest", f"{latency.longest:.3f} ms"),
         ("simulated seconds per second", f"{numbers.real_time_factor:.2f}"),
-        ("constraint drift, position", f"{position:.2g} rad or m"),
-        ("constraint drift, velocity", f"{velocity:.2g} per s"),
+        ("constraint violation, position", f"{position:.2g} rad or m"),
+        ("constraint violation, velocity", f"{velocity:.2g} per s"),
     ]
     return Table("Loop", ("", "value"), rows)
 

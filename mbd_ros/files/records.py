@@ -71,7 +71,7 @@ class SimulationRecord(NamedTuple):
         effort: What the actuators exert [N·m or N], same shape.
         rows: Names of the constraint rows.
         multiplier: Their multipliers, shape (n, len(rows)).
-        balance: Energy [J] and the largest position and velocity drift, shape (n, 3).
+        balance: Energy [J] and the largest violation of positions and velocities, shape (n, 3).
         commanded: Joints whose actuators take something else than the torque of the joint.
         command: What these actuators take, shape (n, len(commanded)); None without any.
     """
@@ -102,7 +102,7 @@ def finite_rows(record: SimulationRecord) -> tuple[int, DivergedError | None]:
     named = {
         **dict.fromkeys(("position", "velocity", "acceleration", "effort"), record.joints),
         "multiplier": record.rows,
-        "balance": ("energy", "position drift", "velocity drift"),
+        "balance": ("energy", "position violation", "velocity violation"),
     }
     found = [
         (int(rows[0]), f"{field} of {names[int(columns[0])]}")

@@ -1,4 +1,4 @@
-"""Feedback of position and velocity drift into the acceleration."""
+"""Feedback of position and velocity violations into the acceleration."""
 
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.ranges import Duration
@@ -6,7 +6,7 @@ from mbd_ros.errors import ModelError
 
 
 class Baumgarte(Stabilization):
-    """g'' + (2 zeta / T) g' + g / T^2 = 0. Drift is bounded, not zero.
+    """g'' + (2 zeta / T) g' + g / T^2 = 0. Violations are bounded, not zero.
 
     A time constant below 2 dt would make explicit steps unstable: 2 dt is used then, and `check`
     and `simulate` say so.

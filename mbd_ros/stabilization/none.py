@@ -4,6 +4,6 @@ from mbd_ros.core.projection.stabilizing import Stabilization
 
 
 class NoStabilization(Stabilization):
-    """Leaves the drift to the integrator: it grows with time, quadratically in position."""
+    """Leaves violations to the integrator: they grow with time, quadratically in position."""
 
     example: dict[str, float] = {}

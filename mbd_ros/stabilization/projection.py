@@ -7,7 +7,9 @@ from mbd_ros.core.state import State
 
 
 class Projection(Stabilization):
-    """Moves every state to the nearest consistent one in the mass metric; drift stays at rounding.
+    """Moves every state to the nearest consistent one in the mass metric.
+
+    Violations stay at rounding.
 
     Source: E. Eich, SIAM J. Numer. Anal. 30 (1993).
     """

@@ -44,7 +44,7 @@ class ControlLoop:
     goes on from what is measured. Before it: time began anew, and so does the weight, with 1.
 
     Args:
-        controller: The law; may be replaced between updates by one for the same joints.
+        controller: The control law; may be replaced between updates by one for the same joints.
         generator: The reference.
         guard: Limits.
         safe: What acts when the control must not be trusted.
@@ -61,13 +61,15 @@ class ControlLoop:
         longest: See above; may change at any time.
         weight: Share of the safe command, 0 .. 1.
         is_open: Whether no state was answered since the start, or the last lapse or stop.
-        is_frozen: Whether nobody hears the commands. The memory of the law stands still then,
-            and as long as the safe command takes part: it must not learn from what it did not do.
+        is_frozen: Whether nobody hears the commands. The memory of the control law
+            then stands still, as while the safe command takes part: it must not learn from
+            commands that it did not give.
         chatter: See above.
         watch: See above.
-        control: What the law answered last.
+        control: The newest answer of the control law.
         lapses: How often states stopped for so long that the command had to go safe.
-        failures: Updates in a row without a usable answer of the law; the last one is kept.
+        failures: Updates in a row without a usable answer of the control law; the last one is
+            kept.
     """
 
     def __init__(
@@ -100,7 +102,7 @@ class ControlLoop:
             self.watch.reset()
 
     def replace(self, controller: Controller) -> None:
-        """Use a new law from the next update on; its memory is kept where it fits."""
+        """Use a new control law from the next update on; its memory is kept where it fits."""
         if controller.begin().shape != self._memory.shape:
             self._memory = controller.begin()
         self.controller = controller
@@ -124,7 +126,7 @@ class ControlLoop:
             acted: Efforts that acted until then [N·m or N], NaN where not measured, shape (n,).
 
         Raises:
-            SolveError: The law has no answer, and had none yet.
+            SolveError: The control law has no answer, and had none yet.
         """
         joints = self.controller.joints
         q, v = joints.positions(x), joints.velocities(x)
@@ -193,7 +195,7 @@ class ControlLoop:
         return effort if np.isfinite(effort).all() else self._none
 
     def _close(self, t: float, q: Array, v: Array) -> None:
-        """States come, for the first time or again; the law begins anew where it had ended."""
+        """States come, for the first time or again; a law that had ended begins anew."""
         self.generator.resume(t, q, v)
         if self.weight >= 1.0:
             self._memory = self.controller.begin()
@@ -217,7 +219,7 @@ class ControlLoop:
         self.weight = weight if _ROUNDING < weight < 1.0 - _ROUNDING else round(weight)
 
     def _controlled(self, x: State, ref: Reference, box: EffortBox, dt: float) -> Control:
-        """The answer of the law, or its last one where it has none."""
+        """The answer of the control law, or its last one where it has none."""
         try:
             control = self.controller.effort(x, ref, self._memory, box)
             total = float(control.effort.sum() + control.s.sum() + control.memory_rate.sum())

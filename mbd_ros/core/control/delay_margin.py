@@ -13,7 +13,7 @@ LONGEST = 0.04  # [s] of delay that are tolerated at most: what comes later is a
 
 
 class LoopGains(NamedTuple):
-    """How a law answers small errors of decoupled joints.
+    """How a control law answers small errors of decoupled joints.
 
         e'' = -(damping e' + stiffness e + integral of (e' + lambda e))
 
@@ -63,7 +63,7 @@ def tolerable_delay(gains: LoopGains, period: float) -> Array:
     A command acts from the next period on: delays count in whole ones.
 
     Args:
-        gains: Of the law.
+        gains: Of the control law.
         period: h [s], > 0.
 
     Returns:

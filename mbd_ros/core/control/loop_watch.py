@@ -29,7 +29,7 @@ class LossLimits(NamedTuple):
 
     Attributes:
         speed: Velocity of each joint [rad/s or m/s], shape (n,); inf without a limit.
-        error: Multiple of the error bound of the law; inf: the error is only reported.
+        error: Multiple of the error bound of the control law; inf: the error is only reported.
     """
 
     speed: Array
@@ -63,7 +63,7 @@ class LoopWatch:
 
     Args:
         names: Joints.
-        controller: The law; may be replaced.
+        controller: The control law; may be replaced.
         rest: Of `rest_responses`.
         limits: See there.
 
@@ -72,7 +72,7 @@ class LoopWatch:
         faults: How often it had to.
         period: Of the states, smoothed [s]; 0 while not known.
         tolerable: Delay that the loop tolerates [s]; inf while not known.
-        bounds: Errors that the law promises [rad or m], shape (n,); inf while not known.
+        bounds: Errors that the control law promises [rad or m], shape (n,); inf while not known.
         meter: Measures the delay.
     """
 
@@ -90,7 +90,7 @@ class LoopWatch:
         self.use(controller)
 
     def use(self, controller: Controller) -> None:
-        """Watch another law from now on."""
+        """Watch another control law from now on."""
         self._controller, self._computed = controller, 0.0
         self.tolerable, self.bounds = np.inf, np.full(len(self._names), np.inf)
 
@@ -173,7 +173,7 @@ class LoopWatch:
         self.bounds = np.max(bounds, axis=0) if bounds else self.bounds
 
     def _note_settling(self, t: float, error: Array, is_full: bool) -> None:
-        """The error that a hand-over leaves is not that of the law."""
+        """The error that a hand-over leaves is not that of the control law."""
         if not is_full:
             self._full, self._is_settled = None, False
         elif not self._is_settled:

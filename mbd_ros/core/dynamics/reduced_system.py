@@ -21,7 +21,7 @@ _BASE_Q, _BASE_V = 7, 6  # coordinates of a free base
 
 
 class ReducedSystem(System):
-    """Integrates the independent coordinates only, so that no coupling can drift.
+    """Integrates the independent coordinates only, so that no coupling can open.
 
     Args:
         robot: The robot.

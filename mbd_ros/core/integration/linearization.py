@@ -52,7 +52,7 @@ class Linearization:
     def _lengths(self, t: float, q: Array) -> Array:
         """Steps of the coordinates that move no joint by more than `_STEP`, shape (nv,).
 
-        A joint that depends on one by a steep law moves further than it.
+        A joint that depends on one by a steep coupling function moves further.
         """
         system, lengths = self._system, np.full(len(self._step), _STEP)
         if system.nv == system.model.nv:

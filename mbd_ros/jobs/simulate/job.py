@@ -47,7 +47,7 @@ class _CtrlC(MbdError):
 
 
 def simulate(scene: Scene, run: Run) -> Iterator[str]:
-    """Simulate and write states, multipliers, energy and drift.
+    """Simulate and write states, multipliers, energy and violations.
 
     Yields:
         The summary, a line each.
@@ -224,7 +224,7 @@ def _summary(
     )
     yield f"{wall:.3f} s for {duration:g} s, real-time factor {duration / max(wall, 1e-9):.1f}"
     yield f"energy {energy[0]:.6g} J, largest change {change:.3g} J"
-    yield f"largest drift: position {position.max():.2g}, velocity {velocity.max():.2g}"
+    yield f"largest violation: position {position.max():.2g}, velocity {velocity.max():.2g}"
     condition, t = simulation.worst
     if 1.0 < condition < np.inf:
         doubt = "; near a toggle, multipliers there are unreliable" if condition > TOGGLE else ""

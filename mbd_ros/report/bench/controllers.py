@@ -66,7 +66,7 @@ def mechanism(name: str) -> tuple[Scene, ControlledJoints]:
     return scene, ControlledJoints(system, MECHANISMS[name] or scene.actuated)
 
 
-def moments(
+def situations(
     scene: Scene, joints: ControlledJoints, rng: Any, count: int, kind: str
 ) -> Iterator[Snapshot]:
     """States within the limits of all joints, some faster, and references that ask for more.
@@ -161,7 +161,7 @@ def _qp(name: str, count: int) -> dict[str, Any]:
     scene, joints = mechanism(name)
     rng, result = np.random.default_rng(1), dict[str, Any]()
     for kind in RATES:
-        given = list(moments(scene, joints, rng, count, kind))
+        given = list(situations(scene, joints, rng, count, kind))
         spent, without, controller = with_and_without_limits(joints, given)
         p50, p99 = np.percentile(spent, (50.0, 99.0)).tolist()
         tier = float(np.median(without))
@@ -182,7 +182,7 @@ def _laws(count: int) -> dict[str, float]:
     scene, joints = mechanism("arm7")
     rng, n, model = np.random.default_rng(2), len(joints), scene.robot.model
     none = EffortBox(np.full(n, -np.inf), np.full(n, np.inf))
-    given = [m._replace(box=none) for m in moments(scene, joints, rng, count, "torque")]
+    given = [m._replace(box=none) for m in situations(scene, joints, rng, count, "torque")]
     data, spent = model.createData(), np.zeros(count)
     for i, (x, _, _) in enumerate(given):
         begin = time.thread_time()

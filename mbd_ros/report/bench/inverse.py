@@ -93,7 +93,7 @@ def _timed(call: Callable[[], Any]) -> float:
 
 
 def _paired(first: Callable[[], Any], second: Callable[[], Any]) -> tuple[float, float]:
-    """Best time of two calls, measured in turns so that a drift of the machine hits both [s]."""
+    """Best time of two calls, measured in turns so that a change of the machine hits both [s]."""
     timers, number = (timeit.Timer(first), timeit.Timer(second)), 5000
     rounds = [[timer.timeit(number) / number for timer in timers] for _ in range(15)]
     return min(r[0] for r in rounds), min(r[1] for r in rounds)

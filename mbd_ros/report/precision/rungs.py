@@ -88,15 +88,15 @@ def errors(
     pairs = list(zip(states, motion.states, strict=True))
     off = float(np.max([distance(scene, x, known) for x, known in pairs]))  # nan stays nan
     position = off if problem is None else error(problem, scene.robot, states)
-    drifts = [violation(system, y) for y in ys]
+    violations = [violation(system, y) for y in ys]
     energies = np.array([system.energy(y) for y in ys])
     found: dict[str, float] = {
         "position": position,
         "configuration": off,
         "velocity": float(np.max([np.abs(x.v - known.v).max() for x, known in pairs])),
         "energy": float(np.abs(energies - motion.energies).max()),
-        "drift": max(d.position for d in drifts),
-        "drift_rate": max(d.velocity for d in drifts),
+        "drift": max(d.position for d in violations),
+        "drift_rate": max(d.velocity for d in violations),
     }
     if motion.multipliers.size:
         solved = np.array([system.solve(y).multipliers for y in ys])

@@ -46,7 +46,7 @@ _COLUMNS = (
     "spread",
     "velocity",
     "energy",
-    "drift",
+    "violation",
     "multipliers",
 )
 

@@ -20,7 +20,7 @@ from mbd_ros.scene.part_entries import build_part
 CONVERGED, BOUNDED, STOPPED = "converged", "bounded", "stopped"
 WARNED, WRONG, UNKNOWN = "warned", "WRONG", "not comparable"
 VERDICTS = (CONVERGED, BOUNDED, STOPPED, WARNED, UNKNOWN, WRONG)
-CLOSED = 1.0e-8  # m or rad, relative above 1: drift that projection leaves at most
+CLOSED = 1.0e-8  # m or rad, relative above 1: violation that projection leaves at most
 METHODS: Mapping[str, Entry] = {
     "semi_implicit_euler": {"type": "semi_implicit_euler"},
     "rk4": {"type": "rk4"},

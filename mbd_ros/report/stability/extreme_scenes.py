@@ -207,8 +207,8 @@ def _hours() -> Iterator[Extreme]:
 def _places() -> Iterator[Extreme]:
     """Reference: the same at the origin, with couplings as rows, and with rows in the QP."""
     away, grid = (100.0, 100.0, 0.0), Grid(0.02, 12)
-    law = {"couplings": {"j2": {"parent": "j1", "factor": -0.7}}}
-    sections = {**law, "initial": {"velocity": {"j0": 2.0, "j1": -3.0}}}
+    coupled = {"couplings": {"j2": {"parent": "j1", "factor": -0.7}}}
+    sections = {**coupled, "initial": {"velocity": {"j0": 2.0, "j1": -3.0}}}
     here, there = (
         mechanism(sections, *rods((1.0, 1.0, 1.0), base=base)) for base in ((0.0, 0.0, 0.0), away)
     )

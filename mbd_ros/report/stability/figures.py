@@ -1,4 +1,4 @@
-"""The map of verdicts, and drift over long runs, as pictures."""
+"""The map of verdicts, and energy and violations over long runs, as pictures."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -100,8 +100,8 @@ def _separate(axes: Any, rows: Sequence[Mapping[str, Any]]) -> None:
             axes.axhline(i - 0.5, color="black", lw=0.8)
 
 
-def drift_plot(title: str, runs: Sequence[Mapping[str, Any]]) -> Figure:
-    """Energy error and constraint drift over time, one line a method.
+def long_run_plot(title: str, runs: Sequence[Mapping[str, Any]]) -> Figure:
+    """Energy error and constraint violation over time, one line a method.
 
     Args:
         title: Above the picture.

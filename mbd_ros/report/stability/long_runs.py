@@ -10,7 +10,7 @@ from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError
 from mbd_ros.report.items import Item, Outcome, Section, Spec, Table
-from mbd_ros.report.stability.figures import drift_plot
+from mbd_ros.report.stability.figures import long_run_plot
 from mbd_ros.report.stability.long_scenes import LONG_SCENES, SCENES
 from mbd_ros.report.stability.oracle import Oracle
 from mbd_ros.report.stability.reference_motion import starting_rate
@@ -35,7 +35,7 @@ _MICROSECONDS = {"pendulum": 30.0, "coupled_arm": 100.0, "four_bar": 200.0}  # a
 
 
 class RunSample(NamedTuple):
-    """What is kept of one moment of a run.
+    """What is kept of one instant of a run.
 
     Attributes:
         t: Time [s].
@@ -71,7 +71,7 @@ def _seconds(scene: str, steps: int) -> float:
 
 
 def run(spec: Spec) -> Outcome:
-    """Energy and drift at some moments of a long run."""
+    """Energy and violations at some instants of a long run."""
     loaded, dt = SCENES[spec["scene"]](), LONG_SCENES[spec["scene"]].dt
     scene, steps = loaded.scene, int(spec["steps"])
     oracle = Oracle(loaded)
@@ -142,7 +142,7 @@ def _slow(found: Mapping[str, Any], samples: Sequence[RunSample]) -> float:
 
 
 def section(outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
-    """Drift of energy and constraints, as tables and plots."""
+    """Energy and violations of constraints, as tables and plots."""
     if not outcomes:
         return Section(TITLE, ["Long runs are made of our own scenes only."])
     runs = [outcome for _, outcome in outcomes]
@@ -151,20 +151,20 @@ def section(outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
     figures = {}
     for scene in dict.fromkeys(run["scene"] for run in runs):
         mine = [run for run in runs if run["scene"] == scene]
-        figures[f"long_{scene}"] = drift_plot(LONG_SCENES[scene].title, mine)
+        figures[f"long_{scene}"] = long_run_plot(LONG_SCENES[scene].title, mine)
     text = [
         f"{steps:.0e} steps of one length each, up to {hours:.1f} hours of simulated time, "
         "without damping: energy must stay. RATTLE and generalized-alpha keep the constraints "
         "themselves, couplings as rows; for the others couplings are eliminated and loops kept by "
         "projection. Constraints and energies are evaluated apart from the code that integrates; "
-        "velocity drift below 1e-9 is what differences leave. RATTLE and Gauss-Legendre are "
+        "velocity violations below 1e-9 are what differences leave. RATTLE and Gauss-Legendre are "
         "time-reversible: their energy oscillates. "
-        "Generalized-alpha damps by design, Runge-Kutta methods drift with the power of the step "
-        "that is their order.",
+        "Generalized-alpha damps by design; energy errors of Runge-Kutta methods grow with the "
+        "power of the step that is their order.",
         f"On the four-bar Gauss-Legendre, generalized-alpha and RK4 run for a {_SHORTER}th of the "
         "steps, to save time. Wrong is a run that stops, is not finite, opens a constraint by "
         f"more than {CLOSED:g}, ends with an energy off by more than {_STAYS:.0%}, or has a "
-        f"velocity drift above {_SLOW:g} (1 + largest velocity); for generalized-alpha, which "
+        f"velocity violation above {_SLOW:g} (1 + largest velocity); for generalized-alpha, which "
         "keeps positions only, above (step × fastest rate)² / 12 of that velocity.",
     ]
     wrong = [f"{r['scene']}, {r['method']}: {r['wrong']}" for r in runs if r["wrong"]]
@@ -177,9 +177,9 @@ def _table(runs: Sequence[Mapping[str, Any]]) -> Table:
         series, swing = one["series"], one.get("swing", math.nan)
         energy = np.abs(series["energy"] or [math.nan])
         shares = (f"{energy.max() / swing:.1e}", f"{energy[-1] / swing:.1e}")
-        drift = [f"{max(series[name], default=math.nan):.1e}" for name in ("open", "rate")]
+        opened = [f"{max(series[name], default=math.nan):.1e}" for name in ("open", "rate")]
         size = f"{one['steps']:.0e}", f"{one['dt']:g}"
-        rows.append([one["scene"], one["method"], *size, *shares, *drift])
+        rows.append([one["scene"], one["method"], *size, *shares, *opened])
     columns = ["scene", "method", "steps", "dt [s]", "energy, largest", "energy, end"]
-    columns += ["position drift [m, rad]", "velocity drift [1/s]"]
-    return Table("Drift, energies relative to the largest kinetic energy", columns, rows)
+    columns += ["position violation [m, rad]", "velocity violation [1/s]"]
+    return Table("Violations, energies relative to the largest kinetic energy", columns, rows)

@@ -1,7 +1,7 @@
 """Constraints evaluated from frame placements and from what the scene file says.
 
-Nothing here is shared with the constraints that it checks but the names of links and joints, and
-the values of coupling laws. Types that are not known here fall back on the residual of the part.
+It shares with the constraints that it checks only the names of links and joints, and the values
+of coupling functions. Types that are not known here fall back on the residual of the part.
 """
 
 import math

@@ -79,17 +79,17 @@ def _couplings(rng: Random, n: int) -> dict[str, Entry]:
     wanted = min(int(rng.choice([0, 0, 0, 1, 1, 2])), n // 2)
     couplings: dict[str, Entry] = {}
     for k in range(wanted):
-        law: dict[str, Any] = {"parent": order[int(rng.integers(n - wanted + k))]}
+        coupling: dict[str, Any] = {"parent": order[int(rng.integers(n - wanted + k))]}
         kind = rng.choice(["factor", "polynomial", "spline"])
         if kind == "factor":
-            law["factor"] = float(np.round(rng.choice([-1, 1]) * rng.uniform(0.2, 2.0), 4))
-            law["offset"] = _rounded(rng.uniform(-0.3, 0.3, 1))[0]
+            coupling["factor"] = float(np.round(rng.choice([-1, 1]) * rng.uniform(0.2, 2.0), 4))
+            coupling["offset"] = _rounded(rng.uniform(-0.3, 0.3, 1))[0]
         elif kind == "polynomial":
-            law["polynomial"] = _rounded(rng.uniform(-0.5, 0.5, int(rng.integers(2, 5))))
+            coupling["polynomial"] = _rounded(rng.uniform(-0.5, 0.5, int(rng.integers(2, 5))))
         else:
             knots = _rounded(np.linspace(-2.0, 2.0, 6))
-            law["spline"] = {"x": knots, "y": _rounded(rng.uniform(-0.5, 0.5, 6))}
-        couplings[order[n - wanted + k]] = law
+            coupling["spline"] = {"x": knots, "y": _rounded(rng.uniform(-0.5, 0.5, 6))}
+        couplings[order[n - wanted + k]] = coupling
     return couplings
 
 

@@ -79,14 +79,14 @@ class _Run:
             return Verdict(WRONG, error, unfit)
         if found.reason:
             return Verdict(STOPPED, error, found.reason)
-        drift = self._drift(found.states)
-        if error <= ASKED and not drift:
+        opened = self._opened(found.states)
+        if error <= ASKED and not opened:
             return Verdict(CONVERGED, error)
-        is_bounded = not drift and self._is_bounded(found.states)
+        is_bounded = not opened and self._is_bounded(found.states)
         if self._is_warned(found, dt):
-            return Verdict(BOUNDED if is_bounded else WARNED, error, drift)
-        if drift:
-            return Verdict(WRONG, error, drift)
+            return Verdict(BOUNDED if is_bounded else WARNED, error, opened)
+        if opened:
+            return Verdict(WRONG, error, opened)
         if is_bounded and not self._method.is_explicit and dt * self._rate() > COARSE:
             return Verdict(BOUNDED, error)
         if error == math.inf:
@@ -152,7 +152,7 @@ class _Run:
                 return f"a state at t = {x.t:.6g} s is not finite"
         return ""
 
-    def _drift(self, states: list[State]) -> str:
+    def _opened(self, states: list[State]) -> str:
         """What only a warning excuses: constraints that do not hold."""
         oracle = self._case.oracle
         for x in [] if self._others.get("stabilization") else states:
