@@ -1,7 +1,6 @@
 """What the demo is made of: task, scenes, gains, folder, page. test/nodes/test_demo.py runs it."""
 
 import re
-from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -114,7 +113,7 @@ def test_the_plant_is_the_scene_with_the_disturbance_and_the_model_30_percent_li
         expected = MASS_SCALE * true.toDynamicParameters()
         np.testing.assert_allclose(believed.toDynamicParameters(), expected, atol=1e-15)
     assert (len(plant.forces), plant.dt) == (len(scene.forces) + 1, 1 / RATE)
-    x = replace(scene, forces=()).initial._replace(t=1.01)
+    x = scene.holding(forces=()).initial._replace(t=1.01)
     torque = plant.forces[-1].force(None, x)[[j.v for j in task.truth.joints]]
     middle = (task.added.torque[50] + task.added.torque[51]) / 2
     np.testing.assert_allclose(torque, middle, atol=1e-9)

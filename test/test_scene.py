@@ -10,7 +10,8 @@ from mbd_ros.core.model.urdf import MAX_CHARACTERS
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.code_permission import permitting
-from mbd_ros.scene.reader import SECTIONS, description_topic, load_scene
+from mbd_ros.scene.reader import description_topic, load_scene
+from mbd_ros.scene.sections import SECTIONS, keys
 
 ROOT = Path(__file__).parents[1]
 LEG = (ROOT / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
@@ -92,7 +93,7 @@ def test_every_section_is_built(write, tmp_path):
 @pytest.mark.parametrize("rest", ["", "couplings:\nforces:\n", "couplings: {}\nforces: []\n"])
 def test_empty_section_is_an_absent_one(write, rest):
     scene = load_scene(write("robot: {urdf: leg.urdf}\n" + rest))
-    assert scene.absent == SECTIONS[1:]
+    assert scene.absent == keys(SECTIONS)[1:]
     assert (scene.coupling_kinds, scene.forces, scene.wrenches) == ({}, (), {})
 
 

@@ -2,7 +2,6 @@
 
 import math
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -91,7 +90,7 @@ def test_a_switching_surface_is_no_fast_rate(method):
     assert slides
     assert found(scene, {"type": method}, 0.01, 1.5, "stiff") == []
     assert max(fastest_rate(scene.system(), x) for x in slides) < 1e-3
-    near = replace(scene, forces=(*scene.forces, JointSpring(scene.robot, joint="x", **STIFF)))
+    near = scene.holding(forces=(*scene.forces, JointSpring(scene.robot, joint="x", **STIFF)))
     rates = [fastest_rate(near.system(), x) for x in slides]
     assert rates == pytest.approx([1e3] * len(rates), rel=1e-3)
     assert found(near, {"type": method}, 0.01, 0.05, "stiff")
@@ -104,7 +103,7 @@ def test_the_shipped_governor_is_not_warned_of_until_its_step_is_too_long():
     assert found(scene, None, scene.dt, 0.02, "stiff") == []
     assert found(scene, None, 5e-4, 0.02, "stiff")
     assert "warning" not in "".join(describe(scene))
-    assert "need dt < 0.00041 s" in "".join(describe(replace(scene, dt=5e-4)))
+    assert "need dt < 0.00041 s" in "".join(describe(scene.holding(dt=5e-4)))
 
 
 def test_default_integrator_is_as_stable_as_the_scene_module_says():

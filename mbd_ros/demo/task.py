@@ -1,6 +1,5 @@
 """What the controlled robot of the demo has to do: a reference, against a disturbance."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -85,7 +84,7 @@ def disturbance(scene: Scene, reference: ReferenceTrajectory) -> Disturbance:
 
 def _gravity_torques(scene: Scene, reference: ReferenceTrajectory) -> Array:
     """Torques of the actuated joints that hold the robot at rest [N·m], shape (k, n)."""
-    joints = replace(scene, forces=()).controlled_joints()
+    joints = scene.holding(forces=()).controlled_joints()
     observed = ObservedState(joints.system, scene.couplings)
     driven = [joint.q for joint in joints.joints]
     still = np.zeros(len(scene.couplings.v_index))

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +24,11 @@ from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError, ModelError, SceneError, SolveError
 from mbd_ros.scene import schema
-from mbd_ros.scene.part_entries import (
-    MeasuredWrench,
-    Solver,
-    build_part,
-)
+from mbd_ros.scene.building import parts_in
+from mbd_ros.scene.coupling_entries import coupling_kinds
+from mbd_ros.scene.part_entries import MeasuredWrench, Solver, build_part
+from mbd_ros.scene.sections import Section
+from mbd_ros.scene.site import Origin
 
 DEFAULT_INTEGRATOR = {"type": "dopri5"}
 DEFAULT_STABLE = 1.3  # its `stable`, known without importing it
@@ -52,49 +52,132 @@ def refuse_dt(dt: float, where: str, kind: type[MbdError]) -> None:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
-    """What a scene file describes, built.
+    """What a scene describes, built.
 
     Attributes:
-        path: The file.
-        source: File or topic of the robot description.
+        origin: The file, or what else its sections came from.
         robot: The robot, with the inertia of its drives.
-        couplings: Its dependent joints.
-        coupling_kinds: Dependent joint -> parent and kind of coupling function, for people.
-        wrenches: External loads by name.
-        constraints: Constraints besides the couplings.
-        forces: Force terms.
-        actuators: Actuators, in the order of their commands.
-        stabilization: What keeps the constraints; None leaves the choice to `simulation`.
-        solver: How the equations are solved.
-        integrator: Method; None leaves the choice to `simulation`.
-        integrator_entry: What the file says of it, empty without a word.
-        dt: Step [s].
-        initial: State of all joints at the start, as the file gives it.
-        safe: What the actuators do without a command.
+        parts: What every section made, by key; the robot there is without its drives.
+        entries: What the sections say, by key.
+        sections: Lines of the table, those of other packages included.
         code: Key -> `package.module:Class` of what was imported from outside this package.
-        absent: Sections that the file leaves out.
     """
 
-    path: Path
-    source: str
+    origin: Origin
     robot: Robot
-    couplings: Couplings
-    coupling_kinds: Mapping[str, str]
-    wrenches: Mapping[str, MeasuredWrench]
-    constraints: tuple[Constraint, ...]
-    forces: tuple[ForceTerm, ...]
-    actuators: tuple[Actuator, ...]
-    stabilization: Stabilization | None
-    solver: Solver
-    integrator: Integrator | None
-    integrator_entry: Mapping[str, Any]
-    dt: float
-    initial: State
-    safe: SafeCommand
+    parts: Mapping[str, Any]
+    entries: Mapping[str, Any]
+    sections: tuple[Section, ...]
     code: Mapping[str, str]
-    absent: tuple[str, ...]
+
+    @property
+    def path(self) -> Path | None:
+        """The file; None for a scene that Python made."""
+        return self.origin.path
+
+    @property
+    def name(self) -> str:
+        """The file as messages call it, `scene` without one."""
+        return self.origin.name
+
+    @property
+    def source(self) -> str:
+        """File or topic of the robot description."""
+        return self.robot.source
+
+    @property
+    def couplings(self) -> Couplings:
+        """Its dependent joints."""
+        couplings: Couplings = self.parts["couplings"]
+        return couplings
+
+    @property
+    def coupling_kinds(self) -> Mapping[str, str]:
+        """Dependent joint -> parent and kind of coupling function, for people."""
+        return coupling_kinds(self.couplings, self.entries.get("couplings", {}))
+
+    @property
+    def wrenches(self) -> Mapping[str, MeasuredWrench]:
+        """External loads by name."""
+        return self.parts.get("external_wrenches", {})
+
+    @property
+    def constraints(self) -> tuple[Constraint, ...]:
+        """Constraints besides the couplings, of all sections."""
+        return self._offering("residual")
+
+    @property
+    def forces(self) -> tuple[ForceTerm, ...]:
+        """Force terms, of all sections."""
+        return self._offering("force")
+
+    @property
+    def actuators(self) -> tuple[Actuator, ...]:
+        """Actuators, in the order of their commands."""
+        return self._offering("torque")
+
+    @property
+    def stabilization(self) -> Stabilization | None:
+        """What keeps the constraints; None leaves the choice to `simulation`."""
+        return self.parts.get("stabilization")
+
+    @property
+    def solver(self) -> Solver:
+        """How the equations are solved."""
+        solver: Solver = self.parts["solver"]
+        return solver
+
+    @property
+    def integrator(self) -> Integrator | None:
+        """Method; None leaves the choice to `simulation`."""
+        return self.parts.get("integrator")
+
+    @property
+    def integrator_entry(self) -> Mapping[str, Any]:
+        """What the file says of it, empty without a word."""
+        return self.entries.get("integrator", {})
+
+    @property
+    def dt(self) -> float:
+        """Step [s]."""
+        dt: float = self.parts["dt"]
+        return dt
+
+    @property
+    def initial(self) -> State:
+        """State of all joints at the start, as the file gives it."""
+        initial: State = self.parts["initial"]
+        return initial
+
+    @property
+    def safe(self) -> SafeCommand:
+        """What the actuators do without a command."""
+        safe: SafeCommand = self.parts["safe"]
+        return safe
+
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """Sections that the file leaves out."""
+        return tuple(s.key for s in self.sections if not self.entries.get(s.key))
+
+    def _offering(self, method: str) -> tuple[Any, ...]:
+        """Parts of all sections whose parts have a method, in the order of the table."""
+        return tuple(
+            part
+            for section in self.sections
+            if method in section.offers and section.key in self.parts
+            for part in parts_in(section, self.parts[section.key])
+        )
+
+    def holding(self, **parts: Any) -> "Scene":
+        """A copy that holds other built parts, for who has objects rather than entries.
+
+        Args:
+            **parts: By key of their section, such as `forces=(*scene.forces, part)`.
+        """
+        return replace(self, parts={**self.parts, **parts})
 
     @property
     def has_loops(self) -> bool:
@@ -128,7 +211,7 @@ class Scene:
                 self.robot, self.couplings, self.constraints, self.actuated, loads, self.forces
             )
         except ModelError as error:
-            raise SceneError(f"{self.path}: {error}") from error
+            raise SceneError(f"{self.name}: {error}") from error
 
     def system(
         self, forces: Sequence[ForceTerm] = (), solver: Mapping[str, str] | None = None
@@ -142,7 +225,7 @@ class Scene:
         Raises:
             SceneError: The tier cannot serve the scene, or a package is missing.
         """
-        where = f"{self.path}: solver"
+        where = f"{self.name}: solver"
         chosen = self.solver if solver is None else schema.call(Solver, dict(solver), where)
         loads = Loads(self.robot.model.nv, (*self.forces, *forces), self.actuators)
         try:
@@ -165,7 +248,7 @@ class Scene:
             check_mass_anywhere(system)
             return ControlledJoints(system, self.actuated)
         except (ModelError, SolveError) as error:
-            raise SceneError(f"{self.path}: {error}") from error
+            raise SceneError(f"{self.name}: {error}") from error
 
     def simulation(
         self,
@@ -192,11 +275,11 @@ class Scene:
         method, correction = self.integrator, self.stabilization
         if integrator is not None or method is None:
             given = integrator or DEFAULT_INTEGRATOR
-            method = build_part("integrators", given, f"{self.path}: integrator")
+            method = build_part("integrators", given, f"{self.name}: integrator")
         if stabilization is not None or correction is None:
             given = stabilization or {"type": "projection" if system.rows else "none"}
-            correction = build_part("stabilization", given, f"{self.path}: stabilization")
+            correction = build_part("stabilization", given, f"{self.name}: stabilization")
         try:
             return Simulation(system, method, correction, self.dt if dt is None else dt)
         except ModelError as error:
-            raise SceneError(f"{self.path}: {error}") from error
+            raise SceneError(f"{self.name}: {error}") from error

@@ -3,8 +3,8 @@
 import math
 import sys
 import timeit
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.rows.row_factor import TOGGLE, RowFactor
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
+from mbd_ros.scene.building import parts_in
 from mbd_ros.scene.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE, Scene
 from mbd_ros.scene.part_entries import build_part
 from mbd_ros.scene.start_check import start_warnings
@@ -49,7 +50,7 @@ def _lines(scene: Scene) -> Iterator[str]:
     robot, couplings = scene.robot, scene.couplings
     gravity = np.array2string(robot.model.gravity.linear, separator=", ")
     base = "floating" if robot.floating else "fixed"
-    yield _line("scene", str(scene.path))
+    yield _line("scene", scene.name)
     yield _line("robot", f"{robot.name} from {scene.source}, {base} base")
     yield _line("gravity", f"{gravity} m/s^2, included in every torque")
     system = scene.system()
@@ -65,10 +66,6 @@ def _lines(scene: Scene) -> Iterator[str]:
     if robot.locked:
         locked = ", ".join(f"{name} at {value:g}" for name, value in robot.locked.items())
         yield _line("locked", locked)
-    for name, wrench in scene.wrenches.items():
-        load, topic = wrench.load, wrench.topic or f"~/wrench/{name}"
-        text = f"{name} on {load.frame}, expressed in {load.expressed_in}, topic {topic}"
-        yield _line("wrench", text)
     yield from _parts(scene)
     for key, name in scene.code.items():
         file = sys.modules[name.partition(":")[0]].__file__
@@ -103,15 +100,25 @@ def _rubbing(scene: Scene) -> Iterator[str]:
 
 
 def _parts(scene: Scene) -> Iterator[str]:
-    for label, parts in (("force", scene.forces), ("actuator", scene.actuators)):
-        for part in parts:
-            where = getattr(part, "joints", None) or [getattr(part, "joint", None)]
-            names = ", ".join(str(getattr(joint, "name", joint)) for joint in where if joint)
-            yield _line(label, f"{_name(part)}{f' at {names}' if names else ''}")
-    for constraint in scene.constraints:
-        rows = ", ".join(f"{row.name} [{row.unit}]" for row in constraint.rows)
-        law = "bilateral" if constraint.bounds is None else "bounded"
-        yield _line("constraint", f"{_name(constraint)}, {law}: {rows}")
+    """A line for every part whose section has a text: loads first, then rows."""
+    for section in sorted(scene.sections, key=lambda section: "residual" in section.offers):
+        if section.check and section.key in scene.parts:
+            built = scene.parts[section.key]
+            names = built if isinstance(built, Mapping) else repeat("")
+            label, _, text = section.check.partition(":")
+            for name, part in zip(names, parts_in(section, built), strict=False):
+                yield _line(label, text.strip().format(name=name, part=part, **_words(part)))
+
+
+def _words(part: Any) -> dict[str, str]:
+    """What texts of sections may say of a part."""
+    where = getattr(part, "joints", None) or [getattr(part, "joint", None)]
+    names = ", ".join(str(getattr(joint, "name", joint)) for joint in where if joint)
+    words = {"kind": _name(part), "at": f" at {names}" if names else ""}
+    if hasattr(part, "rows"):
+        words["rows"] = ", ".join(f"{row.name} [{row.unit}]" for row in part.rows)
+        words["law"] = "bilateral" if part.bounds is None else "bounded"
+    return words
 
 
 def _forward(scene: Scene, system: System) -> str:
@@ -183,10 +190,10 @@ def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
     try:
         x = assemble(system, system.reduce(scene.initial))
     except SolveError as error:
-        raise SolveError(f"{scene.path}: {error}") from error
+        raise SolveError(f"{scene.name}: {error}") from error
     a = system.acceleration(*x)
     if not np.isfinite(a).all():
-        raise SolveError(f"{scene.path}: accelerations at the start are not finite: {a}")
+        raise SolveError(f"{scene.name}: accelerations at the start are not finite: {a}")
     if not system.rows:
         return x, None
     return x, system.factorise(system.mass(x.q), system.jacobian(x.t, x.q))
@@ -244,7 +251,7 @@ def _cost(scene: Scene, data: Any) -> str:
 
 
 def _loop_cost(scene: Scene, x: State) -> str:
-    every = replace(scene, actuators=()).closed_loop()  # so that no fixed base is out of reach
+    every = scene.holding(actuators=()).closed_loop()  # so that no fixed base is out of reach
     x, a = every.consistent(x, np.zeros(scene.robot.model.nv))
     call = (lambda: every.reach(x)) if scene.robot.floating else (lambda: every.solve(x, a))
     return f"one inverse-dynamics call {_best(call) * 1e6:.0f} us"

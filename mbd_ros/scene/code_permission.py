@@ -11,9 +11,9 @@ from contextvars import ContextVar
 from typing import Any
 
 from mbd_ros.errors import SceneError
+from mbd_ros.scene.sections import SECTIONS
 
 HOW = "--allow-code on the command line, parameter allow_code of a node"
-_SECTIONS = ("constraints", "forces", "actuators", "stabilization", "integrator")
 _is_permitted: ContextVar[bool] = ContextVar("permitted", default=False)
 
 
@@ -32,25 +32,32 @@ def is_permitted() -> bool:
     return _is_permitted.get()
 
 
-def code_of_others(sections: Mapping[str, Any]) -> dict[str, str]:
-    """What a scene file would import from outside this package.
+def code_of_others(entries: Mapping[str, Any], foreign: Sequence[str] = ()) -> dict[str, str]:
+    """Types that a scene would import from outside this package.
 
     Args:
-        sections: The file, as read; entries that are no parts are left to who builds them.
+        entries: The file, as read; entries that are no parts are left to who builds them.
+        foreign: Keys of sections of other packages.
 
     Returns:
         Key, such as `forces[0].type`, -> `package.module:Class`.
     """
     found = {}
-    for key in _SECTIONS:
-        given = sections.get(key)
-        is_list = isinstance(given, Sequence) and not isinstance(given, str)
-        entries = {f"{key}[{i}]": e for i, e in enumerate(given)} if is_list else {key: given}
-        for where, entry in entries.items():
+    for key in (*(section.key for section in SECTIONS if section.has_types), *foreign):
+        for where, entry in _entries(key, entries.get(key)):
             name = entry.get("type") if isinstance(entry, Mapping) else None
             if isinstance(name, str) and ":" in name:
                 found[f"{where}.type"] = name
     return found
+
+
+def _entries(key: str, given: Any) -> Iterator[tuple[str, Any]]:
+    """Every mapping that may be a part, with its key: the section itself and what it holds."""
+    yield key, given
+    if isinstance(given, Mapping):
+        yield from ((f"{key}.{name}", entry) for name, entry in given.items())
+    elif isinstance(given, Sequence) and not isinstance(given, str):
+        yield from ((f"{key}[{i}]", entry) for i, entry in enumerate(given))
 
 
 def require_permission(where: str, code: Mapping[str, str]) -> None:

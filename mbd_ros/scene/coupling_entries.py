@@ -1,7 +1,6 @@
 """The `couplings` section of a scene -> functions."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from mbd_ros.core.model.coupling_functions import (
@@ -11,30 +10,50 @@ from mbd_ros.core.model.coupling_functions import (
     Polynomial,
     natural_cubic_spline,
 )
-from mbd_ros.core.model.couplings import Coupling
-from mbd_ros.errors import ModelError
+from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
+from mbd_ros.scene.site import Site
+
+FUNCTIONS = ("factor", "polynomial", "spline", "piecewise_polynomial")
 
 
-def coupling_functions(path: Path, entries: Any) -> dict[str, tuple[Coupling, str]]:
-    """Every dependent joint with what it follows and the kind of function.
-
-    Args:
-        path: Scene file, for the messages.
-        entries: The section.
+def build_couplings(site: Site, entries: Any) -> Couplings:
+    """The `couplings` section, and what `<mimic>` says of other joints.
 
     Raises:
         SceneError: Names file, joint and key.
     """
-    entries = schema.value(entries, Mapping[str, Any], f"{path}: couplings")
-    return {
-        name: schema.call(_coupling, entry, f"{path}: couplings.{name}", path, name)
+    entries = schema.value(entries, Mapping[str, Any], site.where)
+    functions = {
+        name: schema.call(_coupling, entry, f"{site.where}.{name}", site, name)
         for name, entry in entries.items()
+    }
+    try:
+        return Couplings(site.parts["robot"], functions)
+    except ModelError as error:
+        raise SceneError(f"{site.where}: {error}") from error
+
+
+def coupling_kinds(couplings: Couplings, entries: Mapping[str, Any]) -> dict[str, str]:
+    """Dependent joint -> parent and kind of coupling function, for people.
+
+    Args:
+        couplings: As `build_couplings` gives them.
+        entries: Of the section.
+    """
+    kinds = {
+        name: next(kind for kind in FUNCTIONS if entry.get(kind) is not None)
+        for name, entry in entries.items()
+    }
+    return {
+        name: f"{couplings.parents[name]} ({kinds.get(name, 'URDF mimic')})"
+        for name in couplings.dependent
     }
 
 
 def _coupling(
-    path: Path,
+    site: Site,
     name: str,
     *,
     parent: str,
@@ -43,13 +62,9 @@ def _coupling(
     polynomial: Sequence[float] | None = None,
     spline: Any = None,
     piecewise_polynomial: Any = None,
-) -> tuple[Coupling, str]:
-    functions: dict[str, Any] = {
-        "factor": factor,
-        "polynomial": polynomial,
-        "spline": spline,
-        "piecewise_polynomial": piecewise_polynomial,
-    }
+) -> Coupling:
+    values = (factor, polynomial, spline, piecewise_polynomial)
+    functions: dict[str, Any] = dict(zip(FUNCTIONS, values, strict=True))
     given = [kind for kind, function in functions.items() if function is not None]
     if len(given) != 1:
         raise ModelError(
@@ -60,8 +75,8 @@ def _coupling(
     if factor == 0:
         raise ModelError(f"factor is 0: the joint never moves; use robot.locked.{name} instead")
     kind = given[0]
-    where = f"{path}: couplings.{name}.{kind}"
-    return Coupling(parent, _function(kind, functions[kind], offset or 0.0, where)), kind
+    where = f"{site.where}.{name}.{kind}"
+    return Coupling(parent, _function(kind, functions[kind], offset or 0.0, where))
 
 
 def _function(kind: str, entry: Any, offset: float, where: str) -> CouplingFunction:

@@ -3,20 +3,16 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from mbd_ros.core.dynamics.tiers import TIERS
-from mbd_ros.core.model.couplings import Couplings
-from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.optimization.qp import check_backend
-from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
-from mbd_ros.scene.registry import PARTS, resolve
+from mbd_ros.scene.registry import METHODS, PARTS, resolve_type, types_of
+from mbd_ros.scene.sections import Form, Section
+from mbd_ros.scene.site import Site
 
 MAX_PARTS = 1000  # in one section
 MAX_ROWS = 600  # of all constraints: a solve costs their number cubed
@@ -30,6 +26,12 @@ class MeasuredWrench:
 
     load: ExternalWrench
     topic: str | None
+    name: str
+
+    @property
+    def heard_on(self) -> str:
+        """The topic, for people."""
+        return self.topic or f"~/wrench/{self.name}"
 
 
 @dataclass(frozen=True)
@@ -50,27 +52,15 @@ class Solver:
         check_backend(self.backend)
 
 
-@dataclass(frozen=True)
-class _Initial:
-    """The `initial` section; joints that it leaves out start at 0."""
-
-    position: Mapping[str, float] | None = None
-    velocity: Mapping[str, float] | None = None
-
-
-def build_wrenches(path: Path, robot: Robot, entries: Any) -> dict[str, MeasuredWrench]:
+def build_wrenches(site: Site, entries: Any) -> dict[str, MeasuredWrench]:
     """The `external_wrenches` section.
 
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    entries = schema.value(entries, Mapping[str, Any], f"{path}: external_wrenches")
-    if len(entries) > MAX_PARTS:
-        what = f"{path}: external_wrenches"
-        raise SceneError(f"{what}: {len(entries)} entries, accepted are {MAX_PARTS}")
     wrenches = {}
-    for name, entry in entries.items():
-        where = f"{path}: external_wrenches.{name}"
+    for name, entry in _named(site, entries).items():
+        where = f"{site.where}.{name}"
         if not _NAME.fullmatch(str(name)):
             raise SceneError(
                 f"{where}: is no ROS name, accepted: letters, digits and _, no digit first"
@@ -82,39 +72,59 @@ def build_wrenches(path: Path, robot: Robot, entries: Any) -> dict[str, Measured
                 f"{where}.topic: '{topic}' is no ROS topic, accepted: words of letters, digits "
                 "and _, no digit first, joined by single /, perhaps after / or ~/"
             )
-        wrenches[name] = MeasuredWrench(schema.call(ExternalWrench, entry, where, robot), topic)
+        load = schema.call(ExternalWrench, entry, where, site.robot)
+        wrenches[name] = MeasuredWrench(load, topic, name)
     return wrenches
 
 
-def build_parts(path: Path, section: str, robot: Robot, entries: Any) -> tuple[Any, ...]:
-    """A section that lists parts of a robot."""
-    entries = schema.value(entries, Sequence[Any], f"{path}: {section}")
-    if len(entries) > MAX_PARTS:
-        raise SceneError(f"{path}: {section}: {len(entries)} entries, accepted are {MAX_PARTS}")
+def build_section(site: Site, given: Any) -> Any:
+    """Parts of a robot by their `type`: one, a tuple of them, or a mapping by name.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    if site.section.form is Form.SINGLE:
+        return _part(site.section, given, site.where, site.robot)
+    if site.section.form is Form.NAMED:
+        return {
+            name: _part(site.section, entry, f"{site.where}.{name}", site.robot)
+            for name, entry in _named(site, given).items()
+        }
+    entries = schema.value(given, Sequence[Any], site.where)
+    _refuse_many(site, len(entries))
     return tuple(
-        build_part(section, entry, f"{path}: {section}[{i}]", robot)
+        _part(site.section, entry, f"{site.where}[{i}]", site.robot)
         for i, entry in enumerate(entries)
     )
 
 
-def build_constraints(path: Path, robot: Robot, entries: Any) -> tuple[Any, ...]:
+def build_constraints(site: Site, entries: Any) -> Any:
     """The `constraints` section.
 
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    parts = build_parts(path, "constraints", robot, entries)
+    parts = build_section(site, entries)
     rows = sum(len(part.rows) for part in parts)
     if rows > MAX_ROWS:
-        raise SceneError(f"{path}: constraints: {rows} rows, accepted are {MAX_ROWS}")
+        raise SceneError(f"{site.where}: {rows} rows, accepted are {MAX_ROWS}")
     return parts
 
 
-def build_part(section: str, given: Any, where: str, *context: Any) -> Any:
+def build_method(site: Site, given: Any) -> Any:
+    """A part that needs no robot.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    return _part(site.section, given, site.where)
+
+
+def build_part(kind: str, given: Any, where: str, *context: Any) -> Any:
     """The part of an entry with `type`.
 
     Args:
-        section: Key of the registry.
+        kind: Key of the registry.
         given: The entry.
         where: File and key, for the messages.
         *context: First arguments of the part, which do not come from the YAML.
@@ -122,36 +132,37 @@ def build_part(section: str, given: Any, where: str, *context: Any) -> Any:
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    if isinstance(given, str) and given in PARTS[section]:
+    return _typed(PARTS[kind], METHODS[kind], given, where, context)
+
+
+def _part(section: Section, given: Any, where: str, *context: Any) -> Any:
+    return _typed(types_of(section), section.offers, given, where, context)
+
+
+def _typed(
+    types: Mapping[str, str],
+    offers: Sequence[str],
+    given: Any,
+    where: str,
+    context: Sequence[Any],
+) -> Any:
+    if isinstance(given, str) and given in types:
         raise SceneError(f"{where}: expected a mapping, got '{given}': write {{type: {given}}}")
     entry = dict(schema.value(given, Mapping[str, Any], where))
     if entry.get("type") is None:
-        accepted = ", ".join(PARTS[section])
-        raise SceneError(
-            f"{where}: key 'type' is missing, accepted: {accepted}, or package.module:Class"
-        )
+        accepted = ", ".join((*types, "or package.module:Class"))
+        raise SceneError(f"{where}: key 'type' is missing, accepted: {accepted}")
     name = schema.value(entry.pop("type"), str, f"{where}.type")
-    return schema.call(resolve(section, name, f"{where}.type"), entry, where, *context)
+    part = resolve_type(types, offers, name, f"{where}.type")
+    return schema.call(part, entry, where, *context)
 
 
-def initial_state(path: Path, robot: Robot, couplings: Couplings, section: Any) -> State:
-    """The `initial` section as a state of all joints; dependent joints follow."""
-    where = f"{path}: initial"
-    initial: _Initial = schema.call(_Initial, section, where)
-    q, v = np.array(robot.neutral()), np.zeros(robot.model.nv)
-    for key, values, index in (
-        ("position", initial.position, "q"),
-        ("velocity", initial.velocity, "v"),
-    ):
-        for name, number in (values or {}).items():
-            if name in couplings.dependent:
-                raise SceneError(
-                    f"{where}.{key}.{name}: follows {couplings.parents[name]}, leave it out"
-                )
-            try:
-                joint = robot.joint(name)
-            except ModelError as error:
-                raise SceneError(f"{where}.{key}: {error}") from error
-            (q if index == "q" else v)[getattr(joint, index)] = number
-    couplings.expand(q, v, np.zeros(robot.model.nv))
-    return State(0.0, q, v)
+def _named(site: Site, given: Any) -> Mapping[str, Any]:
+    entries: Mapping[str, Any] = schema.value(given, Mapping[str, Any], site.where)
+    _refuse_many(site, len(entries))
+    return entries
+
+
+def _refuse_many(site: Site, number: int) -> None:
+    if number > MAX_PARTS:
+        raise SceneError(f"{site.where}: {number} entries, accepted are {MAX_PARTS}")

@@ -2,11 +2,12 @@
 
 import importlib
 import inspect
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.code_permission import module_path, require_permission
+from mbd_ros.scene.sections import SECTIONS, Section
 
 PARTS: Mapping[str, Mapping[str, str]] = {
     "actuators": {
@@ -60,21 +61,22 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "projection": "mbd_ros.stabilization.projection:Projection",
     },
 }
-METHODS = {  # what the parts of a section must have
-    "actuators": "torque",
-    "constraints": "residual",
-    "controllers": "effort",
-    "forces": "force",
-    "integrators": "prepare",
-    "stabilization": "correct",
+METHODS: Mapping[str, Sequence[str]] = {  # what the parts of a kind must have
+    **{section.parts: section.offers for section in SECTIONS if section.parts},
+    "controllers": ("effort",),  # of nodes, not of scenes
 }
 
 
-def resolve(section: str, name: str, where: str) -> Any:
+def types_of(section: Section) -> Mapping[str, str]:
+    """Type -> `module:Class` of a section."""
+    return PARTS[section.parts] if section.parts else section.types
+
+
+def resolve(kind: str, name: str, where: str) -> Any:
     """The class behind `type: name` in a section of a scene.
 
     Args:
-        section: Key of the scene, such as `forces`, or `controllers`.
+        kind: Key of the registry, such as `forces`, or `controllers`.
         name: A name of the registry, or `package.module:Class` of code outside this package,
             which is looked for as Python does: in PYTHONPATH and the installed packages.
         where: File and key, for the messages.
@@ -82,24 +84,48 @@ def resolve(section: str, name: str, where: str) -> Any:
     Raises:
         SceneError: There is none, with what exists; or nobody permitted code of others.
     """
-    target = PARTS[section].get(name, name)
-    module, _, attribute = target.partition(":")
+    return resolve_type(PARTS[kind], METHODS[kind], name, where)
+
+
+def resolve_type(types: Mapping[str, str], offers: Sequence[str], name: str, where: str) -> Any:
+    """The class behind `type: name`, for a section of any package.
+
+    Args:
+        types: Type -> `module:Class`.
+        offers: Methods that the class must have.
+        name: One of the types, or `package.module:Class`.
+        where: File and key, for the messages.
+
+    Raises:
+        SceneError: There is none, with what exists; or nobody permitted code of others.
+    """
+    module, _, attribute = types.get(name, name).partition(":")
     if not all(word.isidentifier() for word in (*module.split("."), attribute)):
-        accepted = ", ".join(PARTS[section])
-        raise SceneError(
-            f"{where}: unknown type '{name}', accepted: {accepted}, or package.module:Class"
-        )
-    if name not in PARTS[section]:
+        accepted = ", ".join((*types, "or package.module:Class"))
+        raise SceneError(f"{where}: unknown type '{name}', accepted: {accepted}")
+    if name not in types:
         require_permission(where, {"type": name})
-    part = _imported(module, attribute, f"{where}: type '{name}'")
-    if not (inspect.isclass(part) and hasattr(part, METHODS[section])):
+    part = imported(module, attribute, f"{where}: type '{name}'")
+    lacking = [method for method in offers if not hasattr(part, method)]
+    if not inspect.isclass(part) or lacking:
         raise SceneError(
-            f"{where}: type '{name}' is not a class with a method '{METHODS[section]}'"
+            f"{where}: type '{name}' is not a class with a method "
+            + " and ".join(f"'{method}'" for method in lacking or offers)
         )
     return part
 
 
-def _imported(module: str, attribute: str, where: str) -> Any:
+def imported(module: str, attribute: str, where: str) -> Any:
+    """What a module of this or another package has under a name.
+
+    Args:
+        module: Name of the module.
+        attribute: Name in it.
+        where: File, key and name, for the messages.
+
+    Raises:
+        SceneError: It cannot be imported, with where it was looked for; or it has none such.
+    """
     try:
         return getattr(importlib.import_module(module), attribute)
     except ModuleNotFoundError as error:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from mbd_ros.core.model.robot import Robot
@@ -11,6 +10,7 @@ from mbd_ros.core.model.urdf import MAX_CHARACTERS
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.locate import find_file
+from mbd_ros.scene.site import Site
 from mbd_ros.scene.strict_yaml import read_text
 
 
@@ -26,45 +26,47 @@ class RobotEntry:
     rename: Mapping[str, str] | None = None
 
 
-def read_entry(path: Path, section: Any) -> RobotEntry:
+def read_entry(where: str, given: Any, has_text: bool = False) -> RobotEntry:
     """The section, checked.
+
+    Args:
+        where: File and key, for the messages.
+        given: What the file holds.
+        has_text: Whether a description came with the scene, so that none need be named.
 
     Raises:
         SceneError: Names file and key.
     """
-    entry: RobotEntry = schema.call(RobotEntry, section, f"{path}: robot")
-    if (entry.urdf is None) == (entry.description_topic is None):
-        raise SceneError(f"{path}: robot: give either 'urdf' or 'description_topic'")
+    entry: RobotEntry = schema.call(RobotEntry, given, where)
+    named = (entry.urdf is not None) + (entry.description_topic is not None)
+    if named != 1 and not (has_text and not named):
+        raise SceneError(f"{where}: give either 'urdf' or 'description_topic'")
     if len(entry.gravity) != 3:
-        raise SceneError(f"{path}: robot.gravity: expected 3 numbers, got {entry.gravity}")
+        raise SceneError(f"{where}.gravity: expected 3 numbers, got {entry.gravity}")
     return entry
 
 
-def build_robot(path: Path, entry: RobotEntry, description: str | None) -> tuple[Robot, str]:
-    """The robot, and the file or topic that describes it.
-
-    Args:
-        path: Scene file.
-        entry: Its `robot` section.
-        description: URDF that arrived on the topic of the section.
+def build_robot(site: Site, given: Any) -> Robot:
+    """The `robot` section.
 
     Raises:
         SceneError: Names file, key and what is wrong.
     """
+    where, text = site.where, site.origin.description
+    entry = read_entry(where, given, site.origin.path is None and text is not None)
     if entry.urdf is not None:
-        source, text = _read_urdf(path, entry.urdf)
-    elif description is not None:
-        source, text = f"topic {entry.description_topic}", description
-    else:
+        source, text = _read_urdf(site, entry.urdf)
+    elif text is None:
         raise SceneError(
-            f"{path}: robot: the description comes from topic {entry.description_topic}, which "
-            "only a node can read; give 'urdf' to use the scene offline"
+            f"{where}: the description comes from topic {entry.description_topic}, which only a "
+            "node can read; give 'urdf' to use the scene offline"
         )
+    else:
+        source = f"topic {entry.description_topic}" if entry.description_topic else "URDF text"
     try:
-        robot = _robot(text, source, entry)
+        return _robot(text, source, entry)
     except ModelError as error:
-        raise SceneError(f"{path}: robot: {error}{_joints_to_lock(text, entry)}") from error
-    return robot, source
+        raise SceneError(f"{where}: {error}{_joints_to_lock(text, entry)}") from error
 
 
 def _robot(text: str, source: str, entry: RobotEntry) -> Robot:
@@ -89,9 +91,9 @@ def _joints_to_lock(text: str, entry: RobotEntry) -> str:
     return f"; the robot has {', '.join(joint.name for joint in robot.joints)}"
 
 
-def _read_urdf(path: Path, name: str) -> tuple[str, str]:
-    where = f"{path}: robot.urdf"
-    file = find_file(path.parent, name, where)
+def _read_urdf(site: Site, name: str) -> tuple[str, str]:
+    where = f"{site.where}.urdf"
+    file = find_file(site.origin.folder, name, where)
     try:
         return str(file), read_text(file, MAX_CHARACTERS, "robot description")
     except SceneError as error:

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 from fuzz import urdf
 from fuzz.values import NUMBERS, anything, spoil_text
 
-from mbd_ros.scene.reader import SECTIONS
 from mbd_ros.scene.registry import PARTS, resolve
+from mbd_ros.scene.sections import SECTIONS, keys
 
 LISTS = ("constraints", "forces", "actuators")
 CHOICES = {  # words that a key accepts
@@ -180,7 +180,7 @@ def _spoil(rng: random.Random, given: dict[str, Any]) -> None:
         del holder[key]
     elif isinstance(holder, dict):
         word = anything(rng)
-        new = rng.choice((*SECTIONS, "type", "joint", str(word)))
+        new = rng.choice((*keys(SECTIONS), "type", "joint", str(word)))
         holder[new] = anything(rng) if draw < 0.9 else holder.pop(key)
     else:
         holder.extend([holder[key]] * rng.choice((1, 2, 30)))

@@ -81,6 +81,7 @@ class Robot:
         ignored: What else the description holds and this package leaves out.
         origin: Where positions in the model are counted from, in the world of the description
             [m], shape (3,): 0, or the first joint of a fixed base that is more than 2 m away.
+        source: File or topic of the description, for people.
     """
 
     name: str
@@ -94,6 +95,7 @@ class Robot:
     rubbing: Mapping[str, Rubbing]
     ignored: tuple[str, ...]
     origin: Array
+    source: str
 
     def joint(self, name: str) -> Joint:
         """Joint of that topic name.

@@ -74,6 +74,7 @@ def read_robot(
         rubbing=_rubbing(tree, names),
         ignored=("URDF <transmission>",) if tree.find("transmission") is not None else (),
         origin=origin,
+        source=source,
     )
 
 

@@ -63,10 +63,10 @@ def inverse_dynamics_of(
     is_bag(out)
     refuse_overwriting(out, motion, wrenches)
     if with_parts and scene.has_loops:
-        raise DataError(f"{scene.path}: --parts goes with scenes without loops only")
+        raise DataError(f"{scene.name}: --parts goes with scenes without loops only")
     needed = () if scene.has_loops else scene.couplings.independent
     if scene.robot.floating:
-        raise DataError(f"{scene.path}: robot.base: files carry no pose of a floating base")
+        raise DataError(f"{scene.name}: robot.base: files carry no pose of a floating base")
     inverse = scene.inverse_dynamics()
     yield from (f"warning: {text}" for text in scene.robot.doubts)
     with about("--cutoff"):

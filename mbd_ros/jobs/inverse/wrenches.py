@@ -36,7 +36,7 @@ def read_loads(
     path = wrenches or motion
     if not is_bag(path) and wrenches is None:
         raise DataError(
-            f"{scene.path}: external_wrenches {', '.join(scene.wrenches)}: a table of joints does "
+            f"{scene.name}: external_wrenches {', '.join(scene.wrenches)}: a table of joints does "
             "not carry them; give --wrenches FILE"
         )
     topics = {name: wrench.topic for name, wrench in scene.wrenches.items()}
@@ -58,7 +58,7 @@ def refuse_unused(scene: Scene, wrenches: Path | None) -> None:
         DataError: The scene has no `external_wrenches`.
     """
     if wrenches is not None and not scene.wrenches:
-        raise DataError(f"--wrenches {wrenches}: {scene.path} has no external_wrenches to take it")
+        raise DataError(f"--wrenches {wrenches}: {scene.name} has no external_wrenches to take it")
 
 
 def wrench_at(name: str, samples: WrenchSamples, stamps: np.ndarray) -> Array:

@@ -59,7 +59,7 @@ def check_words(scene: Scene, run: Run) -> None:
         MbdError: Names the option, what is wrong with it and what is accepted.
     """
     if scene.robot.floating:
-        raise DataError(f"{scene.path}: robot.base: files carry no pose of a floating base")
+        raise DataError(f"{scene.name}: robot.base: files carry no pose of a floating base")
     _check_times(scene, run)
     if "solver" in run.options:
         schema.call(Solver, run.options["solver"], "--solver")
@@ -75,7 +75,7 @@ def _check_times(scene: Scene, run: Run) -> None:
         raise DataError(
             f"--start: {run.start:g} s must be finite, the simulation within {TIME_LIMIT:g} s"
         )
-    shown = f"--dt: {dt:g} s" if "dt" in run.options else f"{scene.path}: dt: {dt:g} s"
+    shown = f"--dt: {dt:g} s" if "dt" in run.options else f"{scene.name}: dt: {dt:g} s"
     if dt < _RESOLVED * math.ulp(max(abs(run.start), abs(end))):
         raise DataError(f"{shown} is lost in rounding between {run.start:g} and {end:g} s")
     if run.duration / dt > MOST_ROWS:
@@ -105,7 +105,7 @@ def method_entry(
     if integrator is None and tolerance is None:
         return None
     entry = dict(scene.integrator_entry or DEFAULT_INTEGRATOR)
-    where, whose = "--tolerance", f"of {scene.path}" if scene.integrator else "by default"
+    where, whose = "--tolerance", f"of {scene.name}" if scene.integrator else "by default"
     if integrator is not None:
         entry, where, whose = {"type": integrator}, f"--integrator {integrator}", "you chose"
     kind = resolve("integrators", entry["type"], where.partition(" ")[0])

@@ -60,7 +60,7 @@ def simulate(scene: Scene, run: Run) -> Iterator[str]:
     """
     check_words(scene, run)
     if not scene.robot.joints:
-        raise DataError(f"{scene.path}: no joint of the robot moves, so there is no motion")
+        raise DataError(f"{scene.name}: no joint of the robot moves, so there is no motion")
     kept = diverged_place(run.out)
     for place in (run.out, kept):
         refuse_overwriting(place, run.origin, run.efforts, run.wrenches)
@@ -78,11 +78,11 @@ def simulate(scene: Scene, run: Run) -> Iterator[str]:
     failure = lost or failure
     if failure is not None:
         if not len(record.times):
-            raise type(failure)(f"{scene.path}: {failure}") from failure
+            raise type(failure)(f"{scene.name}: {failure}") from failure
         early = Interrupted(f"{failure}; {_kept(kept, record)}")
         early.exit_code = INTERRUPTED if isinstance(failure, _CtrlC) else FAILED
         raise early
-    with about(scene.path):
+    with about(scene.name):
         said = list(_summary(simulation, record, wall, evaluations))
         found = step_warnings(simulation.system, simulation.integrator, simulation.dt, states)
         said += [f"warning: {text}" for text in found]

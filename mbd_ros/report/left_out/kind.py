@@ -6,7 +6,6 @@ import sys
 import time
 import timeit
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -136,10 +135,10 @@ def _with_stops(scene: Scene) -> Scene:
     """The scene with an idle stop at every joint that has one position."""
     stop = {"type": "joint_stop", "joints": ["all"], "lower": -_FAR, "upper": _FAR}
     try:
-        part = build_part("constraints", stop, f"{scene.path}: stops", scene.robot)
+        part = build_part("constraints", stop, f"{scene.name}: stops", scene.robot)
     except ModelError:
         return scene
-    return replace(scene, constraints=(*scene.constraints, part))
+    return scene.holding(constraints=(*scene.constraints, part))
 
 
 def _best(call: Callable[[], object], calls: int) -> float:

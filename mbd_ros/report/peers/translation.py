@@ -3,7 +3,6 @@
 import inspect
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +13,6 @@ from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
 from mbd_ros.report.peers.task import Body, End, Follow, Spring, Task
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.strict_yaml import read_mapping
 
 _FORCES = ("joint_friction", "joint_spring", "joint_torque", "point_spring")
 _CLOSED = 1.0e-8  # m: directions that no row holds and that stay closed by themselves
@@ -56,7 +54,7 @@ def common_ground(scene: Scene) -> Ground:
 
     Stops and stiction of peers are soft, whatever their settings; other forces they do not know.
     """
-    given, left = read_mapping(scene.path), []
+    given, left = scene.entries, []
     kept: dict[str, tuple[Any, ...]] = {}
     entries: dict[str, tuple[Entry, ...]] = {}
     for section, parts in (("constraints", scene.constraints), ("forces", scene.forces)):
@@ -70,7 +68,7 @@ def common_ground(scene: Scene) -> Ground:
         ]
         kept[section] = tuple(part for part, _ in told)
         entries[section] = tuple(entry for _, entry in told)
-    scene = replace(scene, **kept) if left else scene
+    scene = scene.holding(**kept) if left else scene
     return Ground(scene, entries["constraints"], entries["forces"], tuple(left))
 
 
@@ -157,7 +155,7 @@ def _body_of(scene: Scene, joint: str) -> int:
 
 
 def _couplings(scene: Scene) -> Iterator[Follow]:
-    given = read_mapping(scene.path).get("couplings") or {}
+    given = scene.entries.get("couplings", {})
     model = scene.robot.model
     bodies = {int(joint.idx_v): i for i, joint in enumerate(model.joints) if i}
     links = zip(scene.couplings.dependent, scene.couplings.pairs, strict=True)

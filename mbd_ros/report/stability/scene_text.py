@@ -57,7 +57,7 @@ def load_file(name: str) -> LoadedScene:
         SceneError: It cannot be built.
     """
     scene = load_scene(name)
-    return LoadedScene(scene, read_mapping(scene.path))
+    return LoadedScene(scene, scene.entries)
 
 
 def flow(value: Any) -> str:

@@ -1,0 +1,156 @@
+"""Entries of a file -> what the table of its sections makes of them."""
+
+import importlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.errors import SceneError
+from mbd_ros.scene.code_permission import code_of_others, require_permission
+from mbd_ros.scene.sections import REQUIRED, SECTIONS, Form, Section, keys, ordered
+from mbd_ros.scene.site import Origin, Site
+
+
+class Table(NamedTuple):
+    """The sections that some entries have.
+
+    Attributes:
+        sections: Those of this package, then those of others.
+        code: Key -> `module:NAME` of what comes from outside this package.
+    """
+
+    sections: tuple[Section, ...]
+    code: Mapping[str, str]
+
+
+def foreign_keys(origin: Origin, entries: Mapping[str, Any]) -> dict[str, str]:
+    """Key -> entry point of those sections that other packages declare; nothing is imported.
+
+    Raises:
+        SceneError: A key that nobody knows.
+    """
+    unknown = [key for key in entries if key not in keys(SECTIONS)]
+    foreign = _declared(unknown)
+    refuse_unknown(origin, [key for key in unknown if key not in foreign], SECTIONS)
+    return foreign
+
+
+def table_of(origin: Origin, entries: Mapping[str, Any], foreign: Mapping[str, str]) -> Table:
+    """The table of the sections that a scene has, those of other packages included.
+
+    Args:
+        origin: Where the entries come from.
+        entries: By key.
+        foreign: As `foreign_keys` gives it.
+
+    Raises:
+        SceneError: Code of others that nobody permitted, or that is no section.
+    """
+    code = {**foreign, **code_of_others(entries, tuple(foreign))}
+    require_permission(origin.name, code)
+    return Table((*SECTIONS, *_imported(origin, foreign)), code)
+
+
+def refuse_unknown(origin: Origin, unknown: Sequence[str], table: Sequence[Section]) -> None:
+    """Refuse the first of the keys that are in no table.
+
+    Raises:
+        SceneError: Names it and what is accepted.
+    """
+    if unknown:
+        accepted = ", ".join(keys(table))
+        raise SceneError(f"{origin.name}: unknown key '{unknown[0]}', accepted: {accepted}")
+
+
+def present(
+    origin: Origin, entries: Mapping[str, Any], table: Iterable[Section]
+) -> dict[str, Any]:
+    """The entries without those that are null; required ones must be there.
+
+    Raises:
+        SceneError: Names the key that is missing.
+    """
+    required = [section.key for section in table if section.absent is REQUIRED]
+    for key in required:
+        if key not in entries:
+            raise SceneError(f"{origin.name}: key '{key}' is missing")
+    return {key: e for key, e in entries.items() if e is not None or key in required}
+
+
+def build(
+    origin: Origin,
+    entries: Mapping[str, Any],
+    table: Sequence[Section],
+    kept: Mapping[str, Any] | None = None,
+) -> tuple[dict[str, Any], Robot | None]:
+    """What the sections make of their entries, in the order of what they come after.
+
+    Args:
+        origin: Where the entries come from.
+        entries: By key.
+        table: The sections.
+        kept: What is built already.
+
+    Returns:
+        What is built by key, and the robot with the inertia of all drives.
+
+    Raises:
+        SceneError: Names file, key, what is wrong and what is accepted.
+    """
+    parts: dict[str, Any] = {}
+    robot: Robot | None = None
+    for section in ordered(table):
+        given = entries.get(section.key, section.absent)
+        if kept is not None and section.key in kept:
+            parts[section.key] = kept[section.key]
+        elif given is not None or section.absent is REQUIRED:
+            parts[section.key] = _builder(section)(Site(section, origin, robot, parts), given)
+        else:
+            continue
+        if section.key == "robot":
+            robot = parts["robot"]
+        elif robot is not None:
+            robot = _with_armature(robot, parts_in(section, parts[section.key]))
+    return parts, robot
+
+
+def parts_in(section: Section, built: Any) -> tuple[Any, ...]:
+    """The parts of a section, whatever its form."""
+    if section.form is Form.LIST:
+        return tuple(built)
+    if section.form is Form.NAMED and isinstance(built, Mapping):
+        return tuple(built.values())
+    return (built,)
+
+
+def _builder(section: Section) -> Any:
+    module, _, name = section.build.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def _declared(unknown: Sequence[str]) -> dict[str, str]:
+    if not unknown:
+        return {}
+    from mbd_ros.scene.foreign_sections import declared
+
+    return declared(unknown)
+
+
+def _imported(origin: Origin, foreign: Mapping[str, str]) -> list[Section]:
+    if not foreign:
+        return []
+    from mbd_ros.scene.foreign_sections import import_section
+
+    return [import_section(key, target, origin.name) for key, target in foreign.items()]
+
+
+def _with_armature(robot: Robot, parts: Sequence[Any]) -> Robot:
+    """The robot with the inertia that drives among the parts add to its joints."""
+    drives = [part for part in parts if hasattr(part, "armature")]
+    added = sum(drive.armature() for drive in drives)
+    if not drives or not added.any():
+        return robot
+    model = robot.model.copy()
+    model.armature = model.armature + added
+    return replace(robot, model=model)

@@ -1,0 +1,167 @@
+"""The sections of a scene and of a task file, a line each: what a new kind of part needs.
+
+A package of somebody else adds sections by an entry point of the group `mbd_ros.sections`: the
+name is the key, the value `module:NAME` of a `Section`. See `foreign_sections`.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from enum import Enum
+from typing import Any, NamedTuple
+
+from mbd_ros.errors import SceneError
+
+_NOTHING: Mapping[str, Any] = {}
+_PARTS, _ENTRIES = "mbd_ros.scene.part_entries", "mbd_ros.scene.single_entries"
+
+
+class Form(Enum):
+    """What the YAML of a section holds."""
+
+    SINGLE = "one entry"
+    LIST = "a list of entries"
+    NAMED = "entries by name"
+
+
+REQUIRED = object()  # as `absent`: a file without the section is refused
+
+
+class Section(NamedTuple):
+    """A line of the table.
+
+    Attributes:
+        key: Its key in the file.
+        form: One entry, a list, or entries by name.
+        build: `module:function`, imported when there is something to build. It gets a `Site` and
+            what the file holds, and returns what `Scene.parts` keeps under the key. The default
+            builds parts by their `type`.
+        after: Keys of what must be built before, where the file has it.
+        offers: Methods that a class named by `type` must have. Parts with `force` are forces of
+            the scene, with `residual` constraints and with `torque` actuators, in any section.
+        check: Line of `check` for every part: a label, a colon and a text with {kind}, {name},
+            {at}, {law}, {rows} and {part.attribute}. Empty: `check` says it elsewhere.
+        parts: Where `registry.PARTS` keeps its types; empty for entries without types.
+        types: Type -> `module:Class`, for a section that `registry.PARTS` does not know.
+        absent: What is built where the file leaves the section out; None builds nothing.
+    """
+
+    key: str
+    form: Form
+    build: str = f"{_PARTS}:build_section"
+    after: tuple[str, ...] = ("robot", "couplings", "actuators")
+    offers: tuple[str, ...] = ()
+    check: str = ""
+    parts: str = ""
+    types: Mapping[str, str] = _NOTHING
+    absent: Any = None
+
+    @property
+    def has_types(self) -> bool:
+        """Whether `type` in an entry chooses a class."""
+        return bool(self.parts or self.types or self.offers)
+
+
+_WRENCH = (
+    "wrench: {name} on {part.load.frame}, expressed in {part.load.expressed_in}, "
+    "topic {part.heard_on}"
+)
+_EVERY_ROBOT = ("robot", "actuators")  # with the inertia of its drives
+
+SECTIONS = (
+    Section("robot", Form.SINGLE, "mbd_ros.scene.robot_entry:build_robot", (), absent=REQUIRED),
+    Section(
+        "couplings",
+        Form.NAMED,
+        "mbd_ros.scene.coupling_entries:build_couplings",
+        ("robot",),
+        absent=_NOTHING,
+    ),
+    Section(
+        "external_wrenches",
+        Form.NAMED,
+        f"{_PARTS}:build_wrenches",
+        _EVERY_ROBOT,
+        check=_WRENCH,
+    ),
+    Section(
+        "constraints",
+        Form.LIST,
+        f"{_PARTS}:build_constraints",
+        _EVERY_ROBOT,
+        ("residual",),
+        "constraint: {kind}, {law}: {rows}",
+        "constraints",
+    ),
+    Section(
+        "forces",
+        Form.LIST,
+        after=_EVERY_ROBOT,
+        offers=("force",),
+        check="force: {kind}{at}",
+        parts="forces",
+    ),
+    Section(
+        "actuators",
+        Form.LIST,
+        after=("robot",),
+        offers=("torque",),
+        check="actuator: {kind}{at}",
+        parts="actuators",
+    ),
+    Section(
+        "stabilization",
+        Form.SINGLE,
+        f"{_PARTS}:build_method",
+        (),
+        ("correct",),
+        parts="stabilization",
+    ),
+    Section("solver", Form.SINGLE, f"{_ENTRIES}:build_solver", (), absent=_NOTHING),
+    Section(
+        "integrator",
+        Form.SINGLE,
+        f"{_PARTS}:build_method",
+        (),
+        ("prepare",),
+        parts="integrators",
+    ),
+    Section("dt", Form.SINGLE, f"{_ENTRIES}:build_step", (), absent=1.0e-3),  # s
+    Section(
+        "initial",
+        Form.SINGLE,
+        f"{_ENTRIES}:build_initial",
+        (*_EVERY_ROBOT, "couplings"),
+        absent=_NOTHING,
+    ),
+    Section("safe", Form.SINGLE, f"{_ENTRIES}:build_safe", (), absent=_NOTHING),
+)
+TASKS = (Section("simulate", Form.SINGLE, "mbd_ros.scene.simulate_task:build_task", ()),)
+
+
+def keys(table: Iterable[Section]) -> tuple[str, ...]:
+    """Keys of a table, in its order."""
+    return tuple(section.key for section in table)
+
+
+def ordered(table: Sequence[Section]) -> list[Section]:
+    """The sections as they are built: each after what it names, else in the order of the table.
+
+    Raises:
+        SceneError: A section waits for one that is not in the table, or for itself.
+    """
+    known = set(keys(table))
+    for section in table:
+        unknown = [name for name in section.after if name not in known]
+        if unknown:
+            raise SceneError(
+                f"section '{section.key}' comes after unknown {', '.join(unknown)}; there are "
+                f"{', '.join(keys(table))}"
+            )
+    left, done = list(table), list[Section]()
+    while left:
+        ready = (s for s in left if not any(name in s.after for name in keys(left)))
+        following = next(ready, None)
+        if following is None:
+            raise SceneError(f"sections wait for each other: {', '.join(keys(left))}")
+        left.remove(following)
+        done.append(following)
+    return done

@@ -1,0 +1,71 @@
+"""Sections of one entry without a type: solver, step, start and safe command."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.ranges import Unlimited
+from mbd_ros.core.simulation.safe_command import SafeCommand
+from mbd_ros.core.state import State
+from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.scene import schema
+from mbd_ros.scene.built_scene import refuse_dt
+from mbd_ros.scene.part_entries import Solver
+from mbd_ros.scene.site import Site
+
+
+@dataclass(frozen=True)
+class _Initial:
+    """The `initial` section; joints that it leaves out start at 0."""
+
+    position: Mapping[str, float] | None = None
+    velocity: Mapping[str, float] | None = None
+
+
+def build_solver(site: Site, given: Any) -> Any:
+    """The `solver` section."""
+    return schema.call(Solver, given, site.where)
+
+
+def build_safe(site: Site, given: Any) -> Any:
+    """The `safe` section."""
+    return schema.call(SafeCommand, given, site.where)
+
+
+def build_step(site: Site, given: Any) -> float:
+    """The `dt` section [s]."""
+    dt: float = schema.value(given, Unlimited, site.where)
+    refuse_dt(dt, site.where, SceneError)
+    return dt
+
+
+def build_initial(site: Site, given: Any) -> State:
+    """The `initial` section as a state of all joints; dependent joints follow.
+
+    Raises:
+        SceneError: Names file, key and joint.
+    """
+    initial: _Initial = schema.call(_Initial, given, site.where)
+    robot, couplings = site.robot, site.parts["couplings"]
+    assert robot is not None and isinstance(couplings, Couplings)
+    q, v = np.array(robot.neutral()), np.zeros(robot.model.nv)
+    for key, values, index in (
+        ("position", initial.position, "q"),
+        ("velocity", initial.velocity, "v"),
+    ):
+        for name, number in (values or {}).items():
+            where = f"{site.where}.{key}"
+            if name in couplings.dependent:
+                raise SceneError(
+                    f"{where}.{name}: follows {couplings.parents[name]}, leave it out"
+                )
+            try:
+                joint = robot.joint(name)
+            except ModelError as error:
+                raise SceneError(f"{where}: {error}") from error
+            (q if index == "q" else v)[getattr(joint, index)] = number
+    couplings.expand(q, v, np.zeros(robot.model.nv))
+    return State(0.0, q, v)

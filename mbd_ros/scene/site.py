@@ -1,0 +1,58 @@
+"""Where an entry stands, and what it may be built from."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.scene.sections import Section
+
+if TYPE_CHECKING:
+    from mbd_ros.scene.built_scene import Scene
+
+NO_FILE = "scene"  # what messages call a scene that no file holds
+
+
+class Origin(NamedTuple):
+    """What a scene or a task was read from.
+
+    Attributes:
+        path: The file, None where the sections come from Python.
+        description: URDF that came with it: from a topic, or from Python.
+        task_of: The scene that a task is asked of, None for a scene.
+    """
+
+    path: Path | None = None
+    description: str | None = None
+    task_of: "Scene | None" = None
+
+    @property
+    def name(self) -> str:
+        """For the messages."""
+        return NO_FILE if self.path is None else str(self.path)
+
+    @property
+    def folder(self) -> Path:
+        """What relative paths start from; without a file the current folder."""
+        return Path() if self.path is None else self.path.parent
+
+
+class Site(NamedTuple):
+    """What the builder of a section knows.
+
+    Attributes:
+        section: Its line of the table.
+        origin: The file, or where else the entries came from.
+        robot: The robot with the inertia of the drives that are built; None before it is.
+        parts: What is built, by key.
+    """
+
+    section: Section
+    origin: Origin
+    robot: Robot | None
+    parts: Mapping[str, Any]
+
+    @property
+    def where(self) -> str:
+        """File and key, for the messages."""
+        return f"{self.origin.name}: {self.section.key}"
