@@ -4,11 +4,12 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
-from importlib import import_module
 
 from mbd_ros.errors import BAD_INPUT, INTERRUPTED, OK, MbdError, install_hint
-from mbd_ros.jobs.table import COMMANDS
+from mbd_ros.jobs.table import COMMANDS, CommandError, command_module
 from mbd_ros.scene.code_permission import permitting
+
+_EXAMPLE = "mbd-ros simulate prosthetic_leg -t 1 -o swing.csv"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -43,20 +44,53 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(name: str, words: Sequence[str]) -> int:
-    parser = argparse.ArgumentParser(
-        prog="mbd-ros", description="Multibody dynamics of prostheses and robot arms."
-    )
-    commands = parser.add_subparsers(dest="command", required=True)
-    for known, command in COMMANDS.items():
-        commands.add_parser(known, help=command.text, description=command.text)
-    if name not in COMMANDS:
+    """Understand the words and do what they say.
+
+    Without words the program shows its help and an example, as a mistake: exit code 2, on stderr,
+    so that a script whose command is an empty variable does not go on.
+    """
+    parser, commands = _parser()
+    if not words:
+        parser.exit(BAD_INPUT, parser.format_help())
+    if name.startswith("-"):
         parser.parse_args(words)
         parser.error("the command comes first")
-    module = import_module(COMMANDS[name].module)
+    try:
+        module = command_module(name)
+    except CommandError as error:
+        parser.error(str(error))
+    if name not in COMMANDS:
+        commands.add_parser(name, description=(module.__doc__ or "").partition("\n\n")[0])
     module.add_arguments(commands.choices[name])
     arguments = parser.parse_args(words)
     with permitting(getattr(arguments, "allow_code", False)):
         return int(module.run(arguments))
+
+
+def _parser() -> tuple[
+    argparse.ArgumentParser, "argparse._SubParsersAction[argparse.ArgumentParser]"
+]:
+    """The parser with all commands of the table, which have no options yet."""
+    parser = argparse.ArgumentParser(
+        prog="mbd-ros",
+        description="Multibody dynamics of prostheses and robot arms.",
+        epilog=f"example: {_EXAMPLE}",
+    )
+    parser.add_argument("--version", action=_ShowVersion, nargs=0, help="show it and exit")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, command in COMMANDS.items():
+        commands.add_parser(name, help=command.text, description=command.text)
+    return parser, commands
+
+
+class _ShowVersion(argparse.Action):
+    """Looks the version up when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *words: object) -> None:
+        from importlib.metadata import version
+
+        print(f"mbd-ros {version('mbd_ros')}")
+        parser.exit()
 
 
 if __name__ == "__main__":

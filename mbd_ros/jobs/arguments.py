@@ -15,6 +15,11 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
     add_allow_code(parser)
 
 
+def names_scenes(argument: argparse.Action) -> bool:
+    """Whether the words of an argument are scenes, of which there are embedded ones."""
+    return argument.dest in ("scene", "scenes")
+
+
 def add_allow_code(parser: argparse.ArgumentParser) -> None:
     """The permission to import the code that scenes name; the program acts on it."""
     parser.add_argument("--allow-code", action="store_true", help=_ALLOW_CODE)

@@ -5,7 +5,21 @@ The module of a command has two functions: `add_arguments(parser)` declares its 
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from importlib import import_module
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from mbd_ros.errors import MbdError
+from mbd_ros.scene.nearest import nearest
+
+if TYPE_CHECKING:
+    import argparse
+    from importlib.metadata import EntryPoint
+
+GROUP = "mbd_ros.commands"  # entry points of other packages: name -> module
+
+
+class CommandError(MbdError):
+    """A command that does not exist or cannot be used."""
 
 
 class Command(NamedTuple):
@@ -18,6 +32,16 @@ class Command(NamedTuple):
 
     module: str
     text: str
+
+
+class CommandModule(Protocol):
+    """What the module of a command has."""
+
+    def add_arguments(self, parser: "argparse.ArgumentParser") -> None:
+        """Declare the options."""
+
+    def run(self, arguments: "argparse.Namespace") -> int:
+        """Do what the options say; the exit code."""
 
 
 COMMANDS: Mapping[str, Command] = {
@@ -34,4 +58,46 @@ COMMANDS: Mapping[str, Command] = {
     "report": Command(
         "mbd_ros.report.command", "error against run time, stability and cost, on one page"
     ),
+    "completion": Command(
+        "mbd_ros.jobs.completion.command", "a script that completes words in a shell"
+    ),
 }
+
+
+def command_module(name: str) -> CommandModule:
+    """Import a command.
+
+    Args:
+        name: A line of `COMMANDS`, or else a command that an installed package adds as an entry
+            point of the group `mbd_ros.commands`; these are looked up for names that are not in
+            the table, and for no others.
+
+    Raises:
+        CommandError: There is none, with the nearest and all that there are; or the module
+            cannot be imported, or lacks a function.
+    """
+    if name in COMMANDS:
+        return import_module(COMMANDS[name].module)
+    points = added_commands()
+    if name not in points:
+        close = nearest(name, [*COMMANDS, *points], 1)
+        hint = f"the nearest is '{close[0]}', " if close else ""
+        raise CommandError(
+            f"there is no command '{name}'; {hint}accepted: {', '.join([*COMMANDS, *points])}"
+        )
+    where = f"command '{name}' ({points[name].value})"
+    try:
+        module = points[name].load()
+    except (ImportError, SyntaxError, AttributeError) as error:
+        raise CommandError(f"{where} cannot be imported: {error}") from error
+    for function in ("add_arguments", "run"):
+        if not callable(getattr(module, function, None)):
+            raise CommandError(f"{where} has no function '{function}'")
+    return module
+
+
+def added_commands() -> "dict[str, EntryPoint]":
+    """The commands of other packages, by name."""
+    from importlib.metadata import entry_points  # takes longer than all else here
+
+    return {point.name: point for point in sorted(entry_points(group=GROUP))}

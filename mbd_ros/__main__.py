@@ -1,0 +1,8 @@
+"""`python -m mbd_ros ..`: the program `mbd-ros`, where it is not on the path."""
+
+import sys
+
+from mbd_ros.programs import mbd_ros
+
+if __name__ == "__main__":
+    sys.exit(mbd_ros())
