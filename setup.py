@@ -49,9 +49,12 @@ setup(
     extras_require={
         "dask": ["dask[distributed]"],
         "peers": ["drake", "mujoco"],
+        "tables": ["pandas", "pyarrow"],
         "dev": [
             "daqp",
             "mypy",
+            "pandas",
+            "pyarrow",
             "pytest",
             "pytest-timeout",
             "pytest-xdist",

@@ -197,7 +197,7 @@ def test_every_file_keeps_to_its_layer():
         ("mbd_ros/demo/run.py", "import mbd_ros.nodes.shell.shell"),
         ("mbd_ros/cli.py", "from mbd_ros.nodes.inverse_dynamics.node import InverseDynamicsNode"),
         ("mbd_ros/jobs/check.py", "def f():\n    import mbd_ros.nodes.shell.shell"),
-        ("mbd_ros/files/tables.py", "from mbd_ros.jobs.progress import progress"),
+        ("mbd_ros/files/csv.py", "from mbd_ros.jobs.progress import progress"),
         ("mbd_ros/core/rows/law.py", "from mbd_ros.core.dynamics.system import System"),
         ("mbd_ros/core/state.py", "from mbd_ros.core.model.robot import Robot"),
     ],

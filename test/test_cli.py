@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mbd_ros.cli import main
-from mbd_ros.files.tables import read_table, write_table
+from mbd_ros.files.csv import read_table, write_table
 from mbd_ros.scene.reader import load_scene
 
 SCENES = Path(__file__).parents[1] / "config/scenes"
@@ -221,8 +221,8 @@ def test_every_kind_of_output_holds_the_same_torques(capsys, tmp_path, motion, n
         ("check none.yaml", "mbd-ros check: none.yaml: scene file cannot be read: No such file"),
         ("inverse none.yaml m.csv -o o.csv", "mbd-ros inverse: none.yaml: scene file cannot be"),
         ("inverse SCENE none.csv -o o.csv", "none.csv: cannot be read (No such file or direc"),
-        ("inverse SCENE m.txt -o o.csv", "m.txt: neither a table (.csv, .csv.gz) nor a bag"),
-        ("inverse SCENE m.csv -o o.txt", "o.txt: neither a table (.csv, .csv.gz) nor a bag"),
+        ("inverse SCENE m.txt -o o.csv", "m.txt: no format has this suffix; accepted: .csv"),
+        ("inverse SCENE m.csv -o o.txt", "o.txt: no format has this suffix; accepted: .csv"),
         ("inverse SCENE m.csv -o no/o.csv", "no/o.csv: directory no does not exist"),
         ("inverse SCENE no/bag -o o.csv", "no/bag"),
         ("inverse SCENE m.csv -o m.csv", "-o m.csv: the result would take the place of m.csv"),

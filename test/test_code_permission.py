@@ -10,7 +10,7 @@ import pytest
 
 from mbd_ros.cli import main
 from mbd_ros.errors import SceneError
-from mbd_ros.files.tables import write_table
+from mbd_ros.files.csv import write_table
 from mbd_ros.scene.code_permission import is_permitted, permitting
 from mbd_ros.scene.reader import load_scene
 

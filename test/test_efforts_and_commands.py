@@ -10,7 +10,7 @@ from mbd_ros.actuators.ideal import Ideal
 from mbd_ros.actuators.series_elastic import SeriesElastic
 from mbd_ros.cli import main
 from mbd_ros.core.state import State
-from mbd_ros.files.tables import read_table, write_table
+from mbd_ros.files.csv import read_table, write_table
 from mbd_ros.scene.reader import load_scene
 
 URDF = SCENES.parent / "robots/pendulum.urdf"

@@ -13,7 +13,7 @@ from mbd_ros.core.events.event_location import sign_change
 from mbd_ros.core.events.surface_modes import equivalent_signs, mode_on
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError, SolveError
-from mbd_ros.files.tables import read_table
+from mbd_ros.files.csv import read_table
 from mbd_ros.forces.switching_force import SwitchingForce
 from mbd_ros.integrators.filippov import Filippov
 from mbd_ros.scene.reader import load_scene

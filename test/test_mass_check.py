@@ -7,7 +7,7 @@ import pytest
 
 from mbd_ros.cli import main
 from mbd_ros.errors import SceneError, SolveError
-from mbd_ros.files.tables import read_table, write_table
+from mbd_ros.files.csv import read_table, write_table
 from mbd_ros.scene.reader import load_scene
 
 JOINT = (

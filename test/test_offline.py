@@ -9,7 +9,7 @@ from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimato
 from mbd_ros.core.model.wrenches import WrenchBuffer
 from mbd_ros.errors import DataError
 from mbd_ros.files.bags import BagWriter, new_message
-from mbd_ros.files.tables import read_table, write_table
+from mbd_ros.files.csv import read_table, write_table
 from mbd_ros.jobs.inverse.derivatives import Derivatives
 from mbd_ros.jobs.inverse.job import inverse_dynamics_of
 from mbd_ros.scene.reader import load_scene

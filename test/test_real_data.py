@@ -11,8 +11,8 @@ from scipy.interpolate import CubicSpline
 from mbd_ros.cli import main
 from mbd_ros.core.estimation.torque_estimator import TorqueEstimator, Tuning
 from mbd_ros.files.bags import new_message
+from mbd_ros.files.csv import read_table, write_table
 from mbd_ros.files.recordings import read_motion
-from mbd_ros.files.tables import read_table, write_table
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import JointStateReader, write_joint_state
 

@@ -12,7 +12,7 @@ from test_offline import SCENES
 
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
-from mbd_ros.files.tables import read_table, write_table
+from mbd_ros.files.csv import read_table, write_table
 from mbd_ros.jobs.inverse.zero_phase import low_passed, zero_phase
 
 SECOND = 1_000_000_000

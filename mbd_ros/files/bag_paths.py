@@ -83,19 +83,3 @@ def _is_ours(path: Path) -> bool:
         return False
     marked = path / "metadata.yaml" if path.is_dir() else path
     return ": ".join(MARK).encode() in marked.read_bytes()
-
-
-def is_bag(path: str | Path) -> bool:
-    """Whether a path names a bag (a folder, .mcap, .db3 or no suffix) or a table (.csv, .csv.gz).
-
-    Raises:
-        DataError: Another suffix.
-    """
-    path = Path(path)
-    if path.is_dir() or path.suffix in ("", *SUFFIXES):
-        return True
-    if path.name.endswith((".csv", ".csv.gz")):
-        return False
-    raise DataError(
-        f"{path}: neither a table (.csv, .csv.gz) nor a bag (a folder, {', '.join(SUFFIXES)})"
-    )

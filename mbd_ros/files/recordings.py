@@ -5,19 +5,20 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array, Motion, WrenchSamples
 from mbd_ros.errors import DataError
-from mbd_ros.files.bag_paths import is_bag
+from mbd_ros.files.formats import format_of, is_bag
 from mbd_ros.files.records import Recording
-from mbd_ros.files.tables import Table, read_table
+from mbd_ros.files.table import MAIN, Result, Table
+from mbd_ros.files.times import TIME, motion_stamps
 
-TIME_LIMIT = 9e9  # s: int64 nanoseconds end at 9.22e9 s
+CSV = (".csv", ".csv.gz")  # strict: nan stands only where it has a meaning
+_IN_MEMORY = "the result"
 
 
 def read_motion(
-    path: str | Path,
+    source: str | Path | Result,
     joints: Sequence[str],
     *,
     topic: str = "/joint_states",
@@ -30,8 +31,9 @@ def read_motion(
     finite are absent. One zero stamp makes all stamps those of the log.
 
     Args:
-        path: Table with columns `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,
-            `.command`, or a bag, which has no commands.
+        source: A result, or a file of one, with columns `<joint>.position`, `.velocity`,
+            `.acceleration`, `.effort`, `.command`; or a bag, which has no accelerations and
+            commands.
         joints: Names, in the order of the columns of the motion.
         topic: JointState topic of a bag.
         required: Joints whose position must be there; all without it. The others may be NaN.
@@ -41,62 +43,73 @@ def read_motion(
             usable on the topic.
     """
     needed = [name for name in joints if required is None or name in required]
-    if is_bag(path):
+    if not isinstance(source, Result) and is_bag(source):
         from mbd_ros.files.bag_recordings import bag_motion
 
-        return bag_motion(Path(path), joints, topic, needed)
-    table = read_table(path)
-    _check_columns(table, [f"{name}.position" for name in needed])
+        return bag_motion(Path(source), joints, topic, needed)
+    table, where = _samples(source, ())
+    _check_columns(table, where, [f"{name}.position" for name in needed])
     position, velocity, acceleration, effort, command = (
         _columns(table, [f"{name}.{field}" for name in joints])
         for field in ("position", "velocity", "acceleration", "effort", "command")
     )
     if position is None:
-        position = np.full((len(table.values), len(joints)), np.nan)
+        position = np.full((table.rows, len(joints)), np.nan)
     fields = position, velocity, acceleration, effort, command
-    motion = Motion(tuple(joints), _stamps(table), *fields)
-    return Recording(motion, Counter())
+    return Recording(Motion(tuple(joints), motion_stamps(table, where), *fields), Counter())
 
 
-def _check_columns(table: Table, names: Iterable[str]) -> None:
-    """Raise DataError that lists the columns a table lacks, and those it has."""
-    lacking = [name for name in names if name not in table.columns]
-    if lacking:
-        raise DataError(
-            f"{table.path}: no column {', '.join(lacking)}; there are: {', '.join(table.columns)}"
-        )
+def name_of(source: str | Path | Result) -> str:
+    """What messages call a source."""
+    return _IN_MEMORY if isinstance(source, Result) else str(source)
 
 
-def _stamps(table: Table) -> NDArray[np.int64]:
-    """Column time as stamps [ns], shape (n,).
+def _samples(source: str | Path | Result, may_lack: Collection[str]) -> tuple[Table, str]:
+    """Table `samples` of a result or file, and the name of the source.
 
-    Raises:
-        DataError: Times outside of int64 nanoseconds, or equal when rounded to them.
+    Args:
+        source: Result or file.
+        may_lack: Columns of a .csv that may hold nan.
     """
-    time = table.values[:, 0]
-    if np.abs(time[[0, -1]]).max() > TIME_LIMIT:
-        raise DataError(f"{table.path}: column time: beyond {TIME_LIMIT:g} s")
-    stamps = np.round(time * 1e9).astype(np.int64)
-    if (np.diff(stamps) <= 0).any():
-        line = np.flatnonzero(np.diff(stamps) <= 0)[0] + 3
-        raise DataError(f"{table.path}: line {line}, column time: less than 1 ns after the last")
-    return stamps
+    where = name_of(source)
+    if not isinstance(source, Result):
+        path, chosen = Path(source), format_of(source)
+        options = {"nan_allowed": may_lack.__contains__} if path.name.endswith(CSV) else {}
+        source = chosen.read(path, **options)
+    if MAIN not in source:
+        raise DataError(f"{where}: no table {MAIN}; there are: {', '.join(source) or 'none'}")
+    table = source[MAIN]
+    _check_columns(table, where, [TIME])
+    if not table.rows:
+        raise DataError(f"{where}: table {MAIN} has no row")
+    return table, where
+
+
+def _check_columns(table: Table, where: str, names: Iterable[str]) -> None:
+    """Raise DataError that lists the columns of numbers a table lacks, and those it has."""
+    lacking = [name for name in names if not _is_plain(table, name)]
+    if lacking:
+        there = ", ".join(name for name in table if _is_plain(table, name))
+        raise DataError(f"{where}: no column {', '.join(lacking)}; there are: {there}")
+
+
+def _is_plain(table: Table, name: str) -> bool:
+    return name in table and table[name].ndim == 1 and table[name].dtype.kind in "fiu"
 
 
 def _columns(table: Table, names: list[str]) -> Array | None:
     """The named columns, NaN where the table has none; None where it has none of them."""
-    place = {column: i for i, column in enumerate(table.columns)}
-    if not any(name in place for name in names):
+    there = [name for name in names if _is_plain(table, name)]
+    if not there:
         return None
-    values = np.full((len(table.values), len(names)), np.nan)
-    for i, name in enumerate(names):
-        if name in place:
-            values[:, i] = table.values[:, place[name]]
+    values = np.full((table.rows, len(names)), np.nan)
+    for name in there:
+        values[:, names.index(name)] = table[name]
     return values
 
 
 def read_wrenches(
-    path: str | Path,
+    source: str | Path | Result,
     names: Mapping[str, str | None],
     *,
     dropped: Counter[str] | None = None,
@@ -107,8 +120,8 @@ def read_wrenches(
     origin is torque + point x force. A point may be `nan`, which counts where there is force.
 
     Args:
-        path: Table with columns `<name>.force.{x,y,z}` [N], `<name>.torque.{x,y,z}` [N·m], and
-            perhaps `<name>.point.{x,y,z}` [m], or a bag.
+        source: A result, or a file of one, with columns `<name>.force.{x,y,z}` [N],
+            `<name>.torque.{x,y,z}` [N·m], and perhaps `<name>.point.{x,y,z}` [m]; or a bag.
         names: Loads, each with its WrenchStamped topic, which only a bag needs.
         dropped: Messages of a bag that are left out are counted here by reason: not finite, or
             not newer than all before them.
@@ -118,23 +131,23 @@ def read_wrenches(
     """
     if not names:
         return {}
-    if is_bag(path):
+    if not isinstance(source, Result) and is_bag(source):
         from mbd_ros.files.bag_recordings import bag_wrenches
 
-        return bag_wrenches(Path(path), names, Counter() if dropped is None else dropped)
+        return bag_wrenches(Path(source), names, Counter() if dropped is None else dropped)
     points = {f"{name}.point.{axis}" for name in names for axis in "xyz"}
-    table = read_table(path, points.__contains__)
-    stamps = _stamps(table)
-    return {name: WrenchSamples(stamps, _wrench(table, name)) for name in names}
+    table, where = _samples(source, points)
+    stamps = motion_stamps(table, where)
+    return {name: WrenchSamples(stamps, _wrench(table, where, name)) for name in names}
 
 
-def _wrench(table: Table, name: str) -> Array:
+def _wrench(table: Table, where: str, name: str) -> Array:
     fields = ["force", "torque"]
-    if any(column.startswith(f"{name}.point.") for column in table.columns):
+    if any(column.startswith(f"{name}.point.") for column in table):
         fields.append("point")
     columns = [f"{name}.{field}.{axis}" for field in fields for axis in "xyz"]
-    _check_columns(table, columns)
-    values = table.values[:, [table.columns.index(column) for column in columns]]
+    _check_columns(table, where, columns)
+    values = np.column_stack([table[column] for column in columns])
     if len(fields) == 2:
         return values
     force, torque, point = values[:, :3], values[:, 3:6], values[:, 6:]

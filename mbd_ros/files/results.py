@@ -5,31 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from mbd_ros.core.state import Array
-from mbd_ros.errors import DataError
-from mbd_ros.files.bag_paths import is_bag
+from mbd_ros.files.csv import write_table
+from mbd_ros.files.formats import is_bag
 from mbd_ros.files.records import SimulationRecord, TorqueRecord
-from mbd_ros.files.tables import write_table
-
-
-def refuse_overwriting(out: Path, *sources: Path | None) -> None:
-    """Refuse a result in the place of what it is computed from.
-
-    Args:
-        out: Table, bag or folder to write.
-        *sources: Files and bags that are read; None for those that are not given.
-
-    Raises:
-        DataError: A source is `out`, or inside of it, or a bag that `out` is a file of.
-    """
-    place = out.resolve()
-    for source in filter(None, sources):
-        read = source.resolve()
-        is_inside = read in place.parents and is_bag(out)
-        if place == read or place in read.parents or is_inside:
-            raise DataError(
-                f"-o {out}: the result would take the place of {source}, which is read; choose "
-                "another name"
-            )
 
 
 def write_torques(path: str | Path, torques: TorqueRecord) -> None:

@@ -1,5 +1,6 @@
 """What every job returns: tables by name, columns with name, unit, frame and any shape."""
 
+import json
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -127,12 +128,19 @@ class Result(Mapping[str, Table]):
     Args:
         tables: Name -> table; that of the job itself is `samples`.
         metadata: What JSON holds: scene, inputs, versions, seed, remarks.
+
+    Raises:
+        DataError: Metadata of another kind.
     """
 
     def __init__(
         self, tables: Mapping[str, Table], metadata: Mapping[str, Any] | None = None
     ) -> None:
-        self.tables, self.metadata = dict(tables), dict(metadata or {})
+        self.tables = dict(tables)
+        try:  # a result reads back equal, so it holds what a file would
+            self.metadata: dict[str, Any] = json.loads(json.dumps(dict(metadata or {})))
+        except (TypeError, ValueError) as error:
+            raise DataError(f"metadata: {error}") from error
 
     def __getitem__(self, name: str) -> Table:
         try:

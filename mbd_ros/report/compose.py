@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mbd_ros.errors import FAILED, DataError, MbdError
-from mbd_ros.files.tables import replacing
+from mbd_ros.files.replacing import replacing
 from mbd_ros.report import items
 from mbd_ros.report.items import Item, Section
 from mbd_ros.report.machine import git_state, machine, package_versions

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.tables import replacing
+from mbd_ros.files.replacing import replacing
 
 BEGIN, END = "<!-- report: begin -->", "<!-- report: end -->"
 _BETWEEN = re.compile(f"{re.escape(BEGIN)}.*?{re.escape(END)}", re.DOTALL)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.tables import replacing
+from mbd_ros.files.replacing import replacing
 from mbd_ros.report import items
 from mbd_ros.report.items import Item
 from mbd_ros.report.program import named_files, program, program_now

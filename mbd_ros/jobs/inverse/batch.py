@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mbd_ros.errors import DataError, MbdError
-from mbd_ros.files.results import refuse_overwriting
+from mbd_ros.files.replacing import refuse_overwriting
 from mbd_ros.jobs.inverse.derivatives import Derivatives
 from mbd_ros.jobs.inverse.job import inverse_dynamics_of
 from mbd_ros.jobs.inverse.wrenches import refuse_unused

@@ -9,10 +9,11 @@ from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimato
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics, TorqueComponents
 from mbd_ros.core.state import WrenchSamples
 from mbd_ros.errors import DataError
-from mbd_ros.files.bag_paths import is_bag
+from mbd_ros.files.formats import is_bag
 from mbd_ros.files.recordings import read_motion
 from mbd_ros.files.records import Recording, TorqueRecord
-from mbd_ros.files.results import refuse_overwriting, write_torques
+from mbd_ros.files.replacing import refuse_overwriting
+from mbd_ros.files.results import write_torques
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse.commands import with_commands
 from mbd_ros.jobs.inverse.derivatives import (

@@ -8,7 +8,7 @@ import numpy as np
 from mbd_ros.core.model.wrenches import at_stamps
 from mbd_ros.core.state import NANOSECOND, Array, WrenchSamples
 from mbd_ros.errors import DataError
-from mbd_ros.files.bag_paths import is_bag
+from mbd_ros.files.formats import is_bag
 from mbd_ros.files.recordings import read_wrenches
 from mbd_ros.scene.built_scene import Scene
 

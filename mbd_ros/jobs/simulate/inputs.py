@@ -13,8 +13,9 @@ from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.simulation.simulation import Commands
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State
 from mbd_ros.errors import DataError
-from mbd_ros.files.bag_paths import is_bag
-from mbd_ros.files.recordings import TIME_LIMIT, read_motion, read_wrenches
+from mbd_ros.files.formats import is_bag
+from mbd_ros.files.recordings import read_motion, read_wrenches
+from mbd_ros.files.times import TIME_LIMIT
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse.wrenches import refuse_unused
 from mbd_ros.scene import schema

@@ -23,9 +23,11 @@ from mbd_ros.errors import (
     MbdError,
     SolveError,
 )
-from mbd_ros.files.bag_paths import SUFFIXES, is_bag
+from mbd_ros.files.bag_paths import SUFFIXES
+from mbd_ros.files.formats import is_bag
 from mbd_ros.files.records import SimulationRecord, finite_rows
-from mbd_ros.files.results import refuse_overwriting, write_simulation
+from mbd_ros.files.replacing import refuse_overwriting
+from mbd_ros.files.results import write_simulation
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.progress import progress
 from mbd_ros.jobs.simulate.inputs import Run, check_words, drives, initial_state

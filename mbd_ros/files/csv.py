@@ -3,22 +3,23 @@
 import gzip
 import itertools
 import math
-import os
 import re
 import stat
-import uuid
 import zlib
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.errors import DataError
+from mbd_ros.files.replacing import replacing
+from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.files.times import STAMP
 
 NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 # Besides digits only the letters of "nan" pass: float() would take inf, 1_000 and foreign digits.
@@ -27,10 +28,44 @@ BLOCK, BLOCK_CELLS = 4096, 1_000_000  # lines, and numbers, that are taken at on
 MAX_COLUMNS = 10_000
 MAX_LINE = 1_000_000  # bytes
 MAX_CELLS = 100_000_000  # numbers, 800 MB
-_SHOWN = 40  # characters of a name in that of a temporary file: names end at 255 bytes
 
 
-class Table(NamedTuple):
+class Csv:
+    """One table of numbers under a header line, `time` first; no units, frames or metadata."""
+
+    content = "one number a row"
+    one_table = True
+
+    def holds(self, column: Column) -> bool:
+        """Whether it is a finite number, or nan, a row."""
+        values = column.values
+        if values.ndim != 1 or values.dtype.kind not in "fiub":
+            return False
+        return values.dtype.kind != "f" or not np.isinf(values).any()
+
+    def read(self, path: Path, nan_allowed: Callable[[str], bool] = lambda column: True) -> Result:
+        """See `read_table`; nan is accepted where nothing else is said."""
+        read = read_table(path, nan_allowed)
+        pairs = zip(read.columns, read.values.T, strict=True)
+        return Result({MAIN: Table(Column(name, values) for name, values in pairs)})
+
+    def write(self, path: Path, result: Result) -> None:
+        """Write a table; its `stamp`, the time in nanoseconds, is left out.
+
+        Raises:
+            DataError: Too many columns, or a place that cannot be written to.
+        """
+        (table,) = result.tables.values()
+        columns = {name: values for name, values in table.items() if name != STAMP}
+        if len(columns) > MAX_COLUMNS:
+            raise DataError(
+                f"{path}: {len(columns)} columns, .csv holds {MAX_COLUMNS}; .npz and .parquet "
+                "hold more"
+            )
+        write_table(path, list(columns), np.column_stack(list(columns.values())))
+
+
+class Numbers(NamedTuple):
     """One CSV file.
 
     Attributes:
@@ -44,7 +79,7 @@ class Table(NamedTuple):
     values: NDArray[np.float64]
 
 
-def read_table(path: str | Path, nan_allowed: Callable[[str], bool] | None = None) -> Table:
+def read_table(path: str | Path, nan_allowed: Callable[[str], bool] | None = None) -> Numbers:
     """Read a table whose cells are all plain finite numbers, block by block.
 
     Args:
@@ -71,7 +106,7 @@ def read_table(path: str | Path, nan_allowed: Callable[[str], bool] | None = Non
                 raise DataError(f"{path}: more than {MAX_CELLS} numbers are not accepted")
     if not blocks:
         raise DataError(f"{path}: has a header and no data")
-    return Table(path, columns, np.concatenate(blocks))
+    return Numbers(path, columns, np.concatenate(blocks))
 
 
 def _never(column: str) -> bool:
@@ -195,26 +230,3 @@ def write_table(path: str | Path, columns: Sequence[str], values: NDArray[np.flo
         for start in range(0, len(values), BLOCK):
             rows = values[start : start + BLOCK].tolist()
             file.write("".join(",".join(map(repr, row)) + "\n" for row in rows).encode())
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO | gzip.GzipFile]:
-    """A file to write that takes the place of `path` on success and vanishes on failure."""
-    temporary = path.with_name(f".{path.name[:_SHOWN]}.{uuid.uuid4().hex}.tmp")
-    try:
-        if not path.parent.is_dir():
-            raise DataError(f"{path}: directory {path.parent} does not exist")
-        if path.exists() and not path.is_file():
-            raise DataError(f"{path}: exists and is not a regular file")
-        with temporary.open("xb") as raw:
-            if path.suffix == ".gz":
-                with gzip.GzipFile("", "wb", compresslevel=4, fileobj=raw, mtime=0) as packed:
-                    yield packed
-            else:
-                yield raw
-        os.replace(temporary, path)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written ({error.strerror})") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)

@@ -1,0 +1,132 @@
+"""Bags: a rosbag2 folder, .mcap or .db3. Results are joint states, and what else a table has."""
+
+import heapq
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.state import Array
+from mbd_ros.errors import DataError
+from mbd_ros.files.bag_recordings import bag_motion
+from mbd_ros.files.bag_streams import FIELDS, JOINT_STATE, Stream, streams_of
+from mbd_ros.files.bags import BagWriter, messages, new_message, topic_types
+from mbd_ros.files.description import column_of, describe, described
+from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.files.times import STAMP, TIME, stamps_of, time_columns
+from msg_adapters.errors import MessageError
+
+DESCRIPTION, STRING = "/result", "std_msgs/msg/String"
+_WHOLE = 2**53  # up to which a float64 tells whole numbers apart
+_UNITS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "N·m or N"}
+
+
+class Bag:
+    """Messages of ROS 2; the topic `/result` says which columns they are (String, JSON)."""
+
+    content = "numbers"
+    one_table = False
+
+    def holds(self, column: Column) -> bool:
+        """Whether it is numbers of any shape that float64 tells apart."""
+        values = column.values
+        if values.dtype.kind in "iu" and column.name != STAMP:
+            return bool((np.abs(values.astype(np.float64)) <= _WHOLE).all())
+        return values.dtype.kind in "fiub"
+
+    def write(self, path: Path, result: Result) -> None:
+        """Write all tables; see `bag_streams`. A time of 0 becomes 1 ns: 0 is no stamp in ROS.
+
+        Raises:
+            DataError: A place that cannot be written to, or times that messages cannot hold.
+        """
+        merged, starts, more = [], [], {}
+        topics = result.metadata.get("topics")
+        for name, table in result.tables.items():
+            stamps = stamps_of(table) if TIME in table else np.arange(1, table.rows + 1)
+            stamps = np.where(stamps == 0, 1, stamps)
+            starts.append(stamps)
+            plain = Table(column for column in table.columns if column.name != STAMP)
+            streams, more[name] = streams_of(name, plain, topics)
+            more[name][STAMP] = {"topic": streams[-1].topic, "field": "log_time", "at": 0}
+            merged += [_rows(path, k, s, stamps) for k, s in enumerate(streams, len(merged))]
+        said = new_message(STRING)
+        said.data = describe(result, more)
+        first = min((int(one[0]) for one in starts if len(one)), default=1)
+        with BagWriter(path) as bag:
+            bag.write(DESCRIPTION, STRING, first, said)
+            for stamp, _, topic, msgtype, message in heapq.merge(*merged):
+                bag.write(topic, msgtype, stamp, message)
+
+    def read(self, path: Path, topic: str = "/joint_states") -> Result:
+        """What `write` wrote; of other bags the joint states of a topic.
+
+        Args:
+            path: The bag.
+            topic: Of a bag that something else wrote.
+
+        Raises:
+            DataError: No readable bag, or nothing usable on the topic.
+        """
+        types = topic_types(path)
+        if types.get(DESCRIPTION) != STRING:
+            return _recorded(path, topic)
+        said = next(messages(path, {DESCRIPTION: STRING}))[2].data
+        tables, metadata = described(said, str(path))
+        try:
+            wanted = {entry["topic"] for entries in tables.values() for entry in entries}
+            values = _values(path, {t: types[t] for t in wanted if t in types})
+            return Result(
+                {
+                    name: Table(column_of(e, _picked(values, e)) for e in entries)
+                    for name, entries in tables.items()
+                },
+                metadata,
+            )
+        except (KeyError, ValueError, TypeError, IndexError) as error:
+            raise DataError(f"{path}: its messages do not fit {DESCRIPTION} ({error})") from error
+
+
+def _rows(path: Path, order: int, stream: Stream, stamps: Array) -> Iterator[tuple[Any, ...]]:
+    """Stamp, order, topic, type and message of every row, to be merged."""
+    try:
+        for stamp, message in stream.messages(stamps):
+            yield stamp, order, stream.topic, stream.msgtype, message
+    except MessageError as error:
+        raise DataError(f"{path}: topic {stream.topic}: {error}") from error
+
+
+def _values(path: Path, topics: Mapping[str, str]) -> dict[tuple[str, str], Array]:
+    """Topic and field -> values, shape (n, width), or log times, shape (n, 1)."""
+    rows: dict[tuple[str, str], list[Any]] = {}
+    for topic, log_time, message in messages(path, topics) if topics else ():
+        fields = FIELDS if topics[topic] == JOINT_STATE else ("data",)
+        for field in fields:
+            rows.setdefault((topic, field), []).append(getattr(message, field))
+        rows.setdefault((topic, "log_time"), []).append([log_time])
+    return {key: np.array(values) for key, values in rows.items()}
+
+
+def _picked(values: Mapping[tuple[str, str], Array], entry: Mapping[str, Any]) -> Array:
+    shape = entry.get("shape", ())
+    taken = values.get((entry["topic"], entry["field"]), np.zeros((0, 0)))
+    taken = taken[:, entry["at"] : entry["at"] + int(np.prod(shape, dtype=np.int64))]
+    kind = np.dtype(entry.get("dtype", taken.dtype))
+    return taken.reshape(len(taken), *shape).astype(kind, order="C")
+
+
+def _recorded(path: Path, topic: str) -> Result:
+    """Joint states of others: what is finite of every joint that a message names."""
+    named = (msg.name for _, _, msg in messages(path, {topic: JOINT_STATE}))
+    names = list(dict.fromkeys(name for each in named for name in each))
+    recording = bag_motion(path, names, topic, ())
+    motion = recording.motion
+    columns = time_columns(motion.stamps)
+    for field in FIELDS:
+        values = getattr(motion, field)
+        for name, column in zip(names, () if values is None else values.T, strict=False):
+            if not np.isnan(column).all():
+                columns.append(Column(f"{name}.{field}", column, _UNITS[field]))
+    said = [f"{count} messages left out: {why}" for why, count in recording.dropped.items()]
+    return Result({MAIN: Table(columns)}, {"inputs": {"bag": str(path)}, "remarks": said})

@@ -1,0 +1,154 @@
+"""Which columns of a result go into which messages of a bag.
+
+`metadata["topics"]` of a result says it for its `samples`: topic -> field of a JointState ->
+quantity, so that the joints on a topic are those with a column `<joint>.<quantity>` of the first
+field; or topic -> `data` -> columns of a Float64MultiArray. Numbers that no such topic takes are
+in a Float64MultiArray on `/<table>`, whose layout labels are their names.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.state import Array
+from mbd_ros.errors import DataError
+from mbd_ros.files.bag_types import new_message, to_cdr
+from mbd_ros.files.table import MAIN, Column, Table
+from msg_adapters.joint_state import JointStateWriter
+
+JOINT_STATE, MULTI_ARRAY = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
+FIELDS = ("position", "velocity", "effort")  # of a JointState
+TOPICS = {"/joint_states": {field: field for field in FIELDS}}  # where a result says nothing
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
+
+
+class Stream(NamedTuple):
+    """What a topic carries.
+
+    Attributes:
+        topic: Its name.
+        msgtype: JointState or Float64MultiArray.
+        names: Joints, or labels; empty labels are not written.
+        fields: Field of the message -> its values, shape (n, width).
+    """
+
+    topic: str
+    msgtype: str
+    names: tuple[str, ...]
+    fields: Mapping[str, Array]
+
+    def messages(self, stamps: Array) -> Iterator[tuple[int, Any]]:
+        """Stamp and message, or its bytes, of every row; a message is refilled for the next."""
+        if self.msgtype == JOINT_STATE:
+            writer = JointStateWriter(new_message(JOINT_STATE), self.names, tuple(self.fields))
+            for i, stamp in enumerate(stamps.tolist()):
+                row = {field: values[i] for field, values in self.fields.items()}
+                yield stamp, writer.write(stamp, **row)
+            return
+        head, data = self._head(), np.ascontiguousarray(self.fields["data"])
+        for stamp, row in zip(stamps.tolist(), data, strict=True):
+            yield stamp, head + row.tobytes()
+
+    def _head(self) -> bytes:
+        """A serialized message without its numbers, which are the same bytes at its end."""
+        message, width = new_message(MULTI_ARRAY), self.fields["data"].shape[1]
+        message.data = np.zeros(width)
+        for name in self.names:
+            dimension = new_message("std_msgs/msg/MultiArrayDimension")
+            dimension.label, dimension.size, dimension.stride = name, 1, 1
+            message.layout.dim.append(dimension)
+        whole = bytes(to_cdr(message, MULTI_ARRAY))
+        return whole[: len(whole) - 8 * width]
+
+
+def streams_of(
+    name: str, table: Table, topics: Mapping[str, Mapping[str, Any]] | None
+) -> tuple[list[Stream], dict[str, dict[str, Any]]]:
+    """Streams of a table, and where each column is: topic, field, place in it, shape and kind.
+
+    Args:
+        name: Of the table.
+        table: Columns of numbers.
+        topics: Those of the metadata, or None.
+
+    Raises:
+        DataError: A name that no topic can have.
+    """
+    if not _NAME.fullmatch(name):
+        raise DataError(
+            f"table {name!r}: no name of a topic, accepted are letters, digits, _ and /"
+        )
+    for topic, fields in (topics or {}).items():
+        if not set(fields) <= {*FIELDS} and list(fields) != ["data"]:
+            raise DataError(
+                f"metadata topics: {topic}: fields {', '.join(fields)}, accepted: "
+                f"{', '.join(FIELDS)}, or data alone"
+            )
+    streams: list[Stream] = []
+    where: dict[str, dict[str, Any]] = {}
+    for topic, fields in (topics or TOPICS).items() if name == MAIN else ():
+        found = _multi_array if "data" in fields else _joint_states
+        taken = found(topic, fields, table)
+        if taken is not None:
+            streams.append(taken[0])
+            where = taken[1] | where
+    rest = [column for column in table.columns if column.name not in where]
+    stream, places = _rest(f"/{name}", rest, table.rows)
+    return [*streams, stream], where | places
+
+
+def _joint_states(
+    topic: str, fields: Mapping[str, str], table: Table
+) -> tuple[Stream, dict[str, dict[str, Any]]] | None:
+    end = f".{next(iter(fields.values()))}"
+    names = tuple(n.removesuffix(end) for n in table if n.endswith(end) and _is_plain(table, n))
+    columns = {
+        field: [f"{name}.{quantity}" for name in names]
+        for field, quantity in fields.items()
+        if names and all(_is_plain(table, f"{name}.{quantity}") for name in names)
+    }
+    if not columns:
+        return None
+    values = {f: np.column_stack([table[c] for c in named]) for f, named in columns.items()}
+    where = {
+        column: {"topic": topic, "field": field, "at": i}
+        for field, named in columns.items()
+        for i, column in enumerate(named)
+    }
+    return Stream(topic, JOINT_STATE, names, values), where
+
+
+def _multi_array(
+    topic: str, fields: Mapping[str, Any], table: Table
+) -> tuple[Stream, dict[str, dict[str, Any]]] | None:
+    names = fields["data"]
+    if not all(_is_plain(table, name) for name in names):
+        return None
+    values = np.column_stack([table[name] for name in names])
+    where = {name: {"topic": topic, "field": "data", "at": i} for i, name in enumerate(names)}
+    return Stream(topic, MULTI_ARRAY, (), {"data": values}), where
+
+
+def _rest(
+    topic: str, columns: list[Column], rows: int
+) -> tuple[Stream, dict[str, dict[str, Any]]]:
+    where: dict[str, dict[str, Any]] = {}
+    labels: list[str] = []
+    for name, values, *_ in columns:
+        shape = values.shape[1:]
+        where[name] = {"topic": topic, "field": "data", "at": len(labels)}
+        where[name] |= {"shape": shape, "dtype": values.dtype.str}
+        places = [f"[{','.join(map(str, at))}]" for at in np.ndindex(shape)] if shape else [""]
+        labels += [f"{name}{place}" for place in places]
+    flat = [
+        values.reshape(rows, int(np.prod(values.shape[1:]))).astype(np.float64)
+        for _, values, *_ in columns
+    ]
+    data = np.hstack([np.zeros((rows, 0)), *flat])
+    return Stream(topic, MULTI_ARRAY, tuple(labels), {"data": data}), where
+
+
+def _is_plain(table: Table, name: str) -> bool:
+    return name in table and table[name].ndim == 1 and table[name].dtype == np.float64

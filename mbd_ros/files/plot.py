@@ -1,0 +1,129 @@
+"""Pictures of tables: a panel for each quantity, a curve for each column; writes only."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from mbd_ros.errors import DataError
+from mbd_ros.files.replacing import replacing
+from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.files.times import STAMP, TIME
+
+_PANEL, _WIDTH, _EDGE = 1.7, 8.0, 0.6  # in
+_DPI = 110  # per in
+_CURVES, _POINTS = 12, 4000  # a panel, a curve: more is not to be seen
+_FIRST = ("position", "velocity", "effort", "multiplier")  # drawn where nothing is asked for
+_MOST = 24  # panels
+
+
+class Picture(Figure):
+    """A figure that a notebook shows without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        from io import BytesIO
+
+        FigureCanvasAgg(self)
+        drawn = BytesIO()
+        self.savefig(drawn, format="png", dpi=_DPI)
+        return drawn.getvalue()
+
+
+class Plot:
+    """.png, .svg and .pdf of one table."""
+
+    content = "numbers"
+    one_table = True
+
+    def holds(self, column: Column) -> bool:
+        """Always; what is no number is not drawn."""
+        return True
+
+    def read(self, path: Path) -> Result:
+        """Refused.
+
+        Raises:
+            DataError: Always.
+        """
+        raise DataError(f"{path}: a picture, which is only written; results are read from others")
+
+    def write(self, path: Path, result: Result, columns: Sequence[str] | None = None) -> None:
+        """Draw a table; see `figure`."""
+        ((name, _),) = result.tables.items()
+        save(figure(result, table=name, columns=columns), path)
+
+
+def figure(result: Result, table: str = MAIN, columns: Sequence[str] | None = None) -> "Picture":
+    """Curves over time, or over the number of the row.
+
+    Args:
+        result: The result.
+        table: Which of its tables.
+        columns: Columns (`knee.position`), or last words of their names (`effort`); without any,
+            positions, velocities, efforts and multipliers, or what else there is.
+
+    Raises:
+        DataError: A column that is not there, or nothing to draw.
+    """
+    drawn = result[table]
+    panels = _panels(drawn, columns)
+    if not panels:
+        raise DataError(f"table {table}: no column of numbers to draw")
+    picture = Picture(figsize=(_WIDTH, len(panels) * _PANEL + _EDGE), layout="constrained")
+    FigureCanvasAgg(picture)
+    grid: Any = picture.subplots(len(panels), 1, sharex=True, squeeze=False)
+    time = drawn[TIME] if TIME in drawn else np.arange(drawn.rows)
+    every = slice(None, None, max(1, drawn.rows // _POINTS))
+    for axes, (title, chosen) in zip(grid[:, 0], panels.items(), strict=True):
+        for column in chosen[:_CURVES]:
+            axes.plot(time[every], column.values[every].reshape(len(time[every]), -1), lw=1.0)
+        axes.set_ylabel(title, fontsize=8)
+        axes.tick_params(labelsize=7)
+        axes.grid(visible=True, alpha=0.3)
+        names = [column.name.rpartition(".")[0] or column.name for column in chosen[:_CURVES]]
+        more = [f"and {len(chosen) - _CURVES} more"] if len(chosen) > _CURVES else []
+        if len(axes.lines) == len(names):
+            axes.legend(names, fontsize=6, loc="upper right", title="".join(more) or None)
+    grid[-1, 0].set_xlabel("time [s]" if TIME in drawn else "row", fontsize=8)
+    return picture
+
+
+def save(picture: Figure, path: Path) -> None:
+    """Write a figure as the suffix of the path says."""
+    with replacing(path) as file:
+        dated = (
+            {}
+            if path.suffix == ".png"
+            else {"Date" if path.suffix == ".svg" else "CreationDate": None}
+        )
+        picture.savefig(file, format=path.suffix[1:], dpi=_DPI, metadata=dated)
+
+
+def _panels(table: Table, asked: Sequence[str] | None) -> dict[str, list[Column]]:
+    """Label of the axis -> columns, by quantity and unit."""
+    numbers = [
+        c for c in table.columns if c.name not in (TIME, STAMP) and c.values.dtype.kind in "fiub"
+    ]
+    if asked is not None:
+        chosen = []
+        for name in asked:
+            found = [c for c in numbers if name in (c.name, _quantity(c))]
+            if not found:
+                table.column(name)  # says which there are
+                raise DataError(f"column {name} holds no numbers to draw")
+            chosen += found
+    else:
+        chosen = [c for c in numbers if _quantity(c) in _FIRST] or numbers
+    panels: dict[str, list[Column]] = {}
+    for column in chosen:
+        title = _quantity(column) + (f"\n[{column.unit}]" if column.unit else "")
+        panels.setdefault(title, []).append(column)
+    return dict(list(panels.items())[:_MOST])
+
+
+def _quantity(column: Column) -> str:
+    """The last word of a name."""
+    return column.name.rpartition(".")[2]
