@@ -209,7 +209,7 @@ def children(pid):
     """Processes of the demo by node."""
     found = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     names = [Path(f"/proc/{child}/cmdline").read_bytes().decode() for child in found]
-    nodes = [re.search(r"mbd_ros\.nodes\.(\w+)", name) for name in names]
+    nodes = [re.search(r"mbd_ros\.nodes\0(\w+)", name) for name in names]
     return {node[1]: int(child) for node, child in zip(nodes, found, strict=True) if node}
 
 
