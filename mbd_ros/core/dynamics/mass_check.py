@@ -17,8 +17,8 @@ _NAMED = 0.3  # share of a joint in that motion, of the largest, to be named
 def check_mass(system: Any, q: Array) -> None:
     """Refuse a configuration whose mass matrix is singular.
 
-    Judged is the matrix that is solved with, with couplings G' M G: a joint without mass of its
-    own may be tied to one that has some, and at another configuration nothing may be wrong.
+    The check takes the matrix of the solver, with couplings G' M G: a joint without mass of its
+    own may be tied to one that has some. Another configuration may be regular.
 
     Args:
         system: A `System`.

@@ -44,7 +44,7 @@ class MimicSystem(ReducedSystem):
         self._accelerate = self._free_accelerator()
 
     def acceleration(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Z'' [rad/s^2 or m/s^2], shape (nv,)."""
+        """Acceleration z'' [rad/s^2 or m/s^2], shape (nv,)."""
         if self._is_free:
             a = np.empty(self.nv)
             self._accelerate(t, q, v, u, a)
@@ -57,7 +57,7 @@ class MimicSystem(ReducedSystem):
         return a if self.bounded is None else self.bounded.accelerate(self, t, q, v, a)
 
     def accelerator(self) -> Accelerator:
-        """Without loads what `acceleration` calls: a step takes a tenth less."""
+        """Without loads the function behind `acceleration`: a step takes a tenth less."""
         return self._accelerate if self._is_free else super().accelerator()
 
     def _free_accelerator(self) -> Accelerator:
@@ -82,9 +82,9 @@ class MimicSystem(ReducedSystem):
 def mimic_model(robot: Robot, couplings: Couplings) -> Any:
     """A model with mimic joints for dependent ones, or None where Pinocchio does not have them.
 
-    It has them for linear couplings of a fixed base to joints that come before in the model. Where
-    the links beyond a mimic joint branch, `crba` of Pinocchio 4.1 is wrong: hence a check. With
-    one coordinate left there is nothing to gain, and eigenpy has shapes of its own.
+    Pinocchio has them for linear couplings on a fixed base, to joints that come earlier in the
+    model. Where the links beyond a mimic joint branch, `crba` of Pinocchio 4.1 is wrong: hence a
+    check. One remaining coordinate gains nothing, and eigenpy gives it other shapes.
     """
     if robot.floating or len(couplings.v_index) == 1:
         return None
@@ -109,10 +109,10 @@ def mimic_model(robot: Robot, couplings: Couplings) -> Any:
 
 
 def mass_matrix(mimic: Any) -> Callable[[Array], Array]:
-    """Z -> mass matrix of a model with mimic joints, in the local convention.
+    """The function from z to the mass matrix of a model with mimic joints, local convention.
 
-    `crba` of Pinocchio 4.1 adds to what its last call left in the forces on parents of mimic
-    joints: they are set to zero before each one.
+    `crba` of Pinocchio 4.1 adds to the forces that its last call left on parents of mimic
+    joints: they are set to zero before each call.
     """
     data = pin.Data(mimic)
     parents = {int(mimic.parents[i]) for i in mimic.mimicking_joints}

@@ -38,8 +38,8 @@ class Overshoot(NamedTuple):
 class Overshoots:
     """The largest overshoot at every end of every stop of a system.
 
-    A stop that acts before its end is reached is not passed; one that a step jumps over is. Steps
-    in which no bounded row acts cost nothing.
+    A stop that acts before its end is reached is not passed. A stop that a step jumps over is.
+    Steps in which no bounded row acts cost nothing.
 
     Args:
         system: The system, with bounded rows.
@@ -59,7 +59,7 @@ class Overshoots:
         self._limit, self._seen = self._ends + self._worst, None
 
     def begin(self, y: Any) -> None:
-        """Forget all; what the first state is beyond does not count."""
+        """Forget all; ends that the first state is beyond do not count."""
         self._first = np.maximum(self._outwards(y) - self._ends, 0.0)
         self._speed, self._when = np.zeros((2, len(self._ends)))
         self._worst, self._limit, self._seen = self._first, self._ends + self._first, y
@@ -74,7 +74,7 @@ class Overshoots:
         self._seen = y_next
 
     def found(self) -> list[Overshoot]:
-        """Those that are worth a word: lower ends, then upper ones, in the order of the stops."""
+        """Those that are large enough to report: lower ends, then upper ones, as the stops."""
         return [
             Overshoot(
                 self._joints[i],

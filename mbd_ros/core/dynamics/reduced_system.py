@@ -67,7 +67,7 @@ class ReducedSystem(System):
         self._cholesky = eigenpy.LLT(self.nv)
 
     def acceleration(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Z'' [rad/s^2 or m/s^2], shape (nv,)."""
+        """Acceleration z'' [rad/s^2 or m/s^2], shape (nv,)."""
         self.evaluations += 1
         self._expand(q, v)
         if self.loads.is_empty:
@@ -137,7 +137,7 @@ class ReducedSystem(System):
         return self._G.dot(self._cholesky.solve(reduced).reshape(reduced.shape))
 
     def _expand(self, z: Array, w: Array) -> None:
-        """Q = F(z), v = G w, a = dG/dt w, and G."""
+        """Values q = F(z), v = G w, a = dG/dt w, and G."""
         G, q, v = self._G, self._q, self._v
         if self._is_linear:
             G.dot(z, q)
@@ -154,7 +154,7 @@ class ReducedSystem(System):
         np.negative(self._GT, self._minus_GT)
 
     def _bias(self) -> Array:
-        """H + M dG/dt z'; the independent rows of `_a` stay zero."""
+        """Bias h + M dG/dt z'; the independent rows of `_a` stay zero."""
         if self._is_linear:
             return pin.nonLinearEffects(self.model, self.data, self._q, self._v)
         return pin.rnea(self.model, self.data, self._q, self._v, self._a)

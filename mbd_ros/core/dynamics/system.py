@@ -33,13 +33,13 @@ class System:
     """Acceleration from state and command by the articulated-body algorithm.
 
     The base of the other tiers. One instance owns one Pinocchio `Data`: not for two threads.
-    Pinocchio's algorithms are asked in their local convention, the default: in that of the world
-    rounding grows with the distance from its origin.
+    Pinocchio's algorithms use their local convention, the default; in that of the world rounding
+    grows with the distance from its origin.
 
     Args:
         robot: The robot.
         loads: What acts on its joints.
-        constraints: Bilateral rows; this class solves for none, but can say how they are violated.
+        constraints: Bilateral rows; this class solves for none, but gives their violation.
         bounded: Rows with bounded multipliers, solved for by Gauss's principle.
         order: Where the multipliers of each stand; by default those of `bounded` are all.
 
@@ -52,8 +52,8 @@ class System:
         order: Which multipliers of a `Solution` are those of bilateral and of bounded rows.
         multiplier_rows: What they are, in the same order under every tier.
         evaluations: How often the acceleration was asked for.
-        row_size: How large the bilateral rows have been so far; None forgets it, and what it was
-            before a state may be put back where that state is given up.
+        row_size: Largest size of the bilateral rows so far; None forgets it. Where a state is
+            given up, the value before it may be put back.
         condition: Condition number of the rows in the mass metric when last factorised; 1
             without rows.
     """
@@ -120,7 +120,7 @@ class System:
         return self._full_mass(q)
 
     def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Tau - h: generalized force without the constraints, shape (nv,)."""
+        """Generalized force tau - h without the constraints, shape (nv,)."""
         self.evaluations += 1
         return self._tau(t, q, v, u) - pin.nonLinearEffects(self.model, self.data, q, v)
 

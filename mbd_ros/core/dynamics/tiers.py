@@ -1,4 +1,4 @@
-"""Which way of solving a scene needs: chosen once, at build."""
+"""The tier of a scene: how it is solved, chosen once, while building."""
 
 from collections.abc import Sequence
 
@@ -27,7 +27,7 @@ def build_system(
     tier: str = "auto",
     backend: str = "proxqp",
 ) -> System:
-    """The system of a scene in the cheapest tier that it needs, or in the one that is asked for.
+    """The system of a scene in the cheapest tier that serves, or in the one that is asked for.
 
     aba: no rows. reduced: couplings only, eliminated. kkt: bilateral rows, couplings among them.
     qp: bounded rows on top of any of these; when asked for, all rows go through the QP.

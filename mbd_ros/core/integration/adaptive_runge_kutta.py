@@ -47,7 +47,7 @@ class AdaptiveRungeKutta(RungeKutta):
     Args:
         system: The system.
         tableau: The method.
-        dt: Longest first step [s]; later ones are not bound to it.
+        dt: Longest first step [s]; later steps may be longer.
         tolerance: Relative and absolute.
     """
 
@@ -98,7 +98,7 @@ class AdaptiveRungeKutta(RungeKutta):
         return float(max(_LEAST, _SAFETY * factor))
 
     def _scale(self, x: State) -> Array:
-        """What an error of one is, shape (2 nv,)."""
+        """Size of an error that counts as one, shape (2 nv,)."""
         scale, nv = self._weights, len(x.v)
         scale[:nv] = x.q if self._system.is_flat else 0.0
         scale[nv:] = x.v

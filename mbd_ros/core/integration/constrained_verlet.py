@@ -1,4 +1,4 @@
-"""Kick, and a move onto position constraints: what SHAKE and RATTLE share."""
+"""A kick and a move onto position constraints, which SHAKE and RATTLE share."""
 
 from math import isfinite
 from typing import NamedTuple
@@ -64,7 +64,7 @@ class ConstrainedVerlet:
 
         w = v + kick M^-1 f(t, q, v + share (w - v)) - lift s,   g(t + h, q (+) h w) = 0
 
-    M^-1 J' mu is written as -lift s: s [m/s, rad/s] is what g' is corrected by.
+    M^-1 J' mu is written as -lift s, where s [m/s, rad/s] is the correction of g'.
 
     Args:
         system: The system.

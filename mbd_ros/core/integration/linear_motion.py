@@ -47,7 +47,7 @@ class LinearMotion:
         return float(np.abs(self.eigenvalues).max(initial=0.0))
 
     def growth(self, dt: float) -> float:
-        """What the motion itself is multiplied by in dt [s], at most; 1 where nothing grows."""
+        """Largest factor by which the motion itself grows in dt [s]; 1 where nothing grows."""
         return math.exp(min(dt * float(self.eigenvalues.real.max(initial=0.0)), 700.0))
 
 
@@ -55,7 +55,7 @@ def linear_motion(system: System, x: State) -> LinearMotion:
     """The motion around a state.
 
     Bounded rows count with their time constants, whether they act or not. A force that switches
-    counts with the side that it is on: across the surface a difference quotient is no rate.
+    counts with its side at the state: across the surface a difference quotient is no rate.
 
     Args:
         system: The system.
@@ -83,13 +83,13 @@ def linear_motion(system: System, x: State) -> LinearMotion:
 def fastest_rate(system: System, x: State) -> float:
     """Largest absolute eigenvalue of the motion around a state [1/s]; as `linear_motion`.
 
-    It bounds what is stiff, oscillates or diverges there.
+    It bounds stiffness, oscillation and divergence at the state.
     """
     return linear_motion(system, x).rate
 
 
 def longest_step(method: Integrator, motion: LinearMotion, dt: float) -> float:
-    """Length up to which steps keep what does not grow by itself [s]; inf where dt does.
+    """Longest step that lets no mode grow which does not grow by itself [s]; inf if dt does.
 
     Args:
         method: The method.

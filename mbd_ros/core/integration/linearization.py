@@ -19,7 +19,7 @@ class Linearization:
     evaluations.
 
     Args:
-        system: Whose configurations they are.
+        system: The system of these configurations.
         field: The f; what it returns is copied.
 
     Attributes:

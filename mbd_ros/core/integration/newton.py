@@ -1,4 +1,4 @@
-"""When an integrator that iterates stops correcting, and what it cannot serve."""
+"""When an iterating integrator stops correcting, and the rows that it refuses."""
 
 import math
 from collections.abc import Callable
@@ -15,7 +15,7 @@ _GROWS = 10.0
 
 
 def converge(correct: Callable[[], float], tolerance: float) -> float:
-    """Repeat a correction until the error it leaves is rounding.
+    """Repeat a correction until the remaining error is rounding.
 
     With contraction r, corrections that remain sum to r / (1 - r) of the last one.
 
@@ -46,7 +46,7 @@ def converge(correct: Callable[[], float], tolerance: float) -> float:
 
 
 def refuse_bounded_rows(system: System, name: str) -> None:
-    """Raise if rows with bounded multipliers act, which methods of forces and rows do not see.
+    """Refuse rows with bounded multipliers, which these methods do not see.
 
     Raises:
         ModelError: They do; names them.

@@ -9,8 +9,8 @@ NEAR = 1.0 + 1.0e-6  # in dt: no step needs `clip` that starts farther than this
 def clip(t: float, dt: float, end: float) -> tuple[float, float]:
     """Length of a step of at most dt that does not go beyond `end`, and the time it leads to.
 
-    A step that would end within rounding of `end` ends there with its full length: no sliver of
-    a step follows it.
+    A step that would end within rounding of `end` ends there with its full length, so that no
+    sliver of a step follows it.
 
     Args:
         t: Time at its start [s].

@@ -1,4 +1,4 @@
-"""What integrators offer: a method is a value, the stepper that it prepares owns the workspace."""
+"""Contract of integrators: a method is a value, its stepper owns the workspace."""
 
 import math
 from typing import Any, ClassVar

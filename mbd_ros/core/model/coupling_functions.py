@@ -101,7 +101,7 @@ def natural_cubic_spline(x: Sequence[float], y: Sequence[float]) -> PiecewisePol
     Raises:
         ModelError: Lengths differ or x does not increase.
 
-    Source: C. de Boor, A Practical ReferenceGenerator to Splines, 1978, ch. IV.
+    Source: C. de Boor, A Practical Guide to Splines, 1978, ch. IV.
     """
     _check_increasing(x, "x")
     if len(x) != len(y):

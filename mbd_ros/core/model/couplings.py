@@ -45,7 +45,7 @@ class Couplings:
 
     Args:
         robot: The robot; its `<mimic>` joints join in.
-        couplings: Dependent joint -> what it follows; wins over a `<mimic>` of the same joint.
+        couplings: Dependent joint -> what it follows; replaces a `<mimic>` of the same joint.
 
     Attributes:
         independent: Names of the independent joints, in the order of z.
@@ -83,7 +83,7 @@ class Couplings:
             q: Configuration, shape (nq,), or a batch (nq, n).
             v: Velocity, shape (nv,) or (nv, n).
             a: Acceleration, shape (nv,) or (nv, n).
-            slopes: What an earlier call returned, to be overwritten; a new list without it.
+            slopes: Result of an earlier call, to be overwritten; a new list without it.
 
         Returns:
             The slope f' of every dependent joint at this configuration.

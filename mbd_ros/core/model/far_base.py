@@ -1,7 +1,7 @@
-"""A fixed base far from the world's origin, read as if it stood there.
+"""A fixed base far from the world's origin, read as if it stood at the origin.
 
 Placements, Jacobians and distances in world axes lose a digit with every power of ten between the
-robot and the origin, and a constant offset changes no acceleration.
+robot and the origin. A constant offset changes no acceleration.
 """
 
 import copy
@@ -46,9 +46,9 @@ def centred(
 
 
 def _moved(tree: ElementTree.Element, root: str, origin: Array) -> ElementTree.Element:
-    """The description with all that its root link carries moved by -origin.
+    """The description with everything on its root link moved by -origin.
 
-    Done in the text, before anything is added to the large numbers.
+    The text is changed, before anything is added to the large numbers.
     """
     tree = copy.deepcopy(tree)
     for joint in tree.findall("joint"):

@@ -72,14 +72,14 @@ class Robot:
         name: Name in the description.
         model: Pinocchio model with gravity set and locked joints removed.
         joints: Joints in the order of their velocity coordinates.
-        mimics: What `<mimic>` says, in topic names.
+        mimics: The `<mimic>` elements, in topic names.
         floating: Whether the first 7 (6) coordinates of q (v) are those of a free base.
         locked: Position [rad or m] of every joint that was frozen and removed.
         fixed: Names of the joints that never move.
         doubts: Inertias that no body has and that can be used nevertheless, a line a link.
-        rubbing: What `<dynamics>` says of joints; no force until a part of the scene brings it.
-        ignored: What else the description holds and this package leaves out.
-        origin: Where positions in the model are counted from, in the world of the description
+        rubbing: The `<dynamics>` of joints; no force until a part of the scene brings it.
+        ignored: Other contents of the description, which this package leaves out.
+        origin: Point from which positions in the model count, in the world of the description
             [m], shape (3,): 0, or the first joint of a fixed base that is more than 2 m away.
         source: File or topic of the description, for people.
     """

@@ -19,11 +19,11 @@ def check_inertias(robot: ElementTree.Element, source: str) -> tuple[str, ...]:
     """Refuse inertias that no body can have, and say which ones are in doubt.
 
     A negative mass, or a moment that is negative by more than rounding, would give motion a
-    negative energy: nothing computed with it means anything. Moments that miss the triangle
+    negative energy: no result would mean anything. Moments that miss the triangle
     inequality by more than measuring errors belong to no body either. All else is published
     practice that inverse dynamics can use: links without mass, point masses, rods, inertia without
-    mass about the only axis that moves it. Whether forward dynamics can, `forward.mass_check`
-    tells from the whole mechanism.
+    mass about the only axis that moves it. Whether forward dynamics can use
+    it depends on the whole mechanism: see `dynamics/mass_check.py`.
 
     Args:
         robot: The `<robot>` element; names, numbers and joints are checked.

@@ -49,8 +49,7 @@ def violation(system: System, x: State) -> Violation:
 def project(system: System, x: State) -> State:
     """A state near the constraints moved onto them, for use after every step.
 
-    Rows that are dependent or at a toggle are left out there. `system.condition` is brought up to
-    date.
+    Dependent rows and rows at a toggle are left out. `system.condition` is brought up to date.
 
     Raises:
         SolveError: The state is too far away; names the time, and the row that stays open.
@@ -77,7 +76,7 @@ def _projected(system: System, x: State) -> State:
 
 
 def _closed_nearby(system: System, x: State) -> tuple[Array, RowFactor]:
-    """Newton's method with the rows of the start for as long as they serve."""
+    """Newton's method with the rows of the start, while it converges."""
     q, g = x.q, system.residual(x.t, x.q)
     factor = system.factorise(system.mass(q), system.jacobian(x.t, q))
     last, stuck = float(np.abs(g).max()), 0
@@ -132,7 +131,7 @@ def assemble(system: System, x: State) -> State:
 
 
 def _nearest_configuration(system: System, x: State) -> Array:
-    """Along the manifold, downhill in the distance to the start, from where Newton lands on it."""
+    """Downhill in the distance to the start, along the manifold, after Newton landed on it."""
     M = system.mass(x.q)
     landed, step = _closed(system, x.t, x.q, M), 1.0
     if landed is None:

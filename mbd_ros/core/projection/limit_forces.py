@@ -45,15 +45,17 @@ class Compliance(Protocol):
 class LimitForces:
     """Solves the problem above by exchanging limits, or else by a QP in mu.
 
-    Limits are exchanged all at once, from those that acted last: those that pull leave, those that
-    are violated join. Source: M. Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13 (2002).
+    Limits are exchanged all at once, beginning with those that acted last: limits that pull
+    leave, violated limits join.
+
+    Source: M. Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13 (2002).
 
     Args:
         n: Number of joints.
         bounded: Whether bounds may ever be finite; without, no QP solver is imported.
 
     Attributes:
-        solves: How often a limit acted.
+        solves: Number of solves with a limit that acted.
     """
 
     def __init__(self, n: int, bounded: bool) -> None:
@@ -91,7 +93,7 @@ class LimitForces:
     def _by_exchange(
         self, compliance: Compliance, p: Array, low: Array, high: Array
     ) -> Array | None:
-        """Mu if the exchange ends soon, with limits that do not depend on one another."""
+        """The mu if the exchange ends soon, with limits that do not depend on one another."""
         acting = self._acting if self._acting.any() else _violated(p, low, high)
         for _ in range(_EXCHANGES):
             bound = np.where(acting > 0.0, low, high)

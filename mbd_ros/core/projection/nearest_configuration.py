@@ -34,7 +34,7 @@ Rows = tuple[Array, Array]  # g and J
 class NearestConfiguration:
     """Full steps first; where they do not converge, downhill along the manifold.
 
-    Whoever asks checks the answer.
+    The caller checks the result.
 
     Args:
         system: All joints of a fixed-base robot.
@@ -154,7 +154,7 @@ class NearestConfiguration:
             return None
 
     def _curved(self, t: float, q: Array, lam: Array, metric: Metric) -> Metric:
-        """W less what the rows curve, where that is still convex along them; else W."""
+        """W less the curvature of the rows, where that is still convex along them; else W."""
         n = len(q)
         H, half = metric.W.copy(), np.zeros(n)
         for i in range(n):

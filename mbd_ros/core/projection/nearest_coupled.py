@@ -1,11 +1,11 @@
-"""The nearest state where couplings are all there is, in the independent coordinates.
+"""The nearest state of robots with couplings alone, in the independent coordinates.
 
     position   min 1/2 p' W p,  p = F(z) - q_m   subject to  lower <= F(z) <= upper
     velocity   min 1/2 p' W p,  p = G z' - v_m   subject to  floor <= G z' <= ceiling
 
-The position by Newton's method: gradient G' W p, Hessian G' W G + diag(h), where h_k is the sum of
-(W p)_i d2F_i/dz_k2 over the joints i that follow z_k. Source: J. Nocedal and S. Wright, Numerical
-Optimization, 2006, ch. 3.
+Newton's method finds the position, with gradient G' W p and Hessian G' W G + diag(h), where h_k is
+the sum of (W p)_i d2F_i/dz_k2 over the joints i that follow z_k. Source: J. Nocedal and S. Wright,
+Numerical Optimization, 2006, ch. 3.
 """
 
 import math
@@ -46,7 +46,7 @@ class _Stationary(NamedTuple):
 
 
 class NearestCoupled:
-    """Tries without limits first, unless some acted last time; with them, from within them.
+    """Searches without limits first; if some acted last time, with limits and within them.
 
     Args:
         joints: The couplings.

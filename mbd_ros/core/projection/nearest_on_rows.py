@@ -101,7 +101,7 @@ class NearestOnRows:
         return v
 
     def _too_far(self, q: Array, g: Array) -> str:
-        """What is wrong with a measurement near which there is no state."""
+        """Message for a measurement without a state near it."""
         beyond = q - np.minimum(np.maximum(q, self._lower), self._upper)
         off = [(row.name, g[i]) for i, row in enumerate(self._system.rows)]
         off += [(f"limit of {joint.name}", beyond[joint.v]) for joint in self._system.robot.joints]
@@ -111,7 +111,7 @@ class NearestOnRows:
 
 
 def _check(p: Array, metric: Metric, move: Move, rows: Rows) -> None:
-    """Raise unless an answer is on the manifold and the nearest there."""
+    """Raise unless a solution is on the manifold and the nearest there."""
     g, J = rows
     if not largest(g) <= ON_MANIFOLD:
         raise SolveError(f"the projected state is {largest(g):.1e} rad or m off its constraints")

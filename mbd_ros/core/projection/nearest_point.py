@@ -18,7 +18,7 @@ _SHARE = 0.1  # of a free direction from which a joint counts as free
 
 
 class Metric(NamedTuple):
-    """W and what keeps it solvable.
+    """W, and row weights that keep the problem solvable.
 
     Attributes:
         W: Positive semidefinite, shape (n, n).
@@ -34,9 +34,10 @@ class Metric(NamedTuple):
 def metric_of(M: Array, J: Array, known: NDArray[np.bool_], amplification: float) -> Metric:
     """Mass metric of the measured joints.
 
-    A joint that was not measured costs nothing to move, so that the rows alone place it. What
-    the rows leave free, or would place with errors larger than those of the measured joints by
-    more than `amplification`, keeps its mass: it stays where it is, as far as the rows let it.
+    A joint that was not measured costs nothing to move, so that the rows alone place it. Some
+    joints the rows leave free, or would place with errors larger than those of the measured
+    joints by more than `amplification`. They keep their mass: they stay, as far as the rows let
+    them.
 
     Args:
         M: Mass matrix, shape (n, n).
@@ -148,7 +149,7 @@ class _OnRows:
         self.condition = 1.0 if self._factor is None else self._factor.condition
 
     def nearest(self, c: Array, p: Array) -> tuple[Array, Array]:
-        """P moved onto J p = c, and the multipliers of the rows."""
+        """Point p moved onto J p = c, and the multipliers of the rows."""
         if self._factor is None:
             return p, np.zeros(0)
         lam = self._factor.solve(c - self._J.dot(p))

@@ -9,10 +9,10 @@ from mbd_ros.core.state import Array, State
 
 
 class ObservedState:
-    """Adds the dependent joints, and moves what loops close onto them.
+    """Adds the dependent joints, and moves joints of loops onto the loops.
 
     Args:
-        system: Whose bilateral rows are to be kept.
+        system: The system with the bilateral rows to keep.
         couplings: The dependent joints.
 
     Attributes:

@@ -4,8 +4,8 @@
     velocity   min 1/2 p' W p,  p = v - v_m   subject to  J v + dg/dt = 0, and no motion out of a
                                                           limit that is reached
 
-W is the mass matrix at the measured state, `nearest_point.metric_of` says what it is for joints
-that were not measured. Source: E. Eich, SIAM J. Numer. Anal. 30 (1993).
+W is the mass matrix at the measured state; `nearest_point.metric_of` defines it for joints that
+were not measured. Source: E. Eich, SIAM J. Numer. Anal. 30 (1993).
 """
 
 from typing import NamedTuple
@@ -30,7 +30,7 @@ class Measurement(NamedTuple):
     """A state of all joints of which some entries were measured.
 
     Attributes:
-        x: The state; an entry that was not measured says where to start from.
+        x: The state; an entry that was not measured is the start of the search.
         known: Joints whose position was measured, shape (nv,).
         known_velocity: Joints whose velocity was measured, shape (nv,).
     """
@@ -60,7 +60,7 @@ class ProjectedState(NamedTuple):
     """The nearest consistent state, and how far the measurement was from it.
 
     The multipliers are no forces of the mechanism: W (q - q_m) = J' multipliers + limit
-    multipliers. They say which row had to push how hard to bring the measurement where it is.
+    multipliers. They tell how hard each row pushed the measurement onto the constraints.
 
     Attributes:
         x: The state.
@@ -71,7 +71,7 @@ class ProjectedState(NamedTuple):
         excess: How far it is beyond a limit, negative below a lower one, shape (nv,).
         undetermined: Joints that neither measurement nor rows place: they stay, shape (nv,).
         iterations: Steps that the position took, of Newton's method or quadratic programs.
-        condition: Condition number of the rows in the metric; 1 where couplings are all there is.
+        condition: Condition number of the rows in the metric; 1 with couplings alone.
     """
 
     x: State
@@ -86,12 +86,13 @@ class ProjectedState(NamedTuple):
 
 
 class StateProjector:
-    """Finds the nearest consistent state; every answer is checked.
+    """Finds the nearest consistent state and checks every result.
 
     Args:
         system: All joints of a fixed-base robot, the rows to keep as its `rows`.
         limits: Whether the position limits of the joints are kept.
-        amplification: Errors of measured joints may be so much larger in a reconstructed one.
+        amplification: Largest accepted ratio of an error in a reconstructed joint to errors of
+            measured ones.
 
     Attributes:
         lower: Smallest position of each joint, shape (nv,).

@@ -17,7 +17,7 @@ class ConstraintRows:
     Args:
         parts: The constraints.
         nv: Size of the velocity of the robot.
-        rows: Their rows as a scene with more constraints tells them apart; by default these alone.
+        rows: Their rows, numbered as in the scene; by default the rows of `parts` alone.
 
     Attributes:
         rows: One entry a row.

@@ -19,7 +19,7 @@ class CouplingRows(Constraint):
         couplings: Its dependent joints, in the order of the rows.
 
     Attributes:
-        pairs: They in indices, parents before children.
+        pairs: The couplings in indices, parents before children.
     """
 
     def __init__(self, robot: Robot, couplings: Couplings) -> None:

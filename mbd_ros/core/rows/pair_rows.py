@@ -27,7 +27,7 @@ class PairRows(Constraint):
     Args:
         pair: The frames.
         directions: Key of `DIRECTIONS`: axes of a along which the origins must not part.
-        rotation: What the axes must not do; None leaves them free.
+        rotation: Residual of the axes; None leaves them free.
     """
 
     reads_frames = True
@@ -89,7 +89,7 @@ class PairRows(Constraint):
         return np.concatenate((linear[self._rows], self._rotation.drift(R, omega, alpha)))
 
     def wrenches(self, data: Any, x: State, lam: Array) -> tuple[Wrench, ...]:
-        """What pulls a and b together, at the origin of b: on a, then on b."""
+        """The wrenches between a and b, at the origin of b: on a, then on b."""
         axes = self._pair.place(data).axes
         force = axes.rotation[:, self._rows].dot(lam[: self._count])
         torque = np.zeros(3)

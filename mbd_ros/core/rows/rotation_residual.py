@@ -21,13 +21,13 @@ class RotationResidual(Protocol):
     """g(R) with g' = slope omega and g'' = slope alpha + drift.
 
     Attributes:
-        names: What the multiplier of every row turns about, in the axes of a.
+        names: Axis about which the multiplier of every row turns, in the axes of a.
     """
 
     names: tuple[str, ...]
 
     def residual(self, R: Array) -> Array:
-        """What is left to turn, g [rad], shape (m,)."""
+        """The remaining turn, g [rad], shape (m,)."""
 
     def slope(self, R: Array) -> Array:
         """From omega to g', shape (m, 3)."""
@@ -48,7 +48,7 @@ class FullRotation:
     names: tuple[str, ...] = ("rx", "ry", "rz")
 
     def residual(self, R: Array) -> Array:
-        """What is left to turn, g [rad], shape (3,)."""
+        """The remaining turn, g [rad], shape (3,)."""
         x, y, z, _ = _quaternion(R)
         return np.array((2.0 * x, 2.0 * y, 2.0 * z))
 
@@ -91,7 +91,7 @@ class AxisRotation:
         self.names: tuple[str, ...] = tuple("r" + "xyz"[i] for i in self._across)
 
     def residual(self, R: Array) -> Array:
-        """What is left to turn, g [rad], shape (2,)."""
+        """The remaining turn, g [rad], shape (2,)."""
         _, c2, c3, s = self._axis(R)
         return self._rows(-s * c3, s * c2)
 

@@ -18,7 +18,7 @@ _SMALL = 1.0e-12  # A_ii [1/kg, 1/(kg m^2)] from which on a row is not looked at
 
 
 def is_rounding(J: Array) -> NDArray[np.bool_]:
-    """Whether rows that no joint moves are all that rounding has left of them, shape (m,)."""
+    """Whether rows are rounding alone, since no joint moves them, shape (m,)."""
     return np.abs(J).max(axis=1, initial=0.0) <= _ROUNDING
 
 
@@ -32,8 +32,8 @@ class RowFactor:
     Args:
         M: Mass matrix, shape (nv, nv).
         J: Rows, shape (m, nv).
-        size: Largest A_ii of each row so far, (m,): a row that vanishes at a toggle is told from
-            one that is small everywhere. Without it, A_ii itself.
+        size: Largest A_ii of each row so far, (m,); it separates a row that vanishes at a toggle
+            from one that is small everywhere. Without it, A_ii itself.
 
     Attributes:
         X: M^-1 J', shape (nv, m).

@@ -1,4 +1,4 @@
-"""Multipliers of all rows of a scene in one order, whatever solves for them."""
+"""Multipliers of all rows of a scene in one order, under every solver."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -52,7 +52,7 @@ class RowOrder:
 
 
 def numbered(rows: Sequence[Row]) -> tuple[Row, ...]:
-    """The rows, those of one name told apart by a number: bar, bar#2, bar#3."""
+    """The rows; equal names get a number: bar, bar#2, bar#3."""
     seen: Counter[str] = Counter()
     told_apart = []
     for row in rows:
