@@ -11,7 +11,7 @@ DEFAULT_MEMORY = 0.5  # s
 
 
 class ChatterMeter:
-    """Mean square of what commands hold above a frequency, forgotten exponentially.
+    """Mean square of commands above a frequency, forgotten exponentially.
 
     Commands u are held until the next one. A critically damped high-pass of second order,
 

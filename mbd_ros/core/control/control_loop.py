@@ -18,7 +18,7 @@ _ROUNDING = 1.0e-9  # a share of that size comes of adding steps
 
 
 class Command(NamedTuple):
-    """What is sent, and why.
+    """The command that is sent, and its cause.
 
     Attributes:
         effort: Of the controlled joints, guarded [N·m or N], shape (n,).
@@ -38,20 +38,21 @@ class ControlLoop:
 
         effort = guard((1 - weight) clip(control) + weight safe)
 
-    The weight never jumps: it falls from 1 to 0 within `ramp` after the first state, rises when
-    states stop (`lapse`), and falls again when they come back, from where it is. A state that
-    comes later than `longest` after the last one, or before it, is a new beginning: the reference
-    goes on from what is measured. Before it: time began anew, and so does the weight, with 1.
+    The weight never jumps. It falls from 1 to 0 within `ramp` after the first state, rises when
+    states stop (`lapse`), and falls again, from its present value, when they come back. A state
+    that comes later than `longest` after the last one, or before it, is a new beginning: the
+    reference continues from the measurement. With a state before the last one time began anew,
+    and the weight begins at 1.
 
     Args:
         controller: The control law; may be replaced between updates by one for the same joints.
         generator: The reference.
         guard: Limits.
-        safe: What acts when the control must not be trusted.
+        safe: The safe command, which acts while the control is not trusted.
         ramp: Duration of a hand-over [s], >= 0.
         longest: A longer time between states is a gap, and counts as no more than that [s].
         chatter: Measures the efforts that are sent.
-        watch: Says when the loop is lost; None trusts it.
+        watch: Tells when the loop is lost; None trusts it.
 
     Attributes:
         controller: See above.
@@ -94,7 +95,7 @@ class ControlLoop:
         self.restart()
 
     def restart(self) -> None:
-        """Hold the next state, whatever was followed; from the command that was sent last."""
+        """Hold the next state, whatever was followed, from the last command."""
         self.is_open, self.failures = True, 0
         self.generator.kind = "held"
         self.chatter.reset()
@@ -110,7 +111,7 @@ class ControlLoop:
             self.watch.use(controller)
 
     def take_over(self, other: "ControlLoop") -> None:
-        """Go on without a bump where another loop for the same joints was at work."""
+        """Continue without a bump where another loop for the same joints was at work."""
         self.weight, self.lapses, self._is_lapsed = other.weight, other.lapses, other._is_lapsed
         self.is_open, self._t, self._v = other.is_open, other._t, other._v
         self._sent, self.control = other._sent, other.control
@@ -158,7 +159,7 @@ class ControlLoop:
     def lapse(self, dt: float) -> Array | None:
         """The efforts while no state comes; None once the safe command was sent.
 
-        Without a state there is no velocity to damp: safe is no torque then.
+        Without a state there is no velocity to damp: the safe command is no torque then.
 
         Args:
             dt: Time since the last command [s].
@@ -176,7 +177,7 @@ class ControlLoop:
     def stop(self, is_fresh: bool) -> Array:
         """The last efforts before commands end: the safe ones at the newest state.
 
-        The model is not asked again: it may be what failed.
+        The model is not asked again: it may have failed.
 
         Args:
             is_fresh: Whether that state still tells the velocities; without, safe is no torque.

@@ -60,7 +60,7 @@ def tolerable_delay(gains: LoopGains, period: float) -> Array:
         w^2 = g (g damping^2 + (g^2 damping^4 + 4 stiffness^2)^(1/2)) / 2
         D = atan(damping w / stiffness) / w - h / 2
 
-    A command acts from the next period on: delays count in whole ones.
+    A command acts from the next period on: delays count in whole periods.
 
     Args:
         gains: Of the control law.

@@ -1,4 +1,4 @@
-"""How old the command is that a measured state answers to."""
+"""The age of the command that a measured state answers."""
 
 import math
 
@@ -22,7 +22,7 @@ class DelayMeter:
     noise. For every age of a command the squared difference between echo and command is summed
     and forgotten exponentially; the age with the least sum is that of the loop, where that sum is
     far below those of ages about it: efforts that do not change tell no age, and a drive that
-    reports no effort, or another one, tells nothing. Nothing is asked of the transport.
+    reports no effort, or another one, tells nothing. The transport need not help.
 
     Args:
         size: Number of joints.

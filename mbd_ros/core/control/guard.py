@@ -1,4 +1,4 @@
-"""The last thing before a command leaves: finite, and within what the drives can do."""
+"""The last check before a command leaves: finite, and within the reach of the drives."""
 
 import math
 from collections.abc import Sequence
@@ -37,7 +37,7 @@ class Guard:
         return np.minimum(np.maximum(effort, -self.limit), self.limit)
 
     def box(self, last: Array, dt: float) -> EffortBox:
-        """What may be sent now.
+        """Efforts that may be sent now.
 
         Args:
             last: The efforts sent last [N·m or N], shape (n,).

@@ -57,14 +57,14 @@ def rest_responses(joints: ControlledJoints, initial: State) -> list[Response]:
 class LoopWatch:
     """Compares error, speed and delay of a loop with its bounds.
 
-    What passes a bound for 20 to 40 ms is a fault: the command has to go safe. It may come back
-    after a wait of 1 s without a fault of speed or delay; every fault within 30 s of the last
-    return doubles the wait, up to a minute. `reset` ends it at once.
+    A value beyond its bound for 20 to 40 ms is a fault: the command has to go safe. Control may
+    return after a wait of 1 s without a fault of speed or delay. Every fault within 30 s of the
+    last return doubles the wait, up to a minute. `reset` ends it at once.
 
     Args:
         names: Joints.
         controller: The control law; may be replaced.
-        rest: Of `rest_responses`.
+        rest: From `rest_responses`.
         limits: See there.
 
     Attributes:
@@ -95,7 +95,7 @@ class LoopWatch:
         self.tolerable, self.bounds = np.inf, np.full(len(self._names), np.inf)
 
     def reset(self) -> None:
-        """Forget a fault, and what was seen."""
+        """Forget a fault and all states."""
         self.fault, self._reasons, self._late_by = "", list[str](), 0.0
         self._wait, self._back = _FIRST_WAIT, -np.inf
         self.begin()
@@ -124,7 +124,7 @@ class LoopWatch:
         return self.meter.delay
 
     def warnings(self) -> list[str]:
-        """What is beyond its bound now, one sentence each."""
+        """Values beyond their bounds now, one sentence each."""
         none = f"the gains leave no room for a delay at a period of {1e3 * self.period:.3g} ms"
         return [*self._reasons, *([none] if self.tolerable == 0.0 else [])]
 

@@ -18,8 +18,8 @@ class MobilityFactor:
 
         tau = sum of v_i (v_i' a) / l_i  over  l_i > 1e-9 l_max
 
-    This is the effort of least norm whose acceleration comes nearest to a; what no effort can
-    give is left out instead of asked for with huge efforts.
+    This is the effort of least norm whose acceleration comes nearest to a; a part that no
+    effort can give is left out, instead of asked for with huge efforts.
 
     Args:
         mobility: A [acceleration per effort], shape (n, n).

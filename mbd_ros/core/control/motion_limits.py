@@ -41,11 +41,11 @@ class MotionLimits:
         v² <= -2 a d                             where it stops before
         v + h a <= v_max
 
-    Who is within keeps within, with decelerations of at most B, if a is held exactly; a held
-    effort does not quite do so, and up to 2 B make up for it. From beyond a limit a joint is sent
-    back with at most 2 B, with a velocity in proportion to how far it is beyond.
+    A joint within its limits stays within, with decelerations of at most B, if a is held exactly.
+    A held effort does not quite hold a, and up to 2 B make up for it. A joint beyond a limit is
+    sent back with at most 2 B, with a velocity in proportion to its distance beyond.
     Source: A. Del Prete, IEEE Robotics and Automation Letters 3(1), 281-288 (2018),
-    doi:10.1109/LRA.2017.2738321. Left out: whether the drives can brake with B.
+    doi:10.1109/LRA.2017.2738321. It leaves out whether the drives can brake with B.
 
     Args:
         joints: Joints; those without the limits that are kept are left out.

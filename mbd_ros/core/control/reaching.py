@@ -58,7 +58,7 @@ class ReachingLaw:
         self._power = power if law == "power_rate" else 0.0
 
     def __call__(self, s: Array) -> Array:
-        """Rho of s [rad/s^2 or m/s^2], shape (n,)."""
+        """Value rho(s) [rad/s^2 or m/s^2], shape (n,)."""
         size = np.maximum(np.abs(s), self._layer)
         rho = self._gain * (s / size)
         if self._power:
@@ -70,7 +70,7 @@ class ReachingLaw:
     def layer(self, period: float) -> Array:
         """Boundary layer [rad/s or m/s], shape (n,); without one what a period makes of it.
 
-        That is where a step of the law leads to, s = 1.3 h k s^p.
+        A step of the reaching law leads there: s = 1.3 h k s^p.
         """
         sampled = (_SAMPLED * period * self._gain) ** (1.0 / (1.0 - self._power))
         return np.where(self._layer > _NO_LAYER, self._layer, sampled)

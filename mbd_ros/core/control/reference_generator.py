@@ -1,4 +1,4 @@
-"""What a controller is to follow: a held state, single targets or trajectories, without jumps."""
+"""The reference of a controller: a held state, single targets or trajectories, without jumps."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ _FARTHEST = 3600.0  # [s] that a trajectory may lie ahead: another clock is off 
 class ReferenceGenerator:
     """Turns targets and trajectories into one reference that is smooth over time.
 
-    A trajectory that does not begin where the reference is gets an offset, a quintic that decays,
+    A trajectory that does not begin at the reference gets an offset, a quintic that decays,
 
         ref(t) = trajectory(t) + offset(t),   offset -> 0 within T,
 
@@ -23,9 +23,9 @@ class ReferenceGenerator:
     stream of targets is interpolated, and later where that would be too fast. Without a
     successor it comes to rest within `timeout`.
 
-    Position and velocity never jump; accelerations go on within a stream only, as one that is
-    carried through a ramp would swing it by 0.017 a T². What would leave the position limits on
-    the way stands at them.
+    Position and velocity never jump; accelerations continue within a stream only, since an
+    acceleration carried through a ramp would swing it by 0.017 a T². A reference that would leave
+    the position limits on the way stands at them.
 
     Args:
         joints: The controlled joints, whose limits targets must keep.
@@ -54,7 +54,7 @@ class ReferenceGenerator:
 
     @property
     def trajectory(self) -> ReferenceTrajectory:
-        """What is followed; another object once something else is."""
+        """The trajectory that is followed; another object for another trajectory."""
         return self._trajectory
 
     @property
@@ -76,7 +76,7 @@ class ReferenceGenerator:
         self._fade(t, q, v)
 
     def resume(self, t: float, q: Array, v: Array) -> None:
-        """Go on with what is followed, from a measured state: after the loop was open."""
+        """Continue with the followed trajectory from a measured state, after the loop was open."""
         if self.kind == "held":
             self.hold(t, q, v)
         else:
@@ -84,7 +84,7 @@ class ReferenceGenerator:
             self._fade(t, q, v)
 
     def take_over(self, t: float, other: "ReferenceGenerator") -> None:
-        """Go on at a time [s] with what another generator of the same joints follows."""
+        """Continue at a time [s] the trajectory of another generator of the same joints."""
         self._limits.begin(other.at(t).q)
         self.kind, self._trajectory, self._offset = other.kind, other._trajectory, other._offset
         self._last_target, self._interval = other._last_target, other._interval
@@ -122,7 +122,7 @@ class ReferenceGenerator:
     def follow(
         self, t: float, times: Array, q: Array, v: Array | None = None, a: Array | None = None
     ) -> None:
-        """Take a whole trajectory; what was followed ends. `plan`, then `take`.
+        """Take a whole trajectory, by `plan` and `take`; the one before ends.
 
         Raises:
             TargetError: See `plan`.
@@ -130,7 +130,7 @@ class ReferenceGenerator:
         self.take(t, self.plan(t, times, q, v, a))
 
     def take(self, t: float, trajectory: ReferenceTrajectory) -> None:
-        """Follow at a time [s] a trajectory that `plan` made; what was followed ends."""
+        """Follow, at a time [s], a trajectory that `plan` made; the one before ends."""
         now = self.at(t)
         self._trajectory, self._last_target, self.kind = trajectory, -np.inf, "trajectory"
         self._fade(t, now.q, now.v)
@@ -138,7 +138,7 @@ class ReferenceGenerator:
     def plan(
         self, t: float, times: Array, q: Array, v: Array | None = None, a: Array | None = None
     ) -> ReferenceTrajectory:
-        """The trajectory of a trajectory, within the limits; nothing is followed yet.
+        """The trajectory through given points, within the limits; nothing is followed yet.
 
         Args:
             t: Now [s].
@@ -196,7 +196,7 @@ class ReferenceGenerator:
     def _led_in(
         self, t: float, now: Reference, times: Array, q: Array, v: Array | None, a: Array | None
     ) -> ReferenceTrajectory | None:
-        """The trajectory from where the reference is; None where it would leave a limit."""
+        """The trajectory from the present reference; None where it would leave a limit."""
         times, q = np.append(t, times), np.vstack([now.q, q])
         if v is None:
             v, a = slopes(times, q), None
@@ -230,7 +230,7 @@ class ReferenceGenerator:
 
 
 def _check_near(duration: float) -> None:
-    """Refuse what is so far that numbers end on the way: a ramp of that duration [s] to it."""
+    """Refuse a target so far away that numbers end on the way: a ramp of that duration [s]."""
     if not duration <= _FARTHEST:
         raise TargetError(
             f"reference refused: the way to it takes {duration:.3g} s at the speed of ramps, "

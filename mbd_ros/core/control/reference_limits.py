@@ -1,4 +1,4 @@
-"""Within which limits a reference may move, and what becomes of one that would leave them."""
+"""Limits of a reference, and how a reference that would leave them is kept or refused."""
 
 import numpy as np
 
@@ -31,7 +31,7 @@ class ReferenceLimits:
         self.fastest = np.array([joint.max_velocity for joint in joints.joints])
 
     def begin(self, q: Array) -> None:
-        """A reference begins at a measured position; beyond a limit it may stand until there."""
+        """Begin at a measured position; beyond a limit it widens that limit."""
         self._lowest, self._highest = np.minimum(self._lower, q), np.maximum(self._upper, q)
 
     def nearest(self, q: Array) -> Array:
@@ -39,7 +39,7 @@ class ReferenceLimits:
         return np.minimum(np.maximum(q, self._lower), self._upper)
 
     def kept(self, ref: Reference) -> Reference:
-        """The reference, at rest at a limit where it would leave it."""
+        """The reference, at rest at a limit that it would leave."""
         q = np.minimum(np.maximum(ref.q, self._lowest), self._highest)
         beyond = q != ref.q
         if not beyond.any():
@@ -47,7 +47,7 @@ class ReferenceLimits:
         return Reference(q, np.where(beyond, 0.0, ref.v), np.where(beyond, 0.0, ref.a))
 
     def check(self, times: Array, q: Array, v: Array) -> None:
-        """Refuse what leaves the limits.
+        """Refuse motion beyond the limits.
 
         Args:
             times: [s], shape (k,).

@@ -26,7 +26,7 @@ class Selection(NamedTuple):
         columns: Of the reference, shape (n,).
         factor: Shape (n,).
         offset: [rad or m], shape (n,).
-        note: What was mapped or left out, for people; empty where nothing was.
+        note: Joints that were mapped or left out, for people; empty without any.
     """
 
     is_given: NDArray[np.bool_]
@@ -48,7 +48,7 @@ class ReferenceMap:
     """Selects the controlled joints from references of any order.
 
     A joint that follows a controlled one by a linear function may stand for it; beside it, it is
-    left out, since the coupling decides where it goes.
+    left out, since the coupling decides its position.
 
     Args:
         names: Controlled joints.
@@ -140,6 +140,6 @@ class ReferenceMap:
 
 
 def _first(names: Sequence[str]) -> str:
-    """Some names for people, however many and long a message has them."""
+    """Some names for people, of any number and length."""
     some = ", ".join(f"{name:.64}" for name in names[:_MOST])
     return some if len(names) <= _MOST else f"{some} and {len(names) - _MOST} more"

@@ -1,4 +1,4 @@
-"""The sliding variable, and what a wrong model does to it."""
+"""The sliding variable, and the effect of a wrong model on it."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ from mbd_ros.core.state import Array
 
 
 def sliding_variable(r: Response, ref: Reference, bandwidth: Array) -> tuple[Array, Array]:
-    """The sliding variable and the accelerations that keep it where it is.
+    """The sliding variable and the accelerations that keep it constant.
 
         s = e' + lambda e,   s' = a - a_keep,   a_keep = a_ref - lambda e',   e = q - q_ref
 
@@ -29,7 +29,7 @@ def sliding_variable(r: Response, ref: Reference, bandwidth: Array) -> tuple[Arr
 
 
 class Mismatch(NamedTuple):
-    """What is left of s' = -rho(s) under a wrong model and a disturbance.
+    """The motion s' = -rho(s) under a wrong model and a disturbance.
 
         s' = disturbance - effectiveness rho(s)
 
@@ -52,7 +52,7 @@ def mismatch(truth: Response, model: Response, a_keep: Array, added: Array) -> M
 
     Args:
         truth: Response of the true joints.
-        model: What the controller takes for it, with a regular mobility.
+        model: Response in the controller's model, with a regular mobility.
         a_keep: Accelerations that keep s, see `sliding_variable`, shape (n,).
         added: Efforts that the controller does not know of [N·m or N], shape (n,).
 

@@ -1,4 +1,4 @@
-"""Efforts that give accelerations, and how far limits move the accelerations away.
+"""Efforts that give accelerations, and the error that limits add to the accelerations.
 
 min |a - a_ref|²_W = sum weight (a_free + mobility tau - a_ref)²
 """
@@ -16,8 +16,8 @@ class TrackingMetric:
 
     Every effort is tau = efforts(a_ref - a_free) + T y; y is the error beyond the least one, in
     the root of its weight, and the squared error grows by |y|². Where the mobility is singular
-    (redundant actuation), the effort of the least norm is taken, and what moves nothing costs
-    little, so that limits use it first: a hundredth of what the least mobile direction costs.
+    (redundant actuation), the effort of the least norm is taken. Efforts that move nothing cost a
+    hundredth of the least mobile direction, so that limits use them first.
 
     Args:
         mobility: Symmetric, positive semidefinite, shape (n, n).

@@ -32,8 +32,8 @@ _SAMPLES = 16  # a piece, where extremes are looked for
 class ReferenceTrajectory:
     """Quintic pieces through points with accelerations, else cubic ones; C2 or C1.
 
-    Before the first point it stands there, and after the last one likewise. A point without
-    velocity takes the mean slope of its neighbours, and the first and last one rest.
+    It stands at the first point before, and at the last point after. A point without velocity
+    takes the mean slope of its neighbours; the first and last point rest.
 
     Args:
         times: [s], strictly increasing, shape (k,), k >= 1.

@@ -1,4 +1,4 @@
-"""Goals of a trajectory: how far off their joints may be, and when they have ended how.
+"""Goals of a trajectory: the tolerances of their joints, and when and how they end.
 
 Source: the meaning of tolerances and codes is that of control_msgs/action/FollowJointTrajectory,
 and where it leaves a choice that of the joint_trajectory_controller of ros2_control.
@@ -28,20 +28,20 @@ class ResultCode(IntEnum):
 
 
 class Outcome(NamedTuple):
-    """The end of a goal: its code, and for people why."""
+    """The end of a goal: its code, and the reason for people."""
 
     code: ResultCode
     text: str
 
 
 class JointTolerance(NamedTuple):
-    """What a goal says of one joint: 0 leaves the default, a negative number lifts it.
+    """Tolerances of a goal for one joint: 0 leaves the default, a negative number lifts it.
 
     Attributes:
         name: The joint.
         position: [rad or m].
         velocity: [rad/s or m/s].
-        acceleration: [rad/s^2 or m/s^2]; none that is > 0 can be kept watch over.
+        acceleration: [rad/s^2 or m/s^2]; a tolerance > 0 cannot be watched.
     """
 
     name: str
@@ -51,7 +51,7 @@ class JointTolerance(NamedTuple):
 
 
 class Tolerances(NamedTuple):
-    """How far measured joints may be off their trajectory; inf where that does not matter.
+    """Accepted distances of measured joints from their trajectory; inf without a tolerance.
 
     Attributes:
         path_q: On the way [rad or m], shape (n,).
@@ -74,7 +74,7 @@ class Tolerances(NamedTuple):
         goal: Sequence[JointTolerance],
         time: float,
     ) -> "Tolerances":
-        """These defaults, changed by what a goal asks for.
+        """These defaults, changed by the tolerances of a goal.
 
         Args:
             names: Joints, in the order of the arrays.
@@ -96,7 +96,7 @@ class TrajectoryGoal:
 
     On the way every joint must keep the path tolerances. From the last point on, once the
     reference rests there, the goal is reached as soon as every joint keeps the goal tolerances,
-    and missed when that did not come within `tolerances.time`.
+    and missed after `tolerances.time`.
 
     Args:
         names: Joints, in the order of all arrays.
@@ -113,7 +113,7 @@ class TrajectoryGoal:
         self.begin, self._end, self._rest = begin, end, max(rest, end)
 
     def judge(self, t: float, q: Array, v: Array, ref: Reference) -> Outcome | None:
-        """How the goal ended at a time [s]; None while it goes on.
+        """How the goal ended at a time [s]; None while it continues.
 
         Args:
             t: Now [s].
@@ -138,7 +138,7 @@ class TrajectoryGoal:
         return Outcome(ResultCode.GOAL_TOLERANCE_VIOLATED, said)
 
     def _beyond(self, off: Array, rate: Array, most: Array, fastest: Array) -> str:
-        """The joint that is furthest beyond, in shares of what it may."""
+        """The joint that is furthest beyond, in shares of its tolerance."""
         for error, limit, unit in ((off, most, ""), (rate, fastest, "/s")):
             beyond = np.where(error > limit, error / limit, 0.0)
             if beyond.any():

@@ -1,4 +1,4 @@
-"""The super-twisting algorithm and how long it takes at most."""
+"""The super-twisting algorithm and an upper bound of its time."""
 
 import numpy as np
 
@@ -31,7 +31,7 @@ def reaching_time_bound(
     x2: Array | float,
     disturbance_rate: Array | float = 0.0,
 ) -> Array:
-    """A time within which x1 and x2 become zero for good, however they are disturbed.
+    """A time within which x1 and x2 become zero for good under any disturbance.
 
         x1' = -k1 |x1|^(1/2) sgn x1 + x2,   x2' = -k2 sgn x1 + r,   |r| <= L
 

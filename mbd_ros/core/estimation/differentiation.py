@@ -19,7 +19,7 @@ _SLOWEST, _FASTEST = 1.0e-6, 1.0e9  # cut-off frequencies [Hz] whose powers are 
 
 
 class SampleStatus(Enum):
-    """What became of a sample."""
+    """The verdict on a sample."""
 
     USED = "used"
     DUPLICATE = "duplicate stamp"
@@ -35,7 +35,7 @@ class CausalDifferentiator:
 
     The position passes unchanged. A joint whose velocity is measured keeps that velocity and gets
     its acceleration from a second-order `LowPass`; any other gets both from a third-order one.
-    What a filter gives lags by its `delay`.
+    The output of a filter lags by its `delay`.
 
     Args:
         cutoff: Half-power frequency of the filters [Hz], > 0.
@@ -44,7 +44,7 @@ class CausalDifferentiator:
             step is within limit x dt of what the measured velocity says or, where none is
             measured, of the step before.
         wraps: Joints whose angle may jump by full turns, shape (n,) of bool.
-        patience: So many glitches in a row are believed: the filters restart there.
+        patience: Number of glitches in a row that are believed: the filters restart there.
         rewind: A stamp older than the last by more than this is a new beginning [s].
 
     Attributes:
@@ -97,7 +97,7 @@ class CausalDifferentiator:
 
     @property
     def memory(self) -> tuple[Any, ...]:
-        """What the next samples are judged by; may be set, to what it was before a sample."""
+        """State by which the next samples are judged; may be set, to its value before a sample."""
         filters = self._of_position.memory, self._of_velocity.memory
         answer = self.position, self.velocity, self.acceleration, self._measured
         judged = self._stamp, self._jumps, self._last_step, self._before
@@ -127,7 +127,7 @@ class CausalDifferentiator:
                 last sample of all.
 
         Returns:
-            What became of it. After OLD, JUMP and NOT_FINITE the attributes are those of the last
+            The verdict. After OLD, JUMP and NOT_FINITE the attributes are those of the last
             good sample.
         """
         if self._stamp is None:

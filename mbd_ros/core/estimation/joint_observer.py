@@ -21,7 +21,7 @@ class Tuning(NamedTuple):
     Attributes:
         cutoff: Half-power frequency of the derivative filters [Hz].
         velocity_margin: Steps beyond margin x velocity limit x dt are encoder glitches.
-        patience: So many glitches in a row are believed.
+        patience: Number of glitches in a row that are believed.
         max_age: How long a joint that messages lack keeps its last position [s].
         rewind: A stamp older than the last by more than this is a new beginning [s].
     """
@@ -52,7 +52,7 @@ class Observation(NamedTuple):
 
 
 class JointObserver:
-    """Judges a stream of joint samples and derives what they lack.
+    """Judges a stream of joint samples and derives missing velocities and accelerations.
 
     Args:
         robot: The robot; fixed base.
@@ -62,7 +62,7 @@ class JointObserver:
     Attributes:
         names: Joints of a sample: the independent ones, then the dependent ones.
         differentiator: Where velocity and acceleration come from.
-        outcome: What became of the newest sample.
+        outcome: Verdict on the newest sample.
 
     Raises:
         ModelError: The base floats: joint states do not carry its pose.
@@ -105,7 +105,7 @@ class JointObserver:
 
     @property
     def memory(self) -> tuple[Any, ...]:
-        """What the next samples depend on; may be set, to what it was before a sample."""
+        """State on which the next samples depend; may be set, to its value before a sample."""
         kept = self._position, self._velocity, self._complete, self._seen
         return kept, self.differentiator.memory
 
@@ -148,7 +148,7 @@ class JointObserver:
     def _take_part(
         self, stamp: int, z: Array, v: Array, present: NDArray[np.bool_]
     ) -> SampleStatus:
-        """Take a sample that lacks joints: these keep their last position, for `max_age`."""
+        """Take a sample that lacks joints; missing ones keep their last position for `max_age`."""
         if not np.isfinite(z[present]).all():
             return SampleStatus.NOT_FINITE
         self._seen = self._seen.copy()

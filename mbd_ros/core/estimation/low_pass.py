@@ -72,7 +72,7 @@ class LowPass:
 
     @property
     def memory(self) -> Array:
-        """What the next steps depend on; may be set, to what it was before."""
+        """State on which the next steps depend; may be set, to an earlier value."""
         return self._last
 
     @memory.setter

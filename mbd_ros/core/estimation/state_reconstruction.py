@@ -29,7 +29,7 @@ class StateReconstructor:
     """Projects a stream of joint samples, each of which may lack joints.
 
     A missing joint starts from its coupling, or else from the last state, at the beginning from
-    `initial`, so that its branch is kept. What nothing determines is held, for `max_age`.
+    `initial`, so that its branch is kept. A joint that nothing determines is held for `max_age`.
 
     Args:
         projector: Samples to states; owned by the reconstructor from now on.

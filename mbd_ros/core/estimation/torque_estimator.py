@@ -41,9 +41,9 @@ class TorqueEstimator(JointObserver):
     def solve(self, x: Observation, wrenches: Sequence[Array] = ()) -> Torques | None:
         """Torques of an observation; None if they are not finite.
 
-        What has no torques leaves nothing behind: the next sample is judged and solved as if it
-        had not been there. Where later ones were observed before it was solved, it stays in the
-        filters, or they begin anew if its torques are not finite.
+        An observation without torques leaves nothing behind: the next sample is judged and solved
+        as if it had not been there. Where later samples were observed before it was solved, it
+        stays in the filters, or they begin anew if its torques are not finite.
 
         Args:
             x: What `observe` returned.
@@ -86,7 +86,7 @@ class TorqueEstimator(JointObserver):
         return found
 
     def _give_up(self, x: Observation, of_loops: tuple[Any, ...]) -> None:
-        """Put back what was before an observation."""
+        """Put back the state before an observation."""
         if self._loops is not None:
             self._loops.memory = of_loops
         if x is self._newest:

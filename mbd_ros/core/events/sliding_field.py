@@ -70,7 +70,7 @@ class SlidingField:
     """A system in one mode at a time: smooth, also across its switching surfaces.
 
     Where it slides, a = a_0 + B s with the signs for which h' = 0: Filippov's combination, whose
-    weights are (1 + s) / 2 and (1 - s) / 2. The system is told the modes too: at a time that was
+    weights are (1 + s) / 2 and (1 - s) / 2. The system knows the modes too: at a time that was
     integrated over, its acceleration is that of the mode there, sliding included.
 
     Source: A. F. Filippov, 1988, §4; L. Dieci, L. Lopez, SIAM J. Numer. Anal. 47, 2009, 2023-2051.
@@ -79,7 +79,7 @@ class SlidingField:
         system: The system, without bounded rows; its loads are replaced.
 
     Attributes:
-        mode: In which `acceleration` answers, one entry a surface.
+        mode: Mode of `acceleration`, one entry a surface.
         names: Of the surfaces.
         times: When modes began [s].
         modes: Those modes.

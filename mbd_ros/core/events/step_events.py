@@ -56,7 +56,7 @@ class StepEvents:
             x: Start of the step; what is returned for an event that is there already.
             u: Commands.
             after: End of the step.
-            left: Surfaces that the motion is only just leaving: heights of rounding do not count.
+            left: Surfaces that the motion is just leaving: heights of rounding do not count there.
 
         Raises:
             SolveError: A surface is not left.

@@ -1,4 +1,4 @@
-"""What a motion does that is on one or several switching surfaces at once."""
+"""The mode of a motion on one or several switching surfaces at once."""
 
 import itertools
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ _SAME = 1.0e-6  # signs that give the same motion
 
 
 def mode_on(r: Array, D: Array, names: Sequence[str]) -> Mode:
-    """The only way to go on from where surfaces meet: h' = r + D s with s in -1 .. 1.
+    """The only way to continue where surfaces meet: h' = r + D s with s in -1 .. 1.
 
         h_i' > 0 and s_i = 1 (leaves above), h_i' < 0 and s_i = -1 (leaves below),
         or h_i' = 0 and -1 <= s_i <= 1 (slides)

@@ -1,4 +1,4 @@
-"""What a force that jumps at surfaces must offer."""
+"""Contract of forces that jump at surfaces."""
 
 from typing import Any
 
@@ -50,11 +50,11 @@ class DiscontinuousForce(ForceTerm):
         raise NotImplementedError
 
     def force(self, data: Any, x: State) -> Array:
-        """By the signs of the heights, for methods that do not know of surfaces, shape (nv,)."""
+        """The force by the signs of the heights, for methods without surfaces, shape (nv,)."""
         return self.blend(data, x, np.sign(self.heights(data, x)))
 
     def beside(self, data: Any, x: State) -> ForceTerm:
-        """With the signs of a state everywhere; on a surface itself the force halfway."""
+        """The force with the signs of a state everywhere; on a surface itself the mean of both."""
         return OneSide(self, np.sign(self.heights(data, x)))
 
 

@@ -18,8 +18,8 @@ _SHORT, _MOST = 1.0e-3, 16  # events this close, in dt, and how many of them may
 class SwitchingSteps(Stepper):
     """Runge-Kutta steps that end where a switching surface is reached or left.
 
-    Each is taken in one mode. After an event the mode is decided when the next step begins, so
-    that the dense output of this one still has its own.
+    Each step is taken in one mode. After an event the mode is decided when the next step begins,
+    so that the dense output of the finished step keeps its own mode.
 
     Args:
         field: The system in its modes.
@@ -27,7 +27,7 @@ class SwitchingSteps(Stepper):
         dt: Step of a fixed-step method, and interval of the output [s].
 
     Attributes:
-        field: As given; its `times` and `modes` are what happened.
+        field: As given; its `times` and `modes` are the history.
     """
 
     def __init__(self, field: SlidingField, inner: RungeKutta, dt: float) -> None:
@@ -43,7 +43,7 @@ class SwitchingSteps(Stepper):
         """Advance by one step of the inner method, or to the next event.
 
         Raises:
-            SolveError: The solution is not unique or does not go on, or events accumulate.
+            SolveError: The solution is not unique or ends, or events accumulate.
             DivergedError: As the inner method.
         """
         if not x.t < end:
@@ -71,7 +71,7 @@ class SwitchingSteps(Stepper):
         self.field.modes.clear()
 
     def continue_from(self, x: State) -> None:
-        """Go on in the same mode from a corrected state."""
+        """Continue in the same mode from a corrected state."""
         self._last = x
 
     def interpolate(self, t: float) -> State:
@@ -102,7 +102,7 @@ class SwitchingSteps(Stepper):
             self._decide(x, u, set(field.sliding))
 
     def _decide(self, x: State, u: Array | None, on: set[int]) -> None:
-        """Go on from surfaces that the state is on."""
+        """Continue from surfaces that the state is on."""
         if not on:
             self._change(x, {})
             return

@@ -38,8 +38,8 @@ class ClosedLoopInverseDynamics:
     Efforts are exact where they are determined. Where actuators can work against one another
     they have the smallest Euclidean norm in SI numbers; drives (prescribed motion) count as
     actuators in it. Given the efforts, multipliers of redundant rows have the smallest norm.
-    Bounded rows, stops and dry friction, are not known from a motion: what they exert is part of
-    the efforts. A limited drive counts as an actuator that may exceed its limit.
+    A motion does not show the forces of bounded rows, stops and dry friction: they are part of the
+    efforts. A limited drive counts as an actuator that may exceed its limit.
 
     One instance owns its Pinocchio data: not for two threads.
 
@@ -91,7 +91,7 @@ class ClosedLoopInverseDynamics:
 
     @property
     def memory(self) -> tuple[Any, ...]:
-        """What rows and efforts have been like so far; may be set, to what it was before."""
+        """Sizes of rows and efforts so far; may be set, to an earlier value."""
         return self._size, self._freedom, self.motion.memory
 
     @memory.setter
@@ -134,7 +134,7 @@ class ClosedLoopInverseDynamics:
         return LoopTorques(tau, multipliers, null_space, labels, split.condition)
 
     def reach(self, x: State) -> Reach:
-        """What the actuators can do at a state on the constraints."""
+        """The reach of the actuators at a state on the constraints."""
         self._balance.place(x)
         split = self._split(x, self._balance.rows(x)[0])
         undriven = self._movers(split.undriven(), x)
@@ -191,7 +191,7 @@ class ClosedLoopInverseDynamics:
     def _movers(self, directions: Array, x: State) -> tuple[str, ...]:
         """Joints that carry most of some motions, one a column, by kinetic energy.
 
-        Equal ones stand in the order of the robot, whatever rounding says.
+        Equal ones stand in the order of the robot, independent of rounding.
         """
         inertia = np.sqrt(self.motion.metric(x.q).diagonal())
         share: Any = inertia * np.linalg.norm(directions, axis=1)

@@ -21,13 +21,13 @@ _TAKES_PART = 1.0e-6  # share of an unknown in the null space; rounding leaves 1
 
 
 class Split(NamedTuple):
-    """What a force on all joints consists of.
+    """Efforts and multipliers of a force on all joints.
 
     Attributes:
         efforts: e [N·m or N], shape (ne,).
         multipliers: lam, shape (m,).
-        left: What neither can exert, as an acceleration of the motions that the rows allow:
-            M^-1 (b - E e - J' lam), shape (nv,).
+        left: The rest, which neither can exert, as an acceleration of the motions that the rows
+            allow: M^-1 (b - E e - J' lam), shape (nv,).
         share: Norm of that in the mass metric, the square root of a work per mass.
     """
 
@@ -40,17 +40,17 @@ class Split(NamedTuple):
 class ForceSplit:
     """Factors of one state.
 
-    Efforts first: among the e that fit, the one of smallest Euclidean norm in SI numbers, which
-    does not depend on how the constraints are written down; then, for this e, the lam of
-    smallest norm. Ranks are those of columns scaled in the metric M^-1, so that units play no
+    Efforts come first: the e of smallest Euclidean norm in SI numbers that fits, which does not
+    depend on how the constraints are written down. Then comes, for this e, the lam of smallest
+    norm. Ranks are those of columns scaled in the metric M^-1, so that units play no
     role in them.
 
     Args:
         M: Mass matrix, shape (nv, nv).
         E: Force of every effort, one a column, shape (nv, ne).
         J: Rows, shape (m, nv).
-        size: Norm of each column of E and J' so far: one that vanishes at a toggle is told from
-            one that is small everywhere. Without it, those of these matrices.
+        size: Norm of each column of E and J' so far; it separates a column that vanishes at a
+            toggle from one that is small everywhere. Without it, the norms of these matrices.
 
     Attributes:
         size: Largest norm of each column so far, these included, shape (ne + m,).

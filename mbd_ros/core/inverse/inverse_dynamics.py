@@ -22,11 +22,11 @@ _CHUNK = 2048  # samples
 
 
 class Torques(NamedTuple):
-    """What moves the robot as observed.
+    """Torques and coupling multipliers that explain a motion.
 
     Attributes:
         tau: Force of every independent coordinate [N·m or N], shape (nv_z,) or (n, nv_z).
-        multipliers: What the tendon, cam or gear of every dependent joint exerts on that joint
+        multipliers: Force of the tendon, cam or gear of every dependent joint on that joint
             [N·m for a revolute joint, N for a prismatic one], shape (n_d,) or (n, n_d). Positive
             pushes the joint in its positive direction. On its parent the coupling exerts -f' times
             as much.
@@ -41,9 +41,9 @@ class TorqueComponents(NamedTuple):
 
     Attributes:
         gravity: G' g(q).
-        coriolis: G' (C(q, v) v + M dG/dt z'): all that is quadratic in velocity.
+        coriolis: G' (C(q, v) v + M dG/dt z'): all terms quadratic in velocity.
         inertial: G' M G z''.
-        external: -G' (sum J' w + sum f): what the environment and the force terms take over.
+        external: -G' (sum J' w + sum f): the share of the environment and the force terms.
     """
 
     gravity: Array

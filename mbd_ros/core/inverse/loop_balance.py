@@ -22,7 +22,7 @@ class Terms(NamedTuple):
     Attributes:
         inertial: M a.
         bias: h, gravity included.
-        loads: What wrenches and force terms exert.
+        loads: Forces of wrenches and force terms.
     """
 
     inertial: Array
@@ -33,8 +33,8 @@ class Terms(NamedTuple):
 class LoopBalance:
     """Rows, mass matrix and forces of a mechanism.
 
-    One instance owns one Pinocchio `Data`. `place` comes first, everything else then refers to
-    that state, `rows` before the rest.
+    One instance owns one Pinocchio `Data`. `place` comes first; all other methods refer to that
+    state, and `rows` comes before them.
 
     Args:
         robot: The robot.
@@ -83,7 +83,7 @@ class LoopBalance:
         return np.where(self.is_drive, 0.0, self.constraints.residual(self._data, x))
 
     def terms(self, x: State, a: Array, wrenches: Sequence[Array]) -> Terms:
-        """Forces of a motion; takes the place of the last state in `data`."""
+        """Forces of a motion; overwrites the last state in `data`."""
         loads = np.zeros_like(a)
         for force in self._forces:
             loads += force.force(self._data, x)

@@ -32,7 +32,7 @@ Mask = NDArray[np.bool_]
 class LoopMotion:
     """Nearest consistent motion in the mass metric, and joints that nobody measures.
 
-    Drives demand nothing here: the motion says what they did.
+    Drives demand nothing here: the motion shows what they did.
 
     Args:
         robot: The robot.
@@ -56,7 +56,7 @@ class LoopMotion:
 
     @property
     def memory(self) -> tuple[Any, ...]:
-        """How large rows have been so far; may be set, to what it was before a sample."""
+        """Sizes of rows so far; may be set, to the value before a sample."""
         return self._size, self._system.row_size
 
     @memory.setter
@@ -89,12 +89,12 @@ class LoopMotion:
     def complete(self, before: Array, x: State, a: Array, measured: Mask) -> tuple[State, Array]:
         """A state whose other joints close the loops, on the branch of an earlier one.
 
-        The measured joints go from where they were to where they are in steps that are short
-        enough for the others to follow.
+        The measured joints move from their earlier to their present positions in steps that are
+        short enough for the others to follow.
 
         Args:
             before: Configuration on the constraints, shape (nq,).
-            x: State of all joints; what is not measured is ignored.
+            x: State of all joints; entries that are not measured are ignored.
             a: Acceleration of all joints; likewise, shape (nv,).
             measured: Velocity coordinates that are measured, shape (nv,).
 
@@ -168,7 +168,7 @@ class LoopMotion:
 
 
 def with_inertia(robot: Robot) -> Robot:
-    """The robot for a metric, which links without mass must not make singular.
+    """The robot of the metric, which stays regular with links without mass.
 
     Distances and ranks need a metric, not the masses: where some joints move nothing that has
     mass, every joint gets a little inertia. Forces never come from this robot.
@@ -192,7 +192,7 @@ def _shortest(J: Array, L: Array, size: Array, r: Array) -> Array:
 
 
 def _least(A: Array, b: Array) -> Array:
-    """The shortest of the x with A x nearest to b; what vanishes at a toggle is left out."""
+    """The shortest of the x with A x nearest to b, without directions that vanish at a toggle."""
     if not np.isfinite(b).all():
         return np.full(A.shape[1], np.nan)
     least: Any = np.linalg.lstsq(A, b, rcond=SINGULAR)[0]

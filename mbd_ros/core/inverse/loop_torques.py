@@ -1,4 +1,4 @@
-"""What inverse dynamics of mechanisms with loops finds."""
+"""Results of inverse dynamics of mechanisms with loops."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,7 +9,7 @@ _LISTED = 12  # names in a message
 
 
 class LoopTorques(NamedTuple):
-    """What moves a mechanism with loops.
+    """Efforts and multipliers that move a mechanism with loops.
 
     Attributes:
         tau: Effort of every actuated joint [N·m or N], shape (na,).
@@ -28,7 +28,7 @@ class LoopTorques(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """What the actuators can do at a state.
+    """The reach of the actuators at a state.
 
     Attributes:
         freedom: Motions that the rows allow.

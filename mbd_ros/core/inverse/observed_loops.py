@@ -13,9 +13,7 @@ from mbd_ros.core.state import Array, State
 
 
 class ObservedLoops:
-    """Makes what a robot measures consistent, then solves it.
-
-    For whoever feeds an `InverseDynamics` sample by sample.
+    """Makes a measured motion consistent, then solves it, sample by sample as `InverseDynamics`.
 
     Args:
         inverse: The solver, owned from now on.
@@ -27,7 +25,7 @@ class ObservedLoops:
         rows: Names of the multipliers: the dependent joints, then the rows of the constraints.
         moved: How far a joint of the last sample was moved onto the constraints [rad or m].
         gap: Residual of every row at the last sample as measured, shape (m,); 0 for drives and
-            for couplings, which say themselves how far a dependent joint is off.
+            for couplings, whose violation stands elsewhere.
     """
 
     def __init__(self, inverse: ClosedLoopInverseDynamics) -> None:
@@ -46,7 +44,7 @@ class ObservedLoops:
 
     @property
     def memory(self) -> tuple[Any, ...]:
-        """What the next sample depends on; may be set, to what it was before a sample."""
+        """State on which the next sample depends; may be set, to its value before a sample."""
         return self.configuration, self.inverse.memory
 
     @memory.setter

@@ -1,4 +1,4 @@
-"""What joints transmit, six components each: backward pass of the Newton-Euler recursion."""
+"""Reactions of joints, six components each: backward pass of the Newton-Euler recursion."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -15,15 +15,15 @@ from mbd_ros.core.state import Array, State
 
 
 class Reactions(NamedTuple):
-    """What bodies exert on one another.
+    """Wrenches between bodies.
 
     Attributes:
-        local: What the parent of every joint exerts on its child: force [N], then torque [N·m]
+        local: Wrench of the parent of every joint on its child: force [N], then torque [N·m]
             about the origin of the joint, in the axes of the joint on the child, shape (n, 6).
-            Along the axis of the joint it is what acts there: actuator (without what turns its
-            own rotor, the armature), springs, friction, tendons.
+            Along the axis of the joint it is the sum of actuator (without the torque on its own
+            rotor, the armature), springs, friction and tendons.
         world: The same in world axes, about the same point, shape (n, 6).
-        closures: What constraints exert on bodies.
+        closures: Wrenches of constraints on bodies.
     """
 
     local: Array

@@ -12,9 +12,9 @@ class CommandWatch:
 
         u = (1 - weight) held + weight safe
 
-    The weight never jumps, so that neither handing over nor coming back is a bump. All times are
-    those of the simulation: while it stands, nothing times out. Before the first command the
-    safe one acts; a first command within `timeout` acts at once.
+    The weight never jumps, so that neither the hand-over nor the return is a bump. All times are
+    those of the simulation: while it stands, nothing times out. The safe command acts before the
+    first one; a first command within `timeout` acts at once.
 
     Args:
         timeout: How long a command is held without a successor [s], > 0.

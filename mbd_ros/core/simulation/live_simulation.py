@@ -41,18 +41,18 @@ class LiveSimulation:
     """Simulates a scene in ticks; a command holds over a tick.
 
     Args:
-        build: Makes the simulation; asked again by `reset`, so that no history remains and a
+        build: Makes the simulation; `reset` calls it again, so that no history remains and a
             replay gives the same bits.
         initial: State of all joints at the start.
         period: Length of a tick [s], a whole number of steps.
         watch: Takes the commands, in the order of `Loads.commands`.
-        safe: What acts when no command does.
+        safe: The safe command.
 
     Attributes:
         simulation: At work since the last reset.
         watch: As given.
         now: The newest state; after a divergence the last finite one.
-        fault: Why it diverged; empty as long as it did not.
+        fault: Why it diverged; empty before.
 
     Raises:
         ModelError: The period is no whole number of steps; the base floats.
@@ -72,7 +72,7 @@ class LiveSimulation:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the initial state, with no memory of anything since."""
+        """Return to the initial state, with no memory of anything since."""
         simulation = self._build()
         robot, dt = simulation.system.robot, simulation.dt
         if robot.floating:
@@ -140,7 +140,7 @@ class LiveSimulation:
         return (1.0 - watch.weight) * watch.held + watch.weight * safe
 
     def _safe_torque(self) -> Array:
-        """Of the actuated joints, shape (nu,)."""
+        """Safe torque of the actuated joints, shape (nu,)."""
         v = self._x.v[self._driven]
         if self._safe.is_zero:
             return np.zeros(len(v))

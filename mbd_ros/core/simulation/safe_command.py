@@ -1,4 +1,4 @@
-"""What actuators do when nobody whom they can trust commands them."""
+"""The safe command: torques of actuators without a command that can be trusted."""
 
 from dataclasses import dataclass
 
@@ -15,13 +15,13 @@ class SafeCommand:
     """The `safe` section: torque of the actuated joints without a command.
 
     `damping` is tau = -gain v, held for a step of h. A held damper stronger than the step
-    allows would drive what it brakes; hence the implicit form
+    allows would drive the joints that it should brake; hence the implicit form
 
         tau = -(1/gain + h S A S')⁻¹ v
 
-    which is -gain v for small steps and at most stops the joints within one. A is what a unit
-    torque accelerates, S picks the actuated joints. `zero` is no torque: at the knee of a leg in
-    stance a fall, which is why it is not the default.
+    which is -gain v for small steps and at most stops the joints within one. A are the
+    accelerations of unit torques, S picks the actuated joints. `zero` is no torque. It is not the
+    default, since a leg in stance would fall.
 
     Attributes:
         type: damping or zero.

@@ -84,7 +84,7 @@ class Simulation:
             x: State of all joints; moved onto the constraints first.
             duration: [s], >= 0; a last shorter interval ends exactly there.
             commands: Time [s] -> commands, read every dt and held until the next.
-            notice: Is told once where steps are so short that the end is far away.
+            notice: Is called once where steps are so short that the end is far away.
 
         Raises:
             DivergedError: The state is no longer finite, or steps are too short to get to the end.
@@ -148,7 +148,7 @@ class Simulation:
         return y
 
     def passed_stops(self) -> list[str]:
-        """What joints went beyond which stops since the start, one text each."""
+        """Joints that went beyond stops since the start, one text each."""
         return [] if self.overshoots is None else [str(one) for one in self.overshoots.found()]
 
     def _corrected(self, y: State) -> State:

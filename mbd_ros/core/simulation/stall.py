@@ -1,4 +1,4 @@
-"""Simulations that hardly go on: what their steps come to, and why they are so short."""
+"""Simulations that hardly advance: the pace of their steps, and why they are so short."""
 
 from collections.abc import Callable
 
@@ -20,15 +20,15 @@ _AT_THE_LIMIT = 0.3  # rate times step from which on the rate explains the step
 class StallWatch:
     """Looks at the pace of a simulation, every `WINDOW` steps.
 
-    A run is slow where the method has shortened its steps and millions of them are left: that is
-    said once. It is hopeless where it takes more than 20 000 steps an interval of the output and
-    tens of millions are left, three looks in a row. A stiff scene whose end is within reach goes
-    on, and so does one that is slow for a while.
+    A run is slow where the method has shortened its steps and millions of them are left; one
+    notice reports it. A run is hopeless where it takes more than 20 000 steps an interval of the
+    output and tens of millions are left, three looks in a row. A stiff scene whose end is within
+    reach continues, and so does one that is slow for a while.
 
     Args:
         system: The system.
         dt: Interval of the output [s].
-        notice: Is told of a slow run; None is nobody.
+        notice: Is called for a slow run; may be None.
     """
 
     def __init__(self, system: System, dt: float, notice: Notice | None = None) -> None:
@@ -70,7 +70,7 @@ class StallWatch:
 def refuse_crawl(
     system: System, x: State, u: Array | None, step: float, dt: float, end: float
 ) -> None:
-    """Refuse to go on within a tick that has taken `PATIENCE` windows of steps.
+    """Refuse to continue within a tick that has taken `PATIENCE` windows of steps.
 
     Args:
         system: The system.
