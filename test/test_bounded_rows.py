@@ -14,7 +14,7 @@ from mbd_ros.core.model.coupling_functions import Linear
 from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
-from mbd_ros.core.optimization.box_active_set import complementarity
+from mbd_ros.core.optimization.box_qp import complementarity_residual
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
@@ -173,7 +173,7 @@ class AlwaysQp(BoundedRows):
         begin = time.thread_time()
         lam = self.qp.solve(A, w, lower, upper)
         self.worst = max(self.worst, time.thread_time() - begin)
-        assert complementarity(A, w, lower, upper, lam) <= 1e-9
+        assert complementarity_residual(A, w, lower, upper, lam) <= 1e-9
         return lam
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from mbd_ros.core.integration.linear_motion import fastest_rate
 from mbd_ros.core.model.couplings import Couplings
-from mbd_ros.core.optimization.box_active_set import complementarity
+from mbd_ros.core.optimization.box_qp import complementarity_residual
 from mbd_ros.core.projection.assembly import assemble, project, violation
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import State
@@ -76,7 +76,7 @@ def test_a_stop_that_rows_hold_still_is_left_alone_unless_it_must_act():
 def test_huge_multipliers_do_not_excuse_what_they_leave():
     A, b = np.array([[1.0, 1.0], [1.0, 1.0]]), np.array([1.0, 0.9])
     free = np.full(2, np.inf)
-    assert complementarity(A, b, -free, free, np.array([1e17, -1e17])) > 1e-7
+    assert complementarity_residual(A, b, -free, free, np.array([1e17, -1e17])) > 1e-7
 
 
 def four_bar():

@@ -6,11 +6,10 @@ import time
 import numpy as np
 import pytest
 
-from mbd_ros.core.optimization import limited_qp
+from mbd_ros.core.optimization import hard_soft_qp
 from mbd_ros.core.optimization.bounded_least_squares import COMPLIANCES, BoundedLeastSquares
-from mbd_ros.core.optimization.box_active_set import complementarity
-from mbd_ros.core.optimization.limited_qp import LimitedQp
-from mbd_ros.core.optimization.qp import BoxQp
+from mbd_ros.core.optimization.box_qp import BoxQp, complementarity_residual
+from mbd_ros.core.optimization.hard_soft_qp import HardSoftQp
 from mbd_ros.errors import ModelError, SolveError
 
 
@@ -64,7 +63,7 @@ def test_singular_problems_and_any_scale_end_complementary(scale):
     for _ in range(200):
         A, b, lower, upper = problem(rng, 6, rank=4, scale=scale)
         lam = qp.solve(A, b, lower, upper)
-        assert complementarity(A, b, lower, upper, lam) <= 1e-9
+        assert complementarity_residual(A, b, lower, upper, lam) <= 1e-9
         assert ((lower <= lam) & (lam <= upper)).all()
     assert qp.statistics.failed == 0
 
@@ -91,7 +90,7 @@ def test_a_problem_without_optimum_is_an_error_and_counted():
         qp.solve(np.zeros((2, 2)), -np.ones(2), np.zeros(2), np.full(2, np.inf))
     assert qp.statistics.cold == qp.statistics.damped == qp.statistics.failed == 1
     A, b, lower, upper = problem(np.random.default_rng(0), 2)
-    assert complementarity(A, b, lower, upper, qp.solve(A, b, lower, upper)) <= 1e-9
+    assert complementarity_residual(A, b, lower, upper, qp.solve(A, b, lower, upper)) <= 1e-9
 
 
 def test_unknown_backend_is_named_with_the_pip_line():
@@ -102,10 +101,10 @@ def test_unknown_backend_is_named_with_the_pip_line():
 def test_complementarity_sees_every_kind_of_wrong_answer():
     A, b = np.eye(2), np.array([-1.0, -1.0])
     lower, upper = np.zeros(2), np.array([0.5, 2.0])
-    assert complementarity(A, b, lower, upper, np.array([0.5, 1.0])) == 0.0
+    assert complementarity_residual(A, b, lower, upper, np.array([0.5, 1.0])) == 0.0
     for wrong in ([0.5, 0.9], [0.4, 1.0], [0.0, 1.0], [0.5, 2.0]):
-        assert complementarity(A, b, lower, upper, np.array(wrong)) > 1e-2
-    assert complementarity(A, b, lower, upper, np.array([np.nan, 1.0])) == np.inf
+        assert complementarity_residual(A, b, lower, upper, np.array(wrong)) > 1e-2
+    assert complementarity_residual(A, b, lower, upper, np.array([np.nan, 1.0])) == np.inf
 
 
 def along_a_path(rng, n, count):
@@ -141,7 +140,7 @@ def solved_along_paths(seed, paths, count):
             begin = time.thread_time()
             lam = qp.solve(A, b, lower, upper)
             worst = max(worst, time.thread_time() - begin)
-            assert complementarity(A, b, lower, upper, lam) <= 1e-9
+            assert complementarity_residual(A, b, lower, upper, lam) <= 1e-9
         assert qp.statistics.failed == 0
         assert qp.statistics.damped == 0
     return worst
@@ -179,7 +178,7 @@ def least(G, lower, upper, n, y, excess):
 def test_limits_hold_or_give_way_by_the_least(n, soft, tight):
     """Against quadprog where all can be kept; by the slope of the excess where they cannot."""
     quadprog = pytest.importorskip("quadprog")
-    rng, qp = np.random.default_rng(n), LimitedQp(n, soft)
+    rng, qp = np.random.default_rng(n), HardSoftQp(n, soft)
     for _ in range(60):
         G, lower, upper = limited(rng, n, soft, tight)
         if (lower <= 0.0).all() and (upper >= 0.0).all():
@@ -210,7 +209,7 @@ def test_among_excesses_that_are_least_y_is_the_smallest():
     G = np.vstack([np.eye(3), [1.0, 1.0, 0.0], [-1.0, -1.0, 0.0]])
     lower = np.array([-9.0, -9.0, -9.0, 4.0, 0.0])
     upper = np.array([9.0, 9.0, 9.0, np.inf, np.inf])
-    found = LimitedQp(3, 2).solve(G, lower, upper)
+    found = HardSoftQp(3, 2).solve(G, lower, upper)
     assert found.is_softened
     np.testing.assert_allclose(found.y, [1.0, 1.0, 0.0], rtol=0, atol=1e-12)
     assert found.side.tolist() == [0, 0, 0, 1, 1]
@@ -219,13 +218,13 @@ def test_among_excesses_that_are_least_y_is_the_smallest():
 def test_a_row_that_nothing_moves_asks_nothing():
     G = np.vstack([np.eye(2), np.ones(2), np.zeros(2)])
     lower, upper = np.array([-9.0, -9.0, 2.0, 5.0]), np.full(4, 9.0)
-    found = LimitedQp(2, 2).solve(G, lower, upper)
+    found = HardSoftQp(2, 2).solve(G, lower, upper)
     assert not found.is_softened
     np.testing.assert_allclose(found.y, [1.0, 1.0], rtol=0, atol=1e-12)
 
 
 def test_the_limits_that_acted_before_save_the_solver():
-    rng, qp = np.random.default_rng(2), LimitedQp(4, 6)
+    rng, qp = np.random.default_rng(2), HardSoftQp(4, 6)
     G, lower, upper = limited(rng, 4, 6, 1.0)
     for k in range(20):
         qp.solve(G, lower + 1e-6 * k, upper + 1e-6 * k)
@@ -241,9 +240,9 @@ def wrong(*_, **__):
 @pytest.mark.parametrize("tight", [0.0, 10.0])
 def test_without_proxqp_the_descent_in_the_box_finds_the_same(monkeypatch, tight):
     rng = np.random.default_rng(7)
-    right, lame = LimitedQp(4, 6), LimitedQp(4, 6)
+    right, lame = HardSoftQp(4, 6), HardSoftQp(4, 6)
     monkeypatch.setattr(lame._qp, "multipliers", wrong)
-    monkeypatch.setattr(limited_qp, "_CHANGES", 1)
+    monkeypatch.setattr(hard_soft_qp, "_CHANGES", 1)
     for _ in range(40):
         G, lower, upper = limited(rng, 4, 6, tight)
         expected = right.solve(G, lower, upper).y
@@ -256,7 +255,7 @@ def test_without_proxqp_the_descent_in_the_box_finds_the_same(monkeypatch, tight
 
 def test_the_last_rung_keeps_hard_rows_and_is_nearly_the_least(monkeypatch):
     rng = np.random.default_rng(8)
-    right, lame = LimitedQp(4, 6), LimitedQp(4, 6)
+    right, lame = HardSoftQp(4, 6), HardSoftQp(4, 6)
     monkeypatch.setattr(lame, "_exact", lambda *_: None)
     for _ in range(40):
         G, lower, upper = limited(rng, 4, 6, 3.0)
@@ -271,7 +270,7 @@ def test_the_last_rung_keeps_hard_rows_and_is_nearly_the_least(monkeypatch):
 
 @pytest.mark.parametrize("bad", ["row", "limit", "crossed", "singular"])
 def test_what_is_no_limited_problem_is_refused(bad):
-    qp, G = LimitedQp(2, 1), np.vstack([np.eye(2), np.ones(2)])
+    qp, G = HardSoftQp(2, 1), np.vstack([np.eye(2), np.ones(2)])
     lower, upper, message = np.ones(3), np.full(3, 2.0), "QP refused: a row is not finite, or"
     if bad == "row":
         G[0, 0] = np.nan

@@ -18,8 +18,8 @@ from mbd_ros.core.control.delay_margin import LoopGains, disturbance, pd_gains
 from mbd_ros.core.control.motion_limits import AccelerationBox, MotionLimits
 from mbd_ros.core.control.sliding import sliding_variable
 from mbd_ros.core.control.tracking_metric import TrackingMetric
-from mbd_ros.core.optimization.limit_active_set import Candidate
-from mbd_ros.core.optimization.limited_qp import Counts, LimitedQp
+from mbd_ros.core.optimization.hard_soft_optimum import Candidate
+from mbd_ros.core.optimization.hard_soft_qp import Counts, HardSoftQp
 from mbd_ros.core.ranges import Gain, Unit, Within
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
@@ -97,7 +97,7 @@ class QpTracking(Controller):
         )
         self._idle = np.zeros(len(self.limit_names), dtype=np.bool_)
         self._idle.flags.writeable = False
-        self._qp = LimitedQp(n, len(limited))
+        self._qp = HardSoftQp(n, len(limited))
 
     @property
     def counts(self) -> Counts:

@@ -10,9 +10,8 @@ from mbd_ros.core.integration.newton import FAILED, SLOW, converge, refuse_bound
 from mbd_ros.core.integration.step_length import clip
 from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import redundant
 from mbd_ros.errors import DivergedError, ModelError
-
-_SINGULAR = 1.0e-13  # of the largest singular value of the scaled matrix: redundant rows
 
 
 class GeneralizedAlpha(Integrator):
@@ -146,7 +145,7 @@ class _Steps(Stepper):
         matrix[:n, n:], matrix[n:, :n] = -J.T, J
         if not np.isfinite(matrix).all():
             raise DivergedError(f"generalized-alpha: forces at t = {t:.9g} s are not finite")
-        self._inverse = np.linalg.pinv(matrix, rcond=_SINGULAR)
+        self._inverse = np.linalg.pinv(matrix, rcond=redundant(len(matrix)))
         self._r = np.zeros(len(matrix))
 
     def _solve(self, x: State, u: Array | None, t: float) -> float:

@@ -16,8 +16,9 @@ from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.integration.linear_motion import LinearMotion, linear_motion, longest_step
 from mbd_ros.core.inverse.loop_torques import listed
 from mbd_ros.core.projection.assembly import assemble
-from mbd_ros.core.rows.row_factor import TOGGLE, RowFactor
+from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import State
+from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.errors import SolveError
 from mbd_ros.scene.building import parts_in
 from mbd_ros.scene.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE, Scene

@@ -7,7 +7,7 @@ from typing import Any
 
 from mbd_ros.core.dynamics.tiers import TIERS
 from mbd_ros.core.model.wrenches import ExternalWrench
-from mbd_ros.core.optimization.qp import check_backend
+from mbd_ros.core.optimization.qp_solvers import check_backend
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.registry import METHODS, PARTS, resolve_type, types_of

@@ -4,9 +4,9 @@ import eigenpy
 import numpy as np
 
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import NEARLY_SINGULAR
 from mbd_ros.errors import SolveError
 
-SINGULAR = 1.0e-9  # share of the largest eigenvalue below which no effort moves anything
 _SUCCESS = eigenpy.ComputationInfo.Success
 
 
@@ -37,7 +37,7 @@ class MobilityFactor:
     def __init__(self, mobility: Array) -> None:
         self._cholesky = eigenpy.LLT(mobility)
         self.is_regular = bool(
-            self._cholesky.info() == _SUCCESS and self._cholesky.rcond() > SINGULAR
+            self._cholesky.info() == _SUCCESS and self._cholesky.rcond() > NEARLY_SINGULAR
         )
         if self.is_regular:
             return
@@ -45,7 +45,7 @@ class MobilityFactor:
             raise SolveError("the mobility of the controlled joints is not finite")
         solver = eigenpy.SelfAdjointEigenSolver(mobility)
         values, vectors = solver.eigenvalues(), solver.eigenvectors()
-        kept = values > SINGULAR * values[-1]
+        kept = values > NEARLY_SINGULAR * values[-1]
         self._values, self._vectors = values[kept], vectors[:, kept]
 
     def solve(self, a: Array) -> Array:

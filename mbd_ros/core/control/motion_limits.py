@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import ModelError
 
 _RESERVE = 2.0  # times the braking acceleration: makes up for what a held effort loses
-_NONE = 1.0e-300
 
 
 class AccelerationBox(NamedTuple):
@@ -107,7 +107,7 @@ class MotionLimits:
         d = self._ends - np.stack([q, -q])
         before_stop = 2.0 * d - h * towards
         rest = np.sqrt(h * h * B * B + 4.0 * B * np.maximum(before_stop, 0.0)) - B * h
-        stop = -0.5 * towards * towards / np.maximum(d, _NONE)
+        stop = -0.5 * towards * towards / np.maximum(d, TINY)
         back = (-np.minimum(-d / self._braking, self._fastest) - towards) / h
         within = np.where(d > 0.0, stop, back)
         at_position = np.where(before_stop >= 0.0, (0.5 * rest - towards) / h, within)

@@ -5,8 +5,9 @@ min |a - a_ref|²_W = sum weight (a_free + mobility tau - a_ref)²
 
 import numpy as np
 
-from mbd_ros.core.control.mobility_factor import SINGULAR, MobilityFactor
+from mbd_ros.core.control.mobility_factor import MobilityFactor
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import NEARLY_SINGULAR
 
 _IDLE_COST = 1.0e-2  # of that of the least mobile direction
 
@@ -32,7 +33,7 @@ class TrackingMetric:
         self._root = np.sqrt(weight)
         if not self._factor.is_regular:
             values, vectors = np.linalg.eigh(mobility)
-            moves = values > SINGULAR * values[-1]
+            moves = values > NEARLY_SINGULAR * values[-1]
             self._moving, self._idle = vectors[:, moves], vectors[:, ~moves]
             image = self._root[:, None] * self._moving * values[moves]
             self._Q, self._R = np.linalg.qr(image)

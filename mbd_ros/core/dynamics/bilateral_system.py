@@ -13,10 +13,9 @@ from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_order import RowOrder
 from mbd_ros.core.state import Array, Solution, State
+from mbd_ros.core.thresholds import HELD, NEAR_TOGGLE
 from mbd_ros.errors import SolveError
 
-_NEAR_TOGGLE = 1.0e4  # condition number from which the eigenvalues decide
-_HELD = 1.0e-12  # of the free response: what rounding leaves where the rows hold a joint
 _EXACT = 1.0e-20  # square of the accepted residual of the rows, relative
 
 
@@ -72,7 +71,7 @@ class BilateralSystem(System):
         factor = self.factorise(M, J)
         free = np.linalg.solve(M, forces)
         moved = free - factor.X.dot(factor.solve(J.dot(free)))
-        held = np.abs(moved).max(axis=0) <= _HELD * np.abs(free).max(axis=0)
+        held = np.abs(moved).max(axis=0) <= HELD * np.abs(free).max(axis=0)
         moved[:, held] = 0.0
         return moved
 
@@ -92,7 +91,7 @@ class BilateralSystem(System):
         if added is not None:
             tau = tau + added
         self._row_jacobian, self._lam = J, None
-        if self.condition < _NEAR_TOGGLE:
+        if self.condition < NEAR_TOGGLE:
             pin.crba(self.model, data, q)
             pin.nonLinearEffects(self.model, data, q, v)
             a = pin.forwardDynamics(self.model, data, tau, J, drift, 0.0)

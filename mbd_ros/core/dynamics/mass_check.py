@@ -6,10 +6,9 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import MASSLESS, SINGULAR_MASS
 from mbd_ros.errors import SolveError
 
-_NOTHING = 1.0e-30  # of the largest moment of inertia: what rounding leaves of none
-_SINGULAR = 1.0e-16  # smallest eigenvalue of a mass matrix with ones on its diagonal
 _SHARE = 0.1  # of the base in the motion without mass, from which on the base is to blame
 _NAMED = 0.3  # share of a joint in that motion, of the largest, to be named
 
@@ -30,12 +29,12 @@ def check_mass(system: Any, q: Array) -> None:
     M: Array = system.mass(q)
     diagonal = M.diagonal()
     largest = float(diagonal.max(initial=0.0))
-    empty = diagonal <= _NOTHING * largest
+    empty = diagonal <= MASSLESS * largest
     size = np.sqrt(np.where(empty, 1.0, diagonal))
     scaled = M / size[:, None] / size
     scaled[empty] = scaled[:, empty] = 0.0
     values, vectors = np.linalg.eigh(scaled)
-    if len(M) and not values[0] > _SINGULAR * len(M):
+    if len(M) and not values[0] > SINGULAR_MASS * len(M):
         raise SolveError(_reason(system, np.abs(vectors[:, 0]), bool(empty.any())))
 
 

@@ -10,11 +10,11 @@ from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.newton import FAILED, converge
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import ASSEMBLED, redundant
 from mbd_ros.errors import DivergedError
 
 _CHORD = 10  # corrections with the rows at the start of the step; more means that they turned
 _NEWTON = 20
-_ROUNDED = 1.0e-10  # |g| [m, rad] that may be all that rounding allows, if it no longer shrinks
 _FORESEEN = 1.0e-2  # of the tolerance: what a last correction, by its contraction, leaves
 _VELOCITY = 1.0e-10  # [m/s, rad/s], relative above 1: where the iteration of a(q, v) may stop
 
@@ -191,9 +191,9 @@ class ConstrainedVerlet:
             if not isfinite(g[worst]):
                 break
             slope = h * system.jacobian(t, q).dot(lift)
-            s = s + np.linalg.lstsq(slope, g, rcond=1.0e-12)[0]
+            s = s + np.linalg.lstsq(slope, g, rcond=redundant(len(g)))[0]
             size = abs(float(g[worst]))
-            if size <= self._tolerance or (size <= _ROUNDED and size >= 0.5 * last):
+            if size <= self._tolerance or (size <= ASSEMBLED and size >= 0.5 * last):
                 v = w - lift.dot(s)
                 return s, v, system.integrate(here.q, h * v)
             last = size

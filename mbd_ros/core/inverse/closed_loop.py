@@ -20,16 +20,15 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Constraint, ForceTerm
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import ASSEMBLED, TINY
 from mbd_ros.errors import ModelError, SolveError
 
-_OPEN = 1.0e-9  # a row that is further open is not closed [m or rad]
 _OFF = 1.0e-6  # of the terms that should cancel: velocity and acceleration off the rows
 _LEFT = 1.0e-6  # of the forces at work: what may stay without an actuator
 _ZERO = 1.0e-9  # the same where nothing moves and nothing acts
 _NAMED = 0.3  # share of a joint in a direction, of the largest, to be named
 _SHOWN = 4  # joints in a message
 _DIGITS = 9  # of shares that differ; beyond them is rounding
-_NOTHING = 1.0e-300
 
 
 class ClosedLoopInverseDynamics:
@@ -149,7 +148,7 @@ class ClosedLoopInverseDynamics:
 
     def _check_closed(self, x: State) -> None:
         g = np.abs(self._balance.residual(x))
-        if g.size and not g.max() <= _OPEN:
+        if g.size and not g.max() <= ASSEMBLED:
             row = self.constraints.rows[int(np.argmax(g))].name
             raise SolveError(
                 f"the motion is not consistent: row {row} is {g.max():.3g} m or rad open; make "
@@ -195,7 +194,7 @@ class ClosedLoopInverseDynamics:
         """
         inertia = np.sqrt(self.motion.metric(x.q).diagonal())
         share: Any = inertia * np.linalg.norm(directions, axis=1)
-        share = np.round(share / max(share.max(), _NOTHING), _DIGITS)
+        share = np.round(share / max(share.max(), TINY), _DIGITS)
         order = np.argsort(-share, kind="stable")
         chosen = [int(i) for i in order if share[i] > _NAMED * share.max() > 0.0]
         names = dict.fromkeys(self._names.get(i, "the floating base") for i in chosen)

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import SINGULAR
 from mbd_ros.errors import SolveError
 
-SINGULAR = 1.0e-7  # of the largest singular value, columns scaled; a closed loop is at 1e-13
 _NOTHING = 1.0e-3  # norm of rates below which they count as rest
 _TAKES_PART = 1.0e-6  # share of an unknown in the null space; rounding leaves 1e-9 there
 

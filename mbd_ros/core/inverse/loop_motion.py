@@ -12,17 +12,16 @@ from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mass_check import check_mass_anywhere
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.inverse.force_split import SINGULAR
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Constraint
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import LANDED, SINGULAR
 from mbd_ros.errors import SolveError
 
 _STRIDE = 0.1  # largest step of a measured joint between two closures [rad or m]
 _ITERATIONS = 30
-_CLOSED = 1.0e-13  # step that no longer closes anything [rad or m]
 
 _LITTLE = 1.0e-3  # of the largest moment of inertia
 
@@ -148,7 +147,7 @@ class LoopMotion:
             dq[free] = -_least(J[:, free], self._system.residual(t, q))
             largest = float(np.abs(dq).max(initial=0.0))
             q = self._system.integrate(q, dq * min(1.0, _STRIDE / max(largest, _STRIDE)))
-            if largest <= _CLOSED:
+            if largest <= LANDED:
                 break
         return q
 

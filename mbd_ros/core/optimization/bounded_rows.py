@@ -11,16 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.optimization.box_active_set import complementarity, on_active_set
-from mbd_ros.core.optimization.qp import BoxQp
+from mbd_ros.core.optimization.active_set import on_active_set
+from mbd_ros.core.optimization.box_qp import BoxQp, complementarity_residual
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
-from mbd_ros.core.rows.row_factor import CONTRADICTION, is_rounding
+from mbd_ros.core.rows.row_factor import is_rounding
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import CONTRADICTION, SMALL_ROW, ZERO_ROW
 from mbd_ros.errors import SolveError
 
 _EXACT = 1.0e-11  # complementarity residual of the right active set, relative
-_SMALL = 1.0e-12  # A_ii [1/kg, 1/(kg m^2)] from which on a row is not looked at
-_SILENT = 1.0e-20  # of the largest A_ii: what rounding leaves of one that moves nothing
 
 
 class BoundedRows:
@@ -90,7 +89,7 @@ class BoundedRows:
     def _multipliers(self, A: Array, w: Array) -> Array:
         lower, upper = self._lower, self._upper
         lam = on_active_set(A, w, self._bound, self._free)
-        if complementarity(A, w, lower, upper, lam) <= _EXACT:
+        if complementarity_residual(A, w, lower, upper, lam) <= _EXACT:
             return np.minimum(np.maximum(lam, lower), upper)
         lam = self.qp.solve(A, w, lower, upper)
         self._free = (lam > lower) & (lam < upper)
@@ -104,10 +103,10 @@ class BoundedRows:
             SolveError: Such a row demands a motion.
         """
         size = A.diagonal()
-        if size.min() > _SMALL:
+        if size.min() > SMALL_ROW:
             return A, w
         largest = size.max(initial=0.0) or 1.0
-        silent = (size <= _SILENT * largest) | is_rounding(J)
+        silent = (size <= ZERO_ROW * largest) | is_rounding(J)
         if not silent.any():
             return A, w
         left = np.maximum(

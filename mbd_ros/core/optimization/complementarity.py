@@ -1,23 +1,24 @@
-"""Forces of bounds that may only push, some of which may be one and the same.
+"""The linear complementarity problem of bounds that may only push.
 
     w = A f + gap,   f >= 0,   w >= 0,   f' w = 0
 
-A is positive semidefinite with ones on its diagonal: two bounds of joints that are coupled may
-depend on one another.
+A is positive semidefinite with ones on its diagonal, and singular where joints are coupled: then
+two of their bounds may be one and the same. `limit_forces` asks it of the limits of joints.
+Source: R. Cottle, J.-S. Pang, R. Stone, The Linear Complementarity Problem, 1992, ch. 3.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.optimization.qp import BoxQp, Statistics
+from mbd_ros.core.optimization.active_set import least_norm, on_active_set
+from mbd_ros.core.optimization.box_qp import BoxQp, Statistics
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import CLOSED_GAP
 from mbd_ros.errors import SolveError
 
 _DAMPING = 1.0e-6  # for the QP, whose check is relative to forces that A would not limit
 _SLIGHT = 1.0e-10  # the same while bounds are exchanged
-_CLOSED = 1.0e-12  # of a gap and the worst one: what may be left of one that a bound closes
-_ROUNDING = 1.0e-14
-_RANK = 1.0e-11
+_ROUNDING = 1.0e-14  # a gap of that size is none; scaled gaps are of the order of 1 or less
 
 
 class ComplementarityProblem:
@@ -70,16 +71,13 @@ class ComplementarityProblem:
 
 
 def _closing(A: Array, gap: Array, acting: NDArray[np.bool_]) -> Array:
-    """Forces that close the gaps of the acting bounds."""
-    force, rows = np.zeros(len(gap)), acting.nonzero()[0]
-    if len(rows):
-        force[rows] = np.linalg.lstsq(A[np.ix_(rows, rows)], -gap[rows], rcond=_RANK)[0]
-    return force
+    """Forces of smallest norm that close the gaps of the acting bounds."""
+    return on_active_set(A, gap, np.zeros(len(gap)), acting, least_norm)
 
 
 def _least(gap: Array) -> Array:
     """What may be left of each gap, or reach beyond it."""
-    return _CLOSED * (np.abs(gap) - min(float(gap.min()), 0.0)) + _ROUNDING
+    return CLOSED_GAP * (np.abs(gap) - min(float(gap.min()), 0.0)) + _ROUNDING
 
 
 def _holds(A: Array, gap: Array, force: Array) -> bool:
@@ -94,12 +92,11 @@ def _exchanged(A: Array, gap: Array, force: Array) -> Array:
 
     Source: C. Lawson and R. Hanson, Solving Least Squares Problems, 1974, ch. 23.
     """
-    slight = A + _SLIGHT * np.eye(len(A))
+    slight, none = A + _SLIGHT * np.eye(len(A)), np.zeros(len(gap))
     acting = force > 0.0
     for _ in range(4 * len(gap)):
-        target, rows = np.zeros(len(gap)), acting.nonzero()[0]
-        target[rows] = np.linalg.solve(slight[np.ix_(rows, rows)], -gap[rows])
-        pulls = rows[target[rows] <= 0.0]
+        target = on_active_set(slight, gap, none, acting)
+        pulls = (acting & (target <= 0.0)).nonzero()[0]
         if len(pulls):
             shares = force[pulls] / np.maximum(force[pulls] - target[pulls], _ROUNDING)
             force = force + shares.min() * (target - force)

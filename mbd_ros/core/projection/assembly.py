@@ -11,18 +11,14 @@ import numpy as np
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import ASSEMBLED, BRANCH_STEP, LANDED, NEAREST, ON_MANIFOLD
 from mbd_ros.errors import SolveError
 
 _MAX_ITERATIONS = 100
-_POSITION = 1.0e-13  # [m or rad]: some rounding errors of a mechanism of metres
-_ACCEPTED = 1.0e-9  # a residual that no longer shrinks but is still an assembled mechanism
-_NEAREST = 1.0e-10  # step that no longer brings the state nearer [rad or m]
 _SMALLEST_STEP = 1.0e-6
-_VELOCITY = 1.0e-12  # rate of the rows that is rounding [m/s or rad/s], relative above 1
 _CORRECTIONS, _VELOCITY_CORRECTIONS = 12, 3
 _SHRINKS, _STUCK = 0.1, 4  # when rows count as having turned; how often they may
 _OPEN = 1.0e-6  # what rows at a toggle may leave open [m or rad]
-_STEP = 0.5  # largest step of one joint in one iteration [rad or m], so that the branch is kept
 
 
 class Violation(NamedTuple):
@@ -65,7 +61,7 @@ def project(system: System, x: State) -> State:
 def _projected(system: System, x: State) -> State:
     q, factor = _closed_nearby(system, x)
     J, rate = system.jacobian(x.t, q), system.rate(x.t, q)
-    v, slow = x.v, _VELOCITY * (1.0 + float(np.abs(x.v).max()))
+    v, slow = x.v, ON_MANIFOLD * (1.0 + float(np.abs(x.v).max()))
     for attempt in range(_VELOCITY_CORRECTIONS):
         if attempt == _VELOCITY_CORRECTIONS - 1:  # the rows have turned since they were factorised
             factor = system.factorise(system.mass(q), J)
@@ -84,11 +80,11 @@ def _closed_nearby(system: System, x: State) -> tuple[Array, RowFactor]:
         q = system.integrate(q, -factor.X.dot(factor.solve(g)))
         g = system.residual(x.t, q)
         worst = float(np.abs(g).max())
-        if worst <= _POSITION:
+        if worst <= LANDED:
             return q, factor
         if not worst <= _SHRINKS * last:
             stuck += 1
-            if worst <= _ACCEPTED or stuck == _STUCK or not worst < np.inf:
+            if worst <= ASSEMBLED or stuck == _STUCK or not worst < np.inf:
                 break
             factor = system.factorise(system.mass(q), system.jacobian(x.t, q))
         last = worst
@@ -119,10 +115,10 @@ def assemble(system: System, x: State) -> State:
     for _ in range(_VELOCITY_CORRECTIONS):  # redundant rows leave some of the first one's error
         v = _consistent_velocity(v, J, rate, factor)
         left = J.dot(v) + rate
-        if float(np.abs(left).max()) <= _VELOCITY * (1.0 + float(np.abs(v).max())):
+        if float(np.abs(left).max()) <= ON_MANIFOLD * (1.0 + float(np.abs(v).max())):
             break
     worst = int(np.argmax(np.abs(left)))
-    if not abs(left[worst]) <= _ACCEPTED * (1.0 + float(np.abs(x.v).max())):
+    if not abs(left[worst]) <= ASSEMBLED * (1.0 + float(np.abs(x.v).max())):
         raise SolveError(
             f"no consistent velocity: row {system.rows[worst].name} keeps a rate of "
             f"{left[worst]:.3g} per second; it contradicts the other rows"
@@ -142,7 +138,7 @@ def _nearest_configuration(system: System, x: State) -> Array:
         J = system.jacobian(x.t, q)
         factor = RowFactor(M, J)
         downhill = factor.X.dot(factor.solve(J.dot(away))) - away
-        if np.abs(downhill).max() <= _NEAREST or step < _SMALLEST_STEP:
+        if np.abs(downhill).max() <= NEAREST or step < _SMALLEST_STEP:
             break
         nearer = _closed(system, x.t, system.integrate(q, step * downhill), M)
         if nearer is not None:
@@ -160,15 +156,15 @@ def _closed(system: System, t: float, start: Array, M: Array) -> Array | None:
     for _ in range(_MAX_ITERATIONS):
         g = system.residual(t, q)
         worst = float(np.abs(g).max())
-        if worst <= _POSITION:
+        if worst <= LANDED:
             return q
         factor = RowFactor(M, system.jacobian(t, q))
         dq = -factor.X.dot(factor.solve(g))
         largest = float(np.abs(dq).max())
-        if not largest > _POSITION:
+        if not largest > LANDED:
             break
-        q = system.integrate(q, dq * min(1.0, _STEP / largest))
-    return q if float(np.abs(system.residual(t, q)).max()) <= _ACCEPTED else None
+        q = system.integrate(q, dq * min(1.0, BRANCH_STEP / largest))
+    return q if float(np.abs(system.residual(t, q)).max()) <= ASSEMBLED else None
 
 
 def _not_assembled(system: System, x: State) -> SolveError:

@@ -11,21 +11,18 @@ import math
 import numpy as np
 
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.projection.limit_forces import LimitForces
+from mbd_ros.core.optimization.limit_forces import LimitForces
 from mbd_ros.core.projection.nearest_point import Metric, Move, NearestPoint, is_convex, row_weight
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import BRANCH_STEP, LANDED, NEAREST, ON_MANIFOLD
 from mbd_ros.errors import SolveError
 
 _QUICK, _PATIENT = 30, 60  # quadratic programs of either way
-NEAREST = 1.0e-11  # step that no longer brings the configuration nearer [rad or m]
 _ACCURATE = 1.0e-9  # step after which nothing of second order in it counts
-_STEP = 0.5  # largest step of one joint in one iteration [rad or m], so that the branch is kept
 _SLOW = 0.1  # step over the last one from which second derivatives of the rows pay
 _STIFF = 1.0e3  # of the rows beside second derivatives that are convex along them only
 _HALF = 1.0e-5  # of the step of their difference quotients [rad or m]
 _SMALLEST_SHARE = 1.0e-6
-_LANDED = 1.0e-13  # |g| [rad or m]
-ON_MANIFOLD = 1.0e-12  # the same, accepted
 _LANDING = 50  # Newton steps
 _ROUNDING = 1.0e-14
 Rows = tuple[Array, Array]  # g and J
@@ -109,7 +106,7 @@ class NearestConfiguration:
             ahead = length * min(1.0, length / last)  # the next step
             if ahead <= NEAREST and length <= _ACCURATE:
                 return move._replace(p=q + move.p - measured), iteration
-            q = q + move.p * min(1.0, _STEP / length)
+            q = q + move.p * min(1.0, BRANCH_STEP / length)
             rows = self.rows(t, q)
             H = metric if length < _SLOW * last else self._curved(t, q, move.lam, metric)
             last = length
@@ -133,7 +130,7 @@ class NearestConfiguration:
                 return move._replace(p=q + move.p - measured), iteration
             least = (1.0 + _ROUNDING) * away.dot(metric.W.dot(away))
             while share > _SMALLEST_SHARE:
-                there = self._landed(t, q + move.p * min(share, _STEP / length), metric)
+                there = self._landed(t, q + move.p * min(share, BRANCH_STEP / length), metric)
                 if there is not None:
                     away = there - measured
                     if away.dot(metric.W.dot(away)) <= least:
@@ -172,15 +169,15 @@ class NearestConfiguration:
         """Newton's method on g with the shortest steps; None if it does not close."""
         for _ in range(_LANDING):
             g, J = self.rows(t, q)
-            if largest(g) <= _LANDED:
+            if largest(g) <= LANDED:
                 return q
             move = self._towards(q, self._zero, metric, (g, J))
             if move is None:  # a later linearisation may know a way back
                 move = self._program.solve(metric, self._zero, J, -g, -self._far, self._far)
             length = largest(move.p)
-            if not length > _LANDED:
+            if not length > LANDED:
                 break
-            q = q + move.p * min(1.0, _STEP / length)
+            q = q + move.p * min(1.0, BRANCH_STEP / length)
         g, _ = self.rows(t, q)
         return q if largest(g) <= ON_MANIFOLD else None
 

@@ -13,18 +13,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.optimization.limit_forces import LimitForces, stops
 from mbd_ros.core.projection.coupled_joints import CoupledJoints, Place, Tangent
-from mbd_ros.core.projection.limit_forces import REACHED, LimitForces, stops
 from mbd_ros.core.projection.nearest_point import Nearest
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import BRANCH_STEP, NEAREST, ON_MANIFOLD, REACHED
 from mbd_ros.errors import SolveError
 
 _ITERATIONS = 12
-_NEAREST = 1.0e-11  # step that no longer brings the configuration nearer [rad or m]
 _WITHIN = 1.0e-13  # distance from a limit that is rounding [rad or m]
 _SLOW = 0.1  # step over the last one from which a new Hessian pays
-_STEP = 0.5  # longest step of one iteration [rad or m], so that the branch is kept
-_ON_MANIFOLD = 1.0e-12  # accepted |g| [rad or m], and |g'| per unit of velocity
 
 
 class _Stationary(NamedTuple):
@@ -118,13 +116,13 @@ class NearestCoupled:
                 mu = self._of_position.solve(tangent, step, *ends)
                 step = step if mu is None else step + tangent.moves(mu)
             last, length = length, _norm(step)
-            if length <= _NEAREST:
+            if length <= NEAREST:
                 clearance = self._clearance(place.q)
                 if clearance >= -_WITHIN and (is_convex or mu is not None):
                     return _Stationary(place, pull, mu, clearance, iteration)
                 if not limits_act:
                     return None
-            start = place.q + (step if length <= _STEP else step * (_STEP / length))
+            start = place.q + (step if length <= BRANCH_STEP else step * (BRANCH_STEP / length))
         return None
 
     def _velocity(
@@ -151,7 +149,7 @@ class NearestCoupled:
     def _is_consistent(self, q: Array, v: Array) -> bool:
         g, rate = self._joints.violation(q, v)
         size = 1.0 + _norm(v)
-        return _norm(g) <= _ON_MANIFOLD and _norm(rate) <= _ON_MANIFOLD * size < math.inf
+        return _norm(g) <= ON_MANIFOLD and _norm(rate) <= ON_MANIFOLD * size < math.inf
 
 
 def _norm(vector: Array) -> float:

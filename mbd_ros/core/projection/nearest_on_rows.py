@@ -3,21 +3,19 @@
 import numpy as np
 
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.projection.limit_forces import LimitForces, stops
+from mbd_ros.core.optimization.limit_forces import LimitForces, stops
 from mbd_ros.core.projection.nearest_configuration import (
-    NEAREST,
-    ON_MANIFOLD,
     NearestConfiguration,
     Rows,
     largest,
 )
 from mbd_ros.core.projection.nearest_point import Metric, Move, Nearest, NearestPoint
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import NEAREST, ON_MANIFOLD
 from mbd_ros.errors import SolveError
 
 _OPTIMAL = 1.0e-8  # accepted residual of the optimality condition, relative
 _NAMED = 4  # violations in an error message
-_CONSISTENT = 1.0e-12  # accepted |g'| per unit of velocity
 
 
 class NearestOnRows:
@@ -96,7 +94,7 @@ class NearestOnRows:
             raise SolveError(f"no consistent velocity{at}: {error}") from error
         v = np.minimum(np.maximum(x.v + p, floor), ceiling)
         left = largest(J.dot(v) + rate)
-        if not left <= _CONSISTENT * (1.0 + largest(x.v)):
+        if not left <= ON_MANIFOLD * (1.0 + largest(x.v)):
             raise SolveError(f"no consistent velocity: the rows keep a rate of {left:.1e} 1/s")
         return v
 

@@ -10,7 +10,7 @@ import eigenpy
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.projection.limit_forces import LimitForces
+from mbd_ros.core.optimization.limit_forces import LimitForces
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import Array
 

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.optimization.qp import Statistics
+from mbd_ros.core.optimization.box_qp import Statistics
+from mbd_ros.core.optimization.limit_forces import LimitForces
 from mbd_ros.core.projection.coupled_joints import CoupledJoints
-from mbd_ros.core.projection.limit_forces import LimitForces
 from mbd_ros.core.projection.nearest_configuration import Rows
 from mbd_ros.core.projection.nearest_coupled import NearestCoupled
 from mbd_ros.core.projection.nearest_on_rows import NearestOnRows

@@ -5,21 +5,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import (
+    CONTRADICTION,
+    NEARLY_SINGULAR,
+    NO_CONTRADICTION,
+    ROUNDED_ROW,
+    SMALL_ROW,
+    TINY,
+    ZERO_ROW,
+    redundant,
+)
 from mbd_ros.errors import SolveError
-
-NEARLY_SINGULAR = 1.0e-9  # eigenvalues of the scaled A: singular values of the rows below 3e-5
-REDUNDANT = 1.0e-13  # what rounding leaves of a zero eigenvalue
-_ZERO_ROW = 1.0e-20  # of the largest row: what rounding leaves of J = 0, squared
-TOGGLE = 1.0e6  # condition number beyond which multipliers are unreliable
-CONTRADICTION = 1.0e-5  # of the terms that should cancel; directions below 1e-6 count as null
-_ZERO = 1.0e-12
-_ROUNDING = 1.0e-13  # [m/rad or 1]: no mechanism has rows as small as that
-_SMALL = 1.0e-12  # A_ii [1/kg, 1/(kg m^2)] from which on a row is not looked at
 
 
 def is_rounding(J: Array) -> NDArray[np.bool_]:
     """Whether rows are rounding alone, since no joint moves them, shape (m,)."""
-    return np.abs(J).max(axis=1, initial=0.0) <= _ROUNDING
+    return np.abs(J).max(axis=1, initial=0.0) <= ROUNDED_ROW
 
 
 class RowFactor:
@@ -49,11 +50,11 @@ class RowFactor:
         self.A = J.dot(self.X)
         diagonal = self.A.diagonal()
         self._unmoved = np.zeros(len(J), dtype=np.bool_)
-        if diagonal.min(initial=1.0) < _SMALL and (unmoved := is_rounding(J)).any():
+        if diagonal.min(initial=1.0) < SMALL_ROW and (unmoved := is_rounding(J)).any():
             self.X[:, unmoved] = self.A[unmoved] = self.A[:, unmoved] = 0.0
             self._unmoved, diagonal = unmoved, self.A.diagonal()
         self.size = diagonal if size is None else np.maximum(diagonal, size)
-        floor = _ZERO_ROW * float(self.size.max(initial=0.0)) or 1.0
+        floor = ZERO_ROW * float(self.size.max(initial=0.0)) or 1.0
         self._scale = 1.0 / np.sqrt(np.maximum(self.size, floor))
         scaled = self._scale[:, None] * self.A * self._scale
         self.rank = len(J)
@@ -68,9 +69,9 @@ class RowFactor:
         if not np.isfinite(scaled).all():
             raise SolveError("constraint rows or masses are not finite")
         values, vectors = np.linalg.eigh(scaled)
-        largest = max(float(values[-1]), 1.0e-300)
+        largest = max(float(values[-1]), TINY)
         kept = values > NEARLY_SINGULAR * largest
-        null = values <= REDUNDANT * max(len(values), 10) * largest
+        null = values <= redundant(len(values)) * largest
         self.rank = len(values) - int(np.count_nonzero(null))
         self.condition = float(np.sqrt(largest / values[0])) if not null.any() else np.inf
         self._inverse = (vectors[:, kept] / values[kept]).dot(vectors[:, kept].T)
@@ -98,7 +99,7 @@ class RowFactor:
         left = self._null.T.dot(self._scale * r)
         worst = int(np.argmax(np.abs(left)))
         size = motion + float(np.abs(self._scale * drift).max())
-        if abs(left[worst]) <= CONTRADICTION * size + _ZERO:
+        if abs(left[worst]) <= CONTRADICTION * size + NO_CONTRADICTION:
             return None
         return int(np.argmax(np.abs(self._null[:, worst])))
 

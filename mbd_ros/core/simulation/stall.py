@@ -7,6 +7,7 @@ import numpy as np
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.linear_motion import linear_motion
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import DivergedError, SolveError
 
 Notice = Callable[[str], None]
@@ -51,7 +52,7 @@ class StallWatch:
             DivergedError: There is no hope; names joint, time and likely cause.
         """
         step, self._t = (x.t - self._t) / WINDOW, x.t
-        left = (end - x.t) / max(step, 1.0e-300)
+        left = (end - x.t) / max(step, TINY)
         if step > _SHORTENED * self._dt or left < _LONG:
             self._hopeless = 0
             return
@@ -89,7 +90,7 @@ def refuse_crawl(
 
 def _described(system: System, x: State, u: Array | None, step: float, end: float) -> str:
     return (
-        f"steps of {step:.2g} s at t = {x.t:.9g} s: {(end - x.t) / max(step, 1e-300):.2g} of them "
+        f"steps of {step:.2g} s at t = {x.t:.9g} s: {(end - x.t) / max(step, TINY):.2g} of them "
         f"to the end at {end:g} s; {_cause(system, x, u, step)}"
     )
 

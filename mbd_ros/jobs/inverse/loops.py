@@ -10,13 +10,11 @@ from mbd_ros.core.inverse.loop_motion import LoopMotion, Mask
 from mbd_ros.core.inverse.loop_torques import LoopTorques, listed
 from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State
+from mbd_ros.core.thresholds import FOLD, TOGGLE
 from mbd_ros.errors import DataError, SolveError
 from mbd_ros.files.records import Recording, TorqueRecord
 from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
-
-FOLD = 1.0e3  # condition number beyond which joints no longer tell the branches apart
-TOGGLE = 1.0e6  # condition number beyond which multipliers are unreliable
 
 
 def close_loops(scene: Scene, path: Path, recording: Recording) -> tuple[Recording, list[str]]:

@@ -12,9 +12,9 @@ import numpy as np
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.projection.assembly import violation
-from mbd_ros.core.rows.row_factor import TOGGLE
 from mbd_ros.core.simulation.simulation import Commands, Simulation
 from mbd_ros.core.state import NANOSECOND, Array, State
+from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.errors import (
     FAILED,
     INTERRUPTED,

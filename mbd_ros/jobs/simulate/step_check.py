@@ -10,12 +10,12 @@ from mbd_ros.core.integration.linear_motion import LinearMotion, linear_motion, 
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import State
+from mbd_ros.core.thresholds import TINY, TOGGLE_RISE
 from mbd_ros.errors import SolveError
 
 _LOOKS = 8  # states whose fastest rate is found, and the last one
 _FOLD_LOOKS = 2_000  # states whose rows are factorised
 _TURN = 0.5  # change of velocity in a step, of the largest one in the motion
-_FOLD = 30.0  # rise of the condition number of the rows that a toggle makes
 
 
 def step_warnings(
@@ -36,7 +36,7 @@ def step_warnings(
             yield from _stiffness(system, method, dt, states)
         speeds = np.array([x.v for x in states])
         turns = np.abs(np.diff(speeds, axis=0)).max(axis=1, initial=0.0)
-        turns = turns / max(float(np.abs(speeds).max()), 1.0e-300)
+        turns = turns / max(float(np.abs(speeds).max()), TINY)
         k = int(np.argmax(turns)) if len(turns) else 0
         if len(turns) and not turns[k] <= _TURN:
             yield (
@@ -83,7 +83,7 @@ def _folds(system: System, states: Sequence[State]) -> Iterator[str]:
         size = factor.size  # a row that vanishes at a toggle is told from one that is small
         conditions.append(factor.condition)
     known = [c for c in conditions if c < math.inf]
-    if known and max(known) > _FOLD * min(known):
+    if known and max(known) > TOGGLE_RISE * min(known):
         t = looked[conditions.index(max(known))].t
         yield (
             f"near a toggle at t = {t:.6g} s: the condition number of the rows rises "

@@ -12,6 +12,7 @@ from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.state_reconstruction import StateReconstructor
 from mbd_ros.core.projection.state_projection import ProjectedState, StateProjector
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.nodes.joint_state_projector.parameters import tuning
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.scene.reader import load_scene
@@ -19,8 +20,6 @@ from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
-
-_TOGGLE = 1.0e6  # condition number from which multipliers are unreliable
 
 
 class ProjectorMessages(NamedTuple):
@@ -124,7 +123,7 @@ class ProjectorPipeline:
             if abs(distance) > tolerance
         ]
         reasons = [f"measurement violates {', '.join(texts)}"] if texts else []
-        if self._newest is not None and self._newest.condition > _TOGGLE:
+        if self._newest is not None and self._newest.condition > TOGGLE:
             reasons.append("redundant rows or near a toggle position: multipliers are unreliable")
         return (WARN, "; ".join(reasons)) if reasons else (OK, "projected states published")
 

@@ -1,18 +1,19 @@
-"""The exact optimum of `limited_qp` on given acting limits, and whether these are right."""
+"""The exact optimum of `hard_soft_qp` on given acting limits, and whether these are right.
+
+Equality-constrained least norm by ranks: the hard rows first, then the least excess of the soft
+rows, then the smallest y. Source: A. Escande, N. Mansard, P. Wieber, Int. J. Robotics Research
+33(7) (2014).
+"""
 
 from typing import NamedTuple
 
-import eigenpy
 import numpy as np
-from numpy.typing import NDArray
 
+from mbd_ros.core.optimization.active_set import Sides, on_independent, passed, pseudo_inverse
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import CLOSED_GAP
 
-Sides = NDArray[np.int8]
-_REGULAR = 1.0e-9  # reciprocal condition of the Gram matrix of rows that are independent
-_RANK = 1.0e-9  # of a row of length one: what rounding leaves of one that others fix
 _NO_EXCESS = 1.0e-10  # of the largest gap
-_SLACK = 1.0e-12  # of the largest gap: how far an idle limit may be passed
 
 
 class Candidate(NamedTuple):
@@ -49,48 +50,33 @@ def candidate(
     side = np.where(np.isfinite(bound), side, 0).astype(np.int8)
     acting = side.nonzero()[0]
     rows, signs, bound = G[acting], side[acting], bound[acting]
-    found = _on_independent(rows, bound)
+    found = on_independent(rows, bound)
     is_softened = False
     if found is None:
         first = int(np.searchsorted(acting, hard))
         y, force, is_softened = _on_dependent(rows, bound, first, size)
     else:
         y, force = found
-    after, reached, slack = side.copy(), G.dot(y), _SLACK * size
+    after, reached, slack = side.copy(), G.dot(y), CLOSED_GAP * size
     pulls = (force * signs < 0.0) & (lower[acting] < upper[acting])
     after[acting[pulls]] = 0
     idle = side == 0
-    after[idle & (reached < lower - slack)] = 1
-    after[idle & (reached > upper + slack)] = -1
+    after[idle] = passed(reached, lower, upper, slack)[idle]
     is_optimal = bool((after == side).all() and np.isfinite(y).all())
     return Candidate(y, after, is_softened, is_optimal)
 
 
-def _on_independent(rows: Array, bound: Array) -> tuple[Array, Array] | None:
-    """The smallest y with rows y = bound and its multipliers; None where rows depend on others."""
-    count, n = rows.shape
-    if count == 0:
-        return np.zeros(n), np.zeros(0)
-    if count > n:
-        return None
-    gram = eigenpy.LLT(rows.dot(rows.T))
-    if gram.info().name != "Success" or not gram.rcond() > _REGULAR:
-        return None
-    force = gram.solve(bound).reshape(-1)
-    return force.dot(rows), force
-
-
 def _on_dependent(rows: Array, bound: Array, hard: int, size: float) -> tuple[Array, Array, bool]:
-    """Y with the hard rows kept, then the least |soft rows y - bound|, then the least |y|.
+    """The smallest y of those with the least |soft rows y - bound| of those on the hard rows.
 
-    The second result is a number of the sign of the multiplier of each row. Those of the least
-    excess decide, and where they leave a row idle, those of the least |y|; the third result is
-    whether there is an excess.
+    The second result has the sign of the multiplier of each row. The multipliers of the least
+    excess decide it; where they leave a row idle, those of the least |y| do. The third result
+    says whether there is an excess.
     """
     H, S = rows[:hard], rows[hard:]
-    onto_hard = _inverse(H)
+    onto_hard = pseudo_inverse(H)
     y = onto_hard.dot(bound[:hard])
-    y = y + _inverse(S - S.dot(onto_hard).dot(H)).dot(bound[hard:] - S.dot(y))
+    y = y + pseudo_inverse(S - S.dot(onto_hard).dot(H)).dot(bound[hard:] - S.dot(y))
     excess = bound[hard:] - S.dot(y)
     excess = np.where(np.abs(excess) > _NO_EXCESS * size, excess, 0.0)
     held = -onto_hard.T.dot(excess.dot(S))
@@ -99,19 +85,8 @@ def _on_dependent(rows: Array, bound: Array, hard: int, size: float) -> tuple[Ar
     idle = force == 0.0
     if idle.any():
         fixed, others = rows[~idle], rows[idle]
-        onto_fixed = _inverse(fixed)
+        onto_fixed = pseudo_inverse(fixed)
         others = others - others.dot(onto_fixed).dot(fixed)
-        least = _inverse(others).T.dot(y - onto_fixed.dot(fixed.dot(y)))
-        force[idle] = np.where(np.abs(least) > _SLACK * size, least, 0.0)
+        least = pseudo_inverse(others).T.dot(y - onto_fixed.dot(fixed.dot(y)))
+        force[idle] = np.where(np.abs(least) > CLOSED_GAP * size, least, 0.0)
     return y, force, bool(excess.any())
-
-
-def _inverse(A: Array) -> Array:
-    """The pseudo-inverse; what is shorter than `_RANK` counts as nothing."""
-    length = float(np.sqrt((A * A).sum(axis=0).max(initial=0.0)))
-    if not length > _RANK:
-        return np.zeros(A.shape[::-1])
-    factor = eigenpy.CompleteOrthogonalDecomposition(*A.shape)
-    factor.setThreshold(_RANK / length)
-    factor.compute(A)
-    return factor.pseudoInverse().reshape(A.shape[::-1])  # eigenpy flattens one column

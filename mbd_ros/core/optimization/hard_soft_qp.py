@@ -10,22 +10,23 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.optimization.active_set import Sides, passed
 from mbd_ros.core.optimization.bounded_least_squares import BoundedLeastSquares
-from mbd_ros.core.optimization.limit_active_set import Candidate, Sides, candidate
+from mbd_ros.core.optimization.hard_soft_optimum import Candidate, candidate
+from mbd_ros.core.optimization.qp_solvers import counted
 from mbd_ros.core.optimization.soft_qp import SoftQp
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import FIXED_BY_OTHERS, TINY
 from mbd_ros.errors import SolveError
 
 _COMPLIANCE = 1.0e-6  # of a soft row of length one
 _ACTS = 1.0e-7  # multiplier of a limit that acts; the largest gap is 1
-_CHANGES = 4  # of the acting limits on one rung
-_UNREACHED = 1.0e-9  # of the longest soft row: nothing moves it
 _AT_LIMIT = 1.0e-9  # of the largest gap
-_TINY = 1.0e-300
+_CHANGES = 4  # of the acting limits on one rung
 
 
 class Counts(NamedTuple):
-    """How the solves of a `LimitedQp` went.
+    """How the solves of a `HardSoftQp` went.
 
     Attributes:
         solves: Problems in all.
@@ -46,7 +47,7 @@ class Counts(NamedTuple):
     failed: int = 0
 
 
-class LimitedQp:
+class HardSoftQp:
     """Solves the problem above; an answer is exact on its acting limits, and checked.
 
     The ladder: the limits that acted twice before; those of a kept ProxQP whose soft rows yield
@@ -85,30 +86,27 @@ class LimitedQp:
         """
         if not (np.isfinite(G).all() and (lower <= upper).all()):
             raise SolveError("QP refused: a row is not finite, or lower > upper")
-        self._count("solves")
+        self.counts = counted(self.counts, "solves")
         G, lower, upper = self._scaled(G, lower, upper)
-        size = max(float(lower.max()), float(-upper.min()), _TINY)
+        size = max(float(lower.max()), float(-upper.min()), TINY)
         try:
             found = self._exact(G, lower, upper, size) or self._damped(G, lower, upper, size)
         except np.linalg.LinAlgError as error:
-            self._count("failed")
+            self.counts = counted(self.counts, "failed")
             raise SolveError(f"QP not solved: {error}") from error
         if found.is_softened:
-            self._count("softened")
+            self.counts = counted(self.counts, "softened")
         self._is_steady = bool((found.side == self._side).all())
         self._side = found.side
         return found
-
-    def _count(self, what: str) -> None:
-        self.counts = self.counts._replace(**{what: getattr(self.counts, what) + 1})
 
     def _scaled(self, G: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
         """Rows of length one; those that nothing moves have no limit."""
         length = np.sqrt((G * G).sum(axis=1))
         soft = length[self._n :]
-        scale = 1.0 / np.maximum(length, _TINY)
+        scale = 1.0 / np.maximum(length, TINY)
         low, high = scale * lower, scale * upper
-        unmoved = self._n + (soft <= _UNREACHED * soft.max(initial=0.0)).nonzero()[0]
+        unmoved = self._n + (soft <= FIXED_BY_OTHERS * soft.max(initial=0.0)).nonzero()[0]
         scale[unmoved], low[unmoved], high[unmoved] = 0.0, -np.inf, np.inf
         return scale[:, None] * G, low, high
 
@@ -120,9 +118,10 @@ class LimitedQp:
         E = _inverse(G[: self._n])
         C = G[self._n :].dot(E)
         for rung in ("qp", "cold", "boxed"):
-            self._count(rung)
+            self.counts = counted(self.counts, rung)
             if rung == "boxed":
-                side = _at_limits(G.dot(_boxed(G, lower, upper)), lower, upper, size)
+                reached = G.dot(_boxed(G, lower, upper))
+                side = passed(reached, lower, upper, -_AT_LIMIT * size)
             else:
                 scaled = lower / size, upper / size
                 force = self._qp.multipliers(E, C, *scaled, cold=rung == "cold")
@@ -135,11 +134,11 @@ class LimitedQp:
         return None
 
     def _damped(self, G: Array, lower: Array, upper: Array, size: float) -> Candidate:
-        self._count("damped")
+        self.counts = counted(self.counts, "damped")
         y = _boxed(G, lower, upper)
         reached = G.dot(y)
         excess = float(np.maximum(lower - reached, reached - upper).max())
-        side = _at_limits(reached, lower, upper, size)
+        side = passed(reached, lower, upper, -_AT_LIMIT * size)
         return Candidate(y, side, excess > _AT_LIMIT * size, False)
 
 
@@ -153,10 +152,3 @@ def _boxed(G: Array, lower: Array, upper: Array) -> Array:
 
 def _inverse(T: Array) -> Array:
     return np.asarray(np.linalg.inv(T), dtype=np.float64)
-
-
-def _at_limits(reached: Array, lower: Array, upper: Array, size: float) -> Sides:
-    """The limits that are reached or passed."""
-    slack = _AT_LIMIT * size
-    below, above = reached <= lower + slack, reached >= upper - slack
-    return below.astype(np.int8) - (above & ~below).astype(np.int8)

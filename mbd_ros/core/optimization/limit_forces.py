@@ -1,23 +1,22 @@
-"""Forces of joint limits that keep a move within them.
+"""Forces of joint limits that keep a move of all joints within them.
 
     w = p + C mu,   low <= w <= high,   mu >= 0 at `low`, mu <= 0 at `high`, 0 elsewhere
 
-p is the move without limits and C the compliance: moves per force, constraints kept.
+p is the move without limits and C the compliance: moves per force, constraints kept. It is the
+optimum of min 1/2 (w - p)' C^-1 (w - p) over low <= w <= high where C is regular.
 """
 
 from typing import Protocol
 
-import eigenpy
 import numpy as np
 
+from mbd_ros.core.optimization.active_set import Sides, factored, passed
+from mbd_ros.core.optimization.box_qp import Statistics
 from mbd_ros.core.optimization.complementarity import ComplementarityProblem
-from mbd_ros.core.optimization.qp import Statistics
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import CLOSED_GAP, HELD, REACHED
 
-REACHED = 1.0e-9  # distance from a limit that counts as reached [rad or m]
-_CLOSED = 1.0e-12  # of the largest gap: what may be left of it
 _EXCHANGES = 6
-_BLOCKED = 1.0e-12  # what constraints leave of the mobility of a joint that they fix
 
 
 def stops(q: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
@@ -61,7 +60,7 @@ class LimitForces:
     def __init__(self, n: int, bounded: bool) -> None:
         self._pushers = ComplementarityProblem(2 * n) if bounded else None
         self._sides, self._identity = np.repeat([1.0, -1.0], n), np.eye(n)
-        self._acting = np.zeros(n)  # 1 at a lower limit, -1 at an upper one
+        self._acting: Sides = np.zeros(n, dtype=np.int8)
         self.solves = 0
 
     @property
@@ -87,30 +86,30 @@ class LimitForces:
         mu = self._by_exchange(compliance, p, low, high)
         if mu is None:
             mu = self._by_program(self._pushers, compliance, p, low, high)
-        self._acting = np.sign(mu)
+        self._acting = np.sign(mu).astype(np.int8)
         return mu
 
     def _by_exchange(
         self, compliance: Compliance, p: Array, low: Array, high: Array
     ) -> Array | None:
         """The mu if the exchange ends soon, with limits that do not depend on one another."""
-        acting = self._acting if self._acting.any() else _violated(p, low, high)
+        acting = self._acting if self._acting.any() else passed(p, low, high)
         for _ in range(_EXCHANGES):
-            bound = np.where(acting > 0.0, low, high)
-            rows = (np.isfinite(bound) & (acting != 0.0)).nonzero()[0]
+            bound = np.where(acting > 0, low, high)
+            rows = (np.isfinite(bound) & (acting != 0)).nonzero()[0]
             if not len(rows):
                 return None
             pushes, gap = self._identity[:, rows], bound[rows] - p[rows]
             moves = compliance.moves(pushes)
-            force = eigenpy.LDLT(moves[rows]).solve(gap).reshape(gap.shape)
-            moved, slack = p + moves.dot(force), _CLOSED * float(np.abs(gap).max())
+            force = factored(moves[rows], gap)
+            moved, slack = p + moves.dot(force), CLOSED_GAP * float(np.abs(gap).max())
             pulls = force * acting[rows] < 0.0
             beyond = (moved < low - slack) | (moved > high + slack)
             if not (pulls.any() or beyond.any()):
                 closed = np.abs(moved[rows] - bound[rows]) <= slack
                 return pushes.dot(force) if closed.all() else None
-            acting = np.where(beyond, _violated(moved, low, high), acting)
-            acting[rows[pulls]] = 0.0
+            acting = np.where(beyond, passed(moved, low, high), acting)
+            acting[rows[pulls]] = 0
         return None
 
     def _by_program(
@@ -125,13 +124,8 @@ class LimitForces:
         C, mobility = compliance.moves(self._identity), compliance.mobility()
         gap = np.concatenate([p - low, high - p])
         A = self._sides[:, None] * np.tile(0.5 * (C + C.T), (2, 2)) * self._sides
-        movable = np.isfinite(gap) & (A.diagonal() > _BLOCKED * np.tile(mobility, 2))
+        movable = np.isfinite(gap) & (A.diagonal() > HELD * np.tile(mobility, 2))
         scale = np.where(movable, 1.0 / np.sqrt(np.where(movable, A.diagonal(), 1.0)), 0.0)
         scaled = scale[:, None] * A * scale, scale * np.where(movable, gap, 0.0)
         force = scale * pushers.solve(*scaled)
         return force[: len(p)] - force[len(p) :]
-
-
-def _violated(p: Array, low: Array, high: Array) -> Array:
-    """1 where p is below `low`, -1 where it is above `high`, shape (n,)."""
-    return np.where(p < low, 1.0, np.where(p > high, -1.0, 0.0))

@@ -1,0 +1,133 @@
+"""The quadratic program in a box, whose optimum is complementarity.
+
+    min 1/2 lam' A lam + b' lam   subject to   lower <= lam <= upper
+
+With w = A lam + b: w = 0 inside the bounds, w >= 0 at the lower one, w <= 0 at the upper one.
+Gauss's principle asks it of the multipliers of joint stops, dry friction and limited drives
+(`bounded_rows`). Source: P. Lötstedt, SIAM J. Sci. Stat. Comput. 5 (1984).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.optimization.active_set import least_norm, on_active_set
+from mbd_ros.core.optimization.qp_solvers import KeptProxQp, OtherSolver, counted
+from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import TINY
+from mbd_ros.errors import SolveError
+
+_SOLVED = 1.0e-9  # `complementarity_residual` that is accepted
+_POLISHED = 1.0e-12  # the same, below which a further step gains nothing
+_POLISH_STEPS = 10
+_DAMPING = 1.0e-10  # beside a diagonal of ones
+_NOTHING = 1.0e-12  # terms of that size are none
+_DWARFS = 1.0e5
+
+
+class Statistics(NamedTuple):
+    """How the solves of a `BoxQp` went.
+
+    Attributes:
+        solves: Problems that reached the solver.
+        cold: Those that needed a restart from nothing.
+        damped: Those that needed damping.
+        failed: Those that none of it solved.
+    """
+
+    solves: int = 0
+    cold: int = 0
+    damped: int = 0
+    failed: int = 0
+
+
+class BoxQp:
+    """Solves the problem above; every answer is polished by an active set, and checked.
+
+    The ladder: warm start; cold restart; damping of A; then `SolveError`. Each rung is judged by
+    the complementarity residual recomputed here, never by the status of the solver.
+
+    Args:
+        n: Number of multipliers.
+        backend: `proxqp`, kept between calls, or any solver of qpsolvers, started anew.
+
+    Attributes:
+        statistics: Counts so far.
+
+    Raises:
+        ModelError: The backend is not installed.
+    """
+
+    def __init__(self, n: int, backend: str = "proxqp") -> None:
+        self.statistics = Statistics()
+        self._damping = _DAMPING * np.eye(n)
+        self._solver = KeptProxQp(n) if backend == "proxqp" else OtherSolver(backend)
+
+    def solve(self, A: Array, b: Array, lower: Array, upper: Array) -> Array:
+        """Multipliers, shape (n,), fresh.
+
+        Raises:
+            SolveError: Input that is not finite, lower > upper, or no rung of the ladder gives an
+                answer that passes the check.
+        """
+        if not (np.isfinite(A).all() and np.isfinite(b).all() and (lower <= upper).all()):
+            raise SolveError("QP refused: A or b is not finite, or lower > upper")
+        self.statistics = counted(self.statistics, "solves")
+        scale = 1.0 / np.sqrt(np.maximum(A.diagonal(), TINY))
+        size = max(float(np.abs(scale * b).max(initial=0.0)), TINY)
+        unit = scale * size  # lam in its own unit: A gets ones on its diagonal, b at most 1
+        H, rest = scale[:, None] * A * scale, (scale * b / size, lower / unit, upper / unit)
+        for rung in ("warm", "cold", "damped"):
+            if rung != "warm":
+                self.statistics = counted(self.statistics, rung)
+            H = H + self._damping if rung == "damped" else H
+            lam = unit * self._solver.solve(H, *rest, cold=rung != "warm")
+            lam = _polished(A, b, lower, upper, np.clip(lam, lower, upper))
+            residual = complementarity_residual(A, b, lower, upper, lam)
+            if residual <= _SOLVED:
+                return lam
+        self.statistics = counted(self.statistics, "failed")
+        raise SolveError(f"QP not solved: complementarity residual {residual:.1e}")
+
+
+def complementarity_residual(A: Array, b: Array, lower: Array, upper: Array, lam: Array) -> float:
+    """Largest violation of the optimality conditions, relative to the terms in A lam + b.
+
+    It is the natural residual: how far a gradient step, kept in the bounds, moves. Multipliers
+    whose terms dwarf b come from a singular factor, and do not excuse what they leave.
+    """
+    given = np.abs(b)
+    terms = np.abs(A).dot(np.abs(lam))
+    size = np.minimum(terms, _DWARFS * given.max(initial=0.0)) + given + _NOTHING
+    diagonal = np.maximum(A.diagonal(), TINY)
+    step = (A.dot(lam) + b) / diagonal  # kept apart from lam, which might swallow it
+    moved = np.minimum(np.maximum(step, lam - upper), lam - lower) * diagonal
+    worst = float((np.abs(moved) / size).max())
+    return worst if worst < np.inf else np.inf
+
+
+def _polished(A: Array, b: Array, lower: Array, upper: Array, lam: Array) -> Array:
+    """The exact solution near lam, by Newton's method on the natural residual; else the best.
+
+    Source: Hintermüller, Ito, Kunisch, SIAM J. Optim. 13 (2002), the primal-dual active set.
+    """
+
+    def kept(lam: Array) -> Array:
+        return np.minimum(np.maximum(lam, lower), upper)
+
+    diagonal, none = np.maximum(A.diagonal(), TINY), np.zeros(len(b))
+    best, least = lam, complementarity_residual(A, b, lower, upper, lam)
+    for _ in range(_POLISH_STEPS):
+        if least <= _POLISHED:
+            break
+        stepped = kept(lam - (A.dot(lam) + b) / diagonal)
+        free = (stepped > lower) & (stepped < upper)
+        lam = kept(on_active_set(A, b, stepped, free))
+        residual = complementarity_residual(A, b, lower, upper, lam)
+        if residual > _POLISHED:  # singular: the shortest way from where it is
+            left = A.dot(stepped) + b
+            lam = kept(stepped + on_active_set(A, left, none, free, least_norm))
+            residual = complementarity_residual(A, b, lower, upper, lam)
+        if residual < least:
+            best, least = lam, residual
+    return best

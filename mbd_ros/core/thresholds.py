@@ -1,0 +1,55 @@
+"""What counts as zero, as dependent or as a toggle: one number for each question.
+
+Every threshold names what it is relative to and why it has its size. The module stands before
+all subjects of the core, since `rows` and `optimization` need it alike. Limits of iterations and
+accuracies that belong to one method stay in the module of that method.
+"""
+
+TINY = 1.0e-300  # A divisor that was zero: what it divides neither overflows nor turns NaN.
+
+# Condition numbers: the largest singular value of rows over the smallest. A = J M^-1 J' has the
+# square of it, so that a solve with A loses twice as many digits.
+TOGGLE = 1.0e6  # Rows in the mass metric. Four digits of the multipliers are left: unreliable.
+NEAR_TOGGLE = 1.0e4  # The same. Eight are left: eigenvalues take over from Cholesky factors.
+FOLD = 1.0e3  # Rows of the joints that are not measured. Their motion is that much larger than
+# that of the measured ones, which no longer tells two branches of a loop apart.
+TOGGLE_RISE = 30.0  # Largest condition number of a run over its smallest: a toggle was passed.
+
+# Ranks of products such as A, by eigenvalues or by the reciprocal condition, relative to the
+# largest eigenvalue. A is scaled to a diagonal of at most one wherever units could differ.
+NEARLY_SINGULAR = 1.0e-9  # Left out of a solve: rounding of 1e-16 would appear as 1e-7 of motion.
+_REDUNDANT = 1.0e-13  # See `redundant`.
+SINGULAR_MASS = 1.0e-16  # Of a mass matrix with ones on its diagonal, times its size. It is no
+# product that has rounded before, and light links beside heavy ones come down to 1e-14.
+MASSLESS = 1.0e-30  # Of the largest moment of inertia: what rounding leaves of none, squared.
+
+# Ranks of the rows themselves, by singular values. They see further than products do. With 1e-6,
+# which is where `redundant` of a product ends, inverse dynamics loses the branch at a toggle.
+SINGULAR = 1.0e-7  # Of the largest one, columns scaled; loops that are closed leave 1e-13.
+FIXED_BY_OTHERS = 1.0e-9  # Of a row of length one: what rounding leaves where others fix it.
+
+# Rows and mobilities that vanish.
+ROUNDED_ROW = 1.0e-13  # Entries of a row [m/rad or 1]: no mechanism has rows as small as that.
+ZERO_ROW = 1.0e-20  # Of the largest A_ii: what rounding leaves of J = 0, squared.
+SMALL_ROW = 1.0e-12  # A_ii [1/kg or 1/(kg m^2)] above which the two tests above are not made.
+HELD = 1.0e-12  # Of the motion without rows: what they leave of it where they hold a joint.
+CONTRADICTION = 1.0e-5  # Of the terms that should cancel in dependent rows. Directions that are
+# shorter than 1e-6 count as dependent, and are off by as much.
+NO_CONTRADICTION = 1.0e-12  # The same where all terms are zero [1/s^2 in scaled rows].
+
+# States on constraints and at limits, in rad or m of mechanisms of some metres.
+LANDED = 1.0e-13  # |g|, or a step, where Newton's method ends: some rounding errors.
+ON_MANIFOLD = 1.0e-12  # |g|, and |g'| per unit of velocity, accepted of consistent states.
+ASSEMBLED = 1.0e-9  # |g| accepted where redundant rows or a toggle let it shrink no further.
+NEAREST = 1.0e-11  # A step that no longer brings a state nearer to the measured one.
+REACHED = 1.0e-9  # Distance from a limit that counts as reached.
+CLOSED_GAP = 1.0e-12  # Of the largest gap to a limit: what may be left of it, or reach beyond.
+BRANCH_STEP = 0.5  # Longest step of an iteration, so that it stays on the branch it is on.
+
+
+def redundant(n: int) -> float:
+    """What rounding leaves of a zero eigenvalue of an n x n product, relative to the largest.
+
+    The sums in a product grow with its size; below ten rows other rounding is larger.
+    """
+    return _REDUNDANT * max(n, 10)
