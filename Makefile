@@ -22,7 +22,7 @@ OTHER_PYTHON := other_python
 endif
 endif
 
-.PHONY: venv test demo lint format report soak fuzz fuzz-nodes bench against colcon clean other_python
+.PHONY: venv test demo lint format report soak fuzz fuzz-nodes bench against imports colcon clean other_python
 
 venv: .venv/installed
 
@@ -77,6 +77,9 @@ bench: venv
 
 against: venv
 	$(BIN)/python benchmarks/against.py $(or $(BASE),HEAD)
+
+imports: venv
+	$(BIN)/python benchmarks/imports.py $(or $(BASE),HEAD)
 
 $(COLCON_VENV)/pinned: requirements/colcon.txt .venv/pinned
 	rm -rf $(COLCON_VENV) && $(BIN)/python -m venv $(COLCON_VENV)

@@ -43,7 +43,7 @@ def main() -> int:
     parser.add_argument("--limit", type=float, default=1.03, help="of instructions a step")
     words = parser.parse_args()
     found: dict[str, Any] = {}
-    with _checkout(words.base) as base:
+    with checkout(words.base) as base:
         if "bits" in words.only:
             found["bits"] = _bits(base)
         if "instructions" in words.only:
@@ -60,7 +60,7 @@ def main() -> int:
 
 
 @contextmanager
-def _checkout(commit: str) -> Iterator[Path]:
+def checkout(commit: str) -> Iterator[Path]:
     """A work tree of another commit, for a while."""
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder) / "base"

@@ -1,4 +1,4 @@
-"""`benchmarks/against.py`: another commit beside this one."""
+"""`benchmarks/against.py` and `imports.py`: another commit beside this one."""
 
 import json
 import subprocess
@@ -9,11 +9,12 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 AGAINST = [sys.executable, "benchmarks/against.py"]
+IMPORTS = [sys.executable, "benchmarks/imports.py"]
 
 
-def run(*words, cwd=ROOT):
+def run(*words, cwd=ROOT, program=AGAINST):
     return subprocess.run(
-        [*AGAINST, *words], cwd=cwd, capture_output=True, text=True, timeout=1200, check=False
+        [*program, *words], cwd=cwd, capture_output=True, text=True, timeout=1200, check=False
     )
 
 
@@ -36,3 +37,21 @@ def test_a_changed_number_is_seen_and_nothing_else(tmp_path):
     found = json.loads(done.stdout)["bits"]
     assert done.returncode == 1 and found["scenes"] > 40
     assert {line.partition(":")[0] for line in found["different"]} == {"loads"}
+
+
+def test_a_module_that_is_imported_in_addition_is_seen(tmp_path):
+    """A clone whose command line imports more modules, foreign ones too."""
+    clone = tmp_path / "clone"
+    subprocess.run(["git", "clone", "--quiet", str(ROOT), str(clone)], check=True)
+    program = clone / "mbd_ros/jobs/check.py"
+    text = program.read_text(encoding="utf-8")
+    program.write_text(text + "import mbd_ros.scene.nearest\n", encoding="utf-8")
+    words = "HEAD", "--only", "check empty", "--rounds", "1", "--limit", "9"
+    done = run(*words, cwd=clone, program=IMPORTS)
+    found = json.loads(done.stdout)["check empty"]
+    assert done.returncode == 1
+    assert found["more"] == ["mbd_ros.scene.nearest"] and "difflib" in found["foreign"]
+    assert "check empty: imports difflib" in done.stderr
+    program.write_text(text, encoding="utf-8")
+    done = run(*words, cwd=clone, program=IMPORTS)
+    assert (done.returncode, done.stderr) == (0, "nothing is wrong\n")

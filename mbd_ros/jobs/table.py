@@ -9,7 +9,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from mbd_ros.errors import MbdError
-from mbd_ros.scene.nearest import nearest
 
 if TYPE_CHECKING:
     import argparse
@@ -80,6 +79,8 @@ def command_module(name: str) -> CommandModule:
         return import_module(COMMANDS[name].module)
     points = added_commands()
     if name not in points:
+        from mbd_ros.scene.nearest import nearest  # here, since it serves errors only
+
         close = nearest(name, [*COMMANDS, *points], 1)
         hint = f"the nearest is '{close[0]}', " if close else ""
         raise CommandError(

@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 from mbd_ros.errors import SceneError, printable
-from mbd_ros.scene.nearest import nearest
 
 _SCENES = Path("config/scenes")
 
@@ -70,6 +69,8 @@ def find_scene(name: str | Path) -> Path:
         return embedded[text]
     if os.path.exists(text):
         return Path(text)
+    from mbd_ros.scene.nearest import nearest  # here, since it serves errors only
+
     close = nearest(text, embedded)
     hint = f"nearest: {', '.join(close)}; " if close else ""
     raise SceneError(

@@ -1,6 +1,7 @@
 """Names that somebody may have meant."""
 
 from collections.abc import Iterable
+from difflib import get_close_matches
 
 
 def nearest(word: str, names: Iterable[str], count: int = 3) -> list[str]:
@@ -11,8 +12,6 @@ def nearest(word: str, names: Iterable[str], count: int = 3) -> list[str]:
         names: What there is; of `folder/name` the end counts too.
         count: At most so many.
     """
-    from difflib import get_close_matches  # here, since it serves errors only
-
     ends: dict[str, str] = {}
     for name in names:
         ends.setdefault(name, name)
