@@ -156,7 +156,7 @@ def parameters_of(executable):
     module, _, name = NODES[executable].partition(":")
     node = getattr(importlib.import_module(module), name)
     assert executable == node.NAME
-    shell = importlib.import_module("mbd_ros.nodes.shell.shell").PARAMETERS
+    shell = importlib.import_module("mbd_ros.nodes.shell.parameters").PARAMETERS
     return {parameter.name for parameter in node.PARAMETERS + shell} | {"use_sim_time"}
 
 

@@ -11,7 +11,7 @@ import yaml
 from nodes.conftest import ROOT
 
 from mbd_ros.nodes.controller import laws
-from mbd_ros.nodes.shell.shell import PARAMETERS
+from mbd_ros.nodes.shell.parameters import PARAMETERS
 from mbd_ros.nodes.table import NODES
 from mbd_ros.scene.arguments import arguments
 from mbd_ros.scene.reader import load_scene

@@ -16,9 +16,12 @@ from trajectory_msgs.msg import JointTrajectory
 from mbd_ros.core.control.reference_limits import TargetError
 from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.errors import SolveError
+from mbd_ros.nodes.controller.laws import with_law
 from mbd_ros.nodes.controller.pipeline import ControlPipeline
 from mbd_ros.nodes.controller.trajectory_action import ABSENT, NAME, TrajectoryAction, action_type
 from mbd_ros.nodes.shell.joint_state_node import JointStateNode
+from mbd_ros.nodes.shell.parameters import PARAMETERS, Parameter
+from mbd_ros.scene.code_permission import permitting
 from msg_adapters.diagnostics import ERROR, OK, STALE, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
@@ -74,9 +77,21 @@ class ControllerNode(JointStateNode):
         super().reset(reason)
         self._pipeline.loop.weight = 1.0
 
+    def all_parameters(self, values: Any) -> tuple[Parameter, ...]:
+        """Those of a law that is not of this package among them."""
+        with permitting(values.allow_code):
+            return PARAMETERS + with_law(self.PARAMETERS, values.controller)
+
+    def prepare(self, values: Any) -> None:
+        """Refuse a law that cannot be had."""
+        if values.controller != self.parameters.controller:
+            self.all_parameters(values)
+        super().prepare(values)
+
     def retune(self, values: Any) -> None:
         """New gains and times; a refusal leaves the old ones."""
-        self._pipeline.retune(values)
+        with permitting(values.allow_code):
+            self._pipeline.retune(values)
 
     def safe(self) -> None:
         """The safe command, at the newest state if it is fresh; nothing before the first one."""

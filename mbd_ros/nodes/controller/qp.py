@@ -8,4 +8,4 @@ class QpControllerNode(ControllerNode):
     """Tracking by a constrained QP."""
 
     NAME = "qp_controller"
-    PARAMETERS = parameters(OF_QP, "qp_tracking")
+    PARAMETERS = parameters(OF_QP, "qp_tracking", takes_code=False)

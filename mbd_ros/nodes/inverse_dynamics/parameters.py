@@ -16,7 +16,7 @@ def tunable(name: str, default: float, low: float, high: float, text: str) -> Pa
 ALLOW_CODE = Parameter(
     "allow_code",
     bool,
-    "Import the package.module:Class that the scene names: code of others runs in this node.",
+    "Import what is named as package.module:Class: code of others runs in this node.",
     False,
     fixed=True,
 )

@@ -1,33 +1,12 @@
-"""ROS parameters with strict values: at the start from YAML, and when changed at run time."""
+"""A parameter of a node: its name, what it means and which values it accepts."""
 
-import difflib
 import math
 from array import array
-from collections import namedtuple
-from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, get_args, get_origin
 
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
-from rclpy import parameter as ros
-from rclpy.exceptions import ParameterNotDeclaredException
-from rclpy.node import Node
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 
 from mbd_ros.errors import MbdError
-
-_ROS_TYPES = {
-    bool: ros.Parameter.Type.BOOL,
-    int: ros.Parameter.Type.INTEGER,
-    float: ros.Parameter.Type.DOUBLE,
-    str: ros.Parameter.Type.STRING,
-    list[bool]: ros.Parameter.Type.BOOL_ARRAY,
-    list[int]: ros.Parameter.Type.INTEGER_ARRAY,
-    list[float]: ros.Parameter.Type.DOUBLE_ARRAY,
-    list[str]: ros.Parameter.Type.STRING_ARRAY,
-}
 
 
 class ParameterError(MbdError):
@@ -46,6 +25,7 @@ class Parameter(NamedTuple):
         high: Largest number accepted, also in lists.
         length: Number of entries of a list; None accepts any.
         choices: The texts accepted; empty accepts any.
+        takes_code: Whether `package.module:Class` is accepted beside `choices`.
         read_only: While configured; False only for gains, rates and timeouts: these may change
             at run time.
         fixed: Read-only at all times: what the process itself is made with.
@@ -61,6 +41,7 @@ class Parameter(NamedTuple):
     choices: tuple[str, ...] = ()
     read_only: bool = True
     fixed: bool = False
+    takes_code: bool = False
 
     @property
     def key(self) -> str:
@@ -84,7 +65,8 @@ class Parameter(NamedTuple):
     def accepted(self) -> str:
         """What `read` accepts, as text."""
         if self.choices:
-            return "one of " + ", ".join(self.choices)
+            code = ", or package.module:Class" if self.takes_code else ""
+            return "one of " + ", ".join(self.choices) + code
         entry = (get_args(self.kind) or (self.kind,))[0]
         text = entry.__name__ if entry is not float else "finite float"
         if (self.low, self.high) != (-math.inf, math.inf):
@@ -110,12 +92,16 @@ class Parameter(NamedTuple):
     def _read_one(self, kind: type, value: Any) -> Any:
         if kind is float and type(value) is int:
             value = float(value)
-        fits = type(value) is kind and (not self.choices or value in self.choices)
+        fits = type(value) is kind and self._is_choice(value)
         if fits and kind in (int, float):
             fits = math.isfinite(value) and self.low <= value <= self.high
         if not fits:
             raise self._refusal(value)
         return value
+
+    def _is_choice(self, value: Any) -> bool:
+        is_code = self.takes_code and isinstance(value, str) and ":" in value
+        return not self.choices or is_code or value in self.choices
 
     def _refusal(self, value: Any) -> ParameterError:
         given = f"parameter '{self.name}' is {value!r} ({type(value).__name__})"
@@ -123,105 +109,14 @@ class Parameter(NamedTuple):
         return ParameterError(f"{given}; accepted: {self.accepted()}{hint}")
 
 
-class Declared:
-    """The parameters of one node.
-
-    Attributes:
-        values: Named tuple of all values; replaced as a whole, never changed.
-        problems: Name -> why the value given at the start was refused.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        parameters: Sequence[Parameter],
-        retune: Callable[[Any], None],
-        is_configured: Callable[[], bool],
-    ) -> None:
-        """Declare everything; a bad value is kept as a problem, never raised.
-
-        Args:
-            node: Who owns the parameters.
-            parameters: What to declare.
-            retune: Called with the new values before they are swapped in; an MbdError refuses.
-            is_configured: Whether `read_only` holds at this moment.
-        """
-        self._specs = {parameter.name: parameter for parameter in parameters}
-        self._retune, self._is_configured = retune, is_configured
-        self.problems: dict[str, str] = {}
-        given = node._parameter_overrides  # rclpy shows them in no public way
-        values = {spec.key: self._declare(node, spec, given) for spec in parameters}
-        self.values: Any = namedtuple("Values", values)(**values)
-        node.add_pre_set_parameters_callback(self._convert)
-        node.add_on_set_parameters_callback(self._apply)
-
-    def undeclared(self, node: Node) -> list[str]:
-        """One warning per override that was given and that nobody declared."""
-        unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)]
-        return [f"parameter {self._unknown(name)}" for name in unknown]
-
-    def _declare(self, node: Node, spec: Parameter, given: dict[str, ros.Parameter]) -> Any:
-        value = None if spec.default is None else spec.read(spec.default)
-        try:
-            if spec.name in given:
-                override = given[spec.name].value
-                value = spec.read([] if override is None else override)  # [] arrives without type
-            elif value is None:
-                raise ParameterError(f"parameter '{spec.name}' must be given: {spec.accepted()}")
-        except ParameterError as error:
-            self.problems[spec.name] = str(error)
-        shown = spec.default if value is None else value
-        kind, initial = _ROS_TYPES[spec.kind], spec.kind() if shown is None else shown
-        # rclpy would declare an empty list as BYTE_ARRAY: declare its type, then set it. One
-        # parameter without a value would leave `ros2 param dump` without any.
-        first = kind if initial in ((), []) else initial
-        node.declare_parameter(spec.name, first, spec.descriptor(), ignore_override=True)
-        if first is kind:
-            node.set_parameters([ros.Parameter(spec.name, kind, [])])
-        return value
-
-    def _unknown(self, name: str) -> str:
-        near = difflib.get_close_matches(name, self._specs, 1)
-        hint = f" (did you mean '{near[0]}'?)" if near else ""
-        return f"'{name}' is unknown{hint}; accepted: {', '.join(sorted(self._specs))}"
-
-    def _convert(self, changes: list[ros.Parameter]) -> list[ros.Parameter]:
-        """Give an int or an empty list the declared type before rclpy compares types."""
-        unknown = [change.name for change in changes if change.name not in self._specs]
-        for name in set(unknown) - {"use_sim_time", "start_type_description_service"}:
-            raise ParameterNotDeclaredException(self._unknown(name))
-        return [self._converted(change) for change in changes]
-
-    def _converted(self, change: ros.Parameter) -> ros.Parameter:
-        kind = self._specs[change.name].kind if change.name in self._specs else None
-        is_array = isinstance(change.value, list | tuple | array)
-        if get_origin(kind) is list and is_array and len(change.value) == 0:
-            return ros.Parameter(change.name, _ROS_TYPES[kind], [])
-        if kind is float and change.type_ == ros.Parameter.Type.INTEGER:
-            return ros.Parameter(change.name, value=float(change.value))
-        if kind == list[float] and change.type_ == ros.Parameter.Type.INTEGER_ARRAY:
-            return ros.Parameter(change.name, value=[float(entry) for entry in change.value])
-        return change
-
-    def _apply(self, changes: list[ros.Parameter]) -> SetParametersResult:
-        known = [(self._specs[c.name], c.value) for c in changes if c.name in self._specs]
-        try:
-            values = self.values._replace(**{spec.key: spec.read(new) for spec, new in known})
-            self._refuse_while_configured([spec for spec, _ in known], values)
-            if known:
-                self._retune(values)
-        except MbdError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        self.values = values
-        for spec, _ in known:
-            self.problems.pop(spec.name, None)
-        return SetParametersResult(successful=True)
-
-    def _refuse_while_configured(self, specs: list[Parameter], values: Any) -> None:
-        """Raise for what only a new configuration can take; the same value is no change."""
-        for spec in specs if self._is_configured() else ():
-            if spec.read_only and getattr(values, spec.key) != getattr(self.values, spec.key):
-                raise ParameterError(
-                    f"parameter '{spec.name}' is read-only while the node is configured; "
-                    "clean up, set it, then configure"
-                )
+PARAMETERS = (
+    Parameter("autostart", bool, "Configure and activate at the start.", True),
+    Parameter(
+        "executor",
+        str,
+        "What drives callbacks.",
+        "events",
+        choices=("events", "single_threaded"),
+        fixed=True,
+    ),
+)

@@ -15,7 +15,8 @@ from rclpy.experimental import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 
-from mbd_ros.nodes.shell.shell import PARAMETERS, Shell
+from mbd_ros.nodes.shell.parameters import PARAMETERS
+from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.nodes.shell.usage import asks_for_help, usage
 
 _REFUSALS = (

@@ -1,6 +1,7 @@
 """The shell of every node: parameters, topics, diagnostics, time. `process.run` drives it."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from time import perf_counter
 from typing import Any
 
@@ -16,26 +17,15 @@ from rclpy.timer import Timer
 
 from mbd_ros.errors import MbdError
 from mbd_ros.nodes.shell.clock_guard import guard_clock
+from mbd_ros.nodes.shell.declared import Declared
 from mbd_ros.nodes.shell.entities import Entities
 from mbd_ros.nodes.shell.health import Diagnostics, Drops, Endpoint, topic_problems
 from mbd_ros.nodes.shell.life_cycle import LifeCycle
 from mbd_ros.nodes.shell.parameter_files import file_warnings
-from mbd_ros.nodes.shell.parameters import Declared, Parameter, ParameterError
+from mbd_ros.nodes.shell.parameters import PARAMETERS, Parameter, ParameterError
 from mbd_ros.nodes.shell.serialized import message_of
 from msg_adapters.diagnostics import ERROR, OK, WARN
 from msg_adapters.errors import MessageError
-
-PARAMETERS = (
-    Parameter("autostart", bool, "Configure and activate at the start.", True),
-    Parameter(
-        "executor",
-        str,
-        "What drives callbacks.",
-        "events",
-        choices=("events", "single_threaded"),
-        fixed=True,
-    ),
-)
 
 
 class Shell(LifeCycle):
@@ -57,6 +47,8 @@ class Shell(LifeCycle):
         self._drops = Drops(self.get_logger().warning)
         parameters = PARAMETERS + self.PARAMETERS
         self._declared = Declared(self, parameters, self._retune, lambda: self.configured)
+        self._follow_or_wait()
+        self.add_post_set_parameters_callback(self._follow_or_wait)
         unheard = file_warnings(argv, self.get_fully_qualified_name())
         for line in self._declared.undeclared(self) + unheard:
             self.get_logger().warning(line)
@@ -67,6 +59,14 @@ class Shell(LifeCycle):
         least = Duration(nanoseconds=-1)
         backward = JumpThreshold(min_forward=None, min_backward=least, on_clock_change=True)
         self._jump = self.get_clock().create_jump_callback(backward, post_callback=self._jumped)
+
+    def all_parameters(self, values: Any) -> tuple[Parameter, ...]:
+        """Parameters of a node that is not configured, where some depend on values of others.
+
+        Args:
+            values: All parameters. An MbdError says that what they name has none.
+        """
+        return PARAMETERS + self.PARAMETERS
 
     def retune(self, values: Any) -> None:
         """Replace the objects made from gains; called between cycles, on a configured node.
@@ -189,6 +189,7 @@ class Shell(LifeCycle):
 
     def check(self) -> None:
         """Refuse to configure while a parameter given at the start is wrong."""
+        self._declared.follow(self, self.all_parameters(self.parameters))
         if self._declared.problems:
             raise ParameterError("; ".join(self._declared.problems.values()))
 
@@ -223,6 +224,12 @@ class Shell(LifeCycle):
                     self.report()
 
         return call
+
+    def _follow_or_wait(self, changes: Sequence[Any] = ()) -> None:
+        """Have the parameters that belong to the values; configuring says why it failed."""
+        if not self.configured:
+            with suppress(MbdError):
+                self._declared.follow(self, self.all_parameters(self.parameters))
 
     def _retune(self, values: Any) -> None:
         if self.configured:
