@@ -3,8 +3,7 @@
 import math
 import sys
 import timeit
-from collections.abc import Iterator, Mapping
-from itertools import repeat
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -20,9 +19,9 @@ from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import State
 from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.errors import SolveError
-from mbd_ros.scene.building import parts_in
 from mbd_ros.scene.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE, Scene
 from mbd_ros.scene.part_entries import build_part
+from mbd_ros.scene.part_lines import line, part_lines, type_name
 from mbd_ros.scene.start_check import start_warnings
 
 _CALLS, _REPEATS = 2000, 5
@@ -51,40 +50,40 @@ def _lines(scene: Scene) -> Iterator[str]:
     robot, couplings = scene.robot, scene.couplings
     gravity = np.array2string(robot.model.gravity.linear, separator=", ")
     base = "floating" if robot.floating else "fixed"
-    yield _line("scene", scene.name)
-    yield _line("robot", f"{robot.name} from {scene.source}, {base} base")
-    yield _line("gravity", f"{gravity} m/s^2, included in every torque")
+    yield line("scene", scene.name)
+    yield line("robot", f"{robot.name} from {scene.source}, {base} base")
+    yield line("gravity", f"{gravity} m/s^2, included in every torque")
     system = scene.system()
     fault = _mass_fault(scene, system)
     start, factor = _held_start(scene, system) if fault else _start(scene, system)
     if scene.integrator is not None:  # the default one takes every scene
         scene.simulation()
     freedom = system.nv - (0 if factor is None else factor.rank)
-    yield _line("joints", f"{len(robot.joints)}, degrees of freedom {freedom}")
-    yield _line("independent", ", ".join(couplings.independent) or "none")
+    yield line("joints", f"{len(robot.joints)}, degrees of freedom {freedom}")
+    yield line("independent", ", ".join(couplings.independent) or "none")
     dependent = "; ".join(f"{name} <- {kind}" for name, kind in scene.coupling_kinds.items())
-    yield _line("dependent", dependent or "none")
+    yield line("dependent", dependent or "none")
     if robot.locked:
         locked = ", ".join(f"{name} at {value:g}" for name, value in robot.locked.items())
-        yield _line("locked", locked)
-    yield from _parts(scene)
+        yield line("locked", locked)
+    yield from part_lines(scene)
     for key, name in scene.code.items():
         file = sys.modules[name.partition(":")[0]].__file__
-        yield _line("code", f"{key}: {name} from {file}")
-    yield _line("inverse", tier(scene))
+        yield line("code", f"{key}: {name} from {file}")
+    yield line("inverse", tier(scene))
     if scene.has_loops:
         yield from _reach(scene, system.expand(start))
-    yield _line("forward", f"refused: {fault}" if fault else _forward(scene, system))
-    yield from (_line("warning", text) for text in robot.doubts)
+    yield line("forward", f"refused: {fault}" if fault else _forward(scene, system))
+    yield from (line("warning", text) for text in robot.doubts)
     yield from _warnings(scene, system, start, factor)
     if not fault:
         yield from _stiffness(scene, linear_motion(system, start))
     left_out = (*scene.absent, *_rubbing(scene), *robot.ignored)
-    yield _line("left out", "; ".join(left_out) or "nothing")
+    yield line("left out", "; ".join(left_out) or "nothing")
     cost = (
         _loop_cost(scene, system.expand(start)) if scene.has_loops else _cost(scene, system.data)
     )
-    yield _line("cost", cost if fault else f"{cost}; {_forward_cost(scene, system)}")
+    yield line("cost", cost if fault else f"{cost}; {_forward_cost(scene, system)}")
 
 
 def _rubbing(scene: Scene) -> Iterator[str]:
@@ -100,28 +99,6 @@ def _rubbing(scene: Scene) -> Iterator[str]:
             yield f"URDF <dynamics> {key} of {', '.join(lacking)}"
 
 
-def _parts(scene: Scene) -> Iterator[str]:
-    """A line for every part whose section has a text: loads first, then rows."""
-    for section in sorted(scene.sections, key=lambda section: "residual" in section.offers):
-        if section.check and section.key in scene.parts:
-            built = scene.parts[section.key]
-            names = built if isinstance(built, Mapping) else repeat("")
-            label, _, text = section.check.partition(":")
-            for name, part in zip(names, parts_in(section, built), strict=False):
-                yield _line(label, text.strip().format(name=name, part=part, **_words(part)))
-
-
-def _words(part: Any) -> dict[str, str]:
-    """What texts of sections may say of a part."""
-    where = getattr(part, "joints", None) or [getattr(part, "joint", None)]
-    names = ", ".join(str(getattr(joint, "name", joint)) for joint in where if joint)
-    words = {"kind": _name(part), "at": f" at {names}" if names else ""}
-    if hasattr(part, "rows"):
-        words["rows"] = ", ".join(f"{row.name} [{row.unit}]" for row in part.rows)
-        words["law"] = "bilateral" if part.bounds is None else "bounded"
-    return words
-
-
 def _forward(scene: Scene, system: System) -> str:
     """The tier, the method and the step."""
     rows = f", {len(system.rows)} rows" if system.rows else ""
@@ -130,42 +107,38 @@ def _forward(scene: Scene, system: System) -> str:
     text = f"{tier_of(system)}: {_TIERS[system.tier]}{rows}; {method}{default}, dt {scene.dt:g} s"
     if system.rows:
         kept = scene.stabilization
-        text += f"; stabilization {'projection by default' if kept is None else _name(kept)}"
+        text += f"; stabilization {'projection by default' if kept is None else type_name(kept)}"
     return text
-
-
-def _name(part: object) -> str:
-    return type(part).__name__
 
 
 def _warnings(scene: Scene, system: System, x: State, factor: RowFactor | None) -> Iterator[str]:
     for text in start_warnings(scene.robot, scene.constraints, scene.initial):
-        yield _line("warning", text)
+        yield line("warning", text)
     floor = getattr(scene.stabilization, "floor", None)
     if system.rows and floor is not None and floor(scene.dt) > scene.stabilization.time_constant:
         used = f"time constant {scene.stabilization.time_constant:g} s raised to 2 dt"
-        yield _line("warning", f"Baumgarte: {used} = {floor(scene.dt):g} s")
+        yield line("warning", f"Baumgarte: {used} = {floor(scene.dt):g} s")
     if factor is not None:
         yield from _rank_lines(factor)
     driven = [scene.robot.joint(name) for part in scene.actuators for name in part.joints]
     without = [joint.name for joint in driven if joint.max_effort == 0.0]
     if without:
-        yield _line("warning", f"no authority: effort limit 0 of {', '.join(without)}")
+        yield line("warning", f"no authority: effort limit 0 of {', '.join(without)}")
 
 
 def _stiffness(scene: Scene, motion: LinearMotion) -> Iterator[str]:
     method, name = scene.integrator, DEFAULT_INTEGRATOR["type"]
     if method is not None:
-        name = _name(method)
+        name = type_name(method)
     elif motion.rate * scene.dt > DEFAULT_STABLE:
         method = build_part("integrators", DEFAULT_INTEGRATOR, "default")
     longest = math.inf if method is None else longest_step(method, motion, scene.dt)
     if not math.isfinite(motion.rate):
-        yield _line("warning", f"stiff: forces change too steeply for any step of {name}")
+        yield line("warning", f"stiff: forces change too steeply for any step of {name}")
     elif longest < math.inf:
         limit = f"steps of {name} need dt < {longest:.2g} s, gauss_legendre does not"
         stiff = f"stiff: fastest rate {motion.rate:.3g} 1/s at dt {scene.dt:g} s"
-        yield _line("warning", f"{stiff}; {limit}")
+        yield line("warning", f"{stiff}; {limit}")
 
 
 def _mass_fault(scene: Scene, system: System) -> str:
@@ -205,11 +178,11 @@ def _rank_lines(factor: RowFactor) -> Iterator[str]:
     rows = len(factor.A)
     if factor.rank < rows:
         text = f"rank {factor.rank} of {rows} rows: redundant, multipliers of smallest norm"
-        yield _line("rank", text)
+        yield line("rank", text)
         return
-    yield _line("rank", f"{rows} of {rows} rows, condition number {factor.condition:.2g}")
+    yield line("rank", f"{rows} of {rows} rows, condition number {factor.condition:.2g}")
     if factor.condition > TOGGLE:
-        yield _line("warning", "near a toggle position: multipliers are unreliable here")
+        yield line("warning", "near a toggle position: multipliers are unreliable here")
 
 
 def tier(scene: Scene) -> str:
@@ -226,18 +199,14 @@ def _reach(scene: Scene, x: State) -> Iterator[str]:
     reach = scene.closed_loop().reach(x)
     names = listed(scene.actuated) or "none"
     reason = "" if scene.actuators else "; no actuators section: every independent joint"
-    yield _line("actuated", f"{names}{reason}; {reach.driven} of {reach.freedom} motions driven")
+    yield line("actuated", f"{names}{reason}; {reach.driven} of {reach.freedom} motions driven")
     if reach.null_space:
         text = f"dimension {reach.null_space}: {listed(reach.undetermined)}"
-        yield _line("null space", f"{text} are not determined by a motion")
+        yield line("null space", f"{text} are not determined by a motion")
     if reach.undriven:
         joints = ", ".join(reach.undriven)
         text = f"nothing drives {joints}: inverse takes motions that need nothing there"
-        yield _line("warning", text)
-
-
-def _line(label: str, text: str) -> str:
-    return f"{label:<12}{text}"
+        yield line("warning", text)
 
 
 def _cost(scene: Scene, data: Any) -> str:

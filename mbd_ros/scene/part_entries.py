@@ -1,5 +1,6 @@
 """Sections of parts -> parts; what they import is what the scene names."""
 
+import inspect
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -152,7 +153,9 @@ def _typed(
     if entry.get("type") is None:
         accepted = ", ".join((*types, "or package.module:Class"))
         raise SceneError(f"{where}: key 'type' is missing, accepted: {accepted}")
-    name = schema.value(entry.pop("type"), str, f"{where}.type")
+    name = entry.pop("type")
+    if not inspect.isclass(name):  # Python may name a class by itself
+        name = schema.value(name, str, f"{where}.type")
     part = resolve_type(types, offers, name, f"{where}.type")
     return schema.call(part, entry, where, *context)
 

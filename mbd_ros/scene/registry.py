@@ -87,32 +87,39 @@ def resolve(kind: str, name: str, where: str) -> Any:
     return resolve_type(PARTS[kind], METHODS[kind], name, where)
 
 
-def resolve_type(types: Mapping[str, str], offers: Sequence[str], name: str, where: str) -> Any:
+def resolve_type(
+    types: Mapping[str, str], offers: Sequence[str], name: str | type, where: str
+) -> Any:
     """The class behind `type: name`, for a section of any package.
 
     Args:
         types: Type -> `module:Class`.
         offers: Methods that the class must have.
-        name: One of the types, or `package.module:Class`.
+        name: One of the types, or `package.module:Class`; or the class itself, from Python.
         where: File and key, for the messages.
 
     Raises:
         SceneError: There is none, with what exists; or nobody permitted code of others.
     """
+    part = name if isinstance(name, type) else _named(types, name, where)
+    lacking = [method for method in offers if not hasattr(part, method)]
+    if not inspect.isclass(part) or lacking:
+        shown = name.__name__ if isinstance(name, type) else name
+        raise SceneError(
+            f"{where}: type '{shown}' is not a class with a method "
+            + " and ".join(f"'{method}'" for method in lacking or offers)
+        )
+    return part
+
+
+def _named(types: Mapping[str, str], name: str, where: str) -> Any:
     module, _, attribute = types.get(name, name).partition(":")
     if not all(word.isidentifier() for word in (*module.split("."), attribute)):
         accepted = ", ".join((*types, "or package.module:Class"))
         raise SceneError(f"{where}: unknown type '{name}', accepted: {accepted}")
     if name not in types:
         require_permission(where, {"type": name})
-    part = imported(module, attribute, f"{where}: type '{name}'")
-    lacking = [method for method in offers if not hasattr(part, method)]
-    if not inspect.isclass(part) or lacking:
-        raise SceneError(
-            f"{where}: type '{name}' is not a class with a method "
-            + " and ".join(f"'{method}'" for method in lacking or offers)
-        )
-    return part
+    return imported(module, attribute, f"{where}: type '{name}'")
 
 
 def imported(module: str, attribute: str, where: str) -> Any:

@@ -20,21 +20,25 @@ class Origin(NamedTuple):
         path: The file, None where the sections come from Python.
         description: URDF that came with it: from a topic, or from Python.
         task_of: The scene that a task is asked of, None for a scene.
+        title: For the messages, where there is no file.
+        base: What relative paths start from, where there is no file.
     """
 
     path: Path | None = None
     description: str | None = None
     task_of: "Scene | None" = None
+    title: str = NO_FILE
+    base: Path = Path()
 
     @property
     def name(self) -> str:
         """For the messages."""
-        return NO_FILE if self.path is None else str(self.path)
+        return self.title if self.path is None else str(self.path)
 
     @property
     def folder(self) -> Path:
-        """What relative paths start from; without a file the current folder."""
-        return Path() if self.path is None else self.path.parent
+        """What relative paths start from."""
+        return self.base if self.path is None else self.path.parent
 
 
 class Site(NamedTuple):

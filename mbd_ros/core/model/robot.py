@@ -1,11 +1,14 @@
 """A robot that passed every check, frozen, with its Pinocchio model."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from textwrap import shorten
 from typing import Any, NamedTuple
 
 import pinocchio as pin
 
+from mbd_ros.core.model.other_inertias import inertias_of
+from mbd_ros.core.model.urdf import parse_urdf
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
@@ -64,7 +67,19 @@ class Rubbing(NamedTuple):
     damping: float
 
 
-@dataclass(frozen=True)
+class Recipe(NamedTuple):
+    """Arguments of `read_robot` that made a robot."""
+
+    text: str
+    source: str
+    gravity: Sequence[float]
+    base: str
+    locked: Mapping[str, float] | None
+    rename: Mapping[str, str] | None
+    inertias: Mapping[str, Any] | None
+
+
+@dataclass(frozen=True, repr=False)
 class Robot:
     """A robot that passed every check; its model is shared and never written.
 
@@ -81,7 +96,7 @@ class Robot:
         ignored: Other contents of the description, which this package leaves out.
         origin: Point from which positions in the model count, in the world of the description
             [m], shape (3,): 0, or the first joint of a fixed base that is more than 2 m away.
-        source: File or topic of the description, for people.
+        recipe: What it was read from.
     """
 
     name: str
@@ -95,7 +110,12 @@ class Robot:
     rubbing: Mapping[str, Rubbing]
     ignored: tuple[str, ...]
     origin: Array
-    source: str
+    recipe: Recipe
+
+    @property
+    def source(self) -> str:
+        """File or topic of the description."""
+        return self.recipe.source
 
     def joint(self, name: str) -> Joint:
         """Joint of that topic name.
@@ -130,3 +150,35 @@ class Robot:
             bodies = [f.name for f in self.model.frames if f.type == pin.FrameType.BODY]
             raise ModelError(f"no frame '{name}'; the links are {', '.join(bodies)}")
         return index
+
+    def inertias(self) -> dict[str, Any]:
+        """Link -> `pinocchio.Inertia` in the axes of the link, 0 where it has none."""
+        recipe = self.recipe
+        return inertias_of(parse_urdf(recipe.text, recipe.source, recipe.inertias))
+
+    def with_inertias(self, inertias: Mapping[str, Any]) -> "Robot":
+        """The robot with other inertias of some links, checked as those of a description.
+
+        Args:
+            inertias: Link -> `pinocchio.Inertia` or (mass [kg], mass centre [m], shape (3,),
+                inertia about the mass centre [kg·m^2], shape (3, 3)), both in the axes of the
+                link. Locked and fixed links are links too.
+
+        Raises:
+            ModelError: Names link, value and condition.
+        """
+        from mbd_ros.core.model.robot_reader import read_robot
+
+        given = {**(self.recipe.inertias or {}), **inertias}
+        robot = read_robot(**self.recipe._replace(inertias=given)._asdict())
+        robot.model.armature = self.model.armature.copy()  # of drives, which no description has
+        return robot
+
+    def __repr__(self) -> str:
+        base = "floating" if self.floating else "fixed"
+        mass = pin.computeTotalMass(self.model)
+        names = shorten(", ".join(joint.name for joint in self.joints), 200, placeholder=" ..")
+        return (
+            f"Robot '{self.name}' from {self.source}\n"
+            f"  {base} base, {mass:.6g} kg, joints ({len(self.joints)}): {names}"
+        )

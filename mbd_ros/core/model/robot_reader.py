@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.model.far_base import centred
-from mbd_ros.core.model.robot import Joint, Mimic, Robot, Rubbing
+from mbd_ros.core.model.robot import Joint, Mimic, Recipe, Robot, Rubbing
 from mbd_ros.core.model.urdf import parse_urdf
 from mbd_ros.core.model.urdf_inertias import check_inertias
 from mbd_ros.core.model.urdf_reading import numbers
@@ -32,6 +32,7 @@ def read_robot(
     base: str = "fixed",
     locked: Mapping[str, float] | None = None,
     rename: Mapping[str, str] | None = None,
+    inertias: Mapping[str, Any] | None = None,
 ) -> Robot:
     """Build a robot from a description.
 
@@ -42,6 +43,7 @@ def read_robot(
         base: `fixed`, or `floating` for a root link that moves freely.
         locked: Topic name -> position [rad or m] of joints to freeze and remove.
         rename: URDF joint name -> name used on topics.
+        inertias: Of links, in place of those of the text, see `Robot.with_inertias`.
 
     Raises:
         ModelError: The description cannot be trusted, or an option names a joint that is not
@@ -49,7 +51,8 @@ def read_robot(
     """
     if base not in BASES:
         raise ModelError(f"base '{base}', accepted: {', '.join(BASES)}")
-    tree = parse_urdf(text, source)
+    recipe = Recipe(text, source, gravity, base, locked, rename, inertias)
+    tree = parse_urdf(text, source, inertias)
     doubts = check_inertias(tree, source)
     names = _topic_names(tree, rename or {}, source)
     locked = dict(locked or {})
@@ -74,7 +77,7 @@ def read_robot(
         rubbing=_rubbing(tree, names),
         ignored=("URDF <transmission>",) if tree.find("transmission") is not None else (),
         origin=origin,
-        source=source,
+        recipe=recipe,
     )
 
 

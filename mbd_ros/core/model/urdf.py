@@ -2,9 +2,11 @@
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 from xml.etree import ElementTree
 
+from mbd_ros.core.model.other_inertias import place_inertias
 from mbd_ros.core.model.urdf_reading import link_name, numbers
 from mbd_ros.core.ranges import LARGEST
 from mbd_ros.errors import ModelError
@@ -28,12 +30,15 @@ _NUMERIC_ATTRIBUTES = {
 }
 
 
-def parse_urdf(text: str, source: str) -> ElementTree.Element:
+def parse_urdf(
+    text: str, source: str, inertias: Mapping[str, Any] | None = None
+) -> ElementTree.Element:
     """Root element of a URDF that has passed every check of this module.
 
     Args:
         text: The URDF.
         source: File or topic it came from, for the messages.
+        inertias: Of links, in place of those of the text, see `place_inertias`.
 
     Returns:
         The `<robot>` element.
@@ -54,6 +59,8 @@ def parse_urdf(text: str, source: str) -> ElementTree.Element:
     if robot.tag != "robot":
         raise ModelError(f"{source}: root element is <{robot.tag}>, expected <robot>")
     _check_names(robot, source)
+    if inertias:
+        place_inertias(robot, inertias, source)
     _check_numbers(robot, source)
     _check_joints(robot, source)
     _check_tree(robot, source)

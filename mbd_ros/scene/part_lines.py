@@ -1,0 +1,40 @@
+"""Lines of `mbd-ros check` about the parts of a scene, by the texts of their sections."""
+
+from collections.abc import Iterator, Mapping
+from itertools import repeat
+from typing import Any
+
+from mbd_ros.scene.building import parts_in
+from mbd_ros.scene.built_scene import Scene
+
+
+def part_lines(scene: Scene) -> Iterator[str]:
+    """A line for every part whose section has a text: loads first, then rows."""
+    for section in sorted(scene.sections, key=lambda section: "residual" in section.offers):
+        if section.check and section.key in scene.parts:
+            built = scene.parts[section.key]
+            names = built if isinstance(built, Mapping) else repeat("")
+            label, _, text = section.check.partition(":")
+            for name, part in zip(names, parts_in(section, built), strict=False):
+                yield line(label, text.strip().format(name=name, part=part, **_words(part)))
+
+
+def _words(part: Any) -> dict[str, str]:
+    """What texts of sections may say of a part."""
+    where = getattr(part, "joints", None) or [getattr(part, "joint", None)]
+    names = ", ".join(str(getattr(joint, "name", joint)) for joint in where if joint)
+    words = {"kind": type_name(part), "at": f" at {names}" if names else ""}
+    if hasattr(part, "rows"):
+        words["rows"] = ", ".join(f"{row.name} [{row.unit}]" for row in part.rows)
+        words["law"] = "bilateral" if part.bounds is None else "bounded"
+    return words
+
+
+def line(label: str, text: str) -> str:
+    """A line of `check`."""
+    return f"{label:<12}{text}"
+
+
+def type_name(part: object) -> str:
+    """What kind of part it is."""
+    return type(part).__name__

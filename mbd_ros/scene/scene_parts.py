@@ -1,0 +1,162 @@
+"""What a scene describes, built."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.parts import Actuator, Constraint, ForceTerm
+from mbd_ros.core.projection.stabilizing import Stabilization
+from mbd_ros.core.simulation.safe_command import SafeCommand
+from mbd_ros.core.state import State
+from mbd_ros.scene.building import parts_in
+from mbd_ros.scene.coupling_entries import coupling_kinds
+from mbd_ros.scene.part_entries import MeasuredWrench, Solver
+from mbd_ros.scene.sections import Section
+from mbd_ros.scene.site import Origin
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SceneParts:
+    """What a scene describes, built.
+
+    Attributes:
+        origin: The file, or what else its sections came from.
+        robot: The robot, with the inertia of its drives.
+        parts: What every section made, by key; the robot there is without its drives.
+        entries: What the sections say, by key.
+        sections: Lines of the table, those of other packages included.
+        code: Key -> `package.module:Class` of what was imported from outside this package.
+    """
+
+    origin: Origin
+    robot: Robot
+    parts: Mapping[str, Any]
+    entries: Mapping[str, Any]
+    sections: tuple[Section, ...]
+    code: Mapping[str, str]
+
+    @property
+    def path(self) -> Path | None:
+        """The file; None for a scene that Python made."""
+        return self.origin.path
+
+    @property
+    def name(self) -> str:
+        """The file as messages call it, `scene` without one."""
+        return self.origin.name
+
+    @property
+    def source(self) -> str:
+        """File or topic of the robot description."""
+        return self.robot.source
+
+    @property
+    def couplings(self) -> Couplings:
+        """Its dependent joints."""
+        couplings: Couplings = self.parts["couplings"]
+        return couplings
+
+    @property
+    def coupling_kinds(self) -> Mapping[str, str]:
+        """Dependent joint -> parent and kind of coupling function, for people."""
+        return coupling_kinds(self.couplings, self.entries.get("couplings", {}))
+
+    @property
+    def wrenches(self) -> Mapping[str, MeasuredWrench]:
+        """External loads by name."""
+        return self.parts.get("external_wrenches", {})
+
+    @property
+    def constraints(self) -> tuple[Constraint, ...]:
+        """Constraints besides the couplings, of all sections."""
+        return self._offering("residual")
+
+    @property
+    def forces(self) -> tuple[ForceTerm, ...]:
+        """Force terms, of all sections."""
+        return self._offering("force")
+
+    @property
+    def actuators(self) -> tuple[Actuator, ...]:
+        """Actuators, in the order of their commands."""
+        return self._offering("torque")
+
+    @property
+    def stabilization(self) -> Stabilization | None:
+        """What keeps the constraints; None leaves the choice to `simulation`."""
+        return self.parts.get("stabilization")
+
+    @property
+    def solver(self) -> Solver:
+        """How the equations are solved."""
+        solver: Solver = self.parts["solver"]
+        return solver
+
+    @property
+    def integrator(self) -> Integrator | None:
+        """Method; None leaves the choice to `simulation`."""
+        return self.parts.get("integrator")
+
+    @property
+    def integrator_entry(self) -> Mapping[str, Any]:
+        """What the file says of it, empty without a word."""
+        return self.entries.get("integrator", {})
+
+    @property
+    def dt(self) -> float:
+        """Step [s]."""
+        dt: float = self.parts["dt"]
+        return dt
+
+    @property
+    def initial(self) -> State:
+        """State of all joints at the start, as the file gives it."""
+        initial: State = self.parts["initial"]
+        return initial
+
+    @property
+    def safe(self) -> SafeCommand:
+        """What the actuators do without a command."""
+        safe: SafeCommand = self.parts["safe"]
+        return safe
+
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """Sections that the file leaves out."""
+        return tuple(s.key for s in self.sections if not self.entries.get(s.key))
+
+    def _offering(self, method: str) -> tuple[Any, ...]:
+        """Parts of all sections whose parts have a method, in the order of the table."""
+        return tuple(
+            part
+            for section in self.sections
+            if method in section.offers and section.key in self.parts
+            for part in parts_in(section, self.parts[section.key])
+        )
+
+    @property
+    def has_loops(self) -> bool:
+        """Whether bilateral constraints act besides the couplings."""
+        return any(part.bounds is None for part in self.constraints)
+
+    @property
+    def actuated(self) -> tuple[str, ...]:
+        """Joints with an actuator; without any, all independent ones that no drive moves."""
+        if self.actuators:
+            return tuple(dict.fromkeys(name for part in self.actuators for name in part.joints))
+        driven = {name for part in self.constraints for name in part.driven}
+        return tuple(name for name in self.couplings.independent if name not in driven)
+
+    def __repr__(self) -> str:
+        from mbd_ros.scene.scene_summary import scene_text
+
+        return scene_text(self)
+
+    def _repr_html_(self) -> str:
+        from mbd_ros.scene.scene_summary import scene_html
+
+        return scene_html(self)
