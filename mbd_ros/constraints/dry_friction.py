@@ -15,16 +15,16 @@ from mbd_ros.errors import ModelError
 class DryFriction(Constraint):
     """Coulomb friction of a joint, exact at rest: g' = v, |multiplier| <= limit.
 
-    The joint sticks while a torque within the limit can hold it, without creep: what velocity is
-    left then decays with `time_constant`. Otherwise it slips against the full limit. Static and
+    The joint sticks while a torque within the limit can hold it, without creep: its remaining
+    velocity decays with `time_constant`. Otherwise it slips against the full limit. Static and
     kinetic friction are the same; it does not depend on the load of the joint.
 
     Args:
         robot: Robot of the scene.
         joint: Joint with friction.
         limit: Largest friction [N·m or N], > 0.
-        time_constant: With which a slow joint comes to rest [s], > 0; a step of some
-            milliseconds stays stable with one that is longer than the step.
+        time_constant: Time constant of a slow joint that comes to rest [s], > 0; a step stays
+            stable with one that is longer than the step.
 
     Raises:
         ModelError: Unknown joint, or a value out of its range.

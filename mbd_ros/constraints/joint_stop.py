@@ -138,7 +138,7 @@ def _ends(joint: Joint, lower: float | None, upper: float | None) -> tuple[float
 
 
 def _where(indices: list[int]) -> Any:
-    """A slice where one will do: it costs a third of an index array."""
+    """A slice where possible: it costs a third of an index array."""
     first, last = indices[0], indices[0] + len(indices)
     return slice(first, last) if indices == list(range(first, last)) else np.array(indices)
 

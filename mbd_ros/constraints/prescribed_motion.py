@@ -20,13 +20,13 @@ _HARMONIC = ("amplitude", "angular_frequency", "offset", "phase")
 class PrescribedMotion(Constraint):
     """Rheonomic row: g = q - f(t), by exactly one of three functions.
 
-    The multiplier is the effort of the ideal drive that does it. With a finite `limit` the drive
-    gives way when that is not enough, and comes back to its motion as g'' + 2 g' / T + g / T^2 =
-    0 demands as soon as it can.
+    The multiplier is the effort of the ideal drive of this motion. With a finite `limit` the drive
+    gives way where the limit is too small, and later returns to its motion by
+    g'' + 2 g' / T + g / T^2 = 0.
 
     Args:
         robot: Robot of the scene.
-        joint: Joint that moves as told.
+        joint: Driven joint.
         polynomial: c0, c1, ... of f = c0 + c1 t + c2 t^2 + ... [rad or m, per power of s].
         harmonic: f = offset + amplitude sin(angular_frequency t + phase); amplitude [rad or m] and
             angular_frequency [rad/s], and if not 0 offset [rad or m] and phase [rad].

@@ -25,11 +25,11 @@ class ComputedTorque(Controller):
 
         tau = A^+ (a_ref - kd e' - kp e - a_free)
 
-    Nothing in it withstands disturbances but kp: they leave e = d / kp. With lambda = kp / kd in
-    s = e' + lambda e the law is s' = lambda e' - kd s.
+    Only kp withstands disturbances: they leave e = d / kp. With lambda = kp / kd in
+    s = e' + lambda e the control law is s' = lambda e' - kd s.
 
     Args:
-        joints: What it controls.
+        joints: The controlled joints.
         kp: Acceleration per error.
         kd: Acceleration per velocity error; 2 kp^(1/2) damps critically.
 
@@ -55,7 +55,7 @@ class ComputedTorque(Controller):
         return pd_gains(self._kd * self._bandwidth, self._kd)
 
     def tracking_bound(self, at_rest: Response, period: float) -> Array:
-        """What wrong masses cause / kp."""
+        """Acceleration that wrong masses cause, over kp."""
         return disturbance(at_rest.a_free) / (self._kd * self._bandwidth)
 
     def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:

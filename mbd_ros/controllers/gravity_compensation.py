@@ -1,4 +1,4 @@
-"""Springs and dampers about the reference, on top of what holds the mechanism at rest."""
+"""Springs and dampers about the reference, beside the torque that holds the mechanism at rest."""
 
 from typing import Annotated
 
@@ -28,12 +28,12 @@ class GravityCompensation(Controller):
         tau = -A^+ a_free(q, v = 0) - stiffness e - damping e'
 
     The first term, reported as the equivalent part, leaves the controlled joints without
-    acceleration from rest, couplings and loops kept. Nothing follows the acceleration of the
-    reference: this law is for holding and for slow motion. It is passive, hence stable for any
-    positive gains as long as the loop is much faster than damping over inertia.
+    acceleration from rest, couplings and loops kept. No term follows the acceleration of the
+    reference: this control law is for holding and for slow motion. It is passive, hence stable
+    for any positive gains as long as the loop is much faster than damping over inertia.
 
     Args:
-        joints: What it controls.
+        joints: The controlled joints.
         stiffness: Effort per error.
         damping: Effort per velocity error; far less than inertia over the period of the loop.
 

@@ -33,15 +33,15 @@ class QpTracking(Controller):
         a_ref = ref.a - kd e' - kp e,     e = q - ref.q
 
     Couplings and loops are in a_all, so that dependent joints keep their limits too. As long as
-    no limit is passed the answer is that of computed torque and no QP is solved. The effort box
+    no limit is passed the effort is that of computed torque and no QP is solved. The effort box
     is always kept; where it leaves limits of motion out of reach, these are passed by the least
-    sum of squares. Redundant efforts have the least norm. Left out: contacts, the jerk that
-    torque-rate limits allow in later periods (a longer horizon makes up for it).
+    sum of squares. Redundant efforts have the least norm. It leaves out contacts, and the jerk
+    that torque-rate limits allow in later periods (a longer horizon makes up for it).
     Source: A. Escande, N. Mansard, P. Wieber, Int. J. Robotics Research 33(7) (2014), on the
     order of hard limits, softer ones and the task.
 
     Args:
-        joints: What it controls.
+        joints: The controlled joints.
         kp: Acceleration per error, > 0.
         kd: Acceleration per velocity error, > 0; 2 kp^(1/2) damps critically.
         weight: Cost of a squared acceleration error, > 0.
@@ -113,7 +113,7 @@ class QpTracking(Controller):
         return pd_gains(self._kd * self._slope, self._kd)
 
     def tracking_bound(self, at_rest: Response, period: float) -> Array:
-        """What wrong masses cause / kp."""
+        """Acceleration that wrong masses cause, over kp."""
         return disturbance(at_rest.a_free) / (self._kd * self._slope)
 
     def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:

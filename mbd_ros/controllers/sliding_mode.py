@@ -30,7 +30,7 @@ class SlidingMode(Controller):
     s' = -rho(s). Couplings and loops stand in a_free and the mobility A.
 
     Args:
-        joints: What it controls.
+        joints: The controlled joints.
         bandwidth: lambda: errors decay by exp(-lambda t) on s = 0.
         gain: k: must exceed the accelerations that model error and disturbance cause.
         boundary_layer: phi, >= 0: width within which the command is continuous; at least `gain`
@@ -74,11 +74,11 @@ class SlidingMode(Controller):
         return sliding_gains(self._bandwidth, self._law.slope(period))
 
     def tracking_bound(self, at_rest: Response, period: float) -> Array:
-        """The edge of the boundary layer / lambda: beyond, the law has no more to give."""
+        """The edge of the boundary layer over lambda; the reaching law gives no more beyond."""
         return self._law.layer(period) / self._bandwidth
 
     def bound(self, disturbance: Array | float, effectiveness: Array | float = 1.0) -> Array:
-        """How large errors are at most once s has settled: width of the law / lambda.
+        """Largest errors once s has settled: width of the reaching law over lambda.
 
         Args:
             disturbance: Bound of `Mismatch.disturbance` near the reference

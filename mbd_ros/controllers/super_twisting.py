@@ -35,7 +35,7 @@ class SuperTwisting(Controller):
     effort box (anti-windup).
 
     Args:
-        joints: What it controls.
+        joints: The controlled joints.
         bandwidth: lambda: errors decay by exp(-lambda t) on s = 0.
         disturbance_rate: L: must exceed the rate of change of the accelerations that model error
             and disturbance cause.
@@ -88,14 +88,14 @@ class SuperTwisting(Controller):
     def loop_gains(self, at_rest: Response, period: float) -> LoopGains:
         """Describing functions of both parts at |s| = `_width`.
 
-        A delay makes the law swing, by |s| ~ delay^2; up to the tolerable one it swings less.
+        A delay makes s swing, by |s| ~ delay^2; up to the tolerable delay it swings less.
         """
         push = _ROOT * self._k1 / np.sqrt(self._width)
         integral = 4.0 / np.pi * self._k2 / self._width
         return sliding_gains(self._bandwidth, push, integral)
 
     def tracking_bound(self, at_rest: Response, period: float) -> Array:
-        """|s| / lambda, with what a disturbance of the rate L makes of s within 1 / lambda."""
+        """|s| / lambda, with the s that a disturbance of the rate L causes within 1 / lambda."""
         return self._width / self._bandwidth
 
     def reaching_time(self, s: Array, excess: Array, effectiveness: float = 1.0) -> float:

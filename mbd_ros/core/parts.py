@@ -1,4 +1,4 @@
-"""What a part of a scene must offer.
+"""Contracts of the parts of a scene.
 
 A part reads `data`, never runs a Pinocchio algorithm that writes it, never changes its inputs, and
 keeps no memory of earlier states. Positions in `data` are counted from `Robot.origin`; those of
@@ -20,7 +20,7 @@ class ForceTerm:
     Attributes:
         reads_frames: Whether `force` reads placements, velocities or joint Jacobians from `data`;
             they are current then, and not refreshed for parts that do not ask.
-        brings: What it takes over from the `<dynamics>` of its `joint`: friction, damping.
+        brings: Entries of the `<dynamics>` of its `joint` that it covers: friction, damping.
     """
 
     reads_frames: ClassVar[bool] = False
@@ -31,7 +31,7 @@ class ForceTerm:
         raise NotImplementedError
 
     def beside(self, data: Any, x: State) -> "ForceTerm":
-        """The force as it goes on from a state, smooth across the surfaces at which it jumps."""
+        """The force near a state, smooth across the surfaces at which it jumps."""
         return self
 
     def potential(self, data: Any, x: State) -> float:
@@ -39,7 +39,7 @@ class ForceTerm:
         return 0.0
 
     def wrenches(self, data: Any, x: State) -> "tuple[Wrench, ...]":
-        """What it exerts on bodies; empty where it acts in joints, between parent and child."""
+        """Wrenches on bodies; empty for a force in joints, between parent and child."""
         return ()
 
 
@@ -48,7 +48,7 @@ class Actuator:
 
     Attributes:
         joints: Topic names of the driven joints, one command each.
-        takes: What a command is, with its unit; empty where it is the torque of the joint.
+        takes: Meaning and unit of a command; empty where it is the torque of the joint.
     """
 
     joints: tuple[str, ...]
@@ -67,14 +67,14 @@ class Actuator:
         """Commands that ask for a torque, shape (len(joints),); here the torque itself.
 
         Args:
-            torque: Of `joints` [N·m or N], shape (len(joints),). What the actuator loses or
-                cannot give is not made up for.
+            torque: Of `joints` [N·m or N], shape (len(joints),). Losses and limits of the actuator
+                are not compensated.
             x: State.
         """
         return torque
 
     def demanded(self, torque: Array, x: State) -> Array:
-        """Commands that give a torque, losses made up for, shape (len(joints),).
+        """Commands that give a torque, losses compensated, shape (len(joints),).
 
         `torque` of them is that torque again, unless it is beyond a limit. For recordings: live,
         noise of the velocity would come back as force.
@@ -95,7 +95,7 @@ class Actuator:
 
 
 class Row(NamedTuple):
-    """One scalar equation of a constraint, for whoever reads its multiplier.
+    """One scalar equation of a constraint, for readers of its multiplier.
 
     Attributes:
         name: Name of the equation, such as `knee_loop.x`.
@@ -109,7 +109,7 @@ class Row(NamedTuple):
 
 
 class Wrench(NamedTuple):
-    """What a constraint exerts on one body.
+    """Wrench of a constraint on one body.
 
     Attributes:
         frame: The link.
@@ -153,7 +153,7 @@ class Constraint:
         gains: kp [1/s^2] and kd [1/s] of that condition; read for bounded rows only.
         driven: Joints whose drives exert the multipliers, one a row, or none: inverse dynamics
             then asks for the multipliers and demands nothing of the motion.
-        stops: Joints that it keeps within ends; a motion that passes one is said to.
+        stops: Joints that it keeps within ends; a motion that passes one is reported.
     """
 
     rows: tuple[Row, ...]
@@ -172,7 +172,7 @@ class Constraint:
         raise NotImplementedError
 
     def drift(self, data: Any, x: State) -> Array:
-        """What of g'' does not depend on the acceleration, J' v included, shape (m,)."""
+        """The part of g'' without the acceleration, J' v included, shape (m,)."""
         raise NotImplementedError
 
     def accelerations(self, data: Any, x: State) -> tuple[Array, Array]:
@@ -180,7 +180,7 @@ class Constraint:
         return self.jacobian(data, x), self.drift(data, x)
 
     def rate(self, x: State) -> Array:
-        """What of g' does not depend on the velocity, shape (m,)."""
+        """The part of g' without the velocity, shape (m,)."""
         return np.zeros(len(self.rows))
 
     def quick_margin(self, q: Array, v: Array, a: Array) -> float:
@@ -196,5 +196,5 @@ class Constraint:
         return -math.inf
 
     def wrenches(self, data: Any, x: State, lam: Array) -> tuple[Wrench, ...]:
-        """What the multipliers, shape (m,), exert on bodies; empty where no frame exists."""
+        """Wrenches of the multipliers, shape (m,), on bodies; empty where no frame exists."""
         return ()

@@ -20,9 +20,9 @@ class PointSpring(ForceTerm):
 
         F = stiffness (d - length) + damping d',   tau = -F grad d
 
-    Pulls the points together where F > 0 and pushes them apart where F < 0 (it does not go slack
-    as a rope does). With d = 0 the line has no direction, and F is zero; only for `length` 0 and
-    without damping is that the limit of what happens nearby.
+    It pulls the points together where F > 0 and pushes them apart where F < 0 (it does not go
+    slack as a rope does). With d = 0 the line has no direction, and F is zero; only for `length` 0
+    and without damping is that the limit of the forces nearby.
 
     Args:
         robot: Robot of the scene.

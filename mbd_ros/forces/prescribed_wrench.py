@@ -17,7 +17,7 @@ from mbd_ros.errors import ModelError
 class PrescribedWrench(ForceTerm):
     """A wrench read from a table, tau = J' w(t): straight lines between samples.
 
-    Zero before the first and after the last sample, so the load jumps there unless the table
+    The load is zero before the first and after the last sample, so it jumps there unless the table
     begins and ends with zeros. Frame, axes, point and threshold are those of an external wrench:
     with `expressed_in` at rest, the force stays at one place while the link moves.
 

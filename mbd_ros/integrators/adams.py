@@ -27,7 +27,7 @@ class Adams(Integrator):
         v+ = v + h sum_j b_j a_(n-j),   q+ = q + h v + h^2 sum_j d_j a_(n-j)
 
     Runge-Kutta steps start it, at first and after every discontinuity, a new command included:
-    it pays on smooth stretches. Not for floating bases. With decay rates or frequencies r [1/s]
+    it pays on smooth stretches. It refuses floating bases. With decay rates or frequencies r [1/s]
     it is stable for r dt up to about 0.15 at order 4 and 0.043 at order 6, where critical
     damping is the worst case; undamped vibrations grow slowly from order 5 on. Hence 4 is the
     default; orders 6 to 8 are for accuracy at small dt.
@@ -140,7 +140,7 @@ class AdamsStepper(Stepper):
         self._starter.restart()
 
     def continue_from(self, x: State) -> None:
-        """Go on from a state that stabilization has made of the last one, history kept."""
+        """Continue from the stabilized last state, history kept."""
         if self._ready is not None:
             self._head[0], self._head[1] = x.q, x.v
             self._ready = x
@@ -166,7 +166,7 @@ class AdamsStepper(Stepper):
         return after
 
     def _keep(self, after: State) -> None:
-        """Take over what a starting step has found."""
+        """Take over the result of a starting step."""
         row, _, _, head, _, _ = next(self._slots)
         row[...] = self._starter.stages.first
         self._known += 1

@@ -21,9 +21,9 @@ class Filippov(Integrator):
     to rounding; on several at once it is that of the equivalent control. Without switching forces
     it is DOP853.
 
-    It refuses to choose where the solution is not unique (surfaces that repel), where none goes
-    on, and where events accumulate, each by a SolveError; and, when built, bounded rows beside
-    switching forces. It does not slide where only the second derivative of a height jumps
+    It refuses to choose where the solution is not unique (surfaces that repel), where none
+    continues, and where events accumulate, each by a SolveError; and, when built, bounded rows
+    beside switching forces. It does not slide where only the second derivative of a height jumps
     (heights of positions alone): it crosses such surfaces.
 
     Source: A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, 1988, §4;
@@ -52,7 +52,7 @@ class Filippov(Integrator):
     def prepare(self, system: Any, dt: float) -> Stepper:
         """The stepper for one system and one step size [s], or with a tolerance first guess.
 
-        The loads of a system with switching forces are replaced by ones that know the modes.
+        Loads that know the modes replace those of a system with switching forces.
 
         Raises:
             ModelError: Switching forces beside bounded rows.

@@ -17,12 +17,12 @@ class Rattle(Integrator):
         w  = v + h/2 M(q)^-1 f(q, w) + M(q)^-1 J(q)' mu,       g(q+) = 0,   q+ = q (+) h w
         v+ = w + h/2 M(q+)^-1 f(q+, w) + M(q+)^-1 J(q+)' nu,   J(q+) v+ + dg/dt = 0
 
-    with f = tau - h. Constant masses and forces f(q): the classic scheme, explicit but for the
-    multipliers and symplectic, so that the energy error stays bounded for ever. That is a robot of
-    point masses on prismatic joints. Other robots: w is found by iteration; still second order and
-    time-reversible (if the forces are), but not symplectic: the energy of reversible motion
-    usually stays bounded, which is no theorem. Stiff dampers need another method. Without rows it
-    is velocity Verlet. One-sided rows are refused.
+    with f = tau - h. With constant masses and forces f(q), as for point masses on prismatic
+    joints, it is the classic scheme, explicit but for the multipliers and symplectic: the energy
+    error stays bounded for ever. For other robots w is found by iteration; the method is still of
+    second order and time-reversible (if the forces are), but not symplectic: the energy of
+    reversible motion usually stays bounded, which is no theorem. Stiff dampers need another
+    method. Without rows it is velocity Verlet. One-sided rows are refused.
 
     Args:
         tolerance: |g| from which one more correction is the last [m, rad].

@@ -16,7 +16,8 @@ class SemiImplicitEuler(Integrator):
 
         v+ = v + dt a(t, q, v, u),   q+ = q (+) dt v+
 
-    Symplectic where M is constant and forces do not depend on v: the energy error stays bounded.
+    It is symplectic where M is constant and forces do not depend on v: the energy error stays
+    bounded.
 
     Source: Hairer, Lubich, Wanner, Geometric Numerical Integration, 2006, I.1.2 and VI.3.
     """

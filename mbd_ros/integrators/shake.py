@@ -20,9 +20,10 @@ class Shake(Integrator):
         v_n = (q_{n+1} - q_{n-1}) / (2 h)
 
     whose positions are those of RATTLE. v_n needs the positions of the next step, which are solved
-    for ahead and used then; a step after a restart therefore costs two. Other robots: q_{n+1} =
-    q_n (+) h w_{n+1/2}, v_n the mean of both w, f(q_n, v_n) by iteration; second order and
-    time-reversible (if the forces are), but not symplectic. One-sided rows are refused.
+    for ahead and used then; a step after a restart therefore costs two. For other robots q_{n+1} =
+    q_n (+) h w_{n+1/2}, v_n is the mean of both w, and f(q_n, v_n) comes by iteration; the method
+    is of second order and time-reversible (if the forces are), but not symplectic. One-sided rows
+    are refused.
 
     Args:
         tolerance: |g| from which one more correction is the last [m, rad].

@@ -1,4 +1,4 @@
-"""What a controller is: torques of the actuated joints from a state and a reference."""
+"""Contract of controllers: torques of the actuated joints from a state and a reference."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
@@ -14,7 +14,7 @@ from mbd_ros.errors import ModelError
 
 
 class Reference(NamedTuple):
-    """Where the controlled joints should be, in the order of the controller.
+    """Demanded motion of the controlled joints, in the order of the controller.
 
     Attributes:
         q: [rad or m], shape (n,).
@@ -58,12 +58,12 @@ class EffortBox(NamedTuple):
 
 
 class Control(NamedTuple):
-    """What a controller answers.
+    """The answer of a controller.
 
     Attributes:
         effort: Of the controlled joints [N·m or N], shape (n,).
         s: Sliding variable e' + lambda e of each [rad/s or m/s], shape (n,).
-        equivalent: The part of `effort` that keeps s where it is [N·m or N], shape (n,).
+        equivalent: The part of `effort` that keeps s constant [N·m or N], shape (n,).
         memory_rate: Rate of change of the memory [1/s of its unit], shape (k,).
         active: Which of `Controller.limit_names` hold the effort back; empty without limits.
     """
@@ -80,8 +80,8 @@ class ControlledJoints:
 
         a_free = S (a at tau = 0),   mobility = S A S'
 
-    A is what generalized forces accelerate on the constraint manifold (`System.respond`), S picks
-    the controlled joints. Bounded rows (stops, dry friction) belong into the plant, not in here.
+    A are the accelerations of generalized forces on the constraint manifold (`System.respond`), S
+    picks the controlled joints. Bounded rows (stops, dry friction) belong to the plant.
 
     Args:
         system: Dynamics without actuators and bounded rows; owned by this object from now on.
@@ -91,7 +91,7 @@ class ControlledJoints:
         names: As given.
         joints: Their descriptions, with limits.
         system: As given.
-        newest: What `response` answered last; None before the first time.
+        newest: The last result of `response`; None before the first.
 
     Raises:
         ModelError: No joint, an unknown one, one twice, or a floating base.
@@ -140,11 +140,11 @@ class Controller:
     configures the law reads them there. `Gain` stands for a float for all joints, or one a joint.
     A constructor raises a ModelError that names the gain, what is wrong and what is accepted.
 
-    A law with states of its own (an integral) keeps none: it says how they change
-    (`Control.memory_rate`), and the loop integrates them, or freezes them.
+    A control law does not keep its own states (an integral): it gives their rates
+    (`Control.memory_rate`), and the loop integrates or freezes them.
 
     Attributes:
-        joints: What it controls.
+        joints: The controlled joints.
         limit_names: Names of the limits that it keeps itself, one an entry of `Control.active`.
         example: Gains with which the law works on a small arm.
     """
@@ -154,15 +154,15 @@ class Controller:
     joints: ControlledJoints
 
     def begin(self) -> Array:
-        """Memory at the start, shape (k,); most laws have none."""
+        """Memory at the start, shape (k,); most control laws have none."""
         return np.zeros(0)
 
     def details(self) -> dict[str, str]:
-        """What the law has to say of its work, for diagnostics."""
+        """Remarks of the control law on its work, for diagnostics."""
         return {}
 
     def loop_gains(self, at_rest: Response, period: float) -> LoopGains | None:
-        """How the law answers small errors in a pose; None where it does not say so.
+        """How the control law answers small errors in a pose; None where it is not known.
 
         Args:
             at_rest: How the joints answer there.
@@ -171,7 +171,7 @@ class Controller:
         return None
 
     def tracking_bound(self, at_rest: Response, period: float) -> Array:
-        """Errors that the law keeps to in a pose, with masses wrong by `MASS_ERROR`.
+        """Largest errors of the control law in a pose, with masses wrong by `MASS_ERROR`.
 
         Args:
             at_rest: How the joints answer there.
@@ -188,9 +188,9 @@ class Controller:
         Args:
             x: Consistent state of all joints of the robot.
             ref: Of the controlled joints.
-            memory: States of the law, shape (k,).
-            box: Efforts that the next command may have. Whoever sends the command clips it; a
-                law may use the box to do better than being clipped.
+            memory: States of the control law, shape (k,).
+            box: Efforts that the next command may have. The sender clips the command; a
+                control law may use the box to do better.
         """
         raise NotImplementedError
 

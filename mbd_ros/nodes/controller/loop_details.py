@@ -1,4 +1,4 @@
-"""What a control loop tells about itself in diagnostics."""
+"""Diagnostics of a control loop."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from mbd_ros.core.state import Array
 
 
 def loop_details(loop: ControlLoop, t: float) -> dict[str, str]:
-    """Reference, law and hand-over at a time [s]; efforts in N·m or N, one a joint."""
+    """Reference, control law and hand-over at a time [s]; efforts in N·m or N, one a joint."""
     control, limits, largest = loop.control, [], 0.0
     if control is not None:
         acts = zip(loop.controller.limit_names, control.active, strict=False)

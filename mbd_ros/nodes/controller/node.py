@@ -1,4 +1,4 @@
-"""What both controller nodes do: joint states and a reference in, commands out."""
+"""Common part of both controller nodes: joint states and a reference in, commands out."""
 
 import math
 import time
@@ -48,7 +48,7 @@ class ControllerNode(JointStateNode):
         super().__init__(argv)
 
     def build(self, description: str | None) -> None:
-        """Build the scene and the law; where one is at work the new one goes on."""
+        """Build the scene and the control law; a new law takes over from one at work."""
         pipeline = ControlPipeline(self.parameters, description)
         if self.active:
             pipeline.take_over(self._pipeline)
@@ -73,7 +73,7 @@ class ControllerNode(JointStateNode):
         self._lapsed = perf_counter()
 
     def reset(self, reason: str) -> None:
-        """Time began anew: what acts on the robot is unknown, so control comes in by its ramp."""
+        """Time began anew: the present efforts are unknown, so control comes in by its ramp."""
         super().reset(reason)
         self._pipeline.loop.weight = 1.0
 
@@ -141,7 +141,7 @@ class ControllerNode(JointStateNode):
     # ------------------------------------------------------------------ joint states
 
     def answer(self, stamp: int, sample: JointSample) -> SampleStatus | None:
-        """Command what the law says."""
+        """Send the command of the control law."""
         try:
             answer = self._pipeline.answer(stamp, sample)
         except SolveError as error:
@@ -164,7 +164,7 @@ class ControllerNode(JointStateNode):
             raise SolveError(f"no answer of the law to {failures} states in a row")
 
     def _watch(self) -> None:
-        """Ramp to the safe command where joint states stopped; see whether anybody listens."""
+        """Ramp to the safe command where joint states stopped; look for listeners."""
         now = perf_counter()
         since, self._lapsed = now - self._lapsed, now
         loop = self._pipeline.loop
@@ -212,7 +212,7 @@ class ControllerNode(JointStateNode):
             self.drop("reference", f"{self.resolve_topic_name('~/joint_trajectory')}: {error}")
 
     def _note(self, text: str) -> None:
-        """Say once what was mapped or left out of references."""
+        """Report once which joints of references were mapped or left out."""
         if text and text not in self._notes and len(self._notes) < MOST_NOTES:
             self._notes.add(text)
             self.get_logger().info(f"references: {text}")

@@ -96,7 +96,7 @@ COMMON = (
 
 
 def gains(values: Any) -> tuple[Any, ...]:
-    """Everything that the law is made of, to see whether it changed."""
+    """All gains of the control law, to see whether they changed."""
     return tuple(
         value
         for key, value in values._asdict().items()

@@ -42,7 +42,7 @@ class ControlMessages(NamedTuple):
 
 
 class ControlPipeline:
-    """What the node `controller` builds when it is configured.
+    """Scene and loop of a configured controller node.
 
     Args:
         values: Parameters of the node.
@@ -50,7 +50,7 @@ class ControlPipeline:
 
     Attributes:
         scene: The scene.
-        loop: Reference, law and guard.
+        loop: Reference, control law and guard.
         watch: Whether the loop does what its gains promise.
         observer: Judges joint states.
         joints: Which joints the newest joint state carried.
@@ -130,7 +130,7 @@ class ControlPipeline:
         self._epoch = None
 
     def take_over(self, other: "ControlPipeline") -> None:
-        """Go on without a bump where another pipeline was at work, if it has the same joints."""
+        """Continue without a bump where another pipeline with the same joints was at work."""
         fits = self._controlled.names == other._controlled.names
         if fits and other.x is not None and len(other.x.q) == len(self.scene.initial.q):
             self.x, self._epoch = other.x, other._epoch
@@ -140,7 +140,8 @@ class ControlPipeline:
         """Messages for a joint state, or why it cannot be used.
 
         Raises:
-            SolveError: The state does not fit the loops, or the law has no answer and had none.
+            SolveError: The state does not fit the loops, or the control law has no answer and had
+                none.
         """
         system, observer = self._controlled.system, self.observer
         before = observer.memory, system.row_size
@@ -165,7 +166,7 @@ class ControlPipeline:
         return ControlMessages(commands, self._loop_state(stamp, command))
 
     def commands(self, effort: Array) -> Any:
-        """Kept message with what the actuators are told to give these efforts.
+        """Kept message with the commands of the actuators for these efforts.
 
         Raises:
             SolveError: It is not finite.
@@ -186,7 +187,7 @@ class ControlPipeline:
         return self._state.write(stamp, position=command.error, velocity=command.s, effort=chatter)
 
     def aim(self, names: tuple[str, ...], sample: JointSample) -> str:
-        """Take a reference of one moment, `sample` in the order of `names`; what to tell of it.
+        """Take a reference of one instant, `sample` in the order of `names`; returns a remark.
 
         Raises:
             TargetError: It is refused.
@@ -194,7 +195,7 @@ class ControlPipeline:
         return self._references.aim(self._now(), names, sample)
 
     def follow(self, trajectory: Trajectory) -> str:
-        """Take a trajectory; what to tell of it.
+        """Take a trajectory; returns a remark.
 
         Raises:
             TargetError: It is refused.
@@ -253,7 +254,7 @@ class ControlPipeline:
         return ", ".join(off)
 
     def details(self) -> Mapping[str, str]:
-        """What the commands contain and how they are made, for diagnostics."""
+        """Contents and origin of the commands, for diagnostics."""
         robot = self.scene.robot
         reconstructed = [n for n in self.joints.missing if n in self.scene.couplings.dependent]
         return {

@@ -18,9 +18,9 @@ class Plan(NamedTuple):
     """A trajectory that was checked and is not followed yet.
 
     Attributes:
-        trajectory: What the reference generator would follow; None to stop.
+        trajectory: For the reference generator; None to stop.
         begin: Time from which the times of its points count [s].
-        note: What was mapped or left out, for people.
+        note: Joints that were mapped or left out, for people.
     """
 
     trajectory: ReferenceTrajectory | None
@@ -45,7 +45,7 @@ class References:
         self._selections: dict[tuple[tuple[str, ...], bool], Selection] = {}
 
     def aim(self, now: float, names: tuple[str, ...], sample: JointSample) -> str:
-        """Take a reference of one moment, `sample` in the order of `names`; what to tell of it.
+        """Take a reference of one instant, `sample` in the order of `names`; returns a remark.
 
         Raises:
             TargetError: It is refused.
@@ -57,9 +57,9 @@ class References:
         return selection.note
 
     def plan(self, now: float, begin: float, trajectory: Trajectory) -> Plan:
-        """What a trajectory with points that begins at `begin` [s] asks for.
+        """The plan for a trajectory with points that begins at `begin` [s].
 
-        Joints that it does not give hold where the reference is.
+        Joints that it does not give hold their present reference.
 
         Raises:
             TargetError: It is refused.

@@ -36,7 +36,7 @@ def action_type() -> Any:
 
 
 def tolerances(values: Any, n: int) -> Tolerances:
-    """Those of goals that say nothing else, from the parameters of the node; 0 is none."""
+    """Default tolerances of goals, from the parameters of the node; 0 is none."""
     path, goal = (
         np.full(n, each) for each in (values.constraints_trajectory, values.constraints_goal)
     )
@@ -52,7 +52,7 @@ def tolerances(values: Any, n: int) -> Tolerances:
 
 
 class _Server(ActionServer):  # type: ignore[misc]
-    """Ends a goal when it is told how it ended, not when a coroutine that waits for it returns."""
+    """Ends a goal as soon as its end is known, not when a waiting coroutine returns."""
 
     def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:
         if execute_callback is not None:
@@ -60,7 +60,7 @@ class _Server(ActionServer):  # type: ignore[misc]
 
 
 class _Running(NamedTuple):
-    """The goal that is followed, and what the reference generator follows for it."""
+    """The goal that is followed, and its trajectory in the reference generator."""
 
     handle: Any
     goal: TrajectoryGoal
@@ -68,17 +68,17 @@ class _Running(NamedTuple):
 
 
 class TrajectoryAction:
-    """Takes one goal at a time and says what becomes of it.
+    """Takes one goal at a time and reports its progress and end.
 
-    Joint states tell how a goal goes on and when it ended: nothing here waits, and one thread is
+    Joint states tell the progress and the end of a goal: nothing here waits, and one thread is
     enough.
 
     Args:
         node: The controller.
         action: `action_type()`.
-        pipeline: Gives what is at work.
+        pipeline: Gives the pipeline at work.
         refused: Told why a goal was refused.
-        noted: Told what was mapped or left out of an accepted one.
+        noted: Told which joints of an accepted one were mapped or left out.
     """
 
     def __init__(
@@ -137,8 +137,8 @@ class TrajectoryAction:
     def give_up(self, why: str) -> None:
         """End the goal that is followed, if there is one: the safe command takes over.
 
-        Control would go on with its trajectory when it comes back, but who sent it was told that
-        nobody follows it any more.
+        Control could continue its trajectory on return, but the client was told that the goal
+        ended.
         """
         if self._running is not None:
             self._pipeline().stop()
@@ -150,7 +150,7 @@ class TrajectoryAction:
         self._server.destroy()
 
     def _judge(self, request: Any) -> GoalResponse:
-        """Check a goal; what is followed goes on until it begins."""
+        """Check a goal; the one before is followed until it begins."""
         try:
             self._accepted = self._checked(request)
         except (MessageError, TargetError) as error:
@@ -187,7 +187,7 @@ class TrajectoryAction:
         handle.execute()
 
     def _cancel(self, handle: Any) -> CancelResponse:
-        """Hold where the joints are; the client hears it once rclpy has noted its request."""
+        """Hold the joints; the client hears it once rclpy has noted its request."""
         if self._running is None or self._running.handle != handle:
             return CancelResponse.REJECT
         self._running = None

@@ -52,7 +52,7 @@ class InverseDynamicsNode(JointStateNode):
             self._pipeline.estimator.tune(tuning(values))
 
     def health(self) -> tuple[int, str, dict[str, str]]:
-        """State of the stream, then what the numbers contain."""
+        """State of the stream, then contents of the numbers."""
         details = {**self._pipeline.details(), **self.stream_details()}
         level, text = self.stream_health()
         if level == OK:
@@ -96,7 +96,7 @@ class InverseDynamicsNode(JointStateNode):
         return take
 
     def _flush(self) -> None:
-        """Answer the joint states that wait for nothing more."""
+        """Answer the joint states whose wrenches are complete or overdue."""
         for x, wrenches in self._pipeline.queue.take():
             lacking = [name for name, wrench in wrenches.items() if wrench is None]
             if lacking:

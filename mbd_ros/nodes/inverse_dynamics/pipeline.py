@@ -1,4 +1,4 @@
-"""A built scene between messages: from a serialized joint state to those that answer it."""
+"""A built scene between messages: from a serialized joint state to its answers."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -20,7 +20,7 @@ from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWrite
 
 
 class Pipeline:
-    """What the node `inverse_dynamics` builds when it is configured.
+    """Scene and estimator of a configured node `inverse_dynamics`.
 
     Args:
         values: Parameters of the node.
@@ -106,7 +106,7 @@ class Pipeline:
         return [name for name in self.joints.missing if name not in self._dependent]
 
     def details(self) -> dict[str, str]:
-        """What the numbers contain and how they are made, for diagnostics."""
+        """Contents and origin of the numbers, for diagnostics."""
         robot, filters = self.scene.robot, self.estimator.differentiator
         reconstructed = [name for name in self.joints.missing if name in self._dependent]
         return {

@@ -46,7 +46,7 @@ class JointStateProjectorNode(JointStateNode):
             self._pipeline.reconstructor.tune(tuning(values))
 
     def health(self) -> tuple[int, str, dict[str, str]]:
-        """State of the stream, then how the measurement fits the mechanism."""
+        """State of the stream, then fit of the measurement to the mechanism."""
         details = {**self._pipeline.details(), **self.stream_details()}
         level, text = self.stream_health()
         if level == OK:

@@ -37,7 +37,7 @@ class ProjectorMessages(NamedTuple):
 
 
 class ProjectorPipeline:
-    """What the node `joint_state_projector` builds when it is configured.
+    """Scene and projector of a configured node `joint_state_projector`.
 
     Args:
         values: Parameters of the node.
@@ -132,7 +132,7 @@ class ProjectorPipeline:
         return self.reconstructor.held
 
     def details(self) -> dict[str, str]:
-        """What the newest state is made of, for diagnostics."""
+        """Origin of the newest state, for diagnostics."""
         robot, newest = self.scene.robot, self._newest
         held, missing = self.reconstructor.held, self.reconstructor.missing
         solves, qp = self._projector.statistics

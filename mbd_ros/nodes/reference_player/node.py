@@ -33,8 +33,8 @@ class ReferencePlayer(Shell):
 
     The trajectory comes from a bag, or moves each controlled joint of a scene about its initial
     position. It begins when it is sent: its stamp is 0. A message that is published before DDS
-    has matched both ends is lost, so it waits for a listener, and for the first state of the
-    controller, which says that it answers.
+    has matched both ends is lost. So the node waits for a listener, and for the first state of the
+    controller, which shows that it answers.
     """
 
     NAME = "reference_player"
@@ -97,7 +97,7 @@ class ReferencePlayer(Shell):
 
 
 def _recorded(bag: str) -> Any:
-    """The first trajectory of a bag, to begin when it comes."""
+    """The first trajectory of a bag, to begin on arrival."""
     topics = {name: kind for name, kind in topic_types(bag).items() if kind == TRAJECTORY}
     if not topics:
         raise DataError(f"{bag}: no topic of type {TRAJECTORY}")

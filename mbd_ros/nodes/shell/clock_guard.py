@@ -1,4 +1,4 @@
-"""Time from /clock that a node can pass on: rclpy takes any, and ends the process at a bad one."""
+"""Checks of /clock: rclpy takes any message, and a bad one ends the process."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +10,7 @@ from msg_adapters.errors import MessageError
 
 
 def guard_clock(node: Node, drop: Callable[[str], None]) -> None:
-    """Let a node in simulated time ignore messages of /clock that are no time.
+    """Let a node in simulated time ignore messages of /clock without a valid time.
 
     A negative second raises in rclpy, out of the callback; a nanosec of a second or more gives a
     time that no stamp can carry.

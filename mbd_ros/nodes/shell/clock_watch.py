@@ -11,13 +11,13 @@ _REGULAR = 10  # looks with news until a clock counts as regular
 
 
 class ClockWatch:
-    """Measures for how long no message of a clock came that used to come.
+    """Measures how long a clock has been silent that used to send messages.
 
-    Simulated time cannot tell a pause from a death: it stands in both. Nor can the graph, which
-    keeps a killed publisher for up to 20 s. A simulator that is paused, slow or waits repeats its
-    time, and one that was killed or hangs does not. How long a wait may be is learnt from those
-    before. Time in which this process itself did not run counts for no more than two looks: where
-    the whole machine stands, the clock is not to blame.
+    Simulated time does not tell a pause from a death: it stands in both. Nor does the graph, which
+    keeps a killed publisher for up to 20 s. A simulator that is paused, slow or waiting repeats
+    its time; one that was killed or hangs does not. The accepted wait is learnt from earlier ones.
+    Time in which this process itself did not run counts for no more than two looks: where the
+    whole machine stands, the clock is not to blame.
     """
 
     def __init__(self) -> None:

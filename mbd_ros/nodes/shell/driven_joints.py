@@ -1,4 +1,4 @@
-"""Which joints the actuators of a scene drive, and in which order commands name them."""
+"""The joints that the actuators of a scene drive, and their order in commands."""
 
 from collections.abc import Sequence
 
@@ -22,7 +22,7 @@ def driven_joints(actuators: Sequence[Actuator]) -> tuple[str, ...]:
 
 
 def command_order(given: Sequence[str], driven: Sequence[str]) -> tuple[str, ...]:
-    """Joints in the order of the values of a command: as the parameter has it, or as driven.
+    """Joints in the order of the values of a command: that of the parameter, or of the actuators.
 
     Raises:
         ParameterError: The parameter does not name all of them once.

@@ -9,7 +9,7 @@ _Owned = list[tuple[Any, Callable[[], None]]]
 
 
 class Entities:
-    """Destroys with a configuration or an activation what was made in it.
+    """Destroys entities together with the configuration or activation that made them.
 
     Attributes:
         endpoints: Topics under watch.

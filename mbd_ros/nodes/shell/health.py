@@ -1,4 +1,4 @@
-"""What a node tells about itself: dropped messages, topics that cannot work, one status."""
+"""Reports of a node: dropped messages, topics that cannot work, one status."""
 
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -18,7 +18,7 @@ _NUMBER = re.compile(r"(?<![A-Za-z_0-9])[+-]?\d[\d.]*(e[+-]?\d+)?")  # not that 
 
 
 class Drops:
-    """Counts what a node ignores, and warns at most once per `QUIET` of the same.
+    """Counts ignored messages, and warns at most once per `QUIET` of the same.
 
     Warnings that differ in numbers alone are the same. A flood of different ones is cut off at
     `VARIETY` a reason, so that neither log nor memory follows it.
@@ -60,7 +60,7 @@ class Endpoint(NamedTuple):
 def topic_problems(node: Node, endpoints: Iterable[Endpoint]) -> list[str]:
     """Why messages of some topics cannot be what the node expects, one sentence each.
 
-    Asked of the graph (50 us per topic) instead of QoS events: an event says when a fault
+    The graph is asked (50 us per topic) instead of QoS events: an event tells when a fault
     begins and never when it ends.
     """
     lines: list[str] = []
@@ -99,7 +99,7 @@ def _announced(own: QoSProfile) -> QoSProfile:
 
 
 class Diagnostics:
-    """What one node says on /diagnostics."""
+    """The status of one node on /diagnostics."""
 
     def __init__(self, node: Node) -> None:
         self._node = node

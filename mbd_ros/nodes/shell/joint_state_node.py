@@ -1,4 +1,4 @@
-"""What nodes that answer joint states share: stamps, clocks, reset."""
+"""Common part of nodes that answer joint states: stamps, clocks, reset."""
 
 from collections.abc import Sequence
 from time import perf_counter
@@ -32,7 +32,7 @@ MOST_IGNORED = 100  # joints whose names are kept to be listed once
 
 
 class JointStatePipeline(Protocol):
-    """What such a node builds when it is configured.
+    """Contract of what such a node builds when it is configured.
 
     Attributes:
         reader: Serialized joint states to samples.
@@ -87,11 +87,11 @@ class JointStateNode(SceneNode):
         self.begin_anew()
 
     def reset(self, reason: str) -> None:
-        """Another past, or another clock: the same."""
+        """Begin anew: another past and another clock count alike."""
         self.begin_anew()
 
     def begin_anew(self) -> None:
-        """Empty filters, forget what was answered."""
+        """Empty filters, forget all answers."""
         self._hear_clock()
         self._newest, self._answered, self._agreed = 0, 0, _NEVER
         self._two_clocks = self._last_drop = ""
@@ -114,7 +114,7 @@ class JointStateNode(SceneNode):
         }
 
     def stream_health(self) -> tuple[int, str]:
-        """STALE where nothing is answered, with the reason."""
+        """STALE without answers, with the reason."""
         if not self.active:
             return OK, ""
         if self._two_clocks:
@@ -151,7 +151,7 @@ class JointStateNode(SceneNode):
         return perf_counter() - self._heard
 
     def _clock_fault(self) -> str:
-        """What is wrong with the clock of a simulation; empty where nothing is."""
+        """Fault of the clock of a simulation; empty without one."""
         if not self._is_simulated():
             return ""
         if self._is_clock_gone():
@@ -160,7 +160,7 @@ class JointStateNode(SceneNode):
         return f"; /clock is silent for {silence:.2f} s, a pause is not" if silence else ""
 
     def _hear_clock(self) -> None:
-        """Watch /clock from the first moment on that it counts."""
+        """Watch /clock from the first time on that it counts."""
         if self._is_simulated() and not self._hears_clock:
             self._hears_clock = True
             self.create_subscription(Clock, "/clock", self._clock_watch.hear, CLOCK, raw=True)

@@ -1,4 +1,4 @@
-"""Life cycle of a node: what happens in each transition, and when the core fails."""
+"""Life cycle of a node: its transitions, and failures of the core."""
 
 import gc
 from collections.abc import Callable
@@ -89,7 +89,7 @@ class LifeCycle(LifecycleNode):
             self.trigger_deactivate()
 
     def safe_or_say(self) -> None:
-        """`safe`, for moments when its own failure must not hide the first one."""
+        """`safe`, where its own failure must not hide the first one."""
         try:
             self.safe()
         except MbdError as error:

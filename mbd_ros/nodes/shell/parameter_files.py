@@ -1,4 +1,4 @@
-"""What rcl accepts in silence in a parameter file: duplicate keys and keys of no node."""
+"""Faults of parameter files that rcl accepts in silence: duplicate keys and keys of no node."""
 
 import re
 from collections import Counter
@@ -11,7 +11,7 @@ import yaml
 
 
 def file_warnings(argv: Sequence[str], node_name: str) -> list[str]:
-    """What rcl accepts in silence in the files after --params-file.
+    """Faults that rcl accepts in silence in the files after --params-file.
 
     Args:
         argv: Command line.

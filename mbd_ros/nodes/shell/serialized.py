@@ -1,7 +1,7 @@
 """Serialized messages as the transport delivers them -> messages.
 
-Nodes take bytes, whatever the type: what rclpy itself fails to deserialize vanishes without a
-trace, and what is too large is turned into objects first.
+Nodes take bytes of every type. rclpy itself drops bytes that it cannot deserialize without a
+trace, and turns messages that are too large into objects first.
 """
 
 from typing import Any
@@ -33,7 +33,7 @@ def message_of(cdr: bytes, kind: type) -> Any:
 
 
 def require_size(cdr: bytes, kind: type) -> None:
-    """Refuse what would hold the node up, before any work is done.
+    """Refuse a message that would hold the node up, before any work is done.
 
     Raises:
         MessageError: Names size, or points of a trajectory, and limit.

@@ -29,7 +29,7 @@ from msg_adapters.errors import MessageError
 
 
 class Shell(LifeCycle):
-    """A node that never lives half: it works, or it says in /diagnostics why not.
+    """A node that works, or reports in /diagnostics why it does not.
 
     Subclasses set `NAME` and `PARAMETERS` and override what they need of `configure_core`,
     `activate_core`, `deactivate_core`, `safe`, `retune`, `prepare`, `reset` and `health`. What
@@ -160,7 +160,7 @@ class Shell(LifeCycle):
             executor.spin_once(timeout_sec=left)
 
     def report(self) -> None:
-        """Publish the diagnostics of this moment."""
+        """Publish the present diagnostics."""
         problems = topic_problems(self, self._entities.endpoints)
         for line in set(problems) - self._known_problems:
             self.get_logger().warning(line)
@@ -177,7 +177,7 @@ class Shell(LifeCycle):
         self._diagnostics.send(reasons, values)
 
     def close(self, error: BaseException | None) -> None:
-        """Last words: safe command, diagnostics with `error` (None: a signal), shutdown."""
+        """End: safe command, diagnostics with `error` (None: a signal), shutdown."""
         if self.active:
             self.safe_or_say()
         self.active = False

@@ -1,4 +1,4 @@
-"""Words after the name of a node's executable: --help, and what nobody reads."""
+"""Words after the name of a node's executable: --help, and words that nobody reads."""
 
 import sys
 import textwrap

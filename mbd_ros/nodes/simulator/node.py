@@ -76,10 +76,10 @@ class SimulatorNode(SceneNode):
                 self.subscribe(kind, topic, take, qos, single_publisher=True)
 
     def activate_core(self) -> None:
-        """Go on from the state that was kept; show it at once.
+        """Continue from the kept state; show it at once.
 
-        The clock ends with the activation: who waits for it sees that nothing will come, which
-        is no pause.
+        The clock ends with the activation: listeners see that it ended, and do not take it for a
+        pause.
         """
         if self._plant.live.fault:
             raise DivergedError(f"{self._plant.live.fault}; call ~/reset first")
@@ -116,7 +116,7 @@ class SimulatorNode(SceneNode):
                 self._pace.ticked()
 
     def health(self) -> tuple[int, str, dict[str, str]]:
-        """Whether time is kept and commands come, then what the motion contains."""
+        """Whether time is kept and commands come, then contents of the motion."""
         pace, live = self._pace, self._plant.live
         details = {**self._plant.details(), **pace.details(self._is_running)}
         wrong = [pace.lag] if self._is_running and pace.is_lagging else []
@@ -166,7 +166,7 @@ class SimulatorNode(SceneNode):
             raise DivergedError(f"the state cannot be published: {error}") from error
 
     def _stand(self) -> None:
-        """Show the state again to who came late, or lost a message."""
+        """Show the state again to listeners that came late or lost a message."""
         if self._is_running:
             return
         if self._standing.is_wanted(self._outputs.listeners, self._waits):
@@ -178,7 +178,7 @@ class SimulatorNode(SceneNode):
         return int(self.get_clock().now().nanoseconds)
 
     def _restart(self, factor: float | None = None) -> None:
-        """The time between ticks begins now; the state of this moment needs no tick."""
+        """The time between ticks begins now; the present state needs no tick."""
         self._pace.restart(factor)
         self._begun = self._now()
         self._epoch = self._begun - round(self._pace.due * NANOSECONDS)
@@ -229,7 +229,7 @@ class SimulatorNode(SceneNode):
         return self._answer(response, "one tick done")
 
     def _answer(self, response: Any, done: str) -> Any:
-        """Fill in what a service says: what it did, or why it could not."""
+        """Fill in the answer of a service: its action, or the reason of its refusal."""
         if response.success:
             response.message = f"{done}, t = {self._plant.live.now.t:.9g} s"
         else:

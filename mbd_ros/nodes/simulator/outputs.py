@@ -1,4 +1,4 @@
-"""What the node `simulator` publishes of a state."""
+"""Topics on which the node `simulator` publishes a state."""
 
 from time import perf_counter
 from typing import Any
@@ -18,7 +18,7 @@ STATES = QoSProfile(depth=100)  # a recorder may be away for 0.1 s at 1 kHz
 
 
 class SimulatorOutputs:
-    """Topics of a configured simulator; those that a scene has nothing for are not made.
+    """Topics of a configured simulator, without those for which a scene has nothing.
 
     Args:
         node: Who publishes.
@@ -66,8 +66,7 @@ class SimulatorOutputs:
 class SimulatedClock:
     """Topic `/clock`: every new time, and the same again where none comes.
 
-    Whoever listens can tell by these beats a simulation that stands or is slow from one that
-    ended.
+    By these beats a listener tells a simulation that stands or is slow from one that ended.
 
     Args:
         node: Who publishes.

@@ -1,4 +1,4 @@
-"""The rhythm of a node that ticks: when the next tick is due, and what became of the last ones."""
+"""The rhythm of a node that ticks: when the next tick is due, and how late the last ones were."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -51,7 +51,7 @@ class Pace:
         self.open_window()
 
     def skip(self) -> None:
-        """Leave the tick of this moment out."""
+        """Leave the present tick out."""
         self.due += self._interval
 
     def open_window(self) -> None:
@@ -129,7 +129,7 @@ class Pace:
 
     @property
     def lag(self) -> str:
-        """What became of the factor in this window."""
+        """The lag of the factor in this window."""
         reached = f"real-time factor {self.reached:.3f} instead of {self.factor:g}"
         return f"lagging: {reached}, {self.overruns} overruns"
 

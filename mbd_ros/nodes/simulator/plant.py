@@ -21,7 +21,7 @@ from msg_adapters.time import NANOSECONDS
 
 
 class Plant:
-    """What the node `simulator` builds when it is configured.
+    """Scene and simulation of a configured node `simulator`.
 
     Args:
         values: Parameters of the node.
@@ -63,7 +63,7 @@ class Plant:
 
     @property
     def silence(self) -> str:
-        """Since when no command acts, and what does instead; empty while one does."""
+        """Time since which no command acts, and its substitute; empty while one acts."""
         watch = self.live.watch
         if not (self.has_actuators and watch.is_safe):
             return ""
@@ -87,13 +87,13 @@ class Plant:
         return self._motion.write(stamp, now.position, now.velocity, now.acceleration, now.effort)
 
     def markers(self, stamp: int, length: float) -> Any:
-        """MarkerArray of what loops, bars and anchors exert; `length` is [m/N]."""
+        """MarkerArray of the forces of loops, bars and anchors; `length` is [m/N]."""
         origin = self.scene.robot.origin
         arrows = [Arrow(w.frame, w.point + origin, w.force) for w in self.live.wrenches()]
         return self._arrows.write(stamp, arrows, length)
 
     def details(self) -> dict[str, str]:
-        """What the motion contains and how it is made, for diagnostics."""
+        """Contents and origin of the motion, for diagnostics."""
         robot, live, watch = self.scene.robot, self.live, self.live.watch
         system, violation = live.simulation.system, live.violation()
         unloaded = ", ".join(self.scene.wrenches)
@@ -122,7 +122,7 @@ class Plant:
 
 
 def _root_link(scene: Scene) -> str:
-    """Link that stands where the world is."""
+    """Link that stands for the world."""
     frames = scene.robot.model.frames
     links = [f.name for f in frames if f.type == FrameType.BODY and f.parentJoint == 0]
     return str(links[0]) if links else "world"

@@ -1,4 +1,4 @@
-"""What a simulator does while time stands: it shows its state again, and takes no answer twice."""
+"""A simulator while time stands: it shows its state again, and takes no answer twice."""
 
 from time import perf_counter
 
@@ -10,13 +10,13 @@ _FORGET = 0.9  # of that answer, a command
 
 
 class Standing:
-    """The state that waits: who has not seen it, and which commands answered it already.
+    """The state that waits: listeners that have not seen it, and commands that answered it.
 
-    A message may be lost, and a listener may come late. Where time stands nothing follows that
-    would make up for it, so the same state is shown again: for `ARRIVAL` when a listener appears,
-    and in lock step whenever no command comes. A controller may then answer one state twice;
-    the second answer must not advance time, or the loop would run a tick late for ever. Commands
-    that carry the stamp of the state which they answer are told apart by it.
+    A message may be lost, and a listener may come late. While time stands no later state makes up
+    for it, so the same state is shown again: for `ARRIVAL` when a listener appears, and in lock
+    step whenever no command comes. A controller may then answer one state twice. The second answer
+    must not advance time, or the loop would run a tick late for ever. Commands carry the stamp of
+    the state that they answer, which separates them.
 
     Attributes:
         repeats: How often a state was shown again.
