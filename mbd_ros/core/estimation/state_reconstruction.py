@@ -148,7 +148,7 @@ class StateReconstructor:
         self.missing = self._named(~known)
         m = Measurement(State(stamp * NANOSECOND, q, self._last.v), known, measured)
         prepared = self._projector.prepare(m)
-        free = prepared.metric.undetermined if self._is_placed else ~known
+        free = prepared.undetermined if self._is_placed else ~known
         self.held = self._named(free)
         fresh = np.abs(stamp - self._seen[free]) <= self._max_age
         return prepared if fresh.all() else None

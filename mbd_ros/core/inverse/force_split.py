@@ -131,6 +131,11 @@ class ForceSplit:
         return e, self._rows.solve(rest)
 
 
+def rank_of(sizes: Array) -> int:
+    """How many singular values of scaled columns are none that a toggle or rounding left."""
+    return int(np.count_nonzero(sizes > SINGULAR * max(1.0, sizes.max(initial=0.0))))
+
+
 class _Inverse:
     """Pseudoinverse of a matrix A, given as W = A scale, with the null space of A.
 
@@ -141,7 +146,7 @@ class _Inverse:
 
     def __init__(self, W: Array, scale: Array) -> None:
         U, s, Vt = np.linalg.svd(W)
-        rank = int(np.count_nonzero(s > SINGULAR * max(1.0, s.max(initial=0.0))))
+        rank = rank_of(s)
         self.rank, self.outside = rank, U[:, rank:]
         self.condition = float(s[0] / s[rank - 1]) if rank else 1.0
         self._reached, self._V, self._scale = U[:, :rank], Vt[:rank].T, scale

@@ -12,6 +12,7 @@ from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mass_check import check_mass_anywhere
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.inverse.force_split import rank_of
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Constraint
@@ -126,7 +127,7 @@ class LoopMotion:
         """
         free = np.flatnonzero(~measured)
         _, s, Vt = np.linalg.svd(self._system.jacobian(x.t, x.q)[:, free])
-        loose = Vt[int(np.count_nonzero(s > SINGULAR * max(1.0, s.max(initial=0.0)))) :]
+        loose = Vt[rank_of(s) :]
         share = np.linalg.norm(loose, axis=0)
         names = (self._names.get(int(v), "the floating base") for v in free[share > SINGULAR])
         return tuple(dict.fromkeys(names))

@@ -12,7 +12,7 @@ import numpy as np
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.optimization.limit_forces import LimitForces
-from mbd_ros.core.projection.nearest_point import Metric, Move, NearestPoint, is_convex, row_weight
+from mbd_ros.core.optimization.move_qp import Metric, Move, MoveQp, is_convex, row_weight
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import BRANCH_STEP, LANDED, NEAREST, ON_MANIFOLD
 from mbd_ros.errors import SolveError
@@ -42,7 +42,7 @@ class NearestConfiguration:
 
     def __init__(self, system: System, lower: Array, upper: Array, limits: LimitForces) -> None:
         self._system, self._lower, self._upper = system, lower, upper
-        self._program = NearestPoint(system.nv, limits)
+        self._program = MoveQp(system.nv, limits)
         self._zero, self._far = np.zeros(system.nv), np.full(system.nv, np.inf)
 
     def rows(self, t: float, q: Array) -> Rows:
@@ -162,7 +162,7 @@ class NearestConfiguration:
         H = 0.5 * (H + H.T)
         _, J = self.rows(t, q)
         weight = _STIFF * row_weight(self._system.mass(q), J)
-        curved = Metric(H, weight, metric.undetermined)
+        curved = Metric(H, weight)
         return curved if is_convex(curved, J) else metric
 
     def _landed(self, t: float, q: Array, metric: Metric) -> Array | None:

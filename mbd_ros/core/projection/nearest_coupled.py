@@ -15,7 +15,7 @@ import numpy as np
 
 from mbd_ros.core.optimization.limit_forces import LimitForces, stops
 from mbd_ros.core.projection.coupled_joints import CoupledJoints, Place, Tangent
-from mbd_ros.core.projection.nearest_point import Nearest
+from mbd_ros.core.projection.nearest_state import Nearest
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import BRANCH_STEP, NEAREST, ON_MANIFOLD, REACHED
 from mbd_ros.errors import SolveError

@@ -4,12 +4,13 @@ import numpy as np
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.optimization.limit_forces import LimitForces, stops
+from mbd_ros.core.optimization.move_qp import Metric, Move, MoveQp
 from mbd_ros.core.projection.nearest_configuration import (
     NearestConfiguration,
     Rows,
     largest,
 )
-from mbd_ros.core.projection.nearest_point import Metric, Move, Nearest, NearestPoint
+from mbd_ros.core.projection.nearest_state import Nearest
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import NEAREST, ON_MANIFOLD
 from mbd_ros.errors import SolveError
@@ -39,7 +40,7 @@ class NearestOnRows:
     ) -> None:
         self._system, self._lower, self._upper = system, lower, upper
         self._configuration = NearestConfiguration(system, lower, upper, of_position)
-        self._program = NearestPoint(system.nv, of_velocity)
+        self._program = MoveQp(system.nv, of_velocity)
         self._zero = np.zeros(system.nv)
 
     def rows(self, t: float, q: Array) -> Rows:

@@ -4,7 +4,7 @@
     velocity   min 1/2 p' W p,  p = v - v_m   subject to  J v + dg/dt = 0, and no motion out of a
                                                           limit that is reached
 
-W is the mass matrix at the measured state; `nearest_point.metric_of` defines it for joints that
+W is the mass matrix at the measured state; `nearest_state.metric_of` defines it for joints that
 were not measured. Source: E. Eich, SIAM J. Numer. Anal. 30 (1993).
 """
 
@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.optimization.box_qp import Statistics
 from mbd_ros.core.optimization.limit_forces import LimitForces
+from mbd_ros.core.optimization.move_qp import Metric
 from mbd_ros.core.projection.coupled_joints import CoupledJoints
 from mbd_ros.core.projection.nearest_configuration import Rows
 from mbd_ros.core.projection.nearest_coupled import NearestCoupled
 from mbd_ros.core.projection.nearest_on_rows import NearestOnRows
-from mbd_ros.core.projection.nearest_point import Metric, metric_of
+from mbd_ros.core.projection.nearest_state import metric_of
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -46,12 +47,14 @@ class Prepared(NamedTuple):
     Attributes:
         metric: Of positions.
         of_velocity: Of velocities.
+        undetermined: Joints whose position neither measurement nor rows place, shape (nv,).
         is_whole: Whether all of both was measured.
         rows: At the measurement; None where they need not be formed.
     """
 
     metric: Metric
     of_velocity: Metric
+    undetermined: NDArray[np.bool_]
     is_whole: bool
     rows: Rows | None = None
 
@@ -143,13 +146,14 @@ class StateProjector:
         is_same = m.known is m.known_velocity or bool((m.known == m.known_velocity).all())
         is_whole = is_same and bool(m.known.all())
         if is_whole and self._coupled is not None:
-            metric = Metric(M, None, self._none)
-            return Prepared(metric, metric, is_whole)
+            metric = Metric(M, None)
+            return Prepared(metric, metric, self._none, is_whole)
         rows = self._on_rows.rows(x.t, x.q)
-        metric = of_velocity = metric_of(M, rows[1], m.known, self._amplification)
+        metric, undetermined = metric_of(M, rows[1], m.known, self._amplification)
+        of_velocity = metric
         if not is_same:
-            of_velocity = metric_of(M, rows[1], m.known_velocity, self._amplification)
-        return Prepared(metric, of_velocity, is_whole, rows)
+            of_velocity, _ = metric_of(M, rows[1], m.known_velocity, self._amplification)
+        return Prepared(metric, of_velocity, undetermined, is_whole, rows)
 
     def project(self, m: Measurement, prepared: Prepared | None = None) -> ProjectedState:
         """The nearest consistent state.
@@ -162,7 +166,8 @@ class StateProjector:
             SolveError: There is none near the measurement, limits and rows contradict one
                 another, or the answer does not pass the check.
         """
-        x, (metric, of_velocity, is_whole, rows) = m.x, prepared or self.prepare(m)
+        x, prepared = m.x, prepared or self.prepare(m)
+        metric, of_velocity, undetermined, is_whole, rows = prepared
         near = None
         if self._coupled is not None:
             near = self._coupled.find(x, metric.W, of_velocity.W)
@@ -179,5 +184,5 @@ class StateProjector:
         excess = raw.q - np.minimum(np.maximum(raw.q, self.lower), self.upper)
         return ProjectedState(
             *(State(x.t, q, v), near.lam, near.mu, gap, rate, excess),
-            *(metric.undetermined, near.iterations, near.condition),
+            *(undetermined, near.iterations, near.condition),
         )

@@ -1,20 +1,20 @@
-"""The best move onto linear rows within bounds, in a metric that may leave joints free.
+"""The quadratic program of a move of all joints onto linear rows, within bounds.
 
-min 1/2 p' W p + f' p   subject to   J p = c,   low <= p <= high
-W p + f = J' lam + mu,   mu >= 0 at `low`, mu <= 0 at `high`, 0 elsewhere
+    min 1/2 p' W p + f' p   subject to   J p = c,   low <= p <= high
+    W p + f = J' lam + mu,   mu >= 0 at `low`, mu <= 0 at `high`, 0 elsewhere
+
+`core/projection` asks it of each step to the nearest consistent state. W may leave joints free
+that the rows place. Source: J. Nocedal, S. Wright, Numerical Optimization, 2006, sec. 16.2.
 """
 
 from typing import Any, NamedTuple
 
 import eigenpy
 import numpy as np
-from numpy.typing import NDArray
 
 from mbd_ros.core.optimization.limit_forces import LimitForces
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import Array
-
-_SHARE = 0.1  # of a free direction from which a joint counts as free
 
 
 class Metric(NamedTuple):
@@ -23,42 +23,10 @@ class Metric(NamedTuple):
     Attributes:
         W: Positive semidefinite, shape (n, n).
         weight: Row weights s: W + J' s J is definite; None where W itself is, shape (m,).
-        undetermined: Joints without measurement that the rows leave free, shape (n,).
     """
 
     W: Array
     weight: Array | None
-    undetermined: NDArray[np.bool_]
-
-
-def metric_of(M: Array, J: Array, known: NDArray[np.bool_], amplification: float) -> Metric:
-    """Mass metric of the measured joints.
-
-    A joint that was not measured costs nothing to move, so that the rows alone place it. Some
-    joints the rows leave free, or would place with errors larger than those of the measured
-    joints by more than `amplification`. They keep their mass: they stay, as far as the rows let
-    them.
-
-    Args:
-        M: Mass matrix, shape (n, n).
-        J: Rows, shape (m, n).
-        known: Measured joints, shape (n,).
-        amplification: See above; in raw units, rad and m alike.
-    """
-    undetermined = np.zeros(len(M), dtype=np.bool_)
-    if known.all():
-        return Metric(M, None, undetermined)
-    free = (~known).nonzero()[0]
-    W = np.where(known[:, None] & known, M, 0.0)
-    length = np.sqrt((J * J).sum(axis=1))
-    reach = J[:, free] / np.where(length > 0.0, length, 1.0)[:, None]
-    _, sizes, directions = np.linalg.svd(reach)
-    rank = int(np.count_nonzero(sizes * amplification > 1.0))
-    null = directions[rank:].T
-    block = np.ix_(free, free)
-    W[block] = null.dot(null.T.dot(M[block]).dot(null)).dot(null.T)
-    undetermined[free] = (np.abs(null) > _SHARE).any(axis=1)
-    return Metric(W, row_weight(M, J), undetermined)
 
 
 def row_weight(M: Array, J: Array) -> Array:
@@ -89,27 +57,7 @@ class Move(NamedTuple):
     condition: float
 
 
-class Nearest(NamedTuple):
-    """The nearest state, checked.
-
-    Attributes:
-        q: Configuration, shape (n,).
-        v: Velocity, shape (n,).
-        lam: Multipliers of the rows that kept q, shape (m,).
-        mu: Multipliers of the limits that kept q, shape (n,).
-        iterations: Steps to q.
-        condition: Condition number of the rows in the metric; 1 where none had to be factorised.
-    """
-
-    q: Array
-    v: Array
-    lam: Array
-    mu: Array
-    iterations: int
-    condition: float
-
-
-class NearestPoint:
+class MoveQp:
     """Solves the problem above: one factorisation, and a QP only where a bound is violated.
 
     Args:
@@ -127,7 +75,7 @@ class NearestPoint:
         Raises:
             SolveError: The bounds contradict the rows, or something is not finite.
         """
-        W, weight, _ = metric
+        W, weight = metric
         if weight is not None:  # nothing changes where J p = c
             rows = J.T * weight
             W, f = W + rows.dot(J), f - rows.dot(c)
