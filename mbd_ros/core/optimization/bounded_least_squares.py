@@ -1,11 +1,14 @@
 """A least-squares problem in a box, with rows that yield: slow, but it always has an answer.
 
-min 1/2 |E x|² + 1/2 |excess of C x over its limits|² / compliance,   lower <= x <= upper
+    min 1/2 |E x|² + 1/2 |excess of C x over its limits|² / compliance,   lower <= x <= upper
+
+`hard_soft_qp` falls back on it where ProxQP does not find which limits act.
+Source: P. Stark, R. Parker, Computational Statistics 10 (1995), on bounds.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbd_ros.core.optimization.active_set import Sides, passed
 from mbd_ros.core.state import Array
 
 COMPLIANCES = (1.0e-2, 1.0e-5, 1.0e-8, 1.0e-11)
@@ -16,9 +19,8 @@ _PULLS = 1.0e-9  # of the largest slope: one with which a bound holds nothing
 class BoundedLeastSquares:
     """The problem above for compliances that fall to the last of `COMPLIANCES`.
 
-    A primal active-set method: from one point of the box towards the least cost on the bounds
-    that hold and the rows that are passed, up to the first bound or limit on the way.
-    Source: P. Stark, R. Parker, Computational Statistics 10 (1995), on bounds.
+    This is a primal active-set method. It goes from one point of the box towards the least cost
+    on the bounds that hold and the rows that are passed, up to the first bound or limit.
 
     Args:
         E: Square, regular, shape (n, n).
@@ -39,15 +41,15 @@ class BoundedLeastSquares:
 
     def _descended(self, x: Array, lower: Array, upper: Array, stiffness: float) -> Array:
         reached = self._C.dot(x)
-        passed = (reached > self._high).astype(np.int8) - (reached < self._low)
+        side = passed(reached, self._low, self._high)
         held = (x <= lower) | (x >= upper)
         for _ in range(_EVENTS):
-            r, A = self._residuals(x, passed, stiffness)
+            r, A = self._residuals(x, side, stiffness)
             step, free = np.zeros(len(x)), (~held).nonzero()[0]
             step[free] = np.linalg.lstsq(A[:, free], -r, rcond=None)[0]
             moves, reached = self._C.dot(step), self._C.dot(x)
             to_bound = _way(x, step, lower, upper)
-            to_limit = _way(reached, moves, *self._pieces(passed))
+            to_limit = _way(reached, moves, *self._pieces(side))
             first = float(min(to_bound.min(), to_limit.min(initial=np.inf)))
             x = np.clip(x + min(first, 1.0) * step, lower, upper)
             if first < 1.0:
@@ -55,9 +57,9 @@ class BoundedLeastSquares:
                     held[to_bound.argmin()] = True
                 else:
                     i = int(to_limit.argmin())
-                    passed[i] = 0 if passed[i] else np.sign(moves[i])
+                    side[i] = 0 if side[i] else -np.sign(moves[i])
                 continue
-            r, A = self._residuals(x, passed, stiffness)
+            r, A = self._residuals(x, side, stiffness)
             slope = A.T.dot(r)
             pull = np.where(held, np.where(x <= lower, -slope, slope), 0.0)
             pull[lower >= upper] = 0.0
@@ -66,19 +68,17 @@ class BoundedLeastSquares:
             held[pull.argmax()] = False
         return x
 
-    def _residuals(
-        self, x: Array, passed: NDArray[np.int8], stiffness: float
-    ) -> tuple[Array, Array]:
-        rows = passed.nonzero()[0]
-        limit = np.where(passed > 0, self._high, self._low)[rows]
+    def _residuals(self, x: Array, side: Sides, stiffness: float) -> tuple[Array, Array]:
+        rows = side.nonzero()[0]
+        limit = np.where(side > 0, self._low, self._high)[rows]
         excess = self._C[rows].dot(x) - limit
         A = np.concatenate([self._E, stiffness * self._C[rows]])
         return np.concatenate([self._E.dot(x), stiffness * excess]), A
 
-    def _pieces(self, passed: NDArray[np.int8]) -> tuple[Array, Array]:
+    def _pieces(self, side: Sides) -> tuple[Array, Array]:
         """Where the quadratic that each row is on begins and ends."""
-        begin = np.where(passed == 0, self._low, np.where(passed > 0, self._high, -np.inf))
-        end = np.where(passed == 0, self._high, np.where(passed < 0, self._low, np.inf))
+        begin = np.where(side == 0, self._low, np.where(side < 0, self._high, -np.inf))
+        end = np.where(side == 0, self._high, np.where(side > 0, self._low, np.inf))
         return begin, end
 
 

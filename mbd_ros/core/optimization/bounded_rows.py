@@ -4,7 +4,7 @@
     w = 0 inside the bounds, w >= 0 at the lower one, w <= 0 at the upper one
 
 Among all accelerations that the rows allow, a is the nearest to that of the system without them,
-in the mass metric.
+in the mass metric. Source: P. Lötstedt, SIAM J. Appl. Math. 42 (1982), doi:10.1137/0142022.
 """
 
 from typing import Any

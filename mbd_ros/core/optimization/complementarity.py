@@ -24,8 +24,8 @@ _ROUNDING = 1.0e-14  # a gap of that size is none; scaled gaps are of the order 
 class ComplementarityProblem:
     """Solves the problem above; every answer is exact on its acting bounds, and checked.
 
-    The bounds that acted last are tried first. Otherwise a kept QP says which ones act, and
-    single bounds are exchanged where its damping decided, or from none on where it fails.
+    The bounds that acted last are tried first. Otherwise a kept QP says which ones act. Where its
+    damping decided that, or where it fails, single bounds are exchanged until all conditions hold.
 
     Args:
         n: Number of bounds.

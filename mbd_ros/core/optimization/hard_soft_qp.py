@@ -1,20 +1,21 @@
-"""The smallest vector within limits, some of which give way where not all can be kept.
+"""The smallest vector within hard and soft limits; soft ones give way where not all can be kept.
 
     min 1/2 |y|²   subject to   lower <= G y <= upper
 
 The first n rows of G, a regular matrix, are hard. Where the soft rows cannot be kept beside them,
 their excess is the least possible: sum (excess / |row|)² first, |y|² among what attains it.
+`controllers/qp_tracking` asks it: drives have hard limits, motion of joints has soft ones.
+Source: A. Escande, N. Mansard, P. Wieber, Int. J. Robotics Research 33(7) (2014), on that order.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mbd_ros.core.optimization.active_set import Sides, passed
 from mbd_ros.core.optimization.bounded_least_squares import BoundedLeastSquares
 from mbd_ros.core.optimization.hard_soft_optimum import Candidate, candidate
-from mbd_ros.core.optimization.qp_solvers import counted
-from mbd_ros.core.optimization.soft_qp import SoftQp
+from mbd_ros.core.optimization.qp_solvers import KeptProxQp, counted
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import FIXED_BY_OTHERS, TINY
 from mbd_ros.errors import SolveError
@@ -115,13 +116,12 @@ class HardSoftQp:
             found = candidate(G, lower, upper, self._side, self._n, size)
             if found.is_optimal:
                 return found
-        E = _inverse(G[: self._n])
+        E: Any = np.linalg.inv(G[: self._n])
         C = G[self._n :].dot(E)
         for rung in ("qp", "cold", "boxed"):
             self.counts = counted(self.counts, rung)
             if rung == "boxed":
-                reached = G.dot(_boxed(G, lower, upper))
-                side = passed(reached, lower, upper, -_AT_LIMIT * size)
+                _, side, _ = _boxed(G, lower, upper, size)
             else:
                 scaled = lower / size, upper / size
                 force = self._qp.multipliers(E, C, *scaled, cold=rung == "cold")
@@ -135,20 +135,55 @@ class HardSoftQp:
 
     def _damped(self, G: Array, lower: Array, upper: Array, size: float) -> Candidate:
         self.counts = counted(self.counts, "damped")
-        y = _boxed(G, lower, upper)
-        reached = G.dot(y)
-        excess = float(np.maximum(lower - reached, reached - upper).max())
-        side = passed(reached, lower, upper, -_AT_LIMIT * size)
-        return Candidate(y, side, excess > _AT_LIMIT * size, False)
+        y, side, is_softened = _boxed(G, lower, upper, size)
+        return Candidate(y, side, is_softened, False)
 
 
-def _boxed(G: Array, lower: Array, upper: Array) -> Array:
-    """The y where stiff soft rows yield, with hard rows kept in any case."""
+def _boxed(G: Array, lower: Array, upper: Array, size: float) -> tuple[Array, Sides, bool]:
+    """The y where stiff soft rows yield, its limits, and whether it passes one; hard rows hold."""
     n = G.shape[1]
-    E = _inverse(G[:n])
+    E: Any = np.linalg.inv(G[:n])
     rows = BoundedLeastSquares(E, G[n:].dot(E), lower[n:], upper[n:])
-    return E.dot(rows.solve(lower[:n], upper[:n]))
+    y = E.dot(rows.solve(lower[:n], upper[:n]))
+    reached, slack = G.dot(y), _AT_LIMIT * size
+    is_softened = bool(passed(reached, lower, upper, slack).any())
+    return y, passed(reached, lower, upper, -slack), is_softened
 
 
-def _inverse(T: Array) -> Array:
-    return np.asarray(np.linalg.inv(T), dtype=np.float64)
+class SoftQp:
+    """Tells which limits act where soft ones yield a little, by the multipliers of a kept ProxQP.
+
+        min 1/2 |E x|² + 1/2 |e|²   subject to   lower <= (x, C x + sqrt(compliance) e) <= upper
+
+    Args:
+        n: Size of x.
+        soft: Number of rows of C.
+        compliance: How far a row of length one yields to a unit force, > 0.
+
+    Raises:
+        ModelError: proxsuite is not installed.
+    """
+
+    def __init__(self, n: int, soft: int, compliance: float) -> None:
+        self._yields, self._far = compliance**0.5 * np.eye(soft), np.full(soft, np.inf)
+        self._qp = KeptProxQp(n + soft, soft)
+
+    def multipliers(self, E: Array, C: Array, lower: Array, upper: Array, *, cold: bool) -> Array:
+        """Those of the bounds, then of the rows; > 0 where the lower limit acts, fresh.
+
+        Args:
+            E: Shape (n, n).
+            C: Shape (soft, n).
+            lower: Shape (n + soft,), in a unit in which they are of the order of 1.
+            upper: Same.
+            cold: Whether to start from nothing instead of the previous result.
+        """
+        n, soft, cost = len(E), len(C), E.T.dot(E)
+        unit = 1.0 / float(cost.diagonal().max())  # its residuals are absolute
+        H = unit * np.eye(n + soft)
+        H[:n, :n] = unit * cost
+        low, high = np.append(lower[:n], -self._far), np.append(upper[:n], self._far)
+        rows = np.hstack([C, self._yields]), lower[n:], upper[n:]
+        self._qp.solve(H, np.zeros(n + soft), low, high, rows, cold=cold)
+        z = self._qp.multipliers / unit
+        return -np.concatenate([z[soft : soft + n], z[:soft]])
