@@ -2,6 +2,9 @@
 
 import json
 import math
+import re
+import subprocess
+import sys
 from importlib import import_module
 from pathlib import Path
 from typing import get_origin
@@ -9,7 +12,9 @@ from typing import get_origin
 import pytest
 import yaml
 from nodes.conftest import ROOT
+from nodes.joint_stream import ACTIVE
 
+from mbd_ros.cli import main
 from mbd_ros.nodes.controller import laws
 from mbd_ros.nodes.shell.parameters import PARAMETERS
 from mbd_ros.nodes.table import NODES
@@ -18,8 +23,6 @@ from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.registry import PARTS, resolve
 
 PROMISED = json.loads(Path(__file__).with_name("parameters.json").read_text(encoding="utf-8"))
-
-OF_THE_SHELL = {parameter.name for parameter in PARAMETERS}
 
 
 def declared(name):
@@ -54,15 +57,73 @@ def test_no_parameter_is_lost_or_changes_its_type_default_range_or_when_it_may_c
     assert {key: now[key] for key in promised} == promised
 
 
+def printed(capsys, name):
+    """The parameter file of a node."""
+    assert main(["params", name]) == 0
+    return capsys.readouterr().out
+
+
 @pytest.mark.parametrize("name", NODES)
-def test_the_parameter_file_holds_every_parameter_with_its_default(name):
-    path = ROOT / f"config/nodes/{name}.yaml"
-    given = yaml.safe_load(path.read_text(encoding="utf-8"))["/**"]["ros__parameters"]
-    own = {key: p.default for key, p in declared(name).items() if key not in OF_THE_SHELL}
-    assert given.keys() == own.keys()
-    for key in given.keys() - {"scene"}:
-        assert given[key] == (list(own[key]) if isinstance(own[key], tuple) else own[key]), key
-    assert load_scene(given["scene"]).robot.joints
+def test_the_printed_file_has_every_parameter_with_meaning_range_and_default(capsys, name):
+    text, own = printed(capsys, name), declared(name)
+    given = yaml.safe_load(text)["/**"]["ros__parameters"]
+    required = {key for key, parameter in own.items() if parameter.default is None}
+    assert given.keys() == own.keys() - required
+    for key, value in given.items():
+        assert own[key].read(value) == own[key].default, key
+        assert type(value) is (own[key].kind if get_origin(own[key].kind) is None else list)
+    comment = []
+    for line in text.splitlines()[3:]:
+        key = re.fullmatch(r"    (?:([a-z_.]+): .*|# ([a-z_.]+): [A-Z_]+)", line)
+        if not key:
+            comment.append(line.removeprefix("    # "))
+            continue
+        parameter, said = own.pop(key[1] or key[2]), " ".join(comment)
+        comment.clear()
+        assert said.startswith(parameter.text)
+        assert parameter.high == math.inf or f"{parameter.low:g} to {parameter.high:g}" in said
+        assert all(choice in said for choice in parameter.choices)
+        assert ("Required" in said) == (parameter.name in required) == bool(key[2])
+        assert ("May change at run time" in said) == (not parameter.read_only)
+    assert not own
+    assert max(map(len, text.splitlines())) < 100
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_the_file_of_the_package_is_the_printed_one_with_a_scene(capsys, name):
+    """Else print it anew: mbd-ros params NODE > config/nodes/NODE.yaml, with the scene."""
+    kept = (ROOT / f"config/nodes/{name}.yaml").read_text(encoding="utf-8").splitlines()
+    new = printed(capsys, name).splitlines()
+    different = [(a, b) for a, b in zip(kept, new, strict=True) if a != b]
+    assert len(different) == 1
+    assert re.fullmatch("    (# )?scene: .*", different[0][1])
+    scene = yaml.safe_load("\n".join(kept))["/**"]["ros__parameters"]["scene"]
+    assert load_scene(scene).robot.joints
+
+
+@pytest.mark.parametrize("name", ["simulator", "sliding_mode_controller"])
+def test_a_node_takes_the_printed_file_once_what_is_required_is_given(capsys, start_node, name):
+    text, scene = printed(capsys, name), ROOT / "config/scenes/controlled_arm.yaml"
+    target = ("-m", "mbd_ros.nodes", name)
+    lacking = start_node(text, target=target)
+    lacking.wait_for("parameter 'scene' must be given")
+    assert lacking.stop() == 0
+    given = text.replace("# scene: SCENE", f"scene: {scene}")
+    assert given != text
+    node = start_node(given, target=target)
+    node.wait_for(ACTIVE)
+    assert node.stop() == 0
+    assert "WARN" not in node.log and "ERROR" not in node.log
+
+
+def test_ros_is_imported_when_a_file_is_printed_and_not_before():
+    code = "import sys, contextlib\nfrom mbd_ros.cli import main\n"
+    code += "with contextlib.suppress(SystemExit): main(sys.argv[1:])\n"
+    code += "print('rclpy' in sys.modules)"
+    for words, is_imported in ((["--help"], "False"), (["simulator"], "True")):
+        ran = [sys.executable, "-c", code, "params", *words]
+        done = subprocess.run(ran, capture_output=True, text=True, check=True, cwd=ROOT)
+        assert done.stdout.splitlines()[-1] == is_imported
 
 
 @pytest.mark.parametrize("name", NODES)
