@@ -1,8 +1,10 @@
 """What the pages name exists: files, modules, links, pages, commands and goals of make."""
 
+import importlib
 import re
 import shlex
 import subprocess
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -10,6 +12,9 @@ import numpy as np
 import pytest
 
 from mbd_ros.cli import main
+from mbd_ros.errors import DataError
+from mbd_ros.files import formats
+from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.report.readme import BEGIN, END
 
 ROOT = Path(__file__).parents[1]
@@ -124,26 +129,46 @@ def test_pictures_are_small():
     assert [f for f in ROOT.glob("docs/images/*") if f.stat().st_size > 150_000] == []
 
 
+KEYS = ("name", "version")
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
-def follow(heading, folder, monkeypatch):
-    """Write the files of a section of docs/extend.md and run its commands, in a folder.
+ENTRY = re.compile(r"^\[project\.entry-points.*?(?=^\[tool)", re.MULTILINE | re.DOTALL)
 
-    Returns:
-        What the commands must have left behind is up to the caller.
-    """
+
+@pytest.fixture
+def follow(tmp_path, monkeypatch):
+    """A function that writes the files of a section of docs/extend.md and runs its commands."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield lambda heading: _follow(heading, tmp_path)
+    for name, module in list(sys.modules.items()):
+        if Path(getattr(module, "__file__", None) or "/").parent == tmp_path:
+            del sys.modules[name]
+
+
+def _follow(heading, folder):
     text = (ROOT / "docs/extend.md").read_text(encoding="utf-8")
     section = re.search(rf"^## {heading}$(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL)[1]
-    monkeypatch.chdir(folder)
-    monkeypatch.syspath_prepend(folder)
     for kind, block in BLOCK.findall(section):
         if kind:
-            Path(block.split("\n", 1)[0].removeprefix("# ")).write_text(block, encoding="utf-8")
-        else:
-            for line in block.splitlines():
-                words = shlex.split(line.removeprefix("PYTHONPATH=. "))
-                assert words[0] == "mbd-ros" and main(words[1:]) == 0, line
+            (folder / block.split("\n", 1)[0].removeprefix("# ")).write_text(block)
+        if kind == "toml":
+            install(block, folder)
+    for line in "".join(block for kind, block in BLOCK.findall(section) if not kind).splitlines():
+        words = shlex.split(line.removeprefix("PYTHONPATH=. "))
+        assert words[0] == "mbd-ros" and main(words[1:]) == 0, line
+
+
+def install(project, folder):
+    """What pip leaves of a project beside its modules: name, version and entry points."""
+    name, version = (re.search(rf'^{key} = "(.*)"', project, re.MULTILINE)[1] for key in KEYS)
+    info = folder / f"{name.replace('-', '_')}-{version}.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Name: {name}\nVersion: {version}\n")
+    points = ENTRY.search(project)[0].replace("project.entry-points.", "").replace('"', "")
+    (info / "entry_points.txt").write_text(points)
+    importlib.invalidate_caches()
 
 
 def table(name):
@@ -152,16 +177,45 @@ def table(name):
     return dict(zip(names, values.T, strict=True))
 
 
-def test_a_force_of_ones_own(tmp_path, monkeypatch, capsys):
-    follow("A force", tmp_path, monkeypatch)
+def test_a_force_of_ones_own(follow, capsys):
+    follow("A force")
     assert "hard_spring:HardSpring" in capsys.readouterr().out
     swing = table("swing.csv")
     np.testing.assert_allclose(swing["energy"], swing["energy"][0], rtol=0, atol=1e-9)
     assert np.ptp(swing["hinge.position"]) > 0.9
 
 
-def test_a_constraint_of_ones_own(tmp_path, monkeypatch, capsys):
-    follow("A constraint", tmp_path, monkeypatch)
+def test_a_constraint_of_ones_own(follow):
+    follow("A constraint")
     fall = table("fall.csv")
     np.testing.assert_allclose(fall["joint4.position"] + fall["joint6.position"], 0.3, atol=1e-12)
     assert np.abs(fall["joint4.level.multiplier"]).max() > 0.1
+
+
+def test_a_command_of_ones_own(follow, capsys):
+    follow("A command")
+    assert capsys.readouterr().out == "15.940 kg in 9 links\n"
+    assert main(["weigh", "arm7", "--limit", "15"]) == 1
+
+
+def test_a_format_of_ones_own(follow, tmp_path, monkeypatch):
+    follow("A format")
+    monkeypatch.setattr(formats, "_installed", formats._installed.__wrapped__)
+    time, place = np.linspace(0.0, 1.0, 4), np.array([1 / 3, 2.0, -0.1, 1e-300])
+    made = Table([Column("time", time, "s"), Column("knee.position", place, "rad")])
+    Result({"samples": made}).to(tmp_path / "knee.txt")
+    assert formats.read_result(tmp_path / "knee.txt")["samples"] == made
+    with pytest.raises(DataError, match="column tensor is float64 of shape 3 x 3 a row"):
+        Result({"samples": Table([Column("tensor", np.zeros((2, 3, 3)))])}).to("t.txt")
+    Path("empty.txt").write_text("")
+    with pytest.raises(DataError, match="empty.txt: no table of text"):
+        formats.read_result("empty.txt")
+
+
+def test_a_section_of_ones_own(follow, capsys):
+    follow("A section")
+    assert "wind        mistral, Gust at hinge\n" in capsys.readouterr().out
+    blown = table("blown.csv")
+    pushed = blown["time"] < 0.1 - 1e-9
+    assert np.diff(blown["energy"][pushed]).min() > 0
+    np.testing.assert_allclose(np.diff(blown["energy"][~pushed])[1:], 0.0, atol=1e-9)
