@@ -24,6 +24,18 @@ class Table(NamedTuple):
     code: Mapping[str, str]
 
 
+class Built(NamedTuple):
+    """What sections made.
+
+    Attributes:
+        parts: By key.
+        robot: The robot with the inertia of all drives; None without a section `robot`.
+    """
+
+    parts: dict[str, Any]
+    robot: Robot | None
+
+
 def foreign_keys(origin: Origin, entries: Mapping[str, Any]) -> dict[str, str]:
     """Key -> entry point of those sections that other packages declare; nothing is imported.
 
@@ -83,7 +95,7 @@ def build(
     entries: Mapping[str, Any],
     table: Sequence[Section],
     kept: Mapping[str, Any] | None = None,
-) -> tuple[dict[str, Any], Robot | None]:
+) -> Built:
     """What the sections make of their entries, in the order of what they come after.
 
     Args:
@@ -91,9 +103,6 @@ def build(
         entries: By key.
         table: The sections.
         kept: What is built already.
-
-    Returns:
-        What is built by key, and the robot with the inertia of all drives.
 
     Raises:
         SceneError: Names file, key, what is wrong and what is accepted.
@@ -112,7 +121,7 @@ def build(
             robot = parts["robot"]
         elif robot is not None:
             robot = _with_armature(robot, parts_in(section, parts[section.key]))
-    return parts, robot
+    return Built(parts, robot)
 
 
 def parts_in(section: Section, built: Any) -> tuple[Any, ...]:

@@ -31,7 +31,7 @@ def call(function: Callable[..., Any], entry: Any, where: str, *context: Any) ->
         SceneError: Unknown or missing key, wrong value, or what the function itself refuses.
     """
     parameters = list(inspect.signature(function).parameters.values())[len(context) :]
-    accepted = {parameter.name: parameter for parameter in parameters}
+    accepted = {parameter.name.rstrip("_"): parameter for parameter in parameters}  # `from_`
     if not isinstance(entry, dict):
         is_type = isinstance(entry, str) and "type" in accepted
         hint = f": write {{type: {entry}}}" if is_type else ""
@@ -47,7 +47,10 @@ def call(function: Callable[..., Any], entry: Any, where: str, *context: Any) ->
         function.__init__ if inspect.isclass(function) else function,  # type: ignore[misc]
         include_extras=True,
     )
-    arguments = {key: value(v, hints.get(key, Any), f"{where}.{key}") for key, v in entry.items()}
+    arguments = {}
+    for key, given in entry.items():
+        name = accepted[key].name
+        arguments[name] = value(given, hints.get(name, Any), f"{where}.{key}")
     try:
         return function(*context, **arguments)
     except ModelError as error:

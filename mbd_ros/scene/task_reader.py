@@ -1,0 +1,48 @@
+"""Task file -> what is asked of a scene, by the reader that scenes have."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mbd_ros.errors import SceneError
+from mbd_ros.scene.building import build, present, refuse_unknown
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.locate import find_file
+from mbd_ros.scene.sections import TASKS, keys
+from mbd_ros.scene.site import Origin
+from mbd_ros.scene.strict_yaml import read_mapping
+
+
+class Task(NamedTuple):
+    """What a task file asks of a scene.
+
+    Attributes:
+        path: The file.
+        scene: The scene.
+        parts: What every section made, by key: `parts["simulate"]` is a `SimulateTask`.
+        entries: What the sections say, by key.
+    """
+
+    path: Path
+    scene: Scene
+    parts: Mapping[str, Any]
+    entries: Mapping[str, Any]
+
+
+def read_task(path: str | Path, scene: Scene) -> Task:
+    """Read what is asked of a scene.
+
+    Args:
+        path: Task file, or `package://<package>/<path>`.
+        scene: The scene.
+
+    Raises:
+        SceneError: Names file, key, what is wrong and what is accepted.
+    """
+    path = find_file(Path(), str(path), "task")
+    origin, entries = Origin(path, task_of=scene), read_mapping(path, "task file")
+    refuse_unknown(origin, [key for key in entries if key not in keys(TASKS)], TASKS)
+    entries = present(origin, entries, TASKS)
+    if not entries:
+        raise SceneError(f"{path}: asks for nothing, accepted: {', '.join(keys(TASKS))}")
+    return Task(path, scene, build(origin, entries, TASKS).parts, entries)
