@@ -19,7 +19,7 @@ from mbd_ros.report.bench.controllers import (
     MECHANISMS,
     RATES,
     mechanism,
-    moments,
+    situations,
     with_and_without_limits,
 )
 from mbd_ros.scene.reader import load_scene
@@ -67,7 +67,7 @@ def test_without_active_limits_it_is_computed_torque_in_closed_form():
     controller = QpTracking(joints, kp=KP, kd=KD, weight=[1.0, 2.0, 3.0, 4.0])
     model, data = scene.robot.model, scene.robot.model.createData()
     G = scene.couplings.jacobian(scene.robot.neutral())  # constant: a linear coupling
-    for x, ref, _ in moments(scene, joints, np.random.default_rng(0), 100, "torque"):
+    for x, ref, _ in situations(scene, joints, np.random.default_rng(0), 100, "torque"):
         still = x._replace(v=0.3 * x.v)
         q = scene.couplings.positions(0.5 * x.q[scene.couplings.q_index] + 0.2)
         slow = State(0.0, q, still.v)
@@ -85,7 +85,7 @@ def test_without_active_limits_the_plant_accelerates_as_wanted(name):
     scene, joints = mechanism(name)
     truth = Truth(scene, joints)
     controller = QpTracking(joints, position_limits=False, velocity_limits=False)
-    for x, ref, _ in moments(scene, joints, np.random.default_rng(1), 50, "torque"):
+    for x, ref, _ in situations(scene, joints, np.random.default_rng(1), 50, "torque"):
         control = controller.effort(x, ref, NO_MEMORY, free_box(len(joints)))
         a0, A = truth(x)
         a, target = (a0 + A @ control.effort)[truth.own], wanted(joints, x, ref)
@@ -108,7 +108,7 @@ def test_five_drives_of_three_freedoms_share_with_the_least_effort_in_any_metric
         joints, weight=list(weight), position_limits=False, velocity_limits=False
     )
     limited, n = QpTracking(joints, weight=list(weight)), len(joints)
-    for x, ref, box in moments(scene, joints, np.random.default_rng(2), 100, "rate"):
+    for x, ref, box in situations(scene, joints, np.random.default_rng(2), 100, "rate"):
         control = controller.effort(x, ref, NO_MEMORY, free_box(n))
         r = joints.response(x)
         root = np.sqrt(weight)[:, None]
@@ -146,7 +146,7 @@ def checked(name, kind, seed, count):
     truth, tally, weight = Truth(scene, joints), Tally(), np.linspace(1.0, 3.0, len(joints))
     controller = QpTracking(joints, kp=KP, kd=KD, weight=list(weight))
     rows = [joint.v for joint in controller._limits.joints]
-    for x, ref, box in moments(scene, joints, np.random.default_rng(seed), count, kind):
+    for x, ref, box in situations(scene, joints, np.random.default_rng(seed), count, kind):
         before = controller.counts
         tau = controller.effort(x, ref, NO_MEMORY, box).effort
         assert (box.lower <= tau).all() and (tau <= box.upper).all()
@@ -230,7 +230,7 @@ def test_a_hundred_thousand_random_states(name):
 @each_mechanism
 def test_a_solve_takes_less_than_a_millisecond_and_ten_times_the_tier_without(name, kind):
     scene, joints = mechanism(name)
-    given = list(moments(scene, joints, np.random.default_rng(5), 2000, kind))
+    given = list(situations(scene, joints, np.random.default_rng(5), 2000, kind))
     spent, without, _ = with_and_without_limits(joints, given)
     p99, tier = np.percentile(spent, 99), np.median(without)
     assert p99 <= 1000.0
@@ -408,7 +408,7 @@ def test_a_gain_that_is_refused_is_named(gains, message):
 def test_what_is_not_finite_is_an_error_and_nothing_else_is():
     scene, joints = mechanism("prosthetic_arm")
     controller, n = QpTracking(joints), 4
-    ((x, ref, box),) = moments(scene, joints, np.random.default_rng(0), 1, "any_rate")
+    ((x, ref, box),) = situations(scene, joints, np.random.default_rng(0), 1, "any_rate")
     bad = np.array([np.nan, 0.0, 0.0, 0.0])
     with pytest.raises(SolveError, match="state, reference or dynamics are not finite"):
         controller.effort(x, ref._replace(q=bad), NO_MEMORY, box)
@@ -428,7 +428,7 @@ def test_what_is_not_finite_is_an_error_and_nothing_else_is():
 def test_where_no_rung_answers_the_command_is_clipped_and_counted(monkeypatch):
     scene, joints = mechanism("prosthetic_arm")
     controller = QpTracking(joints)
-    ((x, ref, box),) = moments(scene, joints, np.random.default_rng(0), 1, "any_rate")
+    ((x, ref, box),) = situations(scene, joints, np.random.default_rng(0), 1, "any_rate")
 
     def fails(*_):
         raise np.linalg.LinAlgError("singular")
