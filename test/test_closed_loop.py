@@ -1,6 +1,5 @@
 """Inverse dynamics with loops: exact where determined, of smallest norm where not, or refused."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +31,7 @@ SCENES = Path(__file__).parents[1] / "config/scenes"
 def scene(name, *joints):
     """A scene with ideal actuators."""
     built = load_scene(SCENES / f"{name}.yaml")
-    return replace(built, actuators=(Ideal(built.robot, joints=joints),) if joints else ())
+    return built.holding(actuators=(Ideal(built.robot, joints=joints),) if joints else ())
 
 
 def solver(built, *joints):
