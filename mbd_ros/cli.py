@@ -62,9 +62,19 @@ def _run(name: str, words: Sequence[str]) -> int:
     if name not in COMMANDS:
         commands.add_parser(name, description=(module.__doc__ or "").partition("\n\n")[0])
     module.add_arguments(commands.choices[name])
-    arguments = parser.parse_args(words)
+    arguments, unknown = parser.parse_known_args(words)
+    if unknown:
+        commands.choices[name].error(_unknown(unknown))
     with permitting(getattr(arguments, "allow_code", False)):
         return int(module.run(arguments))
+
+
+def _unknown(words: Sequence[str]) -> str:
+    """Why words that no option takes are refused."""
+    from mbd_ros.scene.renamed import renamed  # here, since it serves errors only
+
+    hints = "".join(renamed("option", word.partition("=")[0]) for word in words)
+    return f"unrecognized arguments: {' '.join(words)}{hints}"
 
 
 def _parser() -> tuple[

@@ -126,8 +126,12 @@ def _types(path: Path, reader: Reader) -> dict[str, str]:
 def _check_topics(path: Path, types: dict[str, str], topics: Mapping[str, str] | None) -> None:
     for topic, msgtype in (topics or {}).items():
         if topic not in types:
-            there = ", ".join(f"{name} ({types[name]})" for name in sorted(types))
-            raise DataError(f"{path}: no topic {topic}; there are: {there or 'none'}")
+            from mbd_ros.scene.renamed import renamed  # here, since it serves errors only
+
+            there = ", ".join(f"{name} ({types[name]})" for name in sorted(types)) or "none"
+            raise DataError(
+                f"{path}: no topic {topic}{renamed('topic', topic)}; there are: {there}"
+            )
         if types[topic] != msgtype:
             raise DataError(f"{path}: topic {topic} has type {types[topic]}, expected {msgtype}")
 

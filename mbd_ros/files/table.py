@@ -108,7 +108,10 @@ class Table(Mapping[str, NDArray[Any]]):
         try:
             return self._at[name]
         except KeyError:
-            raise MissingColumnError(f"no column {name}; there are: {_some(list(self))}") from None
+            from mbd_ros.scene.renamed import renamed  # here, since it serves errors only
+
+            hint = f"{renamed('column', name)}; there are: {_some(list(self))}"
+            raise MissingColumnError(f"no column {name}{hint}") from None
 
     def first(self, count: int) -> "Table":
         """The first rows alone."""

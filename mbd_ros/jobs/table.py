@@ -80,18 +80,21 @@ def command_module(name: str) -> CommandModule:
         return import_module(COMMANDS[name].module)
     points = added_commands()
     if name not in points:
-        from mbd_ros.scene.nearest import nearest  # here, since it serves errors only
+        from mbd_ros.scene.nearest import nearest  # here, since they serve errors only
+        from mbd_ros.scene.renamed import renamed
 
         close = nearest(name, [*COMMANDS, *points], 1)
         hint = f"the nearest is '{close[0]}', " if close else ""
-        raise CommandError(
-            f"there is no command '{name}'; {hint}accepted: {', '.join([*COMMANDS, *points])}"
-        )
+        accepted = f"{hint}accepted: {', '.join([*COMMANDS, *points])}"
+        raise CommandError(f"there is no command '{name}'{renamed('command', name)}; {accepted}")
     where = f"command '{name}' ({points[name].value})"
     try:
         module = points[name].load()
     except (ImportError, SyntaxError, AttributeError) as error:
-        raise CommandError(f"{where} cannot be imported: {error}") from error
+        from mbd_ros.scene.renamed import renamed
+
+        hint = renamed("module", str(getattr(error, "name", "")))
+        raise CommandError(f"{where} cannot be imported: {error}{hint}") from error
     for function in ("add_arguments", "run"):
         if not callable(getattr(module, function, None)):
             raise CommandError(f"{where} has no function '{function}'")

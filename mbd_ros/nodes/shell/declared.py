@@ -108,8 +108,11 @@ class Declared:
         return value
 
     def _unknown(self, name: str) -> str:
+        from mbd_ros.scene.renamed import renamed  # here, since it serves errors only
+
         near = difflib.get_close_matches(name, self._specs, 1)
-        hint = f" (did you mean '{near[0]}'?)" if near else ""
+        guess = f" (did you mean '{near[0]}'?)" if near else ""
+        hint = renamed("parameter", name) or guess
         return f"'{name}' is unknown{hint}; accepted: {', '.join(sorted(self._specs))}"
 
     def _convert(self, changes: list[ros.Parameter]) -> list[ros.Parameter]:
