@@ -13,7 +13,7 @@ _UNUSED = ("component_path_tolerance", "component_goal_tolerance")
 
 
 class GoalRequest(NamedTuple):
-    """What a client asks for; tolerances are (name, position, velocity, acceleration).
+    """The request of a client; tolerances are (name, position, velocity, acceleration).
 
     Attributes:
         trajectory: Without points: stop.

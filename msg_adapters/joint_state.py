@@ -29,7 +29,7 @@ class JointSample(NamedTuple):
 
 
 class JointStateReader:
-    """Reads messages whose joints may be reordered, missing or more than asked for.
+    """Reads messages whose joints may be reordered, missing or additional.
 
     Args:
         names: The joints asked for.
@@ -64,7 +64,7 @@ class JointStateReader:
 
         Returns:
             Arrays in the order of `names`: fresh, read-only, or views of the message, which
-            nobody may refill as long as they are used.
+            must not be refilled while they are used.
 
         Raises:
             MessageError: Names empty or repeated, an array neither empty nor as long as them, or
@@ -78,7 +78,7 @@ class JointStateReader:
     def is_arranged(self, positions: int, velocities: int, efforts: int) -> bool:
         """Whether arrays of these lengths, in the order of the last message, need no arranging.
 
-        Effort is there where it is asked for, and `absent` where it is not.
+        Effort is present where it is asked for, else `absent`.
         """
         n = len(self.names)
         read = self._in_order and positions == velocities == n

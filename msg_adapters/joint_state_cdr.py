@@ -29,7 +29,7 @@ FIELDS = ("position", "velocity", "effort")
 
 
 class _Layout(NamedTuple):
-    """Where things stand in one kind of message, offsets after the encapsulation.
+    """Places in one kind of message, as offsets after the encapsulation.
 
     Attributes:
         size: Length of the whole message.
@@ -37,7 +37,7 @@ class _Layout(NamedTuple):
         counts: The three array lengths.
         marks: Offset and bytes of the first two; the third follows from the size.
         slices: Position, velocity and effort among the doubles that the whole body would be.
-        doubles: How many these are.
+        doubles: Their number.
     """
 
     size: int

@@ -33,7 +33,7 @@ class Trajectory(NamedTuple):
 
 
 def require_few(points: int) -> None:
-    """Refuse a trajectory whose reading would hold a control loop up.
+    """Refuse a trajectory whose reading would delay a control loop.
 
     Raises:
         MessageError: More than `MOST_POINTS` points.

@@ -33,10 +33,10 @@ def read_multi_array(msg: Any, size: int) -> NDArray[np.float64]:
 
 
 def read_answered(msg: Any) -> int | None:
-    """Stamp of the joint state that a command says it answers [ns]; None where it does not.
+    """Stamp of the joint state that a command answers [ns]; None where it names none.
 
     It stands in the label of the only dimension as `seconds.nanoseconds`, the latter with nine
-    digits. Who does not look for it loses nothing.
+    digits. Readers may ignore it.
     """
     dimensions: Any = getattr(getattr(msg, "layout", None), "dim", ())
     said = _STAMP.fullmatch(dimensions[0].label) if len(dimensions) == 1 else None
@@ -44,7 +44,7 @@ def read_answered(msg: Any) -> int | None:
 
 
 def write_answered(msg: Any, size: int, stamp: int) -> None:
-    """Say which joint state a command answers, in the only dimension of its layout.
+    """Name the joint state that a command answers, in the only dimension of its layout.
 
     Args:
         msg: Float64MultiArray with one dimension.

@@ -21,7 +21,7 @@ def write_time(msg: Any, stamp: int) -> None:
     """Put `stamp` [ns] into a Time message.
 
     Raises:
-        MessageError: It is beyond what a message can carry.
+        MessageError: No message can carry it.
     """
     msg.sec, msg.nanosec = seconds_of(stamp)
 
@@ -38,7 +38,7 @@ def stamp_of(sec: int, nanosec: int) -> int:
 
 
 def seconds_of(stamp: int) -> tuple[int, int]:
-    """Whole seconds and the nanoseconds that are left of a stamp [ns].
+    """Whole seconds and remaining nanoseconds of a stamp [ns].
 
     Raises:
         MessageError: As `write_time`.

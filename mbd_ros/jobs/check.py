@@ -1,4 +1,4 @@
-"""What a scene builds, leaves out and costs: `mbd-ros check`."""
+"""The command `mbd-ros check`: parts that a scene builds and leaves out, and their cost."""
 
 import argparse
 

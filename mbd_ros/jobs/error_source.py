@@ -1,4 +1,4 @@
-"""Which file an error is about, where the code that found it knows no files."""
+"""The file of an error, where the code that raised it knows no files."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,7 +9,7 @@ from mbd_ros.errors import MbdError, printable
 
 @contextmanager
 def about(source: Path | str) -> Iterator[None]:
-    """Errors of the core get the file or option that they are about.
+    """Add the file or option to errors of the core.
 
     Args:
         source: File or option; errors that name it already pass as they are.

@@ -1,6 +1,6 @@
-"""The arguments of a constructor, with what annotations and docstring say of them.
+"""The arguments of a constructor, with their annotations and texts.
 
-They are the only home of kind, default, range, unit, choices and text; whoever offers a part to
+They are the only home of kind, default, range, unit, choices and text. Code that offers a part to
 somebody else (a node its gains, for example) reads them here.
 """
 
@@ -31,7 +31,7 @@ class Argument(NamedTuple):
         high: Largest number accepted.
         unit: Empty where the annotation states none.
         choices: The texts accepted; empty accepts any.
-        text: What the docstring says, in one line; empty where it says nothing.
+        text: The entry of the docstring in one line; empty without one.
     """
 
     name: str
@@ -46,11 +46,11 @@ class Argument(NamedTuple):
 
 
 def arguments(constructor: Callable[..., Any], skip: int = 0) -> tuple[Argument, ...]:
-    """What a class is made from, in the order of its constructor.
+    """The arguments of a class, in the order of its constructor.
 
     Args:
         constructor: A class, a NamedTuple too, or a function.
-        skip: So many first arguments are left out: those that no user gives.
+        skip: Number of first arguments to leave out: those that no user gives.
 
     Raises:
         ModelError: An argument has no annotation, or one of another kind than `ACCEPTED`.

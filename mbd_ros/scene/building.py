@@ -1,4 +1,4 @@
-"""Entries of a file -> what the table of its sections makes of them."""
+"""Entries of a file -> built sections, by the table of sections."""
 
 import importlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -96,13 +96,13 @@ def build(
     table: Sequence[Section],
     kept: Mapping[str, Any] | None = None,
 ) -> Built:
-    """What the sections make of their entries, in the order of what they come after.
+    """Build the sections from their entries, in the order that `after` demands.
 
     Args:
         origin: Where the entries come from.
         entries: By key.
         table: The sections.
-        kept: What is built already.
+        kept: Sections that are built already.
 
     Raises:
         SceneError: Names file, key, what is wrong and what is accepted.

@@ -1,4 +1,4 @@
-"""What a scene file describes, and what can be made of it."""
+"""A built scene, and the systems, solvers and simulations that it makes."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -43,7 +43,7 @@ def refuse_dt(dt: float, where: str, kind: type[MbdError]) -> None:
 
 
 class Scene(SceneParts):
-    """A scene: what it describes, built, and what can be made of it."""
+    """A built scene, which makes systems, solvers and simulations."""
 
     def with_(self, **sections: Any) -> "Scene":
         """The scene with other sections, built as far as they change it.
@@ -79,7 +79,7 @@ class Scene(SceneParts):
         return "\n".join(describe(self))
 
     def holding(self, **parts: Any) -> "Scene":
-        """A copy that holds other built parts, for who has objects rather than entries.
+        """A copy that holds other built parts, from objects rather than entries.
 
         Args:
             **parts: By key of their section, such as `forces=(*scene.forces, part)`.

@@ -1,4 +1,4 @@
-"""What a scene builds, what it leaves out, and what one call costs."""
+"""The parts that a scene builds and leaves out, and the cost of a call."""
 
 import math
 import sys

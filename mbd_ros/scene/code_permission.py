@@ -1,7 +1,7 @@
 """Code of others that a scene names, and the permission to import it.
 
-A scene is data, and one from elsewhere must not run code unasked: nothing of it is imported before
-`permitting` says so.
+A scene is data, and one from elsewhere must not run code unasked: its code is imported only where
+`permitting` allows it.
 """
 
 import sys
@@ -28,7 +28,7 @@ def permitting(allow_code: bool) -> Iterator[None]:
 
 
 def is_permitted() -> bool:
-    """What `permitting` says here; to be handed to other processes."""
+    """Whether `permitting` allows it here; to be handed to other processes."""
     return _is_permitted.get()
 
 
@@ -36,7 +36,7 @@ def code_of_others(entries: Mapping[str, Any], foreign: Sequence[str] = ()) -> d
     """Types that a scene would import from outside this package.
 
     Args:
-        entries: The file, as read; entries that are no parts are left to who builds them.
+        entries: The file, as read; entries that are no parts are judged while building.
         foreign: Keys of sections of other packages.
 
     Returns:

@@ -19,7 +19,7 @@ FUNCTIONS = ("factor", "polynomial", "spline", "piecewise_polynomial")
 
 
 def build_couplings(site: Site, entries: Any) -> Couplings:
-    """The `couplings` section, and what `<mimic>` says of other joints.
+    """The `couplings` section, and the `<mimic>` of other joints.
 
     Raises:
         SceneError: Names file, joint and key.

@@ -1,4 +1,4 @@
-"""What a Google docstring says of each argument."""
+"""The text of each argument in a Google docstring."""
 
 import inspect
 import re

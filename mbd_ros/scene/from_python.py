@@ -54,7 +54,7 @@ def scene_from(
 
 
 def with_sections(scene: Scene, sections: Mapping[str, Any]) -> Scene:
-    """A scene with other sections; what does not come after them is kept.
+    """A scene with other sections; sections that do not come after them are kept.
 
     Args:
         scene: The scene.

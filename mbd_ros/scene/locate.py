@@ -32,7 +32,7 @@ def scene_word(text: str) -> Path | str:
     """A word of the command line that names a scene, as `find_scene` understands it.
 
     Returns:
-        The file, or the word where there is none: `load_scene` says so, once the other words
+        The file, or the word where there is none: `load_scene` refuses it, once the other words
         are understood.
 
     Raises:
@@ -54,7 +54,7 @@ def find_scene(name: str | Path) -> Path:
             without one is an embedded scene, unless a file of that name exists.
 
     Returns:
-        The file; whether it exists is left to who reads it, where only a file can be meant.
+        The file; where only a file can be meant, the reader finds out whether it exists.
 
     Raises:
         SceneError: There is neither a file nor a scene of that name; with the nearest names.

@@ -9,7 +9,7 @@ def nearest(word: str, names: Iterable[str], count: int = 3) -> list[str]:
 
     Args:
         word: What was given.
-        names: What there is; of `folder/name` the end counts too.
+        names: Existing names; of `folder/name` the end counts too.
         count: At most so many.
     """
     ends: dict[str, str] = {}

@@ -1,4 +1,4 @@
-"""Sections of parts -> parts; what they import is what the scene names."""
+"""Sections of parts -> parts; only modules that the scene names are imported."""
 
 import inspect
 import re

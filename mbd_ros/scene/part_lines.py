@@ -20,7 +20,7 @@ def part_lines(scene: Scene) -> Iterator[str]:
 
 
 def _words(part: Any) -> dict[str, str]:
-    """What texts of sections may say of a part."""
+    """Words for a part that texts of sections may use."""
     where = getattr(part, "joints", None) or [getattr(part, "joint", None)]
     names = ", ".join(str(getattr(joint, "name", joint)) for joint in where if joint)
     words = {"kind": type_name(part), "at": f" at {names}" if names else ""}
@@ -36,5 +36,5 @@ def line(label: str, text: str) -> str:
 
 
 def type_name(part: object) -> str:
-    """What kind of part it is."""
+    """Name of the class of a part."""
     return type(part).__name__

@@ -36,7 +36,7 @@ def build_scene(
     Args:
         origin: Where they come from.
         entries: By key.
-        kept: What is built already, by key.
+        kept: Sections that are built already, by key.
 
     Raises:
         SceneError: Names file, key, what is wrong and what is accepted.

@@ -123,7 +123,7 @@ def _named(types: Mapping[str, str], name: str, where: str) -> Any:
 
 
 def imported(module: str, attribute: str, where: str) -> Any:
-    """What a module of this or another package has under a name.
+    """The object of a name in a module of this or another package.
 
     Args:
         module: Name of the module.

@@ -1,4 +1,4 @@
-"""What a scene describes, built."""
+"""The built parts of a scene."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,13 +21,13 @@ from mbd_ros.scene.site import Origin
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SceneParts:
-    """What a scene describes, built.
+    """The built parts of a scene.
 
     Attributes:
         origin: The file, or what else its sections came from.
         robot: The robot, with the inertia of its drives.
-        parts: What every section made, by key; the robot there is without its drives.
-        entries: What the sections say, by key.
+        parts: The built sections, by key; the robot there is without its drives.
+        entries: The sections as given, by key.
         sections: Lines of the table, those of other packages included.
         code: Key -> `package.module:Class` of what was imported from outside this package.
     """
@@ -87,7 +87,7 @@ class SceneParts:
 
     @property
     def stabilization(self) -> Stabilization | None:
-        """What keeps the constraints; None leaves the choice to `simulation`."""
+        """Stabilization of the constraints; None leaves the choice to `simulation`."""
         return self.parts.get("stabilization")
 
     @property
@@ -103,7 +103,7 @@ class SceneParts:
 
     @property
     def integrator_entry(self) -> Mapping[str, Any]:
-        """What the file says of it, empty without a word."""
+        """The entry of the file, empty without one."""
         return self.entries.get("integrator", {})
 
     @property
@@ -120,7 +120,7 @@ class SceneParts:
 
     @property
     def safe(self) -> SafeCommand:
-        """What the actuators do without a command."""
+        """The safe command of the actuators."""
         safe: SafeCommand = self.parts["safe"]
         return safe
 

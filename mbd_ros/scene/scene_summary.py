@@ -16,7 +16,7 @@ _TOLD = ("robot", "couplings", "stabilization", "solver", "integrator", "dt", "i
 
 
 def scene_text(scene: "SceneParts") -> str:
-    """At most ten lines: the scene, and one for each section that makes it."""
+    """At most ten lines: the scene, and one for each of its sections."""
     rows = list(_rows(scene))
     if len(rows) > _LINES:
         rest = ", ".join(label for label, _ in rows[_LINES - 1 :])
@@ -35,7 +35,7 @@ def scene_html(scene: "SceneParts") -> str:
 
 
 def _rows(scene: "SceneParts") -> Iterator[tuple[str, str]]:
-    """Section and what it made."""
+    """Section and its parts."""
     robot, dependent = scene.robot, scene.couplings.dependent
     base = "floating" if robot.floating else "fixed"
     yield "robot", f"{robot.name} from {scene.source}, {base} base, joints: {len(robot.joints)}"

@@ -28,7 +28,8 @@ def call(function: Callable[..., Any], entry: Any, where: str, *context: Any) ->
         *context: First arguments, which do not come from the YAML.
 
     Raises:
-        SceneError: Unknown or missing key, wrong value, or what the function itself refuses.
+        SceneError: Unknown or missing key, wrong value, or a value that the function itself
+            refuses.
     """
     parameters = list(inspect.signature(function).parameters.values())[len(context) :]
     accepted = {parameter.name.rstrip("_"): parameter for parameter in parameters}  # `from_`

@@ -1,4 +1,4 @@
-"""The sections of a scene and of a task file, a line each: what a new kind of part needs.
+"""The sections of a scene and of a task file, a line each.
 
 A package of somebody else adds sections by an entry point of the group `mbd_ros.sections`: the
 name is the key, the value `module:NAME` of a `Section`. See `foreign_sections`.
@@ -34,14 +34,14 @@ class Section(NamedTuple):
         build: `module:function`, imported when there is something to build. It gets a `Site` and
             what the file holds, and returns what `Scene.parts` keeps under the key. The default
             builds parts by their `type`.
-        after: Keys of what must be built before, where the file has it.
+        after: Keys of sections that must be built before, where the file has them.
         offers: Methods that a class named by `type` must have. Parts with `force` are forces of
             the scene, with `residual` constraints and with `torque` actuators, in any section.
         check: Line of `check` for every part: a label, a colon and a text with {kind}, {name},
             {at}, {law}, {rows} and {part.attribute}. Empty: `check` says it elsewhere.
         parts: Where `registry.PARTS` keeps its types; empty for entries without types.
         types: Type -> `module:Class`, for a section that `registry.PARTS` does not know.
-        absent: What is built where the file leaves the section out; None builds nothing.
+        absent: Entry to build where the file leaves the section out; None builds nothing.
     """
 
     key: str
@@ -143,7 +143,7 @@ def keys(table: Iterable[Section]) -> tuple[str, ...]:
 
 
 def ordered(table: Sequence[Section]) -> list[Section]:
-    """The sections as they are built: each after what it names, else in the order of the table.
+    """The sections in the order of building: each after those it names, else as in the table.
 
     Raises:
         SceneError: A section waits for one that is not in the table, or for itself.

@@ -1,4 +1,4 @@
-"""The `simulate` section of a task file: which motion is asked of a scene."""
+"""The `simulate` section of a task file: the motion that is asked of a scene."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ class SimulateTask:
         start: Time at which it begins [s].
         origin: Table or bag whose joint state at `start` is the initial one, `from` in the file;
             None takes that of the scene.
-        efforts: Table or bag of what the actuators take.
+        efforts: Table or bag of the commands of the actuators.
         wrenches: Table or bag of the external loads.
-        options: Keyword arguments of `Scene.simulation`: what replaces sections of the scene.
+        options: Keyword arguments of `Scene.simulation`, which replace sections of the scene.
     """
 
     duration: float

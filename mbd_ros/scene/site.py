@@ -1,4 +1,4 @@
-"""Where an entry stands, and what it may be built from."""
+"""The place of an entry, and the parts that it may be built from."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,14 +14,14 @@ NO_FILE = "scene"  # what messages call a scene that no file holds
 
 
 class Origin(NamedTuple):
-    """What a scene or a task was read from.
+    """Source of a scene or a task.
 
     Attributes:
         path: The file, None where the sections come from Python.
         description: URDF that came with it: from a topic, or from Python.
         task_of: The scene that a task is asked of, None for a scene.
         title: For the messages, where there is no file.
-        base: What relative paths start from, where there is no file.
+        base: Folder from which relative paths start, where there is no file.
     """
 
     path: Path | None = None
@@ -37,18 +37,18 @@ class Origin(NamedTuple):
 
     @property
     def folder(self) -> Path:
-        """What relative paths start from."""
+        """Folder from which relative paths start."""
         return self.base if self.path is None else self.path.parent
 
 
 class Site(NamedTuple):
-    """What the builder of a section knows.
+    """The knowledge of the builder of a section.
 
     Attributes:
         section: Its line of the table.
         origin: The file, or where else the entries came from.
         robot: The robot with the inertia of the drives that are built; None before it is.
-        parts: What is built, by key.
+        parts: The sections that are built, by key.
     """
 
     section: Section

@@ -1,4 +1,4 @@
-"""Whether a state is one to start from: within stops and limits, radians rather than degrees."""
+"""Checks of an initial state: within stops and limits, radians rather than degrees."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -15,7 +15,7 @@ _SLACK = 1.0e-6  # rad or m beyond an end that is rounding
 
 
 def start_warnings(robot: Robot, constraints: Sequence[Constraint], x: State) -> Iterator[str]:
-    """Where a state to start from is beyond stops, or beyond the limits of the description.
+    """Warnings of an initial state beyond stops, or beyond the limits of the description.
 
     Args:
         robot: The robot.

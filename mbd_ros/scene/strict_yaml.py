@@ -1,7 +1,7 @@
 """YAML that means what it says: no duplicate keys, no tags, no aliases, numbers only as numbers.
 
-Only what is printed below as a number becomes one, so that `1e-3` is 0.001 and `nan`, `1_000` or
-`0x10` stay text, which the schema then refuses by key.
+Only the pattern of numbers below becomes a number: `1e-3` is 0.001, and `nan`, `1_000` or `0x10`
+stay text, which the schema then refuses by key.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Task file -> what is asked of a scene, by the reader that scenes have."""
+"""Task file -> a task for a scene, by the reader of scenes."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,13 +14,13 @@ from mbd_ros.scene.strict_yaml import read_mapping
 
 
 class Task(NamedTuple):
-    """What a task file asks of a scene.
+    """A task for a scene.
 
     Attributes:
         path: The file.
         scene: The scene.
-        parts: What every section made, by key: `parts["simulate"]` is a `SimulateTask`.
-        entries: What the sections say, by key.
+        parts: The built sections, by key: `parts["simulate"]` is a `SimulateTask`.
+        entries: The sections as given, by key.
     """
 
     path: Path
@@ -30,7 +30,7 @@ class Task(NamedTuple):
 
 
 def read_task(path: str | Path, scene: Scene) -> Task:
-    """Read what is asked of a scene.
+    """Read a task for a scene.
 
     Args:
         path: Task file, or `package://<package>/<path>`.

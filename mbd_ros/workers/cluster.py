@@ -115,7 +115,7 @@ class Cluster:
 def do_within(task: Task) -> Result:
     """Do a task in a worker of Dask, and give it up where that takes longer than its limit.
 
-    Nothing ends a thread from outside: one that was given up goes on until its worker ends.
+    Nothing ends a thread from outside: one that was given up runs until its worker ends.
     """
     if math.isinf(task.limit):
         return do(task)

@@ -1,4 +1,4 @@
-"""Who does the work: processes of this machine, or of a Dask cluster."""
+"""Workers: processes of this machine, or of a Dask cluster."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -26,7 +26,7 @@ class Workers(Protocol):
 
 
 def do_all(workers: Workers, tasks: Sequence[Task]) -> Iterator[tuple[Task, Result]]:
-    """Those that want to be alone first, then the others, long ones before short ones."""
+    """Tasks that want to be alone come first, then the others, long ones before short ones."""
     yield from workers.run([task for task in tasks if task.alone], alone=True)
     others = [task for task in tasks if not task.alone]
     yield from workers.run(sorted(others, key=lambda task: -task.seconds), alone=False)

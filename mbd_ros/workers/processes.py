@@ -55,7 +55,7 @@ class _Worker:
 class Processes:
     """Does tasks in processes of this machine, for the length of a `with` block.
 
-    A task whose process dies is tried once more. The processes end with this one, however it ends.
+    A task whose process dies is tried once more. The processes end with this one in every case.
 
     Args:
         count: How many work at the same time.

@@ -1,4 +1,4 @@
-"""How long the rest of many tasks takes, for whoever watches."""
+"""The time left for many tasks, for people who watch."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -12,7 +12,7 @@ class Remaining:
     """Estimates the time left, corrected by how long the tasks so far really took.
 
     Args:
-        tasks: All that is to be done.
+        tasks: All tasks.
         workers: How many tasks are done at the same time.
     """
 

@@ -1,4 +1,4 @@
-"""A piece of work that may be done anywhere, and what came of it."""
+"""A piece of work that may be done anywhere, and its result."""
 
 import importlib
 import json
@@ -16,12 +16,12 @@ class Task(NamedTuple):
     """A call of one function, independent of all others.
 
     Attributes:
-        name: For whoever watches.
+        name: For people.
         call: `module:function` of one argument.
-        argument: What it is called with; whatever JSON holds.
+        argument: Its argument; any value that JSON holds.
         seconds: About how long it takes.
-        alone: It times something: nothing else of the same run may stand beside it.
-        limit: What needs longer is given up [s].
+        alone: It times something: nothing else of the same run may run beside it.
+        limit: Time after which it is given up [s].
     """
 
     name: str
@@ -33,7 +33,7 @@ class Task(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What came of a task.
+    """The result of a task.
 
     Attributes:
         value: What the function returned, as JSON gives it back.
@@ -49,7 +49,7 @@ class Result(NamedTuple):
 
 
 def do(task: Task) -> Result:
-    """Do a task here; whatever goes wrong is in the result."""
+    """Do a task here; every failure is in the result."""
     begin = time.perf_counter()
     module, _, function = task.call.partition(":")
     try:
@@ -63,7 +63,7 @@ def do(task: Task) -> Result:
 
 
 def nothing(_: Mapping[str, Any]) -> None:
-    """For those who want to know the processor of a worker."""
+    """Do nothing; the result names the processor of a worker."""
 
 
 @cache

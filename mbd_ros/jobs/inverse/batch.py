@@ -17,7 +17,7 @@ from mbd_ros.workers.task import Task
 
 
 class Batch(NamedTuple):
-    """What is to be done.
+    """Order of a batch.
 
     Attributes:
         motions: Tables and bags.
@@ -47,7 +47,7 @@ class Batch(NamedTuple):
 
 
 def inverse_of_one(batch: Batch) -> Iterator[str]:
-    """What `inverse_dynamics_of` says of the only motion."""
+    """The lines of `inverse_dynamics_of` for the only motion."""
     if batch.scheduler is not None or batch.workers is not None:
         raise DataError("--scheduler and --workers go with several motions")
     return _inverse(batch, batch.motions[0], batch.out)
@@ -93,7 +93,7 @@ def one(argument: Mapping[str, Any]) -> tuple[list[str], str]:
             whether its scene may name code of others.
 
     Returns:
-        What is said of it, and why it failed.
+        Its lines, and why it failed.
     """
     fields = dict(argument["batch"])
     for name in ("scene", "out", "wrenches"):

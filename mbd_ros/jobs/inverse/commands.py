@@ -11,7 +11,7 @@ _SAME = 1e-9  # of the largest effort
 
 
 def with_commands(scene: Scene, record: TorqueRecord) -> tuple[TorqueRecord, list[str]]:
-    """A result with the commands that give its efforts, and which efforts no command gives.
+    """A result with the commands of its efforts, and the efforts that no command gives.
 
     Commands stand beside the efforts of actuators that take something else than the torque of
     their joint.

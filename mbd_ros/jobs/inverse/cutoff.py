@@ -1,4 +1,4 @@
-"""Where the motion ends and the noise begins: the cut-off frequency that a recording asks for.
+"""Where motion ends and noise begins: the cut-off frequency that a recording asks for.
 
 A motion has little acceleration at high frequencies, since forces are finite; noise has ever more.
 In the density P(f) of positions [rad^2/Hz] a motion falls steeper than f^-3, noise does not:
@@ -81,7 +81,7 @@ def _frequencies(times: Array) -> Array:
 
 
 def _bands(times: Array, values: Array, order: int, cutoff: Array) -> Bands:
-    """What every cut-off passes and the one before does not."""
+    """The part that every cut-off passes and the one before does not."""
     grid = np.geomspace(cutoff[0] / 16.0, rate_of(times) / 2.0, 4000)
     step, turn = np.gradient(grid), 2.0 * np.pi * grid
     orders = (0, 2 - order)
@@ -113,8 +113,8 @@ def _step(signal: Array) -> float:
 def _renewals(signal: Array) -> float:
     """How often a signal that changes has a new value, per sample; inf where each is new.
 
-    A joint that rests in between is not one whose samples are repeated: most runs of equal
-    samples count, not most samples.
+    A joint that rests in between does not repeat samples: most runs of equal samples count, not
+    most samples.
     """
     runs = np.diff(np.flatnonzero(np.diff(signal)))
     usual = float(np.median(runs)) if len(runs) else 1.0

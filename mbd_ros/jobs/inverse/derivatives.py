@@ -41,12 +41,12 @@ class Derivatives(NamedTuple):
 
 
 class Differentiated(NamedTuple):
-    """Samples of the independent joints, and how they came about.
+    """Samples of the independent joints, and their origin.
 
     Attributes:
         samples: The samples.
         cutoff: Of the low-pass of each joint [Hz], shape (m,); None without one.
-        remarks: What there is to say about it.
+        remarks: Remarks on them, for people.
     """
 
     samples: list[Observation]
