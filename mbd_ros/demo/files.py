@@ -1,4 +1,4 @@
-"""Files of a demo: what is simulated, what its controller takes for it, and the gains."""
+"""Files of a demo: the simulated scene, the scene of the controller, and the gains."""
 
 from pathlib import Path
 from typing import Any
@@ -27,11 +27,11 @@ _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 def write_scenes(
     folder: Path, robot: DemoRobot, joints: tuple[str, ...], added: Disturbance
 ) -> None:
-    """Write what is simulated (`PLANT`) and what the controller believes (`MODEL`).
+    """Write the simulated scene (`PLANT`) and that of the controller (`MODEL`).
 
     Args:
         folder: Where to.
-        robot: Whose scene both derive from.
+        robot: Its scene is the source of both.
         joints: Where the disturbance acts.
         added: The disturbance, of which only the plant knows.
     """

@@ -1,7 +1,7 @@
 """The closed loop of a demo over topics: started at t = 0, led along a reference, and stopped.
 
 The simulator is in lock step: time stands, and each command advances it by one tick. The other
-nodes live in the simulated time of /clock. However loaded the machine is, the physics is that of
+nodes live in the simulated time of /clock. On a machine under any load the physics is that of
 a controller that answers every joint state before the next one.
 """
 
@@ -31,7 +31,7 @@ _DRAIN = 2.0  # s for the last answers
 
 
 class LoopRun(NamedTuple):
-    """What is to run.
+    """Order of a run.
 
     Attributes:
         folder: With the scenes and the gains.
@@ -60,7 +60,7 @@ class LoopRun(NamedTuple):
 
 
 def record_loop(run: LoopRun, bag: Path) -> None:
-    """Run the three nodes and record what they say.
+    """Run the three nodes and record their messages.
 
     Raises:
         Failed: A node ends, refuses its part, or the loop stands still.

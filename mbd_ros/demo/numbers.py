@@ -1,4 +1,4 @@
-"""What a demo achieved, in numbers of its recording."""
+"""Results of a demo, as numbers of its recording."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -81,7 +81,7 @@ class DemoNumbers:
         return np.column_stack([np.interp(times, known, column) for column in values.T])
 
     def loop(self) -> Series:
-        """What the controller said of tracking, settled."""
+        """The tracking of the controller, settled."""
         series = self.signals.loop
         return _cut(series, series.time >= SETTLED)
 
@@ -124,7 +124,7 @@ class DemoNumbers:
         return rms(settled.effort - self.at(settled.time, true.time, known))
 
     def checks(self) -> list[Check]:
-        """What must hold in every demo."""
+        """The checks of every demo."""
         signals, ticks = self.signals, len(self.signals.states.time)
         expected = round((signals.states.time[-1] - signals.states.time[0]) * RATE) + 1
         answers, opened = len(signals.loop.time), max(self.violation)

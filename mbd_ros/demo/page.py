@@ -1,4 +1,4 @@
-"""The page of a demo: needs nothing but itself."""
+"""The page of a demo, in one file."""
 
 from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,7 +23,7 @@ table { width: auto; } thead th.number { white-space: normal; }
 
 
 class Content(NamedTuple):
-    """What a page shows.
+    """Contents of a page.
 
     Attributes:
         title: Heading.

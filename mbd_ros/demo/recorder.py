@@ -1,4 +1,4 @@
-"""Records topics as they come, and asks nodes for what they offer."""
+"""Records topics as they come, and calls services of nodes."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -45,7 +45,7 @@ class Recorder:
 
     Attributes:
         node: For publishers and clients of whoever leads the recording.
-        messages: What came; log times are those of publishing.
+        messages: All messages; log times are those of publishing.
         newest: Topic -> its newest message, serialized; of topics that something came on.
         health: Node -> its newest status.
         check: As given.

@@ -37,7 +37,7 @@ _PACKAGES = ("numpy", "pin", "ros-jazzy-rclpy")
 
 
 class Demo(NamedTuple):
-    """What to show.
+    """Order of a demo.
 
     Attributes:
         robot: A key of `ROBOTS`.
@@ -85,7 +85,7 @@ def demo(order: Demo) -> Iterator[str]:
 
 
 def _prepare(order: Demo, folder: Path) -> tuple[LoopRun, dict[str, Any]]:
-    """What is to run, with its files written, and the parameters of the controller."""
+    """The order of the run, with its files written, and the parameters of the controller."""
     robot = ROBOTS[order.robot]
     scene = load_scene(robot.scene)
     joints = scene.controlled_joints()

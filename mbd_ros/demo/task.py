@@ -1,4 +1,4 @@
-"""What the controlled robot of the demo has to do: a reference, against a disturbance."""
+"""The task of the controlled robot of the demo: a reference, against a disturbance."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Topics of a demo: who says what."""
+"""Topics of a demo, and their publishers."""
 
 SIMULATOR, WATCHER = "/simulator", "/inverse_dynamics"
 STATES, CLOCK, DIAGNOSTICS = "/joint_states", "/clock", "/diagnostics"
@@ -8,17 +8,17 @@ _JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
 def loop_state(controller: str) -> str:
-    """Where a controller says how well it tracks."""
+    """Topic of the tracking error of a controller."""
     return f"{controller}/state"
 
 
 def reference(controller: str) -> str:
-    """Where a controller takes its reference."""
+    """Topic of the reference of a controller."""
     return f"{controller}/joint_trajectory"
 
 
 def recorded(controller: str, has_rows: bool, has_coupling: bool) -> dict[str, str]:
-    """What is recorded: name -> type.
+    """The recorded topics: name -> type.
 
     Args:
         controller: Fully qualified name of the node.

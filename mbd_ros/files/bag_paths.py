@@ -1,4 +1,4 @@
-"""Which files belong to a bag, and where a bag may be written."""
+"""The files of a bag, and places where a bag may be written."""
 
 from pathlib import Path, PurePosixPath
 
@@ -10,7 +10,7 @@ MARK = ("written_by", "mbd_ros")
 
 
 def check_source(path: Path) -> None:
-    """Refuse what is not a bag, and a folder whose files are not all inside of it.
+    """Refuse paths that are no bag, and a folder whose files are not all inside of it.
 
     Raises:
         DataError: What is wrong with which file.
@@ -46,13 +46,13 @@ def _storage_files(folder: Path) -> list[Path]:
 
 
 def check_sqlite_path(path: Path) -> None:
-    """Refuse what changes meaning in the `file:` address by which rosbags opens sqlite."""
+    """Refuse characters that change meaning in the `file:` address of sqlite in rosbags."""
     if path.suffix == ".db3" and set("#?%") & set(str(path)):
         raise DataError(f"{path}: the path of a .db3 file must not contain '#', '?' or '%'")
 
 
 def check_target(path: Path) -> None:
-    """Refuse to write where something else than a bag of this package is.
+    """Refuse to replace anything but a bag of this package.
 
     Args:
         path: A folder, or a file ending in .mcap or .db3.

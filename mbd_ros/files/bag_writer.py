@@ -27,8 +27,8 @@ class BagWriter:
     """Writes a bag beside its place and puts it there when the `with` block ends well.
 
     Args:
-        path: A folder (MCAP storage), or a file ending in .mcap or .db3. What is there is
-            replaced only if this class wrote it.
+        path: A folder (MCAP storage), or a file ending in .mcap or .db3. An existing
+            bag is replaced only if this class wrote it.
 
     Raises:
         DataError: On entering for a place that cannot be written to; later, when writing fails.

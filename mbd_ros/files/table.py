@@ -1,4 +1,4 @@
-"""What every job returns: tables by name, columns with name, unit, frame and any shape."""
+"""The result of every job: tables by name, columns with name, unit, frame and any shape."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
@@ -126,7 +126,7 @@ class MissingColumnError(DataError, KeyError):
 
 
 class Result(Mapping[str, Table]):
-    """What a job found: tables by name, and where they come from.
+    """The result of a job: tables by name, and their origin.
 
     Args:
         tables: Name -> table; that of the job itself is `samples`.

@@ -28,7 +28,7 @@ _DPI = 150
 
 
 class Order(NamedTuple):
-    """What a user wants.
+    """The order of a user.
 
     Attributes:
         scenes: Files, package:// names, or names of embedded scenes; none for all of ours.
@@ -48,19 +48,19 @@ class Order(NamedTuple):
 
 
 class Wrong(MbdError):
-    """A report that says what is wrong; its page is complete."""
+    """A report with something wrong; its page is complete."""
 
     exit_code = FAILED
 
 
 def report(order: Order) -> Iterator[str]:
-    """Do what has no result yet, then write page, numbers and plots.
+    """Run items without a result, then write page, numbers and plots.
 
     Yields:
         What happens, a line each.
 
     Raises:
-        Wrong: A part or an item says that something is wrong.
+        Wrong: A part or an item has something wrong.
         DataError: Input that cannot be used.
     """
     program.cache_clear()  # of a process that made a report before
@@ -83,7 +83,7 @@ def report(order: Order) -> Iterator[str]:
 def _results(
     order: Order, work: Sequence[Item], results: dict[str, Result]
 ) -> Generator[str, None, list[str]]:
-    """Fill in what was stored and what is done now; returns what changed meanwhile."""
+    """Fill in stored and new results; returns files that changed meanwhile."""
     with open_workers(order.scheduler, order.workers) as workers:
         store = Store(order.out, workers.cpu())
         results |= {label(item): r for item in work if (r := store.load(item)) is not None}
@@ -138,7 +138,7 @@ def _section(kind: str, made: list[Item] | Section, results: Mapping[str, Result
 
 
 def _asked(section: Section) -> Section:
-    """A kind that was asked for by name and has nothing to show is wrong, and says why."""
+    """Refuse a kind that was asked for by name and has nothing to show, with the reason."""
     if section.tables or section.wrong:
         return section
     reasons = " ".join(section.text)

@@ -1,4 +1,4 @@
-"""What a report is made of: independent pieces of work, and sections made of their results."""
+"""Parts of a report: independent pieces of work, and sections made of their results."""
 
 import importlib
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ class Item(NamedTuple):
     Attributes:
         kind: A key of `PARTS`.
         name: Unique within its kind; letters, digits, `_`, `-`, `.`.
-        spec: What `run` of its module takes; with `name` the identity of the result.
+        spec: Argument of `run` of its module; with `name` the identity of the result.
         seconds: About how long it takes.
         alone: It times something: no other item runs beside it, and its result is for one kind
             of processor only.
@@ -71,12 +71,12 @@ class Section(NamedTuple):
 
 
 class Part(Protocol):
-    """What a module of `PARTS` offers."""
+    """Contract of a module of `PARTS`."""
 
     def items(self, scenes: Sequence[str], quick: bool) -> list[Item]:
         """The work: for the scenes that a user names, or where there are none for all of ours.
 
-        What needs an optional package that is not installed is left out.
+        Items that need an optional package are left out where it is not installed.
         """
         ...
 
@@ -85,7 +85,7 @@ class Part(Protocol):
         ...
 
     def section(self, outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
-        """What the page says of those that did not fail; without any, why there are none."""
+        """The section of the items that did not fail; without any, why there are none."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""Where and from what a report was made."""
+"""Machine, versions and commit of a report."""
 
 import os
 import platform
@@ -27,7 +27,7 @@ def machine() -> dict[str, Any]:
 
 
 def package_versions() -> dict[str, str]:
-    """Versions of this package and of those that it computes with."""
+    """Versions of this package and of its libraries."""
     return versions(_SHOWN)
 
 

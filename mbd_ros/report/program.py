@@ -1,4 +1,4 @@
-"""What a stored result depends on: sources, versions, and the files that its item names."""
+"""Dependencies of a stored result: sources, versions, and the files that its item names."""
 
 import ast
 import hashlib
@@ -37,10 +37,10 @@ def versions(names: Iterable[str] = VERSIONS) -> dict[str, str]:
 
 
 def program_now(module: str) -> str:
-    """Hash of all that a part computes with, read now.
+    """Hash of all sources and versions of a part, read now.
 
     These are the package without nodes and other parts of the report, its scenes and robots, and
-    the versions of the packages below. What only shows results is not among them.
+    the versions of the packages below. Modules that only show results are not among them.
 
     Args:
         module: That of the part.
@@ -56,7 +56,7 @@ def program_now(module: str) -> str:
 
 @cache
 def program(module: str) -> str:
-    """`program_now` as it was when it was asked first."""
+    """The first result of `program_now`."""
     return program_now(module)
 
 

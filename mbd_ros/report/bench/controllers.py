@@ -133,10 +133,10 @@ def timed(controller: Controller, given: Sequence[Snapshot]) -> Array:
 def with_and_without_limits(
     joints: ControlledJoints, given: Sequence[Snapshot]
 ) -> tuple[Array, Array, QpTracking]:
-    """What calls of `qp_tracking` cost.
+    """Cost of calls of `qp_tracking`.
 
-    The machine is seldom alone: passes that are to be compared follow one another, and a call
-    counts with the least of three passes, which do exactly the same.
+    Other work may run beside it: compared passes follow one another, and a call counts with the
+    least of three equal passes.
 
     Returns:
         CPU time of each call [us], and of one where no limit acts, shape (len(given),), and the

@@ -1,4 +1,4 @@
-"""What a node costs under a steady stream of joint states: CPU, round trip, losses."""
+"""Cost of a node under a steady stream of joint states: CPU, round trip, losses."""
 
 import itertools
 import os

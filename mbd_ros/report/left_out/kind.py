@@ -1,4 +1,4 @@
-"""What a scene does not pay for: imports, the cost of each part, and all of it switched on."""
+"""Parts that a scene leaves out: imports, the cost of each part, and all of them together."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""What one scene builds, imports and costs, seen from a process of its own.
+"""Parts, imports and cost of one scene, measured in a process of its own.
 
 python -m mbd_ros.report.left_out.probe SCENE [--allow-code]
 """
@@ -19,7 +19,7 @@ LIBRARIES = (
 
 
 def main() -> int:
-    """Build a scene and a simulation, take one step, and say what that imported."""
+    """Build a scene and a simulation, take one step, and print the imports."""
     from mbd_ros.scene.code_permission import permitting
     from mbd_ros.scene.reader import load_scene
     from mbd_ros.scene.registry import PARTS

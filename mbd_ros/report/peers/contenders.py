@@ -24,8 +24,8 @@ class Contender(Protocol):
 
     Attributes:
         package: Its name, `mbd_ros` for this one.
-        setup: What tells this set-up from others, without the step.
-        record: What JSON says of it.
+        setup: Name of this set-up among others, without the step.
+        record: Its record for JSON.
     """
 
     package: str

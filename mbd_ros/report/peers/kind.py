@@ -115,7 +115,7 @@ def _ours(scene: Scene, quick: bool) -> Iterator[Ours]:
 
 
 def _choices(scene: Scene, quick: bool) -> Iterator[Choice]:
-    """What `precision` found to be on the front of such scenes."""
+    """Choices that `precision` found on the front of such scenes."""
     least = 5e-4 if scene.has_loops else 0.0  # s; below it a loop takes seconds
     for stabilization in stabilizations(scene, "auto", "dop853")[: 1 if quick else 3 : 2]:
         for exponent in range(3, 13, 2 if quick else 1):

@@ -130,7 +130,7 @@ def _model(task: Task, time_constant: float) -> mujoco.MjModel:
 
 
 def _least_inertia(task: Task) -> Any:
-    """What a link without mass gets."""
+    """Inertia of a link without mass."""
     mass = _LEAST * sum(body.inertia.mass for body in task.moving)
     size = sum(float(np.linalg.norm(body.place.translation)) for body in task.moving)
     moment = max(mass * size**2, _NEARLY_NOTHING)

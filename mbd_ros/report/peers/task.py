@@ -1,4 +1,4 @@
-"""What other packages are told of a scene: bodies, joints, loops and springs, nothing else."""
+"""A scene for other packages: bodies, joints, loops and springs, nothing else."""
 
 from typing import Any, NamedTuple
 
@@ -63,7 +63,7 @@ class Spring(NamedTuple):
 
 
 class Task(NamedTuple):
-    """What is told.
+    """A scene for other packages.
 
     Attributes:
         gravity: [m/s^2], shape (3,).

@@ -1,4 +1,4 @@
-"""What the page says about other packages."""
+"""The section of the page about other packages."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -76,7 +76,7 @@ def compose(outcomes: Sequence[tuple[str, Mapping[str, Any]]], missing: Sequence
 
 
 def _not_told(name: str, outcome: Mapping[str, Any]) -> list[str]:
-    """What of a scene the comparison leaves out, and who could not take part."""
+    """Parts of scenes that the comparison leaves out, and packages that could not take part."""
     lines = [f"{name}: not compared with {reason}" for reason in outcome["refused"]]
     if outcome["left"] and outcome["setups"]:
         parts = ", ".join(outcome["left"])

@@ -1,4 +1,4 @@
-"""From a scene to what other packages can be told of it."""
+"""Translation of a scene for other packages."""
 
 import inspect
 import math
@@ -34,13 +34,13 @@ class Entry(NamedTuple):
 
 
 class Ground(NamedTuple):
-    """What is common to all packages.
+    """The common ground of all packages.
 
     Attributes:
         scene: The scene without the loads that no peer has.
-        constraints: What remains of that section.
-        forces: What remains of that section.
-        left: What was left out, such as `forces[1] (switching_force)`.
+        constraints: Rest of that section.
+        forces: Rest of that section.
+        left: Parts that were left out, such as `forces[1] (switching_force)`.
     """
 
     scene: Scene
@@ -52,7 +52,7 @@ class Ground(NamedTuple):
 def common_ground(scene: Scene) -> Ground:
     """The scene without the loads that no peer has.
 
-    Stops and stiction of peers are soft, whatever their settings; other forces they do not know.
+    Stops and stiction of peers are soft under all settings; they do not know other forces.
     """
     given, left = scene.entries, []
     kept: dict[str, tuple[Any, ...]] = {}
@@ -73,15 +73,15 @@ def common_ground(scene: Scene) -> Ground:
 
 
 def task_of(ground: Ground, states: Sequence[State] = ()) -> Task:
-    """What other packages need of a scene.
+    """The task of a scene for other packages.
 
     Args:
         ground: The scene.
-        states: States of all joints on its motion, on which it is seen whether loops that are
-            closed along some directions stay closed along the others.
+        states: States of all joints on its motion. They show whether loops that are closed along
+            some directions stay closed along the others.
 
     Raises:
-        SceneError: It has what they cannot express, named.
+        SceneError: It has parts that they cannot express, named.
     """
     scene = ground.scene
     simulation = scene.simulation()

@@ -1,4 +1,4 @@
-"""What a user may choose for a scene: formulation, stabilization, integrator, step."""
+"""Choices for a scene: formulation, stabilization, integrator, step."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -35,7 +35,7 @@ class Choice(NamedTuple):
 
     @property
     def method(self) -> str:
-        """Name of the integrator with what tells it from its relatives."""
+        """Name of the integrator with the option that separates it from its relatives."""
         more = [f"{k} {v}" for k, v in self.integrator.items() if k in ("order", "stages")]
         return " ".join([self.integrator["type"], *more])
 
@@ -71,7 +71,7 @@ def snippet(choice: Choice) -> str:
 
 
 def formulations(scene: Scene) -> list[str]:
-    """`auto` and those tiers that solve the scene in another way than it."""
+    """`auto` and the tiers that solve the scene differently."""
     seen, names = {_signature(scene, "auto")}, ["auto"]
     for name in TIERS[1:]:
         try:

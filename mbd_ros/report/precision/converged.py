@@ -39,8 +39,8 @@ class Known(NamedTuple):
         states: States of all joints there.
         multipliers: Those of `System.multiplier_rows` in the tier `auto`, one row a sample.
         energies: [J].
-        method: What computed it.
-        check: What computed it a second time; empty where no second method succeeded.
+        method: Method that computed it.
+        check: Second method that computed it; empty where none succeeded.
         agreement: Largest difference in position between the two [rad or m]; inf without.
         published: Error against the published reference, in its measure; None without one.
         is_wrong: Whether that error is beyond what the reference demands of precise codes.

@@ -1,4 +1,4 @@
-"""Which runs make a work-precision diagram: integrators, and steps from coarse to fine."""
+"""Runs of a work-precision diagram: integrators, and steps from coarse to fine."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -60,7 +60,7 @@ CROSSED = "rk4"  # with it every formulation meets every stabilization
 
 
 def families(scene: Scene, quick: bool) -> list[str]:
-    """Those that say something of a scene."""
+    """Families that are informative for a scene."""
     switches = any(isinstance(force, DiscontinuousForce) for force in scene.forces)
     if switches:
         return ["semi_implicit_euler", "rk4", "dopri5", "filippov"]

@@ -1,4 +1,4 @@
-"""Which of many runs are worth their time: front, and cost at a wanted error."""
+"""Runs that are worth their time: front, and cost at a wanted error."""
 
 import math
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ def cost_at(points: Sequence[Point], error: float) -> float | None:
 
     Args:
         points: Any runs.
-        error: What is wanted.
+        error: Wanted error.
 
     Returns:
         None where no run is as precise; the cost of the cheapest run where that is more precise

@@ -15,7 +15,7 @@ _SETTLED = 2.0  # distance in last changes; a method of order 2 that approaches 
 
 
 class Approach(NamedTuple):
-    """What was found.
+    """Result of the check.
 
     Attributes:
         is_wrong: RATTLE settles on another motion.
@@ -31,7 +31,7 @@ def approach(scene: Scene, motion: Known) -> Approach:
 
     Accelerations need J' v, which RATTLE does not read: it keeps g = 0 and J v = 0 by impulses. A
     wrong drift therefore leaves RATTLE settled at a distance. Where it does not settle with these
-    steps, at a toggle, nothing is said.
+    steps, at a toggle, there is no result.
     """
     if not scene.system().rows:
         return Approach(False, "no rows")

@@ -1,4 +1,4 @@
-"""Published mechanisms with known motion: which scene, what is compared, and how it is scored."""
+"""Published mechanisms with known motion: their scenes, outputs and scores."""
 
 import json
 import math
@@ -45,7 +45,7 @@ class Problem(NamedTuple):
     Attributes:
         name: Name of the scene file, without `.yaml`.
         reference: Key of its reference; several scenes may share one.
-        outputs: State of all joints -> what the reference lists.
+        outputs: State of all joints -> outputs of the reference.
         relative: Whether the error is the largest one relative to the reference at the last sample
             (10^-scd of the Test Set for IVP Solvers) instead of the largest absolute one of all.
     """

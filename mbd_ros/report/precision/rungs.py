@@ -21,12 +21,12 @@ _USELESS = 1.0e3  # error of a run that says nothing [rad or m]
 
 
 def measure(scene: Scene, choice: Choice, motion: Known, repeats: int, most: float) -> Record:
-    """Run a scene and say how wrong and how slow that was.
+    """Run a scene and measure error and time.
 
     Args:
         scene: The scene.
         choice: How it is run.
-        motion: What it should do.
+        motion: The converged motion.
         repeats: How often it is run; the best time counts.
         most: Evaluations after which it is given up, looked at from sample to sample.
 

@@ -1,4 +1,4 @@
-"""What the page says about work and precision."""
+"""The section of the page about work and precision."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -104,7 +104,7 @@ def points_of(runs: Sequence[Mapping[str, Any]], agreement: float | None) -> lis
 
 
 def _choices(scenes: Mapping[str, Mapping[str, Any]]) -> Table:
-    """What to take for an error, and what it costs."""
+    """The cheapest choice for an error, and its cost."""
     rows = []
     for name, entry in scenes.items():
         runs, span = finished(entry["runs"]), f"{entry['times'][-1]:g} s"
@@ -125,7 +125,7 @@ def _priced(run: Mapping[str, Any]) -> str:
 
 
 def brief(choice: Choice) -> str:
-    """A choice without what a scene has by itself."""
+    """A choice without the defaults of its scene."""
     tolerance = choice.integrator.get("tolerance")
     kind = (choice.stabilization or {}).get("type", "projection")
     fineness = f"dt {choice.dt:g} s" if tolerance is None else f"tolerance {power(tolerance)}"
@@ -147,7 +147,7 @@ def _snippets(
 
 
 def power(value: float) -> str:
-    """A power of ten without zeros that say nothing: 1e-6."""
+    """A power of ten without leading zeros: 1e-6."""
     digits, _, exponent = f"{value:.0e}".partition("e")
     return f"{digits}e{int(exponent)}"
 

@@ -1,4 +1,4 @@
-"""Error against run time as a picture that is understood on a phone and in print."""
+"""Error against run time as a picture for a phone and for print."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -138,7 +138,7 @@ def _ticks(axis: Any, low: float, high: float, digits: Sequence[float], decades:
 
 
 def _legend(runs: Sequence[Mapping[str, Any]], peers: Mapping[str, Any]) -> list[Line2D]:
-    """At most a dozen: what is there of integrators and peers, and what looks mean."""
+    """At most a dozen entries: integrators, peers, and the meaning of symbols."""
     kinds = list(_series(runs))
     handles = []
     for kind in dict.fromkeys(kind for kind, _ in kinds):

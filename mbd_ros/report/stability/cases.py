@@ -1,4 +1,4 @@
-"""A scene, what its motion must be, and what a method can make of it."""
+"""A scene with its true motion, and the verdict on a method."""
 
 import math
 import re
@@ -39,7 +39,7 @@ class Verdict(NamedTuple):
     Attributes:
         kind: One of `VERDICTS`.
         error: Relative to the size of the motion; inf where it cannot be told.
-        text: Reason of a stop, or what is wrong.
+        text: Reason of a stop, or the fault.
     """
 
     kind: str
@@ -48,13 +48,13 @@ class Verdict(NamedTuple):
 
 
 def raised(error: Exception) -> Verdict:
-    """A stop where it is an error of this package; any other exception is what is looked for."""
+    """A stop where it is an error of this package; any other exception is a finding."""
     kind = STOPPED if isinstance(error, MbdError) else WRONG
     return Verdict(kind, math.inf, f"{type(error).__name__}: {error}")
 
 
 class Case:
-    """A scene with what its motion must be.
+    """A scene with its true motion.
 
     Args:
         loaded: The scene.
@@ -101,7 +101,7 @@ def tiers(scene: Scene, method: str) -> list[str]:
 
 
 def longest_step(method: str, rate: float) -> float:
-    """That `check` does not warn of [s]; infinite for a method that chooses its steps."""
+    """Longest step without a warning of `check` [s]; inf where the method chooses its steps."""
     return integrator(method).stable / rate
 
 

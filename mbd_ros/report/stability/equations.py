@@ -1,4 +1,4 @@
-"""Whether a scene obeys mechanics along its reference motion, whoever computed that."""
+"""Whether a scene obeys mechanics along its reference motion, of any origin."""
 
 import math
 
@@ -44,11 +44,11 @@ def equations(case: Case, tiers: list[str], stops: str | None = None) -> Verdict
 
 
 def unexpected(found: Verdict, stops: str | None) -> Verdict:
-    """A stop as what it is: wrong in a scene of this package that must not stop.
+    """Judge a stop: wrong in a scene of this package that must not stop.
 
     Args:
         found: A verdict.
-        stops: What the expected stop says, empty if none is; None for a scene of a user.
+        stops: Text of the expected stop, empty if none is; None for a scene of a user.
     """
     if found.kind != STOPPED or stops is None or (stops and stops in found.text):
         return found

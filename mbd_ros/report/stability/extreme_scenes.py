@@ -1,4 +1,4 @@
-"""Stiff and extreme scenes: one parameter each, driven beyond what is reasonable."""
+"""Stiff and extreme scenes: one parameter each, driven beyond reason."""
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,14 +30,14 @@ class Extreme(NamedTuple):
     """One row of the map.
 
     Attributes:
-        family: What is extreme.
-        label: How much.
+        family: The extreme property.
+        label: Its size.
         load: Reads the scene.
         grid: Times of the comparison.
         factor: Step in multiples of the longest one without a warning; with `dt` unused.
         dt: Step of all methods [s], or 0.
         seconds: About how long it takes.
-        stops: What the message of a stop that is expected here says; empty if none is.
+        stops: Text of the stop that is expected here; empty if none is.
         repeats: Whether another row has the runs of methods that choose their steps.
         known: Gives the motion by other equations than those of the scene; by default DOP853 does.
     """

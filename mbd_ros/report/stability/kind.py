@@ -108,14 +108,14 @@ def _row(
     stops: str | None,
     known: Known | None = None,
 ) -> Outcome:
-    """What a scene comes to: how far its motion is known, and its cells.
+    """The row of a scene: how far its motion is known, and its cells.
 
     Args:
         read: Reads the scene.
         grid: Times of the comparison; None for the usual ones.
         plan: The runs of a scene.
-        stops: What the expected stop of a scene of this package says, empty if it must not stop;
-            None for a scene of a user, which may.
+        stops: Text of the expected stop of a scene of this package, empty if it must not stop;
+            None for a scene of a user, which may stop.
         known: Gives the motion by other equations than those of the scene.
     """
     try:
@@ -163,11 +163,11 @@ def _cell(
     ran: float = 0.0,
     dt: float = 0.0,
 ) -> Outcome:
-    """What is stored: `factor` is what was asked for, `ran` and `dt` what the run had."""
+    """The stored cell: `factor` is the demand, `ran` and `dt` are those of the run."""
     facts = {"method": method, "factor": factor, "ran": ran, "dt": dt, "tier": tier}
     return {**facts, "kind": verdict.kind, "error": _short(verdict.error), "text": verdict.text}
 
 
 def _short(value: float) -> float:
-    """Three digits: what is beyond is rounding."""
+    """Three digits: all others are rounding."""
     return float(f"{value:.3g}")

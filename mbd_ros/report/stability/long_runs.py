@@ -35,7 +35,7 @@ _MICROSECONDS = {"pendulum": 30.0, "coupled_arm": 100.0, "four_bar": 200.0}  # a
 
 
 class RunSample(NamedTuple):
-    """What is kept of one instant of a run.
+    """One instant of a run.
 
     Attributes:
         t: Time [s].
@@ -96,7 +96,7 @@ def run(spec: Spec) -> Outcome:
 def _follow(
     simulation: Simulation, start: State, steps: int, oracle: Oracle, samples: list[RunSample]
 ) -> float:
-    """RunSample a run; returns the energy that it turns between kinetic and potential [J]."""
+    """Sample a run; returns the energy that it turns between kinetic and potential [J]."""
     every, first, swing = max(1, steps // SAMPLES), None, 0.0
     for i, x in enumerate(simulation.run(start, steps * simulation.dt)):
         if i % every == 0:

@@ -1,4 +1,4 @@
-"""What cells, numbers and labels of the map mean, a sentence each."""
+"""The meaning of cells, numbers and labels of the map, a sentence each."""
 
 from mbd_ros.report.stability.cases import BOUNDED, CONVERGED, STOPPED, UNKNOWN, WARNED, WRONG
 from mbd_ros.report.stability.steps import FITTING, LATEST

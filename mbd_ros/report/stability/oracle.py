@@ -29,7 +29,7 @@ _STENCIL = ((-2, -1.0), (-1, 16.0), (0, -30.0), (1, 16.0), (2, -1.0))  # twelfth
 
 
 class Oracle:
-    """What the equations of a scene demand, evaluated independently.
+    """The equations of a scene, evaluated independently.
 
     Args:
         loaded: The scene.
@@ -80,7 +80,7 @@ class Oracle:
         return power
 
     def complaints(self, system: System, y: State) -> list[str]:
-        """What is wrong with the accelerations and multipliers that a system finds.
+        """Faults of the accelerations and multipliers that a system finds.
 
         Args:
             system: The system.

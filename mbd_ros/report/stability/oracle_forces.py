@@ -1,4 +1,4 @@
-"""Forces and energies from what the scene file says, beside the parts that they check."""
+"""Forces and energies from the scene file, beside the parts that they check."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""Constraints evaluated from frame placements and from what the scene file says.
+"""Constraints evaluated from frame placements and from the scene file.
 
 It shares with the constraints that it checks only the names of links and joints, and the values
 of coupling functions. Types that are not known here fall back on the residual of the part.

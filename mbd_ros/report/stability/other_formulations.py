@@ -1,4 +1,4 @@
-"""Motion of extreme scenes by other equations than those that are tested."""
+"""Motion of extreme scenes by other equations than the tested ones."""
 
 from collections.abc import Callable, Sequence
 

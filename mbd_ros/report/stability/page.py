@@ -1,4 +1,4 @@
-"""What the page says of stability."""
+"""The section of the page about stability."""
 
 import math
 import re
@@ -57,7 +57,7 @@ def _name(row: Mapping[str, Any]) -> str:
 
 
 def _wrong(item: Item, outcome: Outcome) -> list[str]:
-    """What is wrong with an item, a line each, and how to see it again."""
+    """Faults of an item, a line each, and how to reproduce them."""
     lines = []
     for row in outcome.get("random", (outcome,)):
         spec = {"first": row["seed"], "count": 1} if "seed" in row else dict(item.spec)
@@ -77,7 +77,7 @@ def _cells(outcome: Outcome) -> list[Mapping[str, Any]]:
 
 
 def _mostly_stopped(cells: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Stops with a reason, each right by itself, that together say that nothing works."""
+    """Stops with a reason, each right by itself, so many that nothing works."""
     short = [cell for cell in cells if 0.0 < cell["factor"] <= _SHORT]
     stops = sum(cell["kind"] == STOPPED for cell in short)
     if len(short) < _TELLING or 2 * stops <= len(short):

@@ -26,8 +26,8 @@ def random_scene(seed: int) -> SceneText:
     """A scene of 1 to 12 joints; the same for the same seed.
 
     Loops are closed by construction: their points coincide at the initial configuration. The
-    initial velocities are random; the nearest ones that the constraints allow are where a
-    simulation begins.
+    initial velocities are random; a simulation begins at the nearest ones that the constraints
+    allow.
     """
     rng = np.random.default_rng([_STREAM, seed])
     n = int(rng.integers(1, 13))

@@ -1,4 +1,4 @@
-"""What a row of the map is called: its label, and what it is not."""
+"""The label of a row of the map."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""Which methods, tiers and steps a scene is run with, and at which times it is compared."""
+"""The methods, tiers and steps of the runs of a scene, and the times of the comparison."""
 
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ _TURNS, _LONGEST, _POINTS = 12.0, 0.12, 12  # span: in 1 / rate, and at most [s]
 
 
 class Run(NamedTuple):
-    """What a scene is run with.
+    """Method, tier and step of a run.
 
     Attributes:
         method: Key of `METHODS`.
@@ -56,7 +56,7 @@ def every_method(factor: float, dt: float, repeats: bool, scene: Scene) -> list[
 def some_methods(seed: int, scene: Scene) -> list[Run]:
     """Runs with methods and tiers that a seed chooses, and one multiple of the recommended step.
 
-    One for all of them, for a long step makes a long motion, which takes short steps long.
+    All take one multiple: a long step makes a long motion, for which short steps take long.
     """
     rng, runs = np.random.default_rng(seed), []
     factor = float(rng.choice(_FACTORS, p=_SHARES))

@@ -1,4 +1,4 @@
-"""Scenes as texts: what a report can keep, and what anyone can put into files again."""
+"""Scenes as texts, which a report keeps and which can become files again."""
 
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ class SceneText(NamedTuple):
 
 
 class LoadedScene(NamedTuple):
-    """A scene, and what its file says.
+    """A scene, and the sections of its file.
 
     Attributes:
         scene: The scene, built by `load_scene`.
