@@ -171,6 +171,31 @@ def test_every_file_keeps_to_its_layer():
     assert not rows, "\n".join(rows)
 
 
+THRESHOLDS = "mbd_ros/core/thresholds.py"
+RANK_WORDS = ("TOGGLE", "FOLD", "RANK", "SINGULAR", "REDUNDANT", "TINY")
+
+
+def numbers(path):
+    """Names of the module-level floats of a file, without leading underscores."""
+    for n in ast.parse((ROOT / path).read_text(encoding="utf-8")).body:
+        if isinstance(n, ast.Assign) and isinstance(getattr(n.value, "value", None), float):
+            yield from (t.id.strip("_") for t in n.targets if isinstance(t, ast.Name))
+
+
+def test_a_threshold_has_one_home_and_a_use():
+    known = set(numbers(THRESHOLDS))
+    others = [str(p) for p in FILES if str(p) != THRESHOLDS]
+    again = [
+        f"{path}: {name}"
+        for path in others
+        for name in numbers(path)
+        if name in known or any(word in name.split("_") for word in RANK_WORDS)
+    ]
+    assert not again, "\n".join(again)
+    text = "".join((ROOT / path).read_text(encoding="utf-8") for path in others)
+    assert [name for name in known - {"REDUNDANT"} if name not in text] == []
+
+
 @pytest.mark.parametrize(
     ("path", "source"),
     [

@@ -11,16 +11,16 @@ TINY = 1.0e-300  # A divisor that was zero: what it divides neither overflows no
 # square of it, so that a solve with A loses twice as many digits.
 TOGGLE = 1.0e6  # Rows in the mass metric. Four digits of the multipliers are left: unreliable.
 NEAR_TOGGLE = 1.0e4  # The same. Eight are left: eigenvalues take over from Cholesky factors.
-FOLD = 1.0e3  # Rows of the joints that are not measured. Their motion is that much larger than
-# that of the measured ones, which no longer tells two branches of a loop apart.
+FOLD = 1.0e3  # Raw rows of the joints that nobody measures. They move so much more than the
+# measured ones that these no longer tell two branches of a loop apart.
 TOGGLE_RISE = 30.0  # Largest condition number of a run over its smallest: a toggle was passed.
 
 # Ranks of products such as A, by eigenvalues or by the reciprocal condition, relative to the
 # largest eigenvalue. A is scaled to a diagonal of at most one wherever units could differ.
-NEARLY_SINGULAR = 1.0e-9  # Left out of a solve: rounding of 1e-16 would appear as 1e-7 of motion.
+NEARLY_SINGULAR = 1.0e-9  # Left out of a solve: at a toggle it would turn rounding into motion.
 _REDUNDANT = 1.0e-13  # See `redundant`.
-SINGULAR_MASS = 1.0e-16  # Of a mass matrix with ones on its diagonal, times its size. It is no
-# product that has rounded before, and light links beside heavy ones come down to 1e-14.
+SINGULAR_MASS = 1.0e-16  # Times the size of a mass matrix with ones on its diagonal. It is smaller
+# than `redundant`: a mass matrix is summed over bodies and is no product of a solve.
 MASSLESS = 1.0e-30  # Of the largest moment of inertia: what rounding leaves of none, squared.
 
 # Ranks of the rows themselves, by singular values. They see further than products do. With 1e-6,
@@ -32,10 +32,10 @@ FIXED_BY_OTHERS = 1.0e-9  # Of a row of length one: what rounding leaves where o
 ROUNDED_ROW = 1.0e-13  # Entries of a row [m/rad or 1]: no mechanism has rows as small as that.
 ZERO_ROW = 1.0e-20  # Of the largest A_ii: what rounding leaves of J = 0, squared.
 SMALL_ROW = 1.0e-12  # A_ii [1/kg or 1/(kg m^2)] above which the two tests above are not made.
-HELD = 1.0e-12  # Of the motion without rows: what they leave of it where they hold a joint.
+HELD_BY_ROWS = 1.0e-12  # Of a motion without rows: what is left of it where rows hold a joint.
 CONTRADICTION = 1.0e-5  # Of the terms that should cancel in dependent rows. Directions that are
 # shorter than 1e-6 count as dependent, and are off by as much.
-NO_CONTRADICTION = 1.0e-12  # The same where all terms are zero [1/s^2 in scaled rows].
+NO_CONTRADICTION = 1.0e-12  # The same, in the mass metric, where all terms are zero.
 
 # States on constraints and at limits, in rad or m of mechanisms of some metres.
 LANDED = 1.0e-13  # |g|, or a step, where Newton's method ends: some rounding errors.
@@ -46,10 +46,12 @@ REACHED = 1.0e-9  # Distance from a limit that counts as reached.
 CLOSED_GAP = 1.0e-12  # Of the largest gap to a limit: what may be left of it, or reach beyond.
 BRANCH_STEP = 0.5  # Longest step of an iteration, so that it stays on the branch it is on.
 
+SAME_TIME = 1.0e-9  # Of a step: two times that are meant to be the same, after sums of steps.
+
 
 def redundant(n: int) -> float:
     """What rounding leaves of a zero eigenvalue of an n x n product, relative to the largest.
 
-    The sums in a product grow with its size; below ten rows other rounding is larger.
+    Rounding grows with the sums in a product; small ones count as ten rows.
     """
     return _REDUNDANT * max(n, 10)

@@ -13,7 +13,7 @@ from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_order import RowOrder
 from mbd_ros.core.state import Array, Solution, State
-from mbd_ros.core.thresholds import HELD, NEAR_TOGGLE
+from mbd_ros.core.thresholds import HELD_BY_ROWS, NEAR_TOGGLE
 from mbd_ros.errors import SolveError
 
 _EXACT = 1.0e-20  # square of the accepted residual of the rows, relative
@@ -71,7 +71,7 @@ class BilateralSystem(System):
         factor = self.factorise(M, J)
         free = np.linalg.solve(M, forces)
         moved = free - factor.X.dot(factor.solve(J.dot(free)))
-        held = np.abs(moved).max(axis=0) <= HELD * np.abs(free).max(axis=0)
+        held = np.abs(moved).max(axis=0) <= HELD_BY_ROWS * np.abs(free).max(axis=0)
         moved[:, held] = 0.0
         return moved
 

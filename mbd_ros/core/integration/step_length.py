@@ -2,7 +2,8 @@
 
 import math
 
-_ROUNDING = 1.0e-9  # of dt: two times that are meant to be the same
+from mbd_ros.core.thresholds import SAME_TIME
+
 NEAR = 1.0 + 1.0e-6  # in dt: no step needs `clip` that starts farther than this from the end
 
 
@@ -21,6 +22,6 @@ def clip(t: float, dt: float, end: float) -> tuple[float, float]:
         Length, <= 0 at or after `end`, and time after it [s].
     """
     left = end - t
-    if abs(left - dt) <= _ROUNDING * dt + 4.0 * math.ulp(t):
+    if abs(left - dt) <= SAME_TIME * dt + 4.0 * math.ulp(t):
         return dt, end
     return (left, end) if left < dt else (dt, t + dt)

@@ -14,7 +14,7 @@ from mbd_ros.core.optimization.active_set import Sides, factored, passed
 from mbd_ros.core.optimization.box_qp import Statistics
 from mbd_ros.core.optimization.complementarity import ComplementarityProblem
 from mbd_ros.core.state import Array
-from mbd_ros.core.thresholds import CLOSED_GAP, HELD, REACHED
+from mbd_ros.core.thresholds import CLOSED_GAP, HELD_BY_ROWS, REACHED
 
 _EXCHANGES = 6
 
@@ -124,7 +124,7 @@ class LimitForces:
         C, mobility = compliance.moves(self._identity), compliance.mobility()
         gap = np.concatenate([p - low, high - p])
         A = self._sides[:, None] * np.tile(0.5 * (C + C.T), (2, 2)) * self._sides
-        movable = np.isfinite(gap) & (A.diagonal() > HELD * np.tile(mobility, 2))
+        movable = np.isfinite(gap) & (A.diagonal() > HELD_BY_ROWS * np.tile(mobility, 2))
         scale = np.where(movable, 1.0 / np.sqrt(np.where(movable, A.diagonal(), 1.0)), 0.0)
         scaled = scale[:, None] * A * scale, scale * np.where(movable, gap, 0.0)
         force = scale * pushers.solve(*scaled)

@@ -12,9 +12,8 @@ from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.core.simulation.simulation import Simulation, last_finite
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import SAME_TIME
 from mbd_ros.errors import DivergedError, MbdError, ModelError, SolveError
-
-_FITS = 1.0e-9  # of a step: two periods that are meant to be the same
 
 
 class Snapshot(NamedTuple):
@@ -78,7 +77,7 @@ class LiveSimulation:
         if robot.floating:
             raise ModelError("joint states carry no pose of a floating base; use base: fixed")
         self._count = round(self._period / dt)
-        if self._count < 1 or abs(self._count * dt - self._period) > _FITS * dt:
+        if self._count < 1 or abs(self._count * dt - self._period) > SAME_TIME * dt:
             raise ModelError(
                 f"a tick of {self._period:g} s is no whole number of steps of dt {dt:g} s; "
                 "choose another rate or dt"

@@ -13,13 +13,13 @@ from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.simulation.stall import PATIENCE, WINDOW, Notice, StallWatch, refuse_crawl
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import SAME_TIME
 from mbd_ros.errors import DivergedError, ModelError, SolveError
 
 Commands = Callable[[float], Array]
 _SHOWN = 8  # joints in a message
 _IN_REACH = 1.0e6  # rad or m: where a mass matrix still says something of the robot
 _STRIDE = 16  # steps after which a state must be finite
-_ROUNDING = 1.0e-9  # of dt: two times that are meant to be the same
 
 
 class Simulation:
@@ -92,10 +92,10 @@ class Simulation:
         """
         y = self.start(x)
         yield self.system.expand(y)
-        begin, count = y.t, math.ceil(duration / self.dt - _ROUNDING)
+        begin, count = y.t, math.ceil(duration / self.dt - SAME_TIME)
         last, u, k = begin + duration, None, 1
         resolution = 2.0 * math.ulp(max(abs(begin), abs(last)))
-        slack = max(_ROUNDING * self.dt, resolution)
+        slack = max(SAME_TIME * self.dt, resolution)
         watch, look_at = StallWatch(self.system, self.dt, notice), self.steps + WINDOW
         watch.begin(begin)
         while k <= count:
@@ -135,7 +135,7 @@ class Simulation:
             SolveError: Equations contradict one another.
         """
         is_looked_at = self._is_corrected or self.overshoots is not None
-        nearly = due - max(_ROUNDING * self.dt, 2.0 * math.ulp(due))
+        nearly = due - max(SAME_TIME * self.dt, 2.0 * math.ulp(due))
         begin, first, look_at = y.t, self.steps, self.steps + PATIENCE * WINDOW
         while y.t < nearly:
             if self.steps >= look_at:

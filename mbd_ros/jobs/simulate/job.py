@@ -14,7 +14,7 @@ from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.projection.assembly import violation
 from mbd_ros.core.simulation.simulation import Commands, Simulation
 from mbd_ros.core.state import NANOSECOND, Array, State
-from mbd_ros.core.thresholds import TOGGLE
+from mbd_ros.core.thresholds import SAME_TIME, TOGGLE
 from mbd_ros.errors import (
     FAILED,
     INTERRUPTED,
@@ -34,8 +34,6 @@ from mbd_ros.jobs.simulate.inputs import Run, check_words, drives, initial_state
 from mbd_ros.jobs.simulate.step_check import step_warnings
 from mbd_ros.scene.built_scene import SHORTEST_DT, Scene
 from mbd_ros.scene.start_check import start_warnings
-
-_ROUNDING = 1.0e-9  # of dt
 
 
 class Interrupted(MbdError):
@@ -103,8 +101,8 @@ def _interval(scene: Scene, run: Run) -> float:
 
 def _duration(run: Run, dt: float) -> float:
     """That of the run, without a last interval that is too short to have a stamp of its own."""
-    count = math.floor(run.duration / dt + _ROUNDING)
-    is_sliver = _ROUNDING * dt < run.duration - count * dt < SHORTEST_DT
+    count = math.floor(run.duration / dt + SAME_TIME)
+    is_sliver = SAME_TIME * dt < run.duration - count * dt < SHORTEST_DT
     return count * dt if is_sliver else run.duration
 
 
