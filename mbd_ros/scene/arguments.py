@@ -45,12 +45,15 @@ class Argument(NamedTuple):
     text: str
 
 
-def arguments(constructor: Callable[..., Any], skip: int = 0) -> tuple[Argument, ...]:
+def arguments(
+    constructor: Callable[..., Any], skip: int = 0, only: Sequence[str] | None = None
+) -> tuple[Argument, ...]:
     """The arguments of a class, in the order of its constructor.
 
     Args:
         constructor: A class, a NamedTuple too, or a function.
         skip: Number of first arguments to leave out: those that no user gives.
+        only: Names of the arguments that are read; None reads all.
 
     Raises:
         ModelError: An argument has no annotation, or one of another kind than `ACCEPTED`.
@@ -62,7 +65,8 @@ def arguments(constructor: Callable[..., Any], skip: int = 0) -> tuple[Argument,
     texts = entries(constructor.__doc__, "Attributes" if fields else "Args")
     texts = texts or entries(made_by.__doc__)
     parameters = list(inspect.signature(constructor).parameters.values())[skip:]
-    return tuple(_argument(p, hints.get(p.name), texts.get(p.name, "")) for p in parameters)
+    wanted = [p for p in parameters if only is None or p.name in only]
+    return tuple(_argument(p, hints.get(p.name), texts.get(p.name, "")) for p in wanted)
 
 
 def _argument(parameter: inspect.Parameter, hint: Any, text: str) -> Argument:

@@ -15,6 +15,10 @@ from nodes.conftest import ROOT
 from nodes.joint_stream import ACTIVE
 
 from mbd_ros.cli import main
+from mbd_ros.core.control.chatter import ChatterMeter
+from mbd_ros.core.control.reference_generator import ReferenceGenerator
+from mbd_ros.core.estimation.joint_observer import Tuning
+from mbd_ros.core.projection.state_projection import StateProjector
 from mbd_ros.nodes.controller import laws
 from mbd_ros.nodes.shell.parameters import PARAMETERS
 from mbd_ros.nodes.table import NODES
@@ -149,7 +153,7 @@ def test_gains_are_the_arguments_of_the_laws_and_nothing_else(node, names):
             assert (default, parameter.low) == (gain.default, gain.low), (law, gain.name)
             assert (parameter.high, parameter.choices) == (gain.high, gain.choices)
             if gain.kind is float:
-                assert gain.unit and f"[{gain.unit}]" in parameter.text
+                assert gain.unit == "-" or f"[{gain.unit}]" in parameter.text
             assert gain.text.rstrip(".") in parameter.text
             assert len(names) == 1 or law in parameter.text
             assert not parameter.read_only
@@ -162,3 +166,30 @@ def test_every_registered_law_has_a_node():
 
 def resolved(law):
     return resolve("controllers", law, "test")
+
+
+@pytest.mark.parametrize(
+    ("node", "constructor", "names", "skip"),
+    [
+        ("inverse_dynamics", Tuning, {name: name for name in Tuning._fields}, 0),
+        ("joint_state_projector", StateProjector, {"amplification": "amplification"}, 1),
+        ("qp_controller", ChatterMeter, {"cutoff": "chatter_cutoff"}, 1),
+        (
+            "qp_controller",
+            ReferenceGenerator,
+            {name: f"reference_{name}" for name in ("ramp", "ramp_speed", "timeout")},
+            1,
+        ),
+    ],
+)
+def test_what_goes_straight_into_a_constructor_has_its_default_and_range(
+    node, constructor, names, skip
+):
+    own = declared(node)
+    found = {a.name: a for a in arguments(constructor, skip, tuple(names))}
+    assert found.keys() == names.keys()
+    for argument, name in names.items():
+        given, parameter = found[argument], own[name]
+        assert (given.default, given.low, given.high) == parameter[3:6]
+        assert given.low > -math.inf and given.high < math.inf
+        assert parameter.text.startswith(given.text.rstrip("."))

@@ -1,13 +1,12 @@
 """How much a stream of commands chatters."""
 
 import math
+from typing import Annotated
 
 import numpy as np
 
+from mbd_ros.core.ranges import Unit, Within
 from mbd_ros.core.state import Array
-
-DEFAULT_CUTOFF = 20.0  # Hz; arm and leg movements stay below 10 Hz
-DEFAULT_MEMORY = 0.5  # s
 
 
 class ChatterMeter:
@@ -27,8 +26,9 @@ class ChatterMeter:
 
     Args:
         size: Number of joints.
-        cutoff: f [Hz], > 0.
-        memory: T [s], > 0.
+        cutoff: Frequency f from which motion of a command counts as chatter; arm and leg
+            movements stay below 10 Hz.
+        memory: T, > 0.
 
     Attributes:
         energy: E of each joint [(N·m)^2 or N^2], shape (n,); a new array each update.
@@ -37,7 +37,10 @@ class ChatterMeter:
     """
 
     def __init__(
-        self, size: int, cutoff: float = DEFAULT_CUTOFF, memory: float = DEFAULT_MEMORY
+        self,
+        size: int,
+        cutoff: Annotated[float, Within(1.0e-3, 1.0e6), Unit("Hz")] = 20.0,
+        memory: Annotated[float, Unit("s")] = 0.5,
     ) -> None:
         self._w = 2.0 * math.pi * cutoff / math.sqrt(1.0 + math.sqrt(2.0))
         self._memory = memory

@@ -1,10 +1,13 @@
 """The reference of a controller: a held state, single targets or trajectories, without jumps."""
 
+from typing import Annotated
+
 import numpy as np
 
 from mbd_ros.core.control.contract import ControlledJoints, Reference
 from mbd_ros.core.control.reference_limits import ReferenceLimits, TargetError
 from mbd_ros.core.control.trajectory import PEAK_SPEED, ReferenceTrajectory, slopes
+from mbd_ros.core.ranges import Unit, Within
 from mbd_ros.core.state import Array
 
 _SHORTEST = 1.0e-4  # s
@@ -29,9 +32,9 @@ class ReferenceGenerator:
 
     Args:
         joints: The controlled joints, whose limits targets must keep.
-        ramp: Shortest time in which an offset decays [s], >= 0.
-        ramp_speed: Share of the velocity limits for ramps, above 0, at most 1.
-        timeout: Age at which a target counts as stale [s], > 0.
+        ramp: Shortest time to a reference that jumps, in which its offset decays.
+        ramp_speed: Share of the velocity limits for such ramps.
+        timeout: Age of a single target from which it is held.
 
     Attributes:
         ramp: See above; may change at any time.
@@ -43,9 +46,9 @@ class ReferenceGenerator:
     def __init__(
         self,
         joints: ControlledJoints,
-        ramp: float = 0.5,
-        ramp_speed: float = 0.5,
-        timeout: float = 0.5,
+        ramp: Annotated[float, Within(0.0, 60.0), Unit("s")] = 0.5,
+        ramp_speed: Annotated[float, Within(1.0e-3, 1.0), Unit("-")] = 0.5,
+        timeout: Annotated[float, Within(1.0e-3, 60.0), Unit("s")] = 0.5,
     ) -> None:
         self.ramp, self.ramp_speed, self.timeout = ramp, ramp_speed, timeout
         self._limits = ReferenceLimits(joints)

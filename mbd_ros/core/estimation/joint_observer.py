@@ -1,6 +1,6 @@
 """Joint-state samples -> accepted samples with derivatives, holes filled for a while."""
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.estimation.differentiation import CausalDifferentiator, SampleStatus
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import Unit, Within
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import ModelError
 
@@ -19,18 +20,18 @@ class Tuning(NamedTuple):
     """How samples are judged and filtered.
 
     Attributes:
-        cutoff: Half-power frequency of the derivative filters [Hz].
-        velocity_margin: Steps beyond margin x velocity limit x dt are encoder glitches.
+        cutoff: Half-power frequency of the causal filters of derivatives.
+        velocity_margin: Position steps beyond margin x velocity limit x dt are encoder glitches.
         patience: Number of glitches in a row that are believed.
-        max_age: How long a joint that messages lack keeps its last position [s].
-        rewind: A stamp older than the last by more than this is a new beginning [s].
+        max_age: How long a joint that messages lack keeps its last position.
+        rewind: A stamp older than the last by more than this is a new beginning.
     """
 
-    cutoff: float = 5.0
-    velocity_margin: float = 2.0
-    patience: int = 5
-    max_age: float = 0.1
-    rewind: float = 1.0
+    cutoff: Annotated[float, Within(1.0e-3, 1.0e6), Unit("Hz")] = 5.0
+    velocity_margin: Annotated[float, Within(0.1, 1.0e6), Unit("-")] = 2.0
+    patience: Annotated[int, Within(1, 10_000)] = 5
+    max_age: Annotated[float, Within(0.0, 60.0), Unit("s")] = 0.1
+    rewind: Annotated[float, Within(0.0, 3600.0), Unit("s")] = 1.0
 
 
 class Observation(NamedTuple):

@@ -8,7 +8,7 @@ W is the mass matrix at the measured state; `nearest_state.metric_of` defines it
 were not measured. Source: E. Eich, SIAM J. Numer. Anal. 30 (1993).
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from mbd_ros.core.projection.nearest_configuration import Rows
 from mbd_ros.core.projection.nearest_coupled import NearestCoupled
 from mbd_ros.core.projection.nearest_on_rows import NearestOnRows
 from mbd_ros.core.projection.nearest_state import metric_of
+from mbd_ros.core.ranges import Unit, Within
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -93,9 +94,9 @@ class StateProjector:
 
     Args:
         system: All joints of a fixed-base robot, the rows to keep as its `rows`.
-        limits: Whether the position limits of the joints are kept.
+        limits: Whether the position limits of the robot description are kept.
         amplification: Largest accepted ratio of an error in a reconstructed joint to errors of
-            measured ones.
+            measured ones; a missing joint beyond it is held instead.
 
     Attributes:
         lower: Smallest position of each joint, shape (nv,).
@@ -106,7 +107,11 @@ class StateProjector:
     """
 
     def __init__(
-        self, system: System, *, limits: bool = True, amplification: float = 20.0
+        self,
+        system: System,
+        *,
+        limits: bool = True,
+        amplification: Annotated[float, Within(1.0, 1.0e6), Unit("-")] = 20.0,
     ) -> None:
         joints, n = system.robot.joints, system.nv
         if system.robot.floating:

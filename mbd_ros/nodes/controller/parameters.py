@@ -5,18 +5,21 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.control.chatter import DEFAULT_CUTOFF
+from mbd_ros.core.control.chatter import ChatterMeter
 from mbd_ros.core.control.contract import ControlledJoints
+from mbd_ros.core.control.reference_generator import ReferenceGenerator
 from mbd_ros.core.parts import Actuator
 from mbd_ros.core.state import Array
 from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS as INVERSE_DYNAMICS
 from mbd_ros.nodes.inverse_dynamics.parameters import tunable
+from mbd_ros.nodes.shell.constructor_parameters import of
 from mbd_ros.nodes.shell.parameters import Parameter, ParameterError
 
 _SHARED = (
     *("scene", "allow_code", "cutoff", "velocity_margin", "patience", "max_age", "rewind"),
     *("clock_tolerance", "coupling_tolerance"),
 )
+_REFERENCE = {name: f"reference_{name}" for name in ("ramp", "ramp_speed", "timeout")}
 EACH = " One value, or one a joint."
 
 COMMON = (
@@ -37,13 +40,7 @@ COMMON = (
         "timeout", 0.1, 1e-3, 60.0, "Silence of the joint states until the command goes safe [s]."
     ),
     tunable("safe_ramp", 0.2, 0.0, 60.0, "Time in which control and safe command change [s]."),
-    tunable("reference_ramp", 0.5, 0.0, 60.0, "Shortest time to a reference that jumps [s]."),
-    tunable(
-        "reference_ramp_speed", 0.5, 1e-3, 1.0, "Share of the velocity limits for such ramps."
-    ),
-    tunable(
-        "reference_timeout", 0.5, 1e-3, 60.0, "Age of a ~/reference from which it is held [s]."
-    ),
+    *of(ReferenceGenerator, _REFERENCE, skip=1, read_only=False),
     Parameter(
         "constraints.trajectory",
         list[float],
@@ -84,14 +81,7 @@ COMMON = (
         "Multiple of the error bound of the law beyond which the command goes safe; 0: never.",
     ),
     tunable("failures", 20, 1, 1_000_000, "Failures of the law in a row that deactivate."),
-    Parameter(
-        "chatter_cutoff",
-        float,
-        "Frequency from which motion of a command counts as chatter [Hz].",
-        DEFAULT_CUTOFF,
-        low=1e-3,
-        high=1e6,
-    ),
+    *of(ChatterMeter, {"cutoff": "chatter_cutoff"}, skip=1),
 )
 
 

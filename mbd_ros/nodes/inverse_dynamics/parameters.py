@@ -3,9 +3,8 @@
 from typing import Any
 
 from mbd_ros.core.estimation.torque_estimator import Tuning
+from mbd_ros.nodes.shell.constructor_parameters import of
 from mbd_ros.nodes.shell.parameters import Parameter
-
-_DEFAULT = Tuning()
 
 
 def tunable(name: str, default: float, low: float, high: float, text: str) -> Parameter:
@@ -23,31 +22,7 @@ ALLOW_CODE = Parameter(
 PARAMETERS = (
     Parameter("scene", str, "Scene: a file, or the name of an embedded one."),
     ALLOW_CODE,
-    tunable(
-        "cutoff", _DEFAULT.cutoff, 1e-3, 1e6, "Half-power frequency of the causal filters [Hz]."
-    ),
-    tunable(
-        "velocity_margin",
-        _DEFAULT.velocity_margin,
-        0.1,
-        1e6,
-        "Position steps beyond margin x velocity limit x dt are encoder glitches.",
-    ),
-    tunable("patience", _DEFAULT.patience, 1, 10_000, "Glitches in a row that are believed."),
-    tunable(
-        "max_age",
-        _DEFAULT.max_age,
-        0.0,
-        60.0,
-        "How long a joint that messages lack keeps its last position [s].",
-    ),
-    tunable(
-        "rewind",
-        _DEFAULT.rewind,
-        0.0,
-        3600.0,
-        "A stamp older than the last by more than this is a new beginning [s].",
-    ),
+    *of(Tuning, {name: name for name in Tuning._fields}, read_only=False),
     tunable(
         "timeout", 0.5, 1e-3, 3600.0, "Age of the newest joint state that is reported STALE [s]."
     ),

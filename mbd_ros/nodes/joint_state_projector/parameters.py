@@ -1,7 +1,9 @@
 """Parameters of the node `joint_state_projector`."""
 
+from mbd_ros.core.projection.state_projection import StateProjector
 from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS as INVERSE_DYNAMICS
 from mbd_ros.nodes.inverse_dynamics.parameters import tuning
+from mbd_ros.nodes.shell.constructor_parameters import of
 from mbd_ros.nodes.shell.parameters import Parameter
 
 __all__ = ["PARAMETERS", "tuning"]
@@ -12,16 +14,7 @@ _SHARED = (
 
 PARAMETERS = (
     *(parameter for parameter in INVERSE_DYNAMICS if parameter.name in _SHARED),
-    Parameter("limits", bool, "Keep the position limits of the robot description.", True),
-    Parameter(
-        "amplification",
-        float,
-        "A missing joint whose error would exceed those of the measured ones by more than this "
-        "is held instead of reconstructed [-].",
-        20.0,
-        low=1.0,
-        high=1e6,
-    ),
+    *of(StateProjector, {"limits": "limits", "amplification": "amplification"}, skip=1),
     Parameter(
         "violation_tolerance",
         float,

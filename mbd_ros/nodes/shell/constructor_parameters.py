@@ -1,7 +1,31 @@
 """Parameters that follow from the arguments of constructors."""
 
+from collections.abc import Callable, Mapping
+from typing import Any
+
 from mbd_ros.nodes.shell.parameters import Parameter
-from mbd_ros.scene.arguments import Argument
+from mbd_ros.scene.arguments import Argument, arguments
+
+
+def of(
+    constructor: Callable[..., Any],
+    names: Mapping[str, str],
+    *,
+    skip: int = 0,
+    read_only: bool = True,
+) -> tuple[Parameter, ...]:
+    """Parameters whose values become arguments of a constructor.
+
+    Args:
+        constructor: Where kind, default, range, unit and text stand.
+        names: Argument -> name of the parameter.
+        skip: So many first arguments come from elsewhere.
+        read_only: See `Parameter`.
+    """
+    found = {argument.name: argument for argument in arguments(constructor, skip, tuple(names))}
+    return tuple(
+        parameter(found[argument], name, read_only=read_only) for argument, name in names.items()
+    )
 
 
 def parameter(
@@ -21,7 +45,7 @@ def parameter(
         is_one = isinstance(default, int | float)
         default = (float(default),) if is_one else default and tuple(default)
     text = argument.text.removesuffix(".")
-    unit = f"[{argument.unit}]" if argument.unit else ""
+    unit = f"[{argument.unit}]" if argument.unit not in ("", "-") else ""
     words = (text, "" if unit in text else unit)
     return Parameter(
         name,
