@@ -77,6 +77,14 @@ def test_an_unknown_name_says_the_nearest(capsys, name, said):
     assert capsys.readouterr() == ("", f"mbd-ros check: {caught.value}\n")
 
 
+def test_a_report_takes_names_too(capsys, tmp_path):
+    """What is wrong with one is said before anything runs."""
+    assert main(["report", "arm7", "arm8", "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("mbd-ros report: arm8: there is no such file") and "arm7;" in said
+    assert not (tmp_path / "out").exists()
+
+
 def test_scenes_lists_all_with_a_line_each(capsys):
     assert main(["scenes"]) == 0
     rows = [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()]

@@ -55,7 +55,9 @@ def all_words() -> Mapping[str, Words]:
 def _words(name: str, scenes: Sequence[str]) -> Words:
     parser = argparse.ArgumentParser()
     command_module(name).add_arguments(parser)
-    options, values, files = [], [], False
+    options: list[Option] = []
+    values: list[str] = []
+    files = False
     for argument in parser._actions:  # argparse shows them nowhere else
         known = scenes if names_scenes(argument) else list(map(str, argument.choices or ()))
         is_file = argument.type is path_word or names_scenes(argument)
