@@ -15,6 +15,7 @@ from mbd_ros.cli import main
 from mbd_ros.errors import DataError
 from mbd_ros.files import formats
 from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.jobs.completion.words import all_words
 from mbd_ros.report.readme import BEGIN, END
 
 ROOT = Path(__file__).parents[1]
@@ -113,6 +114,27 @@ def test_every_goal_of_make_exists(page):
     goals = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
     named = re.findall(r"(?:`|^)make ([a-z-]+)", page.read_text(encoding="utf-8"), re.MULTILINE)
     assert set(named) <= set(goals)
+
+
+OTHERS = {"--ros-args", "--params-file", "--full-length", "--nthreads", "--nworkers", "--help"}
+EXAMPLES = {"weigh": ("--limit",)}  # commands of docs/extend.md
+FUZZ = {"--keep"}  # python -m fuzz.run
+
+
+@pytest.fixture(scope="module")
+def words():
+    return all_words()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=IDS)
+def test_every_command_and_option_exists(page, words):
+    text = page.read_text(encoding="utf-8")
+    known = {name for w in words.values() for option in w.options for name in option.names}
+    known |= OTHERS | FUZZ | {name for names in EXAMPLES.values() for name in names}
+    options = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text))
+    commands = set(re.findall(r"(?:`|^|\. )mbd-ros ([a-z_]+)", text, re.MULTILINE))
+    assert options <= known
+    assert commands <= {*words, *EXAMPLES}
 
 
 def test_the_readme_lists_every_page():
