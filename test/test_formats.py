@@ -336,7 +336,7 @@ def test_a_format_that_cannot_be_imported_is_named(monkeypatch, tmp_path):
 
 def test_without_pyarrow_the_error_says_what_to_install(tmp_path, result, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(DataError, match="o.parquet: pyarrow is not installed: pip install"):
+    with pytest.raises(DataError, match=".parquet: pyarrow is not installed: pip install"):
         result.to(tmp_path / "o.parquet")
     assert list(tmp_path.iterdir()) == []
 

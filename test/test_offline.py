@@ -11,7 +11,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.bags import BagWriter, new_message
 from mbd_ros.files.csv import read_table, write_table
 from mbd_ros.jobs.inverse.derivatives import Derivatives
-from mbd_ros.jobs.inverse.job import inverse_dynamics_of
+from mbd_ros.jobs.inverse.job import Task, inverse_to
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import write_joint_state
 from msg_adapters.wrench import write_wrench
@@ -69,7 +69,8 @@ def plate_table(path, times=(-0.1, 1.0)):
 def run(scene, source, out, kind="given", **options):
     """Lines that are said, and columns that are written."""
     scene = scene if not isinstance(scene, Path) else load_scene(scene)
-    lines = list(inverse_dynamics_of(scene, source, out, derivatives=Derivatives(kind), **options))
+    lines = []
+    inverse_to(scene, Task(source, Derivatives(kind), **options), out, lines.append)
     result = read_table(out)
     return lines, dict(zip(result.columns, result.values.T, strict=True))
 
@@ -112,7 +113,7 @@ def test_causal_result_is_that_of_the_estimator_fed_message_by_message(tmp_path)
 @pytest.mark.parametrize("name", ["out.csv", "out.csv.gz"])
 def test_given_derivatives_give_the_torques_of_the_solver(tmp_path, name):
     source, plate = table(tmp_path / "m.csv"), plate_table(tmp_path / "w.csv")
-    _, ours = run(STANCE, source, tmp_path / name, wrenches=plate, with_parts=True)
+    _, ours = run(STANCE, source, tmp_path / name, wrenches=plate, parts=True)
     scene = load_scene(STANCE)
     order = [NAMES.index(joint) for joint in scene.couplings.independent]
     for i in (0, 57, 99):

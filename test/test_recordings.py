@@ -16,8 +16,8 @@ from mbd_ros.files.bags import BagWriter, messages, new_message, topic_types
 from mbd_ros.files.csv import read_table
 from mbd_ros.files.formats import is_bag
 from mbd_ros.files.recordings import read_motion, read_wrenches
-from mbd_ros.files.records import TorqueRecord
-from mbd_ros.files.results import write_torques
+from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.files.times import time_columns
 from mbd_ros.jobs.progress import progress
 from msg_adapters.time import write_time
 from msg_adapters.wrench import write_wrench
@@ -220,63 +220,67 @@ def test_wrench_topic_that_changes_its_frame_is_refused(tmp_path):
         read_wrenches(path, {"l": "/plate"})
 
 
-@pytest.fixture
-def torques():
+FIELDS = ("position", "velocity", "acceleration", "effort", "gravity", "external")
+TOPICS = {
+    "/joint_torques": {"effort": "effort", "position": "position", "velocity": "velocity"},
+    "/constraint_forces": {"effort": "multiplier"},
+    "/joint_torques/gravity": {"effort": "gravity"},
+    "/joint_torques/external": {"effort": "external"},
+}
+
+
+def torques(begin=1000 * SECOND):
     """Two independent joints, one dependent, two parts, 50 samples at 1 kHz."""
     rng = np.random.default_rng(4)
-    return TorqueRecord(
-        stamps=1_000_000 * np.arange(50) + 1000 * SECOND,
-        joints=("hip", "knee"),
-        position=rng.standard_normal((50, 2)),
-        velocity=rng.standard_normal((50, 2)),
-        acceleration=rng.standard_normal((50, 2)),
-        effort=rng.standard_normal((50, 2)),
-        dependent=("slide",),
-        multiplier=rng.standard_normal((50, 1)),
-        parts={"gravity": rng.standard_normal((50, 2)), "external": rng.standard_normal((50, 2))},
-    )
+    names = [f"{joint}.{field}" for field in FIELDS for joint in ("hip", "knee")]
+    columns = [Column(name, rng.standard_normal(50)) for name in (*names, "slide.multiplier")]
+    stamps = 1_000_000 * np.arange(50) + begin
+    return Result({"samples": Table([*time_columns(stamps), *columns])}, {"topics": TOPICS})
 
 
 @pytest.mark.parametrize("name", ["t.csv", "t.csv.gz", "t", "t.mcap", "t.db3"])
-def test_torques_come_back_as_they_were(tmp_path, torques, name):
-    path = tmp_path / name
-    write_torques(path, torques)
+def test_torques_come_back_as_they_were(tmp_path, name):
+    path, written = tmp_path / name, torques()
+    written.to(path)
     assert [item.name for item in tmp_path.iterdir()] == [name]
     topic = {} if name.startswith("t.csv") else {"topic": "/joint_torques"}
     motion = read_motion(path, ["hip", "knee"], **topic).motion
-    for field in ("stamps", "position", "velocity", "effort"):
-        assert getattr(motion, field).tobytes() == getattr(torques, field).tobytes()
-    if not topic:
-        assert motion.acceleration.tobytes() == torques.acceleration.tobytes()
+    assert (motion.stamps == 1_000_000 * np.arange(50) + 1000 * SECOND).all()
+    for field in ("position", "velocity", "effort", *(() if topic else ("acceleration",))):
+        for i, joint in enumerate(("hip", "knee")):
+            ours = written["samples"][f"{joint}.{field}"]
+            assert getattr(motion, field)[:, i].tobytes() == ours.tobytes()
 
 
-def test_table_of_torques_has_parts_and_multipliers(tmp_path, torques):
-    write_torques(tmp_path / "t.csv", torques)
+def test_table_of_torques_has_parts_and_multipliers(tmp_path):
+    written = torques()["samples"]
+    torques().to(tmp_path / "t.csv")
     read = read_table(tmp_path / "t.csv")
-    fields = ["position", "velocity", "acceleration", "effort", "gravity", "external"]
-    columns = [f"{joint}.{field}" for field in fields for joint in ("hip", "knee")]
+    columns = [f"{joint}.{field}" for field in FIELDS for joint in ("hip", "knee")]
     assert read.columns == ("time", *columns, "slide.multiplier")
-    assert (read.values[:, 9:11] == torques.parts["gravity"]).all()
-    assert (read.values[:, -1:] == torques.multiplier).all()
+    assert (read.values[:, 9] == written["hip.gravity"]).all()
+    assert (read.values[:, -1] == written["slide.multiplier"]).all()
 
 
-def test_bag_of_torques_has_a_topic_for_forces_and_parts(tmp_path, torques):
-    write_torques(tmp_path / "t", torques)
-    read = {topic: [] for topic in topic_types(tmp_path / "t")}
-    for topic, log_time, msg in messages(tmp_path / "t"):
+def test_bag_of_torques_has_a_topic_for_forces_and_parts(tmp_path):
+    written = torques()["samples"]
+    torques().to(tmp_path / "t")
+    read = {topic: [] for topic in TOPICS}
+    assert set(topic_types(tmp_path / "t")) == {*TOPICS, "/samples", "/result"}
+    for topic, log_time, msg in messages(tmp_path / "t", dict.fromkeys(TOPICS, JOINT_STATE)):
         assert log_time == msg.header.stamp.sec * SECOND + msg.header.stamp.nanosec
         read[topic].append(msg)
-    parts = {f"/joint_torques/{part}": effort for part, effort in torques.parts.items()}
-    assert set(read) == {"/joint_torques", "/constraint_forces", *parts}
-    for topic, effort in {"/constraint_forces": torques.multiplier, **parts}.items():
-        assert (np.array([msg.effort for msg in read[topic]]) == effort).all()
-    assert read["/constraint_forces"][0].name == ["slide"]
+    for topic, fields in TOPICS.items():
+        names = ["slide"] if topic == "/constraint_forces" else ["hip", "knee"]
+        ours = np.column_stack([written[f"{name}.{fields['effort']}"] for name in names])
+        assert (np.array([msg.effort for msg in read[topic]]) == ours).all()
+        assert all(msg.name == names for msg in read[topic])
 
 
-def test_times_that_messages_cannot_hold_are_refused(tmp_path, torques):
-    for shift in (-2000 * SECOND, 2**31 * SECOND):
+def test_times_that_messages_cannot_hold_are_refused(tmp_path):
+    for begin in (-1000 * SECOND, 2**31 * SECOND):
         with pytest.raises(DataError, match="t: "):
-            write_torques(tmp_path / "t", torques._replace(stamps=torques.stamps + shift))
+            torques(begin).to(tmp_path / "t")
     assert list(tmp_path.iterdir()) == []
 
 

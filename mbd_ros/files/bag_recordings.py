@@ -1,4 +1,4 @@
-"""Joint states and wrenches out of bags, torques into them."""
+"""Joint states and wrenches out of bags."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -9,15 +9,14 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array, Motion, WrenchSamples
 from mbd_ros.errors import DataError
-from mbd_ros.files.bags import BagWriter, messages, new_message
-from mbd_ros.files.records import Recording, SimulationRecord, TorqueRecord
+from mbd_ros.files.bags import messages
+from mbd_ros.files.recording import Recording
 from msg_adapters.errors import MessageError
-from msg_adapters.joint_state import JointSample, JointStateReader, JointStateWriter
+from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.wrench import WrenchSample, read_wrench
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
-MULTI_ARRAY = "std_msgs/msg/Float64MultiArray"
 
 
 def bag_motion(path: Path, joints: Sequence[str], topic: str, needed: Sequence[str]) -> Recording:
@@ -131,55 +130,3 @@ def _wrench_samples(
         raise DataError(f"{path}: topic {topic}: frame_id changes between {', '.join(frames)}")
     stamps, kept, _ = _clock(samples, dropped)
     return WrenchSamples(stamps, np.array([samples[i][1].wrench for i in kept]), frames[0])
-
-
-def write_bag_torques(path: Path, torques: TorqueRecord) -> None:
-    """See `results.write_torques`."""
-    motion = {f: getattr(torques, f) for f in ("position", "velocity")}
-    if torques.driven is None:
-        streams = {"/joint_torques": (torques.joints, {**motion, "effort": torques.effort})}
-    else:
-        at = [torques.joints.index(joint) for joint in torques.driven]
-        driven = {field: values[:, at] for field, values in motion.items()}
-        streams = {"/joint_states": (torques.joints, motion)}
-        streams["/joint_torques"] = (torques.driven, {**driven, "effort": torques.effort})
-    if torques.dependent:
-        streams["/constraint_forces"] = (torques.dependent, {"effort": torques.multiplier})
-    for part, effort in torques.parts.items():
-        streams[f"/joint_torques/{part}"] = (torques.joints, {"effort": effort})
-    with BagWriter(path) as bag:
-        _write_joint_states(path, bag, torques.stamps, streams)
-
-
-def write_bag_simulation(path: Path, record: SimulationRecord) -> None:
-    """See `results.write_simulation`."""
-    motion = {f: getattr(record, f) for f in ("position", "velocity", "effort")}
-    streams = {"/joint_states": (record.joints, motion)}
-    if record.rows:
-        streams["/constraint_forces"] = (record.rows, {"effort": record.multiplier})
-    message = new_message(MULTI_ARRAY)
-    with BagWriter(path) as bag:
-        _write_joint_states(path, bag, record.stamps, streams)
-        for stamp, balance in zip(record.stamps.tolist(), record.balance, strict=True):
-            message.data = balance  # of a run that diverged too: what it has
-            bag.write("/energy_and_drift", MULTI_ARRAY, stamp, message)
-
-
-def _write_joint_states(
-    path: Path,
-    bag: BagWriter,
-    stamps: NDArray[np.int64],
-    streams: Mapping[str, tuple[tuple[str, ...], Mapping[str, Array]]],
-) -> None:
-    writers = {
-        topic: JointStateWriter(new_message(JOINT_STATE), names, tuple(fields))
-        for topic, (names, fields) in streams.items()
-    }
-    for i, stamp in enumerate(stamps.tolist()):
-        for topic, (_, fields) in streams.items():
-            row = {field: values[i] for field, values in fields.items()}
-            try:
-                message = writers[topic].write(stamp, **row)
-            except MessageError as error:
-                raise DataError(f"{path}: topic {topic}: {error}") from error
-            bag.write(topic, JOINT_STATE, stamp, message)

@@ -80,23 +80,32 @@ def streams_of(
         raise DataError(
             f"table {name!r}: no name of a topic, accepted are letters, digits, _ and /"
         )
-    for topic, fields in (topics or {}).items():
-        if not set(fields) <= {*FIELDS} and list(fields) != ["data"]:
-            raise DataError(
-                f"metadata topics: {topic}: fields {', '.join(fields)}, accepted: "
-                f"{', '.join(FIELDS)}, or data alone"
-            )
     streams: list[Stream] = []
     where: dict[str, dict[str, Any]] = {}
-    for topic, fields in (topics or TOPICS).items() if name == MAIN else ():
-        found = _multi_array if "data" in fields else _joint_states
-        taken = found(topic, fields, table)
+    chosen = _checked(topics or TOPICS) if name == MAIN else {}
+    arrays = {column for fields in chosen.values() for column in fields.get("data", ())}
+    others = Table(column for column in table.columns if column.name not in arrays)
+    for topic, fields in chosen.items():
+        if "data" in fields:
+            taken = _multi_array(topic, fields, table)
+        else:
+            taken = _joint_states(topic, fields, others)
         if taken is not None:
             streams.append(taken[0])
             where = taken[1] | where
     rest = [column for column in table.columns if column.name not in where]
     stream, places = _rest(f"/{name}", rest, table.rows)
     return [*streams, stream], where | places
+
+
+def _checked(topics: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    for topic, fields in topics.items():
+        if not set(fields) <= {*FIELDS} and list(fields) != ["data"]:
+            raise DataError(
+                f"metadata topics: {topic}: fields {', '.join(fields)}, accepted: "
+                f"{', '.join(FIELDS)}, or data alone"
+            )
+    return dict(topics)
 
 
 def _joint_states(

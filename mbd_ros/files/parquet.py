@@ -14,10 +14,21 @@ _KEY = b"mbd_ros"
 
 
 class Parquet:
-    """Columns of numbers, texts, and of lists of equal length for arrays (row by row)."""
+    """Columns of numbers, texts, and of lists of equal length for arrays (row by row).
+
+    Raises:
+        DataError: pyarrow is not installed.
+    """
 
     content = "everything"
     one_table = True
+
+    def __init__(self) -> None:
+        try:
+            import pyarrow.parquet
+        except ModuleNotFoundError as error:
+            raise DataError(f".parquet: {install_hint('pyarrow')}") from error
+        self._arrow, self._storage = pyarrow, pyarrow.parquet
 
     def holds(self, column: Column) -> bool:
         """Always."""
@@ -27,9 +38,9 @@ class Parquet:
         """Write a table.
 
         Raises:
-            DataError: pyarrow is not installed, or a place that cannot be written to.
+            DataError: A place that cannot be written to.
         """
-        arrow, storage = _pyarrow(path)
+        arrow, storage = self._arrow, self._storage
         ((name, table),) = result.tables.items()
         arrays = [_packed(arrow, column.values) for column in table.columns]
         shapes = {n: {"shape": v.shape[1:], "dtype": v.dtype.str} for n, v in table.items()}
@@ -46,7 +57,7 @@ class Parquet:
         Raises:
             DataError: Another file, or one that is cut.
         """
-        arrow, storage = _pyarrow(path)
+        arrow, storage = self._arrow, self._storage
         try:
             read = storage.ParquetFile(path).read()
             text = (read.schema.metadata or {}).get(_KEY)
@@ -59,15 +70,6 @@ class Parquet:
         except (arrow.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
             raise DataError(f"{path}: not a parquet file, or corrupt ({error})") from error
         return Result({name: Table(columns)}, metadata)
-
-
-def _pyarrow(path: Path) -> tuple[Any, Any]:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ModuleNotFoundError as error:
-        raise DataError(f"{path}: {install_hint('pyarrow')}") from error
-    return pyarrow, pyarrow.parquet
 
 
 def _packed(arrow: Any, values: Any) -> Any:

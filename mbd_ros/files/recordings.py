@@ -9,16 +9,17 @@ import numpy as np
 from mbd_ros.core.state import Array, Motion, WrenchSamples
 from mbd_ros.errors import DataError
 from mbd_ros.files.formats import format_of, is_bag
-from mbd_ros.files.records import Recording
+from mbd_ros.files.recording import Recording
 from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.files.times import TIME, motion_stamps
 
+Source = str | Path | Result  # of a motion
 CSV = (".csv", ".csv.gz")  # strict: nan stands only where it has a meaning
 _IN_MEMORY = "the result"
 
 
 def read_motion(
-    source: str | Path | Result,
+    source: Source,
     joints: Sequence[str],
     *,
     topic: str = "/joint_states",
@@ -59,12 +60,12 @@ def read_motion(
     return Recording(Motion(tuple(joints), motion_stamps(table, where), *fields), Counter())
 
 
-def name_of(source: str | Path | Result) -> str:
+def name_of(source: Source) -> str:
     """What messages call a source."""
     return _IN_MEMORY if isinstance(source, Result) else str(source)
 
 
-def _samples(source: str | Path | Result, may_lack: Collection[str]) -> tuple[Table, str]:
+def _samples(source: Source, may_lack: Collection[str]) -> tuple[Table, str]:
     """Table `samples` of a result or file, and the name of the source.
 
     Args:
@@ -109,7 +110,7 @@ def _columns(table: Table, names: list[str]) -> Array | None:
 
 
 def read_wrenches(
-    source: str | Path | Result,
+    source: Source,
     names: Mapping[str, str | None],
     *,
     dropped: Counter[str] | None = None,

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.formats import is_bag
+from mbd_ros.files.bag_paths import check_target
+from mbd_ros.files.formats import format_of, is_bag
 
 _SHOWN = 40  # characters of a name in that of a temporary file: names end at 255 bytes
 
@@ -35,6 +36,21 @@ def replacing(path: Path) -> Iterator[BinaryIO | gzip.GzipFile]:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def check_place(out: Path) -> None:
+    """Refuse a place that no result can be written to, before work is done for it.
+
+    Raises:
+        DataError: What is wrong with it, or what is not installed.
+    """
+    format_of(out)
+    if is_bag(out):
+        check_target(out)
+    elif not out.parent.is_dir():
+        raise DataError(f"{out}: directory {out.parent} does not exist")
+    elif out.exists() and not out.is_file():
+        raise DataError(f"{out}: exists and is not a regular file")
 
 
 def refuse_overwriting(out: Path, *sources: Path | None) -> None:

@@ -2,12 +2,31 @@
 
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from multiprocessing import parent_process
 from typing import TypeVar
 
 T = TypeVar("T")
+Watch = bool | Callable[[str, float], None]
 PERIOD = 0.2  # s
+_WATCH: ContextVar[Watch] = ContextVar("watch", default=True)
+
+
+@contextmanager
+def watching(watch: Watch) -> Iterator[None]:
+    """Who is told by `progress` within the block.
+
+    Args:
+        watch: True: whoever looks at a terminal. False: nobody. Else it is called with what is
+            going on and the share that is done, at most every `PERIOD` seconds.
+    """
+    before = _WATCH.set(watch)
+    try:
+        yield
+    finally:
+        _WATCH.reset(before)
 
 
 def progress(iterable: Iterable[T], total: int, label: str) -> Iterator[T]:
@@ -21,17 +40,27 @@ def progress(iterable: Iterable[T], total: int, label: str) -> Iterator[T]:
     Yields:
         The items, unchanged.
     """
-    if not sys.stderr.isatty() or parent_process() is not None:  # workers leave the line to it
+    watch = _WATCH.get()
+    # workers leave the line to the process that started them
+    if watch is True and (not sys.stderr.isatty() or parent_process() is not None):
+        watch = False
+    if watch is False:
         yield from iterable
         return
+    tell = _write if watch is True else watch
     due = 0.0
     try:
         for done, item in enumerate(iterable):
             if time.monotonic() >= due:
                 due = time.monotonic() + PERIOD
-                sys.stderr.write(f"\r{label} {min(100 * done // max(total, 1), 100)} %")
-                sys.stderr.flush()
+                tell(label, min(done / max(total, 1), 1.0))
             yield item
     finally:
-        sys.stderr.write("\r\x1b[K")  # erase the line
-        sys.stderr.flush()
+        if watch is True:
+            sys.stderr.write("\r\x1b[K")  # erase the line
+            sys.stderr.flush()
+
+
+def _write(label: str, share: float) -> None:
+    sys.stderr.write(f"\r{label} {int(100 * share)} %")
+    sys.stderr.flush()

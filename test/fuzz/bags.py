@@ -8,8 +8,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from fuzz.values import anything, spoil_bytes
 
-from mbd_ros.files.records import SimulationRecord
-from mbd_ros.files.results import write_simulation
+from mbd_ros.files.table import Column, Result, Table
 
 JOINTS = ("j1", "j2")
 
@@ -17,16 +16,13 @@ JOINTS = ("j1", "j2")
 @cache
 def recording(suffix: str) -> dict[str, bytes]:
     """Files of a sound bag by name; `suffix` .mcap, .db3 or empty for a folder."""
-    motion = np.linspace(-1.0, 1.0, 16).reshape(8, 2)
-    times = np.arange(1, 9) * 0.01
-    record = SimulationRecord(
-        *(np.round(times * 1e9).astype(np.int64), times, JOINTS),
-        *(motion, motion, motion, motion),
-        *((), np.zeros((8, 0)), np.zeros((8, 3))),
-    )
+    motion, time = np.linspace(-1.0, 1.0, 8), np.arange(1, 9) * 0.01
+    fields = ("position", "velocity", "acceleration", "effort")
+    columns = [Column(f"{joint}.{field}", motion) for field in fields for joint in JOINTS]
+    result = Result({"samples": Table([Column("time", time, "s"), *columns])})
     with TemporaryDirectory() as folder:
         place = Path(folder) / f"bag{suffix}"
-        write_simulation(place, record)
+        result.to(place)
         files = [place] if place.is_file() else sorted(place.iterdir())
         return {str(file.relative_to(folder)): file.read_bytes() for file in files}
 

@@ -1,19 +1,19 @@
 """Inverse dynamics of many motions, a result each: `mbd-ros inverse SCENE MOTION MOTION ..`."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.files.replacing import refuse_overwriting
 from mbd_ros.jobs.inverse.derivatives import Derivatives
-from mbd_ros.jobs.inverse.job import inverse_dynamics_of
+from mbd_ros.jobs.inverse.job import Say, Task, inverse_to
 from mbd_ros.jobs.inverse.wrenches import refuse_unused
 from mbd_ros.scene.code_permission import is_permitted, permitting
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.workers.opening import do_all, open_workers
 from mbd_ros.workers.remaining import watched
-from mbd_ros.workers.task import Task
+from mbd_ros.workers.task import Task as WorkerTask
 
 
 class Batch(NamedTuple):
@@ -46,18 +46,19 @@ class Batch(NamedTuple):
     workers: int | None
 
 
-def inverse_of_one(batch: Batch) -> Iterator[str]:
-    """The lines of `inverse_dynamics_of` for the only motion."""
+def inverse_of_one(batch: Batch, say: Say) -> None:
+    """Do the only motion; `say` is told of it."""
     if batch.scheduler is not None or batch.workers is not None:
         raise DataError("--scheduler and --workers go with several motions")
-    return _inverse(batch, batch.motions[0], batch.out)
+    _inverse(batch, say)
 
 
-def inverse_of_all(batch: Batch) -> Iterator[str]:
+def inverse_of_all(batch: Batch, say: Say) -> None:
     """Do all motions, each into a file or folder of its own name below `batch.out`.
 
-    Yields:
-        The summary of every motion, as they end.
+    Args:
+        batch: The motions.
+        say: Is told the summary of every motion, as they end.
 
     Raises:
         DataError: Motions that failed, by name, when the others are done; before any is done
@@ -71,7 +72,7 @@ def inverse_of_all(batch: Batch) -> Iterator[str]:
         batch.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(f"{batch.out}: cannot be made a folder ({error.strerror})") from error
-    tasks = [_task(batch, motion, out) for motion, out in results.items()]
+    tasks = [_work(batch, motion, out) for motion, out in results.items()]
     failed = []
     with open_workers(batch.scheduler, batch.workers) as workers:
         for task, result in watched(do_all(workers, tasks), tasks, workers.count):
@@ -79,7 +80,7 @@ def inverse_of_all(batch: Batch) -> Iterator[str]:
             if error:
                 failed.append(f"{task.name}: {error.removeprefix(f'{task.name}: ')}")
             else:
-                yield f"{task.name}: {'; '.join(lines)}"
+                say(f"{task.name}: {'; '.join(lines)}")
     if failed:
         told = "\n  ".join(sorted(failed))
         raise DataError(f"{len(failed)} of {len(tasks)} motions failed:\n  {told}")
@@ -102,31 +103,26 @@ def one(argument: Mapping[str, Any]) -> tuple[list[str], str]:
     lines: list[str] = []
     try:
         with permitting(argument["allow_code"]):
-            lines.extend(_inverse(batch, batch.motions[0], batch.out))
+            _inverse(batch, lines.append)
     except MbdError as error:
         return lines, str(error)
     return lines, ""
 
 
-def _inverse(batch: Batch, motion: Path, out: Path) -> Iterator[str]:
-    return inverse_dynamics_of(
-        load_scene(batch.scene),
-        motion,
-        out,
-        derivatives=Derivatives(batch.derivatives, batch.cutoff, batch.half_width),
-        wrenches=batch.wrenches,
-        topic=batch.topic,
-        with_parts=batch.parts,
-    )
+def _inverse(batch: Batch, say: Say) -> None:
+    derivatives = Derivatives(batch.derivatives, batch.cutoff, batch.half_width)
+    (motion,) = batch.motions
+    asked = Task(motion, derivatives, batch.wrenches, batch.topic, batch.parts)
+    inverse_to(load_scene(batch.scene), asked, batch.out, say)
 
 
-def _task(batch: Batch, motion: Path, out: Path) -> Task:
+def _work(batch: Batch, motion: Path, out: Path) -> WorkerTask:
     place = Path if batch.scheduler is None else Path.absolute
     fields = batch._asdict() | {"motions": [str(place(motion))], "out": str(out)}
     for name in ("scene", "wrenches"):
         fields[name] = None if fields[name] is None else str(place(fields[name]))
     argument = {"batch": fields, "allow_code": is_permitted()}
-    return Task(str(motion), f"{__name__}:{one.__name__}", argument)
+    return WorkerTask(str(motion), f"{__name__}:{one.__name__}", argument)
 
 
 def _places(motions: Sequence[Path], folder: Path) -> dict[Path, Path]:

@@ -4,7 +4,7 @@ import argparse
 
 from mbd_ros.errors import OK
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.lines import say_all
+from mbd_ros.jobs.lines import say
 from mbd_ros.scene.locate import path_word
 from mbd_ros.workers.arguments import add_workers
 
@@ -13,14 +13,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The words that `inverse` understands."""
     add_scene(parser)
     parser.add_argument(
-        "motion", type=path_word, nargs="+", help="CSV (.gz) or rosbag2 folder, .mcap or .db3"
+        "motion",
+        type=path_word,
+        nargs="+",
+        help="CSV (.gz), .npz, .parquet, rosbag2 folder, .mcap or .db3",
     )
     parser.add_argument(
         "-o",
         "--out",
         type=path_word,
         required=True,
-        help="CSV (.gz) or bag; of several motions a folder (required)",
+        help="CSV (.gz), .npz, .parquet or bag; of several motions a folder (required)",
     )
     parser.add_argument(
         "--wrenches",
@@ -69,5 +72,5 @@ def run(arguments: argparse.Namespace) -> int:
 
     fields = (field for field in Batch._fields if field != "motions")
     batch = Batch(arguments.motion, **{name: getattr(arguments, name) for name in fields})
-    say_all(inverse_of_one(batch) if len(batch.motions) == 1 else inverse_of_all(batch))
+    (inverse_of_one if len(batch.motions) == 1 else inverse_of_all)(batch, say)
     return OK

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ from mbd_ros.core.estimation.local_polynomials import local_polynomials
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.core.state import Array, Motion
 from mbd_ros.errors import DataError
-from mbd_ros.files.records import TorqueRecord
+from mbd_ros.files.table import Table
 from mbd_ros.jobs.inverse.zero_phase import cutoff_lines, low_passed, zero_phase
 from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
@@ -88,13 +87,13 @@ def causal_line(filters: CausalDifferentiator, cutoff: float) -> str:
 
 
 def differentiate(
-    scene: Scene, path: Path, motion: Motion, derivatives: Derivatives
+    scene: Scene, where: str, motion: Motion, derivatives: Derivatives
 ) -> Differentiated:
     """Samples of the independent joints, with the derivatives given or without lag.
 
     Args:
         scene: The scene.
-        path: File of the motion, for the messages.
+        where: What the motion is from, for the messages.
         motion: The motion.
         derivatives: Where velocity and acceleration come from.
 
@@ -106,8 +105,8 @@ def differentiate(
     wraps = [scene.robot.joint(j).kind == "continuous" for j in scene.couplings.independent]
     position[:, wraps] = np.unwrap(position[:, wraps], axis=0)
     if derivatives.source == "given":
-        velocity = _given(scene, path, motion.velocity, "velocity")
-        acceleration = _given(scene, path, motion.acceleration, "acceleration")
+        velocity = _given(scene, where, motion.velocity, "velocity")
+        acceleration = _given(scene, where, motion.acceleration, "acceleration")
         cutoff, remarks = None, []
     else:
         measured = None if motion.velocity is None else motion.velocity[:, :n]
@@ -138,27 +137,30 @@ def _without_lag(
     return *found, list(said)
 
 
-def unexplained(motion: Motion, record: TorqueRecord, cutoff: Array) -> Iterator[str]:
+def unexplained(motion: Motion, table: Table, cutoff: Array) -> Iterator[str]:
     """How far the torques are off the measured ones, both behind the low-pass of the motion.
 
     Args:
         motion: With the measured efforts; joints without are left out.
-        record: The torques.
+        table: With the torques.
         cutoff: Of the low-pass of each of the first joints of the motion [Hz].
     """
-    driven = record.joints if record.driven is None else record.driven
     names = motion.names[: len(cutoff)]
-    pairs = [(names.index(name), i) for i, name in enumerate(driven) if name in names]
-    if motion.effort is None or len(record.stamps) != len(motion.stamps):
+    driven = [name.removesuffix(".effort") for name in table if name.endswith(".effort")]
+    pairs = [(names.index(name), name) for name in driven if name in names]
+    if motion.effort is None or table.rows != len(motion.stamps):
         return
     effort = motion.effort
-    pairs = [(j, i) for j, i in pairs if np.isfinite(effort[:, j]).all()]
+    pairs = [(j, name) for j, name in pairs if np.isfinite(effort[:, j]).all()]
     if not pairs:
         return
     theirs, ours = (list(column) for column in zip(*pairs, strict=True))
     known, found = (
         low_passed(motion.stamps, values, cutoff[theirs])
-        for values in (effort[:, theirs], record.effort[:, ours])
+        for values in (
+            effort[:, theirs],
+            np.column_stack([table[f"{name}.effort"] for name in ours]),
+        )
     )
     unit = np.abs([known, found]).max()  # squares of the efforts themselves may overflow
     if known.any() and np.isfinite(unit):
@@ -170,7 +172,7 @@ def unexplained(motion: Motion, record: TorqueRecord, cutoff: Array) -> Iterator
         )
 
 
-def _given(scene: Scene, path: Path, values: Array | None, field: str) -> Array:
+def _given(scene: Scene, where: str, values: Array | None, field: str) -> Array:
     names = scene.couplings.independent
     lacking = [
         name
@@ -179,7 +181,7 @@ def _given(scene: Scene, path: Path, values: Array | None, field: str) -> Array:
     ]
     if values is None or lacking:
         raise DataError(
-            f"{path}: no {field} of {', '.join(lacking)}; "
+            f"{where}: no {field} of {', '.join(lacking)}; "
             "choose --derivatives causal or zero-phase"
         )
     return values[:, : len(names)]

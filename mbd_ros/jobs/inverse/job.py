@@ -1,21 +1,23 @@
 """Inverse dynamics of a recorded motion: `mbd-ros inverse`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
-from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics, TorqueComponents
-from mbd_ros.core.state import WrenchSamples
+from mbd_ros.core.inverse.inverse_dynamics import TorqueComponents
+from mbd_ros.core.state import Array, Motion
 from mbd_ros.errors import DataError
-from mbd_ros.files.formats import is_bag
-from mbd_ros.files.recordings import read_motion
-from mbd_ros.files.records import Recording, TorqueRecord
-from mbd_ros.files.replacing import refuse_overwriting
-from mbd_ros.files.results import write_torques
+from mbd_ros.files.recordings import Source, name_of, read_motion
+from mbd_ros.files.replacing import check_place, refuse_overwriting
+from mbd_ros.files.table import MAIN, Result, Table
+from mbd_ros.files.times import TIME, time_columns
+from mbd_ros.jobs.columns import metadata_of
 from mbd_ros.jobs.error_source import about
-from mbd_ros.jobs.inverse.commands import with_commands
+from mbd_ros.jobs.inverse.commands import commands_of
 from mbd_ros.jobs.inverse.derivatives import (
     Derivatives,
     causal_line,
@@ -24,143 +26,213 @@ from mbd_ros.jobs.inverse.derivatives import (
     unexplained,
 )
 from mbd_ros.jobs.inverse.loops import close_loops, solve_loops
+from mbd_ros.jobs.inverse.open_chains import solve_open, violations
 from mbd_ros.jobs.inverse.wrenches import read_loads, wrench_at
-from mbd_ros.jobs.progress import progress
+from mbd_ros.jobs.progress import Watch, watching
 from mbd_ros.scene.built_scene import Scene
 
-_CHUNK = 1000  # samples between two signs of progress
+Say = Callable[[str], None]
 
 
-def inverse_dynamics_of(
+class Task(NamedTuple):
+    """What is asked for.
+
+    Attributes:
+        motion: Result, file or bag.
+        derivatives: Where velocity and acceleration come from.
+        wrenches: Result, file or bag of the external loads; a bag motion carries its own.
+        topic: JointState topic of a bag.
+        parts: Also give the torques by cause; not for scenes with loops, where a cause alone may
+            be out of reach of the actuators.
+    """
+
+    motion: Source
+    derivatives: Derivatives = Derivatives("given")
+    wrenches: Source | None = None
+    topic: str = "/joint_states"
+    parts: bool = False
+
+
+def inverse(
     scene: Scene,
-    motion: Path,
-    out: Path,
+    motion: Source,
     *,
-    derivatives: Derivatives,
-    wrenches: Path | None = None,
+    derivatives: str = "given",
+    cutoff: float | None = None,
+    half_width: int | None = None,
+    wrenches: Source | None = None,
     topic: str = "/joint_states",
-    with_parts: bool = False,
-) -> Iterator[str]:
+    parts: bool = False,
+    say: Say | None = None,
+    progress: Watch = False,
+) -> Result:
+    """Torques and coupling forces of a motion.
+
+    Args:
+        scene: The scene.
+        motion: Result, file or bag with the positions of its joints.
+        derivatives: given, causal or zero-phase.
+        cutoff: Half-power frequency of the filters [Hz]; None: as `Derivatives` says.
+        half_width: Samples on either side of a local zero-phase fit, in place of a cut-off.
+        wrenches: Result, file or bag of the external loads; a bag motion carries its own.
+        topic: JointState topic of a bag.
+        parts: Also give the torques by cause (gravity, coriolis, inertial, external).
+        say: Is told what was done and left out, a line each; without it that is
+            `metadata["remarks"]`.
+        progress: True for a line on a terminal, or what is called with a label and a share.
+
+    Returns:
+        Table `samples`: `time`, `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,
+        perhaps `.<cause>`, `<joint or row>.multiplier`, perhaps `<joint>.command`; the
+        independent joints, in a scene with loops all of them.
+
+    Raises:
+        DataError: Something cannot be read or does not fit the scene.
+        SolveError: A mechanism with loops cannot be assembled, or its actuators cannot produce
+            the motion.
+    """
+    chosen = Derivatives(derivatives, cutoff, half_width)
+    remarks: list[str] = []
+    with watching(progress):
+        task = Task(motion, chosen, wrenches, topic, parts)
+        result = run_inverse(scene, task, say or remarks.append)
+    if say is None:
+        result.metadata["remarks"] = remarks
+    return result
+
+
+def inverse_to(scene: Scene, task: Task, out: Path, say: Say) -> None:
     """Read a motion, write its torques.
 
     Args:
         scene: The scene.
-        motion: Table or bag.
-        out: Table or bag to write.
-        derivatives: Where velocity and acceleration come from.
-        wrenches: Table or bag of the external loads; a bag motion carries its own.
-        topic: JointState topic of a bag.
-        with_parts: Also write the torques by cause; not for scenes with loops, where a cause
-            alone may be out of reach of the actuators.
-
-    Yields:
-        What was done and what was left out, a line each.
+        task: What is asked for.
+        out: Its suffix chooses the format.
+        say: Is told what was done and left out, a line each.
 
     Raises:
-        DataError: Something cannot be read, does not fit the scene, or cannot be written.
-        SolveError: A mechanism with loops cannot be assembled, or its actuators cannot produce
-            the motion.
+        MbdError: As `inverse`, or a place that cannot be written to.
     """
-    is_bag(out)
-    refuse_overwriting(out, motion, wrenches)
-    if with_parts and scene.has_loops:
+    sources = [s for s in (task.motion, task.wrenches) if isinstance(s, Path)]
+    refuse_overwriting(out, *sources)
+    check_place(out)
+    result = run_inverse(scene, task, say)
+    result.to(out)
+    say(f"{result[MAIN].rows} samples, {task.derivatives.source} derivatives -> {out}")
+
+
+def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
+    """See `inverse`."""
+    if task.parts and scene.has_loops:
         raise DataError(f"{scene.name}: --parts goes with scenes without loops only")
-    needed = () if scene.has_loops else scene.couplings.independent
     if scene.robot.floating:
         raise DataError(f"{scene.name}: robot.base: files carry no pose of a floating base")
-    inverse = scene.inverse_dynamics()
-    yield from (f"warning: {text}" for text in scene.robot.doubts)
-    with about("--cutoff"):
-        estimator = TorqueEstimator(scene.robot, inverse, Tuning(cutoff=derivatives.causal_cutoff))
-    recording = read_motion(motion, estimator.names, topic=topic, required=needed)
+    where = name_of(task.motion)
+    for text in scene.robot.doubts:
+        say(f"warning: {text}")
+    observed = _observed(scene, task, say)
+    samples, wrenches = observed.samples, observed.wrenches
     if scene.has_loops:
-        recording, remarks = close_loops(scene, motion, recording)
-        yield from remarks
-    yield from _left_out(motion, recording)
-    loads, dropped = read_loads(scene, motion, wrenches)
-    cutoff = None
+        columns, remarks = solve_loops(scene, where, samples, wrenches)
+    else:
+        columns, remarks = solve_open(scene, samples, wrenches, task.parts)
+    table = Table([*time_columns(observed.stamps), *columns])
+    _check_finite(where, table)
+    with about(where), np.errstate(over="ignore", invalid="ignore"):
+        commands, beyond = commands_of(scene, table)
+    table = Table([*table.columns, *commands])
+    for text in (*violations(scene, samples), *remarks, *beyond):
+        say(text)
+    if observed.cutoff is not None:
+        for text in unexplained(observed.motion, table, observed.cutoff):
+            say(text)
+    about_it = metadata_of("inverse", scene, _inputs(task), _topics(scene, task))
+    return Result({MAIN: table}, about_it)
+
+
+class _Observed(NamedTuple):
+    """What is solved.
+
+    Attributes:
+        motion: As it was read.
+        samples: Of the independent joints, with derivatives.
+        stamps: Theirs [ns], shape (n,).
+        wrenches: One (n, 6) array for every load of the scene.
+        cutoff: Of the low-pass of each joint [Hz]; None without one.
+    """
+
+    motion: Motion
+    samples: list[Observation]
+    stamps: NDArray[np.int64]
+    wrenches: list[Array]
+    cutoff: Array | None
+
+
+def _observed(scene: Scene, task: Task, say: Say) -> _Observed:
+    """Read a motion and its loads, and give it derivatives."""
+    where, derivatives = name_of(task.motion), task.derivatives
+    with about("--cutoff"):
+        tuning = Tuning(cutoff=derivatives.causal_cutoff)
+        estimator = TorqueEstimator(scene.robot, scene.inverse_dynamics(), tuning)
+    motion = _motion(scene, task, estimator.names, say)
+    loads, dropped = read_loads(scene, task.motion, task.wrenches)
     if derivatives.source == "causal":
         with np.errstate(over="ignore", invalid="ignore"):  # the results are looked at
-            samples = observe(estimator, recording.motion, dropped)
-        yield causal_line(estimator.differentiator, derivatives.causal_cutoff)
+            samples, cutoff = observe(estimator, motion, dropped), None
+        say(causal_line(estimator.differentiator, derivatives.causal_cutoff))
     else:
-        with about(motion), np.errstate(over="ignore", invalid="ignore"):
-            samples, cutoff, remarks = differentiate(scene, motion, recording.motion, derivatives)
-        yield from remarks
-    yield from (f"{count} samples left out: {reason}" for reason, count in dropped.items())
+        with about(where), np.errstate(over="ignore", invalid="ignore"):
+            samples, cutoff, remarks = differentiate(scene, where, motion, derivatives)
+        for text in remarks:
+            say(text)
+    for reason, count in dropped.items():
+        say(f"{count} samples left out: {reason}")
     if not samples:
-        raise DataError(f"{motion}: no sample can be used")
-    remarks = []
-    if scene.has_loops:
-        stamps = np.array([x.stamp for x in samples], dtype=np.int64)
-        wrenches_at = [wrench_at(name, load, stamps) for name, load in loads.items()]
-        record, remarks = solve_loops(scene, motion, samples, wrenches_at)
-    else:
-        record = _solve(inverse, samples, loads, with_parts)
-    numbers = np.column_stack([record.effort, record.multiplier, *record.parts.values()])
-    if not np.isfinite(numbers).all():
-        row = int(np.flatnonzero(~np.isfinite(numbers).all(axis=1))[0])
-        raise DataError(f"{motion}: torques at {record.stamps[row] / 1e9} s are not finite")
-    with about(motion), np.errstate(over="ignore", invalid="ignore"):
-        record, beyond = with_commands(scene, record)
-    said = [*_violations(scene, samples), *remarks, *beyond]
-    if cutoff is not None:
-        said += unexplained(recording.motion, record, cutoff)
-    write_torques(out, record)  # nothing fails after it
-    yield from said
-    yield f"{len(samples)} samples, {derivatives.source} derivatives -> {out}"
-
-
-def _left_out(motion: Path, recording: Recording) -> Iterator[str]:
-    for reason, count in recording.dropped.items():
-        yield f"{motion}: {count} messages left out: {reason}"
-    if recording.by_log_time:
-        yield f"{motion}: stamps are 0, the times of the log are used"
-
-
-def _solve(
-    inverse: InverseDynamics,
-    samples: Sequence[Observation],
-    loads: dict[str, WrenchSamples],
-    with_parts: bool,
-) -> TorqueRecord:
+        raise DataError(f"{where}: no sample can be used")
     stamps = np.array([x.stamp for x in samples], dtype=np.int64)
-    z, v, a = (
-        np.array([getattr(x, field) for x in samples])
-        for field in ("position", "velocity", "acceleration")
-    )
     wrenches = [wrench_at(name, load, stamps) for name, load in loads.items()]
-    chunks = [slice(i, i + _CHUNK) for i in range(0, len(stamps), _CHUNK)]
-    solved = [
-        inverse.batch(z[part], v[part], a[part], [w[part] for w in wrenches])
-        for part in progress(chunks, len(chunks), "solving")
-    ]
-    tau, multipliers = (np.concatenate(rows) for rows in zip(*solved, strict=True))
-    parts = {}
-    if with_parts:
-        rows = zip(z, v, a, *wrenches, strict=True)
-        causes = [inverse.parts(*row[:3], row[3:]) for row in progress(rows, len(stamps), "parts")]
-        parts = {
-            name: np.array([c[i] for c in causes])
-            for i, name in enumerate(TorqueComponents._fields)
-        }
-    couplings = inverse.couplings
-    return TorqueRecord(
-        stamps, couplings.independent, z, v, a, tau, couplings.dependent, multipliers, parts
-    )
+    return _Observed(motion, samples, stamps, wrenches, cutoff)
 
 
-def _violations(scene: Scene, samples: Sequence[Observation]) -> Iterator[str]:
-    couplings = scene.couplings
-    if not couplings.dependent:
-        return
-    q = np.zeros((scene.robot.model.nq, len(samples)))
-    q[couplings.q_index] = np.array([x.position for x in samples]).T
-    couplings.expand(q, np.zeros_like(q), np.zeros_like(q))
-    for i, name in enumerate(couplings.dependent):
-        measured = np.array([x.dependent[i] for x in samples])
-        if np.isfinite(measured).all():
-            off = np.abs(measured - q[scene.robot.joint(name).q]).max()
-            yield f"{name} is off its coupling by at most {off:.3g}"
-        else:
-            yield f"{name} is reconstructed from {scene.coupling_kinds[name]}"
+def _motion(scene: Scene, task: Task, names: Sequence[str], say: Say) -> Motion:
+    """The motion, with what loops give of it."""
+    where = name_of(task.motion)
+    needed = () if scene.has_loops else scene.couplings.independent
+    recording = read_motion(task.motion, names, topic=task.topic, required=needed)
+    if scene.has_loops:
+        recording, remarks = close_loops(scene, where, recording)
+        for text in remarks:
+            say(text)
+    for reason, count in recording.dropped.items():
+        say(f"{where}: {count} messages left out: {reason}")
+    if recording.by_log_time:
+        say(f"{where}: stamps are 0, the times of the log are used")
+    return recording.motion
+
+
+def _inputs(task: Task) -> dict[str, object]:
+    """What the metadata of the result says."""
+    source, cutoff, half_width = task.derivatives
+    asked = {"motion": task.motion, "wrenches": task.wrenches, "derivatives": source}
+    return {**asked, "cutoff": cutoff, "half_width": half_width, "parts": task.parts}
+
+
+def _topics(scene: Scene, task: Task) -> dict[str, object]:
+    """Topics of a bag, see `files.bag_streams`."""
+    torques = {field: field for field in ("effort", "position", "velocity")}
+    topics: dict[str, object] = {"/joint_torques": torques}
+    if scene.has_loops:
+        topics["/joint_states"] = {field: field for field in ("position", "velocity")}
+    topics["/constraint_forces"] = {"effort": "multiplier"}
+    for cause in TorqueComponents._fields if task.parts else ():
+        topics[f"/joint_torques/{cause}"] = {"effort": cause}
+    return topics
+
+
+def _check_finite(where: str, table: Table) -> None:
+    """Refuse efforts and multipliers that are not."""
+    kinds = ("position", "velocity", "acceleration", TIME, "stamp")
+    found = [v for name, v in table.items() if name.rpartition(".")[2] not in kinds]
+    bad = [int(np.flatnonzero(~np.isfinite(v))[0]) for v in found if not np.isfinite(v).all()]
+    if bad:
+        raise DataError(f"{where}: torques at {table[TIME][min(bad)]} s are not finite")

@@ -1,7 +1,6 @@
 """Recorded motions of mechanisms with loops: joints that lack are closed, then all is solved."""
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -12,19 +11,21 @@ from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State
 from mbd_ros.core.thresholds import FOLD, TOGGLE
 from mbd_ros.errors import DataError, SolveError
-from mbd_ros.files.records import Recording, TorqueRecord
+from mbd_ros.files.recording import Recording
+from mbd_ros.files.table import Column
+from mbd_ros.jobs.columns import joint_columns, row_columns
 from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
 
 
-def close_loops(scene: Scene, path: Path, recording: Recording) -> tuple[Recording, list[str]]:
+def close_loops(scene: Scene, where: str, recording: Recording) -> tuple[Recording, list[str]]:
     """A motion in which the loops have given the independent joints that nobody measured.
 
     Their branch is that of the initial state of the scene, followed from sample to sample.
 
     Args:
         scene: A scene with loops.
-        path: Where the motion is from.
+        where: What the motion is from, for the messages.
         recording: Motion of the independent, then the dependent joints, NaN where absent.
 
     Returns:
@@ -38,35 +39,35 @@ def close_loops(scene: Scene, path: Path, recording: Recording) -> tuple[Recordi
     position = recording.motion.position[:, : len(names)]
     is_there = np.isfinite(position).any(axis=0)
     if not is_there.any():
-        raise DataError(f"{path}: no position of any of {', '.join(names)}")
+        raise DataError(f"{where}: no position of any of {', '.join(names)}")
     whole = np.isfinite(position[:, is_there]).all(axis=1)
     if not whole.any():
-        raise DataError(f"{path}: no sample has all of its joints")
+        raise DataError(f"{where}: no sample has all of its joints")
     if not whole.all():
         recording.dropped["the position of a joint is missing"] += int((~whole).sum())
     motion = _kept(recording.motion, whole)
     if is_there.all():
         return recording._replace(motion=motion), []
     joints = [scene.robot.joint(name) for name in names]
-    motion, fold = _completed(scene, path, motion, joints, is_there)
+    motion, fold = _completed(scene, where, motion, joints, is_there)
     lacking = [name for name, there in zip(names, is_there, strict=True) if not there]
     said = [f"{name} is reconstructed from the loops" for name in lacking]
     return recording._replace(motion=motion), said + fold
 
 
 def solve_loops(
-    scene: Scene, path: Path, samples: Sequence[Observation], wrenches: Sequence[Array]
-) -> tuple[TorqueRecord, list[str]]:
+    scene: Scene, where: str, samples: Sequence[Observation], wrenches: Sequence[Array]
+) -> tuple[list[Column], list[str]]:
     """Efforts and multipliers of observations.
 
     Args:
         scene: A scene with loops.
-        path: Where the motion is from.
+        where: What the motion is from, for the messages.
         samples: The observations.
         wrenches: One (n, 6) array for every load of the scene.
 
     Returns:
-        The result, and what there is to say about it.
+        Columns of all joints, of the efforts and of the multipliers, and what there is to say.
 
     Raises:
         SolveError: The mechanism cannot be assembled, or the actuators cannot produce the motion;
@@ -81,7 +82,7 @@ def solve_loops(
             x, a = inverse.consistent(measured, given)
             solved.append(inverse.solve(x, a, [load[i] for load in wrenches]))
         except SolveError as error:
-            raise SolveError(f"{path}: at {t:.9g} s: {error}") from error
+            raise SolveError(f"{where}: at {t:.9g} s: {error}") from error
         states.append((x.q, x.v, a))
         moves = x.q - measured.q, x.v - measured.v, a - given
         off.append([np.abs(move).max(initial=0.0) for move in moves])
@@ -89,18 +90,17 @@ def solve_loops(
     q, v, a = (np.array(column) for column in zip(*states, strict=True))
     joints = scene.robot.joints
     at_q, at_v = [joint.q for joint in joints], [joint.v for joint in joints]
-    record = TorqueRecord(
-        stamps=stamps,
-        joints=tuple(joint.name for joint in joints),
-        position=q[:, at_q],
-        velocity=v[:, at_v],
-        acceleration=a[:, at_v],
-        effort=np.array([each.tau for each in solved]),
-        dependent=tuple(row.name for row in inverse.constraints.rows),
-        multiplier=np.array([each.multipliers for each in solved]),
-        driven=inverse.actuated,
-    )
-    return record, list(_remarks(np.max(off, axis=0), stamps, solved))
+    effort = np.array([each.tau for each in solved])
+    multipliers = np.array([each.multipliers for each in solved])
+    driven = [scene.robot.joint(name) for name in inverse.actuated]
+    columns = [
+        *joint_columns(joints, "position", q[:, at_q]),
+        *joint_columns(joints, "velocity", v[:, at_v]),
+        *joint_columns(joints, "acceleration", a[:, at_v]),
+        *joint_columns(driven, "effort", effort),
+        *row_columns(inverse.constraints.rows, multipliers),
+    ]
+    return columns, list(_remarks(np.max(off, axis=0), stamps, solved))
 
 
 def _remarks(off: Array, stamps: np.ndarray, solved: Sequence[LoopTorques]) -> Iterator[str]:
@@ -133,7 +133,7 @@ def _kept(motion: Motion, rows: Mask) -> Motion:
 
 
 def _completed(
-    scene: Scene, path: Path, motion: Motion, joints: Sequence[Joint], is_there: Mask
+    scene: Scene, where: str, motion: Motion, joints: Sequence[Joint], is_there: Mask
 ) -> tuple[Motion, list[str]]:
     """The motion with the independent joints that lack in it, and where its loops fold."""
     loops, nv, n = scene.closed_loop().motion, scene.robot.model.nv, len(joints)
@@ -151,7 +151,7 @@ def _completed(
     for i, (stamp, q, v, a) in enumerate(progress(rows, len(motion.stamps), "closing")):
         x, a = loops.complete(before, State(stamp * NANOSECOND, q, v), a, measured)
         if i == 0:
-            _check_tied(path, loops, x, measured)
+            _check_tied(where, loops, x, measured)
         before = x.q
         conditions.append(loops.condition)
         for field, values in zip(fields, (x.q, x.v, a), strict=True):
@@ -179,10 +179,10 @@ def _folds(motion: Motion, conditions: Sequence[float]) -> list[str]:
     ]
 
 
-def _check_tied(path: Path, loops: LoopMotion, x: State, measured: Mask) -> None:
+def _check_tied(where: str, loops: LoopMotion, x: State, measured: Mask) -> None:
     loose = loops.undetermined(x, measured)
     if loose:
         raise DataError(
-            f"{path}: no position of {', '.join(loose)}, and no loop gives it from the joints "
+            f"{where}: no position of {', '.join(loose)}, and no loop gives it from the joints "
             "that are there"
         )

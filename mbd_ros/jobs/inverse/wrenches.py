@@ -1,7 +1,6 @@
 """External loads of a recorded motion."""
 
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 
@@ -9,21 +8,22 @@ from mbd_ros.core.model.wrenches import at_stamps
 from mbd_ros.core.state import NANOSECOND, Array, WrenchSamples
 from mbd_ros.errors import DataError
 from mbd_ros.files.formats import is_bag
-from mbd_ros.files.recordings import read_wrenches
+from mbd_ros.files.recordings import Source, name_of, read_wrenches
+from mbd_ros.files.table import Result
 from mbd_ros.scene.built_scene import Scene
 
 WRENCH_MAX_AGE = 0.1  # s
 
 
 def read_loads(
-    scene: Scene, motion: Path, wrenches: Path | None
+    scene: Scene, motion: Source, wrenches: Source | None
 ) -> tuple[dict[str, WrenchSamples], Counter[str]]:
     """Samples of the loads of a scene, and messages left out, counted by reason.
 
     Args:
         scene: The scene.
-        motion: Table or bag of the motion; a bag carries its wrenches itself.
-        wrenches: Table or bag of the wrenches, or None.
+        motion: Result, file or bag of the motion; a bag carries its wrenches itself.
+        wrenches: Result, file or bag of the wrenches, or None.
 
     Raises:
         DataError: A file that cannot be read or that the scene has no use for, or a wrench in
@@ -33,32 +33,34 @@ def read_loads(
     dropped: Counter[str] = Counter()
     if not scene.wrenches:
         return {}, dropped
-    path = wrenches or motion
-    if not is_bag(path) and wrenches is None:
+    source = motion if wrenches is None else wrenches
+    if wrenches is None and (isinstance(source, Result) or not is_bag(source)):
         raise DataError(
             f"{scene.name}: external_wrenches {', '.join(scene.wrenches)}: a table of joints does "
             "not carry them; give --wrenches FILE"
         )
     topics = {name: wrench.topic for name, wrench in scene.wrenches.items()}
-    loads = read_wrenches(path, topics, dropped=dropped)
+    loads = read_wrenches(source, topics, dropped=dropped)
     for name, samples in loads.items():
         expected = scene.wrenches[name].load.expressed_in
         if samples.frame_id not in ("", expected):
             raise DataError(
-                f"{path}: wrench '{name}' is in frame '{samples.frame_id}', the scene expects "
-                f"'{expected}'"
+                f"{name_of(source)}: wrench '{name}' is in frame '{samples.frame_id}', the scene "
+                f"expects '{expected}'"
             )
     return loads, dropped
 
 
-def refuse_unused(scene: Scene, wrenches: Path | None) -> None:
+def refuse_unused(scene: Scene, wrenches: Source | None) -> None:
     """Refuse a file of loads for a scene without any.
 
     Raises:
         DataError: The scene has no `external_wrenches`.
     """
     if wrenches is not None and not scene.wrenches:
-        raise DataError(f"--wrenches {wrenches}: {scene.name} has no external_wrenches to take it")
+        raise DataError(
+            f"--wrenches {name_of(wrenches)}: {scene.name} has no external_wrenches to take it"
+        )
 
 
 def wrench_at(name: str, samples: WrenchSamples, stamps: np.ndarray) -> Array:

@@ -1,14 +1,14 @@
 """Words of `mbd-ros simulate`."""
 
 import argparse
-from typing import Any
 
 from mbd_ros.errors import OK
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.lines import say_all
+from mbd_ros.jobs.lines import say
 from mbd_ros.scene.locate import path_word
 
-_RUN_ARGUMENTS = ("out", "origin", "start", "efforts", "wrenches")
+_OPTIONS = ("dt", "integrator", "tolerance", "solver")
+_RUN_ARGUMENTS = ("origin", "start", "efforts", "wrenches")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,7 +16,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     parser.add_argument("-t", "--time", type=float, required=True, help="seconds to simulate")
     parser.add_argument(
-        "-o", "--out", type=path_word, required=True, help="CSV (.gz) or bag (required)"
+        "-o",
+        "--out",
+        type=path_word,
+        required=True,
+        help="CSV (.gz), .npz, .parquet or bag (required)",
     )
     parser.add_argument("--integrator", help="in place of that of the scene")
     parser.add_argument(
@@ -42,17 +46,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.jobs.simulate.inputs import Run, method_entry
-    from mbd_ros.jobs.simulate.job import simulate
+    from mbd_ros.jobs.simulate.run import Run, options_of
+    from mbd_ros.jobs.simulate.to_file import simulate_to
     from mbd_ros.scene.reader import load_scene
 
     scene = load_scene(arguments.scene)
-    options: dict[str, Any] = {} if arguments.dt is None else {"dt": arguments.dt}
-    method = method_entry(scene, arguments.integrator, arguments.tolerance)
-    if method is not None:
-        options["integrator"] = method
-    if arguments.solver:
-        options["solver"] = {"type": arguments.solver}
+    options = options_of(scene, **{name: getattr(arguments, name) for name in _OPTIONS})
     words = {name: getattr(arguments, name) for name in _RUN_ARGUMENTS}
-    say_all(simulate(scene, Run(duration=arguments.time, options=options, **words)))
+    run = Run(duration=arguments.time, options=options, **words)
+    simulate_to(scene, run, arguments.out, say)
     return OK

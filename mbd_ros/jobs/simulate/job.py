@@ -1,97 +1,149 @@
-"""Forward simulation of a scene into a file: `mbd-ros simulate`."""
+"""Forward simulation of a scene."""
 
 import math
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import tier_of
-from mbd_ros.core.projection.assembly import violation
 from mbd_ros.core.simulation.simulation import Commands, Simulation
-from mbd_ros.core.state import NANOSECOND, Array, State
+from mbd_ros.core.state import State
 from mbd_ros.core.thresholds import SAME_TIME, TOGGLE
-from mbd_ros.errors import (
-    FAILED,
-    INTERRUPTED,
-    DataError,
-    DivergedError,
-    MbdError,
-    SolveError,
-)
-from mbd_ros.files.bag_paths import SUFFIXES
-from mbd_ros.files.formats import is_bag
-from mbd_ros.files.records import SimulationRecord, finite_rows
-from mbd_ros.files.replacing import refuse_overwriting
-from mbd_ros.files.results import write_simulation
+from mbd_ros.errors import FAILED, DataError, DivergedError, MbdError, SolveError
+from mbd_ros.files.recordings import Source
+from mbd_ros.files.table import MAIN, Result, Table
+from mbd_ros.files.times import TIME
+from mbd_ros.jobs.columns import metadata_of
 from mbd_ros.jobs.error_source import about
-from mbd_ros.jobs.progress import progress
-from mbd_ros.jobs.simulate.inputs import Run, check_words, drives, initial_state
+from mbd_ros.jobs.progress import Watch, watching
+from mbd_ros.jobs.progress import progress as shown
+from mbd_ros.jobs.simulate.inputs import drives, initial_state
+from mbd_ros.jobs.simulate.run import Run, check_words, options_of
 from mbd_ros.jobs.simulate.step_check import step_warnings
+from mbd_ros.jobs.simulate.table import BALANCE, table_of, topics_of
 from mbd_ros.scene.built_scene import SHORTEST_DT, Scene
 from mbd_ros.scene.start_check import start_warnings
 
+Say = Callable[[str], None]
+
 
 class Interrupted(MbdError):
-    """A simulation that ended early; what it had reached is in a file of its own."""
+    """A simulation that ended early.
+
+    Attributes:
+        result: What it had reached; None once that is in a file.
+        exit_code: Of the command line.
+    """
 
     exit_code = FAILED
+    result: Result | None = None
 
 
 class _CtrlC(MbdError):
     """Ctrl-C, as the reason why a simulation ended."""
 
 
-def simulate(scene: Scene, run: Run) -> Iterator[str]:
-    """Simulate and write states, multipliers, energy and violations.
+def simulate(
+    scene: Scene,
+    duration: float,
+    *,
+    start: float = 0.0,
+    origin: Source | None = None,
+    efforts: Source | None = None,
+    wrenches: Source | None = None,
+    dt: float | None = None,
+    integrator: str | Mapping[str, Any] | None = None,
+    tolerance: float | None = None,
+    solver: str | Mapping[str, str] | None = None,
+    say: Say | None = None,
+    progress: Watch = False,
+) -> Result:
+    """Motion from forces, with constraint forces, energy and violations.
 
-    Yields:
-        The summary, a line each.
+    Ctrl-C returns what was reached; `metadata["ended"]` says so then.
+
+    Args:
+        scene: The scene.
+        duration: [s].
+        start: Time at which the simulation begins [s].
+        origin: Result or file whose joint state at `start` is the initial one, in place of that
+            of the scene.
+        efforts: Result or file of what actuators take, or of the efforts of joints.
+        wrenches: Result or file of the external loads of the scene.
+        dt: Step of a fixed-step method, and interval of the output [s].
+        integrator: Type or entry, in place of that of the scene.
+        tolerance: Of the integrator.
+        solver: Type or entry of the tier, in place of that of the scene.
+        say: Is told what there is to say, a line each; without it that is
+            `metadata["remarks"]`.
+        progress: True for a line on a terminal, or what is called with a label and a share.
+
+    Returns:
+        Table `samples`: `time`, `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,
+        `<row>.multiplier`, `energy`, `drift.position`, `drift.velocity`, perhaps
+        `<joint>.command`.
 
     Raises:
-        Interrupted: The state diverged, equations have no solution, steps became too short to go
-            on, or Ctrl-C was pressed; the states so far are in
-            the file of `diverged_place`, named in the message.
+        Interrupted: The state diverged, equations have no solution, or steps became too short to
+            go on; its `result` is what was reached.
         MbdError: Input that cannot be used.
     """
+    options = options_of(scene, dt, integrator, tolerance, solver)
+    run = Run(duration, origin, start, efforts, wrenches, options)
+    remarks: list[str] = []
+    with watching(progress):
+        result = run_simulation(scene, run, say or remarks.append)
+    if say is None:
+        result.metadata["remarks"] = remarks
+    return result
+
+
+def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
+    """See `simulate`."""
     check_words(scene, run)
     if not scene.robot.joints:
         raise DataError(f"{scene.name}: no joint of the robot moves, so there is no motion")
-    kept = diverged_place(run.out)
-    for place in (run.out, kept):
-        refuse_overwriting(place, run.origin, run.efforts, run.wrenches)
     commands, forces, remarks = drives(scene, run)
     simulation = scene.simulation(forces=forces, **{**run.options, "dt": _interval(scene, run)})
     x, more = initial_state(scene, run)
-    yield from (*remarks, *more)
     odd = (*scene.robot.doubts, *start_warnings(scene.robot, scene.constraints, x))
-    yield from (f"warning: {text}" for text in odd)
+    for text in (*remarks, *more, *(f"warning: {text}" for text in odd)):
+        say(text)
     begin = time.perf_counter()
     states, failure = _states(simulation, x, run, commands)
     wall = time.perf_counter() - begin
     evaluations = simulation.system.evaluations
-    record, lost = _record(simulation, states, commands)
+    table, lost = table_of(simulation.system, states, commands)
+    topics = topics_of(simulation.system)
+    result = Result({MAIN: table}, metadata_of("simulate", scene, run.inputs, topics))
     failure = lost or failure
     if failure is not None:
-        if not len(record.times):
-            raise type(failure)(f"{scene.name}: {failure}") from failure
-        early = Interrupted(f"{failure}; {_kept(kept, record)}")
-        early.exit_code = INTERRUPTED if isinstance(failure, _CtrlC) else FAILED
-        raise early
+        return _ended(scene, result, failure)
     with about(scene.name):
-        said = list(_summary(simulation, record, wall, evaluations))
+        said = list(_summary(simulation, table, wall, evaluations))
         found = step_warnings(simulation.system, simulation.integrator, simulation.dt, states)
         said += [f"warning: {text}" for text in found]
         said += [f"warning: {text}" for text in simulation.passed_stops()]
-    write_simulation(run.out, record)  # nothing fails after it
     if scene.wrenches and run.wrenches is None:
-        yield f"unloaded: {', '.join(scene.wrenches)}; --wrenches FILE brings their values"
-    yield from said
-    yield f"{len(states)} states -> {run.out}"
+        say(f"unloaded: {', '.join(scene.wrenches)}; --wrenches FILE brings their values")
+    for text in said:
+        say(text)
+    return result
+
+
+def _ended(scene: Scene, result: Result, failure: MbdError) -> Result:
+    """What there is of a simulation that ended early; raised unless Ctrl-C ended it."""
+    if not result[MAIN].rows:
+        raise type(failure)(f"{scene.name}: {failure}") from failure
+    result.metadata["ended"] = str(failure)
+    if isinstance(failure, _CtrlC):
+        return result
+    early = Interrupted(str(failure))
+    early.result = result
+    raise early from failure
 
 
 def _interval(scene: Scene, run: Run) -> float:
@@ -104,27 +156,6 @@ def _duration(run: Run, dt: float) -> float:
     count = math.floor(run.duration / dt + SAME_TIME)
     is_sliver = SAME_TIME * dt < run.duration - count * dt < SHORTEST_DT
     return count * dt if is_sliver else run.duration
-
-
-def diverged_place(out: Path) -> Path:
-    """Where a run that ended early is kept: o.csv.gz -> o.diverged.csv.gz, bag -> bag_diverged.
-
-    Raises:
-        DataError: `out` names neither a table nor a bag.
-    """
-    if is_bag(out) and (out.is_dir() or out.suffix not in SUFFIXES):
-        return out.parent / f"{out.name.replace('.', '_')}_diverged"
-    suffix = ".csv.gz" if out.name.endswith(".csv.gz") else out.suffix
-    return out.with_name(f"{out.name.removesuffix(suffix)}.diverged{suffix}")
-
-
-def _kept(place: Path, record: SimulationRecord) -> str:
-    """Write what was reached; where that fails the reason must not hide why the run ended."""
-    try:
-        write_simulation(place, record)
-    except DataError as error:
-        return f"the states so far are lost: {error}"
-    return f"{len(record.times)} states so far are in {place}"
 
 
 def _warn(text: str) -> None:
@@ -143,7 +174,7 @@ def _states(
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a divergence says so itself
             every = simulation.run(x, duration, commands, _warn)
-            states.extend(progress(every, count, "simulate"))
+            states.extend(shown(every, count, "simulate"))
     except (DivergedError, SolveError) as error:
         return states, error
     except KeyboardInterrupt:
@@ -153,68 +184,9 @@ def _states(
     return states, None
 
 
-def _record(
-    simulation: Simulation, states: Sequence[State], commands: Commands | None
-) -> tuple[SimulationRecord, MbdError | None]:
-    """What is written of states, up to the first one without a finite answer, and why it ends."""
-    system, rows = simulation.system, []
-    failure: MbdError | None = None
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):
-            for x in states:
-                rows.append(_row(system, x, commands))
-    except SolveError as error:
-        failure = error
-    joints, m = system.robot.joints, len(system.multiplier_rows)
-    q_index, v_index = [j.q for j in joints], [j.v for j in joints]
-    nq, nv = system.model.nq, system.model.nv
-    t, q, v, a, effort, multiplier, balance = (
-        np.array([row[i] for row in rows]).reshape(len(rows), width)
-        for i, width in enumerate((1, nq, nv, nv, nv, m, 3))
-    )
-    record = SimulationRecord(
-        stamps=np.round(t[:, 0] / NANOSECOND).astype(np.int64),
-        times=t[:, 0],
-        joints=tuple(joint.name for joint in joints),
-        position=q[:, q_index],
-        velocity=v[:, v_index],
-        acceleration=a[:, v_index],
-        effort=effort[:, v_index],
-        rows=tuple(row.name for row in system.multiplier_rows),
-        multiplier=multiplier,
-        balance=balance,
-        **_commands(system, t[:, 0], commands),
-    )
-    count, lost = finite_rows(record)
-    return record.first(count), lost or failure
-
-
-def _commands(system: System, times: Array, commands: Commands | None) -> dict[str, Any]:
-    """Fields of a record: what actuators take that is not the torque of the joint."""
-    takes = [a.takes for a in system.loads.actuators for _ in a.joints]
-    at = [i for i, what in enumerate(takes) if what]
-    if not at:
-        return {}
-    u = np.zeros((len(times), len(takes)))  # what no command stands for
-    if commands is not None:
-        u = np.array([commands(t) for t in times])
-    return {"commanded": tuple(system.loads.commands[i] for i in at), "command": u[:, at]}
-
-
-def _row(system: System, x: State, commands: Commands | None) -> tuple[Any, ...]:
-    """Time, q, v, a, effort, multipliers and balance of one state."""
-    y = system.reduce(x)
-    u = None if commands is None else commands(x.t)
-    a, lam = system.solve(y, u)
-    balance = system.energy(y), *violation(system, y)
-    return x.t, x.q, x.v, a, system.loads.actuator_torque(x, u), lam, balance
-
-
-def _summary(
-    simulation: Simulation, record: SimulationRecord, wall: float, evaluations: int
-) -> Iterator[str]:
-    duration = record.times[-1] - record.times[0]
-    energy, position, velocity = record.balance.T
+def _summary(simulation: Simulation, table: Table, wall: float, evaluations: int) -> Iterator[str]:
+    duration = table[TIME][-1] - table[TIME][0]
+    energy, position, velocity = (table[name] for name in BALANCE)
     change = float(np.abs(energy - energy[0]).max())
     per_step = evaluations / max(simulation.steps, 1)
     method = type(simulation.integrator).__name__

@@ -1,0 +1,20 @@
+"""A motion as it was recorded."""
+
+from collections import Counter
+from typing import NamedTuple
+
+from mbd_ros.core.state import Motion
+
+
+class Recording(NamedTuple):
+    """A motion and what was left out of it.
+
+    Attributes:
+        motion: The samples that can be used.
+        dropped: Messages left out, counted by reason.
+        by_log_time: Header stamps were zero, so stamps are the log times of the bag.
+    """
+
+    motion: Motion
+    dropped: Counter[str]
+    by_log_time: bool = False

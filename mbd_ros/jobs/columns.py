@@ -1,0 +1,100 @@
+"""Columns of joints and rows, and what a result says of where it comes from."""
+
+import platform
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from mbd_ros.core.model.robot import Joint
+from mbd_ros.core.parts import Row
+from mbd_ros.core.rows.row_order import numbered
+from mbd_ros.core.state import Array
+from mbd_ros.files.recordings import name_of
+from mbd_ros.files.table import Column, Result
+from mbd_ros.scene.built_scene import Scene
+
+_UNITS = {  # quantity -> of a joint that turns, of one that slides
+    "position": ("rad", "m"),
+    "velocity": ("rad/s", "m/s"),
+    "acceleration": ("rad/s^2", "m/s^2"),
+}
+_EFFORT = ("N·m", "N")
+
+
+def joint_columns(joints: Sequence[Joint], quantity: str, values: Array) -> list[Column]:
+    """Columns `<joint>.<quantity>`.
+
+    Args:
+        joints: The joints.
+        quantity: position, velocity, acceleration; all else is a torque or force.
+        values: Shape (n, len(joints)).
+    """
+    units = _UNITS.get(quantity, _EFFORT)
+    return [
+        Column(f"{joint.name}.{quantity}", column, units[joint.kind == "prismatic"])
+        for joint, column in zip(joints, values.T, strict=True)
+    ]
+
+
+def row_columns(rows: Sequence[Row], multipliers: Array) -> list[Column]:
+    """Columns `<row>.multiplier`.
+
+    Args:
+        rows: Constraint rows.
+        multipliers: Shape (n, len(rows)).
+    """
+    return [
+        Column(f"{row.name}.multiplier", column, row.unit, row.frame)
+        for row, column in zip(rows, multipliers.T, strict=True)
+    ]
+
+
+def command_columns(joints: Sequence[str], commands: Array) -> list[Column]:
+    """Columns `<joint>.command`; of a joint with several actuators the others have a number.
+
+    Args:
+        joints: Names.
+        commands: Shape (n, len(joints)).
+    """
+    names = [row.name for row in numbered([Row(name, "") for name in joints])]
+    pairs = zip(names, commands.T, strict=True)
+    return [Column(f"{name}.command", column) for name, column in pairs]
+
+
+def metadata_of(
+    job: str, scene: Scene, inputs: Mapping[str, Any], topics: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Metadata of a result.
+
+    Args:
+        job: Name of the command.
+        scene: The scene.
+        inputs: What the job was asked for; files by their names, None is left out.
+        topics: Topics of a bag, see `bag_streams`.
+    """
+    given = {key: _plain(value) for key, value in inputs.items() if value is not None}
+    return {
+        "job": job,
+        "scene": scene.name,
+        "inputs": given,
+        "versions": dict(_versions()),
+        "topics": dict(topics),
+    }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Result):
+        return {"job": value.metadata.get("job", ""), "inputs": value.metadata.get("inputs", {})}
+    return value if isinstance(value, int | float | str | list | dict) else name_of(value)
+
+
+@cache
+def _versions() -> tuple[tuple[str, str], ...]:
+    found = [("python", platform.python_version())]
+    for package, name in (("mbd_ros", "mbd_ros"), ("pinocchio", "pin"), ("numpy", "numpy")):
+        try:
+            found.append((package, version(name)))
+        except PackageNotFoundError:  # colcon and conda install without what pip knows
+            found.append((package, "unknown"))
+    return tuple(found)

@@ -1,0 +1,73 @@
+"""Torques of open chains, coupled or not: many samples at once."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from mbd_ros.core.estimation.torque_estimator import Observation
+from mbd_ros.core.inverse.inverse_dynamics import TorqueComponents
+from mbd_ros.core.state import Array
+from mbd_ros.files.table import Column
+from mbd_ros.jobs.columns import joint_columns
+from mbd_ros.jobs.progress import progress
+from mbd_ros.scene.built_scene import Scene
+
+_CHUNK = 1000  # samples between two signs of progress
+
+
+def solve_open(
+    scene: Scene, samples: Sequence[Observation], wrenches: Sequence[Array], with_parts: bool
+) -> tuple[list[Column], list[str]]:
+    """Torques of the independent joints, multipliers of the dependent ones.
+
+    Args:
+        scene: A scene without loops.
+        samples: The observations.
+        wrenches: One (n, 6) array for every load of the scene.
+        with_parts: Also give the torques by cause.
+
+    Returns:
+        Columns of motion and torques, and what there is to say about them: nothing.
+    """
+    solver = scene.inverse_dynamics()
+    motion = {
+        field: np.array([getattr(x, field) for x in samples])
+        for field in ("position", "velocity", "acceleration")
+    }
+    z, v, a = motion.values()
+    chunks = [slice(i, i + _CHUNK) for i in range(0, len(z), _CHUNK)]
+    solved = [
+        solver.batch(z[part], v[part], a[part], [w[part] for w in wrenches])
+        for part in progress(chunks, len(chunks), "solving")
+    ]
+    tau, multipliers = (np.concatenate(rows) for rows in zip(*solved, strict=True))
+    found = {**motion, "effort": tau}
+    if with_parts:
+        rows = zip(z, v, a, *wrenches, strict=True)
+        causes = [solver.parts(*row[:3], row[3:]) for row in progress(rows, len(z), "parts")]
+        for i, name in enumerate(TorqueComponents._fields):
+            found[name] = np.array([c[i] for c in causes])
+    robot, couplings = scene.robot, solver.couplings
+    free, tied = (
+        [robot.joint(name) for name in names]
+        for names in (couplings.independent, couplings.dependent)
+    )
+    columns = [c for field, values in found.items() for c in joint_columns(free, field, values)]
+    return [*columns, *joint_columns(tied, "multiplier", multipliers)], []
+
+
+def violations(scene: Scene, samples: Sequence[Observation]) -> Iterator[str]:
+    """How far the dependent joints are off their couplings, or that nobody measured them."""
+    couplings = scene.couplings
+    if not couplings.dependent:
+        return
+    q = np.zeros((scene.robot.model.nq, len(samples)))
+    q[couplings.q_index] = np.array([x.position for x in samples]).T
+    couplings.expand(q, np.zeros_like(q), np.zeros_like(q))
+    for i, name in enumerate(couplings.dependent):
+        measured = np.array([x.dependent[i] for x in samples])
+        if np.isfinite(measured).all():
+            off = np.abs(measured - q[scene.robot.joint(name).q]).max()
+            yield f"{name} is off its coupling by at most {off:.3g}"
+        else:
+            yield f"{name} is reconstructed from {scene.coupling_kinds[name]}"

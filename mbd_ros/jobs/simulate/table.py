@@ -1,0 +1,108 @@
+"""States of a simulation as a table: motion, efforts, multipliers, energy, violations."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.projection.assembly import violation
+from mbd_ros.core.simulation.simulation import Commands
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import DivergedError, MbdError, SolveError
+from mbd_ros.files.table import Column, Table
+from mbd_ros.files.times import TIME
+from mbd_ros.jobs.columns import command_columns, joint_columns, row_columns
+
+BALANCE = {  # column -> what messages call it, unit
+    "energy": ("energy", "J"),
+    "drift.position": ("position drift", "rad or m"),
+    "drift.velocity": ("velocity drift", "rad/s or m/s"),
+}
+
+
+def topics_of(system: System) -> dict[str, Any]:
+    """Topics of a bag, see `files.bag_streams`."""
+    topics: dict[str, Any] = {
+        "/joint_states": {field: field for field in ("position", "velocity", "effort")}
+    }
+    if system.multiplier_rows:
+        topics["/constraint_forces"] = {"effort": "multiplier"}
+    return {**topics, "/energy_and_drift": {"data": list(BALANCE)}}
+
+
+def table_of(
+    system: System, states: Sequence[State], commands: Commands | None
+) -> tuple[Table, MbdError | None]:
+    """A row a state, up to the first one without a finite answer, and why it ends there.
+
+    Args:
+        system: The system that was simulated.
+        states: States of all joints.
+        commands: What its actuators were told.
+    """
+    rows = []
+    failure: MbdError | None = None
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            for x in states:
+                rows.append(_row(system, x, commands))
+    except SolveError as error:
+        failure = error
+    joints, m = system.robot.joints, len(system.multiplier_rows)
+    q_index, v_index = [j.q for j in joints], [j.v for j in joints]
+    nq, nv = system.model.nq, system.model.nv
+    t, q, v, a, effort, multiplier, balance = (
+        np.array([row[i] for row in rows]).reshape(len(rows), width)
+        for i, width in enumerate((1, nq, nv, nv, nv, m, 3))
+    )
+    columns = [
+        Column(TIME, t[:, 0], "s"),
+        *joint_columns(joints, "position", q[:, q_index]),
+        *joint_columns(joints, "velocity", v[:, v_index]),
+        *joint_columns(joints, "acceleration", a[:, v_index]),
+        *joint_columns(joints, "effort", effort[:, v_index]),
+        *row_columns(system.multiplier_rows, multiplier),
+        *(Column(name, balance[:, i], BALANCE[name][1]) for i, name in enumerate(BALANCE)),
+    ]
+    table = Table(columns)
+    count, lost = _finite_rows(table)
+    more = _commands(system, t[:, 0], commands)
+    return Table([*table.columns, *more]).first(count), lost or failure
+
+
+def _finite_rows(table: Table) -> tuple[int, DivergedError | None]:
+    """How many samples come before the first that is not finite, and what that one lacks."""
+    found = []
+    for name, values in table.items():
+        rows = np.flatnonzero(~np.isfinite(values))
+        if len(rows):
+            joint, _, field = name.rpartition(".")
+            what = BALANCE[name][0] if name in BALANCE else f"{field} of {joint}"
+            found.append((int(rows[0]), what))
+    if not found:
+        return table.rows, None
+    row = min(found)[0]
+    what = min(what for at, what in found if at == row)
+    return row, DivergedError(f"{what} is not finite at t = {table[TIME][row]:.9g} s")
+
+
+def _commands(system: System, times: Array, commands: Commands | None) -> list[Column]:
+    """What actuators take that is not the torque of the joint."""
+    takes = [a.takes for a in system.loads.actuators for _ in a.joints]
+    at = [i for i, what in enumerate(takes) if what]
+    if not at:
+        return []
+    u = np.zeros((len(times), len(takes)))  # what no command stands for
+    if commands is not None and len(times):
+        u = np.array([commands(t) for t in times])
+    return command_columns([system.loads.commands[i] for i in at], u[:, at])
+
+
+def _row(system: System, x: State, commands: Commands | None) -> tuple[Any, ...]:
+    """Time, q, v, a, effort, multipliers and balance of one state."""
+    y = system.reduce(x)
+    u = None if commands is None else commands(x.t)
+    a, lam = system.solve(y, u)
+    balance = system.energy(y), *violation(system, y)
+    return x.t, x.q, x.v, a, system.loads.actuator_torque(x, u), lam, balance
