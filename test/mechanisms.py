@@ -1,4 +1,23 @@
-"""URDF of small mechanisms for tests; revolute joints turn about z, rods lie along x."""
+"""Small mechanisms for tests, and scenes without files.
+
+Revolute joints turn about z, rods lie along x.
+"""
+
+from mbd_ros.scene.from_python import scene_from
+from mbd_ros.scene.strict_yaml import mapping_of
+
+
+def scene_of(text, urdf=None):
+    """The scene of a YAML text, and perhaps of a robot description, without a file."""
+    return scene_from(mapping_of(text, "scene"), urdf=urdf)
+
+
+def scaled(scene, scale):
+    """The scene with all masses and inertias scaled."""
+    inertias = scene.robot.inertias().items()
+    return scene.with_inertias(
+        {name: (scale * y.mass, y.lever, scale * y.inertia) for name, y in inertias}
+    )
 
 
 def link(name, mass=0.0, com=(0.0, 0.0, 0.0), moments=(1.0, 1.0, 1.0)):

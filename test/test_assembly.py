@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mechanisms import scene_of
 from scipy.optimize import minimize
 
 from mbd_ros.core.projection.assembly import assemble, project, violation
@@ -91,14 +92,13 @@ def test_consistent_state_is_left_alone():
     assert np.abs(p.q - y.q).max() <= 1e-12
 
 
-def test_mechanism_that_cannot_close_is_refused_with_its_gap(tmp_path):
+def test_mechanism_that_cannot_close_is_refused_with_its_gap():
     scene = (SCENES / "benchmark/x02_four_bar_1e-2.yaml").read_text(encoding="utf-8")
     robots = (SCENES / "../robots").resolve()
     wide = scene.replace("../../robots", str(robots)).replace(
         "[0.99, 0.0, 0.0]", "[9.0, 0.0, 0.0]"
     )
-    (tmp_path / "wide.yaml").write_text(wide, encoding="utf-8")
-    loaded = load_scene(tmp_path / "wide.yaml")
+    loaded = scene_of(wide)
     with pytest.raises(
         SolveError, match=r"cannot be assembled near this position: row .*is 8\.01 m"
     ):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mechanisms import scene_of
 
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.system import System
@@ -20,7 +21,6 @@ from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
 from mbd_ros.integrators.rk4 import Rk4
 from mbd_ros.scene.part_entries import build_part
-from mbd_ros.scene.reader import load_scene
 from mbd_ros.stabilization.none import NoStabilization
 
 ROOT = Path(__file__).parents[1]
@@ -98,18 +98,17 @@ def test_stop_that_is_out_of_reach_changes_no_bit(coupled):
     assert with_stops.bounded.qp.statistics.solves == 0
 
 
-def simulate(path, entries, duration, dt=1e-3, **trajectory):
+def simulate(entries, duration, dt=1e-3, **trajectory):
     robot = f"robot: {{urdf: {ROOT / 'config/robots/pendulum.urdf'}}}\n"
     initial = f"initial: {{position: {{hinge: {trajectory.get('position', 0.0)}}}}}\n"
-    path.write_text(robot + f"constraints: [{entries}]\ndt: {dt}\n" + initial, encoding="utf-8")
-    loaded = load_scene(path)
+    loaded = scene_of(robot + f"constraints: [{entries}]\ndt: {dt}\n" + initial)
     simulation = loaded.simulation(integrator={"type": "rk4"})
     return simulation, list(simulation.run(loaded.initial, duration))
 
 
-def test_pendulum_comes_to_rest_at_its_stop(tmp_path):
+def test_pendulum_comes_to_rest_at_its_stop():
     stop = "{type: joint_stop, joint: hinge, lower: 0.2, upper: 3.0}"
-    simulation, states = simulate(tmp_path / "s.yaml", stop, 2.0, position=1.0)
+    simulation, states = simulate(stop, 2.0, position=1.0)
     q = np.array([x.q[0] for x in states])
     assert q.min() >= 0.2 - 1e-9
     assert abs(q[-1] - 0.2) <= 1e-6

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mechanisms import scene_of
 
 from mbd_ros.core.control.contract import EffortBox, Reference, Response, per_joint
 from mbd_ros.core.control.mobility_factor import MobilityFactor
@@ -13,7 +14,6 @@ from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.forces.joint_torque import JointTorque
 from mbd_ros.scene import schema
-from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.registry import resolve
 
 CONFIG = Path(__file__).parents[1] / "config"
@@ -35,7 +35,7 @@ each_mechanism = pytest.mark.parametrize("mechanism", ACTUATED)
 
 
 @pytest.fixture
-def scene(tmp_path):
+def scene():
     """A scene of this package with ideal actuators."""
 
     def load(mechanism):
@@ -43,10 +43,8 @@ def scene(tmp_path):
         text = (CONFIG / f"scenes/{file}.yaml").read_text(encoding="utf-8")
         text = re.sub(r"(?m)^actuators:.*\n(-.*\n)*", "", text)
         text = text.replace("../robots", str(CONFIG / "robots"))
-        path = tmp_path / f"{mechanism}.yaml"
         actuators = f"actuators: [{{type: ideal, joints: [{ACTUATED[mechanism]}]}}]\n"
-        path.write_text(f"{text}\n{actuators}", encoding="utf-8")
-        return load_scene(path)
+        return scene_of(f"{text}\n{actuators}")
 
     return load
 

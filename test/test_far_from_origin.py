@@ -7,7 +7,6 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 import pytest
-import yaml
 
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.system import System
@@ -17,7 +16,8 @@ from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
 from mbd_ros.integrators.dop853 import Dop853
 from mbd_ros.report.stability.scene_text import joint, link, robot
-from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.from_python import scene_from
+from mbd_ros.scene.strict_yaml import read_mapping
 from mbd_ros.stabilization.none import NoStabilization
 
 CONFIG = Path(__file__).parents[1] / "config"
@@ -53,10 +53,10 @@ CASES = {
 PLACES = [(0.0, 0.9, 1.2), (100.0, 100.0, 0.0), (-2.0e3, 31.7, 412.3)]
 
 
-def mounted(folder, name, sections, place):
+def mounted(name, sections, place):
     """A scene whose robot stands on a mount at a place in the world."""
     file = CONFIG / f"scenes/{name}.yaml"
-    entries = {**yaml.safe_load(file.read_text(encoding="utf-8")), **sections}
+    entries = {**read_mapping(file), **sections}
     tree = ElementTree.parse(file.parent / entries["robot"]["urdf"]).getroot()
     carried = {child.get("link") for child in tree.iter("child")}
     (root,) = (link.get("name") for link in tree.iter("link") if link.get("name") not in carried)
@@ -65,18 +65,14 @@ def mounted(folder, name, sections, place):
     ElementTree.SubElement(fixed, "parent", {"link": "mount"})
     ElementTree.SubElement(fixed, "child", {"link": root})
     ElementTree.SubElement(fixed, "origin", {"xyz": " ".join(map(repr, place)), "rpy": "0 0 0.3"})
-    urdf = folder / "robot.urdf"
-    urdf.write_text(ElementTree.tostring(tree, encoding="unicode"), encoding="utf-8")
-    entries["robot"] = {**entries["robot"], "urdf": str(urdf)}
+    entries["robot"] = {key: v for key, v in entries["robot"].items() if key != "urdf"}
     entries["constraints"] = [
         {**one, "position": [a + b for a, b in zip(one["position"], place, strict=True)]}
         if "position" in one
         else one
         for one in entries.get("constraints", [])
     ]
-    scene = folder / "scene.yaml"
-    scene.write_text(yaml.safe_dump(entries), encoding="utf-8")
-    return load_scene(scene)
+    return scene_from(entries, urdf=ElementTree.tostring(tree, encoding="unicode"))
 
 
 def consistent(scene, seed):
@@ -95,9 +91,9 @@ def away(found, expected):
 
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("case", CASES)
-def test_accelerations_and_forces_do_not_depend_on_the_mount(tmp_path, case, place):
-    home = mounted(tmp_path, *CASES[case], (0.0, 0.0, 0.0))
-    far = mounted(tmp_path, *CASES[case], place)
+def test_accelerations_and_forces_do_not_depend_on_the_mount(case, place):
+    home = mounted(*CASES[case], (0.0, 0.0, 0.0))
+    far = mounted(*CASES[case], place)
     ours, theirs = far.system(), home.system()
     for seed in range(3):
         x = consistent(home, seed)
@@ -113,9 +109,9 @@ def test_accelerations_and_forces_do_not_depend_on_the_mount(tmp_path, case, pla
 
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("case", ["forces", "reduced", "mimic", "loop", "loop to the ground"])
-def test_inverse_dynamics_does_not_depend_on_the_mount(tmp_path, case, place):
-    home = mounted(tmp_path, *CASES[case], (0.0, 0.0, 0.0))
-    far = mounted(tmp_path, *CASES[case], place)
+def test_inverse_dynamics_does_not_depend_on_the_mount(case, place):
+    home = mounted(*CASES[case], (0.0, 0.0, 0.0))
+    far = mounted(*CASES[case], place)
     x, rng = consistent(home, 5), np.random.default_rng(6)
     if home.has_loops:
         x, a = home.closed_loop().consistent(x, rng.normal(size=len(x.v)))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mechanisms import scene_of
 
 from mbd_ros.cli import main
 from mbd_ros.core.events.event_location import sign_change
@@ -38,11 +39,9 @@ def parabola(t):
 
 
 @pytest.fixture
-def scene(tmp_path):
+def scene():
     def built(text):
-        file = tmp_path / "scene.yaml"
-        file.write_text(text.replace("ROBOTS", str(ROOT / "config/robots")), encoding="utf-8")
-        return load_scene(file)
+        return scene_of(text.replace("ROBOTS", str(ROOT / "config/robots")))
 
     return built
 

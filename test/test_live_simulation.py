@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mechanisms import scene_of
 
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.errors import DivergedError, ModelError, SceneError
-from mbd_ros.scene.reader import load_scene
 
 ROOT = Path(__file__).parents[1]
 ROBOTS = ROOT / "config/robots"
@@ -33,13 +33,8 @@ initial: {{position: {{hinge: 0.3}}}}
 
 
 @pytest.fixture
-def scene(tmp_path):
-    def load(text):
-        path = tmp_path / f"scene_{len(list(tmp_path.iterdir()))}.yaml"
-        path.write_text(text, encoding="utf-8")
-        return load_scene(path)
-
-    return load
+def scene():
+    return scene_of
 
 
 def live(loaded, timeout=0.1, ramp=0.1, tick=TICK):
@@ -107,13 +102,12 @@ def test_a_tick_that_is_no_whole_number_of_steps_is_refused(scene):
             live(loaded)
 
 
-def test_a_floating_base_is_refused(scene, tmp_path):
-    urdf = tmp_path / "ball.urdf"
+def test_a_floating_base_is_refused(scene):
     inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
     link = f'<link name="ball"><inertial><mass value="1"/>{inertia}</inertial></link>'
-    urdf.write_text(f'<robot name="ball">{link}</robot>')
+    urdf = f'<robot name="ball">{link}</robot>'
     with pytest.raises(ModelError, match="pose of a floating base"):
-        live(scene(f"robot: {{urdf: {urdf}, base: floating}}\n"))
+        live(scene("robot: {base: floating}\n", urdf))
 
 
 # ---------------------------------------------------------------------- commands and their loss

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from mechanisms import scene_of
 
 from mbd_ros.errors import DivergedError, SceneError
 from mbd_ros.report.peers import kind as peers
@@ -198,11 +199,15 @@ ROWS = {  # what it adds -> tolerance of MuJoCo at 0.2 ms and of Drake's discret
 }
 
 
-def machine(tmp_path, text):
-    (tmp_path / "machine.urdf").write_text(MACHINE)
-    path = tmp_path / "machine.yaml"
+def machine(text):
+    return scene_of(text.replace("urdf: machine.urdf, ", ""), MACHINE)
+
+
+def machine_file(folder, text):
+    (folder / "machine.urdf").write_text(MACHINE)
+    path = folder / "machine.yaml"
     path.write_text(text)
-    return load_scene(path)
+    return path
 
 
 def furthest(scene, run, times=TIMES):
@@ -217,13 +222,13 @@ def furthest(scene, run, times=TIMES):
 @needs_mujoco
 @needs_drake
 @pytest.mark.parametrize("base", ["fixed", "floating"])
-def test_peers_take_the_loads_of_a_scene_of_a_user(tmp_path, base):
+def test_peers_take_the_loads_of_a_scene_of_a_user(base):
     """Renamed, locked, tilted, continuous and prismatic joints; springs, dampers, drives."""
     from mbd_ros.report.peers.drake_peer import DrakeRun
     from mbd_ros.report.peers.mujoco_peer import MujocoRun
 
     robot = ROBOT.replace("{urdf", f"{{base: {base}, urdf")
-    scene = machine(tmp_path, robot + START + LOADS)
+    scene = machine(robot + START + LOADS)
     told = task_of(common_ground(scene))
     assert furthest(scene, MujocoRun(told, "mjINT_RK4", 2e-4)) < 1e-9
     assert furthest(scene, DrakeRun(told, "runge_kutta5", 1e-10)) < 1e-8
@@ -241,13 +246,13 @@ def test_mujoco_takes_links_without_mass():
 @needs_mujoco
 @needs_drake
 @pytest.mark.parametrize("kind", ["kind: point", "kind: full, orientation: [0, 0, 0]"])
-def test_peers_hold_a_free_robot(tmp_path, kind):
+def test_peers_hold_a_free_robot(kind):
     from mbd_ros.report.peers.drake_peer import DrakeRun
     from mbd_ros.report.peers.mujoco_peer import MujocoRun
 
     anchor = f"{{type: frame_anchor, frame: trunk, position: [0, 0, 0], {kind}}}"
     robot = ROBOT.replace("{urdf", "{base: floating, urdf")
-    scene = machine(tmp_path, f"{robot}{START}constraints: [{anchor}]\n")
+    scene = machine(f"{robot}{START}constraints: [{anchor}]\n")
     told = task_of(common_ground(scene))
     assert furthest(scene, MujocoRun(told, "mjINT_RK4", 2e-4, 1.0, True)) < 1e-4
     assert furthest(scene, DrakeRun(told, "", dt=2e-4)) < 1e-2
@@ -256,11 +261,11 @@ def test_peers_hold_a_free_robot(tmp_path, kind):
 @needs_mujoco
 @needs_drake
 @pytest.mark.parametrize("rows", ROWS)
-def test_peers_take_the_rows_of_a_scene_of_a_user(tmp_path, rows):
+def test_peers_take_the_rows_of_a_scene_of_a_user(rows):
     from mbd_ros.report.peers.drake_peer import DrakeRun
     from mbd_ros.report.peers.mujoco_peer import MujocoRun
 
-    scene = machine(tmp_path, f"{ROBOT}{rows}\n")
+    scene = machine(f"{ROBOT}{rows}\n")
     told, (mujoco, drake) = task_of(common_ground(scene)), ROWS[rows]
     assert furthest(scene, MujocoRun(told, "mjINT_RK4", 2e-4, 1.0, True)) < mujoco
     if drake is None:
@@ -270,20 +275,20 @@ def test_peers_take_the_rows_of_a_scene_of_a_user(tmp_path, rows):
         assert furthest(scene, DrakeRun(told, "", dt=2e-4)) < drake
 
 
-def test_loads_that_no_peer_has_are_left_out_for_all(tmp_path):
+def test_loads_that_no_peer_has_are_left_out_for_all():
     text = """
 constraints: [{type: joint_stop, joint: hip, upper: 0.4}]
 forces:
 - {type: joint_friction, joint: hip, coulomb: 0.5}
 - {type: joint_spring, joint: out, stiffness: 60.0}
 """
-    ground = common_ground(machine(tmp_path, ROBOT + text))
+    ground = common_ground(machine(ROBOT + text))
     assert ground.left == ("constraints[0] (joint_stop)", "forces[0] (joint_friction)")
     assert len(ground.scene.forces) == 1 and ground.scene.constraints == ()
     assert [body.stiffness for body in task_of(ground).joints] == [0.0, 60.0, 0.0]
 
 
-def test_rows_that_no_peer_has_are_refused_by_name(tmp_path):
+def test_rows_that_no_peer_has_are_refused_by_name():
     knots = "{x: [0, 1, 2], y: [0, 0.1, 0.3]}"
     for text, message in (
         (
@@ -300,7 +305,7 @@ def test_rows_that_no_peer_has_are_refused_by_name(tmp_path):
             r"constraints\[0\]: .* not only x",
         ),
     ):
-        scene = machine(tmp_path, f"{ROBOT}{text}\n")
+        scene = machine(f"{ROBOT}{text}\n")
         with pytest.raises(SceneError, match=message):
             task_of(common_ground(scene), motion_of(scene, TIMES).states)
 
@@ -370,13 +375,15 @@ def test_a_report_of_peers_compares_the_scene_of_a_user_or_fails(tmp_path, capsy
     """One that peers can express, one that they cannot."""
     from mbd_ros.cli import main
 
-    machine(tmp_path, ROBOT + START + LOADS)
+    machine_file(tmp_path, ROBOT + START + LOADS)
     words = ["report", str(tmp_path / "machine.yaml"), "--only", "peers", "--quick", "-o"]
     assert main([*words, str(tmp_path / "first")]) == 0
     sections = json.loads((tmp_path / "first/report.json").read_text())["sections"]
     packages = sections["peers"]["tables"][0][1]
     assert packages[3:5] == ["mbd_ros", "MuJoCo"]
-    machine(tmp_path, ROBOT + "couplings: {out: {parent: second, spline: {x: [0, 1], y: [0, 1]}}}")
+    machine_file(
+        tmp_path, ROBOT + "couplings: {out: {parent: second, spline: {x: [0, 1], y: [0, 1]}}}"
+    )
     capsys.readouterr()
     assert main([*words, str(tmp_path / "second")]) == 1
     said = capsys.readouterr().err

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from mechanisms import scene_of
 
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.state import State
@@ -20,12 +21,10 @@ FRICTION = "- {type: dry_friction, joint: ankle, limit: 0.7}\n"
 ARM = (CONFIG / "scenes/prosthetic_arm.yaml").read_text(encoding="utf-8")
 
 
-def leg(folder, parts, solver="auto"):
+def leg(parts, solver="auto"):
     """The four-bar leg with these constraints, and its state in motion."""
-    file = folder / "leg.yaml"
     text = f"{HEAD}constraints:\n{''.join(parts)}dt:{TAIL}solver: {{type: {solver}}}\n"
-    file.write_text(text, encoding="utf-8")
-    scene = load_scene(file)
+    scene = scene_of(text)
     return scene, State(0.0, scene.initial.q, scene.initial.v)
 
 
@@ -43,15 +42,15 @@ def exerted(system, wrenches):
 
 @pytest.mark.parametrize("solver", ["auto", "qp"])
 @pytest.mark.parametrize("parts", list(itertools.permutations([LOOP, STOP, FRICTION])))
-def test_wrenches_and_multipliers_do_not_depend_on_order_or_solver(tmp_path, parts, solver):
-    expected_scene, x = leg(tmp_path, [LOOP, STOP, FRICTION])
+def test_wrenches_and_multipliers_do_not_depend_on_order_or_solver(parts, solver):
+    expected_scene, x = leg([LOOP, STOP, FRICTION])
     known = expected_scene.system()
     a, lam = known.solve(x)
     by_name = dict(zip([row.name for row in known.multiplier_rows], lam, strict=True))
     pull = [w.force for w in known.wrenches(x, lam)]
     assert by_name["hip_flexion.stop"] > 1.0 and abs(by_name["ankle.friction"]) > 0.1
     assert max(np.abs(force).max() for force in pull) > 1.0
-    scene, x = leg(tmp_path, parts, solver)
+    scene, x = leg(parts, solver)
     system = scene.system()
     found = system.solve(x)
     listed = [row.name for part in scene.constraints for row in part.rows]
@@ -67,14 +66,12 @@ def test_wrenches_and_multipliers_do_not_depend_on_order_or_solver(tmp_path, par
     assert whole == pytest.approx(J.T @ bars, abs=1e-9 * np.abs(lam).max())
 
 
-def test_couplings_come_first_under_every_solver(tmp_path):
-    file = tmp_path / "arm.yaml"
+def test_couplings_come_first_under_every_solver():
     joint = load_scene(CONFIG / "scenes/prosthetic_arm.yaml").couplings.independent[0]
     stop = f"constraints:\n- {{type: joint_stop, joint: {joint}, upper: 0.1}}\n"
     rub = f"- {{type: dry_friction, joint: {joint}, limit: 1.0}}\n"
     text = ARM.replace("../robots", str(CONFIG / "robots")) + stop + rub
-    file.write_text(text, encoding="utf-8")
-    scene = load_scene(file)
+    scene = scene_of(text)
     reduced, rows = scene.system(), scene.system(solver={"type": "qp"})
     y = State(0.0, np.full(reduced.nq, 0.2), np.ones(reduced.nv))
     names = [row.name for row in reduced.multiplier_rows]
@@ -90,7 +87,7 @@ def test_rows_of_one_name_are_told_apart_over_bounded_and_free_ones(tmp_path):
     motion = "- {type: prescribed_motion, joint: hip_flexion, polynomial: [0.3]%s}\n"
     limited, free = motion % ", limit: 5.0", motion % ""
     for solver in ("auto", "qp"):
-        scene, _ = leg(tmp_path, [limited, LOOP, free], solver)
+        scene, _ = leg([limited, LOOP, free], solver)
         names = [row.name for row in scene.system().multiplier_rows]
         assert names[0] == "hip_flexion.motion" and names[-1] == "hip_flexion.motion#2"
     assert [row.name for row in scene.closed_loop().constraints.rows] == names

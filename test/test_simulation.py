@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mechanisms import scene_of
 
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.projection.assembly import violation
@@ -93,20 +94,17 @@ def test_dense_output_is_as_good_as_the_steps():
         assert np.abs(x.q - y.q).max() <= 1e-8
 
 
-def commanded(tmp_path, joint="hinge"):
-    file = tmp_path / "driven.yaml"
+def commanded(joint="hinge"):
     urdf = ROOT / "config/robots/pendulum.urdf"
-    file.write_text(
-        f"robot: {{urdf: {urdf}}}\nactuators: [{{type: ideal, joints: [{joint}], limit: 5.0}}]\n",
-        encoding="utf-8",
+    return scene_of(
+        f"robot: {{urdf: {urdf}}}\nactuators: [{{type: ideal, joints: [{joint}], limit: 5.0}}]\n"
     )
-    return load_scene(file)
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "adams", "dop853", "semi_implicit_euler"])
-def test_commands_are_held_between_outputs(tmp_path, integrator):
+def test_commands_are_held_between_outputs(integrator):
     """Two halves with their own command, run as two simulations, are one run with a switch."""
-    loaded = commanded(tmp_path)
+    loaded = commanded()
 
     def simulation():
         return loaded.simulation(integrator={"type": integrator}, dt=1e-3)
@@ -126,16 +124,14 @@ def collect(states, seen):
         seen.append(x)  # one by one, to have those before an error
 
 
-def test_divergence_names_joint_time_and_last_finite_state(tmp_path):
-    file = tmp_path / "stiff.yaml"
+def test_divergence_names_joint_time_and_last_finite_state():
     urdf = ROOT / "config/robots/pendulum.urdf"
-    file.write_text(
+    loaded = scene_of(
         f"robot: {{urdf: {urdf}}}\n"
         "forces: [{type: joint_spring, joint: hinge, stiffness: 1e9}]\n"
-        "initial: {position: {hinge: 0.1}}\nintegrator: {type: rk4}\ndt: 0.1\n",
-        encoding="utf-8",
+        "initial: {position: {hinge: 0.1}}\nintegrator: {type: rk4}\ndt: 0.1\n"
     )
-    loaded, seen = load_scene(file), []
+    seen = []
     message = r"diverged at t = .*; last finite state at t = .*: fastest joint hinge"
     with pytest.raises(DivergedError, match=message):
         collect(loaded.simulation().run(loaded.initial, 100.0), seen)
@@ -160,16 +156,14 @@ BEAD = (  # on a spoke of a disc, which throws it outwards
 
 
 @pytest.mark.parametrize("method", ["semi_implicit_euler", "rk4"])
-def test_a_divergence_is_not_blamed_on_the_masses_of_a_sound_robot(tmp_path, method):
+def test_a_divergence_is_not_blamed_on_the_masses_of_a_sound_robot(method):
     """At 1e50 m a mass matrix is rounding; velocities that are finite are not called lost."""
-    (tmp_path / "bead.urdf").write_text(BEAD, encoding="utf-8")
-    (tmp_path / "bead.yaml").write_text(
-        "robot: {urdf: bead.urdf}\ninitial: {position: {slide: 0.1}, "
+    loaded = scene_of(
+        "initial: {position: {slide: 0.1}, "
         "velocity: {turn: 1000.0, slide: 1000.0}}\n"
         f"integrator: {{type: {method}}}\ndt: 1e-2\n",
-        encoding="utf-8",
+        BEAD,
     )
-    loaded = load_scene(tmp_path / "bead.yaml")
     with pytest.raises(DivergedError, match="diverged at t = ") as told:
         collect(loaded.simulation().run(loaded.initial, 1.0), [])
     assert "try a smaller dt" in str(told.value)
@@ -186,7 +180,7 @@ def test_dt_that_is_none_is_refused():
 @pytest.mark.parametrize(
     "name", ["prosthetic_arm", "arm7", "four_bar_leg", "benchmark/a04_bricard"]
 )
-def test_stops_out_of_reach_leave_the_simulation_as_it_is(tmp_path, name):
+def test_stops_out_of_reach_leave_the_simulation_as_it_is(name):
     text = (SCENES / f"{name}.yaml").read_text(encoding="utf-8")
     text = text.replace("../../robots", "../robots").replace(
         "../robots", str(ROOT / "config/robots")
@@ -197,11 +191,9 @@ def test_stops_out_of_reach_leave_the_simulation_as_it_is(tmp_path, name):
     stopped = (
         f"{lines[0]}constraints:\n{stop}{lines[2]}\n" if not head else f"{text}\n{head}{stop}"
     )
-    (tmp_path / "plain.yaml").write_text(text, encoding="utf-8")
-    (tmp_path / "stopped.yaml").write_text(stopped, encoding="utf-8")
     ends, tiers = [], []
-    for file in ("plain", "stopped"):
-        loaded = load_scene(tmp_path / f"{file}.yaml")
+    for sections in (text, stopped):
+        loaded = scene_of(sections)
         simulation = loaded.simulation(integrator={"type": "rk4"}, dt=1e-3)
         ends.append(list(simulation.run(loaded.initial, 0.1))[-1])
         tiers.append(tier_of(simulation.system))

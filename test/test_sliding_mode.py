@@ -1,10 +1,10 @@
 """Sliding mode control: its laws, and the prosthetic arm with a wrong model and a disturbance."""
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mechanisms import scaled, scene_of
 from scipy.integrate import solve_ivp
 
 from mbd_ros.controllers.computed_torque import ComputedTorque
@@ -17,7 +17,6 @@ from mbd_ros.core.control.sliding import mismatch, sliding_variable
 from mbd_ros.core.control.twisting import reaching_time_bound, super_twisting
 from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.state import State
-from mbd_ros.scene.reader import load_scene
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 
@@ -197,10 +196,10 @@ def full(arm, z, w=0.0, t=0.0):
 class Task:
     """The arm as it is, the model that its controllers have, and the disturbance."""
 
-    def __init__(self, folder, scale):
-        self.scale, self.scene = scale, arm_scene(folder, 1.0)
+    def __init__(self, scale):
+        self.scale, self.scene = scale, arm_scene(1.0)
         self.truth = self.scene.controlled_joints()
-        self.model = arm_scene(folder, scale).controlled_joints()
+        self.model = arm_scene(scale).controlled_joints()
         self.disturbance = Disturbance(self.truth)
 
     def run(self, controller, duration, dt, start=START):
@@ -249,26 +248,20 @@ class Task:
         return np.abs(found).max(axis=0)
 
 
-def arm_scene(folder, scale):
+def arm_scene(scale):
     """With all masses and inertias scaled."""
-    text = (ROBOTS / "prosthetic_arm.urdf").read_text(encoding="utf-8")
-    scaled = re.sub(
-        r'((?:mass value|i[xyz]{2})=")([^"]+)', lambda m: m[1] + repr(scale * float(m[2])), text
-    )
-    (folder / f"{scale}.urdf").write_text(scaled, encoding="utf-8")
-    path = folder / f"{scale}.yaml"
-    path.write_text(
-        f"robot: {{urdf: {scale}.urdf}}\nintegrator: {{type: rk4}}\n"
+    arm = scene_of(
+        "integrator: {type: rk4}\n"
         "couplings:\n  elbow: {parent: shoulder_flexion, factor: 1.75, offset: 0.175}\n"
         f"actuators: [{{type: ideal, joints: [{', '.join(JOINTS)}]}}]\n",
-        encoding="utf-8",
+        ROBOTS / "prosthetic_arm.urdf",
     )
-    return load_scene(path)
+    return scaled(arm, scale)
 
 
 @pytest.fixture(scope="module", params=[1.3, 0.7])
-def task(request, tmp_path_factory):
-    return Task(tmp_path_factory.mktemp("arm"), request.param)
+def task(request):
+    return Task(request.param)
 
 
 def test_a_mass_error_scales_the_control_and_nothing_else(task):

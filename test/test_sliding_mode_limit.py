@@ -5,19 +5,18 @@ too large, and a sinusoidal torque pushes every joint.
 """
 
 import math
-import re
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
+from mechanisms import scaled, scene_of
 
 from mbd_ros.controllers.sliding_mode import SlidingMode
 from mbd_ros.core.control.contract import EffortBox, Reference
 from mbd_ros.core.events.switching import DiscontinuousForce
 from mbd_ros.core.parts import ForceTerm
-from mbd_ros.scene.reader import load_scene
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 NOTHING, BANDWIDTH, OUTPUT, END = np.zeros(0), 10.0, 0.01, 1.0
@@ -116,24 +115,18 @@ class Push(ForceTerm):
 
 
 @pytest.fixture(scope="module")
-def plant(tmp_path_factory):
+def plant():
     """The true scene of a case, and the one that the controller believes in."""
 
     @cache
     def built(name):
-        folder, case = tmp_path_factory.mktemp(name), CASES[name]
-        text = (ROBOTS / f"{case.robot}.urdf").read_text(encoding="utf-8")
-        heavier = re.sub(
-            r'(mass value|i[xyz]{2})="([^"]+)"', lambda m: f'{m[1]}="{1.3 * float(m[2])}"', text
+        case = CASES[name]
+        true = scene_of(
+            f"couplings: {case.couplings}\n"
+            f"actuators: [{{type: ideal, joints: [{', '.join(case.joints)}]}}]\n",
+            ROBOTS / f"{case.robot}.urdf",
         )
-        for kind, urdf in (("true", text), ("model", heavier)):
-            (folder / f"{kind}.urdf").write_text(urdf, encoding="utf-8")
-            (folder / f"{kind}.yaml").write_text(
-                f"robot: {{urdf: {kind}.urdf}}\ncouplings: {case.couplings}\n"
-                f"actuators: [{{type: ideal, joints: [{', '.join(case.joints)}]}}]\n",
-                encoding="utf-8",
-            )
-        return load_scene(folder / "true.yaml"), load_scene(folder / "model.yaml")
+        return true, scaled(true, 1.3)
 
     return built
 

@@ -57,16 +57,28 @@ def read_mapping(path: Path, what: str = "scene file") -> dict[str, Any]:
     Raises:
         SceneError: Names file, line and key.
     """
-    text = read_text(path, MAX_BYTES, what)
+    return mapping_of(read_text(path, MAX_BYTES, what), str(path))
+
+
+def mapping_of(text: str, source: str) -> dict[str, Any]:
+    """The mapping that YAML text holds.
+
+    Args:
+        text: The text.
+        source: Where it comes from, for the messages.
+
+    Raises:
+        SceneError: Names source, line and key.
+    """
     try:
         node = _Composer(text).get_single_node()
     except yaml.YAMLError as error:
-        raise SceneError(f"{path}: {_one_line(error)}") from error
+        raise SceneError(f"{source}: {_one_line(error)}") from error
     if node is None:
-        raise SceneError(f"{path}: the file is empty")
-    value = _value(node, str(path), "")
+        raise SceneError(f"{source}: the file is empty")
+    value = _value(node, source, "")
     if not isinstance(value, dict):
-        raise SceneError(f"{path}: expected a mapping such as 'key: value'")
+        raise SceneError(f"{source}: expected a mapping such as 'key: value'")
     return value
 
 

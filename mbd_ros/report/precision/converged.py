@@ -73,7 +73,7 @@ def known(path: str, times: tuple[float, ...]) -> Known:
 
 def motion_of(scene: Scene, times: tuple[float, ...]) -> Known:
     """Converged motion of a built scene, as `known`."""
-    special = _SPECIAL.get(scene.path.stem)
+    special = None if scene.path is None else _SPECIAL.get(scene.path.stem)
     methods = ((_FINE, 1.0), *_SECOND) if special is None else special
     first = _choice(scene, *methods[0])
     simulation, ys = trace(scene, first, times)
@@ -117,7 +117,9 @@ def distance(scene: Scene, ours: State, theirs: State) -> float:
 
 def problem_of(scene: Scene) -> Problem | None:
     """The published problem that a scene file of ours is; None for any other file."""
-    return BY_NAME.get(scene.path.stem) if scene.path.parent.name == "benchmark" else None
+    if scene.path is None or scene.path.parent.name != "benchmark":
+        return None
+    return BY_NAME.get(scene.path.stem)
 
 
 def _choice(scene: Scene, integrator: Mapping[str, Any], steps: float) -> Choice:

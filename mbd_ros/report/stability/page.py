@@ -24,6 +24,7 @@ TITLE = "Stability"
 _METHODS_TABLE = "Verdicts by method"
 _NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 _ROW = re.compile(r"row \S+")
+_SCENE = re.compile(r"^(\w+): (\S*scene\.yaml\S*|scene:)")
 _SHOWN = 25  # reasons
 _SHORT, _TELLING = 0.1, 50  # multiple of the recommended step; runs that tell of a whole
 Cells = Sequence[tuple[str, Mapping[str, Any]]]  # name of the row, cell
@@ -135,7 +136,7 @@ def _reasons(cells: Cells) -> Table:
     for name, cell in cells:
         if cell["kind"] == STOPPED:
             reason = _ROW.sub("row ..", cell["text"].split("; last finite")[0])
-            reason = _NUMBER.sub("..", re.sub(r"^(\w+): \S*scene.yaml\S*", r"\1:", reason))
+            reason = _NUMBER.sub("..", _SCENE.sub(r"\1:", reason))
             found.setdefault(reason, []).append(f"{name}, {cell['method']}")
     ordered = sorted(found.items(), key=lambda pair: (-len(pair[1]), pair[0]))
     rows = [[reason, str(len(where)), where[0]] for reason, where in ordered[:_SHOWN]]

@@ -1,13 +1,13 @@
 """Scenes as texts, which a report keeps and which can become files again."""
 
-import tempfile
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.scene.strict_yaml import read_mapping
+from mbd_ros.scene.site import NO_FILE
+from mbd_ros.scene.strict_yaml import mapping_of
 
 Entry = Mapping[str, Any]
 ROBOT = "robot.urdf"
@@ -26,10 +26,10 @@ class SceneText(NamedTuple):
 
 
 class LoadedScene(NamedTuple):
-    """A scene, and the sections of its file.
+    """A scene, and the sections that it was built from.
 
     Attributes:
-        scene: The scene, built by `load_scene`.
+        scene: The scene, built.
         entries: Its sections, as read.
     """
 
@@ -38,16 +38,14 @@ class LoadedScene(NamedTuple):
 
 
 def load(text: SceneText) -> LoadedScene:
-    """Write both texts to a folder of their own and load the scene.
+    """Build the scene of both texts.
 
     Raises:
         SceneError: It cannot be built.
     """
-    with tempfile.TemporaryDirectory(prefix="mbd_ros_") as folder:
-        path = Path(folder) / "scene.yaml"
-        path.write_text(text.scene, encoding="utf-8")
-        path.with_name(ROBOT).write_text(text.urdf, encoding="utf-8")
-        return LoadedScene(load_scene(path), read_mapping(path))
+    entries = mapping_of(text.scene, NO_FILE)
+    robot = {key: value for key, value in entries["robot"].items() if key != "urdf"}
+    return LoadedScene(scene_from({**entries, "robot": robot}, urdf=text.urdf), entries)
 
 
 def load_file(name: str) -> LoadedScene:
