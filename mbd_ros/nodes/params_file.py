@@ -22,19 +22,22 @@ def lines(node: str, parameters: Sequence[Parameter]) -> Iterator[str]:
     yield "/**:"
     yield "  ros__parameters:"
     for parameter in parameters:
-        marked = f"{_INDENT}# "
+        marked, required = f"{_INDENT}# ", parameter.default is None
         yield from textwrap.wrap(
-            _meaning(parameter), _WIDTH, initial_indent=marked, subsequent_indent=marked
+            meaning(parameter) + " Required." * required,
+            _WIDTH,
+            initial_indent=marked,
+            subsequent_indent=marked,
         )
-        if parameter.default is None:
+        if required:
             placeholder = parameter.name.rpartition(".")[2].upper()
             yield f"{marked}{parameter.name}: {placeholder}"
         else:
             yield f"{_INDENT}{parameter.name}: {_written(parameter.default)}"
 
 
-def _meaning(parameter: Parameter) -> str:
-    """Sentences of the comment."""
+def meaning(parameter: Parameter) -> str:
+    """Sentences on a parameter: what it means, what it takes, and when it may change."""
     sentences = [parameter.text]
     if parameter.choices:
         accepted = parameter.accepted()
@@ -45,8 +48,6 @@ def _meaning(parameter: Parameter) -> str:
         sentences.append(f"At least {parameter.low:g}.")
     if not parameter.read_only:
         sentences.append("May change at run time.")
-    if parameter.default is None:
-        sentences.append("Required.")
     return " ".join(sentences)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from rclpy.utilities import remove_ros_args
 
 from mbd_ros.errors import BAD_INPUT
+from mbd_ros.nodes.params_file import meaning
 from mbd_ros.nodes.shell.parameters import Parameter
 
 _HELP = ("-h", "--help")
@@ -47,9 +48,8 @@ def usage(name: str, parameters: Sequence[Parameter]) -> str:
         default = parameter.default
         shown = list(default) if isinstance(default, tuple) else default
         given = "required" if default is None else f"default {str(shown).replace('True', 'true')}"
-        choices = f" One of {', '.join(parameter.choices)}." if parameter.choices else ""
         lines.append(f"  {parameter.name} ({given.replace('False', 'false')})")
         lines += textwrap.wrap(
-            parameter.text + choices, 92, initial_indent=" " * 6, subsequent_indent=" " * 6
+            meaning(parameter), 92, initial_indent=" " * 6, subsequent_indent=" " * 6
         )
     return "\n".join(lines) + "\n"
