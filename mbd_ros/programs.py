@@ -1,4 +1,4 @@
-"""Where the executables of the package begin: Ctrl-C ends them from the first line on.
+"""Entry of the executables of the package: Ctrl-C ends them from the first line on.
 
 What a program imports takes half a second. Until then nothing is built that would have to be
 closed, and a signal ends the process at once, without a traceback out of some import.

@@ -12,7 +12,7 @@ class Health(NamedTuple):
     """One DiagnosticStatus.
 
     Attributes:
-        name: Who reports.
+        name: The reporting node.
         level: OK, WARN, ERROR or STALE.
         message: One sentence.
         values: Details, all as text.

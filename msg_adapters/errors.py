@@ -1,4 +1,4 @@
-"""What an adapter raises."""
+"""Errors of adapters."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Which numbers a constructor takes: ranges and units as annotations of its arguments.
+"""Numbers that a constructor takes: ranges and units as annotations of its arguments.
 
 Ranges are checked where a file is read or a parameter is set. The largest number of a scene leaves
 room for the powers and products that dynamics makes of it, within 1.8e308.
@@ -32,7 +32,7 @@ ANY_NUMBER = Within(-LARGEST, LARGEST)
 
 
 class Described(NamedTuple):
-    """What an annotation says.
+    """The contents of an annotation.
 
     Attributes:
         kind: The type without range and unit.

@@ -44,7 +44,7 @@ class Recorder:
         check: Raises if waiting has become useless; called often.
 
     Attributes:
-        node: For publishers and clients of whoever leads the recording.
+        node: For publishers and clients of the code that leads the recording.
         messages: All messages; log times are those of publishing.
         newest: Topic -> its newest message, serialized; of topics that something came on.
         health: Node -> its newest status.

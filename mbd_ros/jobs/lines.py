@@ -1,4 +1,4 @@
-"""What a command says to people."""
+"""Lines of a command for people."""
 
 import sys
 from collections.abc import Iterable

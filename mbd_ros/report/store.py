@@ -1,4 +1,4 @@
-"""Results on disk, a file an item: what an interrupted report goes on from."""
+"""Results on disk, a file an item, from which an interrupted report continues."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""Which scenes a report measures, and for how long they run."""
+"""The scenes that a report measures, and their time spans."""
 
 import re
 import unicodedata

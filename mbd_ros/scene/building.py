@@ -25,7 +25,7 @@ class Table(NamedTuple):
 
 
 class Built(NamedTuple):
-    """What sections made.
+    """Built sections.
 
     Attributes:
         parts: By key.

@@ -69,7 +69,7 @@ class Scene(SceneParts):
         return with_inertias(self, inertias)
 
     def check(self) -> str:
-        """What `mbd-ros check` prints: what is built, what is left out, what one call costs.
+        """The lines of `mbd-ros check`: parts that are built and left out, and the cost of a call.
 
         Raises:
             MbdError: The scene has no consistent start.

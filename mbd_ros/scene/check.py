@@ -195,7 +195,7 @@ def tier(scene: Scene) -> str:
 
 
 def _reach(scene: Scene, x: State) -> Iterator[str]:
-    """What the actuators can do at the assembled start, for inverse dynamics."""
+    """The reach of the actuators at the assembled start, for inverse dynamics."""
     reach = scene.closed_loop().reach(x)
     names = listed(scene.actuated) or "none"
     reason = "" if scene.actuators else "; no actuators section: every independent joint"

@@ -1,4 +1,4 @@
-"""Where scenes are, and the files that they name."""
+"""Places of scenes, and of the files that they name."""
 
 import argparse
 import os

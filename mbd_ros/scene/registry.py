@@ -1,4 +1,4 @@
-"""Where every part lives: one line a part, imported only when a scene names it."""
+"""The module of every part: one line a part, imported only when a scene names it."""
 
 import importlib
 import inspect

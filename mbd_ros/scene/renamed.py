@@ -1,4 +1,4 @@
-"""What was called otherwise before, so that an error names the new one."""
+"""Names of earlier versions, so that an error tells the new one."""
 
 from collections.abc import Mapping
 
@@ -38,7 +38,7 @@ RENAMED: Mapping[str, Mapping[str, str]] = {  # kind -> old name -> new name
 
 
 def renamed(kind: str, name: str) -> str:
-    """What to add to a message about a name that does not exist.
+    """Hint for a message about a name that does not exist.
 
     Args:
         kind: A key of `RENAMED`.

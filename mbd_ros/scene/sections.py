@@ -15,7 +15,7 @@ _PARTS, _ENTRIES = "mbd_ros.scene.part_entries", "mbd_ros.scene.single_entries"
 
 
 class Form(Enum):
-    """What the YAML of a section holds."""
+    """Contents of a section in YAML."""
 
     SINGLE = "one entry"
     LIST = "a list of entries"

@@ -9,7 +9,7 @@ from mbd_ros.workers.task import Result, Task
 
 
 class Workers(Protocol):
-    """Those who do tasks."""
+    """Contract of workers, which do tasks."""
 
     @property
     def count(self) -> int:

@@ -136,9 +136,10 @@ class Controller:
     """A control law; a value: new gains are a new controller for the same joints.
 
     The constructor takes `joints` and, by keyword, the gains. It is the only home of their
-    defaults, ranges and units (`mbd_ros.core.ranges`), and its docstring of their meaning: whoever
-    configures the law reads them there. `Gain` stands for a float for all joints, or one a joint.
-    A constructor raises a ModelError that names the gain, what is wrong and what is accepted.
+    defaults, ranges and units (`mbd_ros.core.ranges`), and its docstring of their meaning; code
+    that configures the law reads them there. `Gain` stands for a float for all joints, or one a
+    joint. A constructor raises a ModelError that names the gain, what is wrong and what is
+    accepted.
 
     A control law does not keep its own states (an integral): it gives their rates
     (`Control.memory_rate`), and the loop integrates or freezes them.

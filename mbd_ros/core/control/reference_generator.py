@@ -189,7 +189,7 @@ class ReferenceGenerator:
         return self._limits.kept(ref)
 
     def state(self, t: float) -> str:
-        """What is followed at a time [s], for people."""
+        """The followed reference at a time [s], for people."""
         if self.kind == "target" and t - self._last_target > self.timeout:
             return f"target of {t - self._last_target:.3g} s ago: held"
         if self.kind == "trajectory" and t >= self._trajectory.end:

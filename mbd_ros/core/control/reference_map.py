@@ -129,7 +129,7 @@ class ReferenceMap:
                 )
 
     def _source(self, name: str, given: Sequence[str]) -> tuple[str | None, float, float]:
-        """Which name gives a controlled joint, with factor and offset; None where none does."""
+        """The name that gives a controlled joint, with factor and offset; None without one."""
         if name in given:
             return name, 1.0, 0.0
         for source in given:

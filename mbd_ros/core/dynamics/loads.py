@@ -50,7 +50,7 @@ class Loads:
         return tau
 
     def beside(self, data: Any, x: State) -> "Loads":
-        """The loads as they go on from a state, smooth across the surfaces at which they jump.
+        """The loads near a state, smooth across the surfaces at which they jump.
 
         Args:
             data: As for `total`.
@@ -62,7 +62,7 @@ class Loads:
         return Loads(len(self._zero), forces, self.actuators)
 
     def actuator_torque(self, x: State, u: Array | None) -> Array:
-        """What the actuators exert on the joints [N·m or N], shape (nv,), not to be written to."""
+        """Forces of the actuators on the joints [N·m or N], shape (nv,), not to be written to."""
         tau, u = self._zero, self._idle if u is None else u
         for actuator, mine in zip(self.actuators, self._slices, strict=True):
             tau = tau + actuator.torque(u[mine], x)

@@ -104,7 +104,7 @@ class System:
         return Solution(a, self._none if self.bounded is None else self.bounded.multipliers)
 
     def wrenches(self, x: State, multipliers: Array) -> tuple[Wrench, ...]:
-        """What bilateral constraints exert on bodies.
+        """Wrenches of bilateral constraints on bodies.
 
         Args:
             x: State of the integrated coordinates.

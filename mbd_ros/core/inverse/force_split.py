@@ -95,7 +95,7 @@ class ForceSplit:
         return float(np.linalg.norm(np.linalg.solve(self._L, b)))
 
     def undetermined(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Which efforts and which multipliers take part in the null space, (ne,) and (m,)."""
+        """Efforts and multipliers that take part in the null space, (ne,) and (m,)."""
         efforts = self._efforts.null
         forced = np.linalg.solve(self._L, self._E.dot(efforts))
         rows = np.concatenate((self._rows.solve(forced), self._rows.null), axis=1)

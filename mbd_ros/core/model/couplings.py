@@ -24,7 +24,7 @@ Slopes = list[Any]  # floats, or one array a joint for a batch
 
 
 class Coupling(NamedTuple):
-    """What a dependent joint follows, in topic names."""
+    """Parent and function of a dependent joint, in topic names."""
 
     parent: str
     function: CouplingFunction

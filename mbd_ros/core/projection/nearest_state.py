@@ -1,4 +1,4 @@
-"""What both ways to the nearest state share: its metric, and what it is."""
+"""The nearest state and its metric, common to both methods."""
 
 from typing import NamedTuple
 

@@ -43,7 +43,7 @@ class Measurement(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """What a projection begins with.
+    """The beginning of a projection.
 
     Attributes:
         metric: Of positions.

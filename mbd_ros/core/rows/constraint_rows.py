@@ -73,7 +73,7 @@ class ConstraintRows:
         return J, drift + self._kd * rate + self._kp * g
 
     def wrenches(self, data: Any, x: State, lam: Array) -> tuple[Wrench, ...]:
-        """What the multipliers, shape (m,), exert on bodies, for parts that act on frames."""
+        """Wrenches of the multipliers, shape (m,), on bodies, for parts that act on frames."""
         pairs = zip(self.parts, self.slices, strict=True)
         return tuple(w for part, mine in pairs for w in part.wrenches(data, x, lam[mine]))
 

@@ -65,7 +65,7 @@ class FramePair:
         return rotation
 
     def placed(self, data: Any) -> Placed | None:
-        """Where both are; None for an observer at rest, who needs no placements."""
+        """Placements of both; None for an observer at rest, which needs none."""
         return None if self._is_at_rest else self.place(data)
 
     def place(self, data: Any) -> Placed:

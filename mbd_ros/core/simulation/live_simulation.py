@@ -123,7 +123,7 @@ class LiveSimulation:
         return violation(self.simulation.system, self._y)
 
     def wrenches(self) -> tuple[Wrench, ...]:
-        """What bilateral rows exert on bodies at the newest state."""
+        """Wrenches of bilateral rows on bodies at the newest state."""
         return self.simulation.system.wrenches(self._y, self.now.multipliers)
 
     def _command(self) -> Array | None:

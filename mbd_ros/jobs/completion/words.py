@@ -1,4 +1,4 @@
-"""Which words may stand where on the command line, read from the parsers of the commands."""
+"""Words of the command line and their places, read from the parsers of the commands."""
 
 import argparse
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ class Option(NamedTuple):
         names: Such as `-o` and `--out`.
         text: What it does.
         takes: Whether a value follows it.
-        values: The values that there are, where they can be listed.
+        values: The possible values, where they can be listed.
         files: Whether the value is a file.
     """
 
@@ -28,7 +28,7 @@ class Option(NamedTuple):
 
 
 class Words(NamedTuple):
-    """What may follow a command.
+    """Words that may follow a command.
 
     Attributes:
         text: What the command does.

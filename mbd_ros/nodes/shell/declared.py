@@ -44,10 +44,10 @@ class Declared:
         """Declare everything; a bad value is kept as a problem, never raised.
 
         Args:
-            node: Who owns the parameters.
+            node: The node of the parameters.
             parameters: What to declare.
             retune: Called with the new values before they are swapped in; an MbdError refuses.
-            is_configured: Whether `read_only` holds at this moment.
+            is_configured: Whether `read_only` holds now.
         """
         self._specs = {parameter.name: parameter for parameter in parameters}
         self._retune, self._is_configured = retune, is_configured

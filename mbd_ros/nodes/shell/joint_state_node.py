@@ -195,7 +195,7 @@ class JointStateNode(SceneNode):
         return stamp if self._same_clock(stamp) else None
 
     def receive_time(self) -> int:
-        """What stands for a stamp of 0 [ns]."""
+        """Substitute of a stamp of 0 [ns]."""
         if not self._is_stampless:
             self._is_stampless = True
             self.get_logger().warning(f"stamp 0 in {self.STAMPED}: receive time is used")

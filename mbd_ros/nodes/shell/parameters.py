@@ -63,7 +63,7 @@ class Parameter(NamedTuple):
         return tuple(self._read_one(get_args(self.kind)[0], entry) for entry in value)
 
     def accepted(self) -> str:
-        """What `read` accepts, as text."""
+        """Values that `read` accepts, as text."""
         if self.choices:
             code = ", or package.module:Class" if self.takes_code else ""
             return "one of " + ", ".join(self.choices) + code

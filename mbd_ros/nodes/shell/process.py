@@ -87,7 +87,7 @@ def _run(node_class: type[Shell], arguments: list[str], stop: _StopSignal) -> No
 
 @contextmanager
 def _refused(name: str) -> Iterator[None]:
-    """What ROS refuses of a command line ends the process with its reason."""
+    """End the process with the reason for which ROS refuses a command line."""
     try:
         yield
     except _REFUSALS as error:

@@ -21,7 +21,7 @@ class SimulatorOutputs:
     """Topics of a configured simulator, without those for which a scene has nothing.
 
     Args:
-        node: Who publishes.
+        node: The publishing node.
         plant: What is shown.
     """
 
@@ -69,7 +69,7 @@ class SimulatedClock:
     By these beats a listener tells a simulation that stands or is slow from one that ended.
 
     Args:
-        node: Who publishes.
+        node: The publishing node.
     """
 
     def __init__(self, node: Shell) -> None:

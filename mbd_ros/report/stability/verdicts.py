@@ -1,4 +1,4 @@
-"""What a method makes of a scene, judged against a reference and the laws of mechanics."""
+"""Verdicts on methods: their motion judged against a reference and the laws of mechanics."""
 
 import math
 from typing import Any
