@@ -241,7 +241,7 @@ def wrong(*_, **__):
 def test_without_proxqp_the_descent_in_the_box_finds_the_same(monkeypatch, tight):
     rng = np.random.default_rng(7)
     right, lame = HardSoftQp(4, 6), HardSoftQp(4, 6)
-    monkeypatch.setattr(lame._qp, "multipliers", wrong)
+    monkeypatch.setattr(lame, "_soft_forces", wrong)
     monkeypatch.setattr(hard_soft_qp, "_CHANGES", 1)
     for _ in range(40):
         G, lower, upper = limited(rng, 4, 6, tight)

@@ -31,6 +31,7 @@ class BoundedLeastSquares:
 
     def __init__(self, E: Array, C: Array, low: Array, high: Array) -> None:
         self._E, self._C, self._low, self._high = E, C, low, high
+        self._all = np.concatenate([np.eye(len(E)), C])
 
     def solve(self, lower: Array, upper: Array) -> Array:
         """The x of least cost in the box, or what is left of the way to it, shape (n,)."""
@@ -40,24 +41,23 @@ class BoundedLeastSquares:
         return x
 
     def _descended(self, x: Array, lower: Array, upper: Array, stiffness: float) -> Array:
-        reached = self._C.dot(x)
-        side = passed(reached, self._low, self._high)
+        side = passed(self._C.dot(x), self._low, self._high)
         held = (x <= lower) | (x >= upper)
         for _ in range(_EVENTS):
             r, A = self._residuals(x, side, stiffness)
             step, free = np.zeros(len(x)), (~held).nonzero()[0]
             step[free] = np.linalg.lstsq(A[:, free], -r, rcond=None)[0]
-            moves, reached = self._C.dot(step), self._C.dot(x)
-            to_bound = _way(x, step, lower, upper)
-            to_limit = _way(reached, moves, *self._pieces(side))
-            first = float(min(to_bound.min(), to_limit.min(initial=np.inf)))
-            x = np.clip(x + min(first, 1.0) * step, lower, upper)
-            if first < 1.0:
-                if to_bound.min() <= first:
-                    held[to_bound.argmin()] = True
+            begin, end = self._pieces(side)
+            moves, ends = self._all.dot(step), (np.append(lower, begin), np.append(upper, end))
+            share = _way(self._all.dot(x), moves, *ends)
+            first = int(share.argmin())
+            x = np.clip(x + min(float(share[first]), 1.0) * step, lower, upper)
+            if share[first] < 1.0:
+                i = first - len(x)
+                if i < 0:
+                    held[first] = True
                 else:
-                    i = int(to_limit.argmin())
-                    side[i] = 0 if side[i] else -np.sign(moves[i])
+                    side[i] = 0 if side[i] else -np.sign(moves[first])
                 continue
             r, A = self._residuals(x, side, stiffness)
             slope = A.T.dot(r)

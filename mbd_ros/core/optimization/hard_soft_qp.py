@@ -69,8 +69,8 @@ class HardSoftQp:
 
     def __init__(self, n: int, soft: int) -> None:
         self.counts = Counts()
-        self._n = n
-        self._qp = SoftQp(n, soft, _COMPLIANCE)
+        self._n, self._far = n, np.full(soft, np.inf)
+        self._qp, self._yields = KeptProxQp(n + soft, soft), _COMPLIANCE**0.5 * np.eye(soft)
         self._side: Sides = np.zeros(n + soft, dtype=np.int8)
         self._is_steady = False  # whether the same limits acted twice
 
@@ -124,7 +124,7 @@ class HardSoftQp:
                 _, side, _ = _boxed(G, lower, upper, size)
             else:
                 scaled = lower / size, upper / size
-                force = self._qp.multipliers(E, C, *scaled, cold=rung == "cold")
+                force = self._soft_forces(E, C, *scaled, cold=rung == "cold")
                 side = np.where(np.abs(force) > _ACTS, np.sign(force), 0.0).astype(np.int8)
             for _ in range(_CHANGES):
                 found = candidate(G, lower, upper, side, self._n, size)
@@ -132,6 +132,21 @@ class HardSoftQp:
                     return found
                 side = found.side
         return None
+
+    def _soft_forces(self, E: Array, C: Array, lower: Array, upper: Array, *, cold: bool) -> Array:
+        """Multipliers where soft rows yield a little, > 0 where the lower limit acts.
+
+        min 1/2 |E x|² + 1/2 |e|²   subject to   lower <= (x, C x + sqrt(compliance) e) <= upper
+        """
+        n, soft, cost = self._n, len(C), E.T.dot(E)
+        unit = 1.0 / float(cost.diagonal().max())  # residuals of ProxQP are absolute
+        H = unit * np.eye(n + soft)
+        H[:n, :n] = unit * cost
+        low, high = np.append(lower[:n], -self._far), np.append(upper[:n], self._far)
+        rows = np.hstack([C, self._yields]), lower[n:], upper[n:]
+        self._qp.solve(H, np.zeros(n + soft), low, high, rows, cold=cold)
+        z = self._qp.multipliers / unit
+        return -np.concatenate([z[soft : soft + n], z[:soft]])
 
     def _damped(self, G: Array, lower: Array, upper: Array, size: float) -> Candidate:
         self.counts = counted(self.counts, "damped")
@@ -148,42 +163,3 @@ def _boxed(G: Array, lower: Array, upper: Array, size: float) -> tuple[Array, Si
     reached, slack = G.dot(y), _AT_LIMIT * size
     is_softened = bool(passed(reached, lower, upper, slack).any())
     return y, passed(reached, lower, upper, -slack), is_softened
-
-
-class SoftQp:
-    """Tells which limits act where soft ones yield a little, by the multipliers of a kept ProxQP.
-
-        min 1/2 |E x|² + 1/2 |e|²   subject to   lower <= (x, C x + sqrt(compliance) e) <= upper
-
-    Args:
-        n: Size of x.
-        soft: Number of rows of C.
-        compliance: How far a row of length one yields to a unit force, > 0.
-
-    Raises:
-        ModelError: proxsuite is not installed.
-    """
-
-    def __init__(self, n: int, soft: int, compliance: float) -> None:
-        self._yields, self._far = compliance**0.5 * np.eye(soft), np.full(soft, np.inf)
-        self._qp = KeptProxQp(n + soft, soft)
-
-    def multipliers(self, E: Array, C: Array, lower: Array, upper: Array, *, cold: bool) -> Array:
-        """Those of the bounds, then of the rows; > 0 where the lower limit acts, fresh.
-
-        Args:
-            E: Shape (n, n).
-            C: Shape (soft, n).
-            lower: Shape (n + soft,), in a unit in which they are of the order of 1.
-            upper: Same.
-            cold: Whether to start from nothing instead of the previous result.
-        """
-        n, soft, cost = len(E), len(C), E.T.dot(E)
-        unit = 1.0 / float(cost.diagonal().max())  # its residuals are absolute
-        H = unit * np.eye(n + soft)
-        H[:n, :n] = unit * cost
-        low, high = np.append(lower[:n], -self._far), np.append(upper[:n], self._far)
-        rows = np.hstack([C, self._yields]), lower[n:], upper[n:]
-        self._qp.solve(H, np.zeros(n + soft), low, high, rows, cold=cold)
-        z = self._qp.multipliers / unit
-        return -np.concatenate([z[soft : soft + n], z[:soft]])

@@ -59,7 +59,7 @@ class LimitForces:
 
     def __init__(self, n: int, bounded: bool) -> None:
         self._pushers = ComplementarityProblem(2 * n) if bounded else None
-        self._sides, self._identity = np.repeat([1.0, -1.0], n), np.eye(n)
+        self._identity = np.eye(n)
         self._acting: Sides = np.zeros(n, dtype=np.int8)
         self.solves = 0
 
@@ -85,7 +85,9 @@ class LimitForces:
         self.solves += 1
         mu = self._by_exchange(compliance, p, low, high)
         if mu is None:
-            mu = self._by_program(self._pushers, compliance, p, low, high)
+            A, gap, scale = _pushes(compliance, p, low, high)
+            at_lower, at_upper = np.split(scale * self._pushers.solve(A, gap), 2)
+            mu = at_lower - at_upper
         self._acting = np.sign(mu).astype(np.int8)
         return mu
 
@@ -112,20 +114,13 @@ class LimitForces:
             acting[rows[pulls]] = 0
         return None
 
-    def _by_program(
-        self,
-        pushers: ComplementarityProblem,
-        compliance: Compliance,
-        p: Array,
-        low: Array,
-        high: Array,
-    ) -> Array:
-        """A force >= 0 at each lower and each upper bound."""
-        C, mobility = compliance.moves(self._identity), compliance.mobility()
-        gap = np.concatenate([p - low, high - p])
-        A = self._sides[:, None] * np.tile(0.5 * (C + C.T), (2, 2)) * self._sides
-        movable = np.isfinite(gap) & (A.diagonal() > HELD_BY_ROWS * np.tile(mobility, 2))
-        scale = np.where(movable, 1.0 / np.sqrt(np.where(movable, A.diagonal(), 1.0)), 0.0)
-        scaled = scale[:, None] * A * scale, scale * np.where(movable, gap, 0.0)
-        force = scale * pushers.solve(*scaled)
-        return force[: len(p)] - force[len(p) :]
+
+def _pushes(compliance: Compliance, p: Array, low: Array, high: Array) -> tuple[Array, ...]:
+    """A and gap of forces >= 0 at each lower and each upper bound, scaled, and their scales."""
+    n = len(p)
+    C, mobility = compliance.moves(np.eye(n)), np.tile(compliance.mobility(), 2)
+    sides, gap = np.repeat([1.0, -1.0], n), np.concatenate([p - low, high - p])
+    A = sides[:, None] * np.tile(0.5 * (C + C.T), (2, 2)) * sides
+    movable = np.isfinite(gap) & (A.diagonal() > HELD_BY_ROWS * mobility)
+    scale = np.where(movable, 1.0 / np.sqrt(np.where(movable, A.diagonal(), 1.0)), 0.0)
+    return scale[:, None] * A * scale, scale * np.where(movable, gap, 0.0), scale
