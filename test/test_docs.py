@@ -221,8 +221,10 @@ def test_a_command_of_ones_own(follow, capsys):
 
 
 def test_a_format_of_ones_own(follow, tmp_path, monkeypatch):
-    follow("A format")
     monkeypatch.setattr(formats, "_installed", formats._installed.__wrapped__)
+    follow("A format")
+    torques = formats.read_result("torques.npz")["samples"]
+    assert np.abs(torques["joint2.effort"]).max() < 1e-9  # of free motion
     time, place = np.linspace(0.0, 1.0, 4), np.array([1 / 3, 2.0, -0.1, 1e-300])
     made = Table([Column("time", time, "s"), Column("knee.position", place, "rad")])
     Result({"samples": made}).to(tmp_path / "knee.txt")

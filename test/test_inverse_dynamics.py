@@ -186,7 +186,7 @@ def test_parts_sum_to_the_total_and_each_is_what_it_is_called(coupled):
     inverse, robot, _ = arm(coupled)
     z, v, a, loads = (x[0] if isinstance(x, np.ndarray) else x for x in samples(inverse, 1, 2))
     loads, zero, none = [w[0] for w in loads], np.zeros_like(v), [np.zeros(6)] * 2
-    parts = inverse.parts(z, v, a, loads)
+    parts = inverse.components(z, v, a, loads)
     assert sum(parts) == pytest.approx(inverse.solve(z, v, a, loads).tau, abs=1e-12)
     q, rates = np.zeros(7), np.zeros((2, 7))
     q[inverse.couplings.q_index] = z
@@ -196,7 +196,7 @@ def test_parts_sum_to_the_total_and_each_is_what_it_is_called(coupled):
     mass = G.T @ pin.crba(robot.model, data, q, pin.Convention.WORLD) @ G
     assert parts.gravity == pytest.approx(gravity, abs=1e-12)
     assert parts.inertial == pytest.approx(mass @ a, abs=1e-12)
-    faster, still = inverse.parts(z, 3 * v, a, none), inverse.parts(z, zero, a, none)
+    faster, still = inverse.components(z, 3 * v, a, none), inverse.components(z, zero, a, none)
     assert faster.coriolis == pytest.approx(9 * parts.coriolis, abs=1e-10)
     assert not still.coriolis.any()
 
@@ -217,7 +217,7 @@ def test_results_are_fresh_and_arguments_stay_as_they_were():
     first = inverse.solve(z[0], v[0], a[0], [w[0] for w in loads])
     kept = [x.copy() for x in first]
     inverse.solve(z[1], v[1], a[1], [w[1] for w in loads])
-    inverse.parts(z[1], v[1], a[1], [w[1] for w in loads])
+    inverse.components(z[1], v[1], a[1], [w[1] for w in loads])
     inverse.batch(z, v, a, loads)
     assert all(np.array_equal(x, y) for x, y in zip(first, kept, strict=True))
     assert all(np.array_equal(x, y) for x, y in zip((z, v, a, *loads), given, strict=True))

@@ -108,7 +108,7 @@ class InverseDynamics:
         self._expand(position, velocity, acceleration)
         return Torques(*self.couplings.reduce(self._full(wrenches), self._slopes))
 
-    def parts(
+    def components(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
     ) -> TorqueComponents:
         """Torques of one sample by cause; arguments as `solve`."""

@@ -43,8 +43,9 @@ def solve_open(
     tau, multipliers = (np.concatenate(rows) for rows in zip(*solved, strict=True))
     found = {**motion, "effort": tau}
     if with_parts:
-        rows = zip(z, v, a, *wrenches, strict=True)
-        causes = [solver.parts(*row[:3], row[3:]) for row in progress(rows, len(z), "parts")]
+        each = zip(z, v, a, *wrenches, strict=True)
+        rows = progress(each, len(z), "components")
+        causes = [solver.components(*row[:3], row[3:]) for row in rows]
         for i, name in enumerate(TorqueComponents._fields):
             found[name] = np.array([c[i] for c in causes])
     robot, couplings = scene.robot, solver.couplings
