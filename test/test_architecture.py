@@ -23,6 +23,7 @@ ORDER = (  # of the rooms: each may import those before it
     "mbd_ros.files",
     "mbd_ros.workers",
     "mbd_ros.jobs",
+    "mbd_ros.api",
     "mbd_ros.nodes",
     "mbd_ros.demo",
     "mbd_ros.report",
@@ -273,9 +274,9 @@ def test_every_file_has_a_room():
     assert [m for m in sorted(core) if subject(m) is None] == []
 
 
-def test_every_init_is_empty():
+def test_every_init_but_that_of_the_package_is_empty():
     filled = [p for p in FILES if p.name == "__init__.py" and (ROOT / p).stat().st_size]
-    assert filled == []
+    assert filled == [Path("mbd_ros/__init__.py")]
 
 
 def loaded_by_check(scene):

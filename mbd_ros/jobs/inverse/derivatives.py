@@ -13,7 +13,6 @@ from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimato
 from mbd_ros.core.state import Array, Motion
 from mbd_ros.errors import DataError
 from mbd_ros.files.table import Table
-from mbd_ros.jobs.inverse.zero_phase import cutoff_lines, low_passed, zero_phase
 from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
 
@@ -132,6 +131,8 @@ def _without_lag(
     if width is not None:
         fitted = local_polynomials(stamps, position, velocity, half_width=width)
         return position, *fitted, None, []
+    from mbd_ros.jobs.inverse.zero_phase import cutoff_lines, zero_phase
+
     found = zero_phase(stamps, position, velocity, cutoff=derivatives.cutoff)
     said = cutoff_lines(found.cutoff, names, derivatives.cutoff is None, len(stamps))
     return *found, list(said)
@@ -154,6 +155,8 @@ def unexplained(motion: Motion, table: Table, cutoff: Array) -> Iterator[str]:
     pairs = [(j, name) for j, name in pairs if np.isfinite(effort[:, j]).all()]
     if not pairs:
         return
+    from mbd_ros.jobs.inverse.zero_phase import low_passed
+
     theirs, ours = (list(column) for column in zip(*pairs, strict=True))
     known, found = (
         low_passed(motion.stamps, values, cutoff[theirs])

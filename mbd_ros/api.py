@@ -1,0 +1,93 @@
+"""What `import mbd_ros` offers: scenes with the jobs as methods."""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.files.formats import read_result as read_result
+from mbd_ros.jobs.inverse.job import inverse
+from mbd_ros.jobs.simulate.job import simulate
+from mbd_ros.scene import built_scene, from_python, reader
+from mbd_ros.scene.code_permission import permitting
+
+
+class Scene(built_scene.Scene):
+    """A scene: what it describes, built, and what can be made of it."""
+
+    simulate = simulate
+    inverse = inverse
+
+    @classmethod
+    def of(cls, scene: built_scene.Scene) -> "Scene":
+        """The same scene with the jobs as methods."""
+        return cls(*(getattr(scene, field.name) for field in fields(scene)))
+
+    def with_(self, **sections: Any) -> "Scene":
+        """The scene with other sections, built as far as they change it.
+
+        Args:
+            **sections: As `scene_from` takes them; None removes a section.
+
+        Raises:
+            SceneError: Names key, what is wrong and what is accepted.
+        """
+        return Scene.of(super().with_(**sections))
+
+    def with_inertias(self, inertias: Mapping[str, Any]) -> "Scene":
+        """The scene with other inertias of some links, see `Robot.with_inertias`.
+
+        Raises:
+            SceneError: Names link, value and condition.
+        """
+        return Scene.of(super().with_inertias(inertias))
+
+
+def load_scene(path: str | Path, *, allow_code: bool = False) -> Scene:
+    """Read and build a scene.
+
+    Args:
+        path: Scene file, `package://<package>/<path>`, or the name of an embedded scene, which
+            `mbd-ros scenes` lists.
+        allow_code: Whether the scene may import code from outside this package.
+
+    Raises:
+        SceneError: Names file, key, what is wrong and what is accepted.
+    """
+    with permitting(allow_code):
+        return Scene.of(reader.load_scene(path))
+
+
+def scene_from(
+    entries: Mapping[str, Any] | None = None,
+    *,
+    urdf: str | Path | None = None,
+    allow_code: bool = False,
+) -> Scene:
+    """Build a scene from Python values instead of a file.
+
+    Args:
+        entries: Sections as a scene file has them; numpy arrays and tuples stand for lists, a
+            class for its name where a `type` is asked for.
+        urdf: The robot: a file, `package://<package>/<path>`, the name of an embedded robot such
+            as `arm7`, or URDF text.
+        allow_code: Whether `type` may name code from outside this package.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    with permitting(allow_code):
+        return Scene.of(from_python.scene_from(entries, urdf=urdf))
+
+
+def read_robot(urdf: str | Path) -> Robot:
+    """The robot of a description, checked.
+
+    Args:
+        urdf: As `scene_from` takes it.
+
+    Raises:
+        SceneError: What is wrong with it.
+    """
+    return scene_from(urdf=urdf).robot
