@@ -13,7 +13,7 @@ from mbd_ros.core.model.coupling_functions import (
 from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
-from mbd_ros.scene.site import Site
+from mbd_ros.scene.building import Site
 
 FUNCTIONS = ("factor", "polynomial", "spline", "piecewise_polynomial")
 

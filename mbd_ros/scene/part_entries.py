@@ -11,9 +11,9 @@ from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.optimization.qp_solvers import check_backend
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
+from mbd_ros.scene.building import Site
 from mbd_ros.scene.registry import METHODS, PARTS, resolve_type, types_of
 from mbd_ros.scene.sections import Form, Section
-from mbd_ros.scene.site import Site
 
 MAX_PARTS = 1000  # in one section
 MAX_ROWS = 600  # of all constraints: a solve costs their number cubed

@@ -4,12 +4,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mbd_ros.scene.building import build, foreign_keys, present, table_of
+from mbd_ros.scene.building import Origin, build, foreign_keys, present, table_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.locate import find_scene
 from mbd_ros.scene.robot_entry import read_entry
 from mbd_ros.scene.sections import SECTIONS
-from mbd_ros.scene.site import Origin
 from mbd_ros.scene.strict_yaml import read_mapping
 
 

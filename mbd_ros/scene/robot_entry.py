@@ -9,8 +9,8 @@ from mbd_ros.core.model.robot_reader import EARTH_GRAVITY, read_robot
 from mbd_ros.core.model.urdf import MAX_CHARACTERS
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
+from mbd_ros.scene.building import Site
 from mbd_ros.scene.locate import find_file
-from mbd_ros.scene.site import Site
 from mbd_ros.scene.strict_yaml import read_text
 
 

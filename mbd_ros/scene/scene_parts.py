@@ -12,11 +12,10 @@ from mbd_ros.core.parts import Actuator, Constraint, ForceTerm
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.core.state import State
-from mbd_ros.scene.building import parts_in
+from mbd_ros.scene.building import Origin, parts_in
 from mbd_ros.scene.coupling_entries import coupling_kinds
 from mbd_ros.scene.part_entries import MeasuredWrench, Solver
 from mbd_ros.scene.sections import Section
-from mbd_ros.scene.site import Origin
 
 
 @dataclass(frozen=True, eq=False, repr=False)

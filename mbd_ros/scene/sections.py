@@ -31,9 +31,9 @@ class Section(NamedTuple):
     Attributes:
         key: Its key in the file.
         form: One entry, a list, or entries by name.
-        build: `module:function`, imported when there is something to build. It gets a `Site` and
-            what the file holds, and returns what `Scene.parts` keeps under the key. The default
-            builds parts by their `type`.
+        build: `module:function`, imported when there is something to build. It gets a
+            `building.Site` and what the file holds, and returns what `Scene.parts` keeps under
+            the key. The default builds parts by their `type`.
         after: Keys of sections that must be built before, where the file has them.
         offers: Methods that a class named by `type` must have. Parts with `force` are forces of
             the scene, with `residual` constraints and with `torque` actuators, in any section.

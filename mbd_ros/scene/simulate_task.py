@@ -8,10 +8,10 @@ from typing import Any
 from mbd_ros.core.ranges import Unlimited
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
+from mbd_ros.scene.building import Site
 from mbd_ros.scene.built_scene import refuse_dt
 from mbd_ros.scene.locate import find_file
 from mbd_ros.scene.part_entries import Solver, build_part
-from mbd_ros.scene.site import Site
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
+from mbd_ros.scene.building import Site
 from mbd_ros.scene.built_scene import refuse_dt
 from mbd_ros.scene.part_entries import Solver
-from mbd_ros.scene.site import Site
 
 
 @dataclass(frozen=True)

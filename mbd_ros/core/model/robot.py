@@ -7,8 +7,6 @@ from typing import Any, NamedTuple
 
 import pinocchio as pin
 
-from mbd_ros.core.model.other_inertias import inertias_of
-from mbd_ros.core.model.urdf import parse_urdf
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
@@ -153,6 +151,9 @@ class Robot:
 
     def inertias(self) -> dict[str, Any]:
         """Link -> `pinocchio.Inertia` in the axes of the link, 0 where it has none."""
+        from mbd_ros.core.model.other_inertias import inertias_of
+        from mbd_ros.core.model.urdf import parse_urdf
+
         recipe = self.recipe
         return inertias_of(parse_urdf(recipe.text, recipe.source, recipe.inertias))
 

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 from xml.etree import ElementTree
 
-from mbd_ros.core.model.other_inertias import place_inertias
 from mbd_ros.core.model.urdf_reading import link_name, numbers
 from mbd_ros.core.ranges import LARGEST
 from mbd_ros.errors import ModelError
@@ -60,6 +59,8 @@ def parse_urdf(
         raise ModelError(f"{source}: root element is <{robot.tag}>, expected <robot>")
     _check_names(robot, source)
     if inertias:
+        from mbd_ros.core.model.other_inertias import place_inertias
+
         place_inertias(robot, inertias, source)
     _check_numbers(robot, source)
     _check_joints(robot, source)

@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from mbd_ros.scene.building import NO_FILE
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.scene.site import NO_FILE
 from mbd_ros.scene.strict_yaml import mapping_of
 
 Entry = Mapping[str, Any]
