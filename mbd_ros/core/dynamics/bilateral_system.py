@@ -70,7 +70,7 @@ class BilateralSystem(System):
         M, J = self._full_mass(q), self._row_jacobian
         factor = self.factorise(M, J)
         free = np.linalg.solve(M, forces)
-        moved = free - factor.X.dot(factor.solve(J.dot(free)))
+        moved = free - factor.motion(J.dot(free))
         held = np.abs(moved).max(axis=0) <= HELD_BY_ROWS * np.abs(free).max(axis=0)
         moved[:, held] = 0.0
         return moved

@@ -46,7 +46,7 @@ class Configuration:
         if system.rows:
             self._J, self._rate = system.jacobian(t, q), system.rate(t, q)
             factor = RowFactor(M, self._J)
-            self.lift: Array = factor.X.dot(factor.solve(unit))
+            self.lift: Array = factor.motion(unit)
 
     def respond(self, force: Array) -> Array:
         """M^-1 force, shape (nv,)."""

@@ -107,7 +107,7 @@ class _OnRows:
         """Moves that forces cause, one a column."""
         moves = _solve(self.cholesky, forces)
         if self._factor is not None:
-            moves -= self._factor.X.dot(self._factor.solve(self._factor.X.T.dot(forces)))
+            moves -= self._factor.motion(self._factor.X.T.dot(forces))
         return moves
 
     def mobility(self) -> Array:

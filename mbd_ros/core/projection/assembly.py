@@ -77,7 +77,7 @@ def _closed_nearby(system: System, x: State) -> tuple[Array, RowFactor]:
     factor = system.factorise(system.mass(q), system.jacobian(x.t, q))
     last, stuck = float(np.abs(g).max()), 0
     for _ in range(_CORRECTIONS):
-        q = system.integrate(q, -factor.X.dot(factor.solve(g)))
+        q = system.integrate(q, -factor.motion(g))
         g = system.residual(x.t, q)
         worst = float(np.abs(g).max())
         if worst <= LANDED:
@@ -137,7 +137,7 @@ def _nearest_configuration(system: System, x: State) -> Array:
     for _ in range(_MAX_ITERATIONS):
         J = system.jacobian(x.t, q)
         factor = RowFactor(M, J)
-        downhill = factor.X.dot(factor.solve(J.dot(away))) - away
+        downhill = factor.motion(J.dot(away)) - away
         if np.abs(downhill).max() <= NEAREST or step < _SMALLEST_STEP:
             break
         nearer = _closed(system, x.t, system.integrate(q, step * downhill), M)
@@ -159,7 +159,7 @@ def _closed(system: System, t: float, start: Array, M: Array) -> Array | None:
         if worst <= LANDED:
             return q
         factor = RowFactor(M, system.jacobian(t, q))
-        dq = -factor.X.dot(factor.solve(g))
+        dq = -factor.motion(g)
         largest = float(np.abs(dq).max())
         if not largest > LANDED:
             break
@@ -178,4 +178,4 @@ def _not_assembled(system: System, x: State) -> SolveError:
 
 
 def _consistent_velocity(v: Array, J: Array, rate: Array, factor: RowFactor) -> Array:
-    return v - factor.X.dot(factor.solve(J.dot(v) + rate))
+    return v - factor.motion(J.dot(v) + rate)

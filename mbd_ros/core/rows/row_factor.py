@@ -85,6 +85,10 @@ class RowFactor:
         lam = self._scaled(self._inverse.dot(self._scaled(r)))
         return lam - self._silent.dot(self._silent.T.dot(lam))
 
+    def motion(self, r: Array) -> Array:
+        """The smallest change of v or a, in the mass metric, that changes the rows by r."""
+        return self.X.dot(self.solve(r))
+
     def contradiction(self, r: Array, drift: Array, motion: float) -> int | None:
         """The row that most contradicts the others in A lam = r, or None.
 
