@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mbd_ros.cli import main
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.task_reader import read_task
@@ -96,3 +97,53 @@ def test_a_mistake_names_file_and_key(read, tmp_path, old, new, message):
 def test_a_file_that_is_not_there_is_a_task_file(tmp_path):
     with pytest.raises(SceneError, match="no.yaml: task file cannot be read: No such file"):
         read_task(tmp_path / "no.yaml", scene_from(urdf="pendulum"))
+
+
+@pytest.mark.parametrize(
+    ("more", "replaced"),
+    [
+        ([], []),
+        (["-t", "0.02"], ["-t", "0.02"]),
+        (["--dt", "2e-3", "--start", "0"], ["--dt", "2e-3", "--start", "0"]),
+        (["--tolerance", "1e-6"], ["--tolerance", "1e-6"]),
+        (["--integrator", "rk4"], ["--integrator", "rk4"]),
+    ],
+)
+def test_a_simulation_of_a_task_is_that_of_its_options(tmp_path, more, replaced):
+    """To the last byte; and options on the command line come before the task."""
+    (tmp_path / "task.yaml").write_text(
+        "simulate: {duration: 0.05, start: 1, dt: 1e-3, integrator: {type: dopri5}, "
+        "solver: {type: kkt}}\n",
+        encoding="utf-8",
+    )
+    task, words = tmp_path / "task.csv", tmp_path / "words.csv"
+    simulate = ["simulate", "prosthetic_leg"]
+    assert main([*simulate, "--task", str(tmp_path / "task.yaml"), *more, "-o", str(task)]) == 0
+    said = {"-t": "0.05", "--start": "1", "--dt": "1e-3", "--integrator": "dopri5"}
+    said |= {"--solver": "kkt", **dict(zip(replaced[::2], replaced[1::2], strict=True))}
+    flat = [word for pair in said.items() for word in pair]
+    assert main([*simulate, *flat, "-o", str(words)]) == 0
+    assert task.read_bytes() == words.read_bytes()
+
+
+def test_files_of_a_task_are_read_from_its_folder(tmp_path, monkeypatch):
+    folder = tmp_path / "tasks"
+    folder.mkdir()
+    first, second = folder / "first.csv", tmp_path / "second.csv"
+    assert main(["simulate", "arm7", "-t", "0.02", "-o", str(first)]) == 0
+    task = "simulate: {duration: 0.01, start: 0.02, from: first.csv}\n"
+    (folder / "task.yaml").write_text(task, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    words = ["simulate", "arm7", "--task", "tasks/task.yaml", "-o", str(second)]
+    assert main(words) == 0
+    rows = [np.loadtxt(path, delimiter=",", skiprows=1) for path in (first, second)]
+    assert np.array_equal(rows[0][-1, :15], rows[1][0, :15])
+
+
+def test_nothing_that_says_how_long_is_refused(tmp_path, capsys):
+    assert main(["simulate", "arm7", "-o", str(tmp_path / "o.csv")]) == 2
+    assert "-t: is missing: give the seconds to simulate, or a --task" in capsys.readouterr().err
+    (tmp_path / "task.yaml").write_text("simulate: {}\n", encoding="utf-8")
+    words = ["simulate", "arm7", "--task", str(tmp_path / "task.yaml"), "-t", "1", "-o"]
+    assert main([*words, str(tmp_path / "o.csv")]) == 2
+    assert "task.yaml: simulate: key 'duration' is missing" in capsys.readouterr().err

@@ -1,11 +1,16 @@
 """Words of `mbd-ros simulate`."""
 
 import argparse
+from typing import TYPE_CHECKING, Any
 
-from mbd_ros.errors import OK
+from mbd_ros.errors import OK, DataError
 from mbd_ros.jobs.arguments import add_scene
 from mbd_ros.jobs.lines import say
 from mbd_ros.scene.locate import path_word
+
+if TYPE_CHECKING:
+    from mbd_ros.jobs.simulate.run import Run
+    from mbd_ros.scene.built_scene import Scene
 
 _OPTIONS = ("dt", "integrator", "tolerance", "solver")
 _RUN_ARGUMENTS = ("origin", "start", "efforts", "wrenches")
@@ -14,7 +19,9 @@ _RUN_ARGUMENTS = ("origin", "start", "efforts", "wrenches")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The words that `simulate` understands."""
     add_scene(parser)
-    parser.add_argument("-t", "--time", type=float, required=True, help="seconds to simulate")
+    parser.add_argument(
+        "-t", "--time", type=float, help="seconds to simulate (required without --task)"
+    )
     parser.add_argument(
         "-o",
         "--out",
@@ -35,24 +42,51 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--solver", help="tier in place of that of the scene")
     parser.add_argument("--from", dest="origin", type=path_word, help="CSV or bag with the state")
-    parser.add_argument("--start", type=float, default=0.0, help="[s] (default: %(default)s)")
+    parser.add_argument("--start", type=float, help="[s] (default: 0.0)")
     parser.add_argument(
         "--efforts",
         type=path_word,
         help="CSV: .command of actuators; CSV or bag: .effort",
     )
     parser.add_argument("--wrenches", type=path_word, help="CSV or bag of the external loads")
+    parser.add_argument(
+        "--task",
+        type=path_word,
+        help="YAML whose section simulate says the same; options come before it",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.jobs.simulate.run import Run, options_of
     from mbd_ros.jobs.simulate.to_file import simulate_to
     from mbd_ros.scene.reader import load_scene
 
     scene = load_scene(arguments.scene)
-    options = options_of(scene, **{name: getattr(arguments, name) for name in _OPTIONS})
-    words = {name: getattr(arguments, name) for name in _RUN_ARGUMENTS}
-    run = Run(duration=arguments.time, options=options, **words)
-    simulate_to(scene, run, arguments.out, say)
+    simulate_to(scene, _asked(scene, arguments), arguments.out, say)
     return OK
+
+
+def _asked(scene: "Scene", arguments: argparse.Namespace) -> "Run":
+    """What the options say, and else the task file.
+
+    Raises:
+        MbdError: The file cannot be used, or nothing says how long.
+    """
+    from mbd_ros.jobs.simulate.run import Run, options_of
+
+    words: dict[str, Any] = {"duration": arguments.time}
+    words |= {name: getattr(arguments, name) for name in _RUN_ARGUMENTS}
+    words = {name: word for name, word in words.items() if word is not None}
+    given = {name: getattr(arguments, name) for name in _OPTIONS}
+    replaced: dict[str, Any] = {}
+    if arguments.task is not None:
+        from mbd_ros.scene.task_reader import read_task
+
+        task = read_task(arguments.task, scene).parts["simulate"]
+        words = {name: getattr(task, name) for name in ("duration", *_RUN_ARGUMENTS)} | words
+        replaced = dict(task.options)
+        if given["integrator"] is None and given["tolerance"] is not None:
+            given["integrator"] = replaced.get("integrator")
+    if "duration" not in words:
+        raise DataError("-t: is missing: give the seconds to simulate, or a --task")
+    return Run(**words, options=replaced | options_of(scene, **given))
