@@ -142,6 +142,22 @@ def test_the_readme_lists_every_page():
     assert [page.name for page in PAGES[2:] if f"docs/{page.name}" not in listed] == []
 
 
+def test_the_first_screen_of_the_readme_runs(tmp_path, monkeypatch, capsys):
+    """Three commands and six lines of Python, which come to the same torques."""
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if line.startswith("mbd-ros ")][:3]
+    assert [main(shlex.split(line, comments=True)[1:]) for line in lines] == [0, 0, 0]
+    found = table("torques.csv")
+    code = re.search(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)[1]
+    assert len([line for line in code.splitlines() if line]) == 6
+    exec(code, {})
+    ours = table("torques.csv")
+    assert list(ours) == list(found)
+    for name, values in found.items():
+        np.testing.assert_allclose(ours[name], values, rtol=0, atol=1e-6)
+
+
 def test_the_report_page_has_one_place_for_the_headlines():
     text = (ROOT / "docs/report.md").read_text(encoding="utf-8")
     assert (text.count(BEGIN), text.count(END)) == (1, 1)

@@ -38,7 +38,7 @@ def build_system(
         constraints: Constraints of the scene.
         loads: Forces and actuators.
         tier: One of `TIERS`.
-        backend: Solver of the QP, see `qp.BoxQp`.
+        backend: Solver of the QP, see `box_qp.BoxQp`.
 
     Raises:
         ModelError: The tier cannot serve these rows, or a package is missing.

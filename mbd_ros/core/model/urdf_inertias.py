@@ -23,7 +23,7 @@ def check_inertias(robot: ElementTree.Element, source: str) -> tuple[str, ...]:
     inequality by more than measuring errors belong to no body either. All else is published
     practice that inverse dynamics can use: links without mass, point masses, rods, inertia without
     mass about the only axis that moves it. Whether forward dynamics can use
-    it depends on the whole mechanism: see `dynamics/mass_check.py`.
+    it depends on the whole mechanism: see `core/dynamics/mass_check.py`.
 
     Args:
         robot: The `<robot>` element; names, numbers and joints are checked.
