@@ -158,6 +158,18 @@ def test_the_first_screen_of_the_readme_runs(tmp_path, monkeypatch, capsys):
         np.testing.assert_allclose(ours[name], values, rtol=0, atol=1e-6)
 
 
+def test_the_page_on_python_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs/python.md").read_text(encoding="utf-8")
+    names = {}
+    for code in re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+        exec(code, names)
+    said = capsys.readouterr().out
+    assert "True {'python': " in said
+    assert "forces[0]: no joint 'knee'; the robot has shoulder_flexion" in said
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["torques.npz", "torques.png"]
+
+
 def test_the_report_page_has_one_place_for_the_headlines():
     text = (ROOT / "docs/report.md").read_text(encoding="utf-8")
     assert (text.count(BEGIN), text.count(END)) == (1, 1)
