@@ -12,6 +12,7 @@ from mbd_ros.files.bags import BagWriter, new_message
 from mbd_ros.files.csv import read_table, write_table
 from mbd_ros.jobs.inverse.derivatives import Derivatives
 from mbd_ros.jobs.inverse.job import Task, inverse_to
+from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import write_joint_state
 from msg_adapters.wrench import write_wrench
@@ -144,8 +145,7 @@ def test_zero_phase_is_close_to_the_exact_derivatives_and_does_not_lag(tmp_path)
 
 def test_continuous_joint_that_wraps_in_the_recording_is_unwrapped(tmp_path):
     text = (SCENES.parent / "robots/pendulum.urdf").read_text(encoding="utf-8")
-    (tmp_path / "p.urdf").write_text(text.replace('"revolute"', '"continuous"'), encoding="utf-8")
-    (tmp_path / "s.yaml").write_text("robot: {urdf: p.urdf}", encoding="utf-8")
+    scene = scene_from(urdf=text.replace('"revolute"', '"continuous"'))
     time = np.arange(300) * 0.01
     angle = 6.0 * time
     wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
@@ -154,7 +154,7 @@ def test_continuous_joint_that_wraps_in_the_recording_is_unwrapped(tmp_path):
         write_table(tmp_path / f"{name}.csv", ["time", "hinge.position"], rows)
     for kind in ("zero-phase", "causal"):
         plain, wrapped = (
-            run(tmp_path / "s.yaml", tmp_path / f"{name}.csv", tmp_path / "out.csv", kind)[1]
+            run(scene, tmp_path / f"{name}.csv", tmp_path / "out.csv", kind)[1]
             for name in ("plain", "wrapped")
         )
         assert wrapped["hinge.velocity"][1:] == pytest.approx(6.0, abs=1e-6)

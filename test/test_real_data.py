@@ -13,6 +13,7 @@ from mbd_ros.core.estimation.torque_estimator import TorqueEstimator, Tuning
 from mbd_ros.files.bags import new_message
 from mbd_ros.files.csv import read_table, write_table
 from mbd_ros.files.recordings import read_motion
+from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import JointStateReader, write_joint_state
 
@@ -176,11 +177,10 @@ def test_knee_paths_of_the_gait_scene_have_no_kink(walk):
     assert sides[0] == pytest.approx(sides[1], abs=1e-7)
 
 
-def test_hand_equals_pinocchios_own_mimic_model(data_dir, tmp_path):
+def test_hand_equals_pinocchios_own_mimic_model(data_dir):
     """Fresh data a call: `crba` and others of mimic models remember too much."""
     path = data_dir / "models/psyonic_ability_hand_right_large.urdf"
-    (tmp_path / "hand.yaml").write_text(f"robot: {{urdf: {path}}}", encoding="utf-8")
-    scene, own = load_scene(tmp_path / "hand.yaml"), pin.buildModelFromUrdf(str(path), mimic=True)
+    scene, own = scene_from(urdf=path), pin.buildModelFromUrdf(str(path), mimic=True)
     assert len(scene.couplings.dependent) == 4
     assert own.nv == len(scene.couplings.independent) == 6
     order = [own.joints[own.getJointId(name)].idx_v for name in scene.couplings.independent]
@@ -202,8 +202,7 @@ def test_hand_equals_pinocchios_own_mimic_model(data_dir, tmp_path):
 def test_prosthetic_hand_from_messages(data_dir, tmp_path, form):
     """Mimic joints absent from, present in and shuffled within joint states: the same torques."""
     path = data_dir / "models/psyonic_ability_hand_right_large.urdf"
-    (tmp_path / "hand.yaml").write_text(f"robot: {{urdf: {path}}}", encoding="utf-8")
-    scene, own = load_scene(tmp_path / "hand.yaml"), pin.buildModelFromUrdf(str(path), mimic=True)
+    scene, own = scene_from(urdf=path), pin.buildModelFromUrdf(str(path), mimic=True)
     couplings, rng = scene.couplings, np.random.default_rng(3)
     z, v = rng.uniform(0, 1.7, 6), rng.normal(size=6)
     q, rate, push = couplings.positions(z), np.zeros(10), np.zeros(10)
@@ -253,11 +252,10 @@ def potential(root, angles, gravity):
     return total
 
 
-def test_open_source_leg_holds_its_weight(data_dir, tmp_path):
+def test_open_source_leg_holds_its_weight(data_dir):
     path = data_dir / "models/osl_v2_knee_ankle.urdf"
-    text = f"robot: {{urdf: {path}, gravity: [0, -9.81, 0]}}"
-    (tmp_path / "osl.yaml").write_text(text, encoding="utf-8")
-    scene, root = load_scene(tmp_path / "osl.yaml"), ElementTree.parse(Path(path)).getroot()
+    scene = scene_from({"robot": {"gravity": [0, -9.81, 0]}}, urdf=path)
+    root = ElementTree.parse(Path(path)).getroot()
     names, h = scene.couplings.independent, 1e-5
     assert names == ("thigh_flexion", "osl_knee_angle_r", "osl_ankle_angle_r")
     for z in np.random.default_rng(3).uniform(-1, 1, (10, 3)):

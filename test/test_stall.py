@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mechanisms import scene_of
 
 from mbd_ros.cli import main
 from mbd_ros.core.simulation.stall import WINDOW, StallWatch
 from mbd_ros.errors import DivergedError
 from mbd_ros.files.recordings import read_motion
-from mbd_ros.scene.reader import load_scene
 
 ROOT = Path(__file__).parents[1]
 PENDULUM = f"robot: {{urdf: {ROOT}/config/robots/pendulum.urdf}}\n"
@@ -66,9 +66,9 @@ def test_a_stiff_run_that_gets_to_its_end_is_left_alone(capsys, tmp_path):
     assert int(re.search(r"(\d+) steps", said)[1]) > WINDOW
 
 
-def looks(steps, end=10.0, dt=1e-3, text=CHATTERING, folder=None):
+def looks(steps, end=10.0, dt=1e-3, text=CHATTERING):
     """What a watch says of windows with these mean steps."""
-    scene, said = load_scene(written(folder, text)), []
+    scene, said = scene_of(text), []
     watch, t = StallWatch(scene.system(), dt, said.append), 0.0
     watch.begin(t)
     for step in steps:
@@ -87,12 +87,12 @@ def looks(steps, end=10.0, dt=1e-3, text=CHATTERING, folder=None):
     ],
     ids=["full steps", "slow for a while", "slow all the way", "stiff, the end near"],
 )
-def test_a_run_with_hope_goes_on(tmp_path, steps, warned):
-    assert len(looks(steps, folder=tmp_path)) == warned
+def test_a_run_with_hope_goes_on(steps, warned):
+    assert len(looks(steps)) == warned
 
 
-def test_a_run_of_natural_steps_may_be_long(tmp_path):
-    assert looks([1e-3] * 9, end=1e9, folder=tmp_path) == []
+def test_a_run_of_natural_steps_may_be_long():
+    assert looks([1e-3] * 9, end=1e9) == []
 
 
 @pytest.mark.parametrize(
@@ -103,16 +103,16 @@ def test_a_run_of_natural_steps_may_be_long(tmp_path):
         (PENDULUM + "initial: {position: {hinge: 1}}\n", "joint hinge has the largest accelerat"),
     ],
 )
-def test_a_hopeless_run_ends_with_its_cause(tmp_path, text, cause):
+def test_a_hopeless_run_ends_with_its_cause(text, cause):
     with pytest.raises(DivergedError) as caught:
-        looks([1e-8] * 3, text=text, folder=tmp_path)
+        looks([1e-8] * 3, text=text)
     assert str(caught.value).startswith("stalled: steps of 1e-08 s at t = 0.0003 s: 1e+09 of ")
     assert cause in str(caught.value)
 
 
-def test_a_tick_that_does_not_end_is_an_error_too(tmp_path):
+def test_a_tick_that_does_not_end_is_an_error_too():
     """What the live simulator calls: it must not stand still for minutes."""
-    scene = load_scene(written(tmp_path, CHATTERING))
+    scene = scene_of(CHATTERING)
     simulation = scene.simulation()
     y = simulation.start(scene.initial)
     y = simulation.advance(y, None, 7e-3)
