@@ -11,9 +11,11 @@ A name is imported when it is used for the first time.
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # true to type checkers; to import `typing` would take longer than the rest
 if TYPE_CHECKING:
+    from typing import Any
+
     from mbd_ros.api import Scene as Scene
     from mbd_ros.api import load_scene as load_scene
     from mbd_ros.api import read_result as read_result
@@ -32,7 +34,7 @@ _HOMES = {
 __all__ = ["__version__", *_HOMES]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     if name == "__version__":
         return import_module("importlib.metadata").version(__name__)
     if name not in _HOMES:

@@ -295,6 +295,13 @@ def loaded_by_check(scene):
     return modules
 
 
+def test_the_package_alone_imports_nothing():
+    code = "import importlib, sys; before = {*sys.modules}; import mbd_ros; "
+    code += "print({*sys.modules} - before)"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout == "{'mbd_ros'}\n"
+
+
 def test_an_empty_scene_imports_nothing_that_it_does_not_use():
     modules = loaded_by_check(ROOT / "config/scenes/empty.yaml")
     assert "mbd_ros.core.inverse.inverse_dynamics" in modules

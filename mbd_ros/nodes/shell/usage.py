@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from rclpy.utilities import remove_ros_args
 
 from mbd_ros.errors import BAD_INPUT
-from mbd_ros.nodes.params_file import meaning
 from mbd_ros.nodes.shell.parameters import Parameter
 
 _HELP = ("-h", "--help")
@@ -38,6 +37,8 @@ def asks_for_help(arguments: Sequence[str], name: str) -> bool:
 
 def usage(name: str, parameters: Sequence[Parameter]) -> str:
     """Text for --help: how to start the node, and every parameter with its default."""
+    from mbd_ros.nodes.params_file import meaning  # here, since nodes start without it
+
     lines = [
         f"usage: ros2 run mbd_ros {name} --ros-args -p scene:=SCENE [-p NAME:=VALUE] "
         "[--params-file FILE] [-r FROM:=TO]",
