@@ -18,6 +18,7 @@ from mbd_ros.files.times import STAMP, TIME, stamps_of, time_columns
 from msg_adapters.errors import MessageError
 
 DESCRIPTION, STRING = "/result", "std_msgs/msg/String"
+RECORDED = "recorded"  # metadata `stamps`: those of a motion that was read
 _WHOLE = 2**53  # up to which a float64 tells whole numbers apart
 _UNITS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "N·m or N"}
 
@@ -36,7 +37,9 @@ class Bag:
         return values.dtype.kind in "fiub"
 
     def write(self, path: Path, result: Result) -> None:
-        """Write all tables; see `bag_streams`. A time of 0 becomes 1 ns: 0 is no stamp in ROS.
+        """Write all tables; see `bag_streams`.
+
+        A time of 0 becomes 1 ns, since 0 is no stamp in ROS; stamps of a recording stay.
 
         Raises:
             DataError: A place that cannot be written to, or times that messages cannot hold.
@@ -45,7 +48,8 @@ class Bag:
         topics = result.metadata.get("topics")
         for name, table in result.tables.items():
             stamps = stamps_of(table) if TIME in table else np.arange(1, table.rows + 1)
-            stamps = np.where(stamps == 0, 1, stamps)
+            if result.metadata.get("stamps") != RECORDED:
+                stamps = np.where(stamps == 0, 1, stamps)
             starts.append(stamps)
             plain = Table(column for column in table.columns if column.name != STAMP)
             streams, more[name] = streams_of(name, plain, topics)

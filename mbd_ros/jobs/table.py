@@ -54,6 +54,7 @@ COMMANDS: Mapping[str, Command] = {
         "mbd_ros.jobs.replay.command", "a bag through the live node, with an error table"
     ),
     "params": Command("mbd_ros.nodes.command", "a parameter file of a node, with comments"),
+    "plot": Command("mbd_ros.jobs.plot.command", "a picture of a result"),
     "demo": Command("mbd_ros.demo.command", "a simulated robot, controlled over topics: one page"),
     "report": Command(
         "mbd_ros.report.command", "error against run time, stability and cost, on one page"

@@ -1,7 +1,7 @@
 """Estimated torques against a reference, joint by joint."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +9,10 @@ import numpy as np
 from mbd_ros.core.state import Array, Motion
 from mbd_ros.errors import DataError
 from mbd_ros.files.recordings import read_motion
+from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.files.times import time_columns
+
+UNIT = "N·m or N"
 
 
 class TorqueErrors:
@@ -27,6 +31,10 @@ class TorqueErrors:
         rms_error: [N·m or N], shape (len(joints),).
         rms_reference: [N·m or N], shape (len(joints),).
         overall: Norm of all errors over norm of all references.
+        samples: Number of samples that are judged.
+        stamps: Theirs [ns], shape (samples,).
+        estimate: Their efforts [N·m or N], shape (samples, len(joints)).
+        known: Those of the reference, same shape.
     """
 
     def __init__(self, estimate: Motion, reference: Motion, skip: float) -> None:
@@ -40,7 +48,8 @@ class TorqueErrors:
         for i, column in enumerate(columns):
             known[:, i] = _interpolate(reference, column, stamps)
         error = estimate.effort[judged][:, columns] - known
-        self.samples = len(stamps)
+        self.samples, self.stamps = len(stamps), stamps
+        self.estimate, self.known = estimate.effort[judged][:, columns], known
         self.rms_error, self.rms_reference = _rms(error), _rms(known)
         total = float(np.linalg.norm(known))
         self.overall = float(np.linalg.norm(error)) / total if total > 0 else float("inf")
@@ -55,33 +64,63 @@ class TorqueErrors:
             yield f"{name:<28}{error:>12.5g}{reference:>16.5g}{share:>10}"
         yield f"overall {100 * self.overall:.3f} % (norm of errors over norm of references)"
 
+    def tables(self) -> dict[str, Table]:
+        """`samples`: estimate, reference and error by time; `errors`: a row a joint."""
+        kinds = {
+            "effort": self.estimate,
+            "reference": self.known,
+            "error": self.estimate - self.known,
+        }
+        columns = time_columns(self.stamps)
+        for kind, values in kinds.items():
+            for name, column in zip(self.joints, values.T, strict=True):
+                columns.append(Column(f"{name}.{kind}", column, UNIT))
+        errors = [
+            Column("joint", np.array(self.joints, dtype=np.str_)),
+            Column("rms_error", self.rms_error, UNIT),
+            Column("rms_reference", self.rms_reference, UNIT),
+        ]
+        return {MAIN: Table(columns), "errors": Table(errors)}
+
 
 def compare(
-    estimate: tuple[Path, str], reference: tuple[Path, str], joints: Sequence[str], skip: float
-) -> Iterator[str]:
-    """Lines of a comparison of two topics.
+    estimate: tuple[Path, str],
+    reference: tuple[Path, str],
+    joints: Sequence[str],
+    skip: float,
+    say: Callable[[str], None],
+) -> Result:
+    """Compare two topics.
 
     Args:
         estimate: Bag and JointState topic of the torques.
         reference: Bag and JointState topic of what they should be.
         joints: Joints to compare.
         skip: Time left out at the start [s].
+        say: Is told the table of errors, a line each.
+
+    Returns:
+        Tables of `TorqueErrors`; metadata `overall`, and `overall_whole` without skipping.
     """
     if not 0 <= skip < math.inf:
         raise DataError(f"skip {skip:g} s must be finite and >= 0")
     judged = read_motion(estimate[0], joints, topic=estimate[1], required=()).motion
     known = read_motion(reference[0], joints, topic=reference[1], required=()).motion
     if known.effort is None:
-        yield f"{reference[0]}: no effort on {reference[1]}: nothing to compare with"
-        return
-    yield f"against the effort on {reference[1]}, without the first {skip:g} s:"
-    settled = TorqueErrors(judged, known, skip)
+        say(f"{reference[0]}: no effort on {reference[1]}: nothing to compare with")
+    settled, whole = TorqueErrors(judged, known, skip), TorqueErrors(judged, known, 0.0)
+    overall = {"overall": settled.overall, "overall_whole": whole.overall}
+    result = Result(settled.tables(), {key: v for key, v in overall.items() if math.isfinite(v)})
+    if known.effort is None:
+        return result
+    say(f"against the effort on {reference[1]}, without the first {skip:g} s:")
     if not settled.samples:
-        yield "no sample is left to compare"
-        return
-    yield from settled.lines()
-    whole = TorqueErrors(judged, known, 0.0)
-    yield f"overall with the first {skip:g} s: {100 * whole.overall:.3f} %"
+        say("no sample is left to compare")
+        return result
+    for line in settled.lines():
+        say(line)
+    say(f"overall with the first {skip:g} s: {100 * whole.overall:.3f} %")
+    return result
 
 
 def _is_known(reference: Motion, column: int) -> bool:

@@ -147,7 +147,7 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
         for text in unexplained(observed.motion, table, observed.cutoff):
             say(text)
     about_it = metadata_of("inverse", scene, _inputs(task), _topics(scene, task))
-    return Result({MAIN: table}, about_it)
+    return Result({MAIN: table}, {**about_it, "stamps": "recorded"})
 
 
 class _Observed(NamedTuple):

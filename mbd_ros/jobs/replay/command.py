@@ -4,7 +4,7 @@ import argparse
 
 from mbd_ros.errors import FAILED, OK
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.lines import say, say_all
+from mbd_ros.jobs.lines import say
 from mbd_ros.scene.locate import path_word
 
 
@@ -38,14 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.jobs.replay.job import TORQUES, Replay, play
-    from mbd_ros.jobs.torque_errors import compare
-    from mbd_ros.scene.reader import load_scene
+    from mbd_ros.jobs.replay.job import Replay, replay
 
-    joints = load_scene(arguments.scene).couplings.independent
     names = ("bag", "scene", "out", "rate", "topic", "cutoff")
-    played, answered = play(Replay(**{name: getattr(arguments, name) for name in names}))
-    say(f"{played} joint states played, {answered} answered, {played - answered} lost")
-    reference = arguments.bag, arguments.reference or arguments.topic
-    say_all(compare((arguments.out, TORQUES), reference, joints, arguments.skip))
-    return OK if answered == played else FAILED
+    asked = Replay(**{name: getattr(arguments, name) for name in names})
+    found = replay(asked, arguments.reference, arguments.skip, say)
+    return OK if found.metadata["answered"] == found.metadata["played"] else FAILED

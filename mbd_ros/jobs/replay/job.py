@@ -4,7 +4,7 @@ import math
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +15,8 @@ from rclpy.serialization import deserialize_message
 
 from mbd_ros.errors import DataError
 from mbd_ros.files.bags import BagWriter, RawMessage, raw_messages
+from mbd_ros.files.table import Result
+from mbd_ros.jobs.columns import metadata_of
 from mbd_ros.jobs.isolated_domain import isolated_domain
 from mbd_ros.jobs.replay.bag_player import (
     CLASSES,
@@ -26,6 +28,7 @@ from mbd_ros.jobs.replay.bag_player import (
     BagPlayer,
     ReplayError,
 )
+from mbd_ros.jobs.torque_errors import compare
 from mbd_ros.scene.code_permission import is_permitted
 from mbd_ros.scene.reader import load_scene
 
@@ -53,6 +56,34 @@ class Replay:
     rate: float
     topic: str
     cutoff: float
+
+
+def replay(
+    asked: Replay, reference: str | None, skip: float, say: Callable[[str], None]
+) -> Result:
+    """Play a bag to the node and compare its torques.
+
+    Args:
+        asked: What to play and how.
+        reference: JointState topic of the bag to compare with; None: the one that is played.
+        skip: Time left out of the errors at the start [s].
+        say: Is told the numbers of messages and the table of errors, a line each.
+
+    Returns:
+        As `compare`; metadata `played` and `answered` as well.
+
+    Raises:
+        MbdError: As `play`, or what it answered cannot be compared.
+    """
+    scene = load_scene(asked.scene)
+    played, answered = play(asked)
+    say(f"{played} joint states played, {answered} answered, {played - answered} lost")
+    known = asked.bag, reference or asked.topic
+    found = compare((asked.out, TORQUES), known, scene.couplings.independent, skip, say)
+    inputs = {"bag": asked.bag, "rate": asked.rate, "cutoff": asked.cutoff, "skip": skip}
+    metadata = metadata_of("replay", scene, {**inputs, "reference": known[1]}, {})
+    counts = {"played": played, "answered": answered}
+    return Result(found.tables, {**metadata, **found.metadata, **counts, "stamps": "recorded"})
 
 
 def play(replay: Replay) -> tuple[int, int]:

@@ -1,0 +1,38 @@
+"""Words of `mbd-ros plot`."""
+
+import argparse
+
+from mbd_ros.errors import OK
+from mbd_ros.jobs.lines import say
+from mbd_ros.scene.locate import path_word
+
+PICTURES = (".png", ".svg", ".pdf")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The words that `plot` understands."""
+    parser.add_argument("result", type=path_word, help="CSV (.gz), .npz, .parquet or bag")
+    parser.add_argument(
+        "-o", "--out", type=path_word, required=True, help=".png, .svg or .pdf (required)"
+    )
+    parser.add_argument(
+        "--columns",
+        nargs="+",
+        help="names, or last words of names: effort (default: positions, velocities, efforts and "
+        "multipliers)",
+    )
+    parser.add_argument(
+        "--table", default="samples", help="table of the result (default: %(default)s)"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Do what the words say; the exit code."""
+    from mbd_ros.files.formats import read_result
+    from mbd_ros.files.replacing import refuse_overwriting
+
+    refuse_overwriting(arguments.out, arguments.result)
+    result = read_result(arguments.result)
+    result.to(arguments.out, among=PICTURES, table=arguments.table, columns=arguments.columns)
+    say(f"{result[arguments.table].rows} rows -> {arguments.out}")
+    return OK
