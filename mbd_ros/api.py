@@ -1,4 +1,4 @@
-"""What `import mbd_ros` offers: scenes with the jobs as methods."""
+"""The contents of `import mbd_ros`: scenes with the jobs as methods."""
 
 from collections.abc import Mapping
 from dataclasses import fields
@@ -14,7 +14,7 @@ from mbd_ros.scene.code_permission import permitting
 
 
 class Scene(built_scene.Scene):
-    """A scene: what it describes, built, and what can be made of it."""
+    """A built scene, which makes systems, solvers and simulations, and runs jobs."""
 
     simulate = simulate
     inverse = inverse
@@ -88,6 +88,6 @@ def read_robot(urdf: str | Path) -> Robot:
         urdf: As `scene_from` takes it.
 
     Raises:
-        SceneError: What is wrong with it.
+        SceneError: Names what is wrong and what is accepted.
     """
     return scene_from(urdf=urdf).robot

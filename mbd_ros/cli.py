@@ -44,10 +44,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(name: str, words: Sequence[str]) -> int:
-    """Understand the words and do what they say.
+    """Parse the words and run the command.
 
     Without words the program shows its help and an example, as a mistake: exit code 2, on stderr,
-    so that a script whose command is an empty variable does not go on.
+    so that a script whose command is an empty variable stops.
     """
     parser, commands = _parser()
     if not words:

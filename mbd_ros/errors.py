@@ -78,7 +78,7 @@ PACKAGES = {  # module -> what pip calls the package that brings it
 
 
 def install_hint(module: str) -> str:
-    """What to do about a module that is not installed; empty where this package needs none such.
+    """Hint for a module that is not installed; empty where this package needs no such module.
 
     Args:
         module: As it is imported, perhaps with dots.

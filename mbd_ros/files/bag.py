@@ -1,4 +1,4 @@
-"""Bags: a rosbag2 folder, .mcap or .db3. Results are joint states, and what else a table has."""
+"""Bags: a rosbag2 folder, .mcap or .db3. Results are joint states and other columns."""
 
 import heapq
 from collections.abc import Iterator, Mapping
@@ -24,7 +24,7 @@ _UNITS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "N·m or
 
 
 class Bag:
-    """Messages of ROS 2; the topic `/result` says which columns they are (String, JSON)."""
+    """Messages of ROS 2; the topic `/result` names their columns (String, JSON)."""
 
     content = "numbers"
     one_table = False
@@ -64,11 +64,11 @@ class Bag:
                 bag.write(topic, msgtype, stamp, message)
 
     def read(self, path: Path, topic: str = "/joint_states") -> Result:
-        """What `write` wrote; of other bags the joint states of a topic.
+        """The result that `write` wrote; of other bags the joint states of a topic.
 
         Args:
             path: The bag.
-            topic: Of a bag that something else wrote.
+            topic: For a bag of another program.
 
         Raises:
             DataError: No readable bag, or nothing usable on the topic.
@@ -121,7 +121,7 @@ def _picked(values: Mapping[tuple[str, str], Array], entry: Mapping[str, Any]) -
 
 
 def _recorded(path: Path, topic: str) -> Result:
-    """Joint states of others: what is finite of every joint that a message names."""
+    """Joint states of others: the finite values of every joint that a message names."""
     named = (msg.name for _, _, msg in messages(path, {topic: JOINT_STATE}))
     names = list(dict.fromkeys(name for each in named for name in each))
     recording = bag_motion(path, names, topic, ())

@@ -1,6 +1,6 @@
-"""Which columns of a result go into which messages of a bag.
+"""Columns of a result, and the messages of a bag that hold them.
 
-`metadata["topics"]` of a result says it for its `samples`: topic -> field of a JointState ->
+`metadata["topics"]` of a result maps its `samples`: topic -> field of a JointState ->
 quantity, so that the joints on a topic are those with a column `<joint>.<quantity>` of the first
 field; or topic -> `data` -> columns of a Float64MultiArray. Numbers that no such topic takes are
 in a Float64MultiArray on `/<table>`, whose layout labels are their names.
@@ -25,7 +25,7 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
 
 
 class Stream(NamedTuple):
-    """What a topic carries.
+    """Contents of a topic.
 
     Attributes:
         topic: Its name.

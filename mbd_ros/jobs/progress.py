@@ -1,4 +1,4 @@
-"""How far a long loop is, for whoever watches."""
+"""Progress of a long loop, for people."""
 
 import sys
 import time
@@ -16,11 +16,11 @@ _WATCH: ContextVar[Watch] = ContextVar("watch", default=True)
 
 @contextmanager
 def watching(watch: Watch) -> Iterator[None]:
-    """Who is told by `progress` within the block.
+    """Choose the listener of `progress` within the block.
 
     Args:
-        watch: True: whoever looks at a terminal. False: nobody. Else it is called with what is
-            going on and the share that is done, at most every `PERIOD` seconds.
+        watch: True: a terminal. False: nobody. Else a function of a label and the share that is
+            done, called at most every `PERIOD` seconds.
     """
     before = _WATCH.set(watch)
     try:
@@ -35,7 +35,7 @@ def progress(iterable: Iterable[T], total: int, label: str) -> Iterator[T]:
     Args:
         iterable: The items.
         total: How many there will be.
-        label: What is going on.
+        label: Name of the work.
 
     Yields:
         The items, unchanged.

@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print the names of the scenes and what they are; the exit code.
+    """Print the names of the scenes with a line each; the exit code.
 
     Raises:
         SceneError: The files of the package are not installed.

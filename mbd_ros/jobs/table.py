@@ -1,7 +1,7 @@
 """The commands of `mbd-ros`, a line each; the options of a command stand in its module only.
 
 The module of a command has two functions: `add_arguments(parser)` declares its options, and
-`run(arguments) -> int` does what they say and returns the exit code of the program.
+`run(arguments) -> int` runs it and returns the exit code of the program.
 """
 
 from collections.abc import Mapping
@@ -34,7 +34,7 @@ class Command(NamedTuple):
 
 
 class CommandModule(Protocol):
-    """What the module of a command has."""
+    """Contract of the module of a command."""
 
     def add_arguments(self, parser: "argparse.ArgumentParser") -> None:
         """Declare the options."""

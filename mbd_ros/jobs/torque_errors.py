@@ -94,7 +94,7 @@ def compare(
 
     Args:
         estimate: Bag and JointState topic of the torques.
-        reference: Bag and JointState topic of what they should be.
+        reference: Bag and JointState topic of the true ones.
         joints: Joints to compare.
         skip: Time left out at the start [s].
         say: Is told the table of errors, a line each.

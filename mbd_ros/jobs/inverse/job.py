@@ -76,10 +76,10 @@ def inverse(
         half_width: Samples on either side of a local zero-phase fit, in place of a cut-off.
         wrenches: Result, file or bag of the external loads; a bag motion carries its own.
         topic: JointState topic of a bag.
-        parts: Also give the torques by cause (gravity, coriolis, inertial, external).
-        say: Is told what was done and left out, a line each; without it that is
+        parts: Also give the torque components (gravity, coriolis, inertial, external).
+        say: Is called with each line for people; without it the lines are
             `metadata["remarks"]`.
-        progress: True for a line on a terminal, or what is called with a label and a share.
+        progress: True for a line on a terminal, or a function of a label and a share.
 
     Returns:
         Table `samples`: `time`, `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,

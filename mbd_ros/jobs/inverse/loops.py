@@ -25,11 +25,11 @@ def close_loops(scene: Scene, where: str, recording: Recording) -> tuple[Recordi
 
     Args:
         scene: A scene with loops.
-        where: What the motion is from, for the messages.
+        where: Source of the motion, for the messages.
         recording: Motion of the independent, then the dependent joints, NaN where absent.
 
     Returns:
-        The motion, and what there is to say about it.
+        The motion, and remarks.
 
     Raises:
         DataError: The motion lacks a joint that no loop ties to the others.
@@ -62,12 +62,12 @@ def solve_loops(
 
     Args:
         scene: A scene with loops.
-        where: What the motion is from, for the messages.
+        where: Source of the motion, for the messages.
         samples: The observations.
         wrenches: One (n, 6) array for every load of the scene.
 
     Returns:
-        Columns of all joints, of the efforts and of the multipliers, and what there is to say.
+        Columns of all joints, of the efforts and of the multipliers, and remarks.
 
     Raises:
         SolveError: The mechanism cannot be assembled, or the actuators cannot produce the motion;

@@ -34,14 +34,14 @@ def rate_of(times: Array) -> float:
 
 
 def low_pass(times: Array, values: Array, cutoff: float, orders: Sequence[int]) -> list[Array]:
-    """Signals without what is faster than the cut-off, and their derivatives.
+    """Signals below the cut-off, and their derivatives.
 
     The quintic spline s that minimizes, over time and over the samples y,
 
         integral (s - y)^2 + (sqrt 2 - 1) (2 pi cutoff)^-8 (d^4 s / dt^4)^2 dt
 
     passes `response` without lag, at any rate and with irregular stamps; where a sine ends with
-    the recording, or in a gap, it goes on as the cubic that fits best.
+    the recording, or in a gap, it continues as the cubic that fits best.
 
     Args:
         times: [s], increasing, at least `FEWEST`, shape (n,).

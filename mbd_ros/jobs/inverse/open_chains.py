@@ -24,10 +24,10 @@ def solve_open(
         scene: A scene without loops.
         samples: The observations.
         wrenches: One (n, 6) array for every load of the scene.
-        with_parts: Also give the torques by cause.
+        with_parts: Also give the torque components.
 
     Returns:
-        Columns of motion and torques, and what there is to say about them: nothing.
+        Columns of motion and torques, and no remarks.
     """
     solver = scene.inverse_dynamics()
     motion = {

@@ -27,7 +27,7 @@ def read_loads(
 
     Raises:
         DataError: A file that cannot be read or that the scene has no use for, or a wrench in
-            another frame than the scene says.
+            another frame than that of the scene.
     """
     refuse_unused(scene, wrenches)
     dropped: Counter[str] = Counter()

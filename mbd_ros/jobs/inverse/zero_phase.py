@@ -100,7 +100,7 @@ def low_passed(stamps: NDArray[np.int64], values: Array, cutoff: Array) -> Array
 
 
 def cutoff_lines(cutoff: Array, names: Sequence[str], chosen: bool, samples: int) -> Iterator[str]:
-    """What the low-pass of each joint is.
+    """Lines about the low-pass of each joint.
 
     Args:
         cutoff: That of the result of `zero_phase`.

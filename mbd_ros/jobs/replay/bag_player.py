@@ -1,4 +1,4 @@
-"""Plays messages to the node `inverse_dynamics` and records what it answers."""
+"""Plays messages to the node `inverse_dynamics` and records the answers."""
 
 import subprocess
 import time
@@ -82,7 +82,7 @@ class BagPlayer:
         """Until the node is active, hears every topic and is heard.
 
         Raises:
-            ReplayError: It does not start; says why.
+            ReplayError: It does not start; names the reason.
         """
         deadline = time.monotonic() + _START_TIMEOUT
         while True:
@@ -135,7 +135,7 @@ class BagPlayer:
             self._clock.publish(message)
 
     def _wait_for_answers(self, in_flight: int) -> None:
-        """Until at most `in_flight` joint states wait; what waits for too long is lost."""
+        """Wait until at most `in_flight` joint states wait; one that waits too long is lost."""
         deadline, answered = time.monotonic() + _ANSWER_TIMEOUT, self.answered
         while self.played - self.answered - self._lost > in_flight:
             self._spin(_PATIENCE)

@@ -39,12 +39,12 @@ _CLOCK_TOLERANCE = 1e10  # s: recorders and robots may live in different times
 
 @dataclass(frozen=True)
 class Replay:
-    """What to play and how.
+    """Order of a replay.
 
     Attributes:
         bag: Recording to play.
         scene: Scene of the node.
-        out: Bag of what the node answers.
+        out: Bag of the answers of the node.
         rate: Speed factor; 0 plays as fast as the node answers.
         topic: JointState topic of the bag.
         cutoff: Half-power frequency of the node's derivative filters [Hz].
@@ -87,7 +87,7 @@ def replay(
 
 
 def play(replay: Replay) -> tuple[int, int]:
-    """Play a bag to the node and record what it answers.
+    """Play a bag to the node and record the answers.
 
     Both run on a DDS domain of their own, which never leaves this machine, under the time of the
     bag. SIGTERM ends a replay as Ctrl-C does.

@@ -67,10 +67,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _asked(scene: "Scene", arguments: argparse.Namespace) -> "Run":
-    """What the options say, and else the task file.
+    """The order from the options, and else from the task file.
 
     Raises:
-        MbdError: The file cannot be used, or nothing says how long.
+        MbdError: The file cannot be used, or the duration is missing.
     """
     from mbd_ros.jobs.simulate.run import Run, options_of
 

@@ -1,4 +1,4 @@
-"""What a simulation reads: its first state, commands and loads."""
+"""Inputs of a simulation: its first state, commands and loads."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from mbd_ros.scene.registry import resolve
 
 
 def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
-    """State of all joints at the start, from the scene or a file, and what there is to say.
+    """State of all joints at the start, from the scene or a file, and remarks.
 
     Raises:
         DataError: The file has no sample at that time.
@@ -48,7 +48,7 @@ def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
 
 
 def drives(scene: Scene, run: Run) -> tuple[Commands | None, list[ForceTerm], list[str]]:
-    """Commands of the actuators, force terms that come from files, and what there is to say.
+    """Commands of the actuators, force terms that come from files, and remarks.
 
     Raises:
         DataError: A file that cannot be read, or that lacks a column or topic.
@@ -75,7 +75,7 @@ def drives(scene: Scene, run: Run) -> tuple[Commands | None, list[ForceTerm], li
 
 
 def _commands(scene: Scene, where: str, motion: Motion) -> Array:
-    """What the actuators take, from `.command`; from `.effort` where that is the same.
+    """Commands of the actuators, from `.command`; from `.effort` where that is the same.
 
     Raises:
         DataError: Commands that are not there, and why an effort is none.

@@ -34,7 +34,7 @@ class Interrupted(MbdError):
     """A simulation that ended early.
 
     Attributes:
-        result: What it had reached; None once that is in a file.
+        result: The motion so far; None once it is in a file.
         exit_code: Of the command line.
     """
 
@@ -63,7 +63,7 @@ def simulate(
 ) -> Result:
     """Motion from forces, with constraint forces, energy and violations.
 
-    Ctrl-C returns what was reached; `metadata["ended"]` says so then.
+    Ctrl-C returns the motion so far, with the reason in `metadata["ended"]`.
 
     Args:
         scene: The scene.
@@ -71,15 +71,15 @@ def simulate(
         start: Time at which the simulation begins [s].
         origin: Result or file whose joint state at `start` is the initial one, in place of that
             of the scene.
-        efforts: Result or file of what actuators take, or of the efforts of joints.
+        efforts: Result or file of the commands of actuators, or of the efforts of joints.
         wrenches: Result or file of the external loads of the scene.
         dt: Step of a fixed-step method, and interval of the output [s].
         integrator: Type or entry, in place of that of the scene.
         tolerance: Of the integrator.
         solver: Type or entry of the tier, in place of that of the scene.
-        say: Is told what there is to say, a line each; without it that is
+        say: Is called with each line for people; without it the lines are
             `metadata["remarks"]`.
-        progress: True for a line on a terminal, or what is called with a label and a share.
+        progress: True for a line on a terminal, or a function of a label and a share.
 
     Returns:
         Table `samples`: `time`, `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,
@@ -87,8 +87,8 @@ def simulate(
         `<joint>.command`.
 
     Raises:
-        Interrupted: The state diverged, equations have no solution, or steps became too short to
-            go on; its `result` is what was reached.
+        Interrupted: The state diverged, equations have no solution, or steps became too short;
+            its `result` is the motion so far.
         MbdError: Input that cannot be used.
     """
     options = options_of(scene, dt, integrator, tolerance, solver)
@@ -135,7 +135,7 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
 
 
 def _ended(scene: Scene, result: Result, failure: MbdError) -> Result:
-    """What there is of a simulation that ended early; raised unless Ctrl-C ended it."""
+    """The result of a simulation that ended early; raised unless Ctrl-C ended it."""
     if not result[MAIN].rows:
         raise type(failure)(f"{scene.name}: {failure}") from failure
     result.metadata["ended"] = str(failure)
@@ -159,7 +159,7 @@ def _duration(run: Run, dt: float) -> float:
 
 
 def _warn(text: str) -> None:
-    """Said at once, while the run goes on."""
+    """Warn at once, while the run continues."""
     erased = "\r\x1b[K" if sys.stderr.isatty() else ""  # the line of `progress`
     sys.stderr.write(f"{erased}warning: {text}\n")
     sys.stderr.flush()

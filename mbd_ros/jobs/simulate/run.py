@@ -1,4 +1,4 @@
-"""What a simulation is asked for, and what is refused of it."""
+"""The order of a simulation, and its checks."""
 
 import inspect
 import math
@@ -23,14 +23,14 @@ _RESOLVED = 64.0  # rounding errors of the time that a step must be longer than
 
 @dataclass(frozen=True)
 class Run:
-    """What to simulate.
+    """Order of a simulation.
 
     Attributes:
         duration: [s].
         origin: Result, file or bag whose joint state at `start` is the initial one; None takes
             that of the scene.
         start: Time at which the simulation begins [s].
-        efforts: Result, file or bag. With actuators `.command`, what they take, or `.effort` of
+        efforts: Result, file or bag. With actuators their `.command`, or `.effort` of
             those that take the torque of their joint, held between samples. Without actuators
             `.effort` of the joints, linear in between.
         wrenches: Result, file or bag of the external loads of the scene.
@@ -46,14 +46,14 @@ class Run:
 
     @property
     def inputs(self) -> dict[str, Any]:
-        """What the metadata of the result says of it."""
+        """Its part in the metadata of the result."""
         asked = {"duration": self.duration, "start": self.start, **self.options}
         files = {"from": self.origin, "efforts": self.efforts, "wrenches": self.wrenches}
         return asked | files
 
 
 def check_words(scene: Scene, run: Run) -> None:
-    """Refuse what no simulation can be asked for, before anything is read.
+    """Refuse an impossible order before anything is read.
 
     Raises:
         MbdError: Names the option, what is wrong with it and what is accepted.
@@ -101,7 +101,7 @@ def check_stamps(scene: Scene, run: Run, out: Path) -> None:
 
 
 def _shown(scene: Scene, run: Run) -> str:
-    """Where the step comes from, and what it is."""
+    """Origin and value of the step."""
     if "dt" in run.options:
         return f"--dt: {run.options['dt']:g} s"
     return f"{scene.name}: dt: {scene.dt:g} s"

@@ -1,4 +1,4 @@
-"""Whether a motion was too fast for the step that computed it: what `simulate` warns of."""
+"""Warnings of `simulate`: a motion that was too fast for its step."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -21,11 +21,11 @@ _TURN = 0.5  # change of velocity in a step, of the largest one in the motion
 def step_warnings(
     system: System, method: Integrator, dt: float, states: Sequence[State]
 ) -> Iterator[str]:
-    """What speaks against the step; nothing for methods that choose their steps.
+    """Warnings of the step; none for methods that choose their steps.
 
     Args:
         system: The system.
-        method: What integrated it.
+        method: Its integrator.
         dt: Step [s].
         states: States of all joints, one a step.
     """

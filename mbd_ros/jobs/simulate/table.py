@@ -39,7 +39,7 @@ def table_of(
     Args:
         system: The system that was simulated.
         states: States of all joints.
-        commands: What its actuators were told.
+        commands: The commands of its actuators.
     """
     rows = []
     failure: MbdError | None = None
@@ -72,7 +72,7 @@ def table_of(
 
 
 def _finite_rows(table: Table) -> tuple[int, DivergedError | None]:
-    """How many samples come before the first that is not finite, and what that one lacks."""
+    """Number of samples before the first that is not finite, and the fault of that one."""
     found = []
     for name, values in table.items():
         rows = np.flatnonzero(~np.isfinite(values))
@@ -88,7 +88,7 @@ def _finite_rows(table: Table) -> tuple[int, DivergedError | None]:
 
 
 def _commands(system: System, times: Array, commands: Commands | None) -> list[Column]:
-    """What actuators take that is not the torque of the joint."""
+    """Commands of actuators that do not take the torque of the joint."""
     takes = [a.takes for a in system.loads.actuators for _ in a.joints]
     at = [i for i, what in enumerate(takes) if what]
     if not at:

@@ -16,9 +16,9 @@ def simulate_to(scene: Scene, run: Run, out: Path, say: Say) -> None:
 
     Args:
         scene: The scene.
-        run: What to simulate.
+        run: The order.
         out: Its suffix chooses the format.
-        say: Is told the summary, a line each.
+        say: Is called with each line of the summary.
 
     Raises:
         Interrupted: The simulation ended early, by Ctrl-C too; the states so far are in the file
@@ -57,7 +57,7 @@ def diverged_place(out: Path) -> Path:
 
 
 def _kept(place: Path, result: Result) -> str:
-    """Write what was reached; where that fails the reason must not hide why the run ended."""
+    """Write the motion so far; a failure must not hide why the run ended."""
     try:
         result.to(place)
     except DataError as error:
