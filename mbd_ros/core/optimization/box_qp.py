@@ -44,8 +44,8 @@ class Statistics(NamedTuple):
 class BoxQp:
     """Solves the problem above; every answer is polished by an active set, and checked.
 
-    The ladder: warm start; cold restart; damping of A; then `SolveError`. Each rung is judged by
-    the complementarity residual recomputed here, never by the status of the solver.
+    A solve starts warm, then from nothing, then with a damped A, and fails after that. Each try
+    is judged by the complementarity residual recomputed here, never by the solver's status.
 
     Args:
         n: Number of multipliers.

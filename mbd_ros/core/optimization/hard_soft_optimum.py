@@ -21,8 +21,8 @@ class Candidate(NamedTuple):
 
     Attributes:
         y: The optimum if they are the right ones, shape (n,).
-        side: Those that acted without the ones that would pull, with those that y passes; 1 for
-            a lower limit, -1 for an upper one, else 0, shape (m,).
+        side: Limits to try next: those that would pull have left, those that y passes have
+            joined; 1 for a lower limit, -1 for an upper one, else 0, shape (m,).
         is_softened: Whether soft rows give way.
         is_optimal: Whether no limit changed: y is the optimum.
     """

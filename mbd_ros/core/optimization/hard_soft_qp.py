@@ -51,10 +51,11 @@ class Counts(NamedTuple):
 class HardSoftQp:
     """Solves the problem above; an answer is exact on its acting limits, and checked.
 
-    The ladder: the limits that acted twice before; those of a kept ProxQP whose soft rows yield
-    a little; the same from nothing; those of a descent in the box of the hard rows; then the
-    answer of that descent, whose excess is nearly the least. On all rungs but the last the
-    conditions of the optimum are recomputed, and limits exchanged where they do not hold.
+    A ladder finds the limits that act: first come those that acted twice before, then those of
+    a kept ProxQP whose soft rows yield a little, of the same from nothing, and of a descent in
+    the box of the hard rows. On these rungs the conditions of the optimum are recomputed, and
+    limits are exchanged where they do not hold. The last rung takes the answer of the descent,
+    whose excess is nearly the least.
 
     Args:
         n: Size of y, and number of hard rows.

@@ -2,8 +2,8 @@
 
     w = p + C mu,   low <= w <= high,   mu >= 0 at `low`, mu <= 0 at `high`, 0 elsewhere
 
-p is the move without limits and C the compliance: moves per force, constraints kept. It is the
-optimum of min 1/2 (w - p)' C^-1 (w - p) over low <= w <= high where C is regular.
+p is the move without limits and C the compliance: the moves per force that constraints leave.
+Where C is regular, w is the optimum of min 1/2 (w - p)' C^-1 (w - p) over low <= w <= high.
 """
 
 from typing import Protocol
