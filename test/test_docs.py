@@ -116,7 +116,15 @@ def test_every_goal_of_make_exists(page):
     assert set(named) <= set(goals)
 
 
-OTHERS = {"--ros-args", "--params-file", "--full-length", "--nthreads", "--nworkers", "--help"}
+OTHERS = {
+    "--ros-args",
+    "--params-file",
+    "--full-length",
+    "--nthreads",
+    "--nworkers",
+    "--help",
+    "--version",
+}
 EXAMPLES = {"weigh": ("--limit",)}  # commands of docs/extend.md
 FUZZ = {"--keep"}  # python -m fuzz.run
 
