@@ -199,7 +199,7 @@ def test_hand_equals_pinocchios_own_mimic_model(data_dir):
 
 
 @pytest.mark.parametrize("form", ["absent", "present", "shuffled"])
-def test_prosthetic_hand_from_messages(data_dir, tmp_path, form):
+def test_prosthetic_hand_from_messages(data_dir, form):
     """Mimic joints absent from, present in and shuffled within joint states: the same torques."""
     path = data_dir / "models/psyonic_ability_hand_right_large.urdf"
     scene, own = scene_from(urdf=path), pin.buildModelFromUrdf(str(path), mimic=True)

@@ -1,5 +1,6 @@
 """The table of the sections: order, and what other packages add to it."""
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 
 from mbd_ros.cli import main
 from mbd_ros.errors import SceneError
+from mbd_ros.report.peers.translation import common_ground
 from mbd_ros.scene.code_permission import permitting
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.registry import METHODS, PARTS
@@ -162,3 +164,36 @@ def test_mistakes_in_it_are_named_like_any(windy, old, new, message):
     with permitting(True), pytest.raises(SceneError) as caught:
         load_scene(windy)
     assert f"{windy}: {message}" in str(caught.value)
+
+
+def test_peers_are_not_told_of_it(windy):
+    """Left out by name, and taken from the scene that peers are compared with."""
+    with permitting(True):
+        ground = common_ground(load_scene(windy))
+    assert ground.left == ("winds (section of others)",)
+    assert ground.scene.forces == () and "winds" not in ground.scene.parts
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"winds",', '"breezes",', "winds: 'mbd_ros_winds:SECTION' is no Section with the key"),
+        ("SECTION = Section(", "OTHER = Section(", "winds: entry point 'mbd_ros_winds:SECTION': "),
+        ("import numpy", "import no_such_module_\nimport numpy", "No module named 'no_such_modul"),
+        ("{kind}{at}", "{knd}{at}", "winds: text of check: unknown knd, accepted: kind, name, at"),
+        ('("force",)', '("force",), after=("sails",)', "comes after unknown sails"),
+        ('("force",)', '("force", "sail")', "'steady' is not a class with a method 'sail'"),
+    ],
+)
+def test_a_package_with_a_mistake_is_an_error_of_the_scene(
+    windy, tmp_path, monkeypatch, installed, old, new, message
+):
+    copy = tmp_path / "site"
+    shutil.copytree(installed, copy)
+    module = copy / "mbd_ros_winds.py"
+    assert old in MODULE
+    module.write_text(MODULE.replace(old, new), encoding="utf-8")
+    monkeypatch.syspath_prepend(str(copy))
+    with permitting(True), pytest.raises(SceneError) as caught:
+        load_scene(windy)
+    assert str(windy) in str(caught.value) and message in str(caught.value)

@@ -1,7 +1,7 @@
 """A built scene, and the systems, solvers and simulations that it makes."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -85,6 +85,10 @@ class Scene(SceneParts):
             **parts: By key of their section, such as `forces=(*scene.forces, part)`.
         """
         return replace(self, parts={**self.parts, **parts})
+
+    def without(self, keys: Iterable[str]) -> "Scene":
+        """A copy without what some sections built."""
+        return replace(self, parts={k: part for k, part in self.parts.items() if k not in keys})
 
     def inverse_dynamics(self) -> InverseDynamics | ObservedLoops:
         """A solver with its own Pinocchio data, for the independent joints."""

@@ -221,7 +221,8 @@ def _cost(scene: Scene, data: Any) -> str:
 
 
 def _loop_cost(scene: Scene, x: State) -> str:
-    every = scene.holding(actuators=()).closed_loop()  # so that no fixed base is out of reach
+    drives = [section.key for section in scene.sections if "torque" in section.offers]
+    every = scene.without(drives).closed_loop()  # so that no fixed base is out of reach
     x, a = every.consistent(x, np.zeros(scene.robot.model.nv))
     call = (lambda: every.reach(x)) if scene.robot.floating else (lambda: every.solve(x, a))
     return f"one inverse-dynamics call {_best(call) * 1e6:.0f} us"

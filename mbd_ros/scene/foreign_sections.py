@@ -10,12 +10,14 @@ where `code_permission.permitting` allows it, and not before.
 
 from collections.abc import Iterable
 from importlib.metadata import entry_points
+from string import Formatter
 
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.registry import imported
 from mbd_ros.scene.sections import SECTIONS, Section, keys
 
 GROUP = "mbd_ros.sections"
+_FIELDS = ("kind", "name", "at", "law", "rows", "part")  # of a text of `check`
 
 
 def declared(unknown: Iterable[str]) -> dict[str, str]:
@@ -41,4 +43,9 @@ def import_section(key: str, target: str, where: str) -> Section:
     unknown = [name for name in section.after if name not in (*keys(SECTIONS), key)]
     if unknown:
         raise SceneError(f"{where}: {key}: '{target}' comes after unknown {', '.join(unknown)}")
+    fields = {word or "" for _, word, _, _ in Formatter().parse(section.check)} - {""}
+    odd = [word for word in fields if word.partition(".")[0] not in _FIELDS]
+    if odd:
+        accepted = ", ".join(_FIELDS)
+        raise SceneError(f"{where}: {key}: text of check: unknown {odd[0]}, accepted: {accepted}")
     return section

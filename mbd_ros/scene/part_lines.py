@@ -24,6 +24,7 @@ def _words(part: Any) -> dict[str, str]:
     where = getattr(part, "joints", None) or [getattr(part, "joint", None)]
     names = ", ".join(str(getattr(joint, "name", joint)) for joint in where if joint)
     words = {"kind": type_name(part), "at": f" at {names}" if names else ""}
+    words |= {"rows": "", "law": ""}
     if hasattr(part, "rows"):
         words["rows"] = ", ".join(f"{row.name} [{row.unit}]" for row in part.rows)
         words["law"] = "bilateral" if part.bounds is None else "bounded"

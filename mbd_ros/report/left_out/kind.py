@@ -138,7 +138,7 @@ def _with_stops(scene: Scene) -> Scene:
         part = build_part("constraints", stop, f"{scene.name}: stops", scene.robot)
     except ModelError:
         return scene
-    return scene.holding(constraints=(*scene.constraints, part))
+    return scene.holding(constraints=(*scene.parts.get("constraints", ()), part))
 
 
 def _best(call: Callable[[], object], calls: int) -> float:

@@ -13,6 +13,7 @@ from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
 from mbd_ros.report.peers.task import Body, End, Follow, Spring, Task
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.sections import SECTIONS, keys
 
 _FORCES = ("joint_friction", "joint_spring", "joint_torque", "point_spring")
 _CLOSED = 1.0e-8  # m: directions that no row holds and that stay closed by themselves
@@ -54,13 +55,14 @@ def common_ground(scene: Scene) -> Ground:
 
     Stops and stiction of peers are soft under all settings; they do not know other forces.
     """
-    given, left = scene.entries, []
+    given, foreign = scene.entries, list(keys(scene.sections))[len(SECTIONS) :]
+    scene, left = scene.without(foreign), [f"{key} (section of others)" for key in foreign]
     kept: dict[str, tuple[Any, ...]] = {}
     entries: dict[str, tuple[Entry, ...]] = {}
     for section, parts in (("constraints", scene.constraints), ("forces", scene.forces)):
         pairs = [
             (part, _entry(part, entry, f"{section}[{i}]"))
-            for i, (part, entry) in enumerate(zip(parts, given.get(section) or [], strict=True))
+            for i, (part, entry) in enumerate(zip(parts, given.get(section, ()), strict=True))
         ]
         told = [pair for pair in pairs if _is_told(*pair)]
         left += [
@@ -113,7 +115,8 @@ def _is_told(part: Any, entry: Entry) -> bool:
 def _entry(part: Any, given: Mapping[str, Any], where: str) -> Entry:
     accepted = inspect.signature(type(part)).parameters.values()
     defaults = {p.name: p.default for p in accepted if p.default is not inspect.Parameter.empty}
-    return Entry(str(given["type"]), {**defaults, **given}, where)
+    kind = given["type"]  # a class, where Python made the scene
+    return Entry(kind if isinstance(kind, str) else kind.__name__, {**defaults, **given}, where)
 
 
 def _bodies(scene: Scene, forces: Sequence[Entry]) -> Iterator[Body]:
