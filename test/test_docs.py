@@ -178,6 +178,17 @@ def test_the_page_on_python_runs(tmp_path, monkeypatch, capsys):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["torques.npz", "torques.png"]
 
 
+def test_the_page_on_results_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs/results.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    *lines, last = code.strip().splitlines()
+    names = {}
+    exec("\n".join(lines), names)
+    assert eval(last, names)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["torques.npz", "torques.png"]
+
+
 def test_the_report_page_has_one_place_for_the_headlines():
     text = (ROOT / "docs/report.md").read_text(encoding="utf-8")
     assert (text.count(BEGIN), text.count(END)) == (1, 1)
