@@ -13,6 +13,13 @@ from mbd_ros.scene import built_scene, from_python, reader
 from mbd_ros.scene.code_permission import permitting
 
 
+class Lines(str):
+    """A text that a notebook shows line by line."""
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
 class Scene(built_scene.Scene):
     """A built scene, which makes systems, solvers and simulations, and runs jobs."""
 
@@ -23,6 +30,14 @@ class Scene(built_scene.Scene):
     def of(cls, scene: built_scene.Scene) -> "Scene":
         """The same scene with the jobs as methods."""
         return cls(*(getattr(scene, field.name) for field in fields(scene)))
+
+    def check(self) -> Lines:
+        """The lines of `mbd-ros check`: parts that are built and left out, and the cost of a call.
+
+        Raises:
+            MbdError: The scene has no consistent start.
+        """
+        return Lines(super().check())
 
     def with_(self, **sections: Any) -> "Scene":
         """The scene with other sections, built as far as they change it.

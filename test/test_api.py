@@ -1,5 +1,6 @@
 """The package as Python users and notebooks see it."""
 
+import re
 import subprocess
 import sys
 from importlib.metadata import version
@@ -87,3 +88,9 @@ def test_a_robot_alone():
     robot = mbd.read_robot("arm7")
     assert len(robot.joints) == 7
     assert len(repr(robot).splitlines()) <= 10
+
+
+def test_a_notebook_shows_the_lines_of_check():
+    shown = repr(mbd.load_scene("four_bar_leg").check())
+    assert re.search(r"^constraint  LoopClosure, bilateral: .*\.x \[N\]", shown, re.MULTILINE)
+    assert ".." not in shown.splitlines()[1]

@@ -51,7 +51,7 @@ def motion(scene, duration=0.01):
 def test_a_mapping_builds_what_its_file_builds(name):
     path = SCENES / f"{name}.yaml"
     entries = read_mapping(path)
-    urdf = path.parent / entries["robot"].pop("urdf")
+    urdf = (path.parent / entries["robot"].pop("urdf")).resolve()
     scene, filed = scene_from(entries, urdf=urdf), load_scene(path)
     assert np.array_equal(motion(scene), motion(filed))
     assert (scene.path, scene.name, scene.source) == (None, "scene", str(urdf))

@@ -67,7 +67,7 @@ def find_scene(name: str | Path) -> Path:
     embedded = embedded_scenes()
     if text in embedded:
         return embedded[text]
-    if os.path.exists(text):
+    if os.path.exists(text) or (os.sep in text and Path(text).parent.is_dir()):
         return Path(text)
     from mbd_ros.scene.nearest import nearest  # here, since it serves errors only
 
@@ -108,7 +108,7 @@ def find_file(folder: Path, name: str, where: str) -> Path:
         SceneError: The package is not installed.
     """
     if not name.startswith("package://"):
-        return folder / name
+        return Path(os.path.normpath(folder / name))
     package, _, rest = name.removeprefix("package://").partition("/")
     if ".." in (package, *Path(rest).parts) or Path(rest).is_absolute():
         raise SceneError(f"{where}: {name} leaves the package")
