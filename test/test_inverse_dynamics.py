@@ -68,7 +68,7 @@ def test_torques_and_multipliers_balance_the_equation_of_all_joints():
     couplings, model, data = inverse.couplings, robot.model, robot.model.createData()
     *motion, wrenches = samples(inverse, 20, 2)
     for z, rate, push, *loads in zip(*motion, *wrenches, strict=True):
-        tau, lam = inverse.solve(z, rate, push, loads)
+        tau, lam, *_ = inverse.solve(z, rate, push, loads)
         q, v, a = np.zeros((3, 7))
         q[couplings.q_index], v[couplings.v_index], a[couplings.v_index] = z, rate, push
         couplings.expand(q, v, a)
@@ -130,7 +130,7 @@ def test_power_balances_and_coupling_forces_do_no_work(name, seed):
     for t in np.linspace(0.0, 2.0, 40):
         wrenches = [300.0 * push(t) + 2000.0] * len(scene.wrenches)  # above the threshold
         z, rate, acceleration = (motion(t, k) + offset * (k == 0) for k in range(3))
-        tau, lam = inverse.solve(z, rate, acceleration, wrenches)
+        tau, lam, *_ = inverse.solve(z, rate, acceleration, wrenches)
         q, v, a = at(t)
         full = pin.rnea(model, data, q, v, a)
         pin.forwardKinematics(model, data, q, v)
@@ -215,11 +215,11 @@ def test_results_are_fresh_and_arguments_stay_as_they_were():
     z, v, a, loads = samples(inverse, 2, wrenches)
     given = [x.copy() for x in (z, v, a, *loads)]
     first = inverse.solve(z[0], v[0], a[0], [w[0] for w in loads])
-    kept = [x.copy() for x in first]
+    kept = [x.copy() for x in first[:2]]
     inverse.solve(z[1], v[1], a[1], [w[1] for w in loads])
     inverse.components(z[1], v[1], a[1], [w[1] for w in loads])
     inverse.batch(z, v, a, loads)
-    assert all(np.array_equal(x, y) for x, y in zip(first, kept, strict=True))
+    assert all(np.array_equal(x, y) for x, y in zip(first[:2], kept, strict=True))
     assert all(np.array_equal(x, y) for x, y in zip((z, v, a, *loads), given, strict=True))
 
 

@@ -13,6 +13,7 @@ from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.inverse.observed_loops import ObservedLoops
+from mbd_ros.core.inverse.torques import SampleSolver
 from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.errors import MbdError, ModelError, SceneError, SolveError
@@ -90,8 +91,11 @@ class Scene(SceneParts):
         """A copy without what some sections built."""
         return replace(self, parts={k: part for k, part in self.parts.items() if k not in keys})
 
-    def inverse_dynamics(self) -> InverseDynamics | ObservedLoops:
-        """A solver with its own Pinocchio data, for the independent joints."""
+    def inverse_dynamics(self) -> SampleSolver:
+        """A solver with its own Pinocchio data, for the independent joints.
+
+        Without loops it is an `InverseDynamics`, which takes many samples at once, too.
+        """
         if self.has_loops:
             return ObservedLoops(self.closed_loop())
         loads = [wrench.load for wrench in self.wrenches.values()]

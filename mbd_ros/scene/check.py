@@ -13,7 +13,7 @@ from mbd_ros.core.dynamics.mass_check import check_mass
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.integration.linear_motion import LinearMotion, linear_motion, longest_step
-from mbd_ros.core.inverse.loop_torques import listed
+from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import State

@@ -11,8 +11,7 @@ from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.joint_observer import JointObserver
 from mbd_ros.core.estimation.joint_observer import Observation as Observation
 from mbd_ros.core.estimation.joint_observer import Tuning as Tuning
-from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics, Torques
-from mbd_ros.core.inverse.observed_loops import ObservedLoops
+from mbd_ros.core.inverse.torques import SampleSolver, Torques
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
@@ -27,13 +26,8 @@ class TorqueEstimator(JointObserver):
         tuning: How samples are judged and filtered.
     """
 
-    def __init__(
-        self, robot: Robot, inverse: InverseDynamics | ObservedLoops, tuning: Tuning
-    ) -> None:
-        self._inverse, self._loops = (
-            inverse,
-            inverse if isinstance(inverse, ObservedLoops) else None,
-        )
+    def __init__(self, robot: Robot, inverse: SampleSolver, tuning: Tuning) -> None:
+        self._inverse = inverse
         super().__init__(robot, inverse.couplings, tuning)
         self._dependent_q = [robot.joint(name).q for name in inverse.couplings.dependent]
         self._ones = np.ones(len(inverse.couplings.independent))
@@ -52,7 +46,7 @@ class TorqueEstimator(JointObserver):
         Raises:
             SolveError: There are none.
         """
-        before = self._loops.memory if self._loops is not None else ()
+        before = self._inverse.memory
         try:
             torques = self._inverse.solve(x.position, x.velocity, x.acceleration, wrenches)
             if math.isfinite(torques.tau.dot(self._ones)):
@@ -70,8 +64,7 @@ class TorqueEstimator(JointObserver):
         """Forget the past."""
         super().reset()
         self._newest: Observation | None = None
-        if self._loops is not None:
-            self._loops.reset()
+        self._inverse.reset()
 
     def observe(
         self, stamp: int, position: Array, velocity: Array, present: NDArray[np.bool_]
@@ -81,14 +74,13 @@ class TorqueEstimator(JointObserver):
         found = super().observe(stamp, position, velocity, present)
         if isinstance(found, Observation):
             self._newest, self._before = found, before
-            if self._loops is not None and self.outcome is SampleStatus.RESTARTED:
-                self._loops.reset()
+            if self.outcome is SampleStatus.RESTARTED:
+                self._inverse.reset()
         return found
 
-    def _give_up(self, x: Observation, of_loops: tuple[Any, ...]) -> None:
+    def _give_up(self, x: Observation, of_solver: tuple[Any, ...]) -> None:
         """Put back the state before an observation."""
-        if self._loops is not None:
-            self._loops.memory = of_loops
+        self._inverse.memory = of_solver
         if x is self._newest:
             self.memory, self._newest = self._before, None
 

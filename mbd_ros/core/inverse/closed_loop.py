@@ -14,7 +14,8 @@ import numpy as np
 from mbd_ros.core.inverse.force_split import ForceSplit, Split
 from mbd_ros.core.inverse.loop_balance import LoopBalance
 from mbd_ros.core.inverse.loop_motion import LoopMotion, with_inertia
-from mbd_ros.core.inverse.loop_torques import LoopTorques, Reach
+from mbd_ros.core.inverse.reach import Reach
+from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.wrenches import ExternalWrench
@@ -53,7 +54,7 @@ class ClosedLoopInverseDynamics:
     Attributes:
         robot: The robot.
         couplings: Its dependent joints.
-        actuated: Joints of `LoopTorques.tau`.
+        actuated: Joints of `Torques.tau`.
         constraints: Rows of the multipliers: couplings, then bilateral constraints and limited
             drives in the order of the scene.
         motion: Makes measured motion consistent.
@@ -101,7 +102,7 @@ class ClosedLoopInverseDynamics:
         """Measured motion moved onto the constraints; see `LoopMotion.consistent`."""
         return self.motion.consistent(x, a)
 
-    def solve(self, x: State, a: Array, wrenches: Sequence[Array] = ()) -> LoopTorques:
+    def solve(self, x: State, a: Array, wrenches: Sequence[Array] = ()) -> Torques:
         """Efforts and multipliers of one sample.
 
         Args:
@@ -130,7 +131,7 @@ class ClosedLoopInverseDynamics:
         multipliers = np.empty(len(self._drives))
         multipliers[self._drives], multipliers[~self._drives] = drives, found.multipliers
         null_space, labels = split.null_space, self._undetermined(split)
-        return LoopTorques(tau, multipliers, null_space, labels, split.condition)
+        return Torques(tau, multipliers, null_space, labels, split.condition)
 
     def reach(self, x: State) -> Reach:
         """The reach of the actuators at a state on the constraints."""

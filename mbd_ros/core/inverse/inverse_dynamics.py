@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.dynamics.body_loads import BodyLoads
+from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.couplings import Couplings, Slopes
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.wrenches import ExternalWrench
@@ -19,21 +20,6 @@ from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.state import Array, State
 
 _CHUNK = 2048  # samples
-
-
-class Torques(NamedTuple):
-    """Torques and coupling multipliers that explain a motion.
-
-    Attributes:
-        tau: Force of every independent coordinate [N·m or N], shape (nv_z,) or (n, nv_z).
-        multipliers: Force of the tendon, cam or gear of every dependent joint on that joint
-            [N·m for a revolute joint, N for a prismatic one], shape (n_d,) or (n, n_d). Positive
-            pushes the joint in its positive direction. On its parent the coupling exerts -f' times
-            as much.
-    """
-
-    tau: Array
-    multipliers: Array
 
 
 class TorqueComponents(NamedTuple):
@@ -67,7 +53,15 @@ class InverseDynamics:
     Attributes:
         configuration: q = F(z) of the last `solve` of a coupled or loaded robot, a live view
             (nq,).
+        rows: Names of the dependent joints, which the multipliers belong to.
+        needed: Joints that must be measured: the independent ones.
+        moved: 0, since there are no loops; see `SampleSolver`.
+        gap: Zeros, shape (n_d,).
+        memory: Empty: a sample does not depend on those before it.
     """
+
+    moved = 0.0
+    memory: tuple[Any, ...] = ()
 
     def __init__(
         self,
@@ -76,7 +70,8 @@ class InverseDynamics:
         wrenches: Sequence[ExternalWrench] = (),
         forces: Sequence[ForceTerm] = (),
     ) -> None:
-        self.couplings = couplings
+        self.couplings, self.rows = couplings, couplings.dependent
+        self.needed, self.gap = couplings.independent, np.zeros(len(couplings.dependent))
         self.wrenches, self.forces = tuple(wrenches), tuple(forces)
         self._reads_frames = any(getattr(force, "reads_frames", False) for force in forces)
         self._model, self._data = robot.model, pin.Data(robot.model)
@@ -87,6 +82,9 @@ class InverseDynamics:
         self._no_multipliers = np.empty(0)
         self._is_free = not couplings.dependent and not wrenches and not forces
         self._loads = BodyLoads(robot, self.wrenches)
+
+    def reset(self) -> None:
+        """Nothing: no sample is remembered."""
 
     def solve(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
@@ -153,7 +151,8 @@ class InverseDynamics:
             self._chunk(pool, *(x[i : i + _CHUNK] for x in (position, velocity, acceleration)))
             for i in chunks
         ]
-        return Torques(*(np.concatenate(rows) for rows in zip(*solved, strict=True)))
+        tau, multipliers = (np.concatenate([s[i] for s in solved]) for i in (0, 1))
+        return Torques(tau, multipliers)
 
     def _chunk(self, pool: Any, position: Array, velocity: Array, acceleration: Array) -> Torques:
         """Unloaded torques of so many samples that they stay in the cache."""

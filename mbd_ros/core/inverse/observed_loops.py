@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.core.inverse.inverse_dynamics import Torques
+from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.couplings import Slopes
 from mbd_ros.core.state import Array, State
 
@@ -22,6 +22,7 @@ class ObservedLoops:
         inverse: The solver.
         couplings: The dependent joints.
         configuration: Consistent configuration of the last sample, shape (nq,).
+        needed: Joints that must be measured: none, as long as the loops tie them to others.
         rows: Names of the multipliers: the dependent joints, then the rows of the constraints.
         moved: How far a joint of the last sample was moved onto the constraints [rad or m].
         gap: Residual of every row at the last sample as measured, shape (m,); 0 for drives and
@@ -40,6 +41,7 @@ class ObservedLoops:
         for part, mine in zip(constraints.parts, constraints.slices, strict=True):
             self._is_driven[mine] = bool(part.driven)
         self._v = [inverse.robot.joint(name).v for name in inverse.actuated]
+        self.needed: tuple[str, ...] = ()
         self._begin = self.memory
 
     @property
@@ -100,7 +102,7 @@ class ObservedLoops:
         tau = np.zeros(len(a))
         tau[self._v] = found.tau
         reduced, _ = self.couplings.reduce(tau, self._slopes)
-        return Torques(reduced, found.multipliers)
+        return found._replace(tau=reduced)
 
     def _residual(self, x: State) -> Array:
         pin.forwardKinematics(self._model, self._data, x.q, x.v, np.zeros(len(x.v)))

@@ -1,6 +1,6 @@
 """Inverse dynamics of a recorded motion: `mbd-ros inverse`."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.files.times import TIME, time_columns
 from mbd_ros.jobs.columns import metadata_of
 from mbd_ros.jobs.error_source import about
+from mbd_ros.jobs.inverse import loops, open_chains
 from mbd_ros.jobs.inverse.commands import commands_of
 from mbd_ros.jobs.inverse.derivatives import (
     Derivatives,
@@ -25,8 +26,7 @@ from mbd_ros.jobs.inverse.derivatives import (
     observe,
     unexplained,
 )
-from mbd_ros.jobs.inverse.loops import close_loops, solve_loops
-from mbd_ros.jobs.inverse.open_chains import solve_open, violations
+from mbd_ros.jobs.inverse.open_chains import violations
 from mbd_ros.jobs.inverse.wrenches import read_loads, wrench_at
 from mbd_ros.jobs.progress import Watch, watching
 from mbd_ros.scene.built_scene import Scene
@@ -123,7 +123,8 @@ def inverse_to(scene: Scene, task: Task, out: Path, say: Say) -> None:
 
 def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     """See `inverse`."""
-    if task.parts and scene.has_loops:
+    way = loops if scene.has_loops else open_chains
+    if task.parts and not way.HAS_CAUSES:
         raise DataError(f"{scene.name}: --parts goes with scenes without loops only")
     if scene.robot.floating:
         raise DataError(f"{scene.name}: robot.base: files carry no pose of a floating base")
@@ -132,10 +133,7 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
         say(f"warning: {text}")
     observed = _observed(scene, task, say)
     samples, wrenches = observed.samples, observed.wrenches
-    if scene.has_loops:
-        columns, remarks = solve_loops(scene, where, samples, wrenches)
-    else:
-        columns, remarks = solve_open(scene, samples, wrenches, task.parts)
+    columns, remarks = way.solve(scene, where, samples, wrenches, task.parts)
     table = Table([*time_columns(observed.stamps), *columns])
     _check_finite(where, table)
     with about(where), np.errstate(over="ignore", invalid="ignore"):
@@ -146,7 +144,7 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     if observed.cutoff is not None:
         for text in unexplained(observed.motion, table, observed.cutoff):
             say(text)
-    about_it = metadata_of("inverse", scene, _inputs(task), _topics(scene, task))
+    about_it = metadata_of("inverse", scene, _inputs(task), _topics(way.TOPICS, task))
     return Result({MAIN: table}, {**about_it, "stamps": "recorded"})
 
 
@@ -173,8 +171,9 @@ def _observed(scene: Scene, task: Task, say: Say) -> _Observed:
     where, derivatives = name_of(task.motion), task.derivatives
     with about("--cutoff"):
         tuning = Tuning(cutoff=derivatives.causal_cutoff)
-        estimator = TorqueEstimator(scene.robot, scene.inverse_dynamics(), tuning)
-    motion = _motion(scene, task, estimator.names, say)
+        solver = scene.inverse_dynamics()
+        estimator = TorqueEstimator(scene.robot, solver, tuning)
+    motion = _motion(scene, task, estimator.names, solver.needed, say)
     loads, dropped = read_loads(scene, task.motion, task.wrenches)
     if derivatives.source == "causal":
         with np.errstate(over="ignore", invalid="ignore"):  # the results are looked at
@@ -194,15 +193,15 @@ def _observed(scene: Scene, task: Task, say: Say) -> _Observed:
     return _Observed(motion, samples, stamps, wrenches, cutoff)
 
 
-def _motion(scene: Scene, task: Task, names: Sequence[str], say: Say) -> Motion:
+def _motion(
+    scene: Scene, task: Task, names: Sequence[str], needed: Sequence[str], say: Say
+) -> Motion:
     """The motion, with what loops give of it."""
     where = name_of(task.motion)
-    needed = () if scene.has_loops else scene.couplings.independent
     recording = read_motion(task.motion, names, topic=task.topic, required=needed)
-    if scene.has_loops:
-        recording, remarks = close_loops(scene, where, recording)
-        for text in remarks:
-            say(text)
+    recording, remarks = loops.close_loops(scene, where, recording)
+    for text in remarks:
+        say(text)
     for reason, count in recording.dropped.items():
         say(f"{where}: {count} messages left out: {reason}")
     if recording.by_log_time:
@@ -217,16 +216,10 @@ def _inputs(task: Task) -> dict[str, object]:
     return {**asked, "cutoff": cutoff, "half_width": half_width, "parts": task.parts}
 
 
-def _topics(scene: Scene, task: Task) -> dict[str, object]:
+def _topics(topics: Mapping[str, object], task: Task) -> dict[str, object]:
     """Topics of a bag, see `files.bag_streams`."""
-    torques = {field: field for field in ("effort", "position", "velocity")}
-    topics: dict[str, object] = {"/joint_torques": torques}
-    if scene.has_loops:
-        topics["/joint_states"] = {field: field for field in ("position", "velocity")}
-    topics["/constraint_forces"] = {"effort": "multiplier"}
-    for cause in TorqueComponents._fields if task.parts else ():
-        topics[f"/joint_torques/{cause}"] = {"effort": cause}
-    return topics
+    causes = TorqueComponents._fields if task.parts else ()
+    return {**topics, **{f"/joint_torques/{cause}": {"effort": cause} for cause in causes}}
 
 
 def _check_finite(where: str, table: Table) -> None:

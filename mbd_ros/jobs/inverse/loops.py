@@ -6,7 +6,8 @@ import numpy as np
 
 from mbd_ros.core.estimation.torque_estimator import Observation
 from mbd_ros.core.inverse.loop_motion import LoopMotion, Mask
-from mbd_ros.core.inverse.loop_torques import LoopTorques, listed
+from mbd_ros.core.inverse.reach import listed
+from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State
 from mbd_ros.core.thresholds import FOLD, TOGGLE
@@ -14,8 +15,15 @@ from mbd_ros.errors import DataError, SolveError
 from mbd_ros.files.recording import Recording
 from mbd_ros.files.table import Column
 from mbd_ros.jobs.columns import joint_columns, row_columns
+from mbd_ros.jobs.inverse import open_chains
 from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
+
+HAS_CAUSES = False
+TOPICS = {  # of a bag, see `files.bag_streams`
+    **open_chains.TOPICS,
+    "/joint_states": {field: field for field in ("position", "velocity")},
+}
 
 
 def close_loops(scene: Scene, where: str, recording: Recording) -> tuple[Recording, list[str]]:
@@ -24,7 +32,7 @@ def close_loops(scene: Scene, where: str, recording: Recording) -> tuple[Recordi
     Their branch is that of the initial state of the scene, followed from sample to sample.
 
     Args:
-        scene: A scene with loops.
+        scene: The scene; one without loops has all independent joints measured.
         where: Source of the motion, for the messages.
         recording: Motion of the independent, then the dependent joints, NaN where absent.
 
@@ -36,6 +44,8 @@ def close_loops(scene: Scene, where: str, recording: Recording) -> tuple[Recordi
         SolveError: The initial state cannot be assembled.
     """
     names = scene.couplings.independent
+    if not names:
+        return recording, []
     position = recording.motion.position[:, : len(names)]
     is_there = np.isfinite(position).any(axis=0)
     if not is_there.any():
@@ -55,8 +65,12 @@ def close_loops(scene: Scene, where: str, recording: Recording) -> tuple[Recordi
     return recording._replace(motion=motion), said + fold
 
 
-def solve_loops(
-    scene: Scene, where: str, samples: Sequence[Observation], wrenches: Sequence[Array]
+def solve(
+    scene: Scene,
+    where: str,
+    samples: Sequence[Observation],
+    wrenches: Sequence[Array],
+    with_parts: bool,
 ) -> tuple[list[Column], list[str]]:
     """Efforts and multipliers of observations.
 
@@ -65,6 +79,7 @@ def solve_loops(
         where: Source of the motion, for the messages.
         samples: The observations.
         wrenches: One (n, 6) array for every load of the scene.
+        with_parts: False: a cause alone may be out of reach of the actuators.
 
     Returns:
         Columns of all joints, of the efforts and of the multipliers, and remarks.
@@ -103,7 +118,7 @@ def solve_loops(
     return columns, list(_remarks(np.max(off, axis=0), stamps, solved))
 
 
-def _remarks(off: Array, stamps: np.ndarray, solved: Sequence[LoopTorques]) -> Iterator[str]:
+def _remarks(off: Array, stamps: np.ndarray, solved: Sequence[Torques]) -> Iterator[str]:
     yield (
         f"moved onto the constraints by at most {off[0]:.3g} rad or m, {off[1]:.3g} per s, "
         f"{off[2]:.3g} per s^2"

@@ -12,16 +12,26 @@ from mbd_ros.jobs.columns import joint_columns
 from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
 
+HAS_CAUSES = True
+TOPICS = {  # of a bag, see `files.bag_streams`
+    "/joint_torques": {field: field for field in ("effort", "position", "velocity")},
+    "/constraint_forces": {"effort": "multiplier"},
+}
 _CHUNK = 1000  # samples between two signs of progress
 
 
-def solve_open(
-    scene: Scene, samples: Sequence[Observation], wrenches: Sequence[Array], with_parts: bool
+def solve(
+    scene: Scene,
+    where: str,
+    samples: Sequence[Observation],
+    wrenches: Sequence[Array],
+    with_parts: bool,
 ) -> tuple[list[Column], list[str]]:
     """Torques of the independent joints, multipliers of the dependent ones.
 
     Args:
         scene: A scene without loops.
+        where: Source of the motion, for the messages.
         samples: The observations.
         wrenches: One (n, 6) array for every load of the scene.
         with_parts: Also give the torque components.
@@ -40,7 +50,7 @@ def solve_open(
         solver.batch(z[part], v[part], a[part], [w[part] for w in wrenches])
         for part in progress(chunks, len(chunks), "solving")
     ]
-    tau, multipliers = (np.concatenate(rows) for rows in zip(*solved, strict=True))
+    tau, multipliers = (np.concatenate([each[i] for each in solved]) for i in (0, 1))
     found = {**motion, "effort": tau}
     if with_parts:
         each = zip(z, v, a, *wrenches, strict=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mbd_ros.core.inverse.loop_torques import listed
+from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.parts import ForceTerm
 from mbd_ros.core.simulation.simulation import Commands
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State

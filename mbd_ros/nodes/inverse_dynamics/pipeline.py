@@ -7,7 +7,6 @@ import numpy as np
 
 from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator
-from mbd_ros.core.inverse.observed_loops import ObservedLoops
 from mbd_ros.core.state import NANOSECOND
 from mbd_ros.nodes.inverse_dynamics.parameters import tuning
 from mbd_ros.nodes.inverse_dynamics.wrench_queue import WrenchQueue
@@ -37,15 +36,14 @@ class Pipeline:
     def __init__(self, values: Any, description: str | None) -> None:
         self.scene = load_scene(values.scene, description)
         couplings = self.scene.couplings
-        inverse = self.scene.inverse_dynamics()
-        self.estimator = TorqueEstimator(self.scene.robot, inverse, tuning(values))
-        self._loops = inverse if isinstance(inverse, ObservedLoops) else None
+        self._solver = self.scene.inverse_dynamics()
+        self.estimator = TorqueEstimator(self.scene.robot, self._solver, tuning(values))
         self.joints = JointStateReader(self.estimator.names, with_effort=False)
         self.reader = JointStateCdrReader(self.joints, joint_state)
         self._torques = JointStateCdrWriter(couplings.independent)
-        rows = couplings.dependent if self._loops is None else self._loops.rows
+        rows = self._solver.rows
         self._forces = JointStateCdrWriter(rows, ("position", "effort"))
-        self._has_rows = bool(rows)
+        self._has_rows, self._has_loops = bool(rows), len(rows) > len(couplings.dependent)
         ages = round(values.wrench_max_age / NANOSECOND), round(values.rewind / NANOSECOND)
         self.queue = WrenchQueue(self.scene.wrenches, *ages)
         self._violation = np.zeros(len(couplings.dependent))
@@ -75,8 +73,8 @@ class Pipeline:
         if not self._has_rows:
             return answer, None
         self._violation = off = self.estimator.violation(x)
-        if self._loops is not None:
-            off = np.concatenate([off, self._loops.gap[len(off) :]])
+        if self._has_loops:
+            off = np.concatenate([off, self._solver.gap[len(off) :]])
         return answer, self._forces.write(x.stamp, position=off, effort=torques.multipliers)
 
     def health(self, tolerance: float) -> tuple[int, str]:
@@ -92,8 +90,8 @@ class Pipeline:
         ]
         if off:
             return WARN, f"off their couplings: {', '.join(off)}; the independent joints are used"
-        if self._loops is not None and self._loops.moved > tolerance:
-            return WARN, f"off the loops by {self._loops.moved:.4g}; the nearest state is used"
+        if self._solver.moved > tolerance:
+            return WARN, f"off the loops by {self._solver.moved:.4g}; the nearest state is used"
         return OK, "torques published"
 
     def observe(self, stamp: int, sample: JointSample) -> Observation | SampleStatus:
@@ -119,7 +117,7 @@ class Pipeline:
             f"settled after {filters.settling_time:.4f} s",
             "largest coupling violation": f"{np.abs(self._violation).max(initial=0.0):.6g}",
             "solver tier": tier(self.scene),
-        } | ({} if self._loops is None else {"off the loops": f"{self._loops.moved:.6g}"})
+        } | ({"off the loops": f"{self._solver.moved:.6g}"} if self._has_loops else {})
 
     @property
     def _dependent(self) -> tuple[str, ...]:

@@ -1,0 +1,75 @@
+"""Results of inverse dynamics, and the solvers that are asked sample by sample."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
+
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.state import Array
+
+
+class Torques(NamedTuple):
+    """Torques and multipliers that explain a motion, with loops or without.
+
+    Attributes:
+        tau: Force of every independent coordinate [N·m or N], shape (nv_z,) or (n, nv_z); of
+            `ClosedLoopInverseDynamics` the effort of every actuated joint, shape (na,).
+        multipliers: Force of the tendon, cam or gear of every dependent joint on that joint
+            [N·m for a revolute joint, N for a prismatic one], shape (n_d,) or (n, n_d). Positive
+            pushes the joint in its positive direction. On its parent the coupling exerts -f' times
+            as much. With loops one a row of the constraints; that of a drive is its effort.
+        null_space: Dimension of the efforts and multipliers that together exert nothing; 0
+            without loops.
+        undetermined: `<joint>.effort` and `<row>.multiplier` that take part in it.
+        condition: Beyond 1e6 the mechanism is near a toggle and the result unreliable; 1
+            without loops.
+    """
+
+    tau: Array
+    multipliers: Array
+    null_space: int = 0
+    undetermined: tuple[str, ...] = ()
+    condition: float = 1.0
+
+
+class SampleSolver(Protocol):
+    """Inverse dynamics of the independent joints, sample by sample, with loops or without.
+
+    Attributes:
+        couplings: The dependent joints.
+        configuration: Configuration of the last sample, shape (nq,).
+        rows: Names of the multipliers: the dependent joints, then the rows of the constraints.
+        needed: Joints that must be measured; loops give the others.
+        moved: Largest move of a joint of the last sample onto the constraints [rad or m].
+        gap: Residual of every row at the last sample as measured, shape (m,); 0 for drives and
+            for couplings.
+        memory: State on which the next sample depends; may be set, to its value before a sample.
+    """
+
+    couplings: Couplings
+    configuration: Array
+    rows: tuple[str, ...]
+    needed: tuple[str, ...]
+    moved: float
+    gap: Array
+
+    @property
+    def memory(self) -> tuple[Any, ...]: ...  # noqa: D102
+
+    @memory.setter
+    def memory(self, memory: tuple[Any, ...]) -> None: ...
+
+    def reset(self) -> None:
+        """Forget all samples."""
+
+    def solve(
+        self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
+    ) -> Torques:
+        """Torques of one sample.
+
+        Args:
+            position: z [rad or m], shape (nz,).
+            velocity: z' [rad/s or m/s], shape (nv_z,).
+            acceleration: z'' [rad/s^2 or m/s^2], shape (nv_z,).
+            wrenches: One (6,) array [N, N·m] for every load of the scene; none means unloaded.
+        """
+        ...
