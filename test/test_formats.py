@@ -241,6 +241,8 @@ def test_a_plot_has_a_panel_a_quantity(result):
     assert (line.get_ydata() == result["samples"]["b.position"]).all()
     assert drawn.axes[-1].get_xlabel() == "time [s]" and drawn._repr_png_()[:4] == b"\x89PNG"
     assert len(result.plot(columns=["energy", "a.effort"]).axes) == 2
+    with pytest.raises(DataError, match="o.csv: no suffix of a picture, accepted: .png"):
+        result.plot("o.csv")
     with pytest.raises(DataError, match="no column knee; there are: time"):
         result.plot(columns=["knee"])
 

@@ -9,6 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mbd_ros.errors import DataError
+from mbd_ros.files.formats import PICTURES
 from mbd_ros.files.replacing import replacing
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.files.times import STAMP, TIME
@@ -92,7 +93,13 @@ def figure(result: Result, table: str = MAIN, columns: Sequence[str] | None = No
 
 
 def save(picture: Figure, path: Path) -> None:
-    """Write a figure as the suffix of the path says."""
+    """Write a figure as the suffix of the path says.
+
+    Raises:
+        DataError: A suffix of no picture, or a place that cannot be written to.
+    """
+    if path.suffix not in PICTURES:
+        raise DataError(f"{path}: no suffix of a picture, accepted: {', '.join(PICTURES)}")
     with replacing(path) as file:
         dated = (
             {}

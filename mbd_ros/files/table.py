@@ -227,11 +227,9 @@ class Result(Mapping[str, Table]):
         return pandas.DataFrame({n: v if v.ndim == 1 else list(v) for n, v in columns})
 
     def plot(self, path: str | Path | None = None, **options: Any) -> Any:
-        """A figure of matplotlib with the curves of a table.
+        """A figure of matplotlib, also written to a .png, .svg or .pdf where a path is given.
 
-        Args:
-            path: Also write it: .png, .svg or .pdf.
-            **options: Those of `mbd_ros.files.plot.figure`: table, columns.
+        Options are those of `mbd_ros.files.plot.figure`: table, columns.
         """
         from mbd_ros.files.plot import figure, save
 
@@ -249,6 +247,5 @@ def _same(one: Column, other: Column) -> bool:
 
 def _some(names: list[str]) -> str:
     """The first names of many, cut where they are long."""
-    text = ", ".join(names[:_LISTED]) or "none"
-    text = text if len(text) <= 200 else text[:200] + ".."
+    text = (", ".join(names[:_LISTED]) or "none")[:200]
     return text + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")

@@ -6,8 +6,6 @@ from mbd_ros.errors import OK
 from mbd_ros.jobs.lines import say
 from mbd_ros.scene.locate import path_word
 
-PICTURES = (".png", ".svg", ".pdf")
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The words that `plot` understands."""
@@ -28,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.files.formats import read_result
+    from mbd_ros.files.formats import PICTURES, read_result
     from mbd_ros.files.replacing import refuse_overwriting
 
     refuse_overwriting(arguments.out, arguments.result)
