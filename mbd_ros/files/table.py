@@ -170,7 +170,7 @@ class Result(Mapping[str, Table]):
         if len(self) > _LISTED:
             lines.append(f"  and {len(self) - _LISTED} more tables")
         about = _some(list(self.metadata)) if self.metadata else "none"
-        return "\n".join([f"Result of {len(self)} tables", *lines, f"  metadata: {about}"])
+        return "\n".join([f"Result, tables: {len(self)}", *lines, f"  metadata: {about}"])
 
     def _repr_html_(self) -> str:
         """Its tables, for a notebook."""
