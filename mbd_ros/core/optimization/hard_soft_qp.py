@@ -70,9 +70,13 @@ class HardSoftQp:
 
     def __init__(self, n: int, soft: int) -> None:
         self.counts = Counts()
-        self._n, self._far = n, np.full(soft, np.inf)
-        self._qp, self._yields = KeptProxQp(n + soft, soft), _COMPLIANCE**0.5 * np.eye(soft)
-        self._side: Sides = np.zeros(n + soft, dtype=np.int8)
+        size = n + soft
+        self._n, self._qp = n, KeptProxQp(size, soft)
+        self._H, self._g, self._C = np.zeros((size, size)), np.zeros(size), np.zeros((soft, size))
+        self._C[:, n:] = _COMPLIANCE**0.5 * np.eye(soft)
+        self._yielding = np.arange(n, size)
+        self._low, self._high = np.full(size, -np.inf), np.full(size, np.inf)
+        self._side: Sides = np.zeros(size, dtype=np.int8)
         self._is_steady = False  # whether the same limits acted twice
 
     def solve(self, G: Array, lower: Array, upper: Array) -> Candidate:
@@ -141,11 +145,11 @@ class HardSoftQp:
         """
         n, soft, cost = self._n, len(C), E.T.dot(E)
         unit = 1.0 / float(cost.diagonal().max())  # residuals of ProxQP are absolute
-        H = unit * np.eye(n + soft)
-        H[:n, :n] = unit * cost
-        low, high = np.append(lower[:n], -self._far), np.append(upper[:n], self._far)
-        rows = np.hstack([C, self._yields]), lower[n:], upper[n:]
-        self._qp.solve(H, np.zeros(n + soft), low, high, rows, cold=cold)
+        self._H[:n, :n], self._C[:, :n] = unit * cost, C
+        self._H[self._yielding, self._yielding] = unit
+        self._low[:n], self._high[:n] = lower[:n], upper[:n]
+        rows = self._C, lower[n:], upper[n:]
+        self._qp.solve(self._H, self._g, self._low, self._high, rows, cold=cold)
         z = self._qp.multipliers / unit
         return -np.concatenate([z[soft : soft + n], z[:soft]])
 
