@@ -9,6 +9,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from installed_package import install
 
 from mbd_ros.cli import main
 from mbd_ros.jobs.table import COMMANDS
@@ -104,32 +105,15 @@ def run(arguments):
     print("hello", load_scene(arguments.scene).robot.model.name, "!" * arguments.times)
     return 1
 '''
-PROJECT = """\
-[build-system]
-requires = ["setuptools>=65"]
-build-backend = "setuptools.build_meta"
-[project]
-name = "greeting"
-version = "1.0"
-[project.entry-points."mbd_ros.commands"]
-hello = "greeting"
-lost = "no_such_module"
-empty = "greeting_empty"
-[tool.setuptools]
-py-modules = ["greeting", "greeting_empty"]
-"""
+ENTRIES = {"hello": "greeting", "lost": "no_such_module", "empty": "greeting_empty"}
 
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
     """`mbd-ros`, in a process that sees a package with commands of its own."""
-    source, target = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("target")
-    (source / "greeting.py").write_text(HELLO, encoding="utf-8")
-    (source / "greeting_empty.py").touch()
-    (source / "pyproject.toml").write_text(PROJECT, encoding="utf-8")
-    words = ["install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
-    pip = [sys.executable, "-m", "pip", *words, "--target", target, source]
-    subprocess.run(pip, check=True, timeout=100)
+    modules = {"greeting": HELLO, "greeting_empty": ""}
+    folder = tmp_path_factory.mktemp("package")
+    target = install(folder, "greeting", modules, "mbd_ros.commands", ENTRIES)
 
     def run(*given):
         return subprocess.run(

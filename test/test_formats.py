@@ -8,6 +8,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from installed_package import install
 
 from mbd_ros.errors import DataError
 from mbd_ros.files import formats
@@ -282,32 +283,12 @@ class Lines:
         rows = [[c.name, c.values.tolist(), c.unit] for c in table.columns]
         Path(path).write_text(json.dumps(rows))
 """
-PROJECT = """
-[build-system]
-requires = ["setuptools"]
-build-backend = "setuptools.build_meta"
-
-[project]
-name = "my-lines"
-version = "1.0"
-
-[project.entry-points."mbd_ros.formats"]
-jlines = "my_lines:Lines"
-
-[tool.setuptools]
-py-modules = ["my_lines"]
-"""
 
 
 def test_a_format_of_an_installed_package_needs_one_file(tmp_path):
     """The package is built and installed by pip, into a folder of its own."""
-    source, target = tmp_path / "source", tmp_path / "target"
-    source.mkdir()
-    (source / "my_lines.py").write_text(FORMAT, encoding="utf-8")
-    (source / "pyproject.toml").write_text(PROJECT, encoding="utf-8")
-    words = ["install", "-q", "--no-deps", "--no-index", "--no-build-isolation"]
-    pip = [sys.executable, "-m", "pip", *words, "--target", str(target), str(source)]
-    subprocess.run(pip, check=True, capture_output=True, timeout=100)
+    entries = {"jlines": "my_lines:Lines"}
+    target = install(tmp_path, "my-lines", {"my_lines": FORMAT}, "mbd_ros.formats", entries)
     code = (
         f"import sys; sys.path.insert(0, {str(target)!r})\n"
         "import numpy as np\n"

@@ -1,12 +1,12 @@
 """The table of the sections: order, and what other packages add to it."""
 
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from installed_package import install
 
 from mbd_ros.cli import main
 from mbd_ros.errors import SceneError
@@ -44,18 +44,6 @@ SECTION = Section(
     types={"steady": "mbd_ros_winds:Steady"},
 )
 '''
-PROJECT = """
-[build-system]
-requires = ["setuptools"]
-build-backend = "setuptools.build_meta"
-[project]
-name = "mbd_ros_winds"
-version = "0.1"
-[tool.setuptools]
-py-modules = ["mbd_ros_winds"]
-[project.entry-points."mbd_ros.sections"]
-winds = "mbd_ros_winds:SECTION"
-"""
 WINDS = "winds:\n  mistral: {type: steady, joint: hinge, torque: 2.0}\n"
 
 
@@ -97,14 +85,9 @@ def test_the_registry_reads_the_table():
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
     """Folder into which pip has installed a package with a section."""
-    source = tmp_path_factory.mktemp("source")
-    (source / "mbd_ros_winds.py").write_text(MODULE, encoding="utf-8")
-    (source / "pyproject.toml").write_text(PROJECT, encoding="utf-8")
-    target = tmp_path_factory.mktemp("site")
-    offline = ("--no-deps", "--no-build-isolation", "--no-index", "--quiet")
-    words = ["-m", "pip", "install", *offline, "--target", str(target), str(source)]
-    subprocess.run([sys.executable, *words], check=True, timeout=120)
-    return target
+    folder, modules = tmp_path_factory.mktemp("package"), {"mbd_ros_winds": MODULE}
+    entries = {"winds": "mbd_ros_winds:SECTION"}
+    return install(folder, "mbd_ros_winds", modules, "mbd_ros.sections", entries)
 
 
 @pytest.fixture

@@ -223,8 +223,7 @@ class Result(Mapping[str, Table]):
             import pandas
         except ModuleNotFoundError as error:
             raise DataError(install_hint("pandas")) from error
-        columns = self[table].items()
-        return pandas.DataFrame({n: v if v.ndim == 1 else list(v) for n, v in columns})
+        return pandas.DataFrame({n: v if v.ndim == 1 else list(v) for n, v in self[table].items()})
 
     def plot(self, path: str | Path | None = None, **options: Any) -> Any:
         """A figure of matplotlib, also written to a .png, .svg or .pdf where a path is given.

@@ -89,17 +89,7 @@ class InverseDynamics:
     def solve(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
     ) -> Torques:
-        """Torques of one sample.
-
-        Args:
-            position: z [rad or m], shape (nz,).
-            velocity: z' [rad/s or m/s], shape (nv_z,).
-            acceleration: z'' [rad/s^2 or m/s^2], shape (nv_z,).
-            wrenches: One (6,) array [N, N·m] for every load of the scene; none means unloaded.
-
-        Returns:
-            Fresh arrays.
-        """
+        """Torques of one sample, fresh arrays; see `SampleSolver.solve`."""
         if self._is_free and len(wrenches) == 0:
             tau = pin.rnea(self._model, self._data, position, velocity, acceleration)
             return Torques(tau, self._no_multipliers)
