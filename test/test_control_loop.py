@@ -104,6 +104,16 @@ def test_silence_ramps_to_nothing_once_and_the_return_has_no_bump(joints):
     np.testing.assert_allclose(again[0], half, atol=1e-12)
 
 
+def test_a_gap_right_after_the_first_state_is_no_part_of_the_ramp(joints):
+    """The last state before a simulator froze may be the first that comes after it."""
+    loop = loop_of(joints)
+    loop.is_frozen = True
+    efforts = [*run(loop, 1), *run(loop, 101, begin=0.7)]
+    assert not np.any(efforts[:2])
+    assert np.abs(np.diff(efforts, axis=0)).max() <= 8.0 * DT / 0.1 + 1e-12
+    np.testing.assert_allclose(efforts[-1], [8.0, -4.0])
+
+
 def test_size_and_rate_of_what_leaves_are_limited(joints):
     loop = loop_of(joints, (8.0, -400.0), ramp=0.0, limit=[5.0, 100.0], rate=1000.0)
     loop.is_frozen = True

@@ -41,8 +41,8 @@ class ControlLoop:
     The weight never jumps. It falls from 1 to 0 within `ramp` after the first state, rises when
     states stop (`lapse`), and falls again, from its present value, when they come back. A state
     that comes later than `longest` after the last one, or before it, is a new beginning: the
-    reference continues from the measurement. With a state before the last one time began anew,
-    and the weight begins at 1.
+    reference continues from the measurement, and the weight stays until the next one. With a
+    state before the last one time began anew, and the weight begins at 1.
 
     Args:
         controller: The control law; may be replaced between updates by one for the same joints.
@@ -135,7 +135,8 @@ class ControlLoop:
         dt = 0.0 if self.is_open else min(max(x.t - self._t, 0.0), self.longest)
         if not self.is_open and x.t < self._t:
             self.weight = 1.0
-        if self.is_open or not 0.0 <= x.t - self._t <= self.longest:
+        begins = self.is_open or not 0.0 <= x.t - self._t <= self.longest
+        if begins:
             self._close(x.t, q, v)
         self._t = x.t
         ref = self.generator.at(x.t)
@@ -143,7 +144,8 @@ class ControlLoop:
             self._close(x.t, q, v)
             ref = self.generator.at(x.t)
         is_lost = self.watch is not None and bool(self.watch.fault)
-        self._shift(dt if is_lost else -dt)
+        handed_over = 0.0 if begins else dt
+        self._shift(dt if is_lost else -handed_over)
         box = self.guard.box(self._sent, dt)
         control = self._controlled(x, ref, box, dt)
         effort = control.effort
