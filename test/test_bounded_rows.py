@@ -59,7 +59,7 @@ def test_active_stops_agree_with_another_solver_of_the_primal_problem(seed):
     torque = 60.0 * rng.normal(size=7)
     free, stopped = arm([], torque=torque), arm([STOPS], torque=torque)
     x = near_the_stops(free.robot, rng)
-    M, a_free = free.mass(x.q), free.acceleration(*x)
+    M, a_free = free.mass(x.q), free.acceleration(x.t, x.q, x.v)
     J, b = stopped.bounded.constraints.conditions(stopped.data, x)
     expected = qpsolvers.solve_qp(M, -M @ a_free, -J, b, solver="daqp")
     found = stopped.solve(x)
@@ -148,7 +148,7 @@ def test_drive_with_a_limit_follows_until_its_effort_ends():
         system = build_system(robot, Couplings(robot), [drive], Loads(1))
         x = State(0.0, np.array([0.4]), np.zeros(1))
         a, lam = system.solve(x)
-        pull = float(system.applied(*x)[0])
+        pull = float(system.applied(x.t, x.q, x.v)[0])
         assert lam[0] == pytest.approx(-pull if held else -np.copysign(limit, pull), abs=1e-9)
         assert (abs(a[0]) <= 1e-9) == held
 

@@ -161,14 +161,14 @@ def test_control_is_finite_of_the_right_shape_and_changes_nothing(name, robot, m
     )
     n, memory = len(joints), part.begin()
     ref, box = Reference(*np.ones((3, n))), EffortBox(np.full(n, -1e6), np.full(n, 1e6))
-    before = [values.copy() for values in (*x[1:], *ref, memory, *box)]
+    before = [values.copy() for values in (x.q, x.v, *ref, memory, *box)]
     first, second = (part.effort(x, ref, memory, box) for _ in range(2))
     assert first.effort.shape == first.s.shape == first.equivalent.shape == (n,)
     assert first.memory_rate.shape == memory.shape
     assert first.active.shape == (len(part.limit_names),) and first.active.dtype == bool
     assert all(np.isfinite(values).all() for values in first)
     assert first.effort.any() and first.effort is not second.effort
-    for now, values in zip((*x[1:], *ref, memory, *box), before, strict=True):
+    for now, values in zip((x.q, x.v, *ref, memory, *box), before, strict=True):
         assert np.array_equal(now, values)
 
 

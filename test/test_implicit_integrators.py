@@ -201,7 +201,7 @@ def test_linearization_equals_analytic_derivatives():
     """Forward differences leave 1e-8 of the second derivatives, here 1e-6 of the accelerations."""
     system, x = leg()
     at = Linearization(system, system.acceleration)
-    at.update(*x, None)
+    at.update(x.t, x.q, x.v, None)
     model, data = system.model, system.model.createData()
     pin.computeABADerivatives(model, data, x.q, x.v, np.zeros(5))
     for ours, exact in ((at.stiffness, data.ddq_dq), (at.damping, data.ddq_dv)):

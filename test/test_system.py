@@ -117,7 +117,7 @@ def test_inverse_dynamics_of_the_acceleration_returns_the_torque(name):
     tau = np.random.default_rng(1).normal(size=loaded.robot.model.nv)
     system = loaded.system([drop_effort(loaded, tau)])
     y = state(loaded, system)
-    z = system.acceleration(*y)
+    z = system.acceleration(y.t, y.q, y.v)
     found = loaded.inverse_dynamics().solve(y.q, y.v, z)
     slopes = loaded.couplings.expand(system.expand(y).q, tau.copy(), tau.copy())
     expected, _ = loaded.couplings.reduce(tau.copy(), slopes)

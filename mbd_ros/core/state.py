@@ -9,18 +9,28 @@ Array = NDArray[np.float64]
 NANOSECOND = 1.0e-9  # s
 
 
+Mode = tuple[int, ...]
+NONE: Array = np.zeros(0)
+NONE.setflags(write=False)
+
+
 class State(NamedTuple):
-    """Configuration and velocity at one time.
+    """All that the future depends on, at one time.
 
     Attributes:
         t: Time [s].
         q: Configuration [m, rad], shape (nq,).
         v: Velocity [m/s, rad/s], shape (nv,).
+        z: Internal states of parts, in units of their own, shape (nz,).
+        mode: Whole numbers that say which of several smooth motions goes on: the phase, the side
+            of a surface, stick or slip.
     """
 
     t: float
     q: Array
     v: Array
+    z: Array = NONE
+    mode: Mode = ()
 
 
 class Solution(NamedTuple):

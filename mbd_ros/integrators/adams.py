@@ -13,7 +13,7 @@ from mbd_ros.core.integration.runge_kutta import RungeKutta
 from mbd_ros.core.integration.step_length import NEAR, clip
 from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.core.integration.tableau import RK4
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.errors import ModelError
 
 _ORDERS = range(2, 9)
@@ -97,7 +97,7 @@ class AdamsStepper(Stepper):
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by dt, or to `end` if that is nearer; x itself at or after `end`."""
-        t, q, v = x
+        t, q, v, _, _ = x
         held = None if u is None else u.tobytes()
         if x is not self._ready or held != self._held or t + self._near > end:
             return self._slow_step(x, u, end, held)
@@ -105,7 +105,8 @@ class AdamsStepper(Stepper):
         self._accelerate(t, q, v, u, row)
         product(before, after)
         self._head = after
-        self._ready = x = new_state(State, (t + self._dt, after_q.copy(), after_v.copy()))
+        t += self._dt
+        self._ready = x = new_state(State, (t, after_q.copy(), after_v.copy(), NONE, ()))
         return x
 
     def stride(self, x: State, u: Array | None, end: float, most: int) -> tuple[State, int]:
@@ -120,7 +121,7 @@ class AdamsStepper(Stepper):
         Returns:
             The last state, and how many steps were taken.
         """
-        t, q, v = x
+        t, q, v, _, _ = x
         count = min(most, int((end - t) / self._dt - _LAST))
         held = None if u is None else u.tobytes()
         if x is not self._ready or held != self._held or count < 1:

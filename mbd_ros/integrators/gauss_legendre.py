@@ -105,7 +105,7 @@ class _Steps(Stepper):
             self._hc = h * self._c[:, None]
             self._centred = self._ha - 0.5 * self._hb
             self._times = h * self._c
-            self._K[...] = self._system.acceleration(*x, u)
+            self._K[...] = self._system.acceleration(x.t, x.q, x.v, u)
             self._turn[...] = 0.0
             self._is_fresh = False
         else:
@@ -114,7 +114,7 @@ class _Steps(Stepper):
     def _refresh(self, x: State, u: Array | None, h: float) -> None:
         """Derivatives at the state, and the inverse of the Newton matrix."""
         if not np.isfinite(self._K).all():
-            self._K[...] = self._system.acceleration(*x, u)
+            self._K[...] = self._system.acceleration(x.t, x.q, x.v, u)
             self._turn[...] = 0.0
         at = self._linearization
         at.update(x.t, x.q, x.v, u)

@@ -102,7 +102,7 @@ class _Steps(Stepper):
         fast motion, and the order of q and v does not need it.
         """
         self._h, self._is_slow = h, True
-        self._vdot0 = self._a0 = np.array(self._system.acceleration(*x, u))
+        self._vdot0 = self._a0 = np.array(self._system.acceleration(x.t, x.q, x.v, u))
         self._lam0 = np.zeros(len(self._system.rows))
 
     def _begin(self, x: State, h: float) -> None:

@@ -68,7 +68,7 @@ class _Steps(Stepper):
         move = PositionStep(*clip(x.t, self._dt, end))
         q_last, u_last, force = self._last
         if q_last is not x.q or u_last is not u:
-            force = self._system.applied(*x, u)
+            force = self._system.applied(x.t, x.q, x.v, u)
         half = 0.5 * move.h
         w, q = self._verlet.advance(x, u, move, half, 1.0, force)
         there = self._verlet.at(move.t, q)

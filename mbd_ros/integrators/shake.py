@@ -69,10 +69,10 @@ class _Steps(Stepper):
         y, commands_then, h_then, w, q = self._ahead
         commands = None if u is None else u.tobytes()
         if x is not y or commands != commands_then or h != h_then:
-            force = self._system.applied(*x, u)
+            force = self._system.applied(x.t, x.q, x.v, u)
             w, q = self._verlet.advance(x, u, PositionStep(h, t), 0.5 * h, 0.0, force)
         middle = State(t, q, w)
-        force = self._system.applied(*middle, u)
+        force = self._system.applied(t, q, w, u)
         w_next, q_next = self._verlet.advance(middle, u, PositionStep(h, t + h), h, 0.5, force)
         y = State(t, q, 0.5 * (w + w_next))
         self._ahead = (y, commands, h, w_next, q_next)

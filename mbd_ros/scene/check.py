@@ -165,7 +165,7 @@ def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
         x = assemble(system, system.reduce(scene.initial))
     except SolveError as error:
         raise SolveError(f"{scene.name}: {error}") from error
-    a = system.acceleration(*x)
+    a = system.acceleration(x.t, x.q, x.v)
     if not np.isfinite(a).all():
         raise SolveError(f"{scene.name}: accelerations at the start are not finite: {a}")
     if not system.rows:
@@ -232,7 +232,7 @@ def _forward_cost(scene: Scene, system: System) -> str:
     x = system.reduce(scene.initial)
     model, data, zero = system.model, system.data, np.zeros(system.model.nv)
     bare = _best(lambda: pin.aba(model, data, scene.initial.q, scene.initial.v, zero))
-    ours = _best(lambda: system.acceleration(*x))
+    ours = _best(lambda: system.acceleration(x.t, x.q, x.v))
     return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"
 
 

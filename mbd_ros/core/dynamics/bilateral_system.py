@@ -58,11 +58,11 @@ class BilateralSystem(System):
 
     def solve(self, x: State, u: Array | None = None) -> Solution:
         """Accelerations and multipliers."""
-        a = self._accelerate(*x, u)
+        a = self._accelerate(x.t, x.q, x.v, u)
         if self.bounded is None:
             return Solution(a, self._multipliers())
-        self.bounded.accelerate(self, *x, a)
-        a = self._accelerate(*x, u, self.bounded.force)
+        self.bounded.accelerate(self, x.t, x.q, x.v, a)
+        a = self._accelerate(x.t, x.q, x.v, u, self.bounded.force)
         return Solution(a, self.order.joined(self._multipliers(), self.bounded.multipliers))
 
     def respond(self, q: Array, forces: Array) -> Array:

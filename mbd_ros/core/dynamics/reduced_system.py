@@ -82,7 +82,7 @@ class ReducedSystem(System):
 
     def solve(self, x: State, u: Array | None = None) -> Solution:
         """Accelerations of all joints and the coupling multipliers."""
-        q, v, a = self.joint_motion(x.q, x.v, self.acceleration(*x, u))
+        q, v, a = self.joint_motion(x.q, x.v, self.acceleration(x.t, x.q, x.v, u))
         needed = pin.rnea(self.model, self.data, q, v, a) - self._tau(x.t, q, v, u)
         if self.bounded is None:
             return Solution(a, self.couplings.reduce(needed, self._slopes)[1])

@@ -100,7 +100,7 @@ class System:
 
     def solve(self, x: State, u: Array | None = None) -> Solution:
         """Accelerations and multipliers of all joints at a state of the integrated coordinates."""
-        a = self.acceleration(*x, u)
+        a = self.acceleration(x.t, x.q, x.v, u)
         return Solution(a, self._none if self.bounded is None else self.bounded.multipliers)
 
     def wrenches(self, x: State, multipliers: Array) -> tuple[Wrench, ...]:

@@ -121,7 +121,7 @@ class SlidingField:
 
     def rates(self, x: State, u: Array | None) -> Array:
         """The h' of all surfaces in this mode, shape (m,)."""
-        return self._rates(x, self.acceleration(*x, u))
+        return self._rates(x, self.acceleration(x.t, x.q, x.v, u))
 
     def signs(self, x: State, u: Array | None) -> Array:
         """Signs that keep the motion on the surfaces that it slides on, shape (k,)."""
@@ -169,7 +169,7 @@ class SlidingField:
     def _accelerate(self, x: State, u: Array | None, signs: Array) -> Array:
         self._loads.signs = signs
         try:
-            return self._system.acceleration(*x, u)
+            return self._system.acceleration(x.t, x.q, x.v, u)
         finally:
             self._loads.signs = None
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbd_ros.core.integration.runge_kutta_stages import Stages
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import NONE, Array, State
 
 new_state = tuple.__new__  # half the time of the constructor of a NamedTuple
 
@@ -24,7 +24,7 @@ class NystromStages(Stages):
 
     def step(self, x: State, u: Array | None, h: float, t: float) -> State:
         """`start` and `advance`, without the way through `start` on a smooth stretch."""
-        t0, q, v = x
+        t0, q, v, _, _ = x
         held = None if u is None else u.tobytes()
         if x is not self._after or self._done != self._end or held != self._held:
             return super().step(x, u, h, t)
@@ -45,7 +45,7 @@ class NystromStages(Stages):
             accelerate(t0 + c * h, q, v, u, row)
         side.step(side.above_step, side.result)
         self._done = self._end
-        self._after = after = new_state(State, (t, side.result_q(), side.result_v()))
+        self._after = after = new_state(State, (t, side.result_q(), side.result_v(), NONE, ()))
         return after
 
     def errors(self) -> Array:

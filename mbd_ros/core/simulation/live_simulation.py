@@ -144,8 +144,11 @@ class LiveSimulation:
         if self._safe.is_zero:
             return np.zeros(len(v))
         system = self.simulation.system
-        system.acceleration(*self._y)  # `respond` answers for the state of the last evaluation
-        response = system.respond(self._y.q, self._selection)[self._driven]
+        y = self._y
+        system.acceleration(
+            y.t, y.q, y.v
+        )  # `respond` answers for the state of the last evaluation
+        response = system.respond(y.q, self._selection)[self._driven]
         return self._safe.torque(v, response, self._period)
 
     def _observe(self, y: State, u: Array | None) -> tuple[State, Snapshot]:

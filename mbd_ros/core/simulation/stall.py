@@ -101,7 +101,7 @@ def _cause(system: System, x: State, u: Array | None, step: float) -> str:
     if system.loads.reads_frames:
         system.refresh(full.q, full.v)
     if system.loads.beside(system.data, full) is not system.loads:
-        hardest = np.abs(system.acceleration(*x, u))
+        hardest = np.abs(system.acceleration(x.t, x.q, x.v, u))
         return (
             f"{_joint(system, hardest)} has the largest acceleration; a switching force chatters "
             "at its surface, which integrator filippov follows"
@@ -121,8 +121,9 @@ def _cause(system: System, x: State, u: Array | None, step: float) -> str:
             f"{_joint(system, mode[:n] + mode[n:])} is stiff with a rate of {motion.rate:.3g} "
             "1/s; soften its force, raise the tolerance or try integrator gauss_legendre"
         )
+    hardest = np.abs(system.acceleration(x.t, x.q, x.v, u))
     return (
-        f"{_joint(system, np.abs(system.acceleration(*x, u)))} has the largest acceleration; its "
+        f"{_joint(system, hardest)} has the largest acceleration; its "
         "force is not smooth, or the mechanism is near a singular configuration; raise the "
         "tolerance, or smooth the force"
     )

@@ -97,7 +97,7 @@ def costs(path: str, calls: int) -> Mapping[str, object]:
     model, data, zero = system.model, system.model.createData(), np.zeros(system.model.nv)
     found: dict[str, object] = {"formulation": tier_of(system)}
     found["aba"] = _best(lambda: pin.aba(model, data, x.q, x.v, zero), calls)
-    found["evaluation"] = _best(lambda: system.acceleration(*y), calls)
+    found["evaluation"] = _best(lambda: system.acceleration(y.t, y.q, y.v), calls)
     if not system.loads.is_empty:
         system.refresh(x.q, x.v)
         found["loads"] = _best(lambda: system.loads.total(system.data, x, None), calls)

@@ -94,7 +94,8 @@ def _is_finite_beyond(case: Case) -> bool:
     x, ahead = case.reference.fine[-1], case.reference.grid.interval
     q = pin.integrate(case.scene.robot.model, x.q, ahead * x.v)
     system = case.scene.system()
-    a = system.acceleration(*system.reduce(State(x.t + ahead, q, x.v)))
+    y = system.reduce(State(x.t + ahead, q, x.v))
+    a = system.acceleration(y.t, y.q, y.v)
     return bool(np.isfinite(a).all())
 
 
