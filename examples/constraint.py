@@ -23,13 +23,13 @@ class Belt(Constraint):
         self._jacobian[0, [first.v, second.v]] = 1.0, ratio
         self.rows = (Row(f"{a}.belt", "N·m"),)
 
-    def residual(self, data, x):
+    def residual(self, k, x):
         return np.array([x.q[self._q[0]] + self._ratio * x.q[self._q[1]]])
 
-    def jacobian(self, data, x):
+    def jacobian(self, k, x):
         return self._jacobian
 
-    def drift(self, data, x):
+    def drift(self, k, x):
         return self._drift
 
 

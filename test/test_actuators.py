@@ -24,7 +24,7 @@ def torque(part, u, q=0.0, v=0.0, robot=FIXED):
     model = robot.model
     x = State(0.0, pin.neutral(model), np.zeros(model.nv))
     x.q[part.joint.q], x.v[part.joint.v] = q, v
-    tau = part.torque(np.array([u]), x)
+    tau = part.force(None, x, np.array([u]))
     assert tau.shape == (model.nv,)
     assert not np.delete(tau, part.joint.v).any()
     return tau[part.joint.v]
@@ -37,7 +37,7 @@ def test_ideal_motors_give_what_is_asked_up_to_their_limit(robot):
     for limit, expected in ((math.inf, u), (100.0, [30.0, -100.0])):
         part = Ideal(robot, joints=["ankle", "hip_flexion"], limit=limit)
         assert part.joints == ("ankle", "hip_flexion")
-        tau = part.torque(u, x)
+        tau = part.force(None, x, u)
         where = [robot.joint(name).v for name in part.joints]
         assert np.array_equal(tau[where], expected)
         assert not np.delete(tau, where).any()
@@ -127,7 +127,7 @@ def test_a_command_that_is_no_number_is_not_hidden_by_the_limit(robot):
         GearedMotor(robot, joint="ankle", ratio=9.0, efficiency=0.5, limit=1.0),
         SeriesElastic(robot, joint="ankle", stiffness=9.0, limit=1.0),
     ):
-        assert np.isnan(part.torque(np.array([math.nan]), x)).any()
+        assert np.isnan(part.force(None, x, np.array([math.nan]))).any()
 
 
 ANKLE = {"joint": "ankle"}

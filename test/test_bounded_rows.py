@@ -60,7 +60,7 @@ def test_active_stops_agree_with_another_solver_of_the_primal_problem(seed):
     free, stopped = arm([], torque=torque), arm([STOPS], torque=torque)
     x = near_the_stops(free.robot, rng)
     M, a_free = free.mass(x.q), free.acceleration(x.t, x.q, x.v)
-    J, b = stopped.bounded.constraints.conditions(stopped.data, x)
+    J, b = stopped.bounded.constraints.conditions(stopped.k, x)
     expected = qpsolvers.solve_qp(M, -M @ a_free, -J, b, solver="daqp")
     found = stopped.solve(x)
     assert np.abs(found.a - expected).max() <= 1e-7 * (1.0 + np.abs(expected).max())

@@ -17,9 +17,10 @@ from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.model.wrenches import ExternalWrench
-from mbd_ros.core.state import State
+from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.forces.joint_friction import JointFriction
 from mbd_ros.forces.joint_spring import JointSpring
@@ -75,7 +76,7 @@ def allowed(robot, closure, x):
     """Orthonormal motions that a closure allows, one a column."""
     data = robot.model.createData()
     pin.computeJointJacobians(robot.model, data, x.q)
-    return np.linalg.svd(closure.jacobian(data, x))[2][2:].T
+    return np.linalg.svd(closure.jacobian(Kinematics(robot, data), x))[2][2:].T
 
 
 @pytest.mark.parametrize(
@@ -108,7 +109,7 @@ def test_multipliers_of_bricard_are_orthogonal_to_the_null_space():
     inverse = solver(built, "theta_1")
     for x, a, _ in list(simulated(built, 0.3))[::6]:
         pin.computeJointJacobians(built.robot.model, data, x.q)
-        U, s, _ = np.linalg.svd(closure.jacobian(data, x))
+        U, s, _ = np.linalg.svd(closure.jacobian(Kinematics(built.robot, data), x))
         assert s[5] < 1e-10 < 1e-2 < s[4]
         lam = inverse.solve(x, a).multipliers
         assert abs(U[:, 5] @ lam) <= 1e-9 * np.linalg.norm(lam)
@@ -228,7 +229,9 @@ def test_power_of_efforts_loads_and_forces_is_the_rise_of_the_energy():
         rise = (energy(-2 * h) - 8 * energy(-h) + 8 * energy(h) - energy(2 * h)) / (12 * h)
         pin.forwardKinematics(model, data, x.q, x.v)
         twist = pin.getFrameVelocity(model, data, robot.frame("foot"), pin.WORLD).vector
-        passive = sum(force.force(data, x) @ x.v for force in built.forces)
+        passive = sum(
+            force.force(Kinematics(robot, data), x, NONE) @ x.v for force in built.forces
+        )
         assert tau @ x.v[at] + wrench @ twist + passive == pytest.approx(rise, abs=1e-8)
 
 
@@ -334,7 +337,7 @@ def test_at_a_toggle_nothing_is_infinite_and_the_branch_is_kept():
 def closure_gap(robot, closure, x):
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, x.q)
-    return np.abs(closure.residual(data, x)).max()
+    return np.abs(closure.residual(Kinematics(robot, data), x)).max()
 
 
 def test_joints_that_nobody_measures_follow_from_the_loops_on_their_branch():

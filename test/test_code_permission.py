@@ -18,11 +18,12 @@ URDF = Path(__file__).parents[1] / "config/robots/arm7.urdf"
 TOLD = """
 from pathlib import Path
 import numpy as np
+from mbd_ros.core.parts import Load
 Path(__file__).with_suffix(".ran").touch()
-class Push:
+class Push(Load):
     def __init__(self, robot):
         self._tau = np.full(robot.model.nv, 2.0)
-    def force(self, data, x):
+    def force(self, k, x, u):
         return self._tau
 class Keep:
     def correct(self):

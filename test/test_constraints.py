@@ -19,6 +19,7 @@ from mbd_ros.constraints.screw import Screw
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.model.coupling_functions import Linear, Polynomial
 from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.parts import Row
 from mbd_ros.core.rows.coupling_rows import CouplingRows
@@ -133,7 +134,7 @@ def refreshed(robot, x):
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, x.q, x.v, np.zeros(robot.model.nv))
     pin.computeJointJacobians(robot.model, data)
-    return data
+    return Kinematics(robot, data)
 
 
 def residual(part, robot, x):
@@ -146,7 +147,7 @@ def jacobian(part, robot, x):
 
 def rate(part, robot, x):
     """g' of a state."""
-    return jacobian(part, robot, x) @ x.v + part.rate(x)
+    return jacobian(part, robot, x) @ x.v + part.rate(None, x)
 
 
 def slope(function, h=1e-4):
@@ -185,16 +186,16 @@ def test_rate_and_drift_are_derivatives_along_a_motion(robot, make, seed):
     def later(h):  # right to first order, which is all that a derivative sees
         return State(x.t + h, pin.integrate(robot.model, x.q, h * x.v), x.v + h * a)
 
-    data = refreshed(robot, x)
+    k = refreshed(robot, x)
     if hasattr(part, "accelerations"):
-        J, drift = part.accelerations(data, x)
-        assert np.array_equal(J, part.jacobian(data, x))
-        assert np.array_equal(drift, part.drift(data, x))
+        J, drift = part.accelerations(k, x)
+        assert np.array_equal(J, part.jacobian(k, x))
+        assert np.array_equal(drift, part.drift(k, x))
     if not isinstance(part, DryFriction | JointStop):  # a stop looks ahead by the velocity
         first = slope(lambda h: residual(part, robot, later(h)))
         assert rate(part, robot, x) == pytest.approx(first, abs=1e-9)
     second = slope(lambda h: rate(part, robot, later(h)))
-    assert part.jacobian(data, x) @ a + part.drift(data, x) == pytest.approx(second, abs=1e-9)
+    assert part.jacobian(k, x) @ a + part.drift(k, x) == pytest.approx(second, abs=1e-9)
 
 
 @cases(IN_SPACE)
@@ -202,11 +203,12 @@ def test_rate_and_drift_are_derivatives_along_a_motion(robot, make, seed):
 def test_wrenches_balance_and_are_what_the_multipliers_exert(robot, make, seed):
     """Forces on a and b cancel with their moments; their generalized force is J' lam."""
     part, x = make(robot), random_state(robot, seed)
-    data, model = refreshed(robot, x), robot.model
+    k, model = refreshed(robot, x), robot.model
+    data = k.data
     pin.updateFramePlacements(model, data)
     lam = np.random.default_rng(seed).normal(size=len(part.rows))
     tau, total = np.zeros(model.nv), np.zeros(6)
-    wrenches = part.wrenches(data, x, lam)
+    wrenches = part.wrenches(k, x, lam)
     assert len(wrenches) == 2
     for name, point, force, torque in wrenches:
         index = robot.frame(name)
@@ -218,17 +220,17 @@ def test_wrenches_balance_and_are_what_the_multipliers_exert(robot, make, seed):
         tau += np.concatenate([force, torque]) @ jacobian
         total += np.concatenate([force, torque + np.cross(point, force)])
     assert total == pytest.approx(np.zeros(6), abs=1e-13)
-    assert tau == pytest.approx(part.jacobian(data, x).T @ lam, abs=1e-13)
+    assert tau == pytest.approx(part.jacobian(k, x).T @ lam, abs=1e-13)
 
 
 @cases(EVERY)
 def test_multipliers_do_the_work_of_their_rows(robot, make):
     """Power of J' lam is lam . (g' - rate), which vanishes for scleronomic rows that are kept."""
     part, x = make(robot), random_state(robot, 5)
-    data = refreshed(robot, x)
-    J, lam = part.jacobian(data, x), np.random.default_rng(5).normal(size=len(part.rows))
-    v = x.v - np.linalg.pinv(J) @ (J @ x.v + part.rate(x))
-    assert (J.T @ lam) @ v == pytest.approx(-lam @ part.rate(x), abs=1e-13)
+    k = refreshed(robot, x)
+    J, lam = part.jacobian(k, x), np.random.default_rng(5).normal(size=len(part.rows))
+    v = x.v - np.linalg.pinv(J) @ (J @ x.v + part.rate(None, x))
+    assert (J.T @ lam) @ v == pytest.approx(-lam @ part.rate(k, x), abs=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -271,9 +273,9 @@ def test_distance_pushes_apart_and_stays_finite_where_its_ends_meet():
     a, b = part.wrenches(refreshed(robot, quarter), quarter, np.array([3.0]))
     assert b.force == pytest.approx(3.0 * np.array([-1.0, 1.0, 0.0]) / math.sqrt(2.0))
     assert (a.frame, b.frame) == ("world", "rod_1")
-    data = refreshed(robot, meeting)
-    assert part.residual(data, meeting).tolist() == [-0.5]
-    values = part.jacobian(data, meeting), part.drift(data, meeting)
+    k = refreshed(robot, meeting)
+    assert part.residual(k, meeting).tolist() == [-0.5]
+    values = part.jacobian(k, meeting), part.drift(k, meeting)
     assert all(np.isfinite(value).all() for value in values)
 
 
@@ -331,17 +333,19 @@ def test_newton_closes_a_loop_that_can_be_closed(kind, seed):
 
 def test_anchor_holds_a_frame_where_it_is():
     x = random_state(LEG, 2)
-    data = refreshed(LEG, x)
+    k = refreshed(LEG, x)
+    data = k.data
     pin.updateFramePlacements(LEG.model, data)
     place = data.oMf[LEG.frame("toe")]
     at = {"position": place.translation, "orientation": pin.rpy.matrixToRpy(place.rotation)}
     part = FrameAnchor(LEG, frame="toe", **at)
-    assert part.residual(data, x) == pytest.approx(np.zeros(6), abs=1e-14)
+    assert part.residual(k, x) == pytest.approx(np.zeros(6), abs=1e-14)
 
 
 def test_point_on_plane_measures_along_the_normal_whatever_its_length():
     x = random_state(LEG, 3)
-    data = refreshed(LEG, x)
+    k = refreshed(LEG, x)
+    data = k.data
     pin.updateFramePlacements(LEG.model, data)
     height = data.oMf[LEG.frame("heel")].translation[2]
     for size in (1.0, 1e-200, -1e200):
@@ -353,7 +357,7 @@ def test_point_on_plane_measures_along_the_normal_whatever_its_length():
             plane_point=(9, 9, 0.2),
         )
         expected = math.copysign(1.0, size) * (height - 0.2)
-        assert part.residual(data, x) == pytest.approx([expected], abs=1e-14)
+        assert part.residual(k, x) == pytest.approx([expected], abs=1e-14)
 
 
 def test_screw_moves_its_pitch_in_a_turn():

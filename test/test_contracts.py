@@ -12,10 +12,11 @@ from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.parts import Actuator, Constraint, ForceTerm
+from mbd_ros.core.parts import Actuator, Constraint, Load
 from mbd_ros.core.projection.stabilizing import Stabilization
-from mbd_ros.core.state import State
+from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.code_permission import permitting
@@ -27,7 +28,7 @@ CONTRACTS = {
     "actuators": Actuator,
     "constraints": Constraint,
     "controllers": Controller,
-    "forces": ForceTerm,
+    "forces": Load,
     "integrators": Integrator,
     "stabilization": Stabilization,
 }
@@ -51,7 +52,7 @@ def moment(request, robot):
     x = State(request.param, *rng.normal(size=(2, robot.model.nv)))
     pin.forwardKinematics(robot.model, data, x.q, x.v, np.zeros(robot.model.nv))
     pin.computeJointJacobians(robot.model, data)
-    return data, x
+    return Kinematics(robot, data), x
 
 
 def context(section, robot):
@@ -133,20 +134,20 @@ def test_unknown_names_are_answered_with_those_that_exist(section, name, robot):
 
 @pytest.mark.parametrize("name", PARTS["forces"])
 def test_force_is_fresh_finite_and_changes_nothing(name, robot, moment):
-    part, (data, x) = built("forces", name, robot), moment
-    check_value(lambda: part.force(data, x), (robot.model.nv,), x)
-    assert x.t == 0.0 or part.force(data, x).any()
-    assert np.isfinite(part.potential(data, x))
+    part, (k, x) = built("forces", name, robot), moment
+    check_value(lambda: part.force(k, x, NONE), (robot.model.nv,), x)
+    assert x.t == 0.0 or part.force(k, x, NONE).any()
+    assert np.isfinite(part.potential(k, x))
 
 
 @pytest.mark.parametrize("name", PARTS["actuators"])
 def test_torque_is_fresh_finite_and_changes_nothing(name, robot, moment):
-    part, (_, x) = built("actuators", name, robot), moment
+    part, (k, x) = built("actuators", name, robot), moment
     u = np.linspace(0.5, 1.0, len(part.joints))
-    check_value(lambda: part.torque(u, x), (robot.model.nv,), x)
-    assert part.torque(u, x).any()
+    check_value(lambda: part.force(k, x, u), (robot.model.nv,), x)
+    assert part.force(k, x, u).any()
     driven = [robot.joint(joint).v for joint in part.joints]
-    assert not np.delete(part.torque(u, x), driven).any()
+    assert not np.delete(part.force(k, x, u), driven).any()
     assert (part.armature() >= 0.0).all()
 
 
@@ -174,16 +175,16 @@ def test_control_is_finite_of_the_right_shape_and_changes_nothing(name, robot, m
 
 @pytest.mark.parametrize("name", PARTS["constraints"])
 def test_rows_are_finite_consistent_in_size_and_named(name, robot, moment):
-    part, (data, x) = built("constraints", name, robot), moment
+    part, (k, x) = built("constraints", name, robot), moment
     m, before = len(part.rows), (x.q.copy(), x.v.copy())
-    assert part.residual(data, x).shape == part.drift(data, x).shape == part.rate(x).shape == (m,)
-    assert part.jacobian(data, x).shape == (m, robot.model.nv)
+    assert part.residual(k, x).shape == part.drift(k, x).shape == part.rate(k, x).shape == (m,)
+    assert part.jacobian(k, x).shape == (m, robot.model.nv)
     values = (part.residual, part.drift, part.jacobian)
-    assert all(np.isfinite(value(data, x)).all() for value in values)
-    assert part.jacobian(data, x).any()
+    assert all(np.isfinite(value(k, x)).all() for value in values)
+    assert part.jacobian(k, x).any()
     assert len({row.name for row in part.rows}) == m
     assert all(row.name and row.unit in ("N", "N·m") for row in part.rows)
-    for wrench in part.wrenches(data, x, np.ones(m)):
+    for wrench in part.wrenches(k, x, np.ones(m)):
         assert robot.frame(wrench.frame) >= 0
         assert np.isfinite([*wrench.point, *wrench.force, *wrench.torque]).all()
     if part.bounds is not None:

@@ -13,6 +13,7 @@ from mbd_ros.cli import main
 from mbd_ros.core.control.contract import Reference
 from mbd_ros.core.control.sliding import mismatch, sliding_variable
 from mbd_ros.core.projection.observed_state import ObservedState
+from mbd_ros.core.state import NONE
 from mbd_ros.demo import topics
 from mbd_ros.demo.choices import LAWS, ROBOTS
 from mbd_ros.demo.files import MASS_SCALE, MODEL, PLANT, RATE, write_gains, write_scenes
@@ -114,7 +115,7 @@ def test_the_plant_is_the_scene_with_the_disturbance_and_the_model_30_percent_li
         np.testing.assert_allclose(believed.toDynamicParameters(), expected, atol=1e-15)
     assert (len(plant.forces), plant.dt) == (len(scene.forces) + 1, 1 / RATE)
     x = scene.holding(forces=()).initial._replace(t=1.01)
-    torque = plant.forces[-1].force(None, x)[[j.v for j in task.truth.joints]]
+    torque = plant.forces[-1].force(None, x, NONE)[[j.v for j in task.truth.joints]]
     middle = (task.added.torque[50] + task.added.torque[51]) / 2
     np.testing.assert_allclose(torque, middle, atol=1e-9)
 

@@ -59,7 +59,7 @@ def test_demanded_commands_give_the_torque_whatever_the_losses(part):
     for scale in (1e-3, 1e-2, 1.0, 1.0, 1.0, 30.0) * 5:
         x = State(0.0, rng.normal(size=5), scale * rng.normal(size=5))
         tau = rng.normal(scale=20.0, size=1)
-        given = made.torque(made.demanded(tau, x), x)[v_index]
+        given = made.force(None, x, made.demanded(tau, x))[v_index]
         assert given == pytest.approx(tau[0], rel=1e-12)
 
 

@@ -10,8 +10,9 @@ import pytest
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.model.coupling_functions import Polynomial
 from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.state import State
+from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import ModelError
 from mbd_ros.forces.applied_wrench import AppliedWrench
 from mbd_ros.forces.gravity_compensation import GravityCompensation
@@ -34,7 +35,7 @@ def force(part, q=0.0, v=0.0, joint="ankle"):
     """Force of a part with one joint away from rest; all other joints must stay free of it."""
     x, index = State(0.0, np.zeros(5), np.zeros(5)), ROBOT.joint(joint).v
     x.q[index], x.v[index] = q, v
-    tau = part.force(None, x)
+    tau = part.force(None, x, NONE)
     assert not np.delete(tau, index).any()
     return tau[index]
 
@@ -93,11 +94,11 @@ def refreshed(robot, x):
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, x.q, x.v, np.zeros(robot.model.nv))
     pin.computeJointJacobians(robot.model, data)
-    return data
+    return Kinematics(robot, data)
 
 
 def at(part, robot, x):
-    return part.force(refreshed(robot, x), x)
+    return part.force(refreshed(robot, x), x, NONE)
 
 
 def energy_slope(part, robot, x, h=1e-6):
@@ -223,9 +224,9 @@ def test_spring_is_finite_where_its_ends_meet(gap):
     ends = {"frame_a": "world", "frame_b": "rod", "point_b": (gap, 0.0, 0.0)}
     part = PointSpring(PENDULUM, **ends, stiffness=1e5, damping=1e3, length=1.0)
     x = State(0.0, np.zeros(1), np.ones(1))
-    data = refreshed(PENDULUM, x)
-    assert part.force(data, x) == pytest.approx([0.0], abs=1e-6)
-    assert part.potential(data, x) == pytest.approx(5e4)
+    k = refreshed(PENDULUM, x)
+    assert part.force(k, x, NONE) == pytest.approx([0.0], abs=1e-6)
+    assert part.potential(k, x) == pytest.approx(5e4)
 
 
 def test_a_line_without_direction_carries_no_force():
@@ -246,13 +247,14 @@ def test_applied_wrench_gives_its_virtual_power(axes, robot):
     model, index = robot.model, robot.frame("flange")
     for seed in range(3):
         x = random_state(robot, seed)
-        data = refreshed(robot, x)
+        k = refreshed(robot, x)
+        data = k.data
         pin.updateFramePlacements(model, data)
         turn = data.oMf[index].rotation if axes == "frame" else np.eye(3)
         _, velocity = point_motion(robot, x, "flange", point)
         spin = pin.getFrameVelocity(model, data, index, pin.LOCAL_WORLD_ALIGNED).angular
         power = (turn @ load) @ velocity + (turn @ twist) @ spin
-        assert part.force(data, x) @ x.v == pytest.approx(power, rel=1e-11)
+        assert part.force(k, x, NONE) @ x.v == pytest.approx(power, rel=1e-11)
 
 
 def test_load_of_a_frame_turns_with_it_and_one_of_the_world_does_not():
@@ -302,13 +304,14 @@ def test_prescribed_wrench_is_carried_by_the_jacobian_of_the_world(expressed_in,
     x, point = random_state(robot, 4), (0.1, -0.3, 0.2)
     table = {"times": TIMES, "wrenches": RAMP}
     part = PrescribedWrench(robot, frame="flange", **table, expressed_in=expressed_in, point=point)
-    model, data = robot.model, refreshed(robot, x)
+    model, k = robot.model, refreshed(robot, x)
+    data = k.data
     pin.updateFramePlacements(model, data)
     about = pin.SE3(np.eye(3), np.array(point))
     load = (data.oMf[robot.frame(expressed_in or "flange")] * about).act(pin.Force(RAMP[0]))
     other, flange = model.createData(), robot.frame("flange")
     jacobian = pin.computeFrameJacobian(model, other, x.q, flange, pin.WORLD)
-    assert part.force(data, x) == pytest.approx(jacobian.T @ load.vector, abs=1e-11)
+    assert part.force(k, x, NONE) == pytest.approx(jacobian.T @ load.vector, abs=1e-11)
 
 
 def test_small_force_and_a_body_at_rest_give_nothing():
@@ -336,7 +339,7 @@ def test_compensated_robot_stays_where_it_is(robot):
     rest, free = np.zeros(model.nv), np.zeros(model.nv)
     data = model.createData()
     fall = np.abs(pin.aba(model, data, x.q, rest, free)).max()
-    a = pin.aba(model, data, x.q, rest, part.force(None, x))
+    a = pin.aba(model, data, x.q, rest, part.force(None, x, NONE))
     assert fall > 5.0
     assert a == pytest.approx(rest, abs=1e-12 * fall)  # the masses of a leg differ by 1e3
 
@@ -344,16 +347,18 @@ def test_compensated_robot_stays_where_it_is(robot):
 def test_compensation_of_some_joints_and_by_a_share():
     x, model = random_state(ROBOT), ROBOT.model
     gravity = pin.computeGeneralizedGravity(model, model.createData(), x.q)
-    share = GravityCompensation(ROBOT, joints=["knee", "hip_flexion"], factor=0.5).force(None, x)
+    share = GravityCompensation(ROBOT, joints=["knee", "hip_flexion"], factor=0.5).force(
+        None, x, NONE
+    )
     for joint in ROBOT.joints:
         factor = 0.5 if joint.name in ("knee", "hip_flexion") else 0.0
         assert share[joint.v] == pytest.approx(factor * gravity[joint.v], abs=1e-14)
-    assert np.array_equal(GravityCompensation(ROBOT, joints=["all"]).force(None, x), gravity)
+    assert np.array_equal(GravityCompensation(ROBOT, joints=["all"]).force(None, x, NONE), gravity)
 
 
 def test_compensation_does_not_act_on_a_free_base():
     x, model = random_state(FREE_ARM), FREE_ARM.model
-    tau = GravityCompensation(FREE_ARM).force(None, x)
+    tau = GravityCompensation(FREE_ARM).force(None, x, NONE)
     gravity = pin.computeGeneralizedGravity(model, model.createData(), x.q)
     assert not tau[:6].any()
     assert tau.any()

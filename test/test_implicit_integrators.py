@@ -31,7 +31,7 @@ from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.integration.linearization import Linearization
 from mbd_ros.core.integration.newton import FAILED, converge
 from mbd_ros.core.model.couplings import Couplings
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.parts import Load
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, ModelError
 from mbd_ros.integrators.gauss_legendre import GaussLegendre
@@ -52,13 +52,13 @@ DOUBLE = robot(
 )
 
 
-class Spring(ForceTerm):
+class Spring(Load):
     """Linear spring and damper in every joint, and an energy k3 |q|^4 / 4 that couples them."""
 
     def __init__(self, stiffness=0.0, damping=0.0, hardening=0.0):
         self.stiffness, self.damping, self.hardening = stiffness, damping, hardening
 
-    def force(self, data, x):
+    def force(self, k, x, u):
         return -self.damping * x.v - (self.stiffness + self.hardening * x.q.dot(x.q)) * x.q
 
 
@@ -220,8 +220,8 @@ def test_iteration_stops_at_rounding_and_fails_when_it_grows():
         assert converge(sizes(*stuck), 1e-12) == FAILED
 
 
-class Broken(ForceTerm):
-    def force(self, data, x):
+class Broken(Load):
+    def force(self, k, x, u):
         return np.full(1, math.nan)
 
 

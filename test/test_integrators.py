@@ -14,6 +14,7 @@ from mbd_ros.core.dynamics.system import System, writing
 from mbd_ros.core.integration.dop853_tableau import DOP853
 from mbd_ros.core.integration.tableau import RK4
 from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.parts import Actuator
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, ModelError
 from mbd_ros.integrators.adams import Adams
@@ -36,7 +37,7 @@ def label(method):
     return f"{type(method).__name__}{method.order}" if hasattr(method, "order") else None
 
 
-class Pusher:
+class Pusher(Actuator):
     """An actuator on the first joint."""
 
     joints = ("first",)
@@ -44,8 +45,8 @@ class Pusher:
     def __init__(self, nv):
         self.nv = nv
 
-    def torque(self, u, x):
-        return np.concatenate([u, np.zeros(self.nv - 1)])
+    def force(self, k, x, u):
+        return np.concatenate([u[self.u], np.zeros(self.nv - 1)])
 
 
 def robot_system(name, base="fixed", driven=False):

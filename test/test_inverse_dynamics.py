@@ -12,9 +12,10 @@ import pytest
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.model.coupling_functions import Polynomial, natural_cubic_spline
 from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.model.wrenches import ExternalWrench
-from mbd_ros.core.state import State
+from mbd_ros.core.state import NONE, State
 from mbd_ros.forces.joint_friction import JointFriction
 from mbd_ros.forces.joint_spring import JointSpring
 from mbd_ros.scene.reader import load_scene
@@ -82,7 +83,7 @@ def test_torques_and_multipliers_balance_the_equation_of_all_joints():
             J = pin.getFrameJacobian(model, data, robot.frame(load.frame), pin.WORLD)
             external += J.T @ about.act(pin.Force(w)).vector
         for force in inverse.forces:
-            external += force.force(data, State(0.0, q, v))
+            external += force.force(Kinematics(robot, data), State(0.0, q, v), NONE)
         right = np.eye(7)[:, couplings.v_index] @ tau + Jc.T @ lam + external
         assert pin.rnea(model, data, q, v, a) == pytest.approx(right, abs=1e-11)
         assert Jc @ v == pytest.approx(np.zeros(4), abs=1e-12)

@@ -188,7 +188,7 @@ def test_safe_commands_speak_the_language_of_the_actuator(scene):
     )
     loads = loaded.system().loads
     wanted = np.array([0.3, -2.0, 0.01])
-    tau = loads.actuator_torque(loaded.initial, loads.command(wanted, loaded.initial))
+    tau = loads.actuator_torque(None, loaded.initial, loads.command(wanted, loaded.initial))
     joints = [loaded.robot.joint(name).v for name in loads.commands]
     np.testing.assert_allclose(tau[joints], wanted, rtol=1e-12)
 

@@ -156,8 +156,8 @@ def test_formulations_are_those_that_differ():
 def test_a_wrong_sign_in_a_drift_is_found(name, monkeypatch):
     right = ConstraintRows.accelerations
 
-    def wrong(self, data, x):
-        J, drift = right(self, data, x)
+    def wrong(self, k, x):
+        J, drift = right(self, k, x)
         return J, -drift
 
     path, times = f"{SCENES}/{name}.yaml", TIMES[:1] if name.startswith("a01") else (0.25,)

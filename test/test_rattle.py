@@ -19,7 +19,7 @@ from scipy.special import ellipj
 
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.parts import Load
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError
 from mbd_ros.integrators.generalized_alpha import GeneralizedAlpha
@@ -176,8 +176,8 @@ def test_a_step_too_long_for_the_constraints_names_the_row(method):
         method.prepare(system, 10.0).step(x, None)
 
 
-class Damper(ForceTerm):
-    def force(self, data, x):
+class Damper(Load):
+    def force(self, k, x, u):
         return -500.0 * x.v
 
 

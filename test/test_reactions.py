@@ -14,12 +14,13 @@ from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
 from mbd_ros.core.inverse.reactions import JointReactions
 from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Wrench
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
-from mbd_ros.core.state import State
+from mbd_ros.core.state import NONE, State
 from mbd_ros.forces.applied_wrench import AppliedWrench
 from mbd_ros.forces.gravity_compensation import GravityCompensation
 from mbd_ros.forces.joint_spring import JointSpring
@@ -100,7 +101,10 @@ def test_every_body_of_a_loop_balances(name, joint):
         lam = inverse.solve(x, a).multipliers
         found = reactions.solve(x, a, lam)
         assert out_of_balance(robot, x, a, found, found.closures) <= 1e-9
-        expected = sum((force.force(data, x) for force in scene.forces), np.zeros(robot.model.nv))
+        expected = sum(
+            (force.force(Kinematics(robot, data), x, NONE) for force in scene.forces),
+            np.zeros(robot.model.nv),
+        )
         expected[robot.joint(joint).v] += torque
         at = [each.v for each in robot.joints]
         assert along_axes(robot, found) == pytest.approx(expected[at], abs=1e-9)
@@ -144,7 +148,9 @@ def test_every_body_balances_under_loads_of_all_kinds():
         assert found.local == pytest.approx(again.local, abs=1e-10)
         pin.forwardKinematics(robot.model, data, x.q, x.v)
         pin.computeJointJacobians(robot.model, data)
-        others = [one for force in forces for one in force.wrenches(data, x)]
+        others = [
+            one for force in forces for one in force.wrenches(Kinematics(robot, data), x, NONE)
+        ]
         assert len(others) == 6
         others += [*found.closures, Wrench("left", np.array(at), w[:3], w[3:])]
         assert out_of_balance(robot, x, a, found, others) <= 1e-9
@@ -164,15 +170,15 @@ def test_wrenches_of_a_force_do_the_work_of_its_generalized_force(name):
     pin.forwardKinematics(model, data, x.q, x.v, np.zeros(model.nv))
     pin.computeJointJacobians(model, data)
     pin.updateFramePlacements(model, data)
-    wrenches = force.wrenches(data, x)
-    assert bool(wrenches) == getattr(force, "reads_frames", False)
+    wrenches = force.wrenches(Kinematics(robot, data), x, NONE)
+    assert bool(wrenches) == bool(force.reads)
     total = np.zeros(model.nv)
     for wrench in wrenches:
         J = pin.getFrameJacobian(model, data, robot.frame(wrench.frame), pin.WORLD)
         about_origin = wrench.torque + np.cross(wrench.point, wrench.force)
         total += np.r_[wrench.force, about_origin] @ J
     if wrenches:
-        assert total == pytest.approx(force.force(data, x), abs=1e-10)
+        assert total == pytest.approx(force.force(Kinematics(robot, data), x, NONE), abs=1e-10)
 
 
 def test_point_pendulum_pulls_with_its_weight_and_the_centrifugal_force():

@@ -236,10 +236,11 @@ def test_package_addresses_are_found(write, tmp_path, monkeypatch, prefix):
 
 OUTSIDE = """
 import numpy as np
-class Push:
+from mbd_ros.core.parts import Load
+class Push(Load):
     def __init__(self, robot, *, size: float):
         self.tau = np.full(robot.model.nv, size)
-    def force(self, data, x):
+    def force(self, k, x, u):
         return self.tau
 class Broken:
     def __init__(self, robot):

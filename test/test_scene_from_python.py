@@ -10,6 +10,7 @@ import pytest
 
 from mbd_ros.cli import main
 from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.parts import Load
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene.code_permission import permitting
 from mbd_ros.scene.from_python import scene_from
@@ -23,13 +24,13 @@ SPRING = {"type": "joint_spring", "joint": "knee", "stiffness": 30.0}
 MOTOR = {"type": "geared_motor", "joint": "knee", "ratio": 10.0, "rotor_inertia": 1e-3}
 
 
-class Push:
+class Push(Load):
     """A force of one's own."""
 
     def __init__(self, robot, *, size: float):
         self._tau = np.full(robot.model.nv, size)
 
-    def force(self, data, x):
+    def force(self, k, x, u):
         return self._tau
 
 
@@ -203,7 +204,9 @@ def test_paths_of_a_changed_scene_start_from_its_file(leg):
 
 def test_code_that_was_permitted_stays_so(tmp_path, monkeypatch):
     (tmp_path / "own_parts.py").write_text(
-        "class Push:\n def __init__(self, robot): pass\n def force(self, data, x): return 0.0\n"
+        "from mbd_ros.core.parts import Load\n"
+        "class Push(Load):\n def __init__(self, robot): pass\n"
+        " def force(self, k, x, u): return 0.0\n"
         "class Pull(Push): pass\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))

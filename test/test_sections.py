@@ -23,16 +23,17 @@ MODULE = '''
 
 import numpy as np
 
+from mbd_ros.core.parts import Load
 from mbd_ros.scene.sections import Form, Section
 
 
-class Steady:
+class Steady(Load):
     def __init__(self, robot, *, joint: str, torque: float):
         self.joint = robot.joint(joint)
         self._tau = np.zeros(robot.model.nv)
         self._tau[self.joint.v] = torque
 
-    def force(self, data, x):
+    def force(self, k, x, u):
         return self._tau
 
 

@@ -15,7 +15,7 @@ from mbd_ros.core.control.contract import EffortBox, Reference
 from mbd_ros.core.control.reaching import LAWS, ReachingLaw
 from mbd_ros.core.control.sliding import mismatch, sliding_variable
 from mbd_ros.core.control.twisting import reaching_time_bound, super_twisting
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.parts import Load
 from mbd_ros.core.state import State
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
@@ -164,7 +164,7 @@ def reference(t):
     return Reference(q, size * w * np.cos(phase), -size * w**2 * np.sin(phase))
 
 
-class Disturbance(ForceTerm):
+class Disturbance(Load):
     """Matched: 20 % of the largest gravity torque that the reference needs, sinusoidal."""
 
     def __init__(self, arm):
@@ -176,7 +176,7 @@ class Disturbance(ForceTerm):
     def at(self, t):
         return self.size * np.sin(np.array([4.0, 5.0, 6.0, 5.0]) * t + [0.3, 1.0, 2.0, 0.0])
 
-    def force(self, data, x):
+    def force(self, k, x, u):
         tau = np.zeros(5)
         tau[self.index] = self.at(x.t)
         return tau

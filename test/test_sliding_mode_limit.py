@@ -16,7 +16,7 @@ from mechanisms import scaled, scene_of
 from mbd_ros.controllers.sliding_mode import SlidingMode
 from mbd_ros.core.control.contract import EffortBox, Reference
 from mbd_ros.core.events.switching import DiscontinuousForce
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.parts import Load
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 NOTHING, BANDWIDTH, OUTPUT, END = np.zeros(0), 10.0, 0.01, 1.0
@@ -74,15 +74,15 @@ class Discontinuous(DiscontinuousForce):
     def __init__(self, law):
         self.law, self.surfaces = law, law.joints.names
 
-    def heights(self, data, x):
+    def heights(self, k, x):
         ref = self.law.reference(x.t)
         return x.v[self.law.v] - ref.v + BANDWIDTH * (x.q[self.law.q] - ref.q)
 
-    def rates(self, data, x, a):
+    def rates(self, k, x, a):
         ref = self.law.reference(x.t)
         return a[self.law.v] - ref.a + BANDWIDTH * (x.v[self.law.v] - ref.v)
 
-    def blend(self, data, x, signs):
+    def blend(self, k, x, signs):
         mobility = self.law.joints.response(x).mobility
         tau = np.zeros(len(x.v))
         reaching = np.linalg.solve(mobility, self.law.case.gain * signs)
@@ -90,25 +90,25 @@ class Discontinuous(DiscontinuousForce):
         return tau
 
 
-class Continuous(ForceTerm):
+class Continuous(Load):
     """The law with a boundary layer."""
 
     def __init__(self, law):
         self.law = law
 
-    def force(self, data, x):
+    def force(self, k, x, u):
         tau = np.zeros(len(x.v))
         tau[self.law.v] = self.law.control(x).effort
         return tau
 
 
-class Push(ForceTerm):
+class Push(Load):
     """The disturbance."""
 
     def __init__(self, law):
         self.law = law
 
-    def force(self, data, x):
+    def force(self, k, x, u):
         tau = np.zeros(len(x.v))
         tau[self.law.v] = np.array(self.law.case.push) * math.sin(7.0 * x.t)
         return tau

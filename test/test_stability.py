@@ -71,8 +71,8 @@ def test_a_wrong_sign_in_a_constraint_drift_is_wrong(monkeypatch, part, row):
 def test_a_force_that_is_not_a_number_is_wrong(monkeypatch, begin):
     right = JointSpring.force
 
-    def force(self, data, x):
-        return right(self, data, x) * (np.nan if x.t >= begin else 1.0)
+    def force(self, k, x, u):
+        return right(self, k, x, u) * (np.nan if x.t >= begin else 1.0)
 
     monkeypatch.setattr(JointSpring, "force", force)
     outcome = stability.run({"row": SPRING})
@@ -86,8 +86,8 @@ def test_a_soft_constraint_is_wrong(monkeypatch):
 
     def soft(self, t, q, v, u=None):
         self.refresh(q, v)
-        J = self.constraints.jacobian(self.data, State(t, q, v))
-        g = self.constraints.residual(self.data, State(t, q, v))
+        J = self.constraints.jacobian(self.k, State(t, q, v))
+        g = self.constraints.residual(self.k, State(t, q, v))
         return pin.aba(self.model, self.data, q, v, -J.T.dot(1.0e4 * g + 1.0e2 * J.dot(v)))
 
     monkeypatch.setattr(BilateralSystem, "acceleration", soft)

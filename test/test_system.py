@@ -101,7 +101,7 @@ def test_loops_agree_with_a_dense_least_squares_solution(name):
     M, J = system.mass(x.q), system.jacobian(x.t, x.q)
     applied = system.applied(x.t, x.q, x.v)
     system.refresh(x.q, x.v)
-    drift = system.constraints.accelerations(system.data, x)[1]
+    drift = system.constraints.accelerations(system.k, x)[1]
     free = np.linalg.solve(M, applied)
     A = J @ np.linalg.solve(M, J.T)
     lam = np.linalg.lstsq(A, -(J @ free + drift), rcond=1e-10)[0]

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Actuator
 from mbd_ros.core.ranges import Share, Smoothing
@@ -75,11 +76,11 @@ class GearedMotor(Actuator):
         self._armature = np.zeros(int(robot.model.nv))
         self._armature[self.joint.v] = ratio**2 * rotor_inertia
 
-    def torque(self, u: Array, x: State) -> Array:
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,), of the motor torque [N·m], shape (1,)."""
         tau = np.zeros(len(self._armature))
         rate = float(x.v[self.joint.v])
-        lossless = self._ratio * max(min(float(u[0]), self._limit), -self._limit)
+        lossless = self._ratio * max(min(u[self.u].item(), self._limit), -self._limit)
         direction = math.copysign(math.tanh(rate / self._smoothing), lossless * rate)
         tau[self.joint.v] = lossless * self._efficiency**direction - self._viscous * rate
         return tau

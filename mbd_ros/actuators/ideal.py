@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Actuator
 from mbd_ros.core.state import Array, State
@@ -35,9 +36,9 @@ class Ideal(Actuator):
         self._v = np.array([robot.joint(name).v for name in joints])
         self._limit, self._nv = limit, int(robot.model.nv)
 
-    def torque(self, u: Array, x: State) -> Array:
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,), of the commands [N·m or N], shape (len(joints),)."""
-        tau = np.zeros(self._nv)
+        tau, u = np.zeros(self._nv), u[self.u]
         if self._limit < math.inf:
             u = np.minimum(np.maximum(u, -self._limit), self._limit)
         tau[self._v] = u

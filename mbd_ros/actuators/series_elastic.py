@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Actuator
 from mbd_ros.core.state import Array, State
@@ -51,10 +52,10 @@ class SeriesElastic(Actuator):
         self._stiffness, self._damping, self._limit = stiffness, damping, limit
         self._nv = int(robot.model.nv)
 
-    def torque(self, u: Array, x: State) -> Array:
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,), of the commanded position [rad or m], shape (1,)."""
         tau = np.zeros(self._nv)
-        stretch, rate = float(u[0] - x.q[self.joint.q]), float(x.v[self.joint.v])
+        stretch, rate = float(u[self.u].item() - x.q[self.joint.q]), float(x.v[self.joint.v])
         wanted = self._stiffness * stretch - self._damping * rate
         tau[self.joint.v] = max(min(wanted, self._limit), -self._limit)
         return tau

@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Constraint, Row, Wrench
+from mbd_ros.core.parts import Constraint, Reads, Row, Wrench
 from mbd_ros.core.rows.frame_pair import FramePair
 from mbd_ros.core.rows.frame_point import FramePoint
 from mbd_ros.core.state import Array, State
@@ -36,7 +36,7 @@ class Distance(Constraint):
         ModelError: Unknown frame, both ends on one body, or a value out of its range.
     """
 
-    reads_frames = True
+    reads = Reads.DRIFT
     example = {"frame_a": "world", "frame_b": "foot", "distance": 0.9}
 
     def __init__(
@@ -57,52 +57,52 @@ class Distance(Constraint):
         self._distance, self._shortest = distance, _COINCIDENT * distance
         self.rows = (Row(f"{frame_a}-{frame_b}.distance", "N"),)
 
-    def residual(self, data: Any, x: State) -> Array:
+    def residual(self, k: Kinematics, x: State) -> Array:
         """How much too long the bar is, g [m], shape (1,)."""
-        line = self._b.position(data) - self._a.position(data)
+        line = self._b.position(k) - self._a.position(k)
         return np.array((math.hypot(*line.tolist()) - self._distance,))
 
-    def jacobian(self, data: Any, x: State) -> Array:
+    def jacobian(self, k: Kinematics, x: State) -> Array:
         """Rate of the distance with every joint, shape (1, nv)."""
-        return self._jacobian(data, self._direction(data)[0])
+        return self._jacobian(k, self._direction(k)[0])
 
-    def drift(self, data: Any, x: State) -> Array:
+    def drift(self, k: Kinematics, x: State) -> Array:
         """Second rate of the distance at zero joint acceleration, shape (1,).
 
         n . (p_b'' - p_a'') + (|v|^2 - (n . v)^2) / |p_b - p_a| with v = p_b' - p_a'.
         """
-        return self._drift(data, *self._direction(data))
+        return self._drift(k, *self._direction(k))
 
-    def accelerations(self, data: Any, x: State) -> tuple[Array, Array]:
+    def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
         """Both `jacobian` and `drift`, for one direction."""
-        n, length = self._direction(data)
-        return self._jacobian(data, n), self._drift(data, n, length)
+        n, length = self._direction(k)
+        return self._jacobian(k, n), self._drift(k, n, length)
 
-    def _jacobian(self, data: Any, n: Array) -> Array:
-        jacobian: Array = n.dot(self._b.jacobian(data))
+    def _jacobian(self, k: Kinematics, n: Array) -> Array:
+        jacobian: Array = n.dot(self._b.jacobian(k))
         if self._a.joint:
             # Zero, not a small difference, where both ends are carried.
-            jacobian = (jacobian - n.dot(self._a.jacobian(data))) * self._moves
+            jacobian = (jacobian - n.dot(self._a.jacobian(k))) * self._moves
         return jacobian.reshape(1, -1)
 
-    def _drift(self, data: Any, n: Array, length: float) -> Array:
-        bent = n.dot(self._b.acceleration(data) - self._a.acceleration(data))
+    def _drift(self, k: Kinematics, n: Array, length: float) -> Array:
+        bent = n.dot(self._b.acceleration(k) - self._a.acceleration(k))
         if length > self._shortest:
-            v = self._b.velocity(data) - self._a.velocity(data)
+            v = self._b.velocity(k) - self._a.velocity(k)
             across = v - n * n.dot(v)
             bent += across.dot(across) / length
         return np.array((bent,))
 
-    def wrenches(self, data: Any, x: State, lam: Array) -> tuple[Wrench, ...]:
+    def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
         """Forces at the ends of the bar."""
-        force, free = self._direction(data)[0] * lam.item(0), np.zeros(3)
+        force, free = self._direction(k)[0] * lam.item(0), np.zeros(3)
         return (
-            Wrench(self._a.frame, self._a.position(data), -force, free),
-            Wrench(self._b.frame, self._b.position(data), force, free),
+            Wrench(self._a.frame, self._a.position(k), -force, free),
+            Wrench(self._b.frame, self._b.position(k), force, free),
         )
 
-    def _direction(self, data: Any) -> tuple[Array, float]:
+    def _direction(self, k: Kinematics) -> tuple[Array, float]:
         """Unit vector from end a to end b, and how far they are apart [m]."""
-        line = self._b.position(data) - self._a.position(data)
+        line = self._b.position(k) - self._a.position(k)
         length = math.hypot(*line.tolist())
         return (line / length if length > self._shortest else _ANY_DIRECTION), length

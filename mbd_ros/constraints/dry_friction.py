@@ -1,10 +1,10 @@
 """Dry friction with exact stiction."""
 
 import math
-from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Constraint, Row
 from mbd_ros.core.ranges import Duration
@@ -46,14 +46,14 @@ class DryFriction(Constraint):
         self._zero, self._jacobian = np.zeros(1), np.zeros((1, robot.model.nv))
         self._jacobian[0, self.joint.v] = 1.0
 
-    def residual(self, data: Any, x: State) -> Array:
+    def residual(self, k: Kinematics, x: State) -> Array:
         """Zero: any position will do, shape (1,)."""
         return self._zero
 
-    def jacobian(self, data: Any, x: State) -> Array:
+    def jacobian(self, k: Kinematics, x: State) -> Array:
         """1 at the joint, shape (1, nv)."""
         return self._jacobian
 
-    def drift(self, data: Any, x: State) -> Array:
+    def drift(self, k: Kinematics, x: State) -> Array:
         """Zero, shape (1,)."""
         return self._zero

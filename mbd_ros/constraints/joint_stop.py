@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Joint, Robot
 from mbd_ros.core.parts import Constraint, Row, Stop
 from mbd_ros.core.ranges import Duration
@@ -87,19 +88,19 @@ class JointStop(Constraint):
         self._combine(self._rows, self._margins)
         return self._item(self._smallest())
 
-    def residual(self, data: Any, x: State) -> Array:
+    def residual(self, k: Kinematics, x: State) -> Array:
         """Gap to the end that every joint heads for [rad or m], shape (m,)."""
         q = x.q[self._q]
         gap: Array = np.where(self._heads_down(x), q - self._lower, self._upper - q)
         return gap
 
-    def jacobian(self, data: Any, x: State) -> Array:
+    def jacobian(self, k: Kinematics, x: State) -> Array:
         """1 or -1 at the joint of every row, shape (m, nv)."""
         J = np.zeros((len(self.rows), self._nv))
         J[self._each, self._at] = np.where(self._heads_down(x), 1.0, -1.0)
         return J
 
-    def drift(self, data: Any, x: State) -> Array:
+    def drift(self, k: Kinematics, x: State) -> Array:
         """Zero, shape (m,)."""
         return self._zero
 

@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from mbd_ros.core.model.coupling_functions import Polynomial, natural_cubic_spline
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Constraint, Row
 from mbd_ros.core.ranges import Duration
@@ -70,19 +70,19 @@ class PrescribedMotion(Constraint):
         self._jacobian = np.zeros((1, robot.model.nv))
         self._jacobian[0, self.joint.v] = 1.0
 
-    def residual(self, data: Any, x: State) -> Array:
+    def residual(self, k: Kinematics, x: State) -> Array:
         """How far the joint is off its motion, q - f(t) [rad or m], shape (1,)."""
         return np.array((x.q.item(self.joint.q) - self._motion(float(x.t))[0],))
 
-    def jacobian(self, data: Any, x: State) -> Array:
+    def jacobian(self, k: Kinematics, x: State) -> Array:
         """1 at the joint, shape (1, nv)."""
         return self._jacobian
 
-    def rate(self, x: State) -> Array:
+    def rate(self, k: Kinematics, x: State) -> Array:
         """-f', shape (1,)."""
         return np.array((-self._motion(float(x.t))[1],))
 
-    def drift(self, data: Any, x: State) -> Array:
+    def drift(self, k: Kinematics, x: State) -> Array:
         """-f'', shape (1,)."""
         return np.array((-self._motion(float(x.t))[2],))
 

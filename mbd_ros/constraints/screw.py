@@ -1,10 +1,10 @@
 """Rotation coupled to translation."""
 
 import math
-from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Constraint, Row
 from mbd_ros.core.state import Array, State
@@ -48,15 +48,15 @@ class Screw(Constraint):
         self._jacobian[0, slider.v], self._jacobian[0, turner.v] = 1.0, -self._lead
         self.rows = (Row(f"{joint}.screw", "N"),)
 
-    def residual(self, data: Any, x: State) -> Array:
+    def residual(self, k: Kinematics, x: State) -> Array:
         """How far the slider is off the thread, g [m], shape (1,)."""
         q = x.q
         return np.array((q.item(self._slider) - self._lead * q.item(self._turner) - self._offset,))
 
-    def jacobian(self, data: Any, x: State) -> Array:
+    def jacobian(self, k: Kinematics, x: State) -> Array:
         """Constant, shape (1, nv)."""
         return self._jacobian
 
-    def drift(self, data: Any, x: State) -> Array:
+    def drift(self, k: Kinematics, x: State) -> Array:
         """Zero, shape (1,)."""
         return self._drift

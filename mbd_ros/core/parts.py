@@ -1,50 +1,115 @@
 """Contracts of the parts of a scene.
 
-A part reads `data`, never runs a Pinocchio algorithm that writes it, never changes its inputs, and
-keeps no memory of earlier states. Positions in `data` are counted from `Robot.origin`; those of
-frames at rest, the world among them, stand in `model.frames`.
+A part binds points and frames while it is built and asks the kinematics k for them at a state; it
+never changes its inputs, and keeps no memory of earlier states. Positions are counted from
+`Robot.origin`.
 """
 
 import math
-from typing import Any, ClassVar, NamedTuple
+from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.state import Array, State
 
 
-class ForceTerm:
-    """A generalized force that depends on time, configuration and velocity.
+class Reads(IntEnum):
+    """How much of k a part reads at a state; what nothing reads is not refreshed."""
+
+    NOTHING = 0
+    POSITION = 1
+    VELOCITY = 2
+    JACOBIAN = 3
+    DRIFT = 4
+
+
+class Channel(NamedTuple):
+    """One number that a part takes from outside while it runs.
 
     Attributes:
-        reads_frames: Whether `force` reads placements, velocities or joint Jacobians from `data`;
-            they are current then, and not refreshed for parts that do not ask.
+        name: Unique in the part; empty where the part has only one.
+        unit: N·m, rad, ..
+        lower: Smallest value that has an effect, -inf without.
+        upper: Largest one, inf without.
+        safe: Value where nobody gives one that can be trusted.
+    """
+
+    name: str
+    unit: str
+    lower: float = -math.inf
+    upper: float = math.inf
+    safe: float = 0.0
+
+
+class Slots(NamedTuple):
+    """Where the numbers of a part stand.
+
+    Attributes:
+        inputs: In u.
+        internal: In the z of a state.
+    """
+
+    inputs: slice
+    internal: slice
+
+
+class Part:
+    """What a scene is made of.
+
+    Attributes:
+        name: Unique in the scene.
+        reads: What its methods read of k at most.
+        inputs: What it takes from outside while it runs.
+        u: Its inputs in the u of the scene; all of u until it is bound.
+        z: Its internal states in the z of a state; all of z until it is bound.
+    """
+
+    name: str = ""
+    reads: Reads = Reads.NOTHING
+    inputs: tuple[Channel, ...] = ()
+    u: slice = slice(None)
+    z: slice = slice(None)
+
+    def bind(self, slots: Slots) -> None:
+        """Learn where its numbers stand; once, when all parts are known."""
+        self.u, self.z = slots
+
+
+class Load(Part):
+    """A generalized force that depends on a state and on inputs, never on accelerations.
+
+    Attributes:
         brings: Entries of the `<dynamics>` of its `joint` that it covers: friction, damping.
     """
 
-    reads_frames: ClassVar[bool] = False
     brings: tuple[str, ...] = ()
 
-    def force(self, data: Any, x: State) -> Array:
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force on the joints [N·m or N], shape (nv,)."""
         raise NotImplementedError
 
-    def beside(self, data: Any, x: State) -> "ForceTerm":
+    def beside(self, k: Kinematics, x: State) -> "Load":
         """The force near a state, smooth across the surfaces at which it jumps."""
         return self
 
-    def potential(self, data: Any, x: State) -> float:
+    def potential(self, k: Kinematics, x: State) -> float:
         """Potential energy of what is conservative in the force [J]."""
         return 0.0
 
-    def wrenches(self, data: Any, x: State) -> "tuple[Wrench, ...]":
+    def wrenches(self, k: Kinematics, x: State, u: Array) -> "tuple[Wrench, ...]":
         """Wrenches on bodies; empty for a force in joints, between parent and child."""
         return ()
 
+    def armature(self) -> Array:
+        """Inertia that it adds to the joints [kg·m^2 or kg], shape (nv,) or (1,) of 0."""
+        return np.zeros(1)
 
-class Actuator:
-    """Commands -> torques of the joints that it drives.
+
+class Actuator(Load):
+    """Commands -> torques of the joints that it drives; its inputs are the commands.
 
     Attributes:
         joints: Topic names of the driven joints, one command each.
@@ -53,15 +118,6 @@ class Actuator:
 
     joints: tuple[str, ...]
     takes: str = ""
-
-    def torque(self, u: Array, x: State) -> Array:
-        """Generalized force [N·m or N], shape (nv,).
-
-        Args:
-            u: Commands of `joints`, shape (len(joints),).
-            x: State.
-        """
-        raise NotImplementedError
 
     def command(self, torque: Array, x: State) -> Array:
         """Commands that ask for a torque, shape (len(joints),); here the torque itself.
@@ -76,7 +132,7 @@ class Actuator:
     def demanded(self, torque: Array, x: State) -> Array:
         """Commands that give a torque, losses compensated, shape (len(joints),).
 
-        `torque` of them is that torque again, unless it is beyond a limit. For recordings: live,
+        The force of them is that torque again, unless it is beyond a limit. For recordings: live,
         noise of the velocity would come back as force.
 
         Args:
@@ -88,10 +144,6 @@ class Actuator:
     def limits(self) -> Array:
         """Largest torque of each of `joints` [N·m or N], shape (len(joints),), inf without."""
         return np.full(len(self.joints), math.inf)
-
-    def armature(self) -> Array:
-        """Inertia that the drive adds to the joints [kg·m^2 or kg], shape (nv,) or scalar 0."""
-        return np.zeros(1)
 
 
 class Row(NamedTuple):
@@ -138,15 +190,13 @@ class Stop(NamedTuple):
     upper: float
 
 
-class Constraint:
+class Constraint(Part):
     """Geometry of rows g(t, q) = 0 with the equation of motion M a + h = tau + J' lam.
 
         g' = J v + rate(t),   g'' = J a + drift
 
     Attributes:
         rows: One entry a row.
-        reads_frames: Whether it reads placements, velocities, accelerations at zero joint
-            acceleration (for the drift) and joint Jacobians from `data`; they are current then.
         bounds: Smallest and largest multiplier of every row, each (m,), or None where all are
             free. With lam inside, g'' + kd g' + kp g = 0; at the lower bound it may be
             positive, at the upper one negative.
@@ -157,29 +207,28 @@ class Constraint:
     """
 
     rows: tuple[Row, ...]
-    reads_frames: ClassVar[bool] = False
     bounds: tuple[Array, Array] | None = None
     gains: tuple[float, float] = (0.0, 0.0)
     driven: tuple[str, ...] = ()
     stops: tuple[Stop, ...] = ()
 
-    def residual(self, data: Any, x: State) -> Array:
+    def residual(self, k: Kinematics, x: State) -> Array:
         """g(t, q), shape (m,)."""
         raise NotImplementedError
 
-    def jacobian(self, data: Any, x: State) -> Array:
+    def jacobian(self, k: Kinematics, x: State) -> Array:
         """J = dg/dq, shape (m, nv)."""
         raise NotImplementedError
 
-    def drift(self, data: Any, x: State) -> Array:
+    def drift(self, k: Kinematics, x: State) -> Array:
         """The part of g'' without the acceleration, J' v included, shape (m,)."""
         raise NotImplementedError
 
-    def accelerations(self, data: Any, x: State) -> tuple[Array, Array]:
+    def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
         """Both `jacobian` and `drift`; for parts where one costs less with the other."""
-        return self.jacobian(data, x), self.drift(data, x)
+        return self.jacobian(k, x), self.drift(k, x)
 
-    def rate(self, x: State) -> Array:
+    def rate(self, k: Kinematics, x: State) -> Array:
         """The part of g' without the velocity, shape (m,)."""
         return np.zeros(len(self.rows))
 
@@ -195,6 +244,6 @@ class Constraint:
         """
         return -math.inf
 
-    def wrenches(self, data: Any, x: State, lam: Array) -> tuple[Wrench, ...]:
+    def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
         """Wrenches of the multipliers, shape (m,), on bodies; empty where no frame exists."""
         return ()

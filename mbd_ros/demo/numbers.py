@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.parts import Row
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import NONE, Array
 from mbd_ros.demo.files import PLANT, RATE
 from mbd_ros.demo.signals import Series, Signals
 from mbd_ros.forces.prescribed_torque import PrescribedTorque
@@ -72,8 +72,8 @@ class DemoNumbers:
         """The disturbance [N·m], shape (k, n), at times [s]."""
         (part,) = [force for force in self.plant.forces if isinstance(force, PrescribedTorque)]
         rows = [self.plant.robot.joint(name).v for name in self.joints]
-        x = self.plant.initial
-        return np.array([part.force(None, State(t, x.q, x.v))[rows] for t in times.tolist()])
+        k, x = self.plant.system().k, self.plant.initial
+        return np.array([part.force(k, x._replace(t=t), NONE)[rows] for t in times.tolist()])
 
     @staticmethod
     def at(times: Array, known: Array, values: Array) -> Array:

@@ -1,20 +1,20 @@
 """Constant wrench on a link."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import ForceTerm, Wrench
+from mbd_ros.core.parts import Load, Reads, Wrench
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
 AXES = {"world": pin.LOCAL_WORLD_ALIGNED, "frame": pin.LOCAL}
 
 
-class AppliedWrench(ForceTerm):
+class AppliedWrench(Load):
     """Constant force and torque at a point of a link: tau = J' (force, torque).
 
     The point travels with the link. In world axes the load keeps its direction, in those of the
@@ -33,7 +33,7 @@ class AppliedWrench(ForceTerm):
             finite numbers.
     """
 
-    reads_frames = True
+    reads = Reads.JACOBIAN
     example = {"frame": "foot", "force": [10.0, 0.0, 50.0], "point": [0.1, 0.0, 0.0]}
 
     def __init__(
@@ -59,27 +59,27 @@ class AppliedWrench(ForceTerm):
         self._axes, self._turns = AXES[expressed_in], expressed_in == "frame"
         self._wrench = np.array([*force, *torque], dtype=np.float64)
 
-    def force(self, data: Any, x: State) -> Array:
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
         jacobian = pin.getFrameJacobian(
-            self._model, data, self._joint, self._placement, self._axes
+            self._model, k.data, self._joint, self._placement, self._axes
         )
         tau: Array = self._wrench.dot(jacobian.reshape(6, -1))  # with one joint it is a vector
         return tau
 
-    def wrenches(self, data: Any, x: State) -> tuple[Wrench, ...]:
+    def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
         """The load on the link."""
-        at = data.oMi[self._joint] * self._placement
+        at = k.data.oMi[self._joint] * self._placement
         axes = at.rotation if self._turns else np.eye(3)
         force, torque = axes.dot(self._wrench[:3]), axes.dot(self._wrench[3:])
         return (Wrench(self._frame, at.translation, force, torque),)
 
-    def potential(self, data: Any, x: State) -> float:
+    def potential(self, k: Kinematics, x: State) -> float:
         """Energy whose slope a force of constant direction is, -force . point [J].
 
         Zero for a load that turns with the link; the torque has none in three dimensions.
         """
         if self._turns:
             return 0.0
-        place = data.oMi[self._joint].act(self._placement.translation)
+        place = k.data.oMi[self._joint].act(self._placement.translation)
         return -float(self._wrench[:3].dot(place))

@@ -2,20 +2,20 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.parts import Load
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
 ALL = "all"
 
 
-class GravityCompensation(ForceTerm):
+class GravityCompensation(Load):
     """tau = factor g(q) on the named joints, g being the torque that holds the robot still.
 
     It knows the masses exactly and needs no time to act. Nothing acts on a free base. Its work
@@ -45,7 +45,7 @@ class GravityCompensation(ForceTerm):
         self._gain = np.zeros(int(robot.model.nv))
         self._gain[[robot.joint(name).v for name in names]] = factor
 
-    def force(self, data: Any, x: State) -> Array:
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
         tau: Array = self._gain * pin.computeGeneralizedGravity(self._model, self._data, x.q)
         return tau

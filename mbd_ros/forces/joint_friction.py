@@ -1,18 +1,18 @@
 """Dry and viscous friction in a joint, regularised."""
 
 import math
-from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.parts import Load
 from mbd_ros.core.ranges import Smoothing
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
 
-class JointFriction(ForceTerm):
+class JointFriction(Load):
     """tau = -coulomb tanh(v / smoothing) - viscous v. No stiction: a joint at rest creeps.
 
     Args:
@@ -45,7 +45,7 @@ class JointFriction(ForceTerm):
         given = {"friction": coulomb, "damping": viscous}
         self.brings = tuple(key for key, value in given.items() if value > 0)
 
-    def force(self, data: Any, x: State) -> Array:
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force of the friction, shape (nv,)."""
         tau = np.zeros(self._nv)
         rate = float(x.v[self.joint.v])

@@ -1,16 +1,15 @@
 """Spring and damper in a joint."""
 
-from typing import Any
-
 import numpy as np
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.parts import Load
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
 
-class JointSpring(ForceTerm):
+class JointSpring(Load):
     """Linear spring and damper: tau = stiffness (rest - q) - damping v. No limits, no backlash.
 
     Args:
@@ -39,14 +38,14 @@ class JointSpring(ForceTerm):
         self._nv = int(robot.model.nv)
         self.brings = ("damping",) if damping > 0 else ()
 
-    def force(self, data: Any, x: State) -> Array:
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force of the spring, shape (nv,)."""
         tau = np.zeros(self._nv)
         stretch, rate = x.q[self.joint.q] - self._rest, x.v[self.joint.v]
         tau[self.joint.v] = -self._stiffness * stretch - self._damping * rate
         return tau
 
-    def potential(self, data: Any, x: State) -> float:
+    def potential(self, k: Kinematics, x: State) -> float:
         """Energy of the spring, zero at rest [J]."""
         stretch = float(x.q[self.joint.q]) - self._rest
         return 0.5 * self._stiffness * stretch * stretch

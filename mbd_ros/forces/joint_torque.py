@@ -1,17 +1,17 @@
 """Constant torque on a joint."""
 
 import math
-from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.parts import Load
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
 
-class JointTorque(ForceTerm):
+class JointTorque(Load):
     """Constant torque, or force on a prismatic joint: tau = torque.
 
     Args:
@@ -33,11 +33,11 @@ class JointTorque(ForceTerm):
         self._tau = np.zeros(int(robot.model.nv))
         self._tau[self.joint.v] = torque
 
-    def force(self, data: Any, x: State) -> Array:
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
         tau: Array = self._tau.copy()
         return tau
 
-    def potential(self, data: Any, x: State) -> float:
+    def potential(self, k: Kinematics, x: State) -> float:
         """Energy whose slope the torque is, zero at q = 0 [J]."""
         return -self._torque * float(x.q[self.joint.q])

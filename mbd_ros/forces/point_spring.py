@@ -7,15 +7,16 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import ForceTerm, Wrench
+from mbd_ros.core.parts import Load, Reads, Wrench
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
 _AXES = pin.LOCAL_WORLD_ALIGNED
 
 
-class PointSpring(ForceTerm):
+class PointSpring(Load):
     """Massless spring and damper between two points at the distance d.
 
         F = stiffness (d - length) + damping d',   tau = -F grad d
@@ -38,7 +39,7 @@ class PointSpring(ForceTerm):
         ModelError: Unknown frame, both ends on one body, or a value out of its range.
     """
 
-    reads_frames = True
+    reads = Reads.JACOBIAN
     example = {"frame_a": "world", "frame_b": "foot", "stiffness": 200.0, "length": 0.1}
 
     def __init__(
@@ -68,48 +69,48 @@ class PointSpring(ForceTerm):
         self._model, self._nv = robot.model, int(robot.model.nv)
         self._point_a, self._point_b = self._at_a.translation, self._at_b.translation
 
-    def force(self, data: Any, x: State) -> Array:
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
-        _, slope, pull = self._tension(data, x)
+        _, slope, pull = self._tension(k, x)
         tau: Array = slope * -pull
         return tau
 
-    def wrenches(self, data: Any, x: State) -> tuple[Wrench, ...]:
+    def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
         """Forces at the ends of the spring."""
-        direction, _, pull = self._tension(data, x)
-        force, free, places = direction * pull, np.zeros(3), data.oMi
+        direction, _, pull = self._tension(k, x)
+        force, free, places = direction * pull, np.zeros(3), k.data.oMi
         return (
             Wrench(self._frames[0], places[self._joint_a].act(self._point_a), force, free),
             Wrench(self._frames[1], places[self._joint_b].act(self._point_b), -force, free),
         )
 
-    def _tension(self, data: Any, x: State) -> tuple[Array, Array, float]:
+    def _tension(self, k: Kinematics, x: State) -> tuple[Array, Array, float]:
         """From end a to end b, rate of the distance with every joint, and F [N]."""
-        line = self._line(data)
+        line = self._line(k)
         distance = math.hypot(*line.tolist())
         if distance == 0.0:
             return line, np.zeros(self._nv), 0.0
         direction = line / distance
-        slope: Array = direction.dot(self._jacobian(data, self._joint_b, self._at_b))
+        slope: Array = direction.dot(self._jacobian(k, self._joint_b, self._at_b))
         if self._joint_a:
-            slope = slope - direction.dot(self._jacobian(data, self._joint_a, self._at_a))
+            slope = slope - direction.dot(self._jacobian(k, self._joint_a, self._at_a))
         stretch = distance - self._length
         return direction, slope, self._stiffness * stretch + self._damping * float(slope.dot(x.v))
 
-    def potential(self, data: Any, x: State) -> float:
+    def potential(self, k: Kinematics, x: State) -> float:
         """Energy of the spring, zero at its length [J]."""
-        stretch = math.hypot(*self._line(data).tolist()) - self._length
+        stretch = math.hypot(*self._line(k).tolist()) - self._length
         return 0.5 * self._stiffness * stretch * stretch
 
-    def _jacobian(self, data: Any, joint: int, at: Any) -> Array:
+    def _jacobian(self, k: Kinematics, joint: int, at: Any) -> Array:
         """From joint velocities to that of an end, in the world, shape (3, nv)."""
-        whole = pin.getFrameJacobian(self._model, data, joint, at, _AXES)
+        whole = pin.getFrameJacobian(self._model, k.data, joint, at, _AXES)
         part: Array = whole.reshape(6, self._nv)[:3]  # with one joint it comes as a vector
         return part
 
-    def _line(self, data: Any) -> Array:
+    def _line(self, k: Kinematics) -> Array:
         """From end a to end b, in the world [m], shape (3,)."""
-        places = data.oMi
+        places = k.data.oMi
         begin, end = (
             places[self._joint_a].act(self._point_a),
             places[self._joint_b].act(self._point_b),

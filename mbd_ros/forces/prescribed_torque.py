@@ -1,17 +1,17 @@
 """Torques prescribed in time."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.parts import Load
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
 
-class PrescribedTorque(ForceTerm):
+class PrescribedTorque(Load):
     """Generalized forces from a table in time: linear between samples, zero outside.
 
     Args:
@@ -43,7 +43,7 @@ class PrescribedTorque(ForceTerm):
         self._index = [robot.joint(name).v for name in joints]
         self._nv = int(robot.model.nv)
 
-    def force(self, data: Any, x: State) -> Array:
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force at the time of the state, shape (nv,)."""
         tau, times = np.zeros(self._nv), self._times
         if times[0] <= x.t <= times[-1]:

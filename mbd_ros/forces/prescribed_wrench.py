@@ -2,19 +2,19 @@
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.wrenches import ExternalWrench
-from mbd_ros.core.parts import ForceTerm, Wrench
+from mbd_ros.core.parts import Load, Reads, Wrench
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
 
-class PrescribedWrench(ForceTerm):
+class PrescribedWrench(Load):
     """A wrench read from a table, tau = J' w(t): straight lines between samples.
 
     The load is zero before the first and after the last sample, so it jumps there unless the table
@@ -35,7 +35,7 @@ class PrescribedWrench(ForceTerm):
         ModelError: Unknown frame, negative threshold, or a table that is not one.
     """
 
-    reads_frames = True
+    reads = Reads.JACOBIAN
     example = {
         "frame": "foot",
         "times": [0.0, 0.5, 1.0],
@@ -71,23 +71,23 @@ class PrescribedWrench(ForceTerm):
             return np.array(self._wrenches[-1])
         return np.zeros(6)
 
-    def force(self, data: Any, x: State) -> Array:
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
         wrench = self.wrench(x.t)
         if self._load.body == 0 or not self._load.is_loaded(wrench):
             return np.zeros(self._nv)
-        jacobian = pin.getJointJacobian(self._model, data, self._load.body, pin.LOCAL)
-        load = self._load.in_body(data, wrench).vector
+        jacobian = pin.getJointJacobian(self._model, k.data, self._load.body, pin.LOCAL)
+        load = self._load.in_body(k.data, wrench).vector
         tau: Array = load.dot(jacobian.reshape(6, self._nv))  # with one joint it is a vector
         return tau
 
-    def wrenches(self, data: Any, x: State) -> tuple[Wrench, ...]:
+    def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
         """The load on the link, about the origin of the joint that carries it."""
         wrench = self.wrench(x.t)
         if not self._load.is_loaded(wrench):
             return ()
-        place = data.oMi[self._load.body]
-        load = self._load.in_body(data, wrench)
+        place = k.data.oMi[self._load.body]
+        load = self._load.in_body(k.data, wrench)
         force, torque = place.rotation.dot(load.linear), place.rotation.dot(load.angular)
         return (Wrench(self._load.frame, place.translation, force, torque),)
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from mbd_ros.core.events.switching import DiscontinuousForce
 from mbd_ros.core.model.coupling_functions import Polynomial
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -65,21 +66,21 @@ class SwitchingForce(DiscontinuousForce):
         self.joints = tuple(robot.joint(name) for name in {**above, **below})
         self.surfaces = ("h of " + ", ".join(dict.fromkeys([*velocity, *position])),)
 
-    def heights(self, data: Any, x: State) -> Array:
+    def heights(self, k: Kinematics, x: State) -> Array:
         """The h at a state, shape (1,)."""
         h = self._time(x.t)[0]
         h += sum(function(x.v.item(v))[0] for v, function in self._rate_terms)
         h += sum(function(x.q.item(q))[0] for q, _, function in self._place_terms)
         return np.array([h])
 
-    def rates(self, data: Any, x: State, a: Array) -> Array:
+    def rates(self, k: Kinematics, x: State, a: Array) -> Array:
         """The dh/dt = w' + sum p_j' v_j + sum r_j' a_j, shape (1,)."""
         rate = self._time(x.t)[1]
         rate += sum(function(x.v.item(v))[1] * a.item(v) for v, function in self._rate_terms)
         rate += sum(function(x.q.item(q))[1] * x.v.item(v) for q, v, function in self._place_terms)
         return np.array([rate])
 
-    def blend(self, data: Any, x: State, signs: Array) -> Array:
+    def blend(self, k: Kinematics, x: State, signs: Array) -> Array:
         """The (1 + s) / 2 above + (1 - s) / 2 below, shape (nv,)."""
         tau: Array = self._middle + signs.item(0) * self._half
         return tau

@@ -14,7 +14,7 @@ from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.inverse.observed_loops import ObservedLoops
 from mbd_ros.core.inverse.torques import SampleSolver
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.parts import Load
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.errors import MbdError, ModelError, SceneError, SolveError
 from mbd_ros.scene import schema
@@ -116,7 +116,7 @@ class Scene(SceneParts):
             raise SceneError(f"{self.name}: {error}") from error
 
     def system(
-        self, forces: Sequence[ForceTerm] = (), solver: Mapping[str, str] | None = None
+        self, forces: Sequence[Load] = (), solver: Mapping[str, str] | None = None
     ) -> System:
         """Forward dynamics with its own Pinocchio data.
 
@@ -159,7 +159,7 @@ class Scene(SceneParts):
         dt: float | None = None,
         stabilization: Mapping[str, Any] | None = None,
         solver: Mapping[str, str] | None = None,
-        forces: Sequence[ForceTerm] = (),
+        forces: Sequence[Load] = (),
     ) -> Simulation:
         """A simulation with its own Pinocchio data.
 

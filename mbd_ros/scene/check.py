@@ -221,7 +221,7 @@ def _cost(scene: Scene, data: Any) -> str:
 
 
 def _loop_cost(scene: Scene, x: State) -> str:
-    drives = [section.key for section in scene.sections if "torque" in section.offers]
+    drives = [section.key for section in scene.sections if "command" in section.offers]
     every = scene.without(drives).closed_loop()  # so that no fixed base is out of reach
     x, a = every.consistent(x, np.zeros(scene.robot.model.nv))
     call = (lambda: every.reach(x)) if scene.robot.floating else (lambda: every.solve(x, a))

@@ -65,6 +65,7 @@ METHODS: Mapping[str, Sequence[str]] = {  # what the parts of a kind must have
     **{section.parts: section.offers for section in SECTIONS if section.parts},
     "controllers": ("effort",),  # of nodes, not of scenes
 }
+_CONTRACTS = {"command": "Actuator", "force": "Load", "residual": "Constraint"}
 
 
 def types_of(section: Section) -> Mapping[str, str]:
@@ -103,12 +104,15 @@ def resolve_type(
     """
     part = name if isinstance(name, type) else _named(types, name, where)
     lacking = [method for method in offers if not hasattr(part, method)]
+    shown = name.__name__ if isinstance(name, type) else name
     if not inspect.isclass(part) or lacking:
-        shown = name.__name__ if isinstance(name, type) else name
         raise SceneError(
             f"{where}: type '{shown}' is not a class with a method "
             + " and ".join(f"'{method}'" for method in lacking or offers)
         )
+    contract = next((_CONTRACTS[method] for method in offers if method in _CONTRACTS), "")
+    if contract and not hasattr(part, "bind"):
+        raise SceneError(f"{where}: type '{shown}' must derive from mbd_ros.core.parts.{contract}")
     return part
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Actuator, Constraint, ForceTerm
+from mbd_ros.core.parts import Actuator, Constraint, Load
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.core.state import State
@@ -75,14 +75,14 @@ class SceneParts:
         return self._offering("residual")
 
     @property
-    def forces(self) -> tuple[ForceTerm, ...]:
-        """Force terms, of all sections."""
-        return self._offering("force")
+    def forces(self) -> tuple[Load, ...]:
+        """Loads that nobody commands, of all sections."""
+        return tuple(part for part in self._offering("force") if not hasattr(part, "command"))
 
     @property
     def actuators(self) -> tuple[Actuator, ...]:
         """Actuators, in the order of their commands."""
-        return self._offering("torque")
+        return self._offering("command")
 
     @property
     def stabilization(self) -> Stabilization | None:

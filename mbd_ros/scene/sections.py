@@ -103,7 +103,7 @@ SECTIONS = (
         "actuators",
         Form.LIST,
         after=("robot",),
-        offers=("torque",),
+        offers=("command", "force"),
         check="actuator: {kind}{at}",
         parts="actuators",
     ),

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Joint, Robot
 from mbd_ros.core.parts import Constraint
 from mbd_ros.core.state import State
@@ -23,12 +24,11 @@ def start_warnings(robot: Robot, constraints: Sequence[Constraint], x: State) ->
         x: State of all joints.
     """
     stops = [part for part in constraints if _is_stop(part)]
-    at_rest, data = x._replace(v=np.zeros_like(x.v)), None
-    if any(part.reads_frames for part in stops):
-        data = pin.Data(robot.model)
-        pin.framesForwardKinematics(robot.model, data, x.q)
+    at_rest, k = x._replace(v=np.zeros_like(x.v)), Kinematics(robot, pin.Data(robot.model))
+    if any(part.reads for part in stops):
+        k.refresh(x.q, at_rest.v)
     for part in stops:
-        for name, gap in zip(part.joints, part.residual(data, at_rest), strict=True):
+        for name, gap in zip(part.joints, part.residual(k, at_rest), strict=True):
             if gap < -_SLACK:
                 unit = _unit(robot.joint(name))
                 yield f"{name} starts {-gap:.3g} {unit} beyond its {type(part).__name__}"

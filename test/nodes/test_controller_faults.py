@@ -373,14 +373,14 @@ def test_deactivation_ramps_down_and_activation_begins_anew(domain, tmp_path):
 
 
 CRASHING = """
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.parts import Load
 from mbd_ros.errors import SolveError
 import numpy as np
-class Fragile(ForceTerm):
+class Fragile(Load):
     example = {}
     def __init__(self, robot):
         self._zero = np.zeros(robot.model.nv)
-    def force(self, data, x):
+    def force(self, k, x, u):
         if 0.54 < x.q[0] < 0.56:
             raise ZeroDivisionError("it broke")
         if 0.44 < x.q[0] < 0.46:

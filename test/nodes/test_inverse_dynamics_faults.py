@@ -410,16 +410,17 @@ def test_16_17_38_clock_that_jumps_back_and_stands(domain, tmp_path):
 
 PART = '''
 import numpy as np
+from mbd_ros.core.parts import Load
 from mbd_ros.errors import ModelError
 
 
-class Fuse:
+class Fuse(Load):
     """Breaks at the angle that a test sends."""
 
     def __init__(self, robot):
         self._nv = robot.model.nv
 
-    def force(self, data, x):
+    def force(self, k, x, u):
         if x.q[0] > 2.0:
             raise ModelError("the fuse of joint 1 is gone")
         if x.q[0] < -2.0:

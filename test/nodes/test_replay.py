@@ -219,13 +219,14 @@ def output_over_the_input(data_dir, folder):
 
 PART = """
 import numpy as np
+from mbd_ros.core.parts import Load
 from mbd_ros.errors import ModelError
 
-class Fuse:
+class Fuse(Load):
     def __init__(self, robot, *, kind):
         self._nv, self._kind = robot.model.nv, kind
 
-    def force(self, data, x):
+    def force(self, k, x, u):
         if x.q[0] > 0.05:
             raise ModelError("the fuse is gone") if self._kind == "gone" else ValueError("a bug")
         return np.zeros(self._nv)

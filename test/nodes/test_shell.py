@@ -17,11 +17,12 @@ ACTIVE = "]: active"
 TOLD = """
 from pathlib import Path
 import numpy as np
+from mbd_ros.core.parts import Load
 Path({ran!r}).touch()
-class Rest:
+class Rest(Load):
     def __init__(self, robot):
         self._zero = np.zeros(robot.model.nv)
-    def force(self, data, x):
+    def force(self, k, x, u):
         return self._zero
 """
 

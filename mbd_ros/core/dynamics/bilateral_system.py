@@ -46,7 +46,7 @@ class BilateralSystem(System):
         limits = () if bounded is None else bounded.constraints.parts
         order = order or RowOrder((*constraints.parts, *limits))
         super().__init__(robot, loads, constraints, bounded, order)
-        self._reads_frames = constraints.reads_frames or loads.reads_frames
+        self._reads = max(constraints.reads, loads.reads)
         self.condition = np.inf  # unknown yet
         self._row_jacobian = np.zeros((len(constraints.rows), self.nv))
         self._lam: Array | None = None
@@ -81,13 +81,13 @@ class BilateralSystem(System):
         """Accelerations with bilateral rows alone, under the loads and an added force."""
         self.evaluations += 1
         data, constraints, x = self.data, self.constraints, State(t, q, v)
-        if self._reads_frames:
+        if self._reads:
             self.refresh(q, v)
         if constraints.is_corrected:
-            J, drift = constraints.conditions(data, x)
+            J, drift = constraints.conditions(self.k, x)
         else:
-            J, drift = constraints.accelerations(data, x)
-        tau = self._zero if self.loads.is_empty else self.loads.total(data, x, u)
+            J, drift = constraints.accelerations(self.k, x)
+        tau = self._zero if self.loads.is_empty else self.loads.total(self.k, x, u)
         if added is not None:
             tau = tau + added
         self._row_jacobian, self._lam = J, None

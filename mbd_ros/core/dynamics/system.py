@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from mbd_ros.core.dynamics.chart import chart_rate
 from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.parts import Row, Wrench
@@ -72,6 +73,7 @@ class System:
         self.constraints = constraints or ConstraintRows((), robot.model.nv)
         self.bounded = bounded
         self.model, self.data = robot.model, pin.Data(robot.model)
+        self.k = Kinematics(robot, self.data)
         self.nq, self.nv = int(self.model.nq), int(self.model.nv)
         self.is_flat = not robot.floating
         self.rows: tuple[Row, ...] = self.constraints.rows
@@ -113,7 +115,7 @@ class System:
         if not self.rows:
             return ()
         self.refresh(x.q, x.v)
-        return self.constraints.wrenches(self.data, x, self.order.bilateral(multipliers))
+        return self.constraints.wrenches(self.k, x, self.order.bilateral(multipliers))
 
     def mass(self, q: Array) -> Array:
         """Mass matrix of the integrated coordinates, symmetric, shape (nv, nv)."""
@@ -126,15 +128,15 @@ class System:
 
     def residual(self, t: float, q: Array) -> Array:
         """g(t, q) of the bilateral rows, shape (m,)."""
-        return self.constraints.residual(self.data, self._placed(t, q))
+        return self.constraints.residual(self.k, self._placed(t, q))
 
     def jacobian(self, t: float, q: Array) -> Array:
         """dg/dq, shape (m, nv)."""
-        return self.constraints.jacobian(self.data, self._placed(t, q))
+        return self.constraints.jacobian(self.k, self._placed(t, q))
 
     def rate(self, t: float, q: Array) -> Array:
         """dg/dt, shape (m,)."""
-        return self.constraints.rate(State(t, q, self._zero))
+        return self.constraints.rate(self.k, State(t, q, self._zero))
 
     def factorise(self, M: Array, J: Array) -> RowFactor:
         """Factor of the bilateral rows; brings `condition` up to date.
@@ -197,26 +199,25 @@ class System:
         """Kinetic and potential energy [J] at a state; heights are counted from `Robot.origin`."""
         full = self.expand(x)
         stored = float(pin.computeMechanicalEnergy(self.model, self.data, full.q, full.v))
-        if self.loads.reads_frames:
+        if self.loads.reads:
             self.refresh(full.q, full.v)
-        return stored + self.loads.potential(self.data, full)
+        return stored + self.loads.potential(self.k, full)
 
     def refresh(self, q: Array, v: Array) -> None:
         """Placements, velocities, velocity-dependent accelerations and joint Jacobians."""
-        pin.forwardKinematics(self.model, self.data, q, v, self._zero)
-        pin.computeJointJacobians(self.model, self.data)
+        self.k.refresh(q, v)
 
     def _tau(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
         """Loads at a state of all joints."""
         if self.loads.is_empty:
             return self._zero
-        if self.loads.reads_frames:
+        if self.loads.reads:
             self.refresh(q, v)
-        return self.loads.total(self.data, State(t, q, v), u)
+        return self.loads.total(self.k, State(t, q, v), u)
 
     def _placed(self, t: float, q: Array) -> State:
         """State at rest of all joints, with `data` as the rows need it."""
-        if self.constraints.reads_frames:
+        if self.constraints.reads:
             self.refresh(q, self._zero)
         return State(t, q, self._zero)
 

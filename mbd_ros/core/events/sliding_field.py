@@ -3,7 +3,7 @@
 import itertools
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.system import Accelerator, System, writing
 from mbd_ros.core.events.surface_modes import Mode, equivalent_signs
 from mbd_ros.core.events.switching import DiscontinuousForce
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.state import Array, State
 
 Choice = Callable[[State, Array | None], Array]
@@ -57,12 +58,12 @@ class SwitchedLoads(Loads):
         self._mine = [slice(*pair) for pair in itertools.pairwise(ends)]
         self.signs: Array | None = None
 
-    def total(self, data: Any, x: State, u: Array | None) -> Array:
+    def total(self, k: Kinematics, x: State, u: Array | None) -> Array:
         """Generalized force [N·m or N], shape (nv,); as `Loads.total`."""
         signs = self._choice(x, u) if self.signs is None else self.signs
-        tau = self._smooth.total(data, x, u)
+        tau = self._smooth.total(k, x, u)
         for force, mine in zip(self.switching, self._mine, strict=True):
-            tau = tau + force.blend(data, x, signs[mine])
+            tau = tau + force.blend(k, x, signs[mine])
         return tau
 
 
@@ -116,7 +117,7 @@ class SlidingField:
     def heights(self, x: State) -> Array:
         """The h of all surfaces, shape (m,)."""
         full = self._placed(x)
-        parts = [f.heights(self._system.data, full) for f in self._loads.switching]
+        parts = [f.heights(self._system.k, full) for f in self._loads.switching]
         return np.concatenate(parts)
 
     def rates(self, x: State, u: Array | None) -> Array:
@@ -177,13 +178,13 @@ class SlidingField:
         """The h' under an acceleration that was just evaluated at x."""
         full_a = self._system.joint_motion(x.q, x.v, a)[2]
         full = self._placed(x)
-        parts = [f.rates(self._system.data, full, full_a) for f in self._loads.switching]
+        parts = [f.rates(self._system.k, full, full_a) for f in self._loads.switching]
         return np.concatenate(parts)
 
     def _placed(self, x: State) -> State:
-        """State of all joints, with `data` as the forces need it."""
+        """State of all joints, with `k` as the forces need it."""
         full = self._system.expand(x)
-        if self._loads.reads_frames:
+        if self._loads.reads:
             self._system.refresh(full.q, full.v)
         return full
 

@@ -1,14 +1,13 @@
 """Contract of forces that jump at surfaces."""
 
-from typing import Any
-
 import numpy as np
 
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.parts import Load
 from mbd_ros.core.state import Array, State
 
 
-class DiscontinuousForce(ForceTerm):
+class DiscontinuousForce(Load):
     """A force that is smooth except where h_i(t, q, v) = 0.
 
         tau = blend(signs),   signs_i = sign h_i off the surfaces, in -1 .. 1 on them
@@ -25,40 +24,40 @@ class DiscontinuousForce(ForceTerm):
 
     surfaces: tuple[str, ...]
 
-    def heights(self, data: Any, x: State) -> Array:
+    def heights(self, k: Kinematics, x: State) -> Array:
         """The h_i, shape (k,); in any unit."""
         raise NotImplementedError
 
-    def rates(self, data: Any, x: State, a: Array) -> Array:
+    def rates(self, k: Kinematics, x: State, a: Array) -> Array:
         """The dh_i/dt, affine in the acceleration, shape (k,).
 
         Args:
-            data: Pinocchio data, as for `force`.
+            k: Kinematics at the state.
             x: State.
             a: Accelerations of all joints [rad/s^2 or m/s^2], shape (nv,).
         """
         raise NotImplementedError
 
-    def blend(self, data: Any, x: State, signs: Array) -> Array:
+    def blend(self, k: Kinematics, x: State, signs: Array) -> Array:
         """Generalized force between the sides [N·m or N], shape (nv,).
 
         Args:
-            data: Pinocchio data, as for `force`.
+            k: Kinematics at the state.
             x: State.
             signs: One a surface, shape (k,): 1 above it, -1 below.
         """
         raise NotImplementedError
 
-    def force(self, data: Any, x: State) -> Array:
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """The force by the signs of the heights, for methods without surfaces, shape (nv,)."""
-        return self.blend(data, x, np.sign(self.heights(data, x)))
+        return self.blend(k, x, np.sign(self.heights(k, x)))
 
-    def beside(self, data: Any, x: State) -> ForceTerm:
+    def beside(self, k: Kinematics, x: State) -> Load:
         """The force with the signs of a state everywhere; on a surface itself the mean of both."""
-        return OneSide(self, np.sign(self.heights(data, x)))
+        return OneSide(self, np.sign(self.heights(k, x)))
 
 
-class OneSide(ForceTerm):
+class OneSide(Load):
     """A switching force that does not switch.
 
     Args:
@@ -67,8 +66,8 @@ class OneSide(ForceTerm):
     """
 
     def __init__(self, force: DiscontinuousForce, signs: Array) -> None:
-        self._force, self._signs, self.reads_frames = force, signs, force.reads_frames  # type: ignore[misc]
+        self._force, self._signs, self.reads = force, signs, force.reads
 
-    def force(self, data: Any, x: State) -> Array:
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force [N·m or N], shape (nv,)."""
-        return self._force.blend(data, x, self._signs)
+        return self._force.blend(k, x, self._signs)

@@ -63,9 +63,9 @@ def linear_motion(system: System, x: State) -> LinearMotion:
     """
     linear, loads = Linearization(system, system.acceleration), system.loads
     full = system.expand(x)
-    if loads.reads_frames:
+    if loads.reads:
         system.refresh(full.q, full.v)
-    system.loads = loads.beside(system.data, full)
+    system.loads = loads.beside(system.k, full)
     try:
         linear.update(x.t, x.q, x.v, None)
     finally:

@@ -19,7 +19,7 @@ from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.wrenches import ExternalWrench
-from mbd_ros.core.parts import Constraint, ForceTerm
+from mbd_ros.core.parts import Constraint, Load
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import ASSEMBLED, TINY
 from mbd_ros.errors import ModelError, SolveError
@@ -70,7 +70,7 @@ class ClosedLoopInverseDynamics:
         constraints: Sequence[Constraint],
         actuated: Sequence[str],
         wrenches: Sequence[ExternalWrench] = (),
-        forces: Sequence[ForceTerm] = (),
+        forces: Sequence[Load] = (),
     ) -> None:
         if len(set(actuated)) < len(actuated):
             raise ModelError(f"actuated joints {', '.join(actuated)} must be different joints")
@@ -161,7 +161,7 @@ class ClosedLoopInverseDynamics:
         rows = ~self._drives
         if not rows.any():
             return
-        rate = self.constraints.rate(x)
+        rate = self._balance.rate(x)
         for what, of, fixed in (("velocity", x.v, rate), ("acceleration", a, drift)):
             off = J[rows].dot(of) + fixed[rows]
             terms = np.abs(J[rows]).dot(np.abs(of)) + np.abs(fixed[rows])

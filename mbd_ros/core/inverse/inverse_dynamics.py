@@ -14,10 +14,11 @@ import pinocchio as pin
 from mbd_ros.core.dynamics.body_loads import BodyLoads
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.couplings import Couplings, Slopes
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.wrenches import ExternalWrench
-from mbd_ros.core.parts import ForceTerm
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.parts import Load, Reads
+from mbd_ros.core.state import NONE, Array, State
 
 _CHUNK = 2048  # samples
 
@@ -68,13 +69,14 @@ class InverseDynamics:
         robot: Robot,
         couplings: Couplings,
         wrenches: Sequence[ExternalWrench] = (),
-        forces: Sequence[ForceTerm] = (),
+        forces: Sequence[Load] = (),
     ) -> None:
         self.couplings, self.rows = couplings, couplings.dependent
         self.needed, self.gap = couplings.independent, np.zeros(len(couplings.dependent))
         self.wrenches, self.forces = tuple(wrenches), tuple(forces)
-        self._reads_frames = any(getattr(force, "reads_frames", False) for force in forces)
+        self._reads = max((force.reads for force in forces), default=Reads.NOTHING)
         self._model, self._data = robot.model, pin.Data(robot.model)
+        self._k = Kinematics(robot, self._data)
         self.configuration = self._q = pin.neutral(robot.model)
         self._v, self._a = np.zeros(robot.model.nv), np.zeros(robot.model.nv)
         self._zero = np.zeros(robot.model.nv)
@@ -174,10 +176,9 @@ class InverseDynamics:
         self._loads.set(data, wrenches)
         tau: Array = pin.rnea(model, data, self._q, self._v, self._a, forces)
         if self.forces:
-            if self._reads_frames:
-                pin.forwardKinematics(model, data, self._q, self._v, self._zero)
-                pin.computeJointJacobians(model, data)
+            if self._reads:
+                self._k.refresh(self._q, self._v)
             x = State(0.0, self._q, self._v)
             for term in self.forces:
-                tau -= term.force(self._data, x)
+                tau -= term.force(self._k, x, NONE)
         return tau

@@ -8,12 +8,13 @@ import pinocchio as pin
 
 from mbd_ros.core.dynamics.body_loads import BodyLoads
 from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.wrenches import ExternalWrench
-from mbd_ros.core.parts import Constraint, ForceTerm
+from mbd_ros.core.parts import Constraint, Load
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.coupling_rows import CouplingRows
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import NONE, Array, State
 
 
 class Terms(NamedTuple):
@@ -54,7 +55,7 @@ class LoopBalance:
         couplings: Couplings,
         constraints: Sequence[Constraint],
         wrenches: Sequence[ExternalWrench] = (),
-        forces: Sequence[ForceTerm] = (),
+        forces: Sequence[Load] = (),
     ) -> None:
         coupled: list[Constraint] = [CouplingRows(robot, couplings)] if couplings.dependent else []
         known = [part for part in constraints if part.bounds is None or part.driven]
@@ -63,30 +64,33 @@ class LoopBalance:
         self.is_drive = np.concatenate([np.zeros(0, dtype=np.bool_), *drives])
         self._model, self._data = robot.model, pin.Data(robot.model)
         self._forces, self._loads = tuple(forces), BodyLoads(robot, wrenches)
-        self._reads_frames = self.constraints.reads_frames or any(
-            getattr(force, "reads_frames", False) for force in forces
-        )
+        self._k = Kinematics(robot, self._data)
+        self._reads = max([self.constraints.reads, *(force.reads for force in forces)])
         self._zero = np.zeros(robot.model.nv)
 
     def place(self, x: State) -> None:
         """Bring placements, velocities and joint Jacobians to a state."""
         pin.forwardKinematics(self._model, self._data, x.q, x.v, self._zero)
-        if self._reads_frames:
+        if self._reads:
             pin.computeJointJacobians(self._model, self._data)
 
     def rows(self, x: State) -> tuple[Array, Array]:
         """J and drift of all rows, (m, nv) and (m,), overwritten by the next call."""
-        return self.constraints.accelerations(self._data, x)
+        return self.constraints.accelerations(self._k, x)
 
     def residual(self, x: State) -> Array:
         """Residual g of all rows, shape (m,); that of a drive is zero."""
-        return np.where(self.is_drive, 0.0, self.constraints.residual(self._data, x))
+        return np.where(self.is_drive, 0.0, self.constraints.residual(self._k, x))
+
+    def rate(self, x: State) -> Array:
+        """What time alone changes in g of all rows, shape (m,)."""
+        return self.constraints.rate(self._k, x)
 
     def terms(self, x: State, a: Array, wrenches: Sequence[Array]) -> Terms:
         """Forces of a motion; overwrites the last state in `data`."""
         loads = np.zeros_like(a)
         for force in self._forces:
-            loads += force.force(self._data, x)
+            loads += force.force(self._k, x, NONE)
         self._loads.set(self._data, wrenches)
         model, data = self._model, self._data
         loaded = pin.rnea(model, data, x.q, x.v, a, self._loads.forces)

@@ -154,7 +154,7 @@ class LoopMotion:
 
     def _drift(self, x: State) -> Array:
         self._system.refresh(x.q, x.v)
-        return self._system.constraints.accelerations(self._system.data, x)[1]
+        return self._system.constraints.accelerations(self._system.k, x)[1]
 
     def _rows(self, t: float, q: Array) -> tuple[Array, Array, Array]:
         """J, the Cholesky factor of M, and the size of the rows so far in the metric M^-1."""

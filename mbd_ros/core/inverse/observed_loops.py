@@ -9,6 +9,7 @@ import pinocchio as pin
 from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.couplings import Slopes
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.state import Array, State
 
 
@@ -36,7 +37,8 @@ class ObservedLoops:
         self._slopes: Slopes = [0.0] * len(inverse.couplings.pairs)
         constraints = inverse.constraints
         self.rows = tuple(row.name for row in constraints.rows)
-        self.gap, self._data = np.zeros(len(self.rows)), pin.Data(self._model)
+        self.gap = np.zeros(len(self.rows))
+        self._k = Kinematics(inverse.robot, pin.Data(self._model))
         self._is_driven = np.zeros(len(self.rows), dtype=np.bool_)
         for part, mine in zip(constraints.parts, constraints.slices, strict=True):
             self._is_driven[mine] = bool(part.driven)
@@ -105,7 +107,6 @@ class ObservedLoops:
         return found._replace(tau=reduced)
 
     def _residual(self, x: State) -> Array:
-        pin.forwardKinematics(self._model, self._data, x.q, x.v, np.zeros(len(x.v)))
-        pin.computeJointJacobians(self._model, self._data)
-        gap = self.inverse.constraints.residual(self._data, x)
+        self._k.refresh(x.q, x.v)
+        gap = self.inverse.constraints.residual(self._k, x)
         return np.where(self._is_driven, 0.0, gap)

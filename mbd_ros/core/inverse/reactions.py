@@ -7,11 +7,12 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.dynamics.body_loads import BodyLoads
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.wrenches import ExternalWrench
-from mbd_ros.core.parts import ForceTerm, Wrench
+from mbd_ros.core.parts import Load, Wrench
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import NONE, Array, State
 
 
 class Reactions(NamedTuple):
@@ -50,15 +51,14 @@ class JointReactions:
         robot: Robot,
         constraints: ConstraintRows,
         wrenches: Sequence[ExternalWrench] = (),
-        forces: Sequence[ForceTerm] = (),
+        forces: Sequence[Load] = (),
     ) -> None:
         self._model, self._data = robot.model, pin.Data(robot.model)
         self._constraints = constraints
-        self._forces = [force for force in forces if isinstance(force, ForceTerm)]
+        self._k, self._forces = Kinematics(robot, self._data), tuple(forces)
         self._loads = BodyLoads(robot, wrenches)
         at = {int(joint.idx_v): i for i, joint in enumerate(robot.model.joints) if i}
         self._joints = [at[joint.v] for joint in robot.joints]
-        self._zero = np.zeros(robot.model.nv)
 
     def solve(
         self, x: State, a: Array, multipliers: Array, wrenches: Sequence[Array] = ()
@@ -72,11 +72,11 @@ class JointReactions:
             wrenches: One (6,) array [N, N·m] for every load; none means unloaded.
         """
         model, data = self._model, self._data
-        pin.forwardKinematics(model, data, x.q, x.v, self._zero)
-        pin.computeJointJacobians(model, data)
-        closures = self._constraints.wrenches(data, x, multipliers)
+        self._k.refresh(x.q, x.v)
+        closures = self._constraints.wrenches(self._k, x, multipliers)
         self._loads.set(data, wrenches)
-        for wrench in (*closures, *(w for force in self._forces for w in force.wrenches(data, x))):
+        exerted = (w for force in self._forces for w in force.wrenches(self._k, x, NONE))
+        for wrench in (*closures, *exerted):
             self._loads.add(data, wrench)
         pin.rnea(model, data, x.q, x.v, a, self._loads.forces)
         local = np.array([data.f[i].vector for i in self._joints]).reshape(-1, 6)

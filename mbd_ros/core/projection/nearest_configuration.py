@@ -52,10 +52,10 @@ class NearestConfiguration:
             SolveError: They are not finite.
         """
         system, x = self._system, State(t, q, self._zero)
-        rows, data = system.constraints, system.data
-        if rows.reads_frames:
+        rows, k = system.constraints, system.k
+        if rows.reads:
             system.refresh(q, self._zero)
-        g, J = rows.residual(data, x), rows.jacobian(data, x)
+        g, J = rows.residual(k, x), rows.jacobian(k, x)
         if not math.isfinite(g.sum() + J.sum()):
             raise SolveError("the constraint rows are not finite at the measured state")
         return g, J

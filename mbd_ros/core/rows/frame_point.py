@@ -1,11 +1,11 @@
 """A point or frame on a link, as index of its joint and place there."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
@@ -56,33 +56,33 @@ class FramePoint:
         self._model = robot.model
         self.point: Array = self.place.translation.copy()
 
-    def position(self, data: Any) -> Array:
+    def position(self, k: Kinematics) -> Array:
         """Its origin in the world [m], shape (3,), not to be written to."""
         if self.joint == 0:
             return self.point
-        position: Array = data.oMi[self.joint].act(self.point)
+        position: Array = k.data.oMi[self.joint].act(self.point)
         return position
 
-    def jacobian(self, data: Any) -> Array:
+    def jacobian(self, k: Kinematics) -> Array:
         """From joint velocities to that of its origin in the world, shape (3, nv)."""
-        whole = pin.getFrameJacobian(self._model, data, self.joint, self.place, _AXES)
+        whole = pin.getFrameJacobian(self._model, k.data, self.joint, self.place, _AXES)
         jacobian: Array = whole.reshape(6, -1)[:3]  # with one joint it comes as a vector
         return jacobian
 
-    def velocity(self, data: Any) -> Array:
+    def velocity(self, k: Kinematics) -> Array:
         """Velocity of its origin in the world [m/s], shape (3,)."""
         if self.joint == 0:
             return np.zeros(3)
-        motion = pin.getFrameVelocity(self._model, data, self.joint, self.place, _AXES)
+        motion = pin.getFrameVelocity(self._model, k.data, self.joint, self.place, _AXES)
         velocity: Array = motion.linear
         return velocity
 
-    def acceleration(self, data: Any) -> Array:
+    def acceleration(self, k: Kinematics) -> Array:
         """Second derivative of its position at zero joint acceleration [m/s^2], shape (3,)."""
         if self.joint == 0:
             return np.zeros(3)
         motion = pin.getFrameClassicalAcceleration(
-            self._model, data, self.joint, self.place, _AXES
+            self._model, k.data, self.joint, self.place, _AXES
         )
         acceleration: Array = motion.linear
         return acceleration

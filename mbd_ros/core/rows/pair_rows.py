@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.parts import Constraint, Row, Wrench
+from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.parts import Constraint, Reads, Row, Wrench
 from mbd_ros.core.rows.frame_pair import FramePair, Placed
 from mbd_ros.core.rows.rotation_residual import RotationResidual
 from mbd_ros.core.state import Array, State
@@ -30,7 +31,7 @@ class PairRows(Constraint):
         rotation: Residual of the axes; None leaves them free.
     """
 
-    reads_frames = True
+    reads = Reads.DRIFT
 
     def __init__(
         self,
@@ -48,53 +49,53 @@ class PairRows(Constraint):
             *(Row(f"{a}-{b}.{axis}", "N·m", a) for axis in turns),
         )
 
-    def residual(self, data: Any, x: State) -> Array:
+    def residual(self, k: Kinematics, x: State) -> Array:
         """Distances [m] in axes of a, then what the rotation residual measures [rad]."""
-        offset = self._pair.offset(data)[self._rows]
+        offset = self._pair.offset(k)[self._rows]
         if self._rotation is None:
             return offset
-        return np.concatenate((offset, self._rotation.residual(self._pair.rotation(data))))
+        return np.concatenate((offset, self._rotation.residual(self._pair.rotation(k))))
 
-    def jacobian(self, data: Any, x: State) -> Array:
+    def jacobian(self, k: Kinematics, x: State) -> Array:
         """dg/dq, shape (m, nv)."""
-        return self._jacobian(data, self._placed(data), self._turned(data))
+        return self._jacobian(k, self._placed(k), self._turned(k))
 
-    def drift(self, data: Any, x: State) -> Array:
+    def drift(self, k: Kinematics, x: State) -> Array:
         """J' v, shape (m,)."""
-        return self._drift(data, self._placed(data), self._turned(data))
+        return self._drift(k, self._placed(k), self._turned(k))
 
-    def accelerations(self, data: Any, x: State) -> tuple[Array, Array]:
+    def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
         """Both `jacobian` and `drift`, for the placements of one."""
-        placed, R = self._placed(data), self._turned(data)
-        return self._jacobian(data, placed, R), self._drift(data, placed, R)
+        placed, R = self._placed(k), self._turned(k)
+        return self._jacobian(k, placed, R), self._drift(k, placed, R)
 
-    def _placed(self, data: Any) -> Placed | None:
-        return self._pair.placed(data) if self._rotation is None else self._pair.place(data)
+    def _placed(self, k: Kinematics) -> Placed | None:
+        return self._pair.placed(k) if self._rotation is None else self._pair.place(k)
 
-    def _turned(self, data: Any) -> Any:
-        return None if self._rotation is None else self._pair.rotation(data)
+    def _turned(self, k: Kinematics) -> Any:
+        return None if self._rotation is None else self._pair.rotation(k)
 
-    def _jacobian(self, data: Any, placed: Placed | None, R: Any) -> Array:
+    def _jacobian(self, k: Kinematics, placed: Placed | None, R: Any) -> Array:
         if self._rotation is None:
-            return self._pair.jacobian(data, placed, self._rows)
-        whole = self._pair.jacobian(data, placed, _ALL)
+            return self._pair.jacobian(k, placed, self._rows)
+        whole = self._pair.jacobian(k, placed, _ALL)
         turns = self._rotation.slope(R).dot(whole[_ROTATIONS])
         return np.concatenate((whole[self._rows], turns))
 
-    def _drift(self, data: Any, placed: Placed | None, R: Any) -> Array:
+    def _drift(self, k: Kinematics, placed: Placed | None, R: Any) -> Array:
         if self._rotation is None:
-            return self._pair.acceleration(data, placed)[self._rows]
+            return self._pair.acceleration(k, placed)[self._rows]
         assert placed is not None
-        linear, omega, alpha = self._pair.motion(data, placed)
+        linear, omega, alpha = self._pair.motion(k, placed)
         return np.concatenate((linear[self._rows], self._rotation.drift(R, omega, alpha)))
 
-    def wrenches(self, data: Any, x: State, lam: Array) -> tuple[Wrench, ...]:
+    def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
         """The wrenches between a and b, at the origin of b: on a, then on b."""
-        axes = self._pair.place(data).axes
+        axes = self._pair.place(k).axes
         force = axes.rotation[:, self._rows].dot(lam[: self._count])
         torque = np.zeros(3)
         if self._rotation is not None:
-            slope = self._rotation.slope(self._pair.rotation(data))
+            slope = self._rotation.slope(self._pair.rotation(k))
             torque = axes.rotation.dot(slope.T.dot(lam[self._count :]))
         point = axes.translation
         return (

@@ -155,7 +155,7 @@ class LiveSimulation:
         system = self.simulation.system
         x = system.expand(y)
         a, multipliers = system.solve(y, u)
-        effort = system.loads.actuator_torque(x, u)
+        effort = system.loads.actuator_torque(system.k, x, u)
         now = Snapshot(
             x.t, x.q[self._q], x.v[self._v], a[self._v], effort[self._v], multipliers.copy()
         )

@@ -98,9 +98,9 @@ def _described(system: System, x: State, u: Array | None, step: float, end: floa
 def _cause(system: System, x: State, u: Array | None, step: float) -> str:
     """The joint that asks for the short steps, and what makes it do so."""
     full = system.expand(x)
-    if system.loads.reads_frames:
+    if system.loads.reads:
         system.refresh(full.q, full.v)
-    if system.loads.beside(system.data, full) is not system.loads:
+    if system.loads.beside(system.k, full) is not system.loads:
         hardest = np.abs(system.acceleration(x.t, x.q, x.v, u))
         return (
             f"{_joint(system, hardest)} has the largest acceleration; a switching force chatters "

@@ -1,7 +1,10 @@
 """Efforts of joints to commands: `.effort` is joint torque, `.command` what an actuator takes."""
 
 import numpy as np
+import pinocchio as pin
 
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import DataError
 from mbd_ros.files.table import Column, Table
@@ -24,7 +27,8 @@ def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
     Raises:
         DataError: A command beyond the finite numbers.
     """
-    states = _states(scene, table)
+    states, loads = _states(scene, table), Loads(scene.robot.model.nv, (), scene.actuators)
+    k = Kinematics(scene.robot, pin.Data(scene.robot.model))
     names: list[str] = []
     commands: list[Array] = []
     remarks = []
@@ -41,7 +45,11 @@ def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
                 f"finite: no command of its actuator gives the effort {wanted[row, i]:.4g}"
             )
         at = [scene.robot.joint(name).v for name in actuator.joints]
-        given = np.array([actuator.torque(one, x)[at] for one, x in zip(u, states, strict=True)])
+        given = np.empty_like(u)
+        for row, (one, x) in enumerate(zip(u, states, strict=True)):
+            every = loads.idle.copy()
+            every[actuator.u] = one
+            given[row] = actuator.force(k, x, every)[at]
         short = np.abs(given - wanted) > _SAME * np.abs(wanted).max(initial=1.0)
         for name, lacking in zip(actuator.joints, short.T, strict=True):
             if lacking.any():

@@ -3,7 +3,7 @@
 import numpy as np
 
 from mbd_ros.core.inverse.reach import listed
-from mbd_ros.core.parts import ForceTerm
+from mbd_ros.core.parts import Load
 from mbd_ros.core.simulation.simulation import Commands
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State
 from mbd_ros.errors import DataError
@@ -47,7 +47,7 @@ def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
     return State(run.start, q, v), said
 
 
-def drives(scene: Scene, run: Run) -> tuple[Commands | None, list[ForceTerm], list[str]]:
+def drives(scene: Scene, run: Run) -> tuple[Commands | None, list[Load], list[str]]:
     """Commands of the actuators, force terms that come from files, and remarks.
 
     Raises:
@@ -112,13 +112,13 @@ def _held(times: Array, effort: Array) -> Commands:
     return commands
 
 
-def _load_terms(scene: Scene, run: Run) -> list[ForceTerm]:
+def _load_terms(scene: Scene, run: Run) -> list[Load]:
     refuse_unused(scene, run.wrenches)
     if run.wrenches is None:
         return []
     topics = {name: wrench.topic for name, wrench in scene.wrenches.items()}
     part = resolve("forces", "prescribed_wrench", "--wrenches")
-    terms: list[ForceTerm] = []
+    terms: list[Load] = []
     for name, samples in read_wrenches(run.wrenches, topics).items():
         load = scene.wrenches[name].load
         terms.append(

@@ -105,4 +105,4 @@ def _row(system: System, x: State, commands: Commands | None) -> tuple[Any, ...]
     u = None if commands is None else commands(x.t)
     a, lam = system.solve(y, u)
     balance = system.energy(y), *violation(system, y)
-    return x.t, x.q, x.v, a, system.loads.actuator_torque(x, u), lam, balance
+    return x.t, x.q, x.v, a, system.loads.actuator_torque(system.k, x, u), lam, balance

@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.report.stability.scene_text import Entry, LoadedScene
 
 
@@ -29,7 +31,8 @@ class OracleForces:
         ]
         pairs = zip(entries, scene.forces, strict=True)
         self._others = [part for entry, part in pairs if entry["type"] not in _RESIST]
-        self._drives = [(part, np.zeros(len(part.joints))) for part in scene.actuators]
+        self._drives = Loads(scene.robot.model.nv, (), scene.actuators)
+        self._k = Kinematics(scene.robot, self._data)
 
     def total(self, x: State) -> Array:
         """All of them, shape (nv,)."""
@@ -46,12 +49,9 @@ class OracleForces:
         for kind, joint, entry in self._known:
             tau[joint.v] += _RESIST[kind](entry, float(x.v[joint.v]))
         if self._others:
-            pin.forwardKinematics(self._model, self._data, x.q, x.v, self._zero)
-            pin.computeJointJacobians(self._model, self._data)
-            tau += sum(part.force(self._data, x) for part in self._others)
-        for part, idle in self._drives:
-            tau += part.torque(idle, x)
-        return tau
+            self._k.refresh(x.q, x.v)
+            tau += sum(part.force(self._k, x, NONE) for part in self._others)
+        return tau + self._drives.actuator_torque(self._k, x, None)
 
     def stored(self, x: State) -> tuple[float, float]:
         """Kinetic energy, and potential energy of masses and joint springs [J]."""
