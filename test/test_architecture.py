@@ -35,6 +35,7 @@ CORE_ORDER = (  # of the subjects in `core`: the same
     "state",
     "ranges",
     "thresholds",
+    "row_laws",
     "model",
     "parts",
     "rows",

@@ -22,6 +22,7 @@ from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.parts import Row
+from mbd_ros.core.row_laws import box, drive, unilateral
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.rows.rotation_residual import AxisRotation, FullRotation
 from mbd_ros.core.state import State
@@ -385,13 +386,14 @@ def test_coupling_multipliers_are_those_of_inverse_dynamics():
     assert tau + J.T @ solution.multipliers == pytest.approx(needed, rel=1e-12, abs=1e-12)
 
 
-def test_drive_with_a_limit_is_a_bounded_row_and_one_without_is_not():
+def test_drive_with_a_limit_gives_way_and_one_without_is_rigid():
     weak = _moved(BODY, polynomial=[0.0, 1.0], limit=3.0, time_constant=0.1)
-    assert [end.tolist() for end in weak.bounds] == [[-3.0], [3.0]]
+    assert weak.law == drive(3.0) and not weak.law.is_rigid
     assert weak.gains == pytest.approx((100.0, 20.0))
-    assert _moved(BODY, polynomial=[0.0, 1.0]).bounds is None
+    assert _moved(BODY, polynomial=[0.0, 1.0]).law == drive()
+    assert drive().is_rigid
     friction = DryFriction(BODY, joint="left_swing", limit=2.0, time_constant=0.01)
-    assert [end.tolist() for end in friction.bounds] == [[-2.0], [2.0]]
+    assert friction.law == box(-2.0, 2.0)
     assert friction.gains == (0.0, 100.0)
 
 
@@ -435,7 +437,7 @@ def test_stop_with_one_end_and_those_of_the_description():
     lower = [LEG.joint(name).lower for name in ("ankle", "knee")]
     assert part.residual(None, x) == pytest.approx([-end for end in lower])
     assert JointStop(LEG, joints=["all"]).joints == tuple(j.name for j in LEG.joints)
-    assert [end.tolist() for end in part.bounds] == [[0.0, 0.0], [math.inf, math.inf]]
+    assert part.law == unilateral()
 
 
 def test_stop_of_a_continuous_joint_needs_one_end_only():

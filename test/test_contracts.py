@@ -187,10 +187,7 @@ def test_rows_are_finite_consistent_in_size_and_named(name, robot, moment):
     for wrench in part.wrenches(k, x, np.ones(m)):
         assert robot.frame(wrench.frame) >= 0
         assert np.isfinite([*wrench.point, *wrench.force, *wrench.torque]).all()
-    if part.bounds is not None:
-        lower, upper = part.bounds
-        assert lower.shape == upper.shape == (m,)
-        assert (lower < upper).all()
+    assert np.all(np.less(np.broadcast_to(part.law.lower, m), part.law.upper))
     assert np.array_equal(x.q, before[0])
     assert np.array_equal(x.v, before[1])
 

@@ -44,7 +44,7 @@ class Truth:
 
     def __init__(self, scene, joints):
         robot = scene.robot
-        bilateral = [part for part in scene.constraints if part.bounds is None]
+        bilateral = [part for part in scene.constraints if part.law.is_rigid]
         drives = Ideal(robot, joints=list(joints.names), limit=1e9)
         loads = Loads(robot.model.nv, scene.forces, [drives])
         self.system = build_system(robot, scene.couplings, bilateral, loads)

@@ -34,7 +34,7 @@ def projector(name, ends=None, **options):
             for joint in scene.robot.joints
         ]
         scene = replace(scene, robot=replace(scene.robot, joints=tuple(joints)))
-    bilateral = [part for part in scene.constraints if part.bounds is None]
+    bilateral = [part for part in scene.constraints if part.law.is_rigid]
     loads = Loads(scene.robot.model.nv)
     system = build_system(scene.robot, scene.couplings, bilateral, loads, "kkt")
     return scene, StateProjector(system, **options)

@@ -8,6 +8,7 @@ from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Constraint, Row
 from mbd_ros.core.ranges import Duration
+from mbd_ros.core.row_laws import box
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -39,7 +40,7 @@ class DryFriction(Constraint):
             if not 0 < value < math.inf:
                 raise ModelError(f"{key} {value:g} must be finite and > 0")
         self.joint = robot.joint(joint)
-        self.bounds = np.array((-limit,)), np.array((limit,))
+        self.law = box(-limit, limit)
         self.gains = (0.0, 1.0 / time_constant)
         self.brings = ("friction",)
         self.rows = (Row(f"{joint}.friction", self.joint.effort_unit),)

@@ -10,6 +10,7 @@ from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Joint, Robot
 from mbd_ros.core.parts import Constraint, Row, Stop
 from mbd_ros.core.ranges import Duration
+from mbd_ros.core.row_laws import unilateral
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -58,7 +59,7 @@ class JointStop(Constraint):
         n, kp, kd = len(stopped), 1.0 / time_constant**2, 2.0 / time_constant
         self.joints = tuple(one.name for one in stopped)
         self.rows = tuple(Row(f"{one.name}.stop", one.effort_unit) for one in stopped)
-        self.bounds, self.gains = (np.zeros(n), np.full(n, math.inf)), (kp, kd)
+        self.law, self.gains = unilateral(), (kp, kd)
         self._lower, self._upper = np.array(ends).T
         self.stops = tuple(Stop(one, *end) for one, end in zip(stopped, ends, strict=True))
         self._q, self._v = _where([one.q for one in stopped]), _where([one.v for one in stopped])

@@ -10,6 +10,7 @@ from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Constraint, Row
 from mbd_ros.core.ranges import Duration
+from mbd_ros.core.row_laws import drive
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -62,8 +63,8 @@ class PrescribedMotion(Constraint):
             raise ModelError(f"time_constant {time_constant:g} s must be finite and > 0")
         self.joint = robot.joint(joint)
         self._motion = _motion(polynomial, harmonic, spline)
+        self.law = drive(limit)
         if limit < math.inf:
-            self.bounds = np.array((-limit,)), np.array((limit,))
             self.gains = (1.0 / time_constant**2, 2.0 / time_constant)
         self.driven = (joint,)
         self.rows = (Row(f"{joint}.motion", self.joint.effort_unit),)

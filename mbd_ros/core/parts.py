@@ -13,6 +13,7 @@ import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Joint
+from mbd_ros.core.row_laws import Law, Level, bilateral
 from mbd_ros.core.state import Array, State
 
 
@@ -197,18 +198,18 @@ class Constraint(Part):
 
     Attributes:
         rows: One entry a row.
-        bounds: Smallest and largest multiplier of every row, each (m,), or None where all are
-            free. With lam inside, g'' + kd g' + kp g = 0; at the lower bound it may be
-            positive, at the upper one negative.
-        gains: kp [1/s^2] and kd [1/s] of that condition; read for bounded rows only.
-        driven: Joints whose drives exert the multipliers, one a row, or none: inverse dynamics
-            then asks for the multipliers and demands nothing of the motion.
+        level: Whether g exists; rows of velocities state g' = J v + rate alone.
+        law: What the multipliers may be; a row that gives way holds g'' + kd g' + kp g = 0.
+        gains: kp [1/s^2] and kd [1/s] of rows that give way, each one number or one a row.
+        driven: Joints that a law `drive` moves, one a row: inverse dynamics asks for these
+            multipliers as for efforts, and they demand nothing of the motion.
         stops: Joints that it keeps within ends; a motion that passes one is reported.
     """
 
     rows: tuple[Row, ...]
-    bounds: tuple[Array, Array] | None = None
-    gains: tuple[float, float] = (0.0, 0.0)
+    level: Level = Level.POSITION
+    law: Law = bilateral()
+    gains: tuple[float | Array, float | Array] = (0.0, 0.0)
     driven: tuple[str, ...] = ()
     stops: tuple[Stop, ...] = ()
 
@@ -233,7 +234,7 @@ class Constraint(Part):
         return np.zeros(len(self.rows))
 
     def quick_margin(self, q: Array, v: Array, a: Array) -> float:
-        """A cheap lower bound of w = g'' + kd g' + kp g; for rows with lower bound 0 only.
+        """A cheap lower bound of w = g'' + kd g' + kp g; for the law `unilateral` only.
 
         No row acts where it is >= 0; then nothing else of the constraint is evaluated.
 

@@ -143,7 +143,7 @@ class Scene(SceneParts):
         Raises:
             SceneError: No joint can be controlled, or one moves nothing with mass.
         """
-        bilateral = [part for part in self.constraints if part.bounds is None]
+        bilateral = [part for part in self.constraints if part.law.is_rigid]
         loads = Loads(self.robot.model.nv, self.forces)
         try:
             system = build_system(self.robot, self.couplings, bilateral, loads)

@@ -27,7 +27,7 @@ def _words(part: Any) -> dict[str, str]:
     words |= {"rows": "", "law": ""}
     if hasattr(part, "rows"):
         words["rows"] = ", ".join(f"{row.name} [{row.unit}]" for row in part.rows)
-        words["law"] = "bilateral" if part.bounds is None else "bounded"
+        words["law"] = part.law.kind.value
     return words
 
 

@@ -140,7 +140,7 @@ class SceneParts:
     @property
     def has_loops(self) -> bool:
         """Whether bilateral constraints act besides the couplings."""
-        return any(part.bounds is None for part in self.constraints)
+        return any(part.law.is_rigid for part in self.constraints)
 
     @property
     def actuated(self) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ import pinocchio as pin
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Joint, Robot
 from mbd_ros.core.parts import Constraint
+from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.state import State
 
 _SLACK = 1.0e-6  # rad or m beyond an end that is rounding
@@ -43,8 +44,7 @@ def start_warnings(robot: Robot, constraints: Sequence[Constraint], x: State) ->
 
 def _is_stop(part: Any) -> bool:
     """Whether every row of a constraint keeps one joint from an end of its range."""
-    is_one_sided = part.bounds is not None and bool(np.all(part.bounds[0] == 0.0))
-    return is_one_sided and len(getattr(part, "joints", ())) == len(part.rows)
+    return part.law.kind is Kind.UNILATERAL and len(getattr(part, "joints", ())) == len(part.rows)
 
 
 def _unit(joint: Joint) -> str:

@@ -43,8 +43,8 @@ def build_system(
     Raises:
         ModelError: The tier cannot serve these rows, or a package is missing.
     """
-    bilateral = [part for part in constraints if part.bounds is None]
-    bounded = [part for part in constraints if part.bounds is not None]
+    bilateral = [part for part in constraints if part.law.is_rigid]
+    bounded = [part for part in constraints if not part.law.is_rigid]
     _check(tier, couplings, bilateral, bounded)
     nv = robot.model.nv
     coupled: list[Constraint] = [CouplingRows(robot, couplings)] if couplings.dependent else []

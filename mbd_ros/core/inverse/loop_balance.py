@@ -12,6 +12,7 @@ from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Constraint, Load
+from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.state import NONE, Array, State
@@ -58,9 +59,11 @@ class LoopBalance:
         forces: Sequence[Load] = (),
     ) -> None:
         coupled: list[Constraint] = [CouplingRows(robot, couplings)] if couplings.dependent else []
-        known = [part for part in constraints if part.bounds is None or part.driven]
+        known = [part for part in constraints if part.law.kind in (Kind.BILATERAL, Kind.DRIVE)]
         self.constraints = ConstraintRows([*coupled, *known], robot.model.nv)
-        drives = [np.full(len(part.rows), bool(part.driven)) for part in self.constraints.parts]
+        drives = [
+            np.full(len(part.rows), part.law.kind is Kind.DRIVE) for part in self.constraints.parts
+        ]
         self.is_drive = np.concatenate([np.zeros(0, dtype=np.bool_), *drives])
         self._model, self._data = robot.model, pin.Data(robot.model)
         self._forces, self._loads = tuple(forces), BodyLoads(robot, wrenches)

@@ -17,6 +17,7 @@ from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Constraint
 from mbd_ros.core.projection.assembly import assemble
+from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import LANDED, SINGULAR
 from mbd_ros.errors import SolveError
@@ -47,7 +48,7 @@ class LoopMotion:
     def __init__(
         self, robot: Robot, couplings: Couplings, constraints: Sequence[Constraint]
     ) -> None:
-        rows = [part for part in constraints if part.bounds is None and not part.driven]
+        rows = [part for part in constraints if part.law.kind is Kind.BILATERAL]
         self._system = build_system(robot, couplings, rows, Loads(robot.model.nv), tier="kkt")
         self._names = {joint.v: joint.name for joint in robot.joints}
         self._q = np.array([joint.q for joint in robot.joints], dtype=np.intp)

@@ -10,6 +10,7 @@ from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.couplings import Slopes
 from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.state import Array, State
 
 
@@ -41,7 +42,7 @@ class ObservedLoops:
         self._k = Kinematics(inverse.robot, pin.Data(self._model))
         self._is_driven = np.zeros(len(self.rows), dtype=np.bool_)
         for part, mine in zip(constraints.parts, constraints.slices, strict=True):
-            self._is_driven[mine] = bool(part.driven)
+            self._is_driven[mine] = part.law.kind is Kind.DRIVE
         self._v = [inverse.robot.joint(name).v for name in inverse.actuated]
         self.needed: tuple[str, ...] = ()
         self._begin = self.memory

@@ -42,8 +42,7 @@ class ConstraintRows:
         self._kp, self._kd = np.zeros(m), np.zeros(m)
         for part, mine in zip(self.parts, self.slices, strict=True):
             self._kp[mine], self._kd[mine] = part.gains
-            if part.bounds is not None:
-                self.lower[mine], self.upper[mine] = part.bounds
+            self.lower[mine], self.upper[mine] = part.law.lower, part.law.upper
         self.is_corrected = bool(self._kp.any() or self._kd.any())
         self._J, self._drift = np.zeros((m, nv)), np.zeros(m)
         self._none, self._no_rows = np.zeros(0), np.zeros((0, nv))

@@ -25,7 +25,7 @@ class RowOrder:
 
     def __init__(self, parts: Sequence[Constraint] = ()) -> None:
         self.rows = numbered([row for part in parts for row in part.rows])
-        is_bounded = [part.bounds is not None for part in parts for _ in part.rows]
+        is_bounded = [not part.law.is_rigid for part in parts for _ in part.rows]
         self._bounded = np.flatnonzero(np.array(is_bounded, dtype=np.bool_))
         self._bilateral = np.flatnonzero(~np.array(is_bounded, dtype=np.bool_))
         self.bilateral_rows = tuple(self.rows[i] for i in self._bilateral)

@@ -52,7 +52,7 @@ class ProjectorPipeline:
 
     def __init__(self, values: Any, description: str | None) -> None:
         self.scene = scene = load_scene(values.scene, description)
-        bilateral = [part for part in scene.constraints if part.bounds is None]
+        bilateral = [part for part in scene.constraints if part.law.is_rigid]
         loads = Loads(scene.robot.model.nv)
         self._system = build_system(scene.robot, scene.couplings, bilateral, loads, "kkt")
         check_mass_anywhere(self._system)  # the metric of what is nearest

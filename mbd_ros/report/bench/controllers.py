@@ -60,7 +60,7 @@ def main() -> int:
 def mechanism(name: str) -> tuple[Scene, ControlledJoints]:
     """A scene and its controlled joints."""
     scene = load_scene(find_file(Path(), f"{_SCENES}/{name}.yaml", "benchmark"))
-    bilateral = [part for part in scene.constraints if part.bounds is None]
+    bilateral = [part for part in scene.constraints if part.law.is_rigid]
     loads = Loads(scene.robot.model.nv, scene.forces)
     system = build_system(scene.robot, scene.couplings, bilateral, loads)
     return scene, ControlledJoints(system, MECHANISMS[name] or scene.actuated)

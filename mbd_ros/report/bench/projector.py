@@ -59,7 +59,7 @@ def _compared(name: str, rounds: int) -> dict[str, Any]:
 
 
 def _projector(scene: Scene) -> StateProjector:
-    bilateral = [part for part in scene.constraints if part.bounds is None]
+    bilateral = [part for part in scene.constraints if part.law.is_rigid]
     loads = Loads(scene.robot.model.nv)
     return StateProjector(build_system(scene.robot, scene.couplings, bilateral, loads, "kkt"))
 

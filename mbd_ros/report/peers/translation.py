@@ -9,6 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.model.coupling_functions import Linear
+from mbd_ros.core.parts import Constraint
+from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
 from mbd_ros.report.peers.task import Body, End, Follow, Spring, Task
@@ -108,8 +110,7 @@ def task_of(ground: Ground, states: Sequence[State] = ()) -> Task:
 def _is_told(part: Any, entry: Entry) -> bool:
     if entry.kind in _FORCES:
         return entry.words.get("coulomb", 0.0) == 0.0
-    is_row = hasattr(part, "bounds")
-    return is_row and (part.bounds is None or bool(part.driven))
+    return isinstance(part, Constraint) and part.law.kind in (Kind.BILATERAL, Kind.DRIVE)
 
 
 def _entry(part: Any, given: Mapping[str, Any], where: str) -> Entry:

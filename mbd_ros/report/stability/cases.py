@@ -81,7 +81,7 @@ class Case:
 
 def applicable(scene: Scene) -> list[str]:
     """Methods that take a scene."""
-    bounded = any(part.bounds is not None for part in scene.constraints)
+    bounded = any(not part.law.is_rigid for part in scene.constraints)
     refused = {"rattle", "generalized_alpha"} if bounded else set()
     if scene.robot.floating:
         refused.add("adams")

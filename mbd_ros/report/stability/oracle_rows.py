@@ -51,22 +51,22 @@ class JointRow(NamedTuple):
 
 
 def bilateral_rows(loaded: LoadedScene) -> list[Rows]:
-    """Couplings, then every constraint without bounds."""
+    """Couplings, then every constraint that holds whatever that takes."""
     scene, rows = loaded.scene, list[Rows]()
     if scene.couplings.dependent:
         rows.append(_couplings(scene))
     for entry, part in _constraints(loaded):
-        if part.bounds is None:
+        if part.law.is_rigid:
             make = _KNOWN.get(entry["type"])
             rows.append(_own(part) if make is None else make(scene.robot, entry))
     return rows
 
 
 def bounded_rows(loaded: LoadedScene) -> list[JointRow] | None:
-    """Every row with bounds; None where one of them is of a type that is not known here."""
+    """Every row that gives way; None where one of them is of a type that is not known here."""
     rows: list[JointRow] = []
     for entry, part in _constraints(loaded):
-        if part.bounds is None:
+        if part.law.is_rigid:
             continue
         if entry["type"] not in ("joint_stop", "dry_friction") or "joint" not in entry:
             return None

@@ -139,7 +139,7 @@ def _second(
     step = _fitting(grid.interval, _PER_RATE / rate)
     closest, name = [np.inf], ""
     methods = [(_SECOND, step)] if step * _STEPS > grid.span else []
-    is_smooth = all(part.bounds is None for part in scene.constraints)
+    is_smooth = all(part.law.is_rigid for part in scene.constraints)
     for method, dt in (*methods, (_THIRD, grid.interval), (_LONG, grid.interval)):
         if method is _LONG and not (is_smooth and max(closest) <= _NEAR * AGREED):
             break
