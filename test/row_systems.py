@@ -126,7 +126,7 @@ def floating():
     """A free body with an arm, tumbling."""
     rng, free = np.random.default_rng(2), robot(*BODY, base="floating")
     system = System(free, Loads(7))
-    q = system.integrate(pin.neutral(free.model), rng.uniform(-0.5, 0.5, 7))
+    q = system.chart.integrate(pin.neutral(free.model), rng.uniform(-0.5, 0.5, 7))
     return system, State(0.0, q, rng.uniform(-3, 3, 7))
 
 
@@ -151,7 +151,7 @@ def advance(stepper, x, duration):
 
 def away(system, x, y):
     """Largest difference of two states in q [rad or m] and v [rad/s or m/s]."""
-    return max(np.abs(system.difference(x.q, y.q)).max(), np.abs(x.v - y.v).max())
+    return max(np.abs(system.chart.difference(x.q, y.q)).max(), np.abs(x.v - y.v).max())
 
 
 def reference(system, x, duration):
@@ -159,13 +159,13 @@ def reference(system, x, duration):
 
     def slope(t, y):
         dq, v = np.split(y, 2)
-        q = system.integrate(x.q, dq)
-        return np.concatenate([system.chart_rate(dq, v), system.acceleration(x.t + t, q, v)])
+        q = system.chart.integrate(x.q, dq)
+        return np.concatenate([system.chart.rate(dq, v), system.acceleration(x.t + t, q, v)])
 
     start = np.concatenate([np.zeros(system.nv), x.v])
     y = solve_ivp(slope, (0, duration), start, "DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
     dq, v = np.split(y, 2)
-    return State(x.t + duration, system.integrate(x.q, dq), v)
+    return State(x.t + duration, system.chart.integrate(x.q, dq), v)
 
 
 def returned(method, system, x, dt, steps):

@@ -64,7 +64,7 @@ class Adams(Integrator):
         Raises:
             ModelError: The base floats.
         """
-        if not system.is_flat:
+        if not system.chart.is_flat:
             raise ModelError("adams takes no floating base, use rk4, dopri5 or dop853")
         return AdamsStepper(system, self.order, dt)
 

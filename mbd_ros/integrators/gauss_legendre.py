@@ -71,7 +71,7 @@ class _Steps(Stepper):
         self._K, self._turn, self._r = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         self._vander = np.linalg.inv(np.vander(self._c, increasing=True))
         self._guess = np.vander(1.0 + self._c, method.stages, increasing=True).dot(self._vander)
-        self._stages = self._flat_stages if system.is_flat else self._curved_stages
+        self._stages = self._flat_stages if system.chart.is_flat else self._curved_stages
         self.restart()
 
     def restart(self) -> None:
@@ -132,7 +132,7 @@ class _Steps(Stepper):
             return moved + h * float(np.abs(dK).max())
 
         rate = converge(correct, self._tolerance * scale)
-        if self._system.is_flat:
+        if self._system.chart.is_flat:
             self._q1 = x.q + h * x.v + self._hhba.dot(self._K)
         return rate
 
@@ -153,13 +153,13 @@ class _Steps(Stepper):
         system, K = self._system, self._K
         V = x.v + self._ha.dot(K)
         D = self._centred.dot(V + self._turn)
-        rates = np.array([system.chart_rate(d, v) for d, v in zip(D, V, strict=True)])
+        rates = np.array([system.chart.rate(d, v) for d, v in zip(D, V, strict=True)])
         moved = float(np.abs(rates - V - self._turn).max())
         self._turn = rates - V
         half = 0.5 * self._hb.dot(rates)
-        centre, D = system.integrate(x.q, half), self._centred.dot(rates)
+        centre, D = system.chart.integrate(x.q, half), self._centred.dot(rates)
         for i, c in enumerate(self._times):
-            q = system.integrate(centre, D[i])
+            q = system.chart.integrate(centre, D[i])
             self._r[i] = system.acceleration(x.t + c, q, V[i], u) - K[i]
-        self._q1 = system.integrate(centre, half)
+        self._q1 = system.chart.integrate(centre, half)
         return moved

@@ -117,7 +117,7 @@ class _Steps(Stepper):
     def _evaluate(self, x: State) -> None:
         """State and accelerations at the end of the step for the current a+."""
         h = self._h
-        self._q = self._system.integrate(x.q, self._D0 + (self._beta * h * h) * self._a)
+        self._q = self._system.chart.integrate(x.q, self._D0 + (self._beta * h * h) * self._a)
         self._v = self._v0 + (self._gamma * h) * self._a
         self._vdot = self._vdot_free + self._ratio * self._a
 

@@ -55,4 +55,4 @@ class SemiImplicitEulerStepper(Stepper):
         if h <= 0.0:
             return x
         v = x.v + h * self._system.acceleration(x.t, x.q, x.v, u)
-        return State(t, self._system.integrate(x.q, h * v), v)
+        return State(t, self._system.chart.integrate(x.q, h * v), v)

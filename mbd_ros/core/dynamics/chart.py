@@ -1,31 +1,101 @@
-"""Exponential coordinates around a configuration of a robot with a floating base."""
+"""Steps between states: exponential coordinates where a configuration space is curved."""
 
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.state import Array
+from mbd_ros.core.state import Array, State
 
-_BASE = slice(0, 6)
+_BASE_V = 6  # velocities of a free body
 _SMALL_TURN = 1.0e-4  # rad^2; far below it Pinocchio's Jlog6 loses up to 5e-9, the series nothing
 _BERNOULLI = (1 / 2, 1 / 12, 0.0, -1 / 720, 0.0, 1 / 30240, 0.0, -1 / 1209600)
 
 
-def chart_rate(dq: Array, v: Array) -> Array:
-    """Rate of dq in q = q0 (+) dq while q moves with v, a free base in the first six coordinates.
+class Chart:
+    """What q (+) dq means for the configurations of a model.
+
+    Free bodies move along screws of their own frame, [m, rad]; all other coordinates add up.
 
     Args:
-        dq: Tangent step [m, rad], shape (nv,).
-        v: Velocity, that of the base in its own frame [m/s, rad/s], shape (nv,).
+        model: Pinocchio model whose joints have these coordinates.
 
-    Source: Iserles et al., Lie-group methods, Acta Numerica 9, 2000, sec. 2.6: the inverse of the
-    right Jacobian of SE(3), sum B_k / k! ad^k with the signs of the Bernoulli numbers of a right
-    Jacobian.
+    Attributes:
+        nq: Size of a configuration.
+        nv: Size of a step and of a velocity.
+        is_flat: Whether configurations are a vector space with q' = v.
     """
-    rate, base = v.copy(), dq[_BASE]
-    if base[3:].dot(base[3:]) > _SMALL_TURN:
-        rate[_BASE] = pin.Jlog6(pin.exp6(base)).dot(v[_BASE])
+
+    def __init__(self, model: Any) -> None:
+        self._model, self.nq, self.nv = model, int(model.nq), int(model.nv)
+        self.is_flat = self.nq == self.nv
+        bases = [int(j.idx_v) for j in model.joints if j.nv == _BASE_V]
+        self._bases = [slice(v, v + _BASE_V) for v in bases]
+
+    def integrate(self, q: Array, dq: Array) -> Array:
+        """Configuration q (+) dq, shape (nq,)."""
+        return q + dq if self.is_flat else pin.integrate(self._model, q, dq)
+
+    def difference(self, q0: Array, q1: Array) -> Array:
+        """The dq with q0 (+) dq = q1, shape (nv,)."""
+        return q1 - q0 if self.is_flat else pin.difference(self._model, q0, q1)
+
+    def plus(self, x: State, d: Array) -> State:
+        """The state x (+) d, at the time and in the mode of x.
+
+        Args:
+            x: State.
+            d: Step of q, v and z, shape (2 nv + nz,).
+        """
+        n = self.nv
+        return x._replace(q=self.integrate(x.q, d[:n]), v=x.v + d[n : 2 * n], z=x.z + d[2 * n :])
+
+    def minus(self, x1: State, x0: State) -> Array:
+        """The d with x0 (+) d = x1 but for time and mode, shape (2 nv + nz,)."""
+        return np.concatenate((self.difference(x0.q, x1.q), x1.v - x0.v, x1.z - x0.z))
+
+    def rate(self, dq: Array, v: Array) -> Array:
+        """Rate of dq in q = q0 (+) dq while q moves with v, shape (nv,).
+
+        Args:
+            dq: Tangent step [m, rad], shape (nv,).
+            v: Velocity, that of a free body in its own frame [m/s, rad/s], shape (nv,).
+
+        Source: Iserles et al., Lie-group methods, Acta Numerica 9, 2000, sec. 2.6: the inverse of
+        the right Jacobian of SE(3), sum B_k / k! ad^k with the signs of the Bernoulli numbers of a
+        right Jacobian.
+        """
+        if self.is_flat:
+            return v
+        rate = v.copy()
+        for base in self._bases:
+            rate[base] = _rate_on_screws(dq[base], v[base])
         return rate
-    bent, ad = v[_BASE], pin.Motion(base).action
+
+
+def chart_of(model: Any, velocities: Iterable[int]) -> Chart:
+    """The chart of some coordinates of a model, whole joints, in the order of the model.
+
+    Args:
+        model: Pinocchio model.
+        velocities: Where these coordinates stand in v, ascending.
+    """
+    chosen, own = {int(v) for v in velocities}, pin.Model()
+    for joint, name in zip(model.joints, model.names, strict=True):
+        if joint.nv and joint.idx_v in chosen:
+            is_free = joint.nv == _BASE_V
+            kind = pin.JointModelFreeFlyer() if is_free else pin.JointModelPX()
+            own.addJoint(0, kind, pin.SE3.Identity(), name)
+    return Chart(own)
+
+
+def _rate_on_screws(dq: Array, v: Array) -> Array:
+    if dq[3:].dot(dq[3:]) > _SMALL_TURN:
+        turned: Array = pin.Jlog6(pin.exp6(dq)).dot(v)
+        return turned
+    rate, bent, ad = v.copy(), v, pin.Motion(dq).action
     for weight in _BERNOULLI:
         bent = ad.dot(bent)
-        rate[_BASE] += weight * bent
+        rate += weight * bent
     return rate

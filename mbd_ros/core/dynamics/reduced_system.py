@@ -7,6 +7,7 @@ import eigenpy
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.dynamics.chart import chart_of
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.model.coupling_functions import Linear
@@ -16,8 +17,6 @@ from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.rows.row_order import RowOrder
 from mbd_ros.core.state import Array, Solution, State
-
-_BASE_Q, _BASE_V = 7, 6  # coordinates of a free base
 
 
 class ReducedSystem(System):
@@ -43,16 +42,15 @@ class ReducedSystem(System):
         order = RowOrder((CouplingRows(robot, couplings), *limits))
         super().__init__(robot, loads, bounded=bounded, order=order)
         self.couplings = couplings
-        self.nq, self.nv = len(couplings.q_index), len(couplings.v_index)
-        self._base = pin.Model()
-        self._base.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+        self.chart = chart_of(robot.model, couplings.v_index)
+        self.nq, self.nv = self.chart.nq, self.chart.nv
         self._zi, self._wi = couplings.q_index, couplings.v_index
         self._q, self._v = pin.neutral(robot.model), np.zeros(robot.model.nv)
         self._a, self._w0 = np.zeros(robot.model.nv), np.zeros(self.nv)
         self._slopes = [0.0] * len(couplings.pairs)
         linear = all(isinstance(pair.function, Linear) for pair in couplings.pairs)
-        self._is_linear = linear and self.is_flat
-        self._offset = couplings.positions(np.zeros(self.nq)) if self.is_flat else self._q
+        self._is_linear = linear and self.chart.is_flat
+        self._offset = couplings.positions(np.zeros(self.nq)) if self.chart.is_flat else self._q
         self._is_offset = bool(self._offset.any())
         self._G = couplings.jacobian(self._q)
         self._GT, self._minus_GT = self._G.T, -self._G.T
@@ -108,20 +106,6 @@ class ReducedSystem(System):
     def reduce(self, x: State) -> State:
         """State of the independent coordinates."""
         return State(x.t, x.q[self._zi], x.v[self._wi])
-
-    def integrate(self, q: Array, dq: Array) -> Array:
-        """Configuration q (+) dq of the independent coordinates, a free base first."""
-        if self.is_flat:
-            return q + dq
-        base = pin.integrate(self._base, q[:_BASE_Q], dq[:_BASE_V])
-        return np.concatenate((base, q[_BASE_Q:] + dq[_BASE_V:]))
-
-    def difference(self, q0: Array, q1: Array) -> Array:
-        """The dq with q0 (+) dq = q1, shape (nv,)."""
-        if self.is_flat:
-            return q1 - q0
-        base = pin.difference(self._base, q0[:_BASE_Q], q1[:_BASE_Q])
-        return np.concatenate((base, q1[_BASE_Q:] - q0[_BASE_Q:]))
 
     def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
         """q, v and a of all joints at the state of the last evaluation."""

@@ -7,7 +7,7 @@ import eigenpy
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.dynamics.chart import chart_rate
+from mbd_ros.core.dynamics.chart import Chart
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
@@ -46,9 +46,9 @@ class System:
 
     Attributes:
         tier: Name of the way of solving.
-        nq: Size of the configuration that is integrated.
+        chart: Of the configuration that is integrated.
+        nq: Size of that configuration.
         nv: Size of its velocity.
-        is_flat: Whether that configuration is a vector space with q' = v.
         rows: Bilateral rows that an integrator may have to keep.
         order: Which multipliers of a `Solution` are those of bilateral and of bounded rows.
         multiplier_rows: What they are, in the same order under every tier.
@@ -74,8 +74,8 @@ class System:
         self.bounded = bounded
         self.model, self.data = robot.model, pin.Data(robot.model)
         self.k = Kinematics(robot, self.data)
-        self.nq, self.nv = int(self.model.nq), int(self.model.nv)
-        self.is_flat = not robot.floating
+        self.chart = Chart(robot.model)
+        self.nq, self.nv = self.chart.nq, self.chart.nv
         self.rows: tuple[Row, ...] = self.constraints.rows
         parts = () if bounded is None else bounded.constraints.parts
         self.order = order or RowOrder(parts)
@@ -148,18 +148,6 @@ class System:
         factor = RowFactor(M, J, self.row_size)
         self.row_size, self.condition = factor.size, factor.condition
         return factor
-
-    def integrate(self, q: Array, dq: Array) -> Array:
-        """Configuration q (+) dq, shape (nq,)."""
-        return q + dq if self.is_flat else pin.integrate(self.model, q, dq)
-
-    def difference(self, q0: Array, q1: Array) -> Array:
-        """The dq with q0 (+) dq = q1, shape (nv,)."""
-        return q1 - q0 if self.is_flat else pin.difference(self.model, q0, q1)
-
-    def chart_rate(self, dq: Array, v: Array) -> Array:
-        """Rate of dq in q = q0 (+) dq while q moves with v, shape (nv,)."""
-        return v if self.is_flat else chart_rate(dq, v)
 
     def correct_rows(self, kp: float, kd: float) -> None:
         """Demand g'' + kd g' + kp g = 0 of the bilateral rows; kp [1/s^2], kd [1/s]."""

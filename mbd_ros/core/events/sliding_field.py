@@ -91,8 +91,7 @@ class SlidingField:
         self._loads = SwitchedLoads(int(system.model.nv), system.loads, self._recorded_signs)
         system.loads = self._loads
         self.names = tuple(name for f in self._loads.switching for name in f.surfaces)
-        self.nv, self.is_flat = system.nv, system.is_flat
-        self.integrate, self.chart_rate = system.integrate, system.chart_rate
+        self.nv, self.chart = system.nv, system.chart
         self.mode: Mode = (1,) * len(self.names)
         self.times: list[float] = []
         self.modes: list[Mode] = []

@@ -100,7 +100,7 @@ class AdaptiveRungeKutta(RungeKutta):
     def _scale(self, x: State) -> Array:
         """Size of an error that counts as one, shape (2 nv,)."""
         scale, nv = self._weights, len(x.v)
-        scale[:nv] = x.q if self._system.is_flat else 0.0
+        scale[:nv] = x.q if self._system.chart.is_flat else 0.0
         scale[nv:] = x.v
         np.abs(scale, out=scale)
         scale += 1.0
@@ -110,7 +110,7 @@ class AdaptiveRungeKutta(RungeKutta):
     def _first_length(self, x: State, u: Array | None, scale: Array) -> float:
         """Length of a first step from the slope and its change over a short Euler step."""
         probe, a = _PROBE * self._dt, self.stages.first
-        q, v = self._system.integrate(x.q, probe * x.v), x.v + probe * a
+        q, v = self._system.chart.integrate(x.q, probe * x.v), x.v + probe * a
         there = np.concatenate([v, self._system.acceleration(x.t + probe, q, v, u)])
         here = np.concatenate([x.v, a])[None]
         steepest = max(_norm(here / scale), _norm((there - here) / scale / probe))

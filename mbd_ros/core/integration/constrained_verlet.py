@@ -158,7 +158,7 @@ class ConstrainedVerlet:
         The rows at the start serve as derivatives. The observed contraction, also that of the last
         step, lengthens or shortens corrections (Aitken), which for one row is the secant method.
         """
-        (h, t), integrate, q0 = move, self._system.integrate, here.q
+        (h, t), integrate, q0 = move, self._system.chart.integrate, here.q
         if not self._system.rows:
             return s, w, integrate(q0, h * w)
         lift, residual = here.lift, self._system.residual
@@ -185,7 +185,7 @@ class ConstrainedVerlet:
         """The same with fresh rows in every correction, for rows that turn within the step."""
         (h, t), system, lift, worst, last = move, self._system, here.lift, 0, np.inf
         for _ in range(_NEWTON):
-            q = system.integrate(here.q, h * (w - lift.dot(s)))
+            q = system.chart.integrate(here.q, h * (w - lift.dot(s)))
             g = system.residual(t, q)
             worst = int(np.argmax(np.abs(g)))
             if not isfinite(g[worst]):
@@ -195,7 +195,7 @@ class ConstrainedVerlet:
             size = abs(float(g[worst]))
             if size <= self._tolerance or (size <= ASSEMBLED and size >= 0.5 * last):
                 v = w - lift.dot(s)
-                return s, v, system.integrate(here.q, h * v)
+                return s, v, system.chart.integrate(here.q, h * v)
             last = size
         raise DivergedError(
             f"{self._name}: no step from t = {here.t:.9g} s by {h:g} s ends on the constraints; "

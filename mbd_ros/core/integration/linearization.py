@@ -41,8 +41,8 @@ class Linearization:
         lengths = self._lengths(t, q)
         for i in range(len(step)):
             step[i] = lengths[i]
-            there = self._system.integrate(q, step)
-            length = there[i] - q[i] if self._system.is_flat else step[i]
+            there = self._system.chart.integrate(q, step)
+            length = there[i] - q[i] if self._system.chart.is_flat else step[i]
             self.stiffness[:, i] = (field(t, there, v, u) - base) / length
             step[i] = _STEP * max(1.0, abs(float(v[i])))
             moved = v + step
@@ -60,5 +60,7 @@ class Linearization:
         for i, unit in enumerate(np.eye(system.nv)):
             lengths[i] /= max(1.0, float(np.abs(system.expand(State(t, q, unit)).v).max()))
         return (
-            np.maximum(lengths, _SPACINGS * np.spacing(np.abs(q))) if system.is_flat else lengths
+            np.maximum(lengths, _SPACINGS * np.spacing(np.abs(q)))
+            if system.chart.is_flat
+            else lengths
         )

@@ -25,7 +25,7 @@ class RungeKutta(Stepper):
     """
 
     def __init__(self, system: Any, tableau: Tableau, dt: float) -> None:
-        self.stages = (NystromStages if system.is_flat else Stages)(system, tableau)
+        self.stages = (NystromStages if system.chart.is_flat else Stages)(system, tableau)
         self._dt, self._near = dt, NEAR * dt
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:

@@ -11,7 +11,7 @@ from mbd_ros.core.state import Array, State
 class Stages:
     """One step at work, in the chart of the configuration that it starts from.
 
-        q(t) = q0 (+) dq(t),   dq' = chart_rate(dq, v),   v' = a(t, q, v, u)
+        q(t) = q0 (+) dq(t),   dq' = chart.rate(dq, v),   v' = a(t, q, v, u)
 
     The acceleration at the end of a step is the first one of the next step, if the state and the
     command are still the same then.
@@ -101,14 +101,14 @@ class Stages:
 
     def _blend(self, weights: Array) -> tuple[Array, Array]:
         dq, dv = (self._h * weights).dot(self._flat_rates[: len(weights)]).reshape(2, -1)
-        return self._system.integrate(self._x.q, dq), self._x.v + dv
+        return self._system.chart.integrate(self._x.q, dq), self._x.v + dv
 
     def _complete(self, count: int) -> None:
         """Evaluate the rates up to `count`, which may be beyond those of the step."""
         t0, h, v0 = self._x.t, self._h, self._x.v
         for i in range(self._done, count):
             dq, dv = (h * self._tableau.a[i, :i]).dot(self._flat_rates[:i]).reshape(2, -1)
-            q, v = self._system.integrate(self._x.q, dq), v0 + dv
-            self._rates[i, 0] = self._system.chart_rate(dq, v)
+            q, v = self._system.chart.integrate(self._x.q, dq), v0 + dv
+            self._rates[i, 0] = self._system.chart.rate(dq, v)
             self._rates[i, 1] = self._acceleration(t0 + h * self._c[i], q, v, self._u)
         self._done = max(self._done, count)

@@ -148,7 +148,7 @@ class LoopMotion:
             J = self._system.jacobian(t, q)
             dq[free] = -_least(J[:, free], self._system.residual(t, q))
             largest = float(np.abs(dq).max(initial=0.0))
-            q = self._system.integrate(q, dq * min(1.0, _STRIDE / max(largest, _STRIDE)))
+            q = self._system.chart.integrate(q, dq * min(1.0, _STRIDE / max(largest, _STRIDE)))
             if largest <= LANDED:
                 break
         return q

@@ -77,7 +77,7 @@ def _closed_nearby(system: System, x: State) -> tuple[Array, RowFactor]:
     factor = system.factorise(system.mass(q), system.jacobian(x.t, q))
     last, stuck = float(np.abs(g).max()), 0
     for _ in range(_CORRECTIONS):
-        q = system.integrate(q, -factor.motion(g))
+        q = system.chart.integrate(q, -factor.motion(g))
         g = system.residual(x.t, q)
         worst = float(np.abs(g).max())
         if worst <= LANDED:
@@ -133,16 +133,16 @@ def _nearest_configuration(system: System, x: State) -> Array:
     if landed is None:
         raise _not_assembled(system, x)
     q = landed
-    away = system.difference(x.q, q)
+    away = system.chart.difference(x.q, q)
     for _ in range(_MAX_ITERATIONS):
         J = system.jacobian(x.t, q)
         factor = RowFactor(M, J)
         downhill = factor.motion(J.dot(away)) - away
         if np.abs(downhill).max() <= NEAREST or step < _SMALLEST_STEP:
             break
-        nearer = _closed(system, x.t, system.integrate(q, step * downhill), M)
+        nearer = _closed(system, x.t, system.chart.integrate(q, step * downhill), M)
         if nearer is not None:
-            there = system.difference(x.q, nearer)
+            there = system.chart.difference(x.q, nearer)
             if there.dot(M.dot(there)) < away.dot(M.dot(away)):
                 q, away = nearer, there
                 continue
@@ -163,7 +163,7 @@ def _closed(system: System, t: float, start: Array, M: Array) -> Array | None:
         largest = float(np.abs(dq).max())
         if not largest > LANDED:
             break
-        q = system.integrate(q, dq * min(1.0, BRANCH_STEP / largest))
+        q = system.chart.integrate(q, dq * min(1.0, BRANCH_STEP / largest))
     return q if float(np.abs(system.residual(t, q)).max()) <= ASSEMBLED else None
 
 
