@@ -143,12 +143,14 @@ def test_force_is_fresh_finite_and_changes_nothing(name, robot, moment):
 @pytest.mark.parametrize("name", PARTS["actuators"])
 def test_torque_is_fresh_finite_and_changes_nothing(name, robot, moment):
     part, (k, x) = built("actuators", name, robot), moment
-    u = np.linspace(0.5, 1.0, len(part.joints))
+    u = np.linspace(0.5, 1.0, len(part.inputs))
     check_value(lambda: part.force(k, x, u), (robot.model.nv,), x)
     assert part.force(k, x, u).any()
     driven = [robot.joint(joint).v for joint in part.joints]
     assert not np.delete(part.force(k, x, u), driven).any()
     assert (part.armature() >= 0.0).all()
+    assert part.command(np.ones(len(part.joints)), x).shape == (len(part.inputs),)
+    assert all(one.unit and one.lower < one.safe < one.upper for one in part.inputs)
 
 
 @pytest.mark.parametrize("name", PARTS["controllers"])

@@ -16,7 +16,7 @@ from mbd_ros.core.dynamics.system import System, writing
 from mbd_ros.core.integration.dop853_tableau import DOP853
 from mbd_ros.core.integration.tableau import RK4
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.parts import Actuator
+from mbd_ros.core.parts import Actuator, Channel
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, ModelError
 from mbd_ros.integrators.adams import Adams
@@ -43,6 +43,7 @@ class Pusher(Actuator):
     """An actuator on the first joint."""
 
     joints = ("first",)
+    inputs = (Channel("", "N·m"),)
 
     def __init__(self, nv):
         self.nv = nv

@@ -6,7 +6,7 @@ import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Actuator
+from mbd_ros.core.parts import Actuator, Channel
 from mbd_ros.core.ranges import Share, Smoothing
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -71,6 +71,7 @@ class GearedMotor(Actuator):
         if not (limit > 0 and 0 < smoothing < math.inf):
             raise ModelError(f"limit {limit:g} and smoothing {smoothing:g} must be > 0")
         self.joint, self.joints = robot.joint(joint), (joint,)
+        self.inputs = (Channel("", "N·m", -limit, limit),)
         self._ratio, self._limit, self._efficiency = ratio, limit, efficiency
         self._viscous, self._smoothing = ratio**2 * viscous, smoothing
         self._armature = np.zeros(int(robot.model.nv))

@@ -7,7 +7,7 @@ import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Actuator
+from mbd_ros.core.parts import Actuator, Channel
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -35,6 +35,11 @@ class Ideal(Actuator):
         self.joints = tuple(joints)
         self._v = np.array([robot.joint(name).v for name in joints])
         self._limit, self._nv = limit, int(robot.model.nv)
+        units = [robot.joint(name).effort_unit for name in joints]
+        names = joints if len(joints) > 1 else ("",)
+        self.inputs = tuple(
+            Channel(name, unit, -limit, limit) for name, unit in zip(names, units, strict=True)
+        )
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,), of the commands [N·m or N], shape (len(joints),)."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Actuator
+from mbd_ros.core.parts import Actuator, Channel
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -49,6 +49,7 @@ class SeriesElastic(Actuator):
         if not limit > 0:
             raise ModelError(f"limit {limit:g} must be > 0")
         self.joint, self.joints = robot.joint(joint), (joint,)
+        self.inputs = (Channel("", self.joint.position_unit),)
         self._stiffness, self._damping, self._limit = stiffness, damping, limit
         self._nv = int(robot.model.nv)
 

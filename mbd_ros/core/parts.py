@@ -113,7 +113,7 @@ class Actuator(Load):
     """Commands -> torques of the joints that it drives; its inputs are the commands.
 
     Attributes:
-        joints: Topic names of the driven joints, one command each.
+        joints: Topic names of the driven joints.
         takes: Meaning and unit of a command; empty where it is the torque of the joint.
     """
 
@@ -121,7 +121,7 @@ class Actuator(Load):
     takes: str = ""
 
     def command(self, torque: Array, x: State) -> Array:
-        """Commands that ask for a torque, shape (len(joints),); here the torque itself.
+        """Commands that ask for a torque, shape (len(inputs),); here the torque itself.
 
         Args:
             torque: Of `joints` [N·m or N], shape (len(joints),). Losses and limits of the actuator
@@ -131,7 +131,7 @@ class Actuator(Load):
         return torque
 
     def demanded(self, torque: Array, x: State) -> Array:
-        """Commands that give a torque, losses compensated, shape (len(joints),).
+        """Commands that give a torque, losses compensated, shape (len(inputs),).
 
         The force of them is that torque again, unless it is beyond a limit. For recordings: live,
         noise of the velocity would come back as force.

@@ -129,7 +129,9 @@ class Scene(SceneParts):
         """
         where = f"{self.name}: solver"
         chosen = self.solver if solver is None else schema.call(Solver, dict(solver), where)
-        loads = Loads(self.robot.model.nv, (*self.forces, *forces), self.actuators)
+        loads = Loads(
+            self.robot.model.nv, (*self.forces, *forces), self.actuators, self.inputs.safe
+        )
         try:
             return build_system(
                 self.robot, self.couplings, self.constraints, loads, chosen.type, chosen.backend
@@ -144,7 +146,7 @@ class Scene(SceneParts):
             SceneError: No joint can be controlled, or one moves nothing with mass.
         """
         bilateral = [part for part in self.constraints if part.law.is_rigid]
-        loads = Loads(self.robot.model.nv, self.forces)
+        loads = Loads(self.robot.model.nv, self.forces, (), self.inputs.safe)
         try:
             system = build_system(self.robot, self.couplings, bilateral, loads)
             check_mass_anywhere(system)

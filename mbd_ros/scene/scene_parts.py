@@ -1,10 +1,11 @@
 """The built parts of a scene."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from mbd_ros.core.dynamics.inputs import Inputs
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
@@ -14,6 +15,7 @@ from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.core.state import State
 from mbd_ros.scene.building import Origin, parts_in
 from mbd_ros.scene.coupling_entries import coupling_kinds
+from mbd_ros.scene.input_slots import bind_inputs
 from mbd_ros.scene.part_entries import MeasuredWrench, Solver
 from mbd_ros.scene.sections import Section
 
@@ -29,6 +31,7 @@ class SceneParts:
         entries: The sections as given, by key.
         sections: Lines of the table, those of other packages included.
         code: Key -> `package.module:Class` of what was imported from outside this package.
+        inputs: What parts take from outside while they run: u.
     """
 
     origin: Origin
@@ -37,6 +40,12 @@ class SceneParts:
     entries: Mapping[str, Any]
     sections: tuple[Section, ...]
     code: Mapping[str, str]
+    inputs: Inputs = field(init=False)
+
+    def __post_init__(self) -> None:
+        parts, inputs = bind_inputs(self.sections, self.parts)
+        object.__setattr__(self, "parts", parts)
+        object.__setattr__(self, "inputs", inputs)
 
     @property
     def path(self) -> Path | None:

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.model.robot import Joint, Robot
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Constraint
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.state import State
@@ -31,12 +31,12 @@ def start_warnings(robot: Robot, constraints: Sequence[Constraint], x: State) ->
     for part in stops:
         for name, gap in zip(part.joints, part.residual(k, at_rest), strict=True):
             if gap < -_SLACK:
-                unit = _unit(robot.joint(name))
+                unit = robot.joint(name).position_unit
                 yield f"{name} starts {-gap:.3g} {unit} beyond its {type(part).__name__}"
     for joint in robot.joints:
         value = float(x.q[joint.q])
         if not joint.lower - _SLACK <= value <= joint.upper + _SLACK:
-            unit = _unit(joint)
+            unit = joint.position_unit
             doubt = "; radians?" if unit == "rad" and abs(value) > math.pi else ""
             limits = f"{joint.lower:g} .. {joint.upper:g}"
             yield f"{joint.name} starts at {value:g} {unit}, outside its limits {limits}{doubt}"
@@ -45,7 +45,3 @@ def start_warnings(robot: Robot, constraints: Sequence[Constraint], x: State) ->
 def _is_stop(part: Any) -> bool:
     """Whether every row of a constraint keeps one joint from an end of its range."""
     return part.law.kind is Kind.UNILATERAL and len(getattr(part, "joints", ())) == len(part.rows)
-
-
-def _unit(joint: Joint) -> str:
-    return "m" if joint.kind == "prismatic" else "rad"

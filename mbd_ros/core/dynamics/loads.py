@@ -6,10 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.parts import Actuator, Load, Reads, Slots
+from mbd_ros.core.parts import Actuator, Load, Reads
 from mbd_ros.core.state import Array, State
-
-_NO_SLOT = slice(0, 0)
 
 
 class Loads:
@@ -19,25 +17,31 @@ class Loads:
         nv: Size of the velocity of the robot.
         forces: Loads that nobody commands.
         actuators: Actuators, in the order of their commands.
+        idle: The u that no source gives, shape (nu,); by default the safe values of the inputs
+            of these loads, in this order: actuators, forces.
 
     Attributes:
         is_empty: Whether the sum is always zero.
         reads: What `total` reads of k.
-        commands: Names of the commanded joints, in the order of u.
-        idle: The u without any command, not to be written to.
+        commands: Names of the commanded joints.
+        idle: As given, not to be written to.
     """
 
     def __init__(
-        self, nv: int, forces: Sequence[Load] = (), actuators: Sequence[Actuator] = ()
+        self,
+        nv: int,
+        forces: Sequence[Load] = (),
+        actuators: Sequence[Actuator] = (),
+        idle: Array | None = None,
     ) -> None:
         self.forces, self.actuators = tuple(forces), tuple(actuators)
         self.is_empty = not forces and not actuators
         self.reads = max((part.reads for part in (*actuators, *forces)), default=Reads.NOTHING)
         self.commands = tuple(joint for a in actuators for joint in a.joints)
         ends = np.cumsum([0, *(len(a.joints) for a in actuators)]).tolist()
-        for actuator, ends_of in zip(self.actuators, itertools.pairwise(ends), strict=True):
-            actuator.bind(Slots(slice(*ends_of), _NO_SLOT))
-        self.idle = np.zeros(len(self.commands))
+        self._driven = [slice(*pair) for pair in itertools.pairwise(ends)]
+        safe = [one.safe for part in (*actuators, *forces) for one in part.inputs]
+        self.idle = np.array(safe, dtype=np.float64) if idle is None else idle
         self._zero = np.zeros(nv)
 
     def total(self, k: Kinematics, x: State, u: Array | None) -> Array:
@@ -46,7 +50,7 @@ class Loads:
         Args:
             k: Kinematics at the state, refreshed as far as `reads` says.
             x: State of all joints.
-            u: Commands in the order of `commands`; None stands for zero.
+            u: All inputs of the scene; None stands for `idle`.
         """
         tau, u = self._zero, self.idle if u is None else u
         for actuator in self.actuators:
@@ -54,6 +58,10 @@ class Loads:
         for force in self.forces:
             tau = tau + force.force(k, x, u)
         return tau
+
+    def having(self, forces: Sequence[Load]) -> "Loads":
+        """The same actuators beside other forces."""
+        return Loads(len(self._zero), forces, self.actuators, self.idle)
 
     def beside(self, k: Kinematics, x: State) -> "Loads":
         """The loads near a state, smooth across the surfaces at which they jump.
@@ -65,7 +73,7 @@ class Loads:
         forces = [force.beside(k, x) for force in self.forces]
         if all(one is other for one, other in zip(forces, self.forces, strict=True)):
             return self
-        return Loads(len(self._zero), forces, self.actuators)
+        return self.having(forces)
 
     def actuator_torque(self, k: Kinematics, x: State, u: Array | None) -> Array:
         """Forces of the actuators on the joints [N·m or N], shape (nv,), not to be written to."""
@@ -75,10 +83,16 @@ class Loads:
         return tau
 
     def command(self, torque: Array, x: State) -> Array:
-        """Commands that ask the actuators for torques of `commands` [N·m or N], shape (nu,)."""
-        return np.concatenate(
-            [self.idle[:0], *(a.command(torque[a.u], x) for a in self.actuators)]
-        )
+        """Inputs that ask the actuators for torques, fresh, `idle` elsewhere, shape (nu,).
+
+        Args:
+            torque: Of `commands` [N·m or N], shape (len(commands),).
+            x: State of all joints.
+        """
+        u = self.idle.copy()
+        for actuator, driven in zip(self.actuators, self._driven, strict=True):
+            u[actuator.u] = actuator.command(torque[driven], x)
+        return u
 
     def potential(self, k: Kinematics, x: State) -> float:
         """Potential energy of the conservative loads [J]."""

@@ -50,10 +50,10 @@ class SwitchedLoads(Loads):
     """
 
     def __init__(self, nv: int, loads: Loads, choice: Choice) -> None:
-        super().__init__(nv, loads.forces, loads.actuators)
+        super().__init__(nv, loads.forces, loads.actuators, loads.idle)
         self.switching = tuple(f for f in loads.forces if isinstance(f, DiscontinuousForce))
         others = [f for f in loads.forces if not isinstance(f, DiscontinuousForce)]
-        self._smooth, self._choice = Loads(nv, others, loads.actuators), choice
+        self._smooth, self._choice = loads.having(others), choice
         ends = np.cumsum([0, *(len(f.surfaces) for f in self.switching)]).tolist()
         self._mine = [slice(*pair) for pair in itertools.pairwise(ends)]
         self.signs: Array | None = None

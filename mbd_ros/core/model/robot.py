@@ -42,6 +42,11 @@ class Joint:
         """Unit of its effort."""
         return "N" if self.kind == "prismatic" else "N·m"
 
+    @property
+    def position_unit(self) -> str:
+        """Unit of its position."""
+        return "m" if self.kind == "prismatic" else "rad"
+
 
 @dataclass(frozen=True)
 class Mimic:
