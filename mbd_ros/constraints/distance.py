@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Constraint, Reads, Row, Wrench
+from mbd_ros.core.parts import Constraint, Row, Wrench
 from mbd_ros.core.rows.frame_pair import FramePair
 from mbd_ros.core.rows.frame_point import FramePoint
 from mbd_ros.core.state import Array, State

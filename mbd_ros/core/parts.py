@@ -6,25 +6,14 @@ never changes its inputs, and keeps no memory of earlier states. Positions are c
 """
 
 import math
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.row_laws import Law, Level, bilateral
 from mbd_ros.core.state import Array, State
-
-
-class Reads(IntEnum):
-    """How much of k a part reads at a state; what nothing reads is not refreshed."""
-
-    NOTHING = 0
-    POSITION = 1
-    VELOCITY = 2
-    JACOBIAN = 3
-    DRIFT = 4
 
 
 class Channel(NamedTuple):

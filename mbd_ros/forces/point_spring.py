@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Load, Reads, Wrench
+from mbd_ros.core.parts import Load, Wrench
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 

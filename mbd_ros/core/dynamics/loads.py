@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.parts import Actuator, Load, Reads
+from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.parts import Actuator, Load
 from mbd_ros.core.state import Array, State
 
 

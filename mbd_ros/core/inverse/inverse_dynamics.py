@@ -14,10 +14,10 @@ import pinocchio as pin
 from mbd_ros.core.dynamics.body_loads import BodyLoads
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.couplings import Couplings, Slopes
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.wrenches import ExternalWrench
-from mbd_ros.core.parts import Load, Reads
+from mbd_ros.core.parts import Load
 from mbd_ros.core.state import NONE, Array, State
 
 _CHUNK = 2048  # samples

@@ -1,27 +1,199 @@
 """Kinematics k: what a part asks of the mechanism, evaluated at one state."""
 
+import math
+from collections.abc import Callable, Sequence
+from enum import IntEnum
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.pair_motion import PairMotion
+from mbd_ros.core.model.points import Pair, Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 
+_WORLD, _LOCAL = pin.LOCAL_WORLD_ALIGNED, pin.LOCAL
+
+
+class Reads(IntEnum):
+    """How much of k a part reads at a state; what nothing reads is not refreshed."""
+
+    NOTHING = 0
+    POSITION = 1
+    VELOCITY = 2
+    JACOBIAN = 3
+    DRIFT = 4
+
 
 class Kinematics:
-    """Kinematics over a Pinocchio `Data` that its owner refreshes.
+    """Kinematics in numbers, over a Pinocchio `Data` that its owner refreshes.
+
+    Vectors stand in world axes unless a method says otherwise, spatial ones are (linear, angular).
+    The calls of a point are bound when it is first asked for, since parts are shared and a `Data`
+    is not. `zeros`, `dot` and the functions after it are those of numbers: a part that uses them
+    works on symbols too.
 
     Args:
         robot: The robot.
-        data: Its `Data`.
+        data: Its `Data`; one of its own by default.
     """
 
-    def __init__(self, robot: Robot, data: Any) -> None:
-        self.robot, self.data = robot, data
-        self._model, self._rest = robot.model, np.zeros(robot.model.nv)
+    zeros = staticmethod(np.zeros)
+    dot = staticmethod(np.ndarray.dot)
+    array = staticmethod(np.array)
+    sqrt = staticmethod(math.sqrt)
+    tanh = staticmethod(math.tanh)
+    maximum = staticmethod(max)
 
-    def refresh(self, q: Array, v: Array) -> None:
-        """Placements, velocities, accelerations at zero joint acceleration, joint Jacobians."""
-        pin.forwardKinematics(self._model, self.data, q, v, self._rest)
-        pin.computeJointJacobians(self._model, self.data)
+    def __init__(self, robot: Robot, data: Any = None) -> None:
+        self.robot, self.data = robot, pin.Data(robot.model) if data is None else data
+        self._model, self._rest = robot.model, np.zeros(robot.model.nv)
+        model, points, pairs = robot.model, robot.places.points, robot.places.pairs
+        self._position = _Bound(_position, model, self.data, points)
+        self._rotation = _Bound(_rotation, model, self.data, points)
+        self._velocity = _Bound(_velocity, model, self.data, points)
+        self._acceleration = _Bound(_acceleration, model, self.data, points)
+        self._jacobian = _Bound(_jacobian, model, self.data, points)
+        self._spatial_jacobian = _Bound(_spatial_jacobian, model, self.data, points)
+        self._own_jacobian = _Bound(_own_jacobian, model, self.data, points)
+        self._motion = _Bound(PairMotion, model, self.data, pairs)
+        self._gravity = partial(pin.computeGeneralizedGravity, model, self.data)
+
+    def refresh(self, q: Array, v: Array, reads: Reads = Reads.DRIFT) -> None:
+        """Bring to a state what is read of it, and nothing else.
+
+        Args:
+            q: Configuration, shape (nq,).
+            v: Velocity, shape (nv,).
+            reads: How much is read until the next call.
+        """
+        if reads >= Reads.DRIFT:
+            pin.forwardKinematics(self._model, self.data, q, v, self._rest)
+        elif reads >= Reads.VELOCITY:
+            pin.forwardKinematics(self._model, self.data, q, v)
+        elif reads:
+            pin.forwardKinematics(self._model, self.data, q)
+        if reads >= Reads.JACOBIAN:
+            pin.computeJointJacobians(self._model, self.data)
+
+    def position(self, point: Point) -> Array:
+        """Where a point is, less `Robot.origin` [m], shape (3,), not to be written to."""
+        return self._position[point.number]()
+
+    def rotation(self, point: Point) -> Array:
+        """From the axes of a point to those of the world, shape (3, 3)."""
+        return self._rotation[point.number]()
+
+    def velocity(self, point: Point) -> Array:
+        """Velocity of a point [m/s], shape (3,)."""
+        return self._velocity[point.number]()
+
+    def acceleration(self, point: Point) -> Array:
+        """Second derivative of a position at zero joint acceleration [m/s^2], shape (3,)."""
+        return self._acceleration[point.number]()
+
+    def jacobian(self, point: Point) -> Array:
+        """From joint velocities to that of a point, shape (3, nv)."""
+        return self._jacobian[point.number]()
+
+    def spatial_jacobian(self, point: Point) -> Array:
+        """From joint velocities to velocity and angular velocity of a point, shape (6, nv)."""
+        return self._spatial_jacobian[point.number]()
+
+    def own_jacobian(self, point: Point) -> Array:
+        """The `spatial_jacobian` in the axes of the point, shape (6, nv)."""
+        return self._own_jacobian[point.number]()
+
+    def motion(self, pair: Pair) -> PairMotion:
+        """Motion of b as an observer on a sees it."""
+        return self._motion[pair.number]
+
+    def gravity(self, q: Array) -> Array:
+        """Generalized force that holds the robot still, shape (nv,), not to be written to.
+
+        Args:
+            q: Configuration, shape (nq,); k need not be refreshed to it.
+        """
+        return self._gravity(q)
+
+    @staticmethod
+    def row(vector: Array) -> Array:
+        """A vector as the only row of a matrix, shape (1, n)."""
+        return vector.reshape(1, -1)
+
+    @staticmethod
+    def hypot(vector: Array) -> float:
+        """Length of a vector, exact where squares overflow or vanish."""
+        return math.hypot(*vector.tolist())
+
+    @staticmethod
+    def where(condition: bool, first: Any, second: Any) -> Any:
+        """The first value where a condition holds, else the second; both are evaluated."""
+        return first if condition else second
+
+
+class _Bound(dict[int, Any]):
+    """Calls by index, bound when they are first asked for.
+
+    Args:
+        bind: Makes a call of model, data and what stands at the index.
+        model: The model.
+        data: Its `Data`.
+        places: What stands at every index; it may grow.
+    """
+
+    def __init__(
+        self, bind: Callable[..., Any], model: Any, data: Any, places: Sequence[tuple[Any, ...]]
+    ) -> None:
+        super().__init__()
+        self._bind, self._places = partial(bind, model, data), places
+
+    def __missing__(self, index: int) -> Any:
+        call = self[index] = self._bind(*self._places[index])
+        return call
+
+
+_Call = Callable[[], Array]
+
+
+def _position(model: Any, data: Any, joint: int, at: Any) -> _Call:
+    if joint == 0:
+        return at.translation.copy
+    return partial(data.oMi[joint].act, at.translation.copy())  # a live view
+
+
+def _rotation(model: Any, data: Any, joint: int, at: Any) -> _Call:
+    place = partial(data.oMi[joint].__mul__, at)
+    return lambda: place().rotation
+
+
+def _velocity(model: Any, data: Any, joint: int, at: Any) -> _Call:
+    if joint == 0:
+        return partial(np.zeros, 3)
+    motion = partial(pin.getFrameVelocity, model, data, joint, at, _WORLD)
+    return lambda: motion().linear
+
+
+def _acceleration(model: Any, data: Any, joint: int, at: Any) -> _Call:
+    if joint == 0:
+        return partial(np.zeros, 3)
+    motion = partial(pin.getFrameClassicalAcceleration, model, data, joint, at, _WORLD)
+    return lambda: motion().linear
+
+
+def _jacobian(model: Any, data: Any, joint: int, at: Any) -> _Call:
+    whole = _spatial_jacobian(model, data, joint, at)
+    return lambda: whole()[:3]
+
+
+def _spatial_jacobian(model: Any, data: Any, joint: int, at: Any, axes: Any = _WORLD) -> _Call:
+    if joint == 0:
+        return partial(np.zeros, (6, model.nv))
+    whole = partial(pin.getFrameJacobian, model, data, joint, at, axes)
+    return whole if model.nv > 1 else lambda: whole().reshape(6, 1)  # Pinocchio gives a vector
+
+
+def _own_jacobian(model: Any, data: Any, joint: int, at: Any) -> _Call:
+    return _spatial_jacobian(model, data, joint, at, _LOCAL)

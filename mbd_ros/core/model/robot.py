@@ -1,12 +1,21 @@
 """A robot that passed every check, frozen, with its Pinocchio model."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from textwrap import shorten
 from typing import Any, NamedTuple
 
+import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.points import (
+    Pair,
+    Place,
+    Places,
+    Point,
+    checked_vector,
+    rotation_matrix,
+)
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
@@ -100,6 +109,7 @@ class Robot:
         origin: Point from which positions in the model count, in the world of the description
             [m], shape (3,): 0, or the first joint of a fixed base that is more than 2 m away.
         recipe: What it was read from.
+        places: Points that parts have asked for.
     """
 
     name: str
@@ -114,6 +124,7 @@ class Robot:
     ignored: tuple[str, ...]
     origin: Array
     recipe: Recipe
+    places: Places = field(compare=False)
 
     @property
     def source(self) -> str:
@@ -153,6 +164,53 @@ class Robot:
             bodies = [f.name for f in self.model.frames if f.type == pin.FrameType.BODY]
             raise ModelError(f"no frame '{name}'; the links are {', '.join(bodies)}")
         return index
+
+    def point(
+        self,
+        frame: str,
+        xyz: Sequence[float] = (0.0, 0.0, 0.0),
+        rpy: Sequence[float] = (0.0, 0.0, 0.0),
+        keys: tuple[str, str] = ("point", "rpy"),
+    ) -> Point:
+        """A point that travels with a link.
+
+        Args:
+            frame: Link (or frame) that carries it; the root link of a fixed base or `universe` for
+                one at rest.
+            xyz: Where it is in `frame` [m], shape (3,).
+            rpy: Roll, pitch and yaw of its axes in `frame` as in URDF [rad], shape (3,).
+            keys: What `xyz` and `rpy` are called in messages.
+
+        Raises:
+            ModelError: Unknown frame, or not three finite numbers.
+        """
+        link = self.model.frames[self.frame(frame)]
+        turn, place = rotation_matrix(keys[1], rpy), checked_vector(keys[0], xyz)
+        at = Place(int(link.parentJoint), link.placement * pin.SE3(turn, place))
+        return self.places.point(frame, at)
+
+    def turned(self, point: Point, rotation: Array) -> Point:
+        """The same point with axes that are turned in its own, rotation of shape (3, 3)."""
+        joint, at = self.places.points[point.number]
+        turn = pin.SE3(rotation, np.zeros(3))
+        return self.places.point(point.frame, Place(joint, at * turn))
+
+    def carrier(self, frame: str) -> Point:
+        """Origin and axes of the joint that carries a link.
+
+        Raises:
+            ModelError: Unknown frame.
+        """
+        joint = int(self.model.frames[self.frame(frame)].parentJoint)
+        return self.places.point(frame, Place(joint, pin.SE3.Identity()))
+
+    def pair(self, a: Point, b: Point) -> Pair:
+        """Point b as an observer on a sees it.
+
+        Raises:
+            ModelError: They do not move against each other.
+        """
+        return self.places.pair(a, b)
 
     def inertias(self) -> dict[str, Any]:
         """Link -> `pinocchio.Inertia` in the axes of the link, 0 where it has none."""

@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.model.far_base import centred
+from mbd_ros.core.model.points import Places
 from mbd_ros.core.model.robot import Joint, Mimic, Recipe, Robot, Rubbing
 from mbd_ros.core.model.urdf import parse_urdf
 from mbd_ros.core.model.urdf_inertias import check_inertias
@@ -78,6 +79,7 @@ def read_robot(
         ignored=("URDF <transmission>",) if tree.find("transmission") is not None else (),
         origin=origin,
         recipe=recipe,
+        places=Places(model),
     )
 
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.parts import Constraint, Reads, Row, Wrench
+from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.parts import Constraint, Row, Wrench
 from mbd_ros.core.rows.row_order import numbered
 from mbd_ros.core.state import Array, State
 

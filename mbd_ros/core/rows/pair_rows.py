@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.parts import Constraint, Reads, Row, Wrench
+from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.parts import Constraint, Row, Wrench
 from mbd_ros.core.rows.frame_pair import FramePair, Placed
 from mbd_ros.core.rows.rotation_residual import RotationResidual
 from mbd_ros.core.state import Array, State
