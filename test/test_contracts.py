@@ -151,6 +151,8 @@ def test_torque_is_fresh_finite_and_changes_nothing(name, robot, moment):
     assert (part.armature() >= 0.0).all()
     assert part.command(np.ones(len(part.joints)), x).shape == (len(part.inputs),)
     assert all(one.unit and one.lower < one.safe < one.upper for one in part.inputs)
+    columns = part.columns(k, x)
+    assert columns is None or columns.shape == (robot.model.nv, len(part.inputs))
 
 
 @pytest.mark.parametrize("name", PARTS["controllers"])

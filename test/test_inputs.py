@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from mechanisms import scene_of
 
+from mbd_ros.core.state import State
+
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 LEG = f"robot: {{urdf: {ROBOTS / 'prosthetic_leg.urdf'}}}\n"
 DRIVES = """actuators:
@@ -37,3 +39,36 @@ def test_scenes_that_share_parts_have_slots_of_their_own():
     driven = [first.robot.joint(name).v for name in ("knee", "hip_flexion", "ankle")]
     assert tau[driven] == pytest.approx([3.0, 5.0, 30.0])
     assert loads.command(tau[driven], x) == pytest.approx(u)
+
+
+@pytest.mark.parametrize(
+    "drive",
+    [
+        "{type: ideal, joints: [knee, ankle], limit: 50.0}",
+        "{type: geared_motor, joint: knee, ratio: -50.0, viscous: 1.0e-3, limit: 0.4}",
+        "{type: series_elastic, joint: ankle, stiffness: 300.0, damping: 2.0}",
+    ],
+)
+def test_columns_are_the_slopes_of_an_affine_force_within_its_bounds(drive):
+    """force(u) = force(0) + columns u, at random states and inputs."""
+    scene = scene_of(f"{LEG}actuators: [{drive}]\n")
+    (part,), rng, nv = scene.actuators, np.random.default_rng(1), scene.robot.model.nv
+    lower, upper = (np.clip([c[i] for c in part.inputs], -9.0, 9.0) for i in (2, 3))
+    for q, v in rng.normal(size=(20, 2, nv)):
+        x, u = State(0.0, q, v), rng.uniform(lower, upper)
+        columns = part.columns(None, x)
+        assert columns.shape == (nv, len(part.inputs))
+        expected = part.force(None, x, np.zeros(len(u))) + columns @ u
+        np.testing.assert_allclose(part.force(None, x, u), expected, rtol=1e-13, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "drive",
+    [
+        "{type: geared_motor, joint: knee, ratio: 50.0, efficiency: 0.8}",
+        "{type: series_elastic, joint: ankle, stiffness: 300.0, limit: 20.0}",
+    ],
+)
+def test_a_force_that_is_not_affine_has_no_columns(drive):
+    (part,) = scene_of(f"{LEG}actuators: [{drive}]\n").actuators
+    assert part.columns(None, scene_of(LEG).initial) is None

@@ -86,6 +86,14 @@ class GearedMotor(Actuator):
         tau[self.joint.v] = lossless * self._efficiency**direction - self._viscous * rate
         return tau
 
+    def columns(self, k: Kinematics, x: State) -> Array | None:
+        """The ratio, shape (nv, 1); None with losses, which depend on the side that drives."""
+        if self._efficiency != 1.0:
+            return None
+        columns = np.zeros((len(self._armature), 1))
+        columns[self.joint.v] = self._ratio
+        return columns
+
     def command(self, torque: Array, x: State) -> Array:
         """Motor torque of the lossless gear [N·m], shape (1,)."""
         return torque / self._ratio

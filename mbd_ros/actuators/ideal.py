@@ -35,6 +35,8 @@ class Ideal(Actuator):
         self.joints = tuple(joints)
         self._v = np.array([robot.joint(name).v for name in joints])
         self._limit, self._nv = limit, int(robot.model.nv)
+        self._columns = np.zeros((self._nv, len(joints)))
+        self._columns[self._v, np.arange(len(joints))] = 1.0
         units = [robot.joint(name).effort_unit for name in joints]
         names = joints if len(joints) > 1 else ("",)
         self.inputs = tuple(
@@ -48,6 +50,10 @@ class Ideal(Actuator):
             u = np.minimum(np.maximum(u, -self._limit), self._limit)
         tau[self._v] = u
         return tau
+
+    def columns(self, k: Kinematics, x: State) -> Array:
+        """Ones, shape (nv, len(joints)), not to be written to."""
+        return self._columns
 
     def limits(self) -> Array:
         """`limit` of every joint [N·m or N], shape (len(joints),)."""

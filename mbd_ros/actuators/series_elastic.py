@@ -61,6 +61,14 @@ class SeriesElastic(Actuator):
         tau[self.joint.v] = max(min(wanted, self._limit), -self._limit)
         return tau
 
+    def columns(self, k: Kinematics, x: State) -> Array | None:
+        """The stiffness, shape (nv, 1); None with a limit, which depends on the position."""
+        if self._limit < math.inf:
+            return None
+        columns = np.zeros((self._nv, 1))
+        columns[self.joint.v] = self._stiffness
+        return columns
+
     def command(self, torque: Array, x: State) -> Array:
         """Motor-side end of the spring that gives the torque, shape (1,)."""
         wanted = torque + self._damping * x.v[self.joint.v]

@@ -81,6 +81,16 @@ class Load(Part):
         """Generalized force on the joints [N·m or N], shape (nv,)."""
         raise NotImplementedError
 
+    def columns(self, k: Kinematics, x: State) -> Array | None:
+        """Slopes of an affine force: force(u) = force(0) + columns u, shape (nv, len(inputs)).
+
+        That holds while every input is within the bounds of its channel.
+
+        Returns:
+            None where the force is not affine in the inputs.
+        """
+        return None
+
     def beside(self, k: Kinematics, x: State) -> "Load":
         """The force near a state, smooth across the surfaces at which it jumps."""
         return self
