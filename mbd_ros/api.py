@@ -29,7 +29,7 @@ class Scene(built_scene.Scene):
     @classmethod
     def of(cls, scene: built_scene.Scene) -> "Scene":
         """The same scene with the jobs as methods."""
-        return cls(*(getattr(scene, field.name) for field in fields(scene)))
+        return cls(*(getattr(scene, field.name) for field in fields(scene) if field.init))
 
     def check(self) -> Lines:
         """The lines of `mbd-ros check`: parts that are built and left out, and the cost of a call.
