@@ -58,7 +58,7 @@ def test_check_says_what_is_built_and_what_is_not(capsys, tmp_path):
     assert said["dependent"] == "knee_slide_x <- knee (factor)"
     assert said["locked"] == "ankle at 0.1"
     assert said["wrench"] == "plate on foot, expressed in world, topic ~/wrench/plate"
-    assert said["force"] == "JointSpring at knee"
+    assert said["force"] == "knee_joint_spring, JointSpring at knee"
     assert said["inverse"].startswith("reduced: dependent joints eliminated exactly")
     assert said["forward"] == (
         "reduced: couplings eliminated exactly, q = F(z); integrator dopri5 by default, dt 0.001 s"
@@ -106,9 +106,9 @@ def test_check_says_how_a_closed_chain_is_solved(capsys, tmp_path):
     code, out, err = called(capsys, "check", tmp_path / "s.yaml")
     said = labelled(out)
     assert (code, err) == (0, "")
-    assert said["actuator"] == "Ideal at crank"
-    closure = "LoopClosure, bilateral: world-rocker_link.x [N], world-rocker_link.y [N]"
-    assert said["constraint"] == closure
+    assert said["actuator"] == "crank_ideal, Ideal at crank"
+    rows = "world-rocker_link.x [N], world-rocker_link.y [N]"
+    assert said["constraint"] == f"rocker_link_loop_closure, LoopClosure, bilateral: {rows}"
     assert said["forward"].startswith(
         "kkt: bilateral rows, one factorised solve, 2 rows; Rk4, dt 0"
     )

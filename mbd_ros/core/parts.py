@@ -6,12 +6,13 @@ never changes its inputs, and keeps no memory of earlier states. Positions are c
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Joint
+from mbd_ros.core.names import type_name
 from mbd_ros.core.row_laws import Law, Level, bilateral
 from mbd_ros.core.state import Array, State
 
@@ -50,7 +51,7 @@ class Part:
     """What a scene is made of.
 
     Attributes:
-        name: Unique in the scene.
+        name: Unique in the scene, without a dot; the type of a part that no scene has built.
         reads: What its methods read of k at most.
         inputs: What it takes from outside while it runs.
         u: Its inputs in the u of the scene; all of u until it is bound.
@@ -62,6 +63,10 @@ class Part:
     inputs: tuple[Channel, ...] = ()
     u: slice = slice(None)
     z: slice = slice(None)
+
+    def __init_subclass__(cls, **more: Any) -> None:
+        super().__init_subclass__(**more)
+        cls.name = type_name(cls)
 
     def bind(self, slots: Slots) -> None:
         """Learn where its numbers stand; once, when all parts are known."""

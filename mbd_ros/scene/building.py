@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.code_permission import code_of_others, require_permission
+from mbd_ros.scene.part_names import refuse_repeated
 from mbd_ros.scene.sections import REQUIRED, SECTIONS, Form, Section, keys, ordered
 
 if TYPE_CHECKING:
@@ -175,6 +176,7 @@ def build(
             robot = parts["robot"]
         elif robot is not None:
             robot = _with_armature(robot, parts_in(section, parts[section.key]))
+    refuse_repeated(origin.name, parts, robot)
     return Built(parts, robot)
 
 

@@ -12,6 +12,7 @@ from mbd_ros.core.optimization.qp_solvers import check_backend
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
+from mbd_ros.scene.part_names import NamedEntry, checked_name, name_parts, named_entry
 from mbd_ros.scene.registry import METHODS, PARTS, resolve_type, types_of
 from mbd_ros.scene.sections import Form, Section
 
@@ -85,18 +86,18 @@ def build_section(site: Site, given: Any) -> Any:
         SceneError: Names key, what is wrong and what is accepted.
     """
     if site.section.form is Form.SINGLE:
-        return _part(site.section, given, site.where, site.robot)
+        return _named_parts(site, [named_entry(given, site.where)])[0]
     if site.section.form is Form.NAMED:
-        return {
-            name: _part(site.section, entry, f"{site.where}.{name}", site.robot)
-            for name, entry in _named(site, given).items()
-        }
-    entries = schema.value(given, Sequence[Any], site.where)
-    _refuse_many(site, len(entries))
-    return tuple(
-        _part(site.section, entry, f"{site.where}[{i}]", site.robot)
-        for i, entry in enumerate(entries)
-    )
+        mapping = _named(site, given)
+        entries = [
+            NamedEntry(where := f"{site.where}.{name}", entry, checked_name(name, where))
+            for name, entry in mapping.items()
+        ]
+        return dict(zip(mapping, _named_parts(site, entries), strict=True))
+    listed = schema.value(given, Sequence[Any], site.where)
+    _refuse_many(site, len(listed))
+    entries = [named_entry(entry, f"{site.where}[{i}]") for i, entry in enumerate(listed)]
+    return _named_parts(site, entries)
 
 
 def build_constraints(site: Site, entries: Any) -> Any:
@@ -134,6 +135,12 @@ def build_part(kind: str, given: Any, where: str, *context: Any) -> Any:
         SceneError: Names key, what is wrong and what is accepted.
     """
     return _typed(PARTS[kind], METHODS[kind], given, where, context)
+
+
+def _named_parts(site: Site, entries: Sequence[NamedEntry]) -> tuple[Any, ...]:
+    parts = tuple(_part(site.section, e.given, e.where, site.robot) for e in entries)
+    name_parts(site, entries, parts)
+    return parts
 
 
 def _part(section: Section, given: Any, where: str, *context: Any) -> Any:

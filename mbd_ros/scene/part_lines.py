@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from itertools import repeat
 from typing import Any
 
+from mbd_ros.core.parts import Part
 from mbd_ros.scene.building import parts_in
 from mbd_ros.scene.built_scene import Scene
 
@@ -12,11 +13,12 @@ def part_lines(scene: Scene) -> Iterator[str]:
     """A line for every part whose section has a text: loads first, then rows."""
     for section in sorted(scene.sections, key=lambda section: "residual" in section.offers):
         if section.check and section.key in scene.parts:
-            built = scene.parts[section.key]
-            names = built if isinstance(built, Mapping) else repeat("")
             label, _, text = section.check.partition(":")
-            for name, part in zip(names, parts_in(section, built), strict=False):
-                yield line(label, text.strip().format(name=name, part=part, **_words(part)))
+            built = scene.parts[section.key]
+            keys = built if isinstance(built, Mapping) else repeat("")
+            for key, part in zip(keys, parts_in(section, built), strict=False):
+                words = {"name": key, **_words(part)}
+                yield line(label, text.strip().format(part=part, **words))
 
 
 def _words(part: Any) -> dict[str, str]:
@@ -25,6 +27,8 @@ def _words(part: Any) -> dict[str, str]:
     names = ", ".join(str(getattr(joint, "name", joint)) for joint in where if joint)
     words = {"kind": type_name(part), "at": f" at {names}" if names else ""}
     words |= {"rows": "", "law": ""}
+    if isinstance(part, Part):
+        words["name"] = part.name
     if hasattr(part, "rows"):
         words["rows"] = ", ".join(f"{row.name} [{row.unit}]" for row in part.rows)
         words["law"] = part.law.kind.value

@@ -88,7 +88,7 @@ SECTIONS = (
         f"{_PARTS}:build_constraints",
         _EVERY_ROBOT,
         ("residual",),
-        "constraint: {kind}, {law}: {rows}",
+        "constraint: {name}, {kind}, {law}: {rows}",
         "constraints",
     ),
     Section(
@@ -96,7 +96,7 @@ SECTIONS = (
         Form.LIST,
         after=_EVERY_ROBOT,
         offers=("force",),
-        check="force: {kind}{at}",
+        check="force: {name}, {kind}{at}",
         parts="forces",
     ),
     Section(
@@ -104,7 +104,7 @@ SECTIONS = (
         Form.LIST,
         after=("robot",),
         offers=("command", "force"),
-        check="actuator: {kind}{at}",
+        check="actuator: {name}, {kind}{at}",
         parts="actuators",
     ),
     Section(
