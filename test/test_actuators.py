@@ -12,7 +12,8 @@ from mbd_ros.actuators.ideal import Ideal
 from mbd_ros.actuators.series_elastic import SeriesElastic
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import State
-from mbd_ros.errors import ModelError
+from mbd_ros.errors import SceneError
+from mbd_ros.scene import schema
 
 LEG = (Path(__file__).parents[1] / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
 FIXED, FREE = read_robot(LEG), read_robot(LEG, base="floating")
@@ -141,25 +142,37 @@ NAN, INF = math.nan, math.inf
         (Ideal, {"joints": []}, "joints [] must be one or more different joints"),
         (Ideal, {"joints": ["knee", "knee"]}, "must be one or more different joints"),
         (Ideal, {"joints": ["nose"]}, "no joint 'nose'"),
-        (Ideal, {"joints": ["knee"], "limit": 0.0}, "limit 0 must be > 0"),
-        (Ideal, {"joints": ["knee"], "limit": NAN}, "limit nan must be > 0"),
+        (
+            Ideal,
+            {"joints": ["knee"], "limit": 0.0},
+            ".limit: 0 is out of range, accepted: 1e-30 .. 1e+30",
+        ),
+        (Ideal, {"joints": ["knee"], "limit": NAN}, ".limit: nan is out of range"),
         (GearedMotor, {**GEAR, "joint": "nose"}, "no joint 'nose'"),
-        (GearedMotor, {**GEAR, "ratio": 0.0}, "ratio 0 must be finite and not 0"),
-        (GearedMotor, {**GEAR, "ratio": NAN}, "ratio nan must be finite and not 0"),
-        (GearedMotor, {**GEAR, "rotor_inertia": -1.0}, "rotor_inertia -1 and viscous 0 must be"),
-        (GearedMotor, {**GEAR, "viscous": INF}, "viscous inf must be finite and >= 0"),
-        (GearedMotor, {**GEAR, "efficiency": 0.0}, "efficiency 0 must be above 0 and at most 1"),
-        (GearedMotor, {**GEAR, "efficiency": 1.1}, "efficiency 1.1 must be above 0"),
-        (GearedMotor, {**GEAR, "limit": -1.0}, "limit -1 and smoothing 0.01 must be > 0"),
-        (GearedMotor, {**GEAR, "smoothing": 0.0}, "smoothing 0 must be > 0"),
+        (
+            GearedMotor,
+            {**GEAR, "ratio": 0.0},
+            ".ratio: 0 is out of range, accepted: a size of 1e-09 ..",
+        ),
+        (GearedMotor, {**GEAR, "ratio": NAN}, ".ratio: nan is out of range"),
+        (GearedMotor, {**GEAR, "rotor_inertia": -1.0}, ".rotor_inertia: -1 is out of range"),
+        (GearedMotor, {**GEAR, "viscous": INF}, ".viscous: inf is out of range"),
+        (
+            GearedMotor,
+            {**GEAR, "efficiency": 0.0},
+            ".efficiency: 0 is out of range, accepted: 1e-06 .. 1",
+        ),
+        (GearedMotor, {**GEAR, "efficiency": 1.1}, ".efficiency: 1.1 is out of range"),
+        (GearedMotor, {**GEAR, "limit": -1.0}, ".limit: -1 is out of range"),
+        (GearedMotor, {**GEAR, "smoothing": 0.0}, ".smoothing: 0 is out of range"),
         (SeriesElastic, {**SPRING, "joint": "nose"}, "no joint 'nose'"),
-        (SeriesElastic, {**SPRING, "stiffness": 0.0}, "stiffness 0 must be > 0"),
-        (SeriesElastic, {**SPRING, "stiffness": INF}, "stiffness inf must be > 0"),
-        (SeriesElastic, {**SPRING, "damping": -1.0}, "damping -1 >= 0, both finite"),
-        (SeriesElastic, {**SPRING, "limit": 0.0}, "limit 0 must be > 0"),
+        (SeriesElastic, {**SPRING, "stiffness": 0.0}, ".stiffness: 0 is out of range"),
+        (SeriesElastic, {**SPRING, "stiffness": INF}, ".stiffness: inf is out of range"),
+        (SeriesElastic, {**SPRING, "damping": -1.0}, ".damping: -1 is out of range"),
+        (SeriesElastic, {**SPRING, "limit": 0.0}, ".limit: 0 is out of range"),
     ],
 )
 def test_arguments_that_make_no_sense_are_refused(part, values, message):
-    with pytest.raises(ModelError) as caught:
-        part(FIXED, **values)
+    with pytest.raises(SceneError) as caught:
+        schema.call(part, values, "here", FIXED)
     assert message in str(caught.value)

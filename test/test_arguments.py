@@ -49,9 +49,14 @@ def test_a_section_of_a_docstring_is_read_entry_by_entry():
 
 def test_the_outermost_range_and_unit_of_an_annotation_hold():
     inner = Annotated[float, Within(0.0, 1.0), Unit("m")]
-    assert described(Annotated[inner, "a note"]) == (float, (0.0, 1.0), "m")
-    assert described(Annotated[inner, Within(0.0, 2.0), Unit("mm")]) == (float, (0.0, 2.0), "mm")
-    assert described(float) == (float, None, "")
+    assert described(Annotated[inner, "a note"]) == (float, (0.0, 1.0, False), "m", None)
+    assert described(Annotated[inner, Within(0.0, 2.0), Unit("mm")]) == (
+        float,
+        (0.0, 2.0, False),
+        "mm",
+        None,
+    )
+    assert described(float) == (float, None, "", None)
 
 
 class Law:

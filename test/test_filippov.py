@@ -17,6 +17,7 @@ from mbd_ros.errors import ModelError, SceneError, SolveError
 from mbd_ros.files.csv import read_table
 from mbd_ros.forces.switching_force import SwitchingForce
 from mbd_ros.integrators.filippov import Filippov
+from mbd_ros.scene import schema
 from mbd_ros.scene.reader import load_scene
 
 ROOT = Path(__file__).parents[1]
@@ -336,15 +337,15 @@ def test_bounded_rows_beside_it_are_refused(scene):
     [
         ({"velocity": {}}, "a surface needs velocity or position"),
         ({"above": {"x": 1.0}, "below": {"x": 1.0}}, "nothing switches"),
-        ({"above": {"x": math.nan}}, "nan must be finite"),
+        ({"above": {"x": math.nan}}, r"here.above.x: nan is out of range"),
         ({"velocity": {"z": [0.0, 1.0]}}, "no joint 'z'"),
     ],
 )
 def test_entry_that_makes_no_sense_is_refused(scene, entry, message):
     robot = scene(PLANE).robot
     given = {key: v for key, v in (relay("x", 1.0) | entry).items() if key != "type"}
-    with pytest.raises(ModelError, match=message):
-        SwitchingForce(robot, **given)
+    with pytest.raises(SceneError, match=message):
+        schema.call(SwitchingForce, given, "here", robot)
     with pytest.raises(ModelError, match="tolerance"):
         Filippov(tolerance=1e-15)
 

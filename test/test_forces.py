@@ -13,7 +13,7 @@ from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import NONE, State
-from mbd_ros.errors import ModelError
+from mbd_ros.errors import SceneError
 from mbd_ros.forces.applied_wrench import AppliedWrench
 from mbd_ros.forces.gravity_compensation import GravityCompensation
 from mbd_ros.forces.joint_friction import JointFriction
@@ -21,6 +21,7 @@ from mbd_ros.forces.joint_spring import JointSpring
 from mbd_ros.forces.joint_torque import JointTorque
 from mbd_ros.forces.point_spring import PointSpring
 from mbd_ros.forces.prescribed_wrench import PrescribedWrench
+from mbd_ros.scene import schema
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 LEG = (ROBOTS / "prosthetic_leg.urdf").read_text(encoding="utf-8")
@@ -368,18 +369,18 @@ def test_compensation_does_not_act_on_a_free_base():
 @pytest.mark.parametrize(
     ("part", "values", "message"),
     [
-        (JointSpring, {"stiffness": -1.0}, "stiffness -1 and damping 0 must be >= 0"),
-        (JointSpring, {"stiffness": 1.0, "damping": -2.0}, "damping -2 must be >= 0"),
-        (JointFriction, {"coulomb": -1.0}, "coulomb -1 and viscous 0 must be >= 0"),
-        (JointFriction, {"viscous": -1.0}, "viscous -1 must be >= 0"),
-        (JointFriction, {"smoothing": 0.0}, "smoothing 0 > 0"),
+        (JointSpring, {"stiffness": -1.0}, ".stiffness: -1 is out of range, accepted: 0 .. 1e+30"),
+        (JointSpring, {"stiffness": 1.0, "damping": -2.0}, ".damping: -2 is out of range, acc"),
+        (JointFriction, {"coulomb": -1.0}, ".coulomb: -1 is out of range, acc"),
+        (JointFriction, {"viscous": -1.0}, ".viscous: -1 is out of range, acc"),
+        (JointFriction, {"smoothing": 0.0}, ".smoothing: 0 is out of range, accepted: 1e-12 .."),
         (JointSpring, {"stiffness": 1.0, "joint": "nose"}, "no joint 'nose'; the robot has hip"),
         (JointSpring, {"stiffness": 1.0, "joint": "socket_fix"}, "joint 'socket_fix' is fixed"),
     ],
 )
 def test_values_that_make_no_sense_are_refused(part, values, message):
-    with pytest.raises(ModelError) as caught:
-        part(ROBOT, **{"joint": "ankle", **values})
+    with pytest.raises(SceneError) as caught:
+        schema.call(part, {"joint": "ankle", **values}, "here", ROBOT)
     assert message in str(caught.value)
 
 
@@ -391,51 +392,67 @@ NAN, INF = math.nan, math.inf
 @pytest.mark.parametrize(
     ("part", "values", "message"),
     [
-        (JointTorque, {"joint": "ankle", "torque": NAN}, "torque nan must be finite"),
+        (JointTorque, {"joint": "ankle", "torque": NAN}, ".torque: nan is out of range, acc"),
         (JointTorque, {"joint": "nose", "torque": 1.0}, "no joint 'nose'"),
-        (PointSpring, {**ENDS, "stiffness": -1.0}, "stiffness -1, damping 0 and length 0 must"),
-        (PointSpring, {**ENDS, "damping": NAN}, "damping nan and length 0 must be finite"),
-        (PointSpring, {**ENDS, "length": INF}, "length inf must be finite and >= 0"),
-        (PointSpring, {**ENDS, "point_a": (0, 1)}, "point_a (0, 1) must be 3 finite numbers"),
-        (PointSpring, {**ENDS, "point_b": (0, 1, NAN)}, "point_b (0, 1, nan) must be 3 finite"),
+        (PointSpring, {**ENDS, "stiffness": -1.0}, ".stiffness: -1 is out of range"),
+        (PointSpring, {**ENDS, "damping": NAN}, ".damping: nan is out of range"),
+        (PointSpring, {**ENDS, "length": INF}, ".length: inf is out of range"),
+        (PointSpring, {**ENDS, "point_a": [0, 1]}, ".point_a: expected 3 numbers, got [0, 1]"),
+        (PointSpring, {**ENDS, "point_b": [0, 1, NAN]}, ".point_b[2]: nan is out of range"),
         (PointSpring, {**ENDS, "frame_b": "nose"}, "no frame 'nose'; the links are world, "),
         (
             PointSpring,
             {"frame_a": "foot", "frame_b": "toe"},
             "frames 'foot' and 'toe' do not move against each other",
         ),
-        (AppliedWrench, {**ON_FOOT, "force": (1, 2)}, "force (1, 2) must be 3 finite numbers"),
-        (AppliedWrench, {**ON_FOOT, "torque": (1, 2, INF)}, "torque (1, 2, inf) must be 3"),
-        (AppliedWrench, {**ON_FOOT, "point": (1,)}, "point (1,) must be 3 finite numbers"),
-        (AppliedWrench, {**ON_FOOT, "expressed_in": "toe"}, "'toe', accepted: world, frame"),
+        (AppliedWrench, {**ON_FOOT, "force": [1, 2]}, ".force: expected 3 numbers, got [1, 2]"),
+        (AppliedWrench, {**ON_FOOT, "torque": [1, 2, INF]}, ".torque[2]: inf is out of range"),
+        (AppliedWrench, {**ON_FOOT, "point": [1]}, ".point: expected 3 numbers"),
+        (
+            AppliedWrench,
+            {**ON_FOOT, "expressed_in": "toe"},
+            ".expressed_in: expected one of world, frame, got 'toe'",
+        ),
         (AppliedWrench, {"frame": "world"}, "frame 'world' does not move"),
         (AppliedWrench, {"frame": "nose"}, "no frame 'nose'"),
         (PrescribedWrench, {**ON_FOOT, **TABLE, "frame": "nose"}, "no frame 'nose'"),
         (PrescribedWrench, {**ON_FOOT, **TABLE, "expressed_in": "nose"}, "no frame 'nose'"),
-        (PrescribedWrench, {**ON_FOOT, **TABLE, "threshold": -1.0}, "threshold -1 N must be >= 0"),
-        (PrescribedWrench, {**ON_FOOT, **TABLE, "point": (1, 2)}, "must have 3 coordinates"),
-        (PrescribedWrench, {**ON_FOOT, **TABLE, "times": [0.0]}, "times: shape (1,), accepted: "),
-        (PrescribedWrench, {**ON_FOOT, **TABLE, "times": [0, 1, 1]}, "strictly increasing"),
-        (PrescribedWrench, {**ON_FOOT, **TABLE, "times": [0, 1, NAN]}, "times must be finite"),
+        (
+            PrescribedWrench,
+            {**ON_FOOT, **TABLE, "threshold": -1.0},
+            ".threshold: -1 is out of range",
+        ),
+        (PrescribedWrench, {**ON_FOOT, **TABLE, "point": [1, 2]}, ".point: expected 3 numbers"),
+        (
+            PrescribedWrench,
+            {**ON_FOOT, **TABLE, "times": [0.0]},
+            "times must be at least two increasing",
+        ),
+        (PrescribedWrench, {**ON_FOOT, **TABLE, "times": [0, 1, 1]}, "at least two increasing"),
+        (
+            PrescribedWrench,
+            {**ON_FOOT, **TABLE, "times": [0, 1, NAN]},
+            ".times[2]: nan is out of range",
+        ),
         (PrescribedWrench, {**ON_FOOT, **TABLE, "times": [0, 1]}, "wrenches: 3 rows for 2 times"),
         (
             PrescribedWrench,
             {**ON_FOOT, "times": [0, 1], "wrenches": [[0] * 6, [0] * 5]},
-            "wrenches[1]: 5 numbers, accepted: 6",
+            ".wrenches[1]: expected 6 numbers, got [0, 0, 0, 0, 0]",
         ),
         (
             PrescribedWrench,
             {**ON_FOOT, "times": [0, 1], "wrenches": [[0] * 6, [NAN] * 6]},
-            "wrenches[1] [nan nan nan nan nan nan] must be finite",
+            ".wrenches[1][0]: nan is out of range",
         ),
         (GravityCompensation, {"joints": []}, "joints [] must be [all] or different joints"),
         (GravityCompensation, {"joints": ["knee"] * 2}, "must be [all] or different joints"),
         (GravityCompensation, {"joints": ["all", "knee"]}, "no joint 'all'"),
         (GravityCompensation, {"joints": ["nose"]}, "no joint 'nose'"),
-        (GravityCompensation, {"factor": INF}, "factor inf must be finite"),
+        (GravityCompensation, {"factor": INF}, ".factor: inf is out of range"),
     ],
 )
 def test_arguments_that_make_no_sense_are_refused(part, values, message):
-    with pytest.raises(ModelError) as caught:
-        part(ROBOT, **values)
+    with pytest.raises(SceneError) as caught:
+        schema.call(part, values, "here", ROBOT)
     assert message in str(caught.value)

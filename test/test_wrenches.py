@@ -11,7 +11,8 @@ from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.model.wrenches import ExternalWrench, WrenchBuffer, at_stamps
 from mbd_ros.core.state import WrenchSamples
-from mbd_ros.errors import ModelError
+from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.scene import schema
 
 ARM = (Path(__file__).parents[1] / "config/robots/arm7.urdf").read_text(encoding="utf-8")
 ROBOT = read_robot(ARM)
@@ -97,13 +98,13 @@ def test_threshold_cuts_force_and_torque_at_the_norm_of_the_force():
     [
         ({"frame": "nose"}, "no frame 'nose'; the links are base, link1"),
         ({"frame": "link1", "expressed_in": "nose"}, "no frame 'nose'"),
-        ({"frame": "link1", "threshold": -1.0}, "threshold -1 N must be >= 0"),
-        ({"frame": "link1", "point": [0.0, 1.0]}, "point [0.0, 1.0] must have 3 coordinates"),
+        ({"frame": "link1", "threshold": -1.0}, ".threshold: -1 is out of range"),
+        ({"frame": "link1", "point": [0.0, 1.0]}, ".point: expected 3 numbers, got [0.0, 1.0]"),
     ],
 )
 def test_load_that_cannot_be_is_refused(options, message):
-    with pytest.raises(ModelError) as caught:
-        ExternalWrench(ROBOT, **options)
+    with pytest.raises(SceneError) as caught:
+        schema.call(ExternalWrench, options, "here", ROBOT)
     assert message in str(caught.value)
 
 

@@ -1,17 +1,17 @@
 """Motor with a gear."""
 
 import math
+from typing import Annotated
 
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Actuator, Channel
-from mbd_ros.core.ranges import Share, Smoothing
+from mbd_ros.core.ranges import NotNegative, Positive, Share, Smoothing, Unit, Within
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import ModelError
 
-_LARGEST_RATIO = 1.0e9
+_RATIO = Within(1.0e-9, 1.0e9, of_size=True)
 
 
 class GearedMotor(Actuator):
@@ -30,16 +30,15 @@ class GearedMotor(Actuator):
     Args:
         robot: Robot of the scene.
         joint: Driven joint; its command is the torque of the motor [N·m].
-        ratio: Motor angle per joint position [-, or rad/m for a prismatic joint], not 0; negative
-            where the joint turns against the motor.
-        rotor_inertia: About the motor axis [kg·m^2], >= 0.
-        efficiency: Share of the power that passes the gear, above 0, at most 1.
-        viscous: Friction on the motor side [N·m·s/rad], >= 0.
-        limit: Largest torque of the motor [N·m], > 0; without it there is none.
-        smoothing: Joint velocity at which s reaches 0.76 [rad/s or m/s], > 0.
+        ratio: Motor angle per joint position; negative where the joint turns against the motor.
+        rotor_inertia: About the motor axis.
+        efficiency: Share of the power that passes the gear.
+        viscous: Friction on the motor side.
+        limit: Largest torque of the motor; without it there is none.
+        smoothing: Joint velocity at which s reaches 0.76.
 
     Raises:
-        ModelError: Unknown joint, or a value out of its range.
+        ModelError: Unknown joint.
     """
 
     takes = "torque of the motor [N·m]"
@@ -50,36 +49,22 @@ class GearedMotor(Actuator):
         robot: Robot,
         *,
         joint: str,
-        ratio: float,
-        rotor_inertia: float = 0.0,
-        efficiency: Share = 1.0,
-        viscous: float = 0.0,
-        limit: float = math.inf,
+        ratio: Annotated[float, _RATIO, Unit("rad/rad or rad/m")],
+        rotor_inertia: Annotated[NotNegative, Unit("kg·m^2")] = 0.0,
+        efficiency: Annotated[Share, Unit("-")] = 1.0,
+        viscous: Annotated[NotNegative, Unit("N·m·s/rad")] = 0.0,
+        limit: Annotated[Positive, Unit("N·m")] = math.inf,
         smoothing: Smoothing = 1.0e-2,
     ) -> None:
-        if not 1.0 / _LARGEST_RATIO <= abs(ratio) <= _LARGEST_RATIO:
-            raise ModelError(
-                f"ratio {ratio:g} must be finite and not 0, of size {1 / _LARGEST_RATIO:g} .. "
-                f"{_LARGEST_RATIO:g}"
-            )
-        if not (0 <= rotor_inertia < math.inf and 0 <= viscous < math.inf):
-            raise ModelError(
-                f"rotor_inertia {rotor_inertia:g} and viscous {viscous:g} must be finite and >= 0"
-            )
-        if not 0 < efficiency <= 1:
-            raise ModelError(f"efficiency {efficiency:g} must be above 0 and at most 1")
-        if not (limit > 0 and 0 < smoothing < math.inf):
-            raise ModelError(f"limit {limit:g} and smoothing {smoothing:g} must be > 0")
         self.joint, self.joints = robot.joint(joint), (joint,)
         self.inputs = (Channel("", "N·m", -limit, limit),)
         self._ratio, self._limit, self._efficiency = ratio, limit, efficiency
         self._viscous, self._smoothing = ratio**2 * viscous, smoothing
-        self._armature = np.zeros(int(robot.model.nv))
-        self._armature[self.joint.v] = ratio**2 * rotor_inertia
+        self._inertia, self._nv = ratio**2 * rotor_inertia, int(robot.model.nv)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,), of the motor torque [N·m], shape (1,)."""
-        tau = np.zeros(len(self._armature))
+        tau = np.zeros(self._nv)
         rate = float(x.v[self.joint.v])
         lossless = self._ratio * max(min(u[self.u].item(), self._limit), -self._limit)
         direction = math.copysign(math.tanh(rate / self._smoothing), lossless * rate)
@@ -112,5 +97,6 @@ class GearedMotor(Actuator):
 
     def armature(self) -> Array:
         """Inertia of the rotor at the joint [kg·m^2 or kg], shape (nv,)."""
-        inertia: Array = self._armature.copy()
+        inertia = np.zeros(self._nv)
+        inertia[self.joint.v] = self._inertia
         return inertia

@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Actuator, Channel
+from mbd_ros.core.ranges import Positive, Unit
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -18,18 +20,22 @@ class Ideal(Actuator):
     Args:
         robot: Robot of the scene.
         joints: Driven joints, one command [N·m or N] each, in this order.
-        limit: Largest torque or force of every joint [N·m or N], > 0; without it there is none.
-            The effort limits of the URDF are not read.
+        limit: Largest torque or force of every joint; without it there is none. The effort
+            limits of the URDF are not read.
 
     Raises:
-        ModelError: No joint, an unknown or repeated one, or a limit that is not positive.
+        ModelError: No joint, or an unknown or repeated one.
     """
 
     example = {"joints": ["knee", "ankle"], "limit": 100.0}
 
-    def __init__(self, robot: Robot, *, joints: Sequence[str], limit: float = math.inf) -> None:
-        if not limit > 0:
-            raise ModelError(f"limit {limit:g} must be > 0")
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        joints: Sequence[str],
+        limit: Annotated[Positive, Unit("N·m or N")] = math.inf,
+    ) -> None:
         if not joints or len(set(joints)) != len(joints):
             raise ModelError(f"joints {list(joints)} must be one or more different joints")
         self.joints = tuple(joints)

@@ -1,14 +1,15 @@
 """Motor with a spring between gear and joint."""
 
 import math
+from typing import Annotated
 
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Actuator, Channel
+from mbd_ros.core.ranges import NotNegative, Positive, Unit
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import ModelError
 
 
 class SeriesElastic(Actuator):
@@ -21,13 +22,12 @@ class SeriesElastic(Actuator):
         robot: Robot of the scene.
         joint: Driven joint; its command is the motor-side end of the spring, as a position of
             the joint [rad or m].
-        stiffness: [N·m/rad or N/m], > 0.
-        damping: [N·m·s/rad or N·s/m], >= 0.
-        limit: Largest torque or force of the joint, damping included [N·m or N], > 0; without it
-            there is none.
+        stiffness: Of the spring.
+        damping: Of the joint.
+        limit: Largest torque or force of the joint, damping included; without it there is none.
 
     Raises:
-        ModelError: Unknown joint, or a value out of its range.
+        ModelError: Unknown joint.
     """
 
     takes = "position of the motor side of the spring [rad or m]"
@@ -38,16 +38,10 @@ class SeriesElastic(Actuator):
         robot: Robot,
         *,
         joint: str,
-        stiffness: float,
-        damping: float = 0.0,
-        limit: float = math.inf,
+        stiffness: Annotated[Positive, Unit("N·m/rad or N/m")],
+        damping: Annotated[NotNegative, Unit("N·m·s/rad or N·s/m")] = 0.0,
+        limit: Annotated[Positive, Unit("N·m or N")] = math.inf,
     ) -> None:
-        if not (0 < stiffness < math.inf and 0 <= damping < math.inf):
-            raise ModelError(
-                f"stiffness {stiffness:g} must be > 0 and damping {damping:g} >= 0, both finite"
-            )
-        if not limit > 0:
-            raise ModelError(f"limit {limit:g} must be > 0")
         self.joint, self.joints = robot.joint(joint), (joint,)
         self.inputs = (Channel("", self.joint.position_unit),)
         self._stiffness, self._damping, self._limit = stiffness, damping, limit

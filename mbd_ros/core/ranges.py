@@ -1,7 +1,8 @@
 """Numbers that a constructor takes: ranges and units as annotations of its arguments.
 
-Ranges are checked where a file is read or a parameter is set. The largest number of a scene leaves
-room for the powers and products that dynamics makes of it, within 1.8e308.
+Ranges are checked where an entry is read or a parameter is set, by the schema: constructors store
+and derive, so that they take symbols as well as numbers. The smallest and the largest number of a
+scene leave room for the powers and products that dynamics makes of them, within 1.8e308.
 """
 
 import math
@@ -10,17 +11,36 @@ from collections.abc import Sequence
 from typing import Annotated, Any, NamedTuple
 
 LARGEST = 1.0e30  # of any number that says nothing else
+SMALLEST = 1.0e-30  # of a number that must not be 0
 
 
 class Within(NamedTuple):
-    """Smallest and largest accepted value."""
+    """Smallest and largest accepted value.
+
+    Attributes:
+        low: Smallest value.
+        high: Largest value.
+        of_size: Whether they hold for the size of a number of either sign.
+    """
 
     low: float
     high: float
+    of_size: bool = False
+
+    def accepts(self, number: float) -> bool:
+        """Whether a number lies between them; NaN does not."""
+        return self.low <= (abs(number) if self.of_size else number) <= self.high
+
+    def __str__(self) -> str:
+        return f"{'a size of ' if self.of_size else ''}{self.low:g} .. {self.high:g}"
 
 
 class Unit(str):
     """Unit of an argument, `-` for a number without one."""
+
+
+class Length(int):
+    """Number of entries of a list."""
 
 
 Duration = Annotated[float, Within(1.0e-9, 1.0e9), Unit("s")]
@@ -28,6 +48,10 @@ Gain = Annotated[float | Sequence[float], Within(0.0, math.inf)]  # one for all 
 Smoothing = Annotated[float, Within(1.0e-12, 1.0e12), Unit("m/s or rad/s")]
 Unlimited = Annotated[float, Within(-math.inf, math.inf)]  # what has a check of its own
 Share = Annotated[float, Within(1.0e-6, 1.0)]
+NotNegative = Annotated[float, Within(0.0, LARGEST)]
+Positive = Annotated[float, Within(SMALLEST, LARGEST)]
+NotZero = Annotated[float, Within(SMALLEST, LARGEST, of_size=True)]
+Vector = Annotated[Sequence[float], Length(3)]
 ANY_NUMBER = Within(-LARGEST, LARGEST)
 
 
@@ -38,18 +62,31 @@ class Described(NamedTuple):
         kind: The type without range and unit.
         within: Its range, None where the annotation states none.
         unit: Its unit, empty where the annotation states none.
+        length: Number of entries of a list, None where the annotation states none.
     """
 
     kind: Any
-    within: Within | None
-    unit: str
+    within: Within | None = None
+    unit: str = ""
+    length: int | None = None
 
 
 def described(annotation: Any) -> Described:
-    """Type, range and unit of an annotation; of several ranges or units the outermost one."""
+    """What an annotation says; of several ranges, units or lengths the outermost one."""
     if typing.get_origin(annotation) is not Annotated:
-        return Described(annotation, None, "")
+        return Described(annotation)
     kind, *extras = typing.get_args(annotation)
-    within = [extra for extra in extras if isinstance(extra, Within)]
-    units = [str(extra) for extra in extras if isinstance(extra, Unit)]
-    return Described(kind, within[-1] if within else None, units[-1] if units else "")
+    found = Described(kind)
+    for extra in extras:
+        if isinstance(extra, Within):
+            found = found._replace(within=extra)
+        elif isinstance(extra, Unit):
+            found = found._replace(unit=str(extra))
+        elif isinstance(extra, Length):
+            found = found._replace(length=int(extra))
+    return found
+
+
+def is_zero(number: Any) -> bool:
+    """Whether a number is 0; a symbol is not."""
+    return isinstance(number, int | float) and number == 0

@@ -1,6 +1,6 @@
 """Constant wrench on a link."""
 
-from collections.abc import Sequence
+from typing import Annotated, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -8,6 +8,7 @@ import pinocchio as pin
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load, Wrench
+from mbd_ros.core.ranges import Unit, Vector
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -23,14 +24,13 @@ class AppliedWrench(Load):
     Args:
         robot: Robot of the scene.
         frame: Link (or frame) that carries the load.
-        force: [N], shape (3,).
-        torque: [N·m], shape (3,).
-        point: Where the force acts, in `frame` [m], shape (3,).
+        force: In the axes of `expressed_in`, shape (3,).
+        torque: In the same axes, shape (3,).
+        point: Where the force acts, in `frame`, shape (3,).
         expressed_in: Axes of force and torque: `world`, or `frame` for those of the link.
 
     Raises:
-        ModelError: Unknown frame or one that cannot move, unknown axes, or a vector that is not 3
-            finite numbers.
+        ModelError: Unknown frame, or one that cannot move.
     """
 
     reads = Reads.JACOBIAN
@@ -41,23 +41,18 @@ class AppliedWrench(Load):
         robot: Robot,
         *,
         frame: str,
-        force: Sequence[float] = (0.0, 0.0, 0.0),
-        torque: Sequence[float] = (0.0, 0.0, 0.0),
-        point: Sequence[float] = (0.0, 0.0, 0.0),
-        expressed_in: str = "world",
+        force: Annotated[Vector, Unit("N")] = (0.0, 0.0, 0.0),
+        torque: Annotated[Vector, Unit("N·m")] = (0.0, 0.0, 0.0),
+        point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
+        expressed_in: Literal["world", "frame"] = "world",
     ) -> None:
-        for key, vector in (("force", force), ("torque", torque), ("point", point)):
-            if np.shape(vector) != (3,) or not np.isfinite(vector).all():
-                raise ModelError(f"{key} {vector} must be 3 finite numbers")
-        if expressed_in not in AXES:
-            raise ModelError(f"expressed_in '{expressed_in}', accepted: {', '.join(AXES)}")
         link = robot.model.frames[robot.frame(frame)]
         if link.parentJoint == 0:
             raise ModelError(f"frame '{frame}' does not move, a load on it changes nothing")
         self._model, self._joint, self._frame = robot.model, int(link.parentJoint), frame
         self._placement = link.placement * pin.SE3(np.eye(3), np.array(point, dtype=np.float64))
         self._axes, self._turns = AXES[expressed_in], expressed_in == "frame"
-        self._wrench = np.array([*force, *torque], dtype=np.float64)
+        self._wrench = np.array([*force, *torque])
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""

@@ -1,15 +1,15 @@
 """Dry and viscous friction in a joint, regularised."""
 
 import math
+from typing import Annotated
 
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load
-from mbd_ros.core.ranges import Smoothing
+from mbd_ros.core.ranges import NotNegative, Smoothing, Unit, is_zero
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import ModelError
 
 
 class JointFriction(Load):
@@ -18,9 +18,9 @@ class JointFriction(Load):
     Args:
         robot: Robot of the scene.
         joint: Joint that rubs.
-        coulomb: Dry friction [N·m or N], >= 0.
-        viscous: [N·m·s/rad or N·s/m], >= 0.
-        smoothing: Velocity at which 76 % of the dry friction is reached [rad/s or m/s], > 0.
+        coulomb: Dry friction.
+        viscous: Viscous friction.
+        smoothing: Velocity at which 76 % of the dry friction is reached.
     """
 
     example = {"joint": "ankle", "coulomb": 0.4, "viscous": 0.05}
@@ -30,20 +30,15 @@ class JointFriction(Load):
         robot: Robot,
         *,
         joint: str,
-        coulomb: float = 0.0,
-        viscous: float = 0.0,
+        coulomb: Annotated[NotNegative, Unit("N·m or N")] = 0.0,
+        viscous: Annotated[NotNegative, Unit("N·m·s/rad or N·s/m")] = 0.0,
         smoothing: Smoothing = 1.0e-2,
     ) -> None:
-        if coulomb < 0 or viscous < 0 or smoothing <= 0:
-            raise ModelError(
-                f"coulomb {coulomb:g} and viscous {viscous:g} must be >= 0, smoothing "
-                f"{smoothing:g} > 0"
-            )
         self.joint = robot.joint(joint)
         self._coulomb, self._viscous, self._smoothing = coulomb, viscous, smoothing
         self._nv = int(robot.model.nv)
         given = {"friction": coulomb, "damping": viscous}
-        self.brings = tuple(key for key, value in given.items() if value > 0)
+        self.brings = tuple(key for key, value in given.items() if not is_zero(value))
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force of the friction, shape (nv,)."""

@@ -1,12 +1,14 @@
 """Spring and damper in a joint."""
 
+from typing import Annotated
+
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load
+from mbd_ros.core.ranges import NotNegative, Unit, is_zero
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import ModelError
 
 
 class JointSpring(Load):
@@ -15,9 +17,9 @@ class JointSpring(Load):
     Args:
         robot: Robot of the scene.
         joint: Joint that carries the spring.
-        stiffness: [N·m/rad or N/m], >= 0.
-        rest: Position without force [rad or m].
-        damping: [N·m·s/rad or N·s/m], >= 0.
+        stiffness: Of the spring.
+        rest: Position without force.
+        damping: Of the damper.
     """
 
     example = {"joint": "ankle", "stiffness": 30.0, "rest": 0.1, "damping": 0.5}
@@ -27,16 +29,14 @@ class JointSpring(Load):
         robot: Robot,
         *,
         joint: str,
-        stiffness: float,
-        rest: float = 0.0,
-        damping: float = 0.0,
+        stiffness: Annotated[NotNegative, Unit("N·m/rad or N/m")],
+        rest: Annotated[float, Unit("rad or m")] = 0.0,
+        damping: Annotated[NotNegative, Unit("N·m·s/rad or N·s/m")] = 0.0,
     ) -> None:
-        if stiffness < 0 or damping < 0:
-            raise ModelError(f"stiffness {stiffness:g} and damping {damping:g} must be >= 0")
         self.joint = robot.joint(joint)
         self._stiffness, self._rest, self._damping = stiffness, rest, damping
         self._nv = int(robot.model.nv)
-        self.brings = ("damping",) if damping > 0 else ()
+        self.brings = () if is_zero(damping) else ("damping",)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force of the spring, shape (nv,)."""

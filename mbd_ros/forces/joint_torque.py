@@ -1,14 +1,14 @@
 """Constant torque on a joint."""
 
-import math
+from typing import Annotated
 
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load
+from mbd_ros.core.ranges import Unit
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import ModelError
 
 
 class JointTorque(Load):
@@ -17,25 +17,24 @@ class JointTorque(Load):
     Args:
         robot: Robot of the scene.
         joint: Joint that it acts on.
-        torque: Along the positive joint axis [N·m or N].
+        torque: Along the positive joint axis.
 
     Raises:
-        ModelError: Unknown joint, or a torque that is no number.
+        ModelError: Unknown joint.
     """
 
     example = {"joint": "ankle", "torque": 5.0}
 
-    def __init__(self, robot: Robot, *, joint: str, torque: float) -> None:
-        if not math.isfinite(torque):
-            raise ModelError(f"torque {torque:g} must be finite")
+    def __init__(
+        self, robot: Robot, *, joint: str, torque: Annotated[float, Unit("N·m or N")]
+    ) -> None:
         self.joint = robot.joint(joint)
-        self._torque = torque
-        self._tau = np.zeros(int(robot.model.nv))
-        self._tau[self.joint.v] = torque
+        self._torque, self._nv = torque, int(robot.model.nv)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
-        tau: Array = self._tau.copy()
+        tau = np.zeros(self._nv)
+        tau[self.joint.v] = self._torque
         return tau
 
     def potential(self, k: Kinematics, x: State) -> float:

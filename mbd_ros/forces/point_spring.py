@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
@@ -10,6 +10,7 @@ import pinocchio as pin
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load, Wrench
+from mbd_ros.core.ranges import NotNegative, Unit, Vector
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -29,14 +30,14 @@ class PointSpring(Load):
         robot: Robot of the scene.
         frame_a: Link (or frame) of one end; the root link or `universe` for a point at rest.
         frame_b: Link (or frame) of the other end.
-        point_a: End in `frame_a` [m], shape (3,).
-        point_b: End in `frame_b` [m], shape (3,).
-        stiffness: [N/m], >= 0.
-        damping: [N·s/m], >= 0.
-        length: Distance without spring force [m], >= 0.
+        point_a: End in `frame_a`, shape (3,).
+        point_b: End in `frame_b`, shape (3,).
+        stiffness: Of the spring.
+        damping: Of the damper.
+        length: Distance without spring force.
 
     Raises:
-        ModelError: Unknown frame, both ends on one body, or a value out of its range.
+        ModelError: Unknown frame, or both ends on one body.
     """
 
     reads = Reads.JACOBIAN
@@ -48,18 +49,13 @@ class PointSpring(Load):
         *,
         frame_a: str,
         frame_b: str,
-        point_a: Sequence[float] = (0.0, 0.0, 0.0),
-        point_b: Sequence[float] = (0.0, 0.0, 0.0),
-        stiffness: float = 0.0,
-        damping: float = 0.0,
-        length: float = 0.0,
+        point_a: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
+        point_b: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
+        stiffness: Annotated[NotNegative, Unit("N/m")] = 0.0,
+        damping: Annotated[NotNegative, Unit("N·s/m")] = 0.0,
+        length: Annotated[NotNegative, Unit("m")] = 0.0,
     ) -> None:
-        if not all(0 <= value < math.inf for value in (stiffness, damping, length)):
-            raise ModelError(
-                f"stiffness {stiffness:g}, damping {damping:g} and length {length:g} must be "
-                "finite and >= 0"
-            )
-        ends = [_end(robot, frame_a, "point_a", point_a), _end(robot, frame_b, "point_b", point_b)]
+        ends = [_end(robot, frame_a, point_a), _end(robot, frame_b, point_b)]
         a, b = sorted(ends, key=lambda end: end[0])
         (self._joint_a, self._at_a, frame), (self._joint_b, self._at_b, other) = a, b
         self._frames = frame, other
@@ -119,10 +115,8 @@ class PointSpring(Load):
         return line
 
 
-def _end(robot: Robot, frame: str, key: str, point: Sequence[float]) -> tuple[int, Any, str]:
+def _end(robot: Robot, frame: str, point: Sequence[float]) -> tuple[int, Any, str]:
     """Joint that carries an end, the end in the frame of that joint, and the link."""
-    if np.shape(point) != (3,) or not np.isfinite(point).all():
-        raise ModelError(f"{key} {point} must be 3 finite numbers")
     link = robot.model.frames[robot.frame(frame)]
     at = link.placement * pin.SE3(np.eye(3), np.array(point, dtype=np.float64))
     return int(link.parentJoint), at, frame

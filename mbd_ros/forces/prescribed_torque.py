@@ -1,12 +1,14 @@
 """Torques prescribed in time."""
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load
+from mbd_ros.core.ranges import Unit
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -17,8 +19,11 @@ class PrescribedTorque(Load):
     Args:
         robot: Robot of the scene.
         joints: Driven joints.
-        times: Sample times [s], increasing, at least two.
-        torque: One row a sample, one column a joint [N·m or N].
+        times: Sample times, increasing, at least two.
+        torque: One row a sample, one column a joint.
+
+    Raises:
+        ModelError: Unknown joint.
     """
 
     example = {"joints": ["knee"], "times": [0.0, 1.0], "torque": [[1.0], [5.0]]}
@@ -28,20 +33,30 @@ class PrescribedTorque(Load):
         robot: Robot,
         *,
         joints: Sequence[str],
-        times: Sequence[float],
-        torque: Sequence[Sequence[float]],
+        times: Annotated[Sequence[float], Unit("s")],
+        torque: Annotated[Sequence[Sequence[float]], Unit("N·m or N")],
     ) -> None:
         self._times = np.array(times, dtype=np.float64)
-        if len(self._times) < 2 or not (np.diff(self._times) > 0).all():
+        self._torque = np.array(torque, dtype=np.float64)
+        self._index = [robot.joint(name).v for name in joints]
+        self._nv = int(robot.model.nv)
+
+    @staticmethod
+    def check(
+        joints: Sequence[str], times: Sequence[float], torque: Sequence[Sequence[float]]
+    ) -> None:
+        """Refuse a table that is none.
+
+        Raises:
+            ModelError: Names the argument and what is accepted.
+        """
+        if len(times) < 2 or not (np.diff(times) > 0).all():
             raise ModelError("times must be at least two increasing numbers")
         if len(torque) != len(times) or any(len(row) != len(joints) for row in torque):
             raise ModelError(
                 f"torque must have {len(times)} rows, one a time, of {len(joints)} numbers, one a "
                 "joint"
             )
-        self._torque = np.array(torque, dtype=np.float64)
-        self._index = [robot.joint(name).v for name in joints]
-        self._nv = int(robot.model.nv)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force at the time of the state, shape (nv,)."""

@@ -2,6 +2,7 @@
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 import pinocchio as pin
@@ -10,6 +11,7 @@ from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Load, Wrench
+from mbd_ros.core.ranges import Length, NotNegative, Unit, Vector
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -24,15 +26,15 @@ class PrescribedWrench(Load):
     Args:
         robot: Robot of the scene.
         frame: Link that carries the load.
-        times: Times of the samples [s], strictly increasing, shape (n,), n >= 2.
-        wrenches: Force [N] then torque [N·m], one row a sample, shape (n, 6).
+        times: Times of the samples, strictly increasing, shape (n,), n >= 2.
+        wrenches: Force, then torque, one row a sample, shape (n, 6).
         expressed_in: Frame whose axes and, without `point`, whose origin the load refers to;
             `frame` by default, `universe` for the world of a robot that names none.
-        point: Point that the torque is taken about, in `expressed_in` [m], shape (3,).
-        threshold: Force norm below which the load counts as zero [N], >= 0.
+        point: Point that the torque is taken about, in `expressed_in`, shape (3,).
+        threshold: Force norm below which the load counts as zero.
 
     Raises:
-        ModelError: Unknown frame, negative threshold, or a table that is not one.
+        ModelError: Unknown frame.
     """
 
     reads = Reads.JACOBIAN
@@ -47,19 +49,30 @@ class PrescribedWrench(Load):
         robot: Robot,
         *,
         frame: str,
-        times: Sequence[float],
-        wrenches: Sequence[Sequence[float]],
+        times: Annotated[Sequence[float], Unit("s")],
+        wrenches: Annotated[Sequence[Annotated[Sequence[float], Length(6)]], Unit("N, then N·m")],
         expressed_in: str | None = None,
-        point: Sequence[float] = (0.0, 0.0, 0.0),
-        threshold: float = 0.0,
+        point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
+        threshold: Annotated[NotNegative, Unit("N")] = 0.0,
     ) -> None:
         self._load = ExternalWrench(
             robot, frame=frame, expressed_in=expressed_in, point=point, threshold=threshold
         )
-        stamps, self._wrenches = _table(times, wrenches)
-        self._times: list[float] = stamps.tolist()
-        self._slopes = np.diff(self._wrenches, axis=0) / np.diff(stamps)[:, None]
+        self._times, self._wrenches = list(times), np.array(wrenches, dtype=np.float64)
+        self._slopes = np.diff(self._wrenches, axis=0) / np.diff(times)[:, None]
         self._model, self._nv = robot.model, int(robot.model.nv)
+
+    @staticmethod
+    def check(times: Sequence[float], wrenches: Sequence[Sequence[float]]) -> None:
+        """Refuse a table that is none.
+
+        Raises:
+            ModelError: Names the argument and what is accepted.
+        """
+        if len(times) < 2 or not (np.diff(times) > 0).all():
+            raise ModelError("times must be at least two increasing numbers")
+        if len(wrenches) != len(times):
+            raise ModelError(f"wrenches: {len(wrenches)} rows for {len(times)} times")
 
     def wrench(self, t: float) -> Array:
         """Force [N] and torque [N·m] of the table at a time [s], shape (6,)."""
@@ -90,21 +103,3 @@ class PrescribedWrench(Load):
         load = self._load.in_body(k.data, wrench)
         force, torque = place.rotation.dot(load.linear), place.rotation.dot(load.angular)
         return (Wrench(self._load.frame, place.translation, force, torque),)
-
-
-def _table(times: Sequence[float], wrenches: Sequence[Sequence[float]]) -> tuple[Array, Array]:
-    stamps = np.array(times, dtype=np.float64)
-    if stamps.ndim != 1 or len(stamps) < 2:
-        raise ModelError(f"times: shape {stamps.shape}, accepted: two or more numbers")
-    if not (np.isfinite(stamps).all() and (np.diff(stamps) > 0).all()):
-        raise ModelError("times must be finite and strictly increasing")
-    if len(wrenches) != len(stamps):
-        raise ModelError(f"wrenches: {len(wrenches)} rows for {len(stamps)} times")
-    for i, row in enumerate(wrenches):
-        if len(row) != 6:
-            raise ModelError(f"wrenches[{i}]: {len(row)} numbers, accepted: 6")
-    rows = np.array(wrenches, dtype=np.float64)
-    bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
-    if len(bad):
-        raise ModelError(f"wrenches[{bad[0]}] {rows[bad[0]]} must be finite")
-    return stamps, rows

@@ -1,8 +1,7 @@
 """Forces that jump at a surface of positions, velocities and time."""
 
-import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from mbd_ros.core.events.switching import DiscontinuousForce
 from mbd_ros.core.model.coupling_functions import Polynomial
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import Unit
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -23,14 +23,14 @@ class SwitchingForce(DiscontinuousForce):
 
     Args:
         robot: Robot of the scene.
-        above: Joint -> force where h > 0 [N·m or N].
-        below: Joint -> force where h < 0 [N·m or N].
+        above: Joint -> force where h > 0.
+        below: Joint -> force where h < 0.
         velocity: Joint -> coefficients c0, c1, .. of the polynomial r_j in its velocity.
         position: Joint -> coefficients of p_j in its position.
         time: Coefficients of w.
 
     Raises:
-        ModelError: Unknown joint, no surface, no force that switches, or no number.
+        ModelError: Unknown joint, or a polynomial without coefficients.
     """
 
     example = {
@@ -43,16 +43,17 @@ class SwitchingForce(DiscontinuousForce):
         self,
         robot: Robot,
         *,
-        above: Mapping[str, float],
-        below: Mapping[str, float],
-        velocity: Mapping[str, Sequence[float]] | None = None,
-        position: Mapping[str, Sequence[float]] | None = None,
-        time: Sequence[float] | None = None,
+        above: Annotated[Mapping[str, float], Unit("N·m or N")],
+        below: Annotated[Mapping[str, float], Unit("N·m or N")],
+        velocity: Annotated[
+            Mapping[str, Sequence[float]] | None, Unit("h per power of rad/s or m/s")
+        ] = None,
+        position: Annotated[
+            Mapping[str, Sequence[float]] | None, Unit("h per power of rad or m")
+        ] = None,
+        time: Annotated[Sequence[float] | None, Unit("h per power of s")] = None,
     ) -> None:
         velocity, position, time = velocity or {}, position or {}, time or [0.0]
-        _check_finite(above.values(), below.values(), time, *velocity.values(), *position.values())
-        if not velocity and not position:
-            raise ModelError("a surface needs velocity or position, joint -> coefficients")
         self._rate_terms = [(robot.joint(name).v, Polynomial(c)) for name, c in velocity.items()]
         joints = {name: robot.joint(name) for name in position}
         self._place_terms = [
@@ -61,10 +62,25 @@ class SwitchingForce(DiscontinuousForce):
         self._time = Polynomial(time)
         upper, lower = (_generalized(robot, side) for side in (above, below))
         self._middle, self._half = 0.5 * (upper + lower), 0.5 * (upper - lower)
-        if not self._half.any():
-            raise ModelError("above and below are the same: nothing switches")
         self.joints = tuple(robot.joint(name) for name in {**above, **below})
         self.surfaces = ("h of " + ", ".join(dict.fromkeys([*velocity, *position])),)
+
+    @staticmethod
+    def check(
+        above: Mapping[str, float],
+        below: Mapping[str, float],
+        velocity: Mapping[str, Sequence[float]] | None,
+        position: Mapping[str, Sequence[float]] | None,
+    ) -> None:
+        """Refuse what has no surface, or no force that switches.
+
+        Raises:
+            ModelError: Says which.
+        """
+        if not velocity and not position:
+            raise ModelError("a surface needs velocity or position, joint -> coefficients")
+        if all(above.get(name, 0.0) == below.get(name, 0.0) for name in {**above, **below}):
+            raise ModelError("above and below are the same: nothing switches")
 
     def heights(self, k: Kinematics, x: State) -> Array:
         """The h at a state, shape (1,)."""
@@ -87,13 +103,7 @@ class SwitchingForce(DiscontinuousForce):
 
 
 def _generalized(robot: Robot, forces: Mapping[str, float]) -> Array:
-    tau = np.zeros(int(robot.model.nv))
+    tau = [0.0] * int(robot.model.nv)  # a list, which holds symbols, too
     for name, force in forces.items():
         tau[robot.joint(name).v] = force
-    return tau
-
-
-def _check_finite(*groups: Any) -> None:
-    for number in (float(number) for group in groups for number in group):
-        if not math.isfinite(number):
-            raise ModelError(f"{number} must be finite")
+    return np.array(tau)

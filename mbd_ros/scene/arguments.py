@@ -70,7 +70,7 @@ def arguments(
 
 
 def _argument(parameter: inspect.Parameter, hint: Any, text: str) -> Argument:
-    kind, within, unit = described(hint)
+    kind, within, unit, _ = described(hint)
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     choices: tuple[str, ...] = ()
     is_gain = origin in (types.UnionType, typing.Union) and _is_per_joint(inner)
@@ -83,7 +83,7 @@ def _argument(parameter: inspect.Parameter, hint: Any, text: str) -> Argument:
         given = "no annotation" if hint is None else f"the annotation {hint}"
         raise ModelError(f"argument '{parameter.name}' has {given}; accepted: {ACCEPTED}")
     default = None if parameter.default is parameter.empty else parameter.default
-    low, high = within or (-math.inf, math.inf)
+    low, high = within[:2] if within else (-math.inf, math.inf)
     return Argument(parameter.name, kind, is_gain, default, low, high, unit, choices, text)
 
 

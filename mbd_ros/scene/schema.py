@@ -20,6 +20,9 @@ _EXPECTED = {
 def call(function: Callable[..., Any], entry: Any, where: str, *context: Any) -> Any:
     """Call a function or class with the keys of an entry.
 
+    A class may have a static method `check`, which gets those of the arguments that it names and
+    refuses what does not go together.
+
     Args:
         function: What to call; its parameters after `context` are the accepted keys, their
             annotations the accepted values.
@@ -53,9 +56,18 @@ def call(function: Callable[..., Any], entry: Any, where: str, *context: Any) ->
         name = accepted[key].name
         arguments[name] = value(given, hints.get(name, Any), f"{where}.{key}")
     try:
+        _check(function, context, arguments)
         return function(*context, **arguments)
     except ModelError as error:
         raise SceneError(f"{where}: {error}") from error
+
+
+def _check(function: Any, context: Sequence[Any], arguments: Mapping[str, Any]) -> None:
+    check = getattr(function, "check", None) if inspect.isclass(function) else None
+    if check is not None:
+        bound = inspect.signature(function).bind(*context, **arguments)
+        bound.apply_defaults()
+        check(*(bound.arguments[name] for name in inspect.signature(check).parameters))
 
 
 def value(given: Any, hint: Any, where: str, accepted: Within = ANY_NUMBER) -> Any:
@@ -70,7 +82,7 @@ def value(given: Any, hint: Any, where: str, accepted: Within = ANY_NUMBER) -> A
     Raises:
         SceneError: Names the key, what is expected and what was given.
     """
-    hint, within, _ = described(hint)
+    hint, within, _, length = described(hint)
     accepted = within or accepted
     origin, inner = typing.get_origin(hint), typing.get_args(hint)
     if origin in (types.UnionType, typing.Union):
@@ -86,6 +98,8 @@ def value(given: Any, hint: Any, where: str, accepted: Within = ANY_NUMBER) -> A
     if isinstance(origin, type) and issubclass(origin, Sequence):
         if not isinstance(given, list):
             raise SceneError(f"{where}: expected a list, got {given!r}")
+        if length is not None and len(given) != length:
+            raise SceneError(f"{where}: expected {length} numbers, got {given}")
         return [value(v, inner[0], f"{where}[{i}]", accepted) for i, v in enumerate(given)]
     if hint is Any:
         return given
@@ -93,7 +107,8 @@ def value(given: Any, hint: Any, where: str, accepted: Within = ANY_NUMBER) -> A
         given = float(given)
     if type(given) is not hint:
         raise SceneError(f"{where}: expected {_EXPECTED.get(hint, hint)}, got {given!r}")
-    return _within(given, accepted, where) if hint is float else given
+    has_range = hint is float or (hint is int and within is not None)
+    return _within(given, accepted, where) if has_range else given
 
 
 def _member(given: Any, union: Sequence[Any]) -> Any:
@@ -105,10 +120,6 @@ def _member(given: Any, union: Sequence[Any]) -> Any:
 
 
 def _within(number: float, accepted: Within, where: str) -> float:
-    if (
-        number < accepted.low or number > accepted.high
-    ):  # NaN, which no file holds, is up to the part
-        raise SceneError(
-            f"{where}: {number:g} is out of range, accepted: {accepted.low:g} .. {accepted.high:g}"
-        )
+    if not accepted.accepts(number):
+        raise SceneError(f"{where}: {number:g} is out of range, accepted: {accepted}")
     return number

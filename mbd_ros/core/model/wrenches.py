@@ -1,16 +1,15 @@
 """Measured external loads on bodies."""
 
 from collections import deque
-from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import NotNegative, Unit, Vector
 from mbd_ros.core.state import Array, WrenchSamples
-from mbd_ros.errors import ModelError
 
 
 class ExternalWrench:
@@ -21,12 +20,12 @@ class ExternalWrench:
         frame: Link that carries the load.
         expressed_in: Frame whose axes and, without `point`, whose origin the load refers to;
             `frame` by default.
-        point: Point that the torque is taken about, in `expressed_in` [m], shape (3,).
-        threshold: Force norm below which the load counts as zero [N], >= 0. A force plate whose
-            centre of pressure is undefined at little load needs one.
+        point: Point that the torque is taken about, in `expressed_in`, shape (3,).
+        threshold: Force norm below which the load counts as zero. A force plate whose centre of
+            pressure is undefined at little load needs one.
 
     Raises:
-        ModelError: Unknown frame or negative threshold.
+        ModelError: Unknown frame.
     """
 
     def __init__(
@@ -35,13 +34,9 @@ class ExternalWrench:
         *,
         frame: str,
         expressed_in: str | None = None,
-        point: Sequence[float] = (0.0, 0.0, 0.0),
-        threshold: float = 0.0,
+        point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
+        threshold: Annotated[NotNegative, Unit("N")] = 0.0,
     ) -> None:
-        if len(point) != 3:
-            raise ModelError(f"point {list(point)} must have 3 coordinates")
-        if threshold < 0:
-            raise ModelError(f"threshold {threshold:g} N must be >= 0")
         self.frame, self.expressed_in = frame, expressed_in or frame
         self.point, self.threshold = tuple(point), threshold
         frames = robot.model.frames
