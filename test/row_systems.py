@@ -13,6 +13,7 @@ from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.parts import Row
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import State
 
 LEG = (Path(__file__).parents[1] / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
@@ -133,7 +134,7 @@ def floating():
 def spherical_pendulum(copies=1, forces=()):
     """A point of 1 kg at distance 1 m from the origin; `copies` rows that say the same."""
     bars = [Distance(POINT, frame_a="world", frame_b="bob", distance=1.0) for _ in range(copies)]
-    return BilateralSystem(POINT, Loads(3, forces), ConstraintRows(bars, 3))
+    return BilateralSystem(POINT, Loads(3, forces), ConstraintRows(RowLayout(bars).blocks, 3))
 
 
 def sphere():

@@ -17,6 +17,7 @@ from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.optimization.box_qp import complementarity_residual
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
 from mbd_ros.integrators.rk4 import Rk4
@@ -183,7 +184,7 @@ def swing_through_proxqp(duration):
     entries = [{"type": "dry_friction", "joint": name, "limit": 2.0} for name in names]
     stops = {"type": "joint_stop", "joints": names, "lower": -0.6, "upper": 0.6}
     parts = [build_part("constraints", entry, "test", robot) for entry in [*entries, stops]]
-    bounded = AlwaysQp(ConstraintRows(parts, 7), 7)
+    bounded = AlwaysQp(ConstraintRows(RowLayout(parts).blocks, 7), 7)
     system = System(robot, Loads(7), bounded=bounded)
     simulation = Simulation(system, Rk4(), NoStabilization(), 1e-3)
     x = State(0.0, np.full(7, 0.3), np.array([3.0, -2.0, 4.0, 2.0, -4.0, 3.0, -3.0]))

@@ -8,7 +8,7 @@ from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Constraint, Row
 from mbd_ros.core.ranges import Duration
-from mbd_ros.core.row_laws import box
+from mbd_ros.core.row_laws import Level, box
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -31,6 +31,7 @@ class DryFriction(Constraint):
         ModelError: Unknown joint, or a value out of its range.
     """
 
+    level = Level.VELOCITY  # any position will do
     example = {"joint": "ankle", "limit": 0.8, "time_constant": 0.005}
 
     def __init__(
@@ -46,10 +47,6 @@ class DryFriction(Constraint):
         self.rows = (Row(f"{joint}.friction", self.joint.effort_unit),)
         self._zero, self._jacobian = np.zeros(1), np.zeros((1, robot.model.nv))
         self._jacobian[0, self.joint.v] = 1.0
-
-    def residual(self, k: Kinematics, x: State) -> Array:
-        """Zero: any position will do, shape (1,)."""
-        return self._zero
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
         """1 at the joint, shape (1, nv)."""

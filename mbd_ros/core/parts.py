@@ -14,7 +14,7 @@ from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.names import type_name
 from mbd_ros.core.row_laws import Law, Level, bilateral
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, Mode, State
 
 
 class Channel(NamedTuple):
@@ -216,6 +216,10 @@ class Constraint(Part):
     gains: tuple[float | Array, float | Array] = (0.0, 0.0)
     driven: tuple[str, ...] = ()
     stops: tuple[Stop, ...] = ()
+
+    def acts(self, mode: Mode) -> bool:
+        """Whether the rows are on in a mode; those of most constraints always are."""
+        return True
 
     def residual(self, k: Kinematics, x: State) -> Array:
         """g(t, q), shape (m,)."""

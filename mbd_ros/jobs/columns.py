@@ -8,7 +8,7 @@ from typing import Any
 
 from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.parts import Row
-from mbd_ros.core.rows.row_order import numbered
+from mbd_ros.core.rows.row_layout import numbered
 from mbd_ros.core.state import Array
 from mbd_ros.files.recordings import name_of
 from mbd_ros.files.table import Column, Result

@@ -11,7 +11,7 @@ from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
-from mbd_ros.core.rows.row_order import RowOrder
+from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import Array, Solution, State
 from mbd_ros.core.thresholds import HELD_BY_ROWS, NEAR_TOGGLE
 from mbd_ros.errors import SolveError
@@ -30,7 +30,7 @@ class BilateralSystem(System):
         loads: What acts on its joints.
         constraints: The rows.
         bounded: Rows with bounded multipliers.
-        order: Where the multipliers of each stand; by default bounded ones come last.
+        layout: All rows of the scene; those of `constraints` without it.
     """
 
     tier = "kkt"
@@ -41,11 +41,10 @@ class BilateralSystem(System):
         loads: Loads,
         constraints: ConstraintRows,
         bounded: BoundedRows | None = None,
-        order: RowOrder | None = None,
+        layout: RowLayout | None = None,
     ) -> None:
-        limits = () if bounded is None else bounded.constraints.parts
-        order = order or RowOrder((*constraints.parts, *limits))
-        super().__init__(robot, loads, constraints, bounded, order)
+        layout = layout or RowLayout(constraints.parts)
+        super().__init__(robot, loads, constraints, bounded, layout)
         self._reads = max(constraints.reads, loads.reads)
         self.condition = np.inf  # unknown yet
         self._row_jacobian = np.zeros((len(constraints.rows), self.nv))
@@ -63,7 +62,7 @@ class BilateralSystem(System):
             return Solution(a, self._multipliers())
         self.bounded.accelerate(self, x.t, x.q, x.v, a)
         a = self._accelerate(x.t, x.q, x.v, u, self.bounded.force)
-        return Solution(a, self.order.joined(self._multipliers(), self.bounded.multipliers))
+        return Solution(a, self._joined(self._multipliers()))
 
     def respond(self, q: Array, forces: Array) -> Array:
         """Accelerations of all joints that forces on them add; as `System.respond`."""

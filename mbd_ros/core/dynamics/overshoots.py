@@ -47,7 +47,7 @@ class Overshoots:
 
     def __init__(self, system: Any) -> None:
         self._system = system
-        stops = [stop for part in system.bounded.constraints.parts for stop in part.stops]
+        stops = [stop for block in system.layout.yielding for stop in block.part.stops]
         self._joints = [stop.joint for stop in stops] * 2
         self._q = np.array([joint.q for joint in self._joints], dtype=np.intp)
         self._v = np.array([joint.v for joint in self._joints], dtype=np.intp)

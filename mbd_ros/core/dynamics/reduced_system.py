@@ -15,7 +15,7 @@ from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.rows.coupling_rows import CouplingRows
-from mbd_ros.core.rows.row_order import RowOrder
+from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import Array, Solution, State
 
 
@@ -39,8 +39,8 @@ class ReducedSystem(System):
         bounded: BoundedRows | None = None,
     ) -> None:
         limits = () if bounded is None else bounded.constraints.parts
-        order = RowOrder((CouplingRows(robot, couplings), *limits))
-        super().__init__(robot, loads, bounded=bounded, order=order)
+        layout = RowLayout((CouplingRows(robot, couplings), *limits))
+        super().__init__(robot, loads, bounded=bounded, layout=layout)
         self.couplings = couplings
         self.chart = chart_of(robot.model, couplings.v_index)
         self.nq, self.nv = self.chart.nq, self.chart.nv
@@ -85,7 +85,7 @@ class ReducedSystem(System):
         if self.bounded is None:
             return Solution(a, self.couplings.reduce(needed, self._slopes)[1])
         lam = self.couplings.reduce(needed - self.bounded.force, self._slopes)[1]
-        return Solution(a, self.order.joined(lam, self.bounded.multipliers))
+        return Solution(a, np.concatenate((lam, self.bounded.multipliers)))
 
     def mass(self, q: Array) -> Array:
         """G' M G, shape (nv, nv), fresh."""

@@ -15,7 +15,7 @@ from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.parts import Row, Wrench
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_factor import RowFactor
-from mbd_ros.core.rows.row_order import RowOrder
+from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import Array, Solution, State
 
 Accelerator = Callable[[float, Array, Array, Array | None, Array], None]  # the last one is written
@@ -42,7 +42,7 @@ class System:
         loads: What acts on its joints.
         constraints: Bilateral rows; this class solves for none, but gives their violation.
         bounded: Rows with bounded multipliers, solved for by Gauss's principle.
-        order: Where the multipliers of each stand; by default those of `bounded` are all.
+        layout: All rows of the scene; those of `bounded` without it.
 
     Attributes:
         tier: Name of the way of solving.
@@ -50,7 +50,7 @@ class System:
         nq: Size of that configuration.
         nv: Size of its velocity.
         rows: Bilateral rows that an integrator may have to keep.
-        order: Which multipliers of a `Solution` are those of bilateral and of bounded rows.
+        layout: Which multipliers of a `Solution` are those of which rows.
         multiplier_rows: What they are, in the same order under every tier.
         evaluations: How often the acceleration was asked for.
         row_size: Largest size of the bilateral rows so far; None forgets it. Where a state is
@@ -67,7 +67,7 @@ class System:
         loads: Loads,
         constraints: ConstraintRows | None = None,
         bounded: BoundedRows | None = None,
-        order: RowOrder | None = None,
+        layout: RowLayout | None = None,
     ) -> None:
         self.robot, self.loads = robot, loads
         self.constraints = constraints or ConstraintRows((), robot.model.nv)
@@ -78,8 +78,8 @@ class System:
         self.nq, self.nv = self.chart.nq, self.chart.nv
         self.rows: tuple[Row, ...] = self.constraints.rows
         parts = () if bounded is None else bounded.constraints.parts
-        self.order = order or RowOrder(parts)
-        self.multiplier_rows: tuple[Row, ...] = self.order.rows
+        self.layout = layout or RowLayout(parts)
+        self.multiplier_rows: tuple[Row, ...] = self.layout.rows
         self.evaluations = 0
         self.condition = 1.0
         self.row_size: Array | None = None
@@ -115,7 +115,7 @@ class System:
         if not self.rows:
             return ()
         self.refresh(x.q, x.v)
-        return self.constraints.wrenches(self.k, x, self.order.bilateral(multipliers))
+        return self.constraints.wrenches(self.k, x, multipliers[self.constraints.slots])
 
     def mass(self, q: Array) -> Array:
         """Mass matrix of the integrated coordinates, symmetric, shape (nv, nv)."""
@@ -151,9 +151,9 @@ class System:
 
     def correct_rows(self, kp: float, kd: float) -> None:
         """Demand g'' + kd g' + kp g = 0 of the bilateral rows; kp [1/s^2], kd [1/s]."""
-        self.constraints.correct_free_rows(kp, kd)
+        self.constraints.correct_rigid_rows(kp, kd)
         if self.bounded is not None:
-            self.bounded.constraints.correct_free_rows(kp, kd)
+            self.bounded.constraints.correct_rigid_rows(kp, kd)
 
     def expand(self, x: State) -> State:
         """State of all joints from that of the integrated coordinates."""
@@ -202,6 +202,14 @@ class System:
         if self.loads.reads:
             self.refresh(q, v)
         return self.loads.total(self.k, State(t, q, v), u)
+
+    def _joined(self, rigid: Array) -> Array:
+        """Multipliers of all rows at the last evaluation, from those of the rigid ones."""
+        multipliers = np.zeros(len(self.multiplier_rows))
+        multipliers[self.constraints.slots] = rigid
+        if self.bounded is not None:
+            multipliers[self.bounded.constraints.slots] = self.bounded.multipliers
+        return multipliers
 
     def _placed(self, t: float, q: Array) -> State:
         """State at rest of all joints, with `data` as the rows need it."""

@@ -11,9 +11,10 @@ from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.parts import Constraint
+from mbd_ros.core.row_laws import Kind, Level
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.coupling_rows import CouplingRows
-from mbd_ros.core.rows.row_order import RowOrder
+from mbd_ros.core.rows.row_layout import RowBlock, RowLayout
 from mbd_ros.errors import ModelError
 
 TIERS = ("auto", "aba", "reduced", "kkt", "qp")
@@ -43,20 +44,18 @@ def build_system(
     Raises:
         ModelError: The tier cannot serve these rows, or a package is missing.
     """
-    bilateral = [part for part in constraints if part.law.is_rigid]
-    bounded = [part for part in constraints if not part.law.is_rigid]
-    _check(tier, couplings, bilateral, bounded)
-    nv = robot.model.nv
     coupled: list[Constraint] = [CouplingRows(robot, couplings)] if couplings.dependent else []
-    order = RowOrder([*coupled, *constraints])
-    rows = ConstraintRows([*coupled, *bilateral], nv, order.bilateral_rows)
-    if tier == "qp" and (coupled or constraints):
-        every = ConstraintRows([*coupled, *constraints], nv, order.rows)
-        return System(robot, loads, rows, BoundedRows(every, nv, backend), order)
-    acting = ConstraintRows(bounded, nv, order.bounded_rows)
-    limits = BoundedRows(acting, nv, backend) if bounded else None
-    if bilateral or (tier == "kkt" and coupled):
-        return BilateralSystem(robot, loads, rows, limits, order)
+    layout, nv = RowLayout([*coupled, *constraints]), robot.model.nv
+    _refuse_unserved(layout.blocks)
+    _check(tier, couplings, layout.rigid[len(coupled) :], layout.yielding)
+    rows = ConstraintRows(layout.rigid, nv)
+    if tier == "qp" and layout.blocks:
+        every = ConstraintRows(layout.blocks, nv)
+        return System(robot, loads, rows, BoundedRows(every, nv, backend), layout)
+    acting = ConstraintRows(layout.yielding, nv)
+    limits = BoundedRows(acting, nv, backend) if layout.yielding else None
+    if len(layout.rigid) > len(coupled) or (tier == "kkt" and coupled):
+        return BilateralSystem(robot, loads, rows, limits, layout)
     if coupled:
         mimics = mimic_model(robot, couplings)
         if mimics is not None:
@@ -65,22 +64,39 @@ def build_system(
     return System(robot, loads, bounded=limits)
 
 
+def _refuse_unserved(blocks: Sequence[RowBlock]) -> None:
+    """Refuse laws that exist and that no solver serves."""
+    for block in blocks:
+        what = ""
+        if block.law.kind is Kind.CONE:
+            what = "has the law cone"
+        elif block.law.restitution > 0.0:
+            what = f"has restitution {block.law.restitution:g}"
+        elif block.level is Level.VELOCITY and block.law.kind is not Kind.BOX:
+            what = f"has the law {block.law.kind.value} on velocities"
+        if what:
+            raise ModelError(
+                f"row {block.rows[0].name} {what}, which no solver serves; accepted: bilateral, "
+                "drive, unilateral without restitution, and box, which serves velocities too"
+            )
+
+
 def _check(
     tier: str,
     couplings: Couplings,
-    bilateral: Sequence[Constraint],
-    bounded: Sequence[Constraint],
+    rigid: Sequence[RowBlock],
+    yielding: Sequence[RowBlock],
 ) -> None:
     if tier not in TIERS:
         raise ModelError(f"unknown solver type '{tier}', accepted: {', '.join(TIERS)}")
-    names = [row.name for part in (*bilateral, *bounded) for row in part.rows]
+    names = [row.name for block in (*rigid, *yielding) for row in block.rows]
     if tier == "aba" and (couplings.dependent or names):
         rows = ", ".join([*couplings.dependent, *names])
         raise ModelError(f"solver aba takes no rows, the scene has {rows}")
-    if tier == "reduced" and (bilateral or bounded):
+    if tier == "reduced" and (rigid or yielding):
         raise ModelError(f"solver reduced takes couplings only, the scene has {', '.join(names)}")
-    if tier == "kkt" and bounded:
-        rows = ", ".join(row.name for part in bounded for row in part.rows)
+    if tier == "kkt" and yielding:
+        rows = ", ".join(row.name for block in yielding for row in block.rows)
         raise ModelError(f"solver kkt takes no bounded rows, the scene has {rows}")
 
 

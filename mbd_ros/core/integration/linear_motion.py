@@ -70,8 +70,8 @@ def linear_motion(system: System, x: State) -> LinearMotion:
         linear.update(x.t, x.q, x.v, None)
     finally:
         system.loads = loads
-    bounded = () if system.bounded is None else system.bounded.constraints.parts
-    gains = [part.gains for part in bounded]
+    blocks = system.layout.yielding
+    gains = [pair for block in blocks for pair in dict.fromkeys(zip(*block.gains, strict=True))]
     n = system.nv
     stiffness, damping = np.zeros((2, n + len(gains), n + len(gains)))
     stiffness[:n, :n], damping[:n, :n] = linear.stiffness, linear.damping

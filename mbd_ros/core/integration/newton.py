@@ -51,8 +51,9 @@ def refuse_bounded_rows(system: System, name: str) -> None:
     Raises:
         ModelError: They do; names them.
     """
-    if getattr(system, "bounded", None) is not None:
-        rows = ", ".join(row.name for row in system.order.bounded_rows)
+    bounded = getattr(system, "bounded", None)
+    if bounded is not None:
+        rows = ", ".join(row.name for row in bounded.rows)
         raise ModelError(
             f"integrator {name} keeps bilateral rows only, the scene bounds {rows}; accepted: "
             "any integrator that does not keep constraints itself, such as rk4"

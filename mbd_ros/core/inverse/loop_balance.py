@@ -15,6 +15,7 @@ from mbd_ros.core.parts import Constraint, Load
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.coupling_rows import CouplingRows
+from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import NONE, Array, State
 
 
@@ -59,8 +60,9 @@ class LoopBalance:
         forces: Sequence[Load] = (),
     ) -> None:
         coupled: list[Constraint] = [CouplingRows(robot, couplings)] if couplings.dependent else []
-        known = [part for part in constraints if part.law.kind in (Kind.BILATERAL, Kind.DRIVE)]
-        self.constraints = ConstraintRows([*coupled, *known], robot.model.nv)
+        layout = RowLayout([*coupled, *constraints])
+        known = layout.having(Kind.BILATERAL, Kind.DRIVE)
+        self.constraints = ConstraintRows(known, robot.model.nv)
         drives = [
             np.full(len(part.rows), part.law.kind is Kind.DRIVE) for part in self.constraints.parts
         ]

@@ -1,57 +1,64 @@
-"""All rows of several constraints, stacked."""
+"""Rows of several blocks, stacked."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics, Reads
-from mbd_ros.core.parts import Constraint, Row, Wrench
-from mbd_ros.core.rows.row_order import numbered
+from mbd_ros.core.parts import Wrench
+from mbd_ros.core.row_laws import Level
+from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Array, State
+
+Residual = Callable[[Kinematics, State], Array]
 
 
 class ConstraintRows:
-    """g(t, q) = 0 of several constraints, one below the other.
+    """g(t, q) = 0 of several blocks, one below the other.
 
     Args:
-        parts: The constraints.
+        blocks: The blocks, of one `RowLayout`.
         nv: Size of the velocity of the robot.
-        rows: Their rows, numbered as in the scene; by default the rows of `parts` alone.
 
     Attributes:
+        blocks: As given.
+        parts: Their constraints.
         rows: One entry a row.
-        slices: Where the rows of each part stand.
+        slots: Where their multipliers stand among those of the scene, shape (m,).
+        slices: Where the rows of each block stand here.
         reads: What the parts read of k.
         lower: Smallest multiplier of every row, -inf where it is free, shape (m,).
         upper: Largest multiplier of every row, shape (m,).
         is_corrected: Whether any row demands more than g'' = 0.
     """
 
-    def __init__(
-        self, parts: Sequence[Constraint], nv: int, rows: tuple[Row, ...] | None = None
-    ) -> None:
-        self.parts = tuple(parts)
-        own = [row for part in parts for row in part.rows]
-        self.rows = numbered(own) if rows is None else rows
-        ends = np.cumsum([0, *(len(part.rows) for part in parts)]).tolist()
+    def __init__(self, blocks: Sequence[RowBlock], nv: int) -> None:
+        self.blocks = tuple(blocks)
+        self.parts = tuple(block.part for block in blocks)
+        self.rows = tuple(row for block in blocks for row in block.rows)
+        every = [np.arange(block.slots.start, block.slots.stop) for block in blocks]
+        self.slots = np.concatenate([np.zeros(0, dtype=np.intp), *every])
+        ends = np.cumsum([0, *(len(block.rows) for block in blocks)]).tolist()
         self.slices = [slice(*pair) for pair in itertools.pairwise(ends)]
-        self.reads = max((part.reads for part in parts), default=Reads.NOTHING)
+        self.reads = max((part.reads for part in self.parts), default=Reads.NOTHING)
         m = len(self.rows)
         self.lower, self.upper = np.full(m, -np.inf), np.full(m, np.inf)
         self._kp, self._kd = np.zeros(m), np.zeros(m)
-        for part, mine in zip(self.parts, self.slices, strict=True):
-            self._kp[mine], self._kd[mine] = part.gains
-            self.lower[mine], self.upper[mine] = part.law.lower, part.law.upper
+        for block, mine in zip(self.blocks, self.slices, strict=True):
+            self._kp[mine], self._kd[mine] = block.gains
+            self.lower[mine], self.upper[mine] = block.law.lower, block.law.upper
         self.is_corrected = bool(self._kp.any() or self._kd.any())
         self._J, self._drift = np.zeros((m, nv)), np.zeros(m)
         self._none, self._no_rows = np.zeros(0), np.zeros((0, nv))
         self._only = self.parts[0] if len(self.parts) == 1 else None
+        self._residuals = [_residual(block) for block in self.blocks]
 
-    def correct_free_rows(self, kp: float, kd: float) -> None:
-        """Demand g'' + kd g' + kp g = 0 of the rows without bounds."""
-        free = np.isinf(self.lower) & np.isinf(self.upper)
-        self._kp[free], self._kd[free] = kp, kd
+    def correct_rigid_rows(self, kp: float, kd: float) -> None:
+        """Demand g'' + kd g' + kp g = 0 of the rows that do not give way."""
+        for block, mine in zip(self.blocks, self.slices, strict=True):
+            if block.law.is_rigid:
+                self._kp[mine], self._kd[mine] = kp, kd
         self.is_corrected = bool(self._kp.any() or self._kd.any())
 
     def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
@@ -66,7 +73,7 @@ class ConstraintRows:
         """J and b of the condition J a + b = g'' + kd g' + kp g, (m, nv) and (m,)."""
         J, drift = self.accelerations(k, x)
         if self._only is not None:
-            rate, g = J.dot(x.v) + self._only.rate(k, x), self._only.residual(k, x)
+            rate, g = J.dot(x.v) + self._only.rate(k, x), self._residuals[0](k, x)
         else:
             rate, g = J.dot(x.v) + self.rate(k, x), self.residual(k, x)
         return J, drift + self._kd * rate + self._kp * g
@@ -77,8 +84,8 @@ class ConstraintRows:
         return tuple(w for part, mine in pairs for w in part.wrenches(k, x, lam[mine]))
 
     def residual(self, k: Kinematics, x: State) -> Array:
-        """g, shape (m,)."""
-        return np.concatenate([self._none, *(part.residual(k, x) for part in self.parts)])
+        """g, shape (m,); 0 for rows of velocities, which have none."""
+        return np.concatenate([self._none, *(g(k, x) for g in self._residuals)])
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
         """dg/dq, shape (m, nv), fresh."""
@@ -87,3 +94,10 @@ class ConstraintRows:
     def rate(self, k: Kinematics, x: State) -> Array:
         """dg/dt, shape (m,)."""
         return np.concatenate([self._none, *(part.rate(k, x) for part in self.parts)])
+
+
+def _residual(block: RowBlock) -> Residual:
+    if block.level is Level.POSITION:
+        return block.part.residual
+    nothing = np.zeros(len(block.rows))
+    return lambda k, x: nothing

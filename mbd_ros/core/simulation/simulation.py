@@ -50,8 +50,7 @@ class Simulation:
         self._stride = getattr(self.stepper, "stride", None)  # several steps at once, if it can
         self.steps = 0
         self.worst = (1.0, 0.0)
-        parts = () if system.bounded is None else system.bounded.constraints.parts
-        has_stops = any(part.stops for part in parts)
+        has_stops = any(block.part.stops for block in system.layout.yielding)
         self.overshoots = Overshoots(system) if has_stops else None
         self._is_corrected = bool(system.rows) and not integrator.keeps_constraints
 

@@ -97,7 +97,12 @@ class Oracle:
     def _solved(self, system: System, y: State) -> tuple[Array, Array, Array]:
         """Accelerations, multipliers of bilateral and of bounded rows."""
         a, lam = system.solve(y)
-        return np.array(a), system.order.bilateral(lam), system.order.bounded(lam)
+        parts = (
+            [lam[block.slots] for block in system.layout.rigid],
+            [lam[block.slots] for block in system.layout.yielding],
+        )
+        rigid, yielding = (np.concatenate([lam[:0], *part]) for part in parts)
+        return np.array(a), rigid, yielding
 
     def _balance(self, x: State, a: Array, lam: Array, bounded: Array) -> str:
         model, data, size = self._model, self._data, np.abs

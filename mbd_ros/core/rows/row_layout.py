@@ -1,0 +1,114 @@
+"""All rows of a scene in one order, under every solver."""
+
+import itertools
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.parts import Constraint, Row
+from mbd_ros.core.row_laws import Kind, Law, Level
+from mbd_ros.core.state import Array, Mode
+from mbd_ros.errors import ModelError
+
+
+class RowBlock(NamedTuple):
+    """The rows of one constraint, as solvers see them.
+
+    Attributes:
+        part: The constraint.
+        rows: One entry a row, of a name that no other row has.
+        slots: Where their multipliers stand among those of the scene, in every mode.
+        level: Whether they state positions or velocities.
+        law: What the multipliers may be.
+        gains: kp [1/s^2] and kd [1/s] of every row, shape (m,) each.
+    """
+
+    part: Constraint
+    rows: tuple[Row, ...]
+    slots: slice
+    level: Level
+    law: Law
+    gains: tuple[Array, Array]
+
+
+class RowLayout:
+    """Couplings first, then constraints as the scene lists them.
+
+    The one place that knows which multipliers of a `Solution` belong to which rows.
+
+    Args:
+        parts: Couplings and constraints, in that order.
+
+    Attributes:
+        rows: One entry a multiplier.
+        blocks: One entry a constraint.
+        rigid: Blocks that hold whatever multipliers that takes.
+        yielding: The other blocks.
+
+    Raises:
+        ModelError: A law or gains that do not fit their rows; names them.
+    """
+
+    def __init__(self, parts: Sequence[Constraint] = ()) -> None:
+        self.rows = numbered([row for part in parts for row in part.rows])
+        ends = np.cumsum([0, *(len(part.rows) for part in parts)]).tolist()
+        slots = (slice(*pair) for pair in itertools.pairwise(ends))
+        self.blocks = tuple(
+            _block(part, self.rows[mine], mine) for part, mine in zip(parts, slots, strict=True)
+        )
+        self.rigid = tuple(block for block in self.blocks if block.law.is_rigid)
+        self.yielding = tuple(block for block in self.blocks if not block.law.is_rigid)
+
+    def of(self, level: Level) -> tuple[RowBlock, ...]:
+        """Blocks of one level; a projection of positions asks for `Level.POSITION`."""
+        return tuple(block for block in self.blocks if block.level is level)
+
+    def on(self, mode: Mode) -> tuple[RowBlock, ...]:
+        """Blocks that act in a mode; their slots are the same in every mode."""
+        return tuple(block for block in self.blocks if block.part.acts(mode))
+
+    def having(self, *kinds: Kind) -> tuple[RowBlock, ...]:
+        """Blocks whose law is of one of these kinds."""
+        return tuple(block for block in self.blocks if block.law.kind in kinds)
+
+
+def rigid(parts: Sequence[Constraint]) -> list[Constraint]:
+    """Constraints that hold whatever multipliers that takes: without stops and dry friction."""
+    return [part for part in parts if part.law.is_rigid]
+
+
+def numbered(rows: Sequence[Row]) -> tuple[Row, ...]:
+    """The rows; equal names get a number: bar, bar#2, bar#3."""
+    seen: Counter[str] = Counter()
+    told_apart = []
+    for row in rows:
+        seen[row.name] += 1
+        count = seen[row.name]
+        told_apart.append(row if count == 1 else row._replace(name=f"{row.name}#{count}"))
+    return tuple(told_apart)
+
+
+def _block(part: Constraint, rows: tuple[Row, ...], slots: slice) -> RowBlock:
+    where = f"constraint {type(part).__name__}"
+    if rows:
+        where = f"{where} with row {rows[0].name}"
+    if hasattr(part, "bounds"):
+        raise ModelError(f"{where} has bounds: say law = box(lower, upper) of core/row_laws.py")
+    law, m = part.law, len(rows)
+    try:
+        lower, upper = np.broadcast_to(law.lower, m), np.broadcast_to(law.upper, m)
+        kp, kd = (np.broadcast_to(np.asarray(gain, dtype=float), m) for gain in part.gains)
+    except ValueError as error:
+        raise ModelError(f"{where}: bounds and gains are one number or {m}, one a row") from error
+    if not np.all(lower <= upper):
+        raise ModelError(f"{where}: the lower bound of a multiplier is above the upper one")
+    if not (law.mu >= 0.0 and 0.0 <= law.restitution <= 1.0):
+        raise ModelError(
+            f"{where}: friction {law.mu:g} must be >= 0, "
+            f"restitution {law.restitution:g} within 0 .. 1"
+        )
+    if law.kind is Kind.CONE and m != 3:
+        raise ModelError(f"{where}: a cone has 3 rows, a normal and two tangents; this has {m}")
+    return RowBlock(part, rows, slots, part.level, law, (kp, kd))

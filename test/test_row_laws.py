@@ -1,0 +1,140 @@
+"""Laws of multipliers, levels and slots of rows; what no solver serves is refused by name."""
+
+import math
+
+import mechanisms
+import numpy as np
+import pytest
+
+from mbd_ros.constraints.dry_friction import DryFriction
+from mbd_ros.constraints.joint_stop import JointStop
+from mbd_ros.constraints.prescribed_motion import PrescribedMotion
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.parts import Constraint, Row
+from mbd_ros.core.row_laws import Kind, Level, bilateral, box, cone, drive, unilateral
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.rows.row_layout import RowLayout, rigid
+from mbd_ros.core.state import State
+from mbd_ros.errors import ModelError
+
+CHAIN = read_robot(mechanisms.chain(3))
+
+
+class Held(Constraint):
+    """The first joints at 0, one row each, under any law."""
+
+    def __init__(self, law, level=Level.POSITION, gains=(0.0, 0.0), m=1):
+        self.law, self.level, self.gains = law, level, gains
+        self.rows = tuple(Row(f"held_{i}", "N·m") for i in range(m))
+
+    def residual(self, k, x):
+        assert self.level is Level.POSITION, "rows of velocities have no g"
+        return x.q[: len(self.rows)]
+
+    def jacobian(self, k, x):
+        return np.eye(3)[: len(self.rows)]
+
+    def drift(self, k, x):
+        return np.zeros(len(self.rows))
+
+
+class Latch(Held):
+    """A row that is on in mode (1,)."""
+
+    def acts(self, mode):
+        return mode == (1,)
+
+
+def built(*parts):
+    return build_system(CHAIN, Couplings(CHAIN, ()), parts, Loads(3))
+
+
+def test_only_bilateral_rows_and_drives_without_a_limit_are_rigid():
+    assert bilateral().is_rigid and drive().is_rigid
+    for law in (drive(2.0), box(-1.0, 1.0), unilateral(), cone(0.5)):
+        assert not law.is_rigid
+    assert [law.kind for law in (drive(), unilateral(0.3))] == [Kind.DRIVE, Kind.UNILATERAL]
+
+
+def test_slots_are_the_same_in_every_mode_and_cover_all_rows():
+    parts = [
+        Held(bilateral(), m=2),
+        JointStop(CHAIN, joints=["joint_1", "joint_2"], upper=1.0, lower=-1.0),
+        Latch(bilateral()),
+        DryFriction(CHAIN, joint="joint_3", limit=1.0),
+        PrescribedMotion(CHAIN, joint="joint_1", polynomial=[0.0], limit=2.0),
+    ]
+    layout = RowLayout(parts)
+    assert [block.slots for block in layout.blocks] == [
+        slice(0, 2),
+        slice(2, 4),
+        slice(4, 5),
+        slice(5, 6),
+        slice(6, 7),
+    ]
+    assert layout.on((1,)) == layout.blocks
+    assert layout.on(()) == (*layout.blocks[:2], *layout.blocks[3:])
+    assert [b.part for b in layout.of(Level.VELOCITY)] == [parts[3]]
+    assert [b.part for b in layout.rigid] == rigid(parts) == [parts[0], parts[2]]
+    assert [b.part for b in layout.having(Kind.DRIVE, Kind.UNILATERAL)] == [parts[1], parts[4]]
+    rows = ConstraintRows(layout.yielding, 3)
+    assert rows.slots.tolist() == [2, 3, 5, 6]
+    assert [row.name for row in layout.rows][:2] == ["held_0", "held_1"]
+    assert layout.rows[4].name == "held_0#2" and layout.blocks[2].rows == layout.rows[4:5]
+
+
+def test_gains_are_one_number_or_one_a_row():
+    block = RowLayout([Held(box(-1.0, [1.0, 2.0]), gains=(4.0, np.array((1.0, 3.0))), m=2)]).blocks
+    kp, kd = block[0].gains
+    assert kp.tolist() == [4.0, 4.0] and kd.tolist() == [1.0, 3.0]
+    rows, x = ConstraintRows(block, 3), State(0.0, np.array((0.1, 0.2, 0.3)), np.ones(3))
+    assert rows.lower.tolist() == [-1.0, -1.0] and rows.upper.tolist() == [1.0, 2.0]
+    assert rows.conditions(None, x)[1] == pytest.approx([1.0 + 0.4, 3.0 + 0.8])
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_rows_of_velocities_are_never_asked_for_g(count):
+    parts = [Held(box(-1.0, 1.0), Level.VELOCITY, gains=(0.0, 5.0)) for _ in range(count)]
+    rows, x = ConstraintRows(RowLayout(parts).blocks, 3), State(0.0, np.ones(3), np.ones(3))
+    assert rows.residual(None, x).tolist() == [0.0] * count
+    assert rows.conditions(None, x)[1].tolist() == [5.0] * count
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        (Held(cone(0.5), m=3), "row held_0 has the law cone, which no solver serves"),
+        (Held(unilateral(0.3)), "row held_0 has restitution 0.3, which no solver serves"),
+        (Held(bilateral(), Level.VELOCITY), "held_0 has the law bilateral on velocities, which"),
+        (Held(unilateral(), Level.VELOCITY), "held_0 has the law unilateral on velocities, which"),
+    ],
+)
+def test_laws_that_no_solver_serves_are_refused_by_name(part, message):
+    with pytest.raises(ModelError, match=message):
+        built(part)
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        (Held(cone(0.5)), "a cone has 3 rows, a normal and two tangents; this has 1"),
+        (Held(cone(-0.5), m=3), "friction -0.5 must be >= 0"),
+        (Held(unilateral(1.5)), "restitution 1.5 within 0 .. 1"),
+        (Held(box(2.0, 1.0)), "the lower bound of a multiplier is above the upper one"),
+        (Held(box(math.nan, 1.0)), "the lower bound of a multiplier is above the upper one"),
+        (Held(box(0.0, [1.0, 2.0, 3.0]), m=2), "bounds and gains are one number or 2, one a row"),
+    ],
+)
+def test_laws_that_do_not_fit_their_rows_name_them(part, message):
+    with pytest.raises(ModelError, match=f"constraint Held with row held_0.*{message}"):
+        RowLayout([part])
+
+
+def test_bounds_of_earlier_versions_are_refused_with_the_new_word():
+    part = Held(bilateral())
+    part.bounds = np.zeros(1), np.ones(1)
+    with pytest.raises(ModelError, match=r"held_0 has bounds: say law = box\(lower, upper\)"):
+        built(part)
