@@ -75,7 +75,7 @@ class GearedMotor(Actuator):
         """The ratio, shape (nv, 1); None with losses, which depend on the side that drives."""
         if self._efficiency != 1.0:
             return None
-        columns = np.zeros((len(self._armature), 1))
+        columns = np.zeros((self._nv, 1))
         columns[self.joint.v] = self._ratio
         return columns
 
