@@ -56,7 +56,7 @@ def _scene_bits(name: str, seconds: float, folder: Path) -> dict[str, str]:
     scene = _first(_LOADERS)(name)
     simulation = scene.simulation()
     states = list(simulation.run(scene.initial, seconds))
-    solved = [simulation.system.solve(simulation.system.reduce(x)) for x in states]
+    solved = [_solved(simulation.system, x) for x in states]
     found = {
         "states": _hash(np.concatenate([[x.t], x.q, x.v]) for x in states),
         "accelerations": _hash(solution[0] for solution in solved),
@@ -65,6 +65,15 @@ def _scene_bits(name: str, seconds: float, folder: Path) -> dict[str, str]:
     if not scene.robot.floating:
         found |= _table_bits(str(scene.path), seconds, folder)
     return found
+
+
+def _solved(system: Any, x: Any) -> tuple[Any, Any]:
+    """Accelerations and multipliers."""
+    if hasattr(system, "evaluate"):
+        now = system.evaluate(x)
+        return now.a, now.lam
+    a, lam = system.solve(system.reduce(x))  # commits before `evaluate`
+    return a, lam
 
 
 def _table_bits(name: str, seconds: float, folder: Path) -> dict[str, str]:

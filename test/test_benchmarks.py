@@ -85,6 +85,6 @@ def test_redundant_cranks_share_the_load_with_the_smallest_norm(offset):
     """At rest 60 deg aside: m g cos 60 in all; the first moment puts the rest in proportion."""
     scene = load_scene(BY_NAME["x09_cranks_offset" if offset else "x09_cranks"].scene)
     simulation = scene.simulation()
-    tensions = -simulation.system.solve(simulation.start(scene.initial)).multipliers
+    tensions = -simulation.system.evaluate(simulation.start(scene.initial)).lam
     share, more = 9.81 / 2 / 3, offset * 9.81 / 4
     assert tensions == pytest.approx([share - more, share, share + more], abs=1e-12)

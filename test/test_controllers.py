@@ -74,7 +74,7 @@ def near(joints, x, rng):
 def accelerations(loaded, joints, x, effort):
     """Of the controlled joints, by the system of the simulation, not that of the controller."""
     system = loaded.system()
-    a = system.solve(system.reduce(x), effort).a
+    a = system.evaluate(x, effort).a
     return a[[joint.v for joint in joints.joints]]
 
 

@@ -51,11 +51,13 @@ def test_accelerations_and_multipliers_are_those_of_the_elimination(laws, stiffn
     rng = np.random.default_rng(5)
     for _ in range(20):
         x = State(0.0, *rng.normal(size=(2, general.nv)))
-        for ours, theirs in zip(mimic.solve(x), general.solve(x), strict=True):
-            assert ours == pytest.approx(theirs, rel=1e-11, abs=1e-11)
+        x = general.expand(x)
+        found, expected = mimic.evaluate(x), general.evaluate(x)
+        assert found.a == pytest.approx(expected.a, rel=1e-11, abs=1e-11)
+        assert found.lam == pytest.approx(expected.lam, rel=1e-11, abs=1e-11)
         forces = rng.normal(size=(6, 2))
-        expected = general.respond(x.q, forces)
-        assert mimic.respond(x.q, forces) == pytest.approx(expected, rel=1e-11, abs=1e-11)
+        wanted = expected.respond(forces)
+        assert found.respond(forces) == pytest.approx(wanted, rel=1e-11, abs=1e-11)
 
 
 @pytest.mark.parametrize(

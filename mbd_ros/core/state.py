@@ -1,5 +1,6 @@
 """The values that flow between the parts."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -33,16 +34,23 @@ class State(NamedTuple):
     mode: Mode = ()
 
 
-class Solution(NamedTuple):
-    """Accelerations of all joints and what the constraints exert.
+class Evaluation(NamedTuple):
+    """What the equations of motion say at one state.
 
     Attributes:
-        a: Joint accelerations [rad/s^2 or m/s^2], shape (nv,).
-        multipliers: One a row of `System.multiplier_rows`, shape (m,).
+        x: State of all joints.
+        a: Accelerations of all joints [rad/s^2 or m/s^2], shape (nv,).
+        zdot: Rates of the internal states, shape (nz,).
+        lam: Multipliers, one a row of `System.multiplier_rows`, shape (m,).
+        respond: Forces on all joints, shape (nv, k), -> the accelerations that they add, same
+            shape, constraints kept. A SolveError after the next evaluation of the system.
     """
 
+    x: State
     a: Array
-    multipliers: Array
+    zdot: Array
+    lam: Array
+    respond: Callable[[Array], Array]
 
 
 class Motion(NamedTuple):

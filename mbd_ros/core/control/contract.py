@@ -80,8 +80,9 @@ class ControlledJoints:
 
         a_free = S (a at tau = 0),   mobility = S A S'
 
-    A are the accelerations of generalized forces on the constraint manifold (`System.respond`), S
-    picks the controlled joints. Bounded rows (stops, dry friction) belong to the plant.
+    A are the accelerations of generalized forces on the constraint manifold, by
+    `Evaluation.respond`, S picks the controlled joints. Bounded rows (stops, dry friction) belong
+    to the plant.
 
     Args:
         system: Dynamics without actuators and bounded rows; owned by this object from now on.
@@ -128,8 +129,8 @@ class ControlledJoints:
 
     def accelerations(self, x: State) -> tuple[Array, Array]:
         """Those of all joints without torque, shape (nv,), and per unit torque, (nv, n)."""
-        y = self.system.reduce(x)
-        return self.system.solve(y).a, self.system.respond(y.q, self._selection)
+        now = self.system.evaluate(x)
+        return now.a, now.respond(self._selection)
 
 
 class Controller:

@@ -12,7 +12,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_layout import RowLayout
-from mbd_ros.core.state import Array, Solution, State
+from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import HELD_BY_ROWS, NEAR_TOGGLE
 from mbd_ros.errors import SolveError
 
@@ -55,15 +55,6 @@ class BilateralSystem(System):
         a = self._accelerate(t, q, v, u)
         return a if self.bounded is None else self.bounded.accelerate(self, t, q, v, a)
 
-    def solve(self, x: State, u: Array | None = None) -> Solution:
-        """Accelerations and multipliers."""
-        a = self._accelerate(x.t, x.q, x.v, u)
-        if self.bounded is None:
-            return Solution(a, self._multipliers())
-        self.bounded.accelerate(self, x.t, x.q, x.v, a)
-        a = self._accelerate(x.t, x.q, x.v, u, self.bounded.force)
-        return Solution(a, self._joined(self._multipliers()))
-
     def respond(self, q: Array, forces: Array) -> Array:
         """Accelerations of all joints that forces on them add; as `System.respond`."""
         M, J = self._full_mass(q), self._row_jacobian
@@ -100,6 +91,14 @@ class BilateralSystem(System):
                 return a
         a, self._lam = self._by_rank(q, v, tau, J, drift)
         return a
+
+    def _solve(self, y: State, u: Array | None) -> tuple[Array, Array]:
+        a = self._accelerate(y.t, y.q, y.v, u)
+        if self.bounded is None:
+            return np.array(a), self._multipliers()
+        self.bounded.accelerate(self, y.t, y.q, y.v, a)
+        a = self._accelerate(y.t, y.q, y.v, u, self.bounded.force)
+        return np.array(a), self._joined(self._multipliers())
 
     def _multipliers(self) -> Array:
         """Those of the last `_accelerate`, fresh."""

@@ -16,7 +16,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.rows.row_layout import RowLayout
-from mbd_ros.core.state import Array, Solution, State
+from mbd_ros.core.state import Array, State
 
 
 class ReducedSystem(System):
@@ -78,15 +78,6 @@ class ReducedSystem(System):
         a = self._cholesky.solve(self._r).reshape(self.nv)  # eigenpy has its own for one
         return a if self.bounded is None else self.bounded.accelerate(self, t, q, v, a)
 
-    def solve(self, x: State, u: Array | None = None) -> Solution:
-        """Accelerations of all joints and the coupling multipliers."""
-        q, v, a = self.joint_motion(x.q, x.v, self.acceleration(x.t, x.q, x.v, u))
-        needed = pin.rnea(self.model, self.data, q, v, a) - self._tau(x.t, q, v, u)
-        if self.bounded is None:
-            return Solution(a, self.couplings.reduce(needed, self._slopes)[1])
-        lam = self.couplings.reduce(needed - self.bounded.force, self._slopes)[1]
-        return Solution(a, np.concatenate((lam, self.bounded.multipliers)))
-
     def mass(self, q: Array) -> Array:
         """G' M G, shape (nv, nv), fresh."""
         self._expand(q, self._w0)
@@ -119,6 +110,14 @@ class ReducedSystem(System):
         """Accelerations of all joints that forces on them add; as `System.respond`."""
         reduced = self._GT.dot(forces)
         return self._G.dot(self._cholesky.solve(reduced).reshape(reduced.shape))
+
+    def _solve(self, y: State, u: Array | None) -> tuple[Array, Array]:
+        q, v, a = self.joint_motion(y.q, y.v, self.acceleration(y.t, y.q, y.v, u))
+        needed = pin.rnea(self.model, self.data, q, v, a) - self._tau(y.t, q, v, u)
+        if self.bounded is None:
+            return a, self.couplings.reduce(needed, self._slopes)[1]
+        lam = self.couplings.reduce(needed - self.bounded.force, self._slopes)[1]
+        return a, np.concatenate((lam, self.bounded.multipliers))
 
     def _expand(self, z: Array, w: Array) -> None:
         """Values q = F(z), v = G w, a = dG/dt w, and G."""

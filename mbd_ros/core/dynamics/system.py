@@ -16,7 +16,8 @@ from mbd_ros.core.parts import Row, Wrench
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.rows.row_layout import RowLayout
-from mbd_ros.core.state import Array, Solution, State
+from mbd_ros.core.state import NONE, Array, Evaluation, State
+from mbd_ros.errors import SolveError
 
 Accelerator = Callable[[float, Array, Array, Array | None, Array], None]  # the last one is written
 
@@ -50,7 +51,7 @@ class System:
         nq: Size of that configuration.
         nv: Size of its velocity.
         rows: Bilateral rows that an integrator may have to keep.
-        layout: Which multipliers of a `Solution` are those of which rows.
+        layout: Which multipliers of an `Evaluation` are those of which rows.
         multiplier_rows: What they are, in the same order under every tier.
         evaluations: How often the acceleration was asked for.
         row_size: Largest size of the bilateral rows so far; None forgets it. Where a state is
@@ -86,7 +87,6 @@ class System:
         self._zero = np.zeros(self.model.nv)
         self._aba = partial(pin.aba, self.model, self.data)
         self._is_free = loads.is_empty and bounded is None
-        self._none = np.zeros(0)
 
     def acceleration(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
         """Acceleration of the integrated coordinates [rad/s^2 or m/s^2], shape (nv,)."""
@@ -100,17 +100,34 @@ class System:
         """`acceleration` for loops that keep its results."""
         return writing(self.acceleration)
 
-    def solve(self, x: State, u: Array | None = None) -> Solution:
-        """Accelerations and multipliers of all joints at a state of the integrated coordinates."""
-        a = self.acceleration(x.t, x.q, x.v, u)
-        return Solution(a, self._none if self.bounded is None else self.bounded.multipliers)
+    def evaluate(self, x: State, u: Array | None = None) -> Evaluation:
+        """Accelerations and multipliers at a state of all joints.
+
+        Args:
+            x: State of all joints; tiers that eliminate some read the others.
+            u: Commands; None stands for zero.
+
+        Raises:
+            SolveError: The equations have no solution.
+        """
+        y = self.reduce(x)
+        a, lam = self._solve(y, u)
+        stamp = self.evaluations
+
+        def respond(forces: Array) -> Array:
+            if self.evaluations != stamp:
+                raise SolveError("respond was asked after a later evaluation of its system")
+            self.expand(y)
+            return self.respond(y.q, forces)
+
+        return Evaluation(x, a, NONE, lam, respond)
 
     def wrenches(self, x: State, multipliers: Array) -> tuple[Wrench, ...]:
         """Wrenches of bilateral constraints on bodies.
 
         Args:
-            x: State of the integrated coordinates.
-            multipliers: Those of `solve` at this state.
+            x: State of all joints.
+            multipliers: Those of `evaluate` at this state.
         """
         if not self.rows:
             return ()
@@ -194,6 +211,11 @@ class System:
     def refresh(self, q: Array, v: Array) -> None:
         """Placements, velocities, velocity-dependent accelerations and joint Jacobians."""
         self.k.refresh(q, v)
+
+    def _solve(self, y: State, u: Array | None) -> tuple[Array, Array]:
+        """Accelerations of all joints and multipliers, fresh."""
+        a = np.array(self.acceleration(y.t, y.q, y.v, u))
+        return a, NONE if self.bounded is None else self.bounded.multipliers.copy()
 
     def _tau(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
         """Loads at a state of all joints."""

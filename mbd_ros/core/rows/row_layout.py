@@ -36,7 +36,7 @@ class RowBlock(NamedTuple):
 class RowLayout:
     """Couplings first, then constraints as the scene lists them.
 
-    The one place that knows which multipliers of a `Solution` belong to which rows.
+    The one place that knows which multipliers of an `Evaluation` belong to which rows.
 
     Args:
         parts: Couplings and constraints, in that order.

@@ -124,7 +124,7 @@ class LiveSimulation:
 
     def wrenches(self) -> tuple[Wrench, ...]:
         """Wrenches of bilateral rows on bodies at the newest state."""
-        return self.simulation.system.wrenches(self._y, self.now.multipliers)
+        return self.simulation.system.wrenches(self._x, self.now.multipliers)
 
     def _command(self) -> Array | None:
         """Commands of this tick, shape (nu,)."""
@@ -143,22 +143,16 @@ class LiveSimulation:
         v = self._x.v[self._driven]
         if self._safe.is_zero:
             return np.zeros(len(v))
-        system = self.simulation.system
-        y = self._y
-        system.acceleration(
-            y.t, y.q, y.v
-        )  # `respond` answers for the state of the last evaluation
-        response = system.respond(y.q, self._selection)[self._driven]
+        now = self.simulation.system.evaluate(self._x)
+        response = now.respond(self._selection)[self._driven]
         return self._safe.torque(v, response, self._period)
 
     def _observe(self, y: State, u: Array | None) -> tuple[State, Snapshot]:
         system = self.simulation.system
         x = system.expand(y)
-        a, multipliers = system.solve(y, u)
+        _, a, _, lam, _ = system.evaluate(x, u)
         effort = system.loads.actuator_torque(system.k, x, u)
-        now = Snapshot(
-            x.t, x.q[self._q], x.v[self._v], a[self._v], effort[self._v], multipliers.copy()
-        )
+        now = Snapshot(x.t, x.q[self._q], x.v[self._v], a[self._v], effort[self._v], lam)
         for name, values in zip(now._fields[1:], now[1:], strict=True):
             if not np.isfinite(values).all():
                 raise _not_finite(self, name, values, y)

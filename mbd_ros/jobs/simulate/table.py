@@ -103,6 +103,6 @@ def _row(system: System, x: State, commands: Commands | None) -> tuple[Any, ...]
     """Time, q, v, a, effort, multipliers and balance of one state."""
     y = system.reduce(x)
     u = None if commands is None else commands(x.t)
-    a, lam = system.solve(y, u)
+    _, a, _, lam, _ = system.evaluate(x, u)
     balance = system.energy(y), *violation(system, y)
     return x.t, x.q, x.v, a, system.loads.actuator_torque(system.k, x, u), lam, balance

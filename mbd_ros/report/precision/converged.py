@@ -80,7 +80,7 @@ def motion_of(scene: Scene, times: tuple[float, ...]) -> Known:
     states = tuple(simulation.system.expand(y) for y in ys)
     check, agreement = _second(scene, times, states, methods[1:])
     published, is_wrong = _published(scene, states)
-    solved = [simulation.system.solve(y).multipliers for y in ys]
+    solved = [simulation.system.evaluate(x).lam for x in states]
     return Known(
         times,
         states,

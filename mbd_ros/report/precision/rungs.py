@@ -99,7 +99,7 @@ def errors(
         "drift_rate": max(d.velocity for d in violations),
     }
     if motion.multipliers.size:
-        solved = np.array([system.solve(y).multipliers for y in ys])
+        solved = np.array([system.evaluate(x).lam for x in states])
         scale = float(np.abs(motion.multipliers).max()) or 1.0
         found["multipliers"] = float(np.abs(solved - motion.multipliers).max()) / scale
     return found

@@ -96,13 +96,13 @@ class Oracle:
 
     def _solved(self, system: System, y: State) -> tuple[Array, Array, Array]:
         """Accelerations, multipliers of bilateral and of bounded rows."""
-        a, lam = system.solve(y)
+        _, a, _, lam, _ = system.evaluate(system.expand(y))
         parts = (
             [lam[block.slots] for block in system.layout.rigid],
             [lam[block.slots] for block in system.layout.yielding],
         )
         rigid, yielding = (np.concatenate([lam[:0], *part]) for part in parts)
-        return np.array(a), rigid, yielding
+        return a, rigid, yielding
 
     def _balance(self, x: State, a: Array, lam: Array, bounded: Array) -> str:
         model, data, size = self._model, self._data, np.abs
