@@ -275,7 +275,7 @@ def test_wrenches_of_the_constraints_are_their_generalized_force(name):
 
 @pytest.mark.parametrize("name", ["arm7", *COUPLED, *LOOPS])
 def test_an_evaluation_is_a_value_whose_response_ends_with_the_next_one(name):
-    """Its arrays stay; M a = tau - h + J' lam is linear in forces, and a stale response says so."""
+    """Its arrays stay, accelerations are affine in forces, and a stale response says so."""
     loaded = scene(name)
     system, rng = loaded.system(), np.random.default_rng(8)
     x, other = (system.expand(state(loaded, system, seed)) for seed in (0, 1))
