@@ -132,10 +132,9 @@ def random_state(robot, seed=0, t=0.7):
 
 
 def refreshed(robot, x):
-    data = robot.model.createData()
-    pin.forwardKinematics(robot.model, data, x.q, x.v, np.zeros(robot.model.nv))
-    pin.computeJointJacobians(robot.model, data)
-    return Kinematics(robot, data)
+    k = Kinematics(robot)
+    k.refresh(x.q, x.v)
+    return k
 
 
 def residual(part, robot, x):

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from mbd_ros.core.control.contract import ControlledJoints, Controller, EffortBox, Reference
@@ -57,11 +56,10 @@ def robot():
 @pytest.fixture(params=[0.0, 0.4])
 def moment(request, robot):
     """Data as a part finds it, and a state."""
-    data, rng = robot.model.createData(), np.random.default_rng(0)
+    k, rng = Kinematics(robot), np.random.default_rng(0)
     x = State(request.param, *rng.normal(size=(2, robot.model.nv)))
-    pin.forwardKinematics(robot.model, data, x.q, x.v, np.zeros(robot.model.nv))
-    pin.computeJointJacobians(robot.model, data)
-    return Kinematics(robot, data), x
+    k.refresh(x.q, x.v)
+    return k, x
 
 
 def context(section, robot):

@@ -3,7 +3,6 @@
 from typing import Annotated, Literal
 
 import numpy as np
-import pinocchio as pin
 
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
@@ -11,8 +10,6 @@ from mbd_ros.core.parts import Load, Wrench
 from mbd_ros.core.ranges import Unit, Vector
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
-
-AXES = {"world": pin.LOCAL_WORLD_ALIGNED, "frame": pin.LOCAL}
 
 
 class AppliedWrench(Load):
@@ -46,28 +43,22 @@ class AppliedWrench(Load):
         point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
         expressed_in: Literal["world", "frame"] = "world",
     ) -> None:
-        link = robot.model.frames[robot.frame(frame)]
-        if link.parentJoint == 0:
+        self._point, self._turns = robot.point(frame, point), expressed_in == "frame"
+        if not self._point.moves:
             raise ModelError(f"frame '{frame}' does not move, a load on it changes nothing")
-        self._model, self._joint, self._frame = robot.model, int(link.parentJoint), frame
-        self._placement = link.placement * pin.SE3(np.eye(3), np.array(point, dtype=np.float64))
-        self._axes, self._turns = AXES[expressed_in], expressed_in == "frame"
         self._wrench = np.array([*force, *torque])
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
-        jacobian = pin.getFrameJacobian(
-            self._model, k.data, self._joint, self._placement, self._axes
-        )
-        tau: Array = self._wrench.dot(jacobian.reshape(6, -1))  # with one joint it is a vector
+        jacobian = k.own_jacobian if self._turns else k.spatial_jacobian
+        tau: Array = k.dot(self._wrench, jacobian(self._point))
         return tau
 
     def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
         """The load on the link."""
-        at = k.data.oMi[self._joint] * self._placement
-        axes = at.rotation if self._turns else np.eye(3)
+        axes = k.rotation(self._point) if self._turns else np.eye(3)
         force, torque = axes.dot(self._wrench[:3]), axes.dot(self._wrench[3:])
-        return (Wrench(self._frame, at.translation, force, torque),)
+        return (Wrench(self._point.frame, k.position(self._point), force, torque),)
 
     def potential(self, k: Kinematics, x: State) -> float:
         """Energy whose slope a force of constant direction is, -force . point [J].
@@ -76,5 +67,4 @@ class AppliedWrench(Load):
         """
         if self._turns:
             return 0.0
-        place = k.data.oMi[self._joint].act(self._placement.translation)
-        return -float(self._wrench[:3].dot(place))
+        return -float(self._wrench[:3].dot(k.position(self._point)))

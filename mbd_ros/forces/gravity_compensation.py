@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
-import pinocchio as pin
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
@@ -44,13 +43,11 @@ class GravityCompensation(Load):
         names = every if list(joints) == [ALL] and ALL not in every else list(joints)
         if not names or len(set(names)) != len(names):
             raise ModelError(f"joints {list(joints)} must be [{ALL}] or different joints")
-        self._model, self._data = robot.model, pin.Data(robot.model)
         self._nv, self._factor = int(robot.model.nv), factor
         self._v = np.array([robot.joint(name).v for name in names])
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
-        tau = np.zeros(self._nv)
-        weight = pin.computeGeneralizedGravity(self._model, self._data, x.q)
+        tau, weight = k.zeros(self._nv), k.gravity(x.q)
         tau[self._v] = self._factor * weight[self._v]
         return tau

@@ -1,9 +1,6 @@
 """Dry and viscous friction in a joint, regularised."""
 
-import math
 from typing import Annotated
-
-import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
@@ -42,8 +39,8 @@ class JointFriction(Load):
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force of the friction, shape (nv,)."""
-        tau = np.zeros(self._nv)
-        rate = float(x.v[self.joint.v])
-        dry = self._coulomb * math.tanh(rate / self._smoothing)
+        tau = k.zeros(self._nv)
+        rate = x.v[self.joint.v]
+        dry = self._coulomb * k.tanh(rate / self._smoothing)
         tau[self.joint.v] = -dry - self._viscous * rate
         return tau

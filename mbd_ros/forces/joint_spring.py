@@ -2,8 +2,6 @@
 
 from typing import Annotated
 
-import numpy as np
-
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load
@@ -40,12 +38,12 @@ class JointSpring(Load):
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force of the spring, shape (nv,)."""
-        tau = np.zeros(self._nv)
+        tau = k.zeros(self._nv)
         stretch, rate = x.q[self.joint.q] - self._rest, x.v[self.joint.v]
         tau[self.joint.v] = -self._stiffness * stretch - self._damping * rate
         return tau
 
     def potential(self, k: Kinematics, x: State) -> float:
         """Energy of the spring, zero at rest [J]."""
-        stretch = float(x.q[self.joint.q]) - self._rest
+        stretch = x.q[self.joint.q] - self._rest
         return 0.5 * self._stiffness * stretch * stretch

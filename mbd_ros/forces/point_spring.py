@@ -1,20 +1,14 @@
 """Spring and damper between two points."""
 
-import math
-from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-import pinocchio as pin
 
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load, Wrench
 from mbd_ros.core.ranges import NotNegative, Unit, Vector
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import ModelError
-
-_AXES = pin.LOCAL_WORLD_ALIGNED
 
 
 class PointSpring(Load):
@@ -55,15 +49,10 @@ class PointSpring(Load):
         damping: Annotated[NotNegative, Unit("N·s/m")] = 0.0,
         length: Annotated[NotNegative, Unit("m")] = 0.0,
     ) -> None:
-        ends = [_end(robot, frame_a, point_a), _end(robot, frame_b, point_b)]
-        a, b = sorted(ends, key=lambda end: end[0])
-        (self._joint_a, self._at_a, frame), (self._joint_b, self._at_b, other) = a, b
-        self._frames = frame, other
-        if self._joint_a == self._joint_b:  # sorted: only end a can be at rest
-            raise ModelError(f"frames '{frame_a}' and '{frame_b}' do not move against each other")
+        a, b = robot.point(frame_a, point_a), robot.point(frame_b, point_b)
+        robot.pair(a, b)  # refuses ends that do not move against each other
+        self._a, self._b = sorted((a, b), key=lambda end: end.moves)  # at most a is at rest
         self._stiffness, self._damping, self._length = stiffness, damping, length
-        self._model, self._nv = robot.model, int(robot.model.nv)
-        self._point_a, self._point_b = self._at_a.translation, self._at_b.translation
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
@@ -74,49 +63,24 @@ class PointSpring(Load):
     def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
         """Forces at the ends of the spring."""
         direction, _, pull = self._tension(k, x)
-        force, free, places = direction * pull, np.zeros(3), k.data.oMi
+        force, free = direction * pull, np.zeros(3)
         return (
-            Wrench(self._frames[0], places[self._joint_a].act(self._point_a), force, free),
-            Wrench(self._frames[1], places[self._joint_b].act(self._point_b), -force, free),
+            Wrench(self._a.frame, k.position(self._a), force, free),
+            Wrench(self._b.frame, k.position(self._b), -force, free),
         )
 
     def _tension(self, k: Kinematics, x: State) -> tuple[Array, Array, float]:
         """From end a to end b, rate of the distance with every joint, and F [N]."""
-        line = self._line(k)
-        distance = math.hypot(*line.tolist())
-        if distance == 0.0:
-            return line, np.zeros(self._nv), 0.0
-        direction = line / distance
-        slope: Array = direction.dot(self._jacobian(k, self._joint_b, self._at_b))
-        if self._joint_a:
-            slope = slope - direction.dot(self._jacobian(k, self._joint_a, self._at_a))
+        line = k.position(self._b) - k.position(self._a)
+        distance = k.hypot(line)
+        direction = line / k.where(distance > 0.0, distance, 1.0)
+        slope: Array = k.dot(direction, k.jacobian(self._b))
+        if self._a.moves:
+            slope = slope - k.dot(direction, k.jacobian(self._a))
         stretch = distance - self._length
-        return direction, slope, self._stiffness * stretch + self._damping * float(slope.dot(x.v))
+        return direction, slope, self._stiffness * stretch + self._damping * k.dot(slope, x.v)
 
     def potential(self, k: Kinematics, x: State) -> float:
         """Energy of the spring, zero at its length [J]."""
-        stretch = math.hypot(*self._line(k).tolist()) - self._length
+        stretch = k.hypot(k.position(self._b) - k.position(self._a)) - self._length
         return 0.5 * self._stiffness * stretch * stretch
-
-    def _jacobian(self, k: Kinematics, joint: int, at: Any) -> Array:
-        """From joint velocities to that of an end, in the world, shape (3, nv)."""
-        whole = pin.getFrameJacobian(self._model, k.data, joint, at, _AXES)
-        part: Array = whole.reshape(6, self._nv)[:3]  # with one joint it comes as a vector
-        return part
-
-    def _line(self, k: Kinematics) -> Array:
-        """From end a to end b, in the world [m], shape (3,)."""
-        places = k.data.oMi
-        begin, end = (
-            places[self._joint_a].act(self._point_a),
-            places[self._joint_b].act(self._point_b),
-        )
-        line: Array = end - begin
-        return line
-
-
-def _end(robot: Robot, frame: str, point: Sequence[float]) -> tuple[int, Any, str]:
-    """Joint that carries an end, the end in the frame of that joint, and the link."""
-    link = robot.model.frames[robot.frame(frame)]
-    at = link.placement * pin.SE3(np.eye(3), np.array(point, dtype=np.float64))
-    return int(link.parentJoint), at, frame

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
-import pinocchio as pin
 
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
@@ -60,7 +59,7 @@ class PrescribedWrench(Load):
         )
         self._times, self._wrenches = list(times), np.array(wrenches, dtype=np.float64)
         self._slopes = np.diff(self._wrenches, axis=0) / np.diff(times)[:, None]
-        self._model, self._nv = robot.model, int(robot.model.nv)
+        self._nv = int(robot.model.nv)
 
     @staticmethod
     def check(times: Sequence[float], wrenches: Sequence[Sequence[float]]) -> None:
@@ -87,11 +86,10 @@ class PrescribedWrench(Load):
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
         wrench = self.wrench(x.t)
-        if self._load.body == 0 or not self._load.is_loaded(wrench):
+        if not (self._load.carrier.moves and self._load.is_loaded(wrench)):
             return np.zeros(self._nv)
-        jacobian = pin.getJointJacobian(self._model, k.data, self._load.body, pin.LOCAL)
-        load = self._load.in_body(k.data, wrench).vector
-        tau: Array = load.dot(jacobian.reshape(6, self._nv))  # with one joint it is a vector
+        load = self._load.in_body(k, wrench)
+        tau: Array = load.dot(k.own_jacobian(self._load.carrier))
         return tau
 
     def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
@@ -99,7 +97,6 @@ class PrescribedWrench(Load):
         wrench = self.wrench(x.t)
         if not self._load.is_loaded(wrench):
             return ()
-        place = k.data.oMi[self._load.body]
-        load = self._load.in_body(k.data, wrench)
-        force, torque = place.rotation.dot(load.linear), place.rotation.dot(load.angular)
-        return (Wrench(self._load.frame, place.translation, force, torque),)
+        carrier, load = self._load.carrier, self._load.in_body(k, wrench)
+        axes, place = k.rotation(carrier), k.position(carrier)
+        return (Wrench(self._load.frame, place, axes.dot(load[:3]), axes.dot(load[3:])),)

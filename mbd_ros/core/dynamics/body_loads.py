@@ -1,11 +1,12 @@
 """Forces on the bodies of a robot, as `pin.rnea` takes them."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Wrench
@@ -28,16 +29,17 @@ class BodyLoads:
 
     def __init__(self, robot: Robot, wrenches: Sequence[ExternalWrench] = ()) -> None:
         self._robot, self._wrenches = robot, tuple(wrenches)
+        self._origin = robot.carrier("universe")
         self._loaded: list[int] = []
         self.forces = pin.StdVec_Force()
         for _ in range(robot.model.njoints):
             self.forces.append(pin.Force.Zero())
 
-    def set(self, data: Any, values: Sequence[Array]) -> None:
+    def set(self, k: Kinematics, values: Sequence[Array]) -> None:
         """Replace all loads by the external ones.
 
         Args:
-            data: Pinocchio data whose joint placements are current.
+            k: Kinematics at positions.
             values: One (6,) array [N, N·m] for every external load; none means unloaded.
 
         Raises:
@@ -50,15 +52,16 @@ class BodyLoads:
         self._loaded.clear()
         for load, value in zip(self._wrenches, values, strict=False):
             if load.is_loaded(value):
-                self._add(load.body, load.in_body(data, value))
+                self._add(load.carrier, load.in_body(k, value))
 
-    def add(self, data: Any, wrench: Wrench) -> None:
+    def add(self, k: Kinematics, wrench: Wrench) -> None:
         """Add what a part exerts on a body; on the world it has no effect."""
-        model = self._robot.model
-        body = int(model.frames[self._robot.frame(wrench.frame)].parentJoint)
+        carrier = self._robot.carrier(wrench.frame)
         about_origin = wrench.torque + np.cross(wrench.point, wrench.force)
-        self._add(body, data.oMi[body].actInv(pin.Force(wrench.force, about_origin)))
+        whole = np.concatenate((wrench.force, about_origin))
+        self._add(carrier, k.carried(whole, self._origin, carrier))
 
-    def _add(self, body: int, load: Any) -> None:
-        self.forces[body] = self.forces[body] + load
+    def _add(self, carrier: Point, load: Array) -> None:
+        body = self._robot.places.points[carrier.number].joint
+        self.forces[body] = self.forces[body] + pin.Force(load)
         self._loaded.append(body)

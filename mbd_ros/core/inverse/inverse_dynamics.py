@@ -173,7 +173,7 @@ class InverseDynamics:
             return bare
         model, data, forces = self._model, self._data, self._loads.forces
         pin.forwardKinematics(model, data, self._q)
-        self._loads.set(data, wrenches)
+        self._loads.set(self._k, wrenches)
         tau: Array = pin.rnea(model, data, self._q, self._v, self._a, forces)
         if self.forces:
             if self._reads:

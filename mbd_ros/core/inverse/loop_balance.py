@@ -96,7 +96,7 @@ class LoopBalance:
         loads = np.zeros_like(a)
         for force in self._forces:
             loads += force.force(self._k, x, NONE)
-        self._loads.set(self._data, wrenches)
+        self._loads.set(self._k, wrenches)
         model, data = self._model, self._data
         loaded = pin.rnea(model, data, x.q, x.v, a, self._loads.forces)
         bias = pin.nonLinearEffects(model, data, x.q, x.v)

@@ -74,10 +74,10 @@ class JointReactions:
         model, data = self._model, self._data
         self._k.refresh(x.q, x.v)
         closures = self._constraints.wrenches(self._k, x, multipliers)
-        self._loads.set(data, wrenches)
+        self._loads.set(self._k, wrenches)
         exerted = (w for force in self._forces for w in force.wrenches(self._k, x, NONE))
         for wrench in (*closures, *exerted):
-            self._loads.add(data, wrench)
+            self._loads.add(self._k, wrench)
         pin.rnea(model, data, x.q, x.v, a, self._loads.forces)
         local = np.array([data.f[i].vector for i in self._joints]).reshape(-1, 6)
         turns = np.array([data.oMi[i].rotation for i in self._joints]).reshape(-1, 3, 3)

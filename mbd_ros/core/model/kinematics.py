@@ -1,7 +1,7 @@
 """Kinematics k: what a part asks of the mechanism, evaluated at one state."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from enum import IntEnum
 from functools import partial
 from typing import Any
@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.model.pair_motion import PairMotion
-from mbd_ros.core.model.points import Pair, Point
+from mbd_ros.core.model.points import Pair, Place, Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 
@@ -50,7 +50,8 @@ class Kinematics:
     def __init__(self, robot: Robot, data: Any = None) -> None:
         self.robot, self.data = robot, pin.Data(robot.model) if data is None else data
         self._model, self._rest = robot.model, np.zeros(robot.model.nv)
-        model, points, pairs = robot.model, robot.places.points, robot.places.pairs
+        model, places = robot.model, robot.places
+        points, pairs = places.points.__getitem__, places.pairs.__getitem__
         self._position = _Bound(_position, model, self.data, points)
         self._rotation = _Bound(_rotation, model, self.data, points)
         self._velocity = _Bound(_velocity, model, self.data, points)
@@ -59,6 +60,7 @@ class Kinematics:
         self._spatial_jacobian = _Bound(_spatial_jacobian, model, self.data, points)
         self._own_jacobian = _Bound(_own_jacobian, model, self.data, points)
         self._motion = _Bound(PairMotion, model, self.data, pairs)
+        self._carried = _Bound(_carried, model, self.data, places.both)
         self._gravity = partial(pin.computeGeneralizedGravity, model, self.data)
 
     def refresh(self, q: Array, v: Array, reads: Reads = Reads.DRIFT) -> None:
@@ -110,6 +112,16 @@ class Kinematics:
         """Motion of b as an observer on a sees it."""
         return self._motion[pair.number]
 
+    def carried(self, wrench: Array, a: Point, b: Point) -> Array:
+        """A wrench about a in the axes of a, as one about b in the axes of b, shape (6,).
+
+        Args:
+            wrench: Force [N], then torque [N·m], shape (6,).
+            a: The point that it is given about.
+            b: The point that it is wanted about.
+        """
+        return self._carried[a.number, b.number](wrench)
+
     def gravity(self, q: Array) -> Array:
         """Generalized force that holds the robot still, shape (nv,), not to be written to.
 
@@ -134,24 +146,24 @@ class Kinematics:
         return first if condition else second
 
 
-class _Bound(dict[int, Any]):
-    """Calls by index, bound when they are first asked for.
+class _Bound(dict[Any, Any]):
+    """Calls by number, bound when they are first asked for.
 
     Args:
-        bind: Makes a call of model, data and what stands at the index.
+        bind: Makes a call of model, data and what stands at the number.
         model: The model.
         data: Its `Data`.
-        places: What stands at every index; it may grow.
+        find: What stands at a number; it may come to know more of them.
     """
 
     def __init__(
-        self, bind: Callable[..., Any], model: Any, data: Any, places: Sequence[tuple[Any, ...]]
+        self, bind: Callable[..., Any], model: Any, data: Any, find: Callable[[Any], Any]
     ) -> None:
         super().__init__()
-        self._bind, self._places = partial(bind, model, data), places
+        self._bind, self._find = partial(bind, model, data), find
 
-    def __missing__(self, index: int) -> Any:
-        call = self[index] = self._bind(*self._places[index])
+    def __missing__(self, number: Any) -> Any:
+        call = self[number] = self._bind(*self._find(number))
         return call
 
 
@@ -197,3 +209,10 @@ def _spatial_jacobian(model: Any, data: Any, joint: int, at: Any, axes: Any = _W
 
 def _own_jacobian(model: Any, data: Any, joint: int, at: Any) -> _Call:
     return _spatial_jacobian(model, data, joint, at, _LOCAL)
+
+
+def _carried(model: Any, data: Any, a: Place, b: Place) -> Callable[[Array], Array]:
+    from_a, to_b = partial(data.oMi[a.joint].__mul__, a.at), data.oMi[b.joint]
+    if a.joint == 0 and a.at.isIdentity():
+        return lambda wrench: (to_b * b.at).actInv(pin.Force(wrench)).vector
+    return lambda wrench: (to_b * b.at).actInv(from_a().act(pin.Force(wrench))).vector

@@ -82,6 +82,10 @@ class Places:
             self.points.append(place)
         return Point(number, frame, place.joint != 0)
 
+    def both(self, numbers: tuple[int, int]) -> tuple[Place, Place]:
+        """Where two points stand."""
+        return self.points[numbers[0]], self.points[numbers[1]]
+
     def pair(self, a: Point, b: Point) -> Pair:
         """The pair of two points.
 
@@ -106,30 +110,7 @@ class Places:
         return columns
 
 
-def rotation_matrix(key: str, rpy: Sequence[float]) -> Array:
-    """Rotation by roll, pitch and yaw as in URDF, shape (3, 3).
-
-    Args:
-        key: What a message calls the angles.
-        rpy: The angles [rad], shape (3,).
-
-    Raises:
-        ModelError: They are not three finite numbers.
-    """
-    rotation: Array = pin.rpy.rpyToMatrix(checked_vector(key, rpy))
+def rotation_matrix(rpy: Sequence[float]) -> Array:
+    """Rotation by roll, pitch and yaw as in URDF [rad], shape (3, 3)."""
+    rotation: Array = pin.rpy.rpyToMatrix(*map(float, rpy))
     return rotation
-
-
-def checked_vector(key: str, values: Sequence[float]) -> Array:
-    """Three finite numbers as an array.
-
-    Args:
-        key: What the message calls them.
-        values: What was given.
-
-    Raises:
-        ModelError: They are not.
-    """
-    if np.shape(values) != (3,) or not np.isfinite(values).all():
-        raise ModelError(f"{key} {values} must be 3 finite numbers")
-    return np.array(values, dtype=np.float64)

@@ -8,14 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.model.points import (
-    Pair,
-    Place,
-    Places,
-    Point,
-    checked_vector,
-    rotation_matrix,
-)
+from mbd_ros.core.model.points import Pair, Place, Places, Point, rotation_matrix
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
@@ -170,7 +163,6 @@ class Robot:
         frame: str,
         xyz: Sequence[float] = (0.0, 0.0, 0.0),
         rpy: Sequence[float] = (0.0, 0.0, 0.0),
-        keys: tuple[str, str] = ("point", "rpy"),
     ) -> Point:
         """A point that travels with a link.
 
@@ -179,15 +171,13 @@ class Robot:
                 one at rest.
             xyz: Where it is in `frame` [m], shape (3,).
             rpy: Roll, pitch and yaw of its axes in `frame` as in URDF [rad], shape (3,).
-            keys: What `xyz` and `rpy` are called in messages.
 
         Raises:
-            ModelError: Unknown frame, or not three finite numbers.
+            ModelError: Unknown frame.
         """
         link = self.model.frames[self.frame(frame)]
-        turn, place = rotation_matrix(keys[1], rpy), checked_vector(keys[0], xyz)
-        at = Place(int(link.parentJoint), link.placement * pin.SE3(turn, place))
-        return self.places.point(frame, at)
+        there = pin.SE3(rotation_matrix(rpy), np.array(xyz, dtype=np.float64))
+        return self.places.point(frame, Place(int(link.parentJoint), link.placement * there))
 
     def turned(self, point: Point, rotation: Array) -> Point:
         """The same point with axes that are turned in its own, rotation of shape (3, 3)."""

@@ -1,12 +1,12 @@
 """Measured external loads on bodies."""
 
 from collections import deque
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import NotNegative, Unit, Vector
 from mbd_ros.core.state import Array, WrenchSamples
@@ -24,6 +24,9 @@ class ExternalWrench:
         threshold: Force norm below which the load counts as zero. A force plate whose centre of
             pressure is undefined at little load needs one.
 
+    Attributes:
+        carrier: The joint that carries the link.
+
     Raises:
         ModelError: Unknown frame.
     """
@@ -39,32 +42,21 @@ class ExternalWrench:
     ) -> None:
         self.frame, self.expressed_in = frame, expressed_in or frame
         self.point, self.threshold = tuple(point), threshold
-        frames = robot.model.frames
-        self.body = int(frames[robot.frame(frame)].parentJoint)
-        reference = frames[robot.frame(self.expressed_in)]
-        self._carrier = int(reference.parentJoint)
-        about = pin.SE3(np.eye(3), np.array(point, dtype=np.float64))
-        self._placement = reference.placement * about
-        self._is_world_origin = self._carrier == 0 and self._placement.isIdentity()
+        self.carrier = robot.carrier(frame)
+        self._about = robot.point(self.expressed_in, point)
 
     def is_loaded(self, wrench: Array) -> bool:
         """Whether the force exceeds the threshold; without a threshold every load counts."""
         return self.threshold == 0.0 or float(np.linalg.norm(wrench[:3])) > self.threshold
 
-    def in_body(self, data: Any, wrench: Array) -> Any:
-        """The load in the frame of the joint that carries the body.
+    def in_body(self, k: Kinematics, wrench: Array) -> Array:
+        """The load about the origin and in the axes of `carrier`, shape (6,).
 
         Args:
-            data: Pinocchio data whose joint placements `oMi` are current.
+            k: Kinematics at positions.
             wrench: Force [N] then torque [N·m] in `expressed_in`, shape (6,).
-
-        Returns:
-            `pin.Force` in the local frame of joint `body`.
         """
-        load = pin.Force(wrench)
-        if not self._is_world_origin:
-            load = (data.oMi[self._carrier] * self._placement).act(load)
-        return data.oMi[self.body].actInv(load)
+        return k.carried(wrench, self._about, self.carrier)
 
 
 def at_stamps(samples: WrenchSamples, stamps: NDArray[np.int64], max_age: int) -> Array:
