@@ -236,6 +236,7 @@ def test_rows_are_finite_consistent_in_size_and_named(name, robot, moment):
     m, before = len(part.rows), (x.q.copy(), x.v.copy())
     assert part.drift(k, x).shape == part.rate(k, x).shape == (m,)
     assert part.jacobian(k, x).shape == (m, robot.model.nv)
+    assert part.slips or np.array_equal(part.pushes(k, x), part.jacobian(k, x))
     values = [part.drift, part.jacobian]
     if part.level is Level.POSITION:
         assert part.residual(k, x).shape == (m,)

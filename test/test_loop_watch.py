@@ -108,7 +108,7 @@ class DelayedLoop:
         if watch.fault and self.fault is None:
             self.fault = now.t, watch.fault
         if now.t > BEGIN - 0.1 and not watch.fault:
-            self.worst = max(self.worst, float((np.abs(command.error) / watch.bounds).max()))
+            self.worst = max(self.worst, float((np.abs(command.error) / watch.promised).max()))
         v = np.abs(now.velocity[self._driven])
         self.fastest = max(self.fastest, float((v / self.speeds).max()))
 

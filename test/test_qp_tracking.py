@@ -11,6 +11,7 @@ from mbd_ros.core.control.motion_limits import MotionLimits
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.model.robot import Joint
+from mbd_ros.core.rows.row_layout import rigid
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SolveError
@@ -44,10 +45,10 @@ class Truth:
 
     def __init__(self, scene, joints):
         robot = scene.robot
-        bilateral = [part for part in scene.constraints if part.law.is_rigid]
+        rows = rigid(scene.constraints)
         drives = Ideal(robot, joints=list(joints.names), limit=1e9)
         loads = Loads(robot.model.nv, scene.forces, [drives])
-        self.system = build_system(robot, scene.couplings, bilateral, loads)
+        self.system = build_system(robot, scene.couplings, rows, loads)
         self.n = len(joints)
         self.own = [joint.v for joint in joints.joints]
 

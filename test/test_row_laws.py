@@ -1,6 +1,8 @@
 """Laws of multipliers, levels and slots of rows; what no solver serves is refused by name."""
 
+import ast
 import math
+from pathlib import Path
 
 import mechanisms
 import numpy as np
@@ -20,6 +22,7 @@ from mbd_ros.core.rows.row_layout import RowLayout, rigid
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError
 
+ROOT = Path(__file__).parents[1]
 CHAIN = read_robot(mechanisms.chain(3))
 
 
@@ -46,6 +49,15 @@ class Latch(Held):
 
     def acts(self, mode):
         return mode == (1,)
+
+
+class Sliding(Held):
+    """Its rows hold joints and push along other ones."""
+
+    slips = True
+
+    def pushes(self, k, x):
+        return np.eye(3)[1 : 1 + len(self.rows)]
 
 
 def built(*parts):
@@ -109,6 +121,7 @@ def test_rows_of_velocities_are_never_asked_for_g(count):
         (Held(cone(0.5), m=3), "row held_0 has the law cone, which no solver serves"),
         (Held(unilateral(0.3)), "row held_0 has restitution 0.3, which no solver serves"),
         (Held(bilateral(), Level.VELOCITY), "held_0 has the law bilateral on velocities, which"),
+        (Sliding(bilateral()), "row held_0 pushes along another direction than it holds, which"),
         (Held(unilateral(), Level.VELOCITY), "held_0 has the law unilateral on velocities, which"),
     ],
 )
@@ -131,6 +144,35 @@ def test_laws_that_no_solver_serves_are_refused_by_name(part, message):
 def test_laws_that_do_not_fit_their_rows_name_them(part, message):
     with pytest.raises(ModelError, match=f"constraint Held with row held_0.*{message}"):
         RowLayout([part])
+
+
+def test_multipliers_push_along_the_rows_or_beside_them():
+    parts = [Held(bilateral(), m=2), Sliding(box(-1.0, 1.0))]
+    rows, x = ConstraintRows(RowLayout(parts).blocks, 3), State(0.0, np.ones(3), np.ones(3))
+    assert rows.jacobian(None, x).tolist() == np.eye(3)[[0, 1, 0]].tolist()
+    assert rows.pushes(None, x).tolist() == np.eye(3)[[0, 1, 1]].tolist()
+
+
+def doors(source):
+    """Lines that read what multipliers are limited to."""
+    for node in ast.walk(ast.parse(source)):
+        name = getattr(node, "attr", getattr(node, "value", None))
+        is_of_law = getattr(getattr(node, "value", None), "attr", "") == "law"
+        if name == "bounds" or (is_of_law and name in ("lower", "upper")):
+            yield node.lineno
+
+
+def test_nobody_outside_the_rows_asks_for_bounds():
+    own = ROOT / "mbd_ros/core/rows"
+    found = [
+        f"{path.relative_to(ROOT)}:{line}"
+        for path in sorted((ROOT / "mbd_ros").rglob("*.py"))
+        if not path.is_relative_to(own)
+        for line in doors(path.read_text(encoding="utf-8"))
+    ]
+    assert found == []
+    asked = "part.bounds\ngetattr(part, 'bounds')\npart.law.lower\nlaw.kind\nrows.lower"
+    assert sorted(doors(asked)) == [1, 2, 3]
 
 
 def test_bounds_of_earlier_versions_are_refused_with_the_new_word():

@@ -15,6 +15,7 @@ from mbd_ros.core.optimization.box_qp import Statistics
 from mbd_ros.core.optimization.complementarity import ComplementarityProblem
 from mbd_ros.core.projection.coupled_joints import CoupledJoints
 from mbd_ros.core.projection.state_projection import Measurement, StateProjector
+from mbd_ros.core.rows.row_layout import rigid
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
 from mbd_ros.scene.reader import load_scene
@@ -34,9 +35,8 @@ def projector(name, ends=None, **options):
             for joint in scene.robot.joints
         ]
         scene = replace(scene, robot=replace(scene.robot, joints=tuple(joints)))
-    bilateral = [part for part in scene.constraints if part.law.is_rigid]
-    loads = Loads(scene.robot.model.nv)
-    system = build_system(scene.robot, scene.couplings, bilateral, loads, "kkt")
+    rows, loads = rigid(scene.constraints), Loads(scene.robot.model.nv)
+    system = build_system(scene.robot, scene.couplings, rows, loads, "kkt")
     return scene, StateProjector(system, **options)
 
 

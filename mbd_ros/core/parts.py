@@ -208,6 +208,7 @@ class Constraint(Part):
         driven: Joints that a law `drive` moves, one a row: inverse dynamics asks for these
             multipliers as for efforts, and they demand nothing of the motion.
         stops: Joints that it keeps within ends; a motion that passes one is reported.
+        slips: Whether its multipliers push along `pushes` in some mode, rather than along J'.
     """
 
     rows: tuple[Row, ...]
@@ -216,6 +217,7 @@ class Constraint(Part):
     gains: tuple[float | Array, float | Array] = (0.0, 0.0)
     driven: tuple[str, ...] = ()
     stops: tuple[Stop, ...] = ()
+    slips: bool = False
 
     def acts(self, mode: Mode) -> bool:
         """Whether the rows are on in a mode; those of most constraints always are."""
@@ -228,6 +230,10 @@ class Constraint(Part):
     def jacobian(self, k: Kinematics, x: State) -> Array:
         """J = dg/dq, shape (m, nv)."""
         raise NotImplementedError
+
+    def pushes(self, k: Kinematics, x: State) -> Array:
+        """D, with the force D' lam on the joints, shape (m, nv); J while nothing slips."""
+        return self.jacobian(k, x)
 
     def drift(self, k: Kinematics, x: State) -> Array:
         """The part of g'' without the acceleration, J' v included, shape (m,)."""

@@ -15,6 +15,7 @@ from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.inverse.observed_loops import ObservedLoops
 from mbd_ros.core.inverse.torques import SampleSolver
 from mbd_ros.core.parts import Load
+from mbd_ros.core.rows.row_layout import rigid
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.errors import MbdError, ModelError, SceneError, SolveError
 from mbd_ros.scene import schema
@@ -145,10 +146,9 @@ class Scene(SceneParts):
         Raises:
             SceneError: No joint can be controlled, or one moves nothing with mass.
         """
-        bilateral = [part for part in self.constraints if part.law.is_rigid]
         loads = Loads(self.robot.model.nv, self.forces, (), self.inputs.safe)
         try:
-            system = build_system(self.robot, self.couplings, bilateral, loads)
+            system = build_system(self.robot, self.couplings, rigid(self.constraints), loads)
             check_mass_anywhere(system)
             return ControlledJoints(system, self.actuated)
         except (ModelError, SolveError) as error:

@@ -72,7 +72,7 @@ class LoopWatch:
         faults: How often it had to.
         period: Of the states, smoothed [s]; 0 while not known.
         tolerable: Delay that the loop tolerates [s]; inf while not known.
-        bounds: Errors that the control law promises [rad or m], shape (n,); inf while not known.
+        promised: Errors that the control law promises [rad or m], shape (n,); inf while not known.
         meter: Measures the delay.
     """
 
@@ -92,7 +92,7 @@ class LoopWatch:
     def use(self, controller: Controller) -> None:
         """Watch another control law from now on."""
         self._controller, self._computed = controller, 0.0
-        self.tolerable, self.bounds = np.inf, np.full(len(self._names), np.inf)
+        self.tolerable, self.promised = np.inf, np.full(len(self._names), np.inf)
 
     def reset(self) -> None:
         """Forget a fault and all states."""
@@ -170,7 +170,7 @@ class LoopWatch:
         delays = [tolerable_delay(g, self.period).min() for g in gains if g is not None]
         self.tolerable = float(min(delays)) if delays else np.inf
         bounds = [law.tracking_bound(r, self.period) for r in self._rest]
-        self.bounds = np.max(bounds, axis=0) if bounds else self.bounds
+        self.promised = np.max(bounds, axis=0) if bounds else self.promised
 
     def _note_settling(self, t: float, error: Array, is_full: bool) -> None:
         """The error that a hand-over leaves is not that of the control law."""
@@ -178,7 +178,7 @@ class LoopWatch:
             self._full, self._is_settled = None, False
         elif not self._is_settled:
             self._full = t if self._full is None else self._full
-            is_small = bool((np.abs(error) <= self.bounds).all())
+            is_small = bool((np.abs(error) <= self.promised).all())
             self._is_settled = is_small or t - self._full > _SETTLING
 
     def _late(self) -> list[str]:
@@ -198,7 +198,7 @@ class LoopWatch:
         return [f"speed {self._worst(np.abs(v), limit)} beyond its limit"]
 
     def _off(self, error: Array, factor: float) -> list[str]:
-        size, bounds = np.abs(error), self.bounds
+        size, bounds = np.abs(error), self.promised
         if not self._is_settled or factor == np.inf or (size <= factor * bounds).all():
             return []
         return [f"tracking error {self._worst(size, bounds)} beyond its bound"]

@@ -48,7 +48,8 @@ def build_system(
     layout, nv = RowLayout([*coupled, *constraints]), robot.model.nv
     _refuse_unserved(layout.blocks)
     _check(tier, couplings, layout.rigid[len(coupled) :], layout.yielding)
-    rows = ConstraintRows(layout.rigid, nv)
+    kept = [block for block in layout.of(Level.POSITION) if block.law.is_rigid]
+    rows = ConstraintRows(kept, nv)
     if tier == "qp" and layout.blocks:
         every = ConstraintRows(layout.blocks, nv)
         return System(robot, loads, rows, BoundedRows(every, nv, backend), layout)
@@ -74,6 +75,8 @@ def _refuse_unserved(blocks: Sequence[RowBlock]) -> None:
             what = f"has restitution {block.law.restitution:g}"
         elif block.level is Level.VELOCITY and block.law.kind is not Kind.BOX:
             what = f"has the law {block.law.kind.value} on velocities"
+        elif block.slips:
+            what = "pushes along another direction than it holds"
         if what:
             raise ModelError(
                 f"row {block.rows[0].name} {what}, which no solver serves; accepted: bilateral, "

@@ -69,6 +69,10 @@ class ConstraintRows:
             self._J[mine], self._drift[mine] = part.accelerations(k, x)
         return self._J, self._drift
 
+    def pushes(self, k: Kinematics, x: State) -> Array:
+        """D, with the force D' lam on the joints, shape (m, nv), fresh; J while nothing slips."""
+        return np.concatenate([self._no_rows, *(part.pushes(k, x) for part in self.parts)])
+
     def conditions(self, k: Kinematics, x: State) -> tuple[Array, Array]:
         """J and b of the condition J a + b = g'' + kd g' + kp g, (m, nv) and (m,)."""
         J, drift = self.accelerations(k, x)

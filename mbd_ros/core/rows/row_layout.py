@@ -23,6 +23,7 @@ class RowBlock(NamedTuple):
         level: Whether they state positions or velocities.
         law: What the multipliers may be.
         gains: kp [1/s^2] and kd [1/s] of every row, shape (m,) each.
+        slips: Whether multipliers may push along another direction than J'.
     """
 
     part: Constraint
@@ -31,6 +32,7 @@ class RowBlock(NamedTuple):
     level: Level
     law: Law
     gains: tuple[Array, Array]
+    slips: bool
 
 
 class RowLayout:
@@ -111,4 +113,4 @@ def _block(part: Constraint, rows: tuple[Row, ...], slots: slice) -> RowBlock:
         )
     if law.kind is Kind.CONE and m != 3:
         raise ModelError(f"{where}: a cone has 3 rows, a normal and two tangents; this has {m}")
-    return RowBlock(part, rows, slots, part.level, law, (kp, kd))
+    return RowBlock(part, rows, slots, part.level, law, (kp, kd), part.slips)

@@ -11,6 +11,7 @@ from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.state_reconstruction import StateReconstructor
 from mbd_ros.core.projection.state_projection import ProjectedState, StateProjector
+from mbd_ros.core.rows.row_layout import rigid
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.nodes.joint_state_projector.parameters import tuning
@@ -52,9 +53,8 @@ class ProjectorPipeline:
 
     def __init__(self, values: Any, description: str | None) -> None:
         self.scene = scene = load_scene(values.scene, description)
-        bilateral = [part for part in scene.constraints if part.law.is_rigid]
-        loads = Loads(scene.robot.model.nv)
-        self._system = build_system(scene.robot, scene.couplings, bilateral, loads, "kkt")
+        rows, loads = rigid(scene.constraints), Loads(scene.robot.model.nv)
+        self._system = build_system(scene.robot, scene.couplings, rows, loads, "kkt")
         check_mass_anywhere(self._system)  # the metric of what is nearest
         self._projector = StateProjector(
             self._system, limits=values.limits, amplification=values.amplification

@@ -20,6 +20,7 @@ from mbd_ros.core.control.contract import ControlledJoints, Controller, EffortBo
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.projection.assembly import assemble
+from mbd_ros.core.rows.row_layout import rigid
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 from mbd_ros.scene.built_scene import Scene
@@ -60,9 +61,8 @@ def main() -> int:
 def mechanism(name: str) -> tuple[Scene, ControlledJoints]:
     """A scene and its controlled joints."""
     scene = load_scene(find_file(Path(), f"{_SCENES}/{name}.yaml", "benchmark"))
-    bilateral = [part for part in scene.constraints if part.law.is_rigid]
     loads = Loads(scene.robot.model.nv, scene.forces)
-    system = build_system(scene.robot, scene.couplings, bilateral, loads)
+    system = build_system(scene.robot, scene.couplings, rigid(scene.constraints), loads)
     return scene, ControlledJoints(system, MECHANISMS[name] or scene.actuated)
 
 

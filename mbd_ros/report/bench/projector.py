@@ -18,6 +18,7 @@ import pinocchio as pin
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.projection.state_projection import Measurement, StateProjector
+from mbd_ros.core.rows.row_layout import rigid
 from mbd_ros.core.state import Array, State
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.locate import find_file
@@ -59,9 +60,8 @@ def _compared(name: str, rounds: int) -> dict[str, Any]:
 
 
 def _projector(scene: Scene) -> StateProjector:
-    bilateral = [part for part in scene.constraints if part.law.is_rigid]
-    loads = Loads(scene.robot.model.nv)
-    return StateProjector(build_system(scene.robot, scene.couplings, bilateral, loads, "kkt"))
+    rows, loads = rigid(scene.constraints), Loads(scene.robot.model.nv)
+    return StateProjector(build_system(scene.robot, scene.couplings, rows, loads, "kkt"))
 
 
 def _measured(scene: Scene, x: State) -> Measurement:

@@ -144,7 +144,7 @@ class Oracle:
         texts = []
         for row, value in zip(self._bounded or (), lam, strict=True):
             _, w = row.margin(x, a)
-            lower, upper = row.bounds
+            lower, upper = row.limits
             slack = _COMPLEMENTARY * (1.0 + abs(value))
             near = _COMPLEMENTARY * (1.0 + float(np.abs(a).max()) + sum(row.gains))
             pushes, pulls = value > lower + slack, value < upper - slack

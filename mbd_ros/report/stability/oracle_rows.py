@@ -27,14 +27,14 @@ class JointRow(NamedTuple):
         q: Index of the joint in q.
         v: Index of the joint in v.
         ends: Lower and upper end; equal for one that is not a stop, None for friction.
-        bounds: Smallest and largest multiplier.
+        limits: Smallest and largest multiplier.
         gains: kp [1/s^2] and kd [1/s].
     """
 
     q: int
     v: int
     ends: tuple[float, float] | None
-    bounds: tuple[float, float]
+    limits: tuple[float, float]
     gains: tuple[float, float]
 
     def margin(self, x: State, a: Array) -> tuple[float, float]:
