@@ -3,6 +3,9 @@
 M a + h = tau + J' lam,   J a + drift = -kd g' - kp g
 """
 
+from functools import partial
+
+import eigenpy
 import numpy as np
 import pinocchio as pin
 
@@ -16,6 +19,9 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import HELD_BY_ROWS, NEAR_TOGGLE
 from mbd_ros.errors import SolveError
 
+_multiply = np.multiply
+_FACTORISED = eigenpy.ComputationInfo.Success
+_REGULAR = NEAR_TOGGLE**-2.0
 _EXACT = 1.0e-20  # square of the accepted residual of the rows, relative
 
 
@@ -46,9 +52,14 @@ class BilateralSystem(System):
         layout = layout or RowLayout(constraints.parts)
         super().__init__(robot, loads, constraints, bounded, layout)
         self._reads = max(constraints.reads, loads.reads)
-        self.condition = np.inf  # unknown yet
-        self._row_jacobian = np.zeros((len(constraints.rows), self.nv))
+        m = len(constraints.rows)
+        self._row_jacobian = np.zeros((m, self.nv))
         self._lam: Array | None = None
+        self._weights = self.sizes.weights if self.sizes else np.zeros((m, self.nv))
+        self._weighted, self._gram = np.zeros((m, self.nv)), np.zeros((m, m))
+        self._square = partial(self._weighted.dot, self._weighted.T, self._gram)
+        self._is_single, self._is_pair, self._cholesky = m == 1, m == 2, eigenpy.LLT(m)
+        self._least = 0.0 if self.sizes is None else _REGULAR * float(self.sizes.square.min())
 
     def acceleration(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
         """Accelerations of all joints [rad/s^2 or m/s^2], shape (nv,)."""
@@ -81,13 +92,14 @@ class BilateralSystem(System):
         if added is not None:
             tau = tau + added
         self._row_jacobian, self._lam = J, None
-        if self.condition < NEAR_TOGGLE:
+        if self._is_regular(J):
             pin.crba(self.model, data, q)
             pin.nonLinearEffects(self.model, data, q, v)
             a = pin.forwardDynamics(self.model, data, tau, J, drift, 0.0)
             left = J.dot(a)
             left += drift
-            if left.dot(left) <= _EXACT * (1.0 + drift.dot(drift)):
+            off = left.dot(left)
+            if off <= _EXACT or off <= _EXACT * drift.dot(drift):
                 return a
         a, self._lam = self._by_rank(q, v, tau, J, drift)
         return a
@@ -99,6 +111,19 @@ class BilateralSystem(System):
         self.bounded.accelerate(self, y.t, y.q, y.v, a)
         a = self._accelerate(y.t, y.q, y.v, u, self.bounded.force)
         return np.array(a), self._joined(self._multipliers())
+
+    def _is_regular(self, J: Array) -> bool:
+        """Whether rows are independent beyond doubt, by the usual masses."""
+        if self._is_single:
+            row = J[0]
+            return bool(row.dot(row) > self._least)
+        _multiply(J, self._weights, self._weighted)
+        gram = self._square()
+        if self._is_pair:
+            a, b, _, c = gram.ravel().tolist()
+            return bool(a > _REGULAR and a * c - b * b > _REGULAR * a)
+        self._cholesky.compute(gram)
+        return bool(self._cholesky.info() == _FACTORISED and self._cholesky.rcond() > _REGULAR)
 
     def _multipliers(self) -> Array:
         """Those of the last `_accelerate`, fresh."""

@@ -16,6 +16,7 @@ from mbd_ros.core.parts import Row, Wrench
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.rows.row_layout import RowLayout
+from mbd_ros.core.rows.usual_sizes import usual_sizes
 from mbd_ros.core.state import NONE, Array, Evaluation, State
 from mbd_ros.errors import SolveError
 
@@ -54,10 +55,9 @@ class System:
         layout: Which multipliers of an `Evaluation` are those of which rows.
         multiplier_rows: What they are, in the same order under every tier.
         evaluations: How often the acceleration was asked for.
-        row_size: Largest size of the bilateral rows so far; None forgets it. Where a state is
-            given up, the value before it may be put back.
-        condition: Condition number of the rows in the mass metric when last factorised; 1
-            without rows.
+        sizes: What masses and bilateral rows usually are; None without rows.
+        condition: Condition number of the rows in the mass metric when last factorised, for
+            reports; 1 without rows.
     """
 
     tier = "aba"
@@ -83,10 +83,10 @@ class System:
         self.multiplier_rows: tuple[Row, ...] = self.layout.rows
         self.evaluations = 0
         self.condition = 1.0
-        self.row_size: Array | None = None
         self._zero = np.zeros(self.model.nv)
         self._aba = partial(pin.aba, self.model, self.data)
         self._is_free = loads.is_empty and bounded is None
+        self.sizes = usual_sizes(self) if self.rows else None
 
     def acceleration(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
         """Acceleration of the integrated coordinates [rad/s^2 or m/s^2], shape (nv,)."""
@@ -162,8 +162,8 @@ class System:
             M: Mass matrix, shape (nv, nv).
             J: Jacobian of the rows, shape (m, nv).
         """
-        factor = RowFactor(M, J, self.row_size)
-        self.row_size, self.condition = factor.size, factor.condition
+        factor = RowFactor(M, J, None if self.sizes is None else self.sizes.mobility)
+        self.condition = factor.condition
         return factor
 
     def correct_rows(self, kp: float, kd: float) -> None:

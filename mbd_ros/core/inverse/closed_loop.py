@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from mbd_ros.core.inverse.force_split import ForceSplit, Split
 from mbd_ros.core.inverse.loop_balance import LoopBalance
@@ -20,6 +21,7 @@ from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Constraint, Load
+from mbd_ros.core.rows.usual_sizes import usual_norms
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import ASSEMBLED, TINY
 from mbd_ros.errors import ModelError, SolveError
@@ -28,6 +30,7 @@ _OFF = 1.0e-6  # of the terms that should cancel: velocity and acceleration off 
 _LEFT = 1.0e-6  # of the forces at work: what may stay without an actuator
 _ZERO = 1.0e-9  # the same where nothing moves and nothing acts
 _NAMED = 0.3  # share of a joint in a direction, of the largest, to be named
+_BESIDE = 1.0e-2  # rad or m: the neighbourhood of a state, to tell a toggle from a freedom
 _SHOWN = 4  # joints in a message
 _DIGITS = 9  # of shares that differ; beyond them is rounding
 
@@ -83,20 +86,11 @@ class ClosedLoopInverseDynamics:
         drives = int(self._drives.sum())
         self._E = np.zeros((int(robot.model.nv), self._na + drives))
         self._E[[robot.joint(name).v for name in actuated], range(self._na)] = 1.0
-        self._size, self._freedom = np.zeros(self._na + len(rows)), int(robot.model.nv)
         names = np.array([f"{row.name}.multiplier" for row in rows], dtype=np.object_)
         efforts = [f"{name}.effort" for name in actuated]
         self._labels = (*efforts, *names[self._drives], *names[~self._drives])
         self._names = {joint.v: joint.name for joint in robot.joints}
-
-    @property
-    def memory(self) -> tuple[Any, ...]:
-        """Sizes of rows and efforts so far; may be set, to an earlier value."""
-        return self._size, self._freedom, self.motion.memory
-
-    @memory.setter
-    def memory(self, memory: tuple[Any, ...]) -> None:
-        self._size, self._freedom, self.motion.memory = memory
+        self._usual = usual_norms(robot, self._columns)
 
     def consistent(self, x: State, a: Array) -> tuple[State, Array]:
         """Measured motion moved onto the constraints; see `LoopMotion.consistent`."""
@@ -125,8 +119,9 @@ class ClosedLoopInverseDynamics:
         found = split.solve(terms.inertial + terms.bias - terms.loads)
         scale = sum(split.norm(term) for term in terms)
         if not found.share <= _LEFT * scale + _ZERO:
-            toggle = "; the mechanism is at a toggle" if split.freedom > self._freedom else ""
-            raise SolveError(self._unreachable(found, scale, x) + toggle)
+            reason = self._unreachable(found, scale, x)
+            toggle = "; the mechanism is at a toggle" if self._is_toggle(x, split) else ""
+            raise SolveError(reason + toggle)
         tau, drives = np.split(found.efforts, [self._na])
         multipliers = np.empty(len(self._drives))
         multipliers[self._drives], multipliers[~self._drives] = drives, found.multipliers
@@ -143,9 +138,27 @@ class ClosedLoopInverseDynamics:
 
     def _split(self, x: State, J: Array) -> ForceSplit:
         self._E[:, self._na :] = J[self._drives].T
-        split = ForceSplit(self.motion.metric(x.q), self._E, J[~self._drives], self._size)
-        self._size, self._freedom = split.size, min(self._freedom, split.freedom)
-        return split
+        return ForceSplit(self.motion.metric(x.q), self._E, J[~self._drives], self._usual)
+
+    def _columns(self, q: Array) -> tuple[Array, Array]:
+        """M and the columns of efforts, drives and other rows at a configuration."""
+        x = State(0.0, q, np.zeros(len(self._E)))
+        self._balance.place(x)
+        J = self._balance.rows(x)[0]
+        efforts = self._E[:, : self._na]
+        columns = (efforts, J[self._drives].T, J[~self._drives].T)
+        return self.motion.metric(q), np.concatenate(columns, axis=1)
+
+    def _is_toggle(self, x: State, split: ForceSplit) -> bool:
+        """Whether the rows allow fewer motions a little further on."""
+        away = np.full(len(self._E), _BESIDE)
+        try:
+            q = self.motion.start(x._replace(q=pin.integrate(self.robot.model, x.q, away)))
+            beside = x._replace(q=q)
+            self._balance.place(beside)
+            return self._split(beside, self._balance.rows(beside)[0]).freedom < split.freedom
+        except SolveError:
+            return False
 
     def _check_closed(self, x: State) -> None:
         g = np.abs(self._balance.residual(x))

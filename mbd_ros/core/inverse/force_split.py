@@ -49,11 +49,11 @@ class ForceSplit:
         M: Mass matrix, shape (nv, nv).
         E: Force of every effort, one a column, shape (nv, ne).
         J: Rows, shape (m, nv).
-        size: Norm of each column of E and J' so far; it separates a column that vanishes at a
+        usual: Usual norm of each column of E and J'; it separates a column that vanishes at a
             toggle from one that is small everywhere. Without it, the norms of these matrices.
 
     Attributes:
-        size: Largest norm of each column so far, these included, shape (ne + m,).
+        size: Norm of each column, at least the usual one, shape (ne + m,).
         freedom: Motions that the rows allow.
         driven: How many of them the efforts reach.
         null_space: Dimension of the (e, lam) that exert nothing together.
@@ -63,13 +63,13 @@ class ForceSplit:
         SolveError: The mass matrix is singular or not finite.
     """
 
-    def __init__(self, M: Array, E: Array, J: Array, size: Array | None = None) -> None:
+    def __init__(self, M: Array, E: Array, J: Array, usual: Array | None = None) -> None:
         self._E, self._J, n = E, J, E.shape[1]
         try:
             self._L = np.linalg.cholesky(M)
             columns = np.linalg.solve(self._L, np.concatenate((E, J.T), axis=1))
             norm = np.sqrt(np.einsum("ij,ij->j", columns, columns))
-            self.size = norm if size is None else np.maximum(norm, size)
+            self.size = norm if usual is None else np.maximum(norm, usual)
             scale = 1.0 / np.where(self.size > 0.0, self.size, 1.0)
             columns *= scale
             self._rows = _Inverse(columns[:, n:], scale[n:])

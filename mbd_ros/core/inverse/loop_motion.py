@@ -53,16 +53,9 @@ class LoopMotion:
         self._names = {joint.v: joint.name for joint in robot.joints}
         self._q = np.array([joint.q for joint in robot.joints], dtype=np.intp)
         self._v = np.array([joint.v for joint in robot.joints], dtype=np.intp)
-        self._size, self.condition = np.zeros(len(self._system.rows)), 1.0
-
-    @property
-    def memory(self) -> tuple[Any, ...]:
-        """Sizes of rows so far; may be set, to the value before a sample."""
-        return self._size, self._system.row_size
-
-    @memory.setter
-    def memory(self, memory: tuple[Any, ...]) -> None:
-        self._size, self._system.row_size = memory
+        sizes = self._system.sizes
+        self._usual = np.zeros(0) if sizes is None else np.sqrt(sizes.mobility)
+        self.condition = 1.0
 
     def metric(self, q: Array) -> Array:
         """Mass matrix with which distances are measured, shape (nv, nv)."""
@@ -158,14 +151,13 @@ class LoopMotion:
         return self._system.constraints.accelerations(self._system.k, x)[1]
 
     def _rows(self, t: float, q: Array) -> tuple[Array, Array, Array]:
-        """J, the Cholesky factor of M, and the size of the rows so far in the metric M^-1."""
+        """J, the Cholesky factor of M, and the size of the rows in the metric M^-1."""
         J, M = self._system.jacobian(t, q), self._system.mass(q)
         if not (np.isfinite(J).all() and np.isfinite(M).all()):
             raise SolveError("constraint rows or masses are not finite")
         L: Any = np.linalg.cholesky(M)
-        self._size = np.maximum(self._size, np.linalg.norm(np.linalg.solve(L, J.T), axis=0))
-        size: Array = np.where(self._size > 0.0, self._size, 1.0)
-        return J, L, size
+        size = np.maximum(self._usual, np.linalg.norm(np.linalg.solve(L, J.T), axis=0))
+        return J, L, np.where(size > 0.0, size, 1.0)
 
 
 def with_inertia(robot: Robot) -> Robot:

@@ -1,7 +1,6 @@
 """Independent joints of a mechanism with loops -> torques, as `InverseDynamics` gives them."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -48,13 +47,13 @@ class ObservedLoops:
         self._begin = self.memory
 
     @property
-    def memory(self) -> tuple[Any, ...]:
+    def memory(self) -> Array:
         """State on which the next sample depends; may be set, to its value before a sample."""
-        return self.configuration, self.inverse.memory
+        return self.configuration
 
     @memory.setter
-    def memory(self, memory: tuple[Any, ...]) -> None:
-        self.configuration, self.inverse.memory = memory
+    def memory(self, memory: Array) -> None:
+        self.configuration = memory
 
     def reset(self) -> None:
         """Forget all samples."""

@@ -17,6 +17,8 @@ from mbd_ros.core.thresholds import (
 )
 from mbd_ros.errors import SolveError
 
+_FACTORISED = eigenpy.ComputationInfo.Success
+
 
 def is_rounding(J: Array) -> NDArray[np.bool_]:
     """Whether rows are rounding alone, since no joint moves them, shape (m,)."""
@@ -24,7 +26,7 @@ def is_rounding(J: Array) -> NDArray[np.bool_]:
 
 
 class RowFactor:
-    """Solves A lam = r with A = J M^-1 J', rows scaled by the size that they have had so far.
+    """Solves A lam = r with A = J M^-1 J', rows scaled by their usual size, or a larger one.
 
     Well-conditioned rows go through a Cholesky factor. Otherwise the eigenvalues decide:
     directions below `NEARLY_SINGULAR` are left out, because at a toggle they would turn rounding
@@ -33,19 +35,18 @@ class RowFactor:
     Args:
         M: Mass matrix, shape (nv, nv).
         J: Rows, shape (m, nv).
-        size: Largest A_ii of each row so far, (m,); it separates a row that vanishes at a toggle
-            from one that is small everywhere. Without it, A_ii itself.
+        usual: Usual A_ii of each row, (m,); it separates a row that vanishes at a toggle from one
+            that is small everywhere. Without it, A_ii itself.
 
     Attributes:
         X: M^-1 J', shape (nv, m).
         A: J M^-1 J', shape (m, m).
-        size: Largest A_ii of each row so far, this one included, shape (m,).
         rank: Rows that are independent.
         condition: Square root of the condition number of the scaled A, that is, the condition
             number of the scaled rows in the mass metric; inf for redundant rows.
     """
 
-    def __init__(self, M: Array, J: Array, size: Array | None = None) -> None:
+    def __init__(self, M: Array, J: Array, usual: Array | None = None) -> None:
         self.X = eigenpy.LLT(M).solve(J.T).reshape(J.T.shape)  # eigenpy flattens one column
         self.A = J.dot(self.X)
         diagonal = self.A.diagonal()
@@ -53,13 +54,13 @@ class RowFactor:
         if diagonal.min(initial=1.0) < SMALL_ROW and (unmoved := is_rounding(J)).any():
             self.X[:, unmoved] = self.A[unmoved] = self.A[:, unmoved] = 0.0
             self._unmoved, diagonal = unmoved, self.A.diagonal()
-        self.size = diagonal if size is None else np.maximum(diagonal, size)
-        floor = ZERO_ROW * float(self.size.max(initial=0.0)) or 1.0
-        self._scale = 1.0 / np.sqrt(np.maximum(self.size, floor))
+        size = diagonal if usual is None else np.maximum(diagonal, usual)
+        floor = ZERO_ROW * float(size.max(initial=0.0)) or 1.0
+        self._scale = 1.0 / np.sqrt(np.maximum(size, floor))
         scaled = self._scale[:, None] * self.A * self._scale
         self.rank = len(J)
         self._cholesky = eigenpy.LLT(scaled)
-        reciprocal = self._cholesky.rcond() if self._cholesky.info().name == "Success" else 0.0
+        reciprocal = self._cholesky.rcond() if self._cholesky.info() == _FACTORISED else 0.0
         self.condition = reciprocal**-0.5 if reciprocal > 0 else np.inf
         self._is_regular = reciprocal > NEARLY_SINGULAR
         if not self._is_regular:

@@ -8,7 +8,6 @@ import numpy as np
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.linear_motion import LinearMotion, linear_motion, longest_step
 from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import State
 from mbd_ros.core.thresholds import TINY, TOGGLE_RISE
 from mbd_ros.errors import SolveError
@@ -76,11 +75,10 @@ def _folds(system: System, states: Sequence[State]) -> Iterator[str]:
     """Where the mechanism nearly folds: beyond, it may be on another branch."""
     if not system.rows:
         return
-    looked, conditions, size = states[:: 1 + len(states) // _FOLD_LOOKS], [], None
+    looked, conditions = states[:: 1 + len(states) // _FOLD_LOOKS], []
     for x in looked:
         y = system.reduce(x)
-        factor = RowFactor(system.mass(y.q), system.jacobian(y.t, y.q), size)
-        size = factor.size  # a row that vanishes at a toggle is told from one that is small
+        factor = system.factorise(system.mass(y.q), system.jacobian(y.t, y.q))
         conditions.append(factor.condition)
     known = [c for c in conditions if c < math.inf]
     if known and max(known) > TOGGLE_RISE * min(known):

@@ -125,7 +125,6 @@ class ControlPipeline:
     def forget(self) -> None:
         """Hold the next state that comes."""
         self.observer.reset()
-        self._controlled.system.row_size = None
         self.loop.restart()
         self._epoch = None
 
@@ -143,19 +142,17 @@ class ControlPipeline:
             SolveError: The state does not fit the loops, or the control law has no answer and had
                 none.
         """
-        system, observer = self._controlled.system, self.observer
-        before = observer.memory, system.row_size
+        observer = self.observer
+        before = observer.memory
         seen = observer.observe(stamp, sample.position, sample.velocity, self.joints.present)
         if not isinstance(seen, Observation):
             return seen
-        if observer.outcome is SampleStatus.RESTARTED:
-            system.row_size = None
         if self._epoch is None:
             self._epoch = stamp
         try:
             x = self._observed.state(self._seconds(stamp), seen.position, seen.velocity)
         except SolveError:
-            observer.memory, system.row_size = before
+            observer.memory = before
             raise
         self.x = x
         off = seen.dependent - self._observed.dependent
