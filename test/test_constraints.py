@@ -131,6 +131,15 @@ def random_state(robot, seed=0, t=0.7):
     return State(t, q, rng.normal(size=model.nv))
 
 
+def frames(robot, x):
+    """Data of Pinocchio's own algorithms for frames."""
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, x.q, x.v, np.zeros(robot.model.nv))
+    pin.computeJointJacobians(robot.model, data)
+    pin.updateFramePlacements(robot.model, data)
+    return data
+
+
 def refreshed(robot, x):
     k = Kinematics(robot)
     k.refresh(x.q, x.v)
@@ -204,8 +213,7 @@ def test_wrenches_balance_and_are_what_the_multipliers_exert(robot, make, seed):
     """Forces on a and b cancel with their moments; their generalized force is J' lam."""
     part, x = make(robot), random_state(robot, seed)
     k, model = refreshed(robot, x), robot.model
-    data = k.data
-    pin.updateFramePlacements(model, data)
+    data = frames(robot, x)
     lam = np.random.default_rng(seed).normal(size=len(part.rows))
     tau, total = np.zeros(model.nv), np.zeros(6)
     wrenches = part.wrenches(k, x, lam)
@@ -334,8 +342,7 @@ def test_newton_closes_a_loop_that_can_be_closed(kind, seed):
 def test_anchor_holds_a_frame_where_it_is():
     x = random_state(LEG, 2)
     k = refreshed(LEG, x)
-    data = k.data
-    pin.updateFramePlacements(LEG.model, data)
+    data = frames(LEG, x)
     place = data.oMf[LEG.frame("toe")]
     at = {"position": place.translation, "orientation": pin.rpy.matrixToRpy(place.rotation)}
     part = FrameAnchor(LEG, frame="toe", **at)
@@ -345,8 +352,7 @@ def test_anchor_holds_a_frame_where_it_is():
 def test_point_on_plane_measures_along_the_normal_whatever_its_length():
     x = random_state(LEG, 3)
     k = refreshed(LEG, x)
-    data = k.data
-    pin.updateFramePlacements(LEG.model, data)
+    data = frames(LEG, x)
     height = data.oMf[LEG.frame("heel")].translation[2]
     for size in (1.0, 1e-200, -1e200):
         part = PointOnPlane(

@@ -90,6 +90,15 @@ def random_state(robot, seed=0, t=0.0):
     return State(t, q, rng.normal(size=model.nv))
 
 
+def frames(robot, x):
+    """Data of Pinocchio's own algorithms for frames."""
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, x.q, x.v, np.zeros(robot.model.nv))
+    pin.computeJointJacobians(robot.model, data)
+    pin.updateFramePlacements(robot.model, data)
+    return data
+
+
 def refreshed(robot, x):
     """Data as a system hands it to parts that read frames."""
     k = Kinematics(robot)
@@ -248,8 +257,7 @@ def test_applied_wrench_gives_its_virtual_power(axes, robot):
     for seed in range(3):
         x = random_state(robot, seed)
         k = refreshed(robot, x)
-        data = k.data
-        pin.updateFramePlacements(model, data)
+        data = frames(robot, x)
         turn = data.oMf[index].rotation if axes == "frame" else np.eye(3)
         _, velocity = point_motion(robot, x, "flange", point)
         spin = pin.getFrameVelocity(model, data, index, pin.LOCAL_WORLD_ALIGNED).angular
@@ -305,8 +313,7 @@ def test_prescribed_wrench_is_carried_by_the_jacobian_of_the_world(expressed_in,
     table = {"times": TIMES, "wrenches": RAMP}
     part = PrescribedWrench(robot, frame="flange", **table, expressed_in=expressed_in, point=point)
     model, k = robot.model, refreshed(robot, x)
-    data = k.data
-    pin.updateFramePlacements(model, data)
+    data = frames(robot, x)
     about = pin.SE3(np.eye(3), np.array(point))
     load = (data.oMf[robot.frame(expressed_in or "flange")] * about).act(pin.Force(RAMP[0]))
     other, flange = model.createData(), robot.frame("flange")

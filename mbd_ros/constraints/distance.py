@@ -6,10 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.model.points import checked_vector
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Constraint, Row, Wrench
-from mbd_ros.core.rows.frame_pair import FramePair
-from mbd_ros.core.rows.frame_point import FramePoint
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -51,16 +50,16 @@ class Distance(Constraint):
     ) -> None:
         if not 0 < distance < math.inf:
             raise ModelError(f"distance {distance:g} m must be finite and > 0")
-        a = FramePoint(robot, frame_a, point_a, keys=("point_a", ""))
-        b = FramePoint(robot, frame_b, point_b, keys=("point_b", ""))
-        self._a, self._b, self._moves = a, b, np.abs(FramePair(robot.model, a, b).columns)
+        self._a = robot.point(frame_a, checked_vector("point_a", point_a))
+        self._b = robot.point(frame_b, checked_vector("point_b", point_b))
+        self._moves = np.abs(robot.pair(self._a, self._b).columns)
         self._distance, self._shortest = distance, _COINCIDENT * distance
         self.rows = (Row(f"{frame_a}-{frame_b}.distance", "N"),)
 
     def residual(self, k: Kinematics, x: State) -> Array:
         """How much too long the bar is, g [m], shape (1,)."""
-        line = self._b.position(k) - self._a.position(k)
-        return np.array((math.hypot(*line.tolist()) - self._distance,))
+        line = k.position(self._b) - k.position(self._a)
+        return k.array((k.hypot(line) - self._distance,))
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
         """Rate of the distance with every joint, shape (1, nv)."""
@@ -79,30 +78,30 @@ class Distance(Constraint):
         return self._jacobian(k, n), self._drift(k, n, length)
 
     def _jacobian(self, k: Kinematics, n: Array) -> Array:
-        jacobian: Array = n.dot(self._b.jacobian(k))
-        if self._a.joint:
+        jacobian: Array = k.dot(n, k.jacobian(self._b))
+        if self._a.moves:
             # Zero, not a small difference, where both ends are carried.
-            jacobian = (jacobian - n.dot(self._a.jacobian(k))) * self._moves
-        return jacobian.reshape(1, -1)
+            jacobian = (jacobian - k.dot(n, k.jacobian(self._a))) * self._moves
+        return k.row(jacobian)
 
     def _drift(self, k: Kinematics, n: Array, length: float) -> Array:
-        bent = n.dot(self._b.acceleration(k) - self._a.acceleration(k))
-        if length > self._shortest:
-            v = self._b.velocity(k) - self._a.velocity(k)
-            across = v - n * n.dot(v)
-            bent += across.dot(across) / length
-        return np.array((bent,))
+        bent = k.dot(n, k.acceleration(self._b) - k.acceleration(self._a))
+        v = k.velocity(self._b) - k.velocity(self._a)
+        across = v - n * k.dot(n, v)
+        turn = k.dot(across, across) / k.maximum(length, self._shortest)
+        return k.array((bent + k.where(length > self._shortest, turn, 0.0),))
 
     def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
         """Forces at the ends of the bar."""
-        force, free = self._direction(k)[0] * lam.item(0), np.zeros(3)
+        force, free = self._direction(k)[0] * lam[0], np.zeros(3)
         return (
-            Wrench(self._a.frame, self._a.position(k), -force, free),
-            Wrench(self._b.frame, self._b.position(k), force, free),
+            Wrench(self._a.frame, k.position(self._a), -force, free),
+            Wrench(self._b.frame, k.position(self._b), force, free),
         )
 
     def _direction(self, k: Kinematics) -> tuple[Array, float]:
         """Unit vector from end a to end b, and how far they are apart [m]."""
-        line = self._b.position(k) - self._a.position(k)
-        length = math.hypot(*line.tolist())
-        return (line / length if length > self._shortest else _ANY_DIRECTION), length
+        line = k.position(self._b) - k.position(self._a)
+        length = k.hypot(line)
+        along = line / k.maximum(length, self._shortest)
+        return k.where(length > self._shortest, along, _ANY_DIRECTION), length

@@ -2,12 +2,8 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-import pinocchio as pin
-
+from mbd_ros.core.model.points import checked_vector, rotation_matrix
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.rows.frame_pair import FramePair
-from mbd_ros.core.rows.frame_point import FramePoint, checked_vector
 from mbd_ros.core.rows.pair_rows import PairRows
 from mbd_ros.core.rows.rotation_residual import FullRotation
 from mbd_ros.errors import ModelError
@@ -56,10 +52,11 @@ class FrameAnchor(PairRows):
             raise ModelError(f"kind '{kind}', accepted: full, point")
         if (orientation is None) == (kind == "full"):
             raise ModelError("orientation goes with kind full, which cannot do without it")
-        place = FramePoint(robot, "universe", position, keys=("position", ""))
-        held = FramePoint(robot, frame, point, rpy)
+        place = robot.point("universe", checked_vector("position", position))
+        held = robot.point(frame, checked_vector("point", point), checked_vector("rpy", rpy))
         if orientation is not None:
-            wanted = pin.rpy.rpyToMatrix(checked_vector("orientation", orientation))
-            held.place = held.place * pin.SE3(wanted.T, np.zeros(3))  # has the axes of the world
-        pair = FramePair(robot.model, place, held)
-        super().__init__(pair, "xyz", FullRotation() if kind == "full" else None)
+            wanted = rotation_matrix(checked_vector("orientation", orientation))
+            held = robot.turned(held, wanted.T)  # has the axes of the world
+        super().__init__(
+            robot.pair(place, held), "xyz", FullRotation() if kind == "full" else None
+        )

@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 
+from mbd_ros.core.model.points import checked_vector
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.rows.frame_pair import FramePair
-from mbd_ros.core.rows.frame_point import FramePoint
 from mbd_ros.core.rows.pair_rows import DIRECTIONS, PairRows
 from mbd_ros.core.rows.rotation_residual import AxisRotation, FullRotation, RotationResidual
 from mbd_ros.errors import ModelError
@@ -67,6 +66,7 @@ class LoopClosure(PairRows):
         rotation: RotationResidual | None = None
         if kind != "point":
             rotation = FullRotation() if kind == "full" else AxisRotation(axis)
-        a = FramePoint(robot, frame_a, point_a, rpy_a, ("point_a", "rpy_a"))
-        b = FramePoint(robot, frame_b, point_b, rpy_b, ("point_b", "rpy_b"))
-        super().__init__(FramePair(robot.model, a, b), directions, rotation)
+        place_a = checked_vector("point_a", point_a), checked_vector("rpy_a", rpy_a)
+        place_b = checked_vector("point_b", point_b), checked_vector("rpy_b", rpy_b)
+        a, b = robot.point(frame_a, *place_a), robot.point(frame_b, *place_b)
+        super().__init__(robot.pair(a, b), directions, rotation)

@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
-import pinocchio as pin
 
+from mbd_ros.core.model.points import checked_vector
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Row
-from mbd_ros.core.rows.frame_pair import FramePair
-from mbd_ros.core.rows.frame_point import FramePoint, checked_vector
 from mbd_ros.core.rows.pair_rows import PairRows
 from mbd_ros.errors import ModelError
 
@@ -49,9 +47,9 @@ class PointOnPlane(PairRows):
         if size == 0.0:
             raise ModelError(f"normal {normal} must have a direction")
         along = along / size  # so that its square neither vanishes nor overflows
-        plane = FramePoint(robot, plane_frame, plane_point, keys=("plane_point", ""))
-        plane.place = plane.place * pin.SE3(_turned(along / np.linalg.norm(along)), np.zeros(3))
-        pair = FramePair(robot.model, plane, FramePoint(robot, frame, point))
+        plane = robot.point(plane_frame, checked_vector("plane_point", plane_point))
+        plane = robot.turned(plane, _turned(along / np.linalg.norm(along)))
+        pair = robot.pair(plane, robot.point(frame, checked_vector("point", point)))
         super().__init__(pair, "z")
         self.rows = (Row(f"{plane_frame}-{frame}.normal", "N", plane_frame),)
 
@@ -61,4 +59,6 @@ def _turned(normal: np.ndarray) -> np.ndarray:
     x = np.eye(3)[int(np.argmin(np.abs(normal)))]
     x = x - normal * normal.dot(x)
     x /= np.linalg.norm(x)
-    return np.column_stack((x, pin.skew(normal).dot(x), normal))
+    a, b, c = normal.tolist()
+    across = np.array(((0.0, -c, b), (c, 0.0, -a), (-b, a, 0.0)))
+    return np.column_stack((x, across.dot(x), normal))

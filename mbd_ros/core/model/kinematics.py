@@ -48,20 +48,20 @@ class Kinematics:
     maximum = staticmethod(max)
 
     def __init__(self, robot: Robot, data: Any = None) -> None:
-        self.robot, self.data = robot, pin.Data(robot.model) if data is None else data
+        self._data = pin.Data(robot.model) if data is None else data
         self._model, self._rest = robot.model, np.zeros(robot.model.nv)
         model, places = robot.model, robot.places
         points, pairs = places.points.__getitem__, places.pairs.__getitem__
-        self._position = _Bound(_position, model, self.data, points)
-        self._rotation = _Bound(_rotation, model, self.data, points)
-        self._velocity = _Bound(_velocity, model, self.data, points)
-        self._acceleration = _Bound(_acceleration, model, self.data, points)
-        self._jacobian = _Bound(_jacobian, model, self.data, points)
-        self._spatial_jacobian = _Bound(_spatial_jacobian, model, self.data, points)
-        self._own_jacobian = _Bound(_own_jacobian, model, self.data, points)
-        self._motion = _Bound(PairMotion, model, self.data, pairs)
-        self._carried = _Bound(_carried, model, self.data, places.both)
-        self._gravity = partial(pin.computeGeneralizedGravity, model, self.data)
+        self._position = _Bound(_position, model, self._data, points)
+        self._rotation = _Bound(_rotation, model, self._data, points)
+        self._velocity = _Bound(_velocity, model, self._data, points)
+        self._acceleration = _Bound(_acceleration, model, self._data, points)
+        self._jacobian = _Bound(_jacobian, model, self._data, points)
+        self._spatial_jacobian = _Bound(_spatial_jacobian, model, self._data, points)
+        self._own_jacobian = _Bound(_own_jacobian, model, self._data, points)
+        self._motion = _Bound(PairMotion, model, self._data, pairs)
+        self._carried = _Bound(_carried, model, self._data, places.both)
+        self._gravity = partial(pin.computeGeneralizedGravity, model, self._data)
 
     def refresh(self, q: Array, v: Array, reads: Reads = Reads.DRIFT) -> None:
         """Bring to a state what is read of it, and nothing else.
@@ -72,13 +72,13 @@ class Kinematics:
             reads: How much is read until the next call.
         """
         if reads >= Reads.DRIFT:
-            pin.forwardKinematics(self._model, self.data, q, v, self._rest)
+            pin.forwardKinematics(self._model, self._data, q, v, self._rest)
         elif reads >= Reads.VELOCITY:
-            pin.forwardKinematics(self._model, self.data, q, v)
+            pin.forwardKinematics(self._model, self._data, q, v)
         elif reads:
-            pin.forwardKinematics(self._model, self.data, q)
+            pin.forwardKinematics(self._model, self._data, q)
         if reads >= Reads.JACOBIAN:
-            pin.computeJointJacobians(self._model, self.data)
+            pin.computeJointJacobians(self._model, self._data)
 
     def position(self, point: Point) -> Array:
         """Where a point is, less `Robot.origin` [m], shape (3,), not to be written to."""

@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.model.pair_motion import PairMotion, Placed
+from mbd_ros.core.model.points import Pair
 from mbd_ros.core.parts import Constraint, Row, Wrench
-from mbd_ros.core.rows.frame_pair import FramePair, Placed
 from mbd_ros.core.rows.rotation_residual import RotationResidual
 from mbd_ros.core.state import Array, State
 
@@ -26,7 +27,7 @@ class PairRows(Constraint):
     """Origin of b at that of a, in some directions of a; axes as the rotation residual demands.
 
     Args:
-        pair: The frames.
+        pair: Frame a and frame b.
         directions: Key of `DIRECTIONS`: axes of a along which the origins must not part.
         rotation: Residual of the axes; None leaves them free.
     """
@@ -35,7 +36,7 @@ class PairRows(Constraint):
 
     def __init__(
         self,
-        pair: FramePair,
+        pair: Pair,
         directions: str,
         rotation: RotationResidual | None = None,
     ) -> None:
@@ -51,54 +52,55 @@ class PairRows(Constraint):
 
     def residual(self, k: Kinematics, x: State) -> Array:
         """Distances [m] in axes of a, then what the rotation residual measures [rad]."""
-        offset = self._pair.offset(k)[self._rows]
+        seen = k.motion(self._pair)
+        offset = seen.offset()[self._rows]
         if self._rotation is None:
             return offset
-        return np.concatenate((offset, self._rotation.residual(self._pair.rotation(k))))
+        return np.concatenate((offset, self._rotation.residual(seen.rotation())))
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
         """dg/dq, shape (m, nv)."""
-        return self._jacobian(k, self._placed(k), self._turned(k))
+        seen = k.motion(self._pair)
+        return self._jacobian(seen, self._placed(seen), self._turned(seen))
 
     def drift(self, k: Kinematics, x: State) -> Array:
         """J' v, shape (m,)."""
-        return self._drift(k, self._placed(k), self._turned(k))
+        seen = k.motion(self._pair)
+        return self._drift(seen, self._placed(seen), self._turned(seen))
 
     def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
         """Both `jacobian` and `drift`, for the placements of one."""
-        placed, R = self._placed(k), self._turned(k)
-        return self._jacobian(k, placed, R), self._drift(k, placed, R)
+        seen = k.motion(self._pair)
+        placed, R = self._placed(seen), self._turned(seen)
+        return self._jacobian(seen, placed, R), self._drift(seen, placed, R)
 
-    def _placed(self, k: Kinematics) -> Placed | None:
-        return self._pair.placed(k) if self._rotation is None else self._pair.place(k)
+    def _placed(self, seen: PairMotion) -> Placed | None:
+        return seen.placed() if self._rotation is None else seen.place()
 
-    def _turned(self, k: Kinematics) -> Any:
-        return None if self._rotation is None else self._pair.rotation(k)
+    def _turned(self, seen: PairMotion) -> Any:
+        return None if self._rotation is None else seen.rotation()
 
-    def _jacobian(self, k: Kinematics, placed: Placed | None, R: Any) -> Array:
+    def _jacobian(self, seen: PairMotion, placed: Placed | None, R: Any) -> Array:
         if self._rotation is None:
-            return self._pair.jacobian(k, placed, self._rows)
-        whole = self._pair.jacobian(k, placed, _ALL)
+            return seen.jacobian(placed, self._rows)
+        whole = seen.jacobian(placed, _ALL)
         turns = self._rotation.slope(R).dot(whole[_ROTATIONS])
         return np.concatenate((whole[self._rows], turns))
 
-    def _drift(self, k: Kinematics, placed: Placed | None, R: Any) -> Array:
+    def _drift(self, seen: PairMotion, placed: Placed | None, R: Any) -> Array:
         if self._rotation is None:
-            return self._pair.acceleration(k, placed)[self._rows]
+            return seen.acceleration(placed)[self._rows]
         assert placed is not None
-        linear, omega, alpha = self._pair.motion(k, placed)
+        linear, omega, alpha = seen.motion(placed)
         return np.concatenate((linear[self._rows], self._rotation.drift(R, omega, alpha)))
 
     def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
         """The wrenches between a and b, at the origin of b: on a, then on b."""
-        axes = self._pair.place(k).axes
-        force = axes.rotation[:, self._rows].dot(lam[: self._count])
+        _, a, b, _ = self._pair
+        axes, point = k.rotation(a), k.position(b)
+        force = axes[:, self._rows].dot(lam[: self._count])
         torque = np.zeros(3)
         if self._rotation is not None:
-            slope = self._rotation.slope(self._pair.rotation(k))
-            torque = axes.rotation.dot(slope.T.dot(lam[self._count :]))
-        point = axes.translation
-        return (
-            Wrench(self._pair.a.frame, point, -force, -torque),
-            Wrench(self._pair.b.frame, point, force, torque),
-        )
+            slope = self._rotation.slope(k.motion(self._pair).rotation())
+            torque = axes.dot(slope.T.dot(lam[self._count :]))
+        return Wrench(a.frame, point, -force, -torque), Wrench(b.frame, point, force, torque)
