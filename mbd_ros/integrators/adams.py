@@ -11,7 +11,7 @@ from mbd_ros.core.integration.linear_motion import LinearMotion, spectral_radius
 from mbd_ros.core.integration.nystrom_stages import new_state
 from mbd_ros.core.integration.runge_kutta import RungeKutta
 from mbd_ros.core.integration.step_length import NEAR, clip
-from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.integration.stepping import Integrator, Memory, Stepper
 from mbd_ros.core.integration.tableau import RK4
 from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.errors import ModelError
@@ -82,13 +82,16 @@ class AdamsStepper(Stepper):
         dt: Length of a step [s].
     """
 
+    kept = ("_known", "_last", "_ready", "_held")
+
     def __init__(self, system: Any, order: int, dt: float) -> None:
         self._accelerate, self._needed = system.accelerator(), order - 1
         self._dt, self._near = dt, NEAR * dt
         # Errors of the first steps do not add up: one order less than that of the method will do.
         self._starter = RungeKutta(system, RK4 if order <= 5 else DOP853, dt)
-        slots = _slots(order, int(system.nv), dt)
-        self._slots = cycle(slots)
+        self._B, self._turns = _slots(order, int(system.nv), dt)
+        self._slots = cycle(self._turns)
+        self._row: Array | None = None  # of the newest acceleration
         self._known = 0
         self._last: State | None = None  # what the last step returned while the method starts
         self._ready: State | None = None  # the same, once there are enough accelerations
@@ -104,7 +107,7 @@ class AdamsStepper(Stepper):
         row, product, before, after, after_q, after_v = next(self._slots)
         self._accelerate(t, q, v, u, row)
         product(before, after)
-        self._head = after
+        self._head, self._row = after, row
         t += self._dt
         self._ready = x = new_state(State, (t, after_q.copy(), after_v.copy(), NONE, ()))
         return x
@@ -131,7 +134,7 @@ class AdamsStepper(Stepper):
             accelerate(t, q, v, u, row)
             product(before, after)
             t, q, v = t + dt, after_q, after_v
-        self._head = after
+        self._head, self._row = after, row
         self._ready = x = State(t, q.copy(), v.copy())
         return x, count
 
@@ -139,6 +142,23 @@ class AdamsStepper(Stepper):
         """Forget the accelerations of earlier steps."""
         self._known, self._last, self._ready, self._held = 0, None, None, None
         self._starter.restart()
+
+    def memory(self) -> Memory:
+        """Accelerations of earlier steps, and where the next one stands among them."""
+        heads = ((row, head) for row, _, _, head, _, _ in self._turns)
+        turns = [row is self._row and head is self._head for row, head in heads]
+        done = 1 + turns.index(True) if True in turns else 0
+        rows = self._B.copy(), done
+        return {**super().memory(), "rows": rows, "starter": self._starter.memory()}
+
+    def recall(self, memory: Memory, x: State) -> None:
+        """As `Stepper.recall`."""
+        super().recall({name: memory[name] for name in self.kept}, x)
+        self._starter.recall(memory["starter"], x)
+        self._B[...], done = memory["rows"]
+        self._slots = cycle(self._turns)
+        for row, _, _, head, _, _ in islice(self._slots, done):
+            self._row, self._head = row, head
 
     def continue_from(self, x: State) -> None:
         """Continue from the stabilized last state, history kept."""
@@ -170,20 +190,20 @@ class AdamsStepper(Stepper):
         """Take over the result of a starting step."""
         row, _, _, head, _, _ = next(self._slots)
         row[...] = self._starter.stages.first
+        self._row, self._head = row, head
         self._known += 1
         self._last = after
         if self._known >= self._needed:
             head[0], head[1] = after.q, after.v
-            self._head = head
             self._last, self._ready = None, after
 
 
-def _slots(order: int, nv: int, dt: float) -> list[tuple[Any, ...]]:
+def _slots(order: int, nv: int, dt: float) -> tuple[Array, list[tuple[Any, ...]]]:
     """What the steps need in turn, until everything is back in place.
 
     Returns:
-        Row of the newest acceleration, product with the matrix of the step, B as it reads it,
-        [q; v] that it writes, these two.
+        B with both places of [q; v]. For each turn: row of the newest acceleration, product with
+        the matrix of the step, B as it reads it, [q; v] that it writes, these two.
     """
     B, ages = np.zeros((4 + order, nv)), np.arange(order)
     position, velocity = _weights(order, dt)
@@ -196,7 +216,7 @@ def _slots(order: int, nv: int, dt: float) -> list[tuple[Any, ...]]:
         matrix = np.ascontiguousarray(np.hstack(parts if is_even else parts[::-1]))
         row, (q, v) = B[2 + newest], after
         slots.append((row, matrix.dot, before, after, q, v))
-    return slots
+    return B, slots
 
 
 def _weights(order: int, dt: float) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ import numpy as np
 from mbd_ros.core.integration.linearization import Linearization
 from mbd_ros.core.integration.newton import FAILED, SLOW, converge
 from mbd_ros.core.integration.step_length import clip
-from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.integration.stepping import Integrator, Memory, Stepper
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DivergedError, ModelError
 
@@ -62,6 +62,8 @@ def _tableau(stages: int) -> tuple[Array, Array, Array]:
 
 
 class _Steps(Stepper):
+    kept = ("_is_fresh", "_is_slow", "_h", "_K", "_turn", "_inverse")
+
     def __init__(self, method: GaussLegendre, system: Any, dt: float) -> None:
         self._system, self._dt, self._tolerance = system, dt, method.tolerance
         self._name = f"Gauss-Legendre with {method.stages} stages"
@@ -69,6 +71,7 @@ class _Steps(Stepper):
         self._linearization = Linearization(system, system.acceleration)
         shape = (method.stages, system.nv)
         self._K, self._turn, self._r = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        self._inverse: Array = np.eye(self._K.size)
         self._vander = np.linalg.inv(np.vander(self._c, increasing=True))
         self._guess = np.vander(1.0 + self._c, method.stages, increasing=True).dot(self._vander)
         self._stages = self._flat_stages if system.chart.is_flat else self._curved_stages
@@ -77,6 +80,11 @@ class _Steps(Stepper):
     def restart(self) -> None:
         """Forget stages and derivatives."""
         self._is_fresh, self._is_slow, self._h = True, True, 0.0
+
+    def recall(self, memory: Memory, x: State) -> None:
+        """As `Stepper.recall`."""
+        super().recall(memory, x)
+        self._scale(self._h)
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step."""
@@ -99,17 +107,22 @@ class _Steps(Stepper):
     def _begin(self, x: State, u: Array | None, h: float) -> None:
         """First guess of the stages: the last polynomial continued, or no change."""
         if h != self._h or self._is_fresh:
-            self._h, self._is_slow = h, True
-            self._ha, self._hb = h * self._a, h * self._b
-            self._hhaa, self._hhba = self._ha.dot(self._ha), self._hb.dot(self._ha)
-            self._hc = h * self._c[:, None]
-            self._centred = self._ha - 0.5 * self._hb
-            self._times = h * self._c
+            self._scale(h)
+            self._is_slow = True
             self._K[...] = self._system.acceleration(x.t, x.q, x.v, u)
             self._turn[...] = 0.0
             self._is_fresh = False
         else:
             self._K = self._guess.dot(self._K)
+
+    def _scale(self, h: float) -> None:
+        """Coefficients for steps of length h [s]."""
+        self._h = h
+        self._ha, self._hb = h * self._a, h * self._b
+        self._hhaa, self._hhba = self._ha.dot(self._ha), self._hb.dot(self._ha)
+        self._hc = h * self._c[:, None]
+        self._centred = self._ha - 0.5 * self._hb
+        self._times = h * self._c
 
     def _refresh(self, x: State, u: Array | None, h: float) -> None:
         """Derivatives at the state, and the inverse of the Newton matrix."""

@@ -60,6 +60,8 @@ class GeneralizedAlpha(Integrator):
 
 
 class _Steps(Stepper):
+    kept = ("_h", "_is_slow", "_a0", "_vdot0", "_lam0", "_inverse", "_of_q", "_of_g")
+
     def __init__(self, method: GeneralizedAlpha, system: Any, dt: float) -> None:
         self._system, self._dt, self._tolerance = system, dt, method.tolerance
         rho = method.spectral_radius
@@ -67,6 +69,10 @@ class _Steps(Stepper):
         self._gamma = 0.5 + self._af - self._am
         self._beta = 0.25 * (self._gamma + 0.5) ** 2
         self._ratio = (1.0 - self._am) / (1.0 - self._af)  # dv'+ / da+
+        nv, size = system.nv, system.nv + len(system.rows)
+        self._a0, self._vdot0, self._of_q = np.zeros((3, nv))
+        self._lam0, self._of_g = np.zeros((2, size - nv))
+        self._inverse, self._r = np.eye(size), np.zeros(size)
         self._linearization = Linearization(system, self._balance)
         self.restart()
 
@@ -146,7 +152,6 @@ class _Steps(Stepper):
         if not np.isfinite(matrix).all():
             raise DivergedError(f"generalized-alpha: forces at t = {t:.9g} s are not finite")
         self._inverse = np.linalg.pinv(matrix, rcond=redundant(len(matrix)))
-        self._r = np.zeros(len(matrix))
 
     def _solve(self, x: State, u: Array | None, t: float) -> float:
         system, r, n = self._system, self._r, self._system.nv

@@ -6,7 +6,7 @@ from typing import Any
 from mbd_ros.core.integration.constrained_verlet import ConstrainedVerlet, PositionStep
 from mbd_ros.core.integration.newton import refuse_bounded_rows
 from mbd_ros.core.integration.step_length import clip
-from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.integration.stepping import Integrator, Memory, Stepper
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -52,27 +52,44 @@ class Rattle(Integrator):
 
 
 class _Steps(Stepper):
+    kept = ("_last",)
+
     def __init__(self, system: Any, tolerance: float, dt: float) -> None:
         self._system, self._dt = system, dt
         self._verlet = ConstrainedVerlet(system, "RATTLE", tolerance)
         self._has_rows = bool(system.rows)
-        self._last: tuple[Any, ...] = (None, None, None)
+        self.restart()
 
     def restart(self) -> None:
         """Forget rows and force of the last configuration."""
-        self._last = (None, None, None)
+        self._last: tuple[Any, ...] = (None, None, None)
         self._verlet.restart()
+
+    def continue_from(self, x: State) -> None:
+        """Continue from the last state, at a time without rounding."""
+        self._last = (x, *self._last[1:])
+
+    def memory(self) -> Memory:
+        """Force and corrections of the last step."""
+        return {**super().memory(), "verlet": self._verlet.memory()}
+
+    def recall(self, memory: Memory, x: State) -> None:
+        """As `Stepper.recall`."""
+        super().recall({name: memory[name] for name in self.kept}, x)
+        self._verlet.recall(memory["verlet"])
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step."""
         move = PositionStep(*clip(x.t, self._dt, end))
-        q_last, u_last, force = self._last
-        if q_last is not x.q or u_last is not u:
+        last, commands_then, force = self._last
+        commands = None if u is None else u.tobytes()
+        if x is not last or commands != commands_then:
             force = self._system.applied(x.t, x.q, x.v, u)
         half = 0.5 * move.h
         w, q = self._verlet.advance(x, u, move, half, 1.0, force)
         there = self._verlet.at(move.t, q)
         force = self._system.applied(move.t, q, w, u)
         v = w + half * there.respond(force)
-        self._last = (q, u, force)
-        return State(move.t, q, there.project(v) if self._has_rows else v)
+        y = State(move.t, q, there.project(v) if self._has_rows else v)
+        self._last = (y, commands, force)
+        return y

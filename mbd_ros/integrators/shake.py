@@ -6,7 +6,7 @@ from typing import Any
 from mbd_ros.core.integration.constrained_verlet import ConstrainedVerlet, PositionStep
 from mbd_ros.core.integration.newton import refuse_bounded_rows
 from mbd_ros.core.integration.step_length import clip
-from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.integration.stepping import Integrator, Memory, Stepper
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -53,6 +53,8 @@ class Shake(Integrator):
 
 
 class _Steps(Stepper):
+    kept = ("_ahead",)
+
     def __init__(self, system: Any, tolerance: float, dt: float) -> None:
         self._system, self._dt = system, dt
         self._verlet = ConstrainedVerlet(system, "SHAKE", tolerance)
@@ -62,6 +64,15 @@ class _Steps(Stepper):
         """Forget the half-step that was solved ahead."""
         self._ahead: tuple[Any, ...] = (None, None, None, None, None)
         self._verlet.restart()
+
+    def memory(self) -> Memory:
+        """The half-step that was solved ahead, and the last corrections."""
+        return {**super().memory(), "verlet": self._verlet.memory()}
+
+    def recall(self, memory: Memory, x: State) -> None:
+        """As `Stepper.recall`."""
+        super().recall({name: memory[name] for name in self.kept}, x)
+        self._verlet.recall(memory["verlet"])
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step."""

@@ -51,6 +51,8 @@ class AdaptiveRungeKutta(RungeKutta):
         tolerance: Relative and absolute.
     """
 
+    kept = ("_length", "_last_error")
+
     def __init__(self, system: Any, tableau: Tableau, dt: float, tolerance: float) -> None:
         super().__init__(system, tableau, dt)
         self._system, self._tolerance = system, tolerance

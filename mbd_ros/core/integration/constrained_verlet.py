@@ -8,6 +8,7 @@ import numpy as np
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.newton import FAILED, converge
+from mbd_ros.core.integration.stepping import Memory, copied
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import ASSEMBLED, redundant
@@ -17,6 +18,8 @@ _CHORD = 10  # corrections with the rows at the start of the step; more means th
 _NEWTON = 20
 _FORESEEN = 1.0e-2  # of the tolerance: what a last correction, by its contraction, leaves
 _VELOCITY = 1.0e-10  # [m/s, rad/s], relative above 1: where the iteration of a(q, v) may stop
+
+_KEPT = ("_s", "_s_before", "_stretch")
 
 
 class PositionStep(NamedTuple):
@@ -82,6 +85,16 @@ class ConstrainedVerlet:
         self._s = self._s_before = np.zeros(len(self._system.rows))
         self._stretch = 1.0
         self._here: Configuration | None = None
+
+    def memory(self) -> Memory:
+        """Corrections of the last step, from which the next one starts."""
+        return {name: copied(getattr(self, name)) for name in _KEPT}
+
+    def recall(self, memory: Memory) -> None:
+        """Continue from a memory."""
+        self.restart()
+        for name, value in memory.items():
+            setattr(self, name, copied(value))
 
     def at(self, t: float, q: Array) -> Configuration:
         """Masses and rows at a configuration; those of the last call where it is the same."""

@@ -1,6 +1,7 @@
 """Stages of an explicit Runge-Kutta method where q is a vector space with q' = v."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -73,6 +74,13 @@ class NystromStages(Stages):
         one, two = np.zeros((2, 2 + len(a), self._nv))
         self._side: _Side = _Side(one, two[:2], stages, self._c, self._end)
         self._other: _Side = _Side(two, one[:2], stages, self._c, self._end)
+
+    def _rates_kept(self) -> Any:
+        return self._side.B.copy(), self._side.result.copy()
+
+    def _put_rates(self, rates: Any) -> None:
+        self._side.B[...], self._side.result[...] = rates
+        self._blocks.scale(self._h)
 
     def _switch(self) -> None:
         self._side, self._other = self._other, self._side

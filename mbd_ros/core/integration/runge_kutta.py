@@ -6,7 +6,7 @@ from typing import Any
 from mbd_ros.core.integration.nystrom_stages import NystromStages
 from mbd_ros.core.integration.runge_kutta_stages import Stages
 from mbd_ros.core.integration.step_length import NEAR, clip
-from mbd_ros.core.integration.stepping import Stepper
+from mbd_ros.core.integration.stepping import Memory, Stepper
 from mbd_ros.core.integration.tableau import Tableau
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -39,6 +39,15 @@ class RungeKutta(Stepper):
     def restart(self) -> None:
         """Forget the acceleration at the end of the last step."""
         self.stages.forget()
+
+    def memory(self) -> Memory:
+        """The last step."""
+        return {**super().memory(), "stages": self.stages.memory()}
+
+    def recall(self, memory: Memory, x: State) -> None:
+        """As `Stepper.recall`."""
+        super().recall({name: memory[name] for name in self.kept}, x)
+        self.stages.recall(memory["stages"], x)
 
     def interpolate(self, t: float) -> State:
         """State inside the last step, by the dense output of the method.

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.integration.stepping import Memory, copied, recognised
 from mbd_ros.core.integration.tableau import Tableau
 from mbd_ros.core.state import Array, State
 
@@ -55,6 +56,17 @@ class Stages:
         self._after = State(t, *self._stage(self._end))
         return self._after
 
+    def memory(self) -> Memory:
+        """What the next step and the dense output of this one depend on."""
+        kept = (self._h, self._done, self._x, self._after, self._u, self._held)
+        return {"step": copied(kept), "rates": self._rates_kept()}
+
+    def recall(self, memory: Memory, x: State) -> None:
+        """Continue from a memory; x is the state from which the next step starts."""
+        step = recognised(copied(memory["step"]), x)
+        self._h, self._done, self._x, self._after, self._u, self._held = step
+        self._put_rates(memory["rates"])
+
     def forget(self) -> None:
         """Nothing of this step may serve the next one."""
         self._done = 0
@@ -87,6 +99,12 @@ class Stages:
     def _allocate(self) -> None:
         self._rates: Array = np.zeros((len(self._c), 2, self._nv))
         self._flat_rates = self._rates.reshape(len(self._c), -1)
+
+    def _rates_kept(self) -> Any:
+        return self._rates.copy()
+
+    def _put_rates(self, rates: Any) -> None:
+        self._rates[...] = rates
 
     def _begin(self, x: State, a: Array) -> None:
         self._rates[0, 0], self._rates[0, 1] = x.v, a
