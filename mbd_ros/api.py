@@ -39,16 +39,19 @@ class Scene(built_scene.Scene):
         """
         return Lines(super().check())
 
-    def with_(self, **sections: Any) -> "Scene":
-        """The scene with other sections, built as far as they change it.
+    def with_(self, numbers: Mapping[str, Any] | None = None, /, **sections: Any) -> "Scene":
+        """The scene with other sections and other numbers, built as far as they change it.
 
         Args:
+            numbers: Numbers by `<name of a part>.<argument>`, such as
+                `ankle_joint_spring.stiffness`; lists of numbers too. A section of one entry, such
+                as `integrator` or `initial`, goes by its key.
             **sections: As `scene_from` takes them; None removes a section.
 
         Raises:
             SceneError: Names key, what is wrong and what is accepted.
         """
-        return Scene.of(super().with_(**sections))
+        return Scene.of(super().with_(numbers, **sections))
 
     def with_inertias(self, inertias: Mapping[str, Any]) -> "Scene":
         """The scene with other inertias of some links, see `Robot.with_inertias`.

@@ -4,6 +4,7 @@ import importlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mbd_ros.core.model.robot import Robot
@@ -54,12 +55,15 @@ class Site(NamedTuple):
         origin: The file, or where else the entries came from.
         robot: The robot with the inertia of the drives that are built; None before it is.
         parts: The sections that are built, by key.
+        kept: Parts of this section that are built already, by their place in the list or by their
+            key; a builder may build them again.
     """
 
     section: Section
     origin: Origin
     robot: Robot | None
     parts: Mapping[str, Any]
+    kept: Mapping[Any, Any] = MappingProxyType({})
 
     @property
     def where(self) -> str:
@@ -77,6 +81,18 @@ class Table(NamedTuple):
 
     sections: tuple[Section, ...]
     code: Mapping[str, str]
+
+
+class Kept(NamedTuple):
+    """What is built already.
+
+    Attributes:
+        sections: Whole sections by key.
+        parts: Parts of others: by key of the section, then as in `Site.kept`.
+    """
+
+    sections: Mapping[str, Any] = MappingProxyType({})
+    parts: Mapping[str, Mapping[Any, Any]] = MappingProxyType({})
 
 
 class Built(NamedTuple):
@@ -149,7 +165,7 @@ def build(
     origin: Origin,
     entries: Mapping[str, Any],
     table: Sequence[Section],
-    kept: Mapping[str, Any] | None = None,
+    kept: Kept = Kept(),  # noqa: B008, a constant
 ) -> Built:
     """Build the sections from their entries, in the order that `after` demands.
 
@@ -157,7 +173,7 @@ def build(
         origin: Where the entries come from.
         entries: By key.
         table: The sections.
-        kept: Sections that are built already.
+        kept: What is built already.
 
     Raises:
         SceneError: Names file, key, what is wrong and what is accepted.
@@ -166,10 +182,11 @@ def build(
     robot: Robot | None = None
     for section in ordered(table):
         given = entries.get(section.key, section.absent)
-        if kept is not None and section.key in kept:
-            parts[section.key] = kept[section.key]
+        if section.key in kept.sections:
+            parts[section.key] = kept.sections[section.key]
         elif given is not None or section.absent is REQUIRED:
-            parts[section.key] = _builder(section)(Site(section, origin, robot, parts), given)
+            site = Site(section, origin, robot, parts, kept.parts.get(section.key, {}))
+            parts[section.key] = _builder(section)(site, given)
         else:
             continue
         if section.key == "robot":

@@ -47,18 +47,23 @@ def refuse_dt(dt: float, where: str, kind: type[MbdError]) -> None:
 class Scene(SceneParts):
     """A built scene, which makes systems, solvers and simulations."""
 
-    def with_(self, **sections: Any) -> "Scene":
-        """The scene with other sections, built as far as they change it.
+    def with_(self, numbers: Mapping[str, Any] | None = None, /, **sections: Any) -> "Scene":
+        """The scene with other sections and other numbers, built as far as they change it.
 
         Args:
+            numbers: Numbers by `<name of a part>.<argument>`, such as
+                `ankle_joint_spring.stiffness`; lists of numbers too. A section of one entry, such
+                as `integrator` or `initial`, goes by its key.
             **sections: As `scene_from` takes them; None removes a section.
 
         Raises:
             SceneError: Names key, what is wrong and what is accepted.
         """
         from mbd_ros.scene.from_python import with_sections
+        from mbd_ros.scene.other_numbers import with_numbers
 
-        return with_sections(self, sections)
+        scene = with_sections(self, sections) if sections or not numbers else self
+        return with_numbers(scene, numbers) if numbers else scene
 
     def with_inertias(self, inertias: Mapping[str, Any]) -> "Scene":
         """The scene with other inertias of some links, see `Robot.with_inertias`.

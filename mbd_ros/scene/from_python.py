@@ -2,14 +2,14 @@
 
 import inspect
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.scene.building import NO_FILE, Origin
+from mbd_ros.scene.building import NO_FILE, Kept, Origin
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.code_permission import code_of_others, is_permitted, permitting
 from mbd_ros.scene.locate import find_file
@@ -63,11 +63,11 @@ def with_sections(scene: Scene, sections: Mapping[str, Any]) -> Scene:
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    origin = _changed(scene)
+    origin = changed_origin(scene)
     changes = plain(sections, origin.name)
     entries = {**scene.entries, **changes}
     entries = {key: entry for key, entry in entries.items() if entry is not None}
-    return _rebuilt(scene, origin, entries, set(changes), {})
+    return rebuilt(scene, origin, entries, changes)
 
 
 def with_inertias(scene: Scene, inertias: Mapping[str, Any]) -> Scene:
@@ -76,12 +76,12 @@ def with_inertias(scene: Scene, inertias: Mapping[str, Any]) -> Scene:
     Raises:
         SceneError: Names link, value and condition.
     """
-    origin = _changed(scene)
+    origin = changed_origin(scene)
     try:
         robot = scene.parts["robot"].with_inertias(inertias)
     except ModelError as error:
         raise SceneError(f"{origin.name}: robot: {error}") from error
-    return _rebuilt(scene, origin, scene.entries, {"robot"}, {"robot": robot})
+    return rebuilt(scene, origin, scene.entries, {"robot"}, Kept({"robot": robot}))
 
 
 def plain(value: Any, where: str, depth: int = 0) -> Any:
@@ -141,27 +141,41 @@ def _robot_file(name: str) -> str:
         ) from error
 
 
-def _changed(scene: Scene) -> Origin:
+def changed_origin(scene: Scene) -> Origin:
+    """Where a scene comes from that is made of another one."""
     old = scene.origin
     title = old.title if old.path is None else f"{old.path} (changed)"
     return old._replace(path=None, title=title, base=old.folder)
 
 
-def _rebuilt(
+def rebuilt(
     scene: Scene,
     origin: Origin,
     entries: Mapping[str, Any],
-    changed: set[str],
-    made: Mapping[str, Any],
+    changed: Iterable[str],
+    made: Kept = Kept(),  # noqa: B008, a constant
+    untouched: Sequence[str] = (),
 ) -> Scene:
-    """The scene of other entries, without building again what they do not change."""
+    """The scene of other entries, without building again what they do not change.
+
+    Args:
+        scene: The scene.
+        origin: Of the new one.
+        entries: Of the new one.
+        changed: Keys of sections that are built again, and with them what comes after them.
+        made: What of those is built already.
+        untouched: Keys of sections that come after them and do not depend on what is changed.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
     anew = set(changed)
     for section in ordered(scene.sections):
-        if anew.intersection(section.after):
+        if anew.intersection(section.after) and section.key not in untouched:
             anew.add(section.key)
     kept = {key: part for key, part in scene.parts.items() if key not in anew}
     trusted = set(scene.code.values())  # was permitted when the scene was built
     code = code_of_others(entries, tuple(key for key in entries if key in scene.code))
     is_known = trusted.issuperset(code.values()) and set(entries) <= set(keys(scene.sections))
     with permitting(is_permitted() or (bool(trusted) and is_known)):
-        return build_scene(origin, entries, {**kept, **made})
+        return build_scene(origin, entries, Kept({**kept, **made.sections}, made.parts))

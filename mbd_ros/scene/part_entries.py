@@ -2,7 +2,7 @@
 
 import inspect
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -93,7 +93,7 @@ def build_section(site: Site, given: Any) -> Any:
             NamedEntry(where := f"{site.where}.{name}", entry, checked_name(name, where))
             for name, entry in mapping.items()
         ]
-        return dict(zip(mapping, _named_parts(site, entries), strict=True))
+        return dict(zip(mapping, _named_parts(site, entries, mapping), strict=True))
     listed = schema.value(given, Sequence[Any], site.where)
     _refuse_many(site, len(listed))
     entries = [named_entry(entry, f"{site.where}[{i}]") for i, entry in enumerate(listed)]
@@ -137,8 +137,16 @@ def build_part(kind: str, given: Any, where: str, *context: Any) -> Any:
     return _typed(PARTS[kind], METHODS[kind], given, where, context)
 
 
-def _named_parts(site: Site, entries: Sequence[NamedEntry]) -> tuple[Any, ...]:
-    parts = tuple(_part(site.section, e.given, e.where, site.robot) for e in entries)
+def _named_parts(
+    site: Site, entries: Sequence[NamedEntry], keys: Iterable[str] | None = None
+) -> tuple[Any, ...]:
+    places = range(len(entries)) if keys is None else keys
+    parts = tuple(
+        site.kept[place]
+        if place in site.kept
+        else _part(site.section, entry.given, entry.where, site.robot)
+        for place, entry in zip(places, entries, strict=True)
+    )
     name_parts(site, entries, parts)
     return parts
 

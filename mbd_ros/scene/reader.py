@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mbd_ros.scene.building import Origin, build, foreign_keys, present, table_of
+from mbd_ros.scene.building import Kept, Origin, build, foreign_keys, present, table_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.locate import find_scene
 from mbd_ros.scene.robot_entry import read_entry
@@ -28,14 +28,16 @@ def load_scene(path: str | Path, description: str | None = None) -> Scene:
 
 
 def build_scene(
-    origin: Origin, entries: Mapping[str, Any], kept: Mapping[str, Any] | None = None
+    origin: Origin,
+    entries: Mapping[str, Any],
+    kept: Kept = Kept(),  # noqa: B008, a constant
 ) -> Scene:
     """A scene of entries that were read.
 
     Args:
         origin: Where they come from.
         entries: By key.
-        kept: Sections that are built already, by key.
+        kept: What is built already.
 
     Raises:
         SceneError: Names file, key, what is wrong and what is accepted.

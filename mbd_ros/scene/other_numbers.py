@@ -1,0 +1,102 @@
+"""A scene with other numbers: `<name>.<argument>`, of which only the parts are built again."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.errors import SceneError
+from mbd_ros.scene.building import Kept, Origin, parts_in
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.from_python import changed_origin, plain, rebuilt
+from mbd_ros.scene.nearest import nearest
+from mbd_ros.scene.sections import SECTIONS, Form, Section, keys
+
+
+class _Place(NamedTuple):
+    """Where an entry stands: its section, and its place or key there, None where it is alone."""
+
+    section: str
+    at: int | str | None = None
+
+
+def with_numbers(scene: Scene, numbers: Mapping[str, Any]) -> Scene:
+    """A scene with other numbers; parts, and sections that depend on none of them, are kept.
+
+    Args:
+        scene: The scene.
+        numbers: Numbers, or lists of them, by `<name>.<argument>`; where the argument is a
+            mapping, by `<name>.<argument>.<key>`.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    origin, places = changed_origin(scene), _places(scene)
+    entries, changed = dict(scene.entries), set[_Place]()
+    for key, number in numbers.items():
+        place, path = _found(origin, places, key)
+        value = plain(number, f"{origin.name}: {key}")
+        if not _is_number(value):
+            raise SceneError(f"{origin.name}: {key}: expected a number, got {value!r}")
+        _set(entries, place, path, value)
+        changed.add(place)
+    touched = [
+        section for section in scene.sections if section.key in {p.section for p in changed}
+    ]
+    made = Kept(parts={section.key: _others(scene, section, changed) for section in touched})
+    if all(section.has_types for section in touched):
+        found = rebuilt(scene, origin, entries, keys(touched), made, keys(SECTIONS))
+        if np.array_equal(found.robot.model.armature, scene.robot.model.armature):
+            return found  # of other parts, ours depend on the inertia of drives only
+    return rebuilt(scene, origin, entries, keys(touched), made)
+
+
+def _places(scene: Scene) -> dict[str, _Place]:
+    """Name -> place of every entry of which parts were built."""
+    found: dict[str, _Place] = {}
+    for section in scene.sections:
+        given, built = scene.entries.get(section.key, {}), scene.parts.get(section.key)
+        if section.form is Form.SINGLE:
+            found.setdefault(section.key, _Place(section.key))
+        elif section.form is Form.NAMED:
+            found |= {name: _Place(section.key, name) for name in given}
+        elif built is not None and len(built) == len(given):  # else it holds parts of others
+            found |= {part.name: _Place(section.key, i) for i, part in enumerate(built)}
+    return found
+
+
+def _found(origin: Origin, places: Mapping[str, _Place], key: Any) -> tuple[_Place, list[str]]:
+    name, *path = str(key).split(".")
+    if not path or "" in path:
+        raise SceneError(f"{origin.name}: expected <name>.<argument>, got {key!r}")
+    if name not in places:
+        close = ", ".join(nearest(name, places) or places)
+        raise SceneError(f"{origin.name}: {key}: nothing is called '{name}'; there are {close}")
+    return places[name], path
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, list):
+        return all(_is_number(one) for one in value)
+    return type(value) in (int, float)
+
+
+def _set(entries: dict[str, Any], place: _Place, path: list[str], value: Any) -> None:
+    """Write into copies of what holds the value; the entries of the other scene stay."""
+    inner: Any = entries
+    *steps, last = (place.section, *([] if place.at is None else [place.at]), *path)
+    for step in steps:
+        held = inner.get(step) if isinstance(inner, dict) else inner[step]
+        inner[step] = held.copy() if isinstance(held, dict | list) else {}
+        inner = inner[step]
+    inner[last] = value
+
+
+def _others(scene: Scene, section: Section, changed: set[_Place]) -> dict[Any, Any]:
+    """Parts of a section whose entries do not change."""
+    if section.form is Form.SINGLE or not section.has_types:
+        return {}
+    built = scene.parts[section.key]
+    places = built if isinstance(built, Mapping) else range(len(built))
+    every = zip(places, parts_in(section, built), strict=True)
+    return {at: part for at, part in every if _Place(section.key, at) not in changed}
