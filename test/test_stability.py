@@ -85,7 +85,7 @@ def test_a_soft_constraint_is_wrong(monkeypatch):
     """A stiff spring with a damper in place of the rows, and no projection."""
 
     def soft(self, t, q, v, u=None):
-        self.refresh(q, v)
+        self.k.refresh(q, v)
         J = self.constraints.jacobian(self.k, State(t, q, v))
         g = self.constraints.residual(self.k, State(t, q, v))
         return pin.aba(self.model, self.data, q, v, -J.T.dot(1.0e4 * g + 1.0e2 * J.dot(v)))

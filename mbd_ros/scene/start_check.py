@@ -5,9 +5,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Constraint
 from mbd_ros.core.row_laws import Kind
@@ -25,9 +24,8 @@ def start_warnings(robot: Robot, constraints: Sequence[Constraint], x: State) ->
         x: State of all joints.
     """
     stops = [part for part in constraints if _is_stop(part)]
-    at_rest, k = x._replace(v=np.zeros_like(x.v)), Kinematics(robot, pin.Data(robot.model))
-    if any(part.reads for part in stops):
-        k.refresh(x.q, at_rest.v)
+    at_rest, k = x._replace(v=np.zeros_like(x.v)), Kinematics(robot)
+    k.refresh(x.q, at_rest.v, max((part.reads for part in stops), default=Reads.NOTHING))
     for part in stops:
         for name, gap in zip(part.joints, part.residual(k, at_rest), strict=True):
             if gap < -_SLACK:

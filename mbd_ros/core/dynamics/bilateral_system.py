@@ -82,8 +82,7 @@ class BilateralSystem(System):
         """Accelerations with bilateral rows alone, under the loads and an added force."""
         self.evaluations += 1
         data, constraints, x = self.data, self.constraints, State(t, q, v)
-        if self._reads:
-            self.refresh(q, v)
+        self.k.refresh(q, v, self._reads)
         if constraints.is_corrected:
             J, drift = constraints.conditions(self.k, x)
         else:

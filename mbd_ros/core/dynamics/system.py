@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from mbd_ros.core.dynamics.chart import Chart
 from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.parts import Row, Wrench
@@ -131,7 +131,7 @@ class System:
         """
         if not self.rows:
             return ()
-        self.refresh(x.q, x.v)
+        self.k.refresh(x.q, x.v, min(self.constraints.reads, Reads.POSITION))
         return self.constraints.wrenches(self.k, x, multipliers[self.constraints.slots])
 
     def mass(self, q: Array) -> Array:
@@ -145,11 +145,11 @@ class System:
 
     def residual(self, t: float, q: Array) -> Array:
         """g(t, q) of the bilateral rows, shape (m,)."""
-        return self.constraints.residual(self.k, self._placed(t, q))
+        return self.constraints.residual(self.k, self._placed(t, q, Reads.POSITION))
 
     def jacobian(self, t: float, q: Array) -> Array:
         """dg/dq, shape (m, nv)."""
-        return self.constraints.jacobian(self.k, self._placed(t, q))
+        return self.constraints.jacobian(self.k, self._placed(t, q, Reads.JACOBIAN))
 
     def rate(self, t: float, q: Array) -> Array:
         """dg/dt, shape (m,)."""
@@ -204,13 +204,8 @@ class System:
         """Kinetic and potential energy [J] at a state; heights are counted from `Robot.origin`."""
         full = self.expand(x)
         stored = float(pin.computeMechanicalEnergy(self.model, self.data, full.q, full.v))
-        if self.loads.reads:
-            self.refresh(full.q, full.v)
+        self.k.refresh(full.q, full.v, min(self.loads.reads, Reads.POSITION))
         return stored + self.loads.potential(self.k, full)
-
-    def refresh(self, q: Array, v: Array) -> None:
-        """Placements, velocities, velocity-dependent accelerations and joint Jacobians."""
-        self.k.refresh(q, v)
 
     def _solve(self, y: State, u: Array | None) -> tuple[Array, Array]:
         """Accelerations of all joints and multipliers, fresh."""
@@ -221,8 +216,7 @@ class System:
         """Loads at a state of all joints."""
         if self.loads.is_empty:
             return self._zero
-        if self.loads.reads:
-            self.refresh(q, v)
+        self.k.refresh(q, v, self.loads.reads)
         return self.loads.total(self.k, State(t, q, v), u)
 
     def _joined(self, rigid: Array) -> Array:
@@ -233,10 +227,9 @@ class System:
             multipliers[self.bounded.constraints.slots] = self.bounded.multipliers
         return multipliers
 
-    def _placed(self, t: float, q: Array) -> State:
-        """State at rest of all joints, with `data` as the rows need it."""
-        if self.constraints.reads:
-            self.refresh(q, self._zero)
+    def _placed(self, t: float, q: Array, reads: Reads) -> State:
+        """State at rest of all joints, with k as far as the rows and what is asked read it."""
+        self.k.refresh(q, self._zero, min(self.constraints.reads, reads))
         return State(t, q, self._zero)
 
     def _full_mass(self, q: Array) -> Array:

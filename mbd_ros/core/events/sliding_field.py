@@ -183,8 +183,7 @@ class SlidingField:
     def _placed(self, x: State) -> State:
         """State of all joints, with `k` as the forces need it."""
         full = self._system.expand(x)
-        if self._loads.reads:
-            self._system.refresh(full.q, full.v)
+        self._system.k.refresh(full.q, full.v, self._loads.reads)
         return full
 
     def _recorded_signs(self, full: State, u: Array | None) -> Array:

@@ -63,8 +63,7 @@ def linear_motion(system: System, x: State) -> LinearMotion:
     """
     linear, loads = Linearization(system, system.acceleration), system.loads
     full = system.expand(x)
-    if loads.reads:
-        system.refresh(full.q, full.v)
+    system.k.refresh(full.q, full.v, loads.reads)
     system.loads = loads.beside(system.k, full)
     try:
         linear.update(x.t, x.q, x.v, None)

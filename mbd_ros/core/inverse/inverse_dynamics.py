@@ -74,7 +74,8 @@ class InverseDynamics:
         self.couplings, self.rows = couplings, couplings.dependent
         self.needed, self.gap = couplings.independent, np.zeros(len(couplings.dependent))
         self.wrenches, self.forces = tuple(wrenches), tuple(forces)
-        self._reads = max((force.reads for force in forces), default=Reads.NOTHING)
+        read = (force.reads for force in forces)
+        self._reads = max([Reads.POSITION, *read])  # wrenches read positions
         self._model, self._data = robot.model, pin.Data(robot.model)
         self._k = Kinematics(robot, self._data)
         self.configuration = self._q = pin.neutral(robot.model)
@@ -172,12 +173,10 @@ class InverseDynamics:
             bare: Array = pin.rnea(self._model, self._data, self._q, self._v, self._a)
             return bare
         model, data, forces = self._model, self._data, self._loads.forces
-        pin.forwardKinematics(model, data, self._q)
+        self._k.refresh(self._q, self._v, self._reads)
         self._loads.set(self._k, wrenches)
         tau: Array = pin.rnea(model, data, self._q, self._v, self._a, forces)
         if self.forces:
-            if self._reads:
-                self._k.refresh(self._q, self._v)
             x = State(0.0, self._q, self._v)
             for term in self.forces:
                 tau -= term.force(self._k, x, NONE)

@@ -8,7 +8,7 @@ import pinocchio as pin
 
 from mbd_ros.core.dynamics.body_loads import BodyLoads
 from mbd_ros.core.model.couplings import Couplings
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Constraint, Load
@@ -70,14 +70,12 @@ class LoopBalance:
         self._model, self._data = robot.model, pin.Data(robot.model)
         self._forces, self._loads = tuple(forces), BodyLoads(robot, wrenches)
         self._k = Kinematics(robot, self._data)
-        self._reads = max([self.constraints.reads, *(force.reads for force in forces)])
-        self._zero = np.zeros(robot.model.nv)
+        read = (force.reads for force in forces)
+        self._reads = max(self.constraints.reads, *read, Reads.POSITION)  # wrenches read positions
 
     def place(self, x: State) -> None:
         """Bring placements, velocities and joint Jacobians to a state."""
-        pin.forwardKinematics(self._model, self._data, x.q, x.v, self._zero)
-        if self._reads:
-            pin.computeJointJacobians(self._model, self._data)
+        self._k.refresh(x.q, x.v, self._reads)
 
     def rows(self, x: State) -> tuple[Array, Array]:
         """J and drift of all rows, (m, nv) and (m,), overwritten by the next call."""

@@ -147,8 +147,9 @@ class LoopMotion:
         return q
 
     def _drift(self, x: State) -> Array:
-        self._system.refresh(x.q, x.v)
-        return self._system.constraints.accelerations(self._system.k, x)[1]
+        constraints, k = self._system.constraints, self._system.k
+        k.refresh(x.q, x.v, constraints.reads)
+        return constraints.accelerations(k, x)[1]
 
     def _rows(self, t: float, q: Array) -> tuple[Array, Array, Array]:
         """J, the Cholesky factor of M, and the size of the rows in the metric M^-1."""

@@ -8,7 +8,7 @@ import pinocchio as pin
 from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.couplings import Slopes
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.state import Array, State
 
@@ -38,7 +38,7 @@ class ObservedLoops:
         constraints = inverse.constraints
         self.rows = tuple(row.name for row in constraints.rows)
         self.gap = np.zeros(len(self.rows))
-        self._k = Kinematics(inverse.robot, pin.Data(self._model))
+        self._k = Kinematics(inverse.robot)
         self._is_driven = np.zeros(len(self.rows), dtype=np.bool_)
         for part, mine in zip(constraints.parts, constraints.slices, strict=True):
             self._is_driven[mine] = part.law.kind is Kind.DRIVE
@@ -107,6 +107,6 @@ class ObservedLoops:
         return found._replace(tau=reduced)
 
     def _residual(self, x: State) -> Array:
-        self._k.refresh(x.q, x.v)
+        self._k.refresh(x.q, x.v, Reads.POSITION)
         gap = self.inverse.constraints.residual(self._k, x)
         return np.where(self._is_driven, 0.0, gap)

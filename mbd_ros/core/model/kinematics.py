@@ -18,7 +18,11 @@ _WORLD, _LOCAL = pin.LOCAL_WORLD_ALIGNED, pin.LOCAL
 
 
 class Reads(IntEnum):
-    """How much of k a part reads at a state; what nothing reads is not refreshed."""
+    """How much of k a part reads at a state; what nothing reads is not refreshed.
+
+    Whatever a part says, its residual, potential and the wrenches of its multipliers read
+    positions at most, and its Jacobian reads Jacobians at most.
+    """
 
     NOTHING = 0
     POSITION = 1
@@ -48,20 +52,21 @@ class Kinematics:
     maximum = staticmethod(max)
 
     def __init__(self, robot: Robot, data: Any = None) -> None:
-        self._data = pin.Data(robot.model) if data is None else data
-        self._model, self._rest = robot.model, np.zeros(robot.model.nv)
-        model, places = robot.model, robot.places
-        points, pairs = places.points.__getitem__, places.pairs.__getitem__
-        self._position = _Bound(_position, model, self._data, points)
-        self._rotation = _Bound(_rotation, model, self._data, points)
-        self._velocity = _Bound(_velocity, model, self._data, points)
-        self._acceleration = _Bound(_acceleration, model, self._data, points)
-        self._jacobian = _Bound(_jacobian, model, self._data, points)
-        self._spatial_jacobian = _Bound(_spatial_jacobian, model, self._data, points)
-        self._own_jacobian = _Bound(_own_jacobian, model, self._data, points)
-        self._motion = _Bound(PairMotion, model, self._data, pairs)
-        self._carried = _Bound(_carried, model, self._data, places.both)
-        self._gravity = partial(pin.computeGeneralizedGravity, model, self._data)
+        model, places, rest = robot.model, robot.places, np.zeros(robot.model.nv)
+        data = pin.Data(model) if data is None else data
+
+        def bound(bind: Callable[..., Any], find: Callable[[Any], Any]) -> _Bound:
+            return _Bound(partial(bind, model, data), find)
+
+        at, pair = places.points.__getitem__, places.pairs.__getitem__
+        self._position, self._rotation = bound(_position, at), bound(_rotation, at)
+        self._velocity, self._acceleration = bound(_velocity, at), bound(_acceleration, at)
+        self._jacobian, self._own_jacobian = bound(_jacobian, at), bound(_own_jacobian, at)
+        self._spatial_jacobian = bound(_spatial_jacobian, at)
+        self._motion, self._carried = bound(PairMotion, pair), bound(_carried, places.both)
+        self._place, self._rest = partial(pin.forwardKinematics, model, data), rest
+        self._differentiate = partial(pin.computeJointJacobians, model, data)
+        self._gravity = partial(pin.computeGeneralizedGravity, model, data)
 
     def refresh(self, q: Array, v: Array, reads: Reads = Reads.DRIFT) -> None:
         """Bring to a state what is read of it, and nothing else.
@@ -71,14 +76,16 @@ class Kinematics:
             v: Velocity, shape (nv,).
             reads: How much is read until the next call.
         """
+        if not reads:
+            return
         if reads >= Reads.DRIFT:
-            pin.forwardKinematics(self._model, self._data, q, v, self._rest)
+            self._place(q, v, self._rest)
         elif reads >= Reads.VELOCITY:
-            pin.forwardKinematics(self._model, self._data, q, v)
-        elif reads:
-            pin.forwardKinematics(self._model, self._data, q)
+            self._place(q, v)
+        else:
+            self._place(q)
         if reads >= Reads.JACOBIAN:
-            pin.computeJointJacobians(self._model, self._data)
+            self._differentiate()
 
     def position(self, point: Point) -> Array:
         """Where a point is, less `Robot.origin` [m], shape (3,), not to be written to."""
@@ -150,17 +157,13 @@ class _Bound(dict[Any, Any]):
     """Calls by number, bound when they are first asked for.
 
     Args:
-        bind: Makes a call of model, data and what stands at the number.
-        model: The model.
-        data: Its `Data`.
+        bind: Makes a call of what stands at a number.
         find: What stands at a number; it may come to know more of them.
     """
 
-    def __init__(
-        self, bind: Callable[..., Any], model: Any, data: Any, find: Callable[[Any], Any]
-    ) -> None:
+    def __init__(self, bind: Callable[..., Any], find: Callable[[Any], Any]) -> None:
         super().__init__()
-        self._bind, self._find = partial(bind, model, data), find
+        self._bind, self._find = bind, find
 
     def __missing__(self, number: Any) -> Any:
         call = self[number] = self._bind(*self._find(number))

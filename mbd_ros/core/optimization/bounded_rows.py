@@ -77,8 +77,7 @@ class BoundedRows:
         else:
             self.multipliers, self.force = self._idle, self._no_force
             return a
-        if self.constraints.reads:
-            system.refresh(joint_q, joint_v)
+        system.k.refresh(joint_q, joint_v, self.constraints.reads)
         J, b = self.constraints.conditions(system.k, State(t, joint_q, joint_v))
         response = system.respond(q, J.T)
         A, w = self._without_silent(J, J.dot(response), J.dot(joint_a) + b)

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.model.kinematics import Reads
 from mbd_ros.core.optimization.limit_forces import LimitForces
 from mbd_ros.core.optimization.move_qp import Metric, Move, MoveQp, is_convex, row_weight
 from mbd_ros.core.state import Array, State
@@ -53,8 +54,7 @@ class NearestConfiguration:
         """
         system, x = self._system, State(t, q, self._zero)
         rows, k = system.constraints, system.k
-        if rows.reads:
-            system.refresh(q, self._zero)
+        k.refresh(q, self._zero, min(rows.reads, Reads.JACOBIAN))
         g, J = rows.residual(k, x), rows.jacobian(k, x)
         if not math.isfinite(g.sum() + J.sum()):
             raise SolveError("the constraint rows are not finite at the measured state")

@@ -98,8 +98,7 @@ def _described(system: System, x: State, u: Array | None, step: float, end: floa
 def _cause(system: System, x: State, u: Array | None, step: float) -> str:
     """The joint that asks for the short steps, and what makes it do so."""
     full = system.expand(x)
-    if system.loads.reads:
-        system.refresh(full.q, full.v)
+    system.k.refresh(full.q, full.v, system.loads.reads)
     if system.loads.beside(system.k, full) is not system.loads:
         hardest = np.abs(system.acceleration(x.t, x.q, x.v, u))
         return (

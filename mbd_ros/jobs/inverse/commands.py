@@ -1,7 +1,6 @@
 """Efforts of joints to commands: `.effort` is joint torque, `.command` what an actuator takes."""
 
 import numpy as np
-import pinocchio as pin
 
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.model.kinematics import Kinematics
@@ -28,7 +27,7 @@ def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
         DataError: A command beyond the finite numbers.
     """
     states, loads = _states(scene, table), Loads(scene.robot.model.nv, (), scene.actuators)
-    k = Kinematics(scene.robot, pin.Data(scene.robot.model))
+    k = Kinematics(scene.robot)
     names: list[str] = []
     commands: list[Array] = []
     remarks = []
@@ -49,6 +48,7 @@ def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
         for row, (one, x) in enumerate(zip(u, states, strict=True)):
             every = loads.idle.copy()
             every[actuator.u] = one
+            k.refresh(x.q, x.v, actuator.reads)
             given[row] = actuator.force(k, x, every)[at]
         short = np.abs(given - wanted) > _SAME * np.abs(wanted).max(initial=1.0)
         for name, lacking in zip(actuator.joints, short.T, strict=True):

@@ -99,10 +99,10 @@ def costs(path: str, calls: int) -> Mapping[str, object]:
     found["aba"] = _best(lambda: pin.aba(model, data, x.q, x.v, zero), calls)
     found["evaluation"] = _best(lambda: system.acceleration(y.t, y.q, y.v), calls)
     if not system.loads.is_empty:
-        system.refresh(x.q, x.v)
+        system.k.refresh(x.q, x.v)
         found["loads"] = _best(lambda: system.loads.total(system.k, x, None), calls)
     if system.rows:
-        system.refresh(x.q, x.v)
+        system.k.refresh(x.q, x.v)
         found["rows"] = _best(lambda: system.constraints.accelerations(system.k, x), calls)
         found["projection"] = _best(lambda: project(system, y), calls)
     found["step"] = _step(scene, {}, calls)
