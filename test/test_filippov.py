@@ -10,6 +10,7 @@ import pytest
 from mechanisms import scene_of
 
 from mbd_ros.cli import main
+from mbd_ros.core.dynamics.sources import Sampled
 from mbd_ros.core.events.event_location import sign_change
 from mbd_ros.core.events.surface_modes import equivalent_signs, mode_on
 from mbd_ros.core.state import State
@@ -54,8 +55,10 @@ def relay(joint, size, **more):
 
 
 def run(loaded, duration, integrator=EXACT, dt=0.01, commands=None):
-    simulation = loaded.simulation(integrator=integrator, dt=dt)
-    return simulation, list(simulation.run(loaded.initial, duration, commands))
+    names = [part.name for part in loaded.actuators]
+    sources = {} if commands is None else dict.fromkeys(names, Sampled(commands, dt))
+    simulation = loaded.simulation(integrator=integrator, dt=dt, sources=sources)
+    return simulation, list(simulation.run(loaded.initial, duration))
 
 
 def modes(simulation):

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from mechanisms import scene_of
 
+from mbd_ros.core.dynamics.sources import HeldTable, LinearTable, Polynomials, Sampled
 from mbd_ros.core.state import State
+from mbd_ros.errors import ModelError, SceneError
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 LEG = f"robot: {{urdf: {ROBOTS / 'prosthetic_leg.urdf'}}}\n"
@@ -72,3 +74,87 @@ def test_columns_are_the_slopes_of_an_affine_force_within_its_bounds(drive):
 def test_a_force_that_is_not_affine_has_no_columns(drive):
     (part,) = scene_of(f"{LEG}actuators: [{drive}]\n").actuators
     assert part.columns(None, scene_of(LEG).initial) is None
+
+
+SLIDE = """<robot name="slide"><link name="world"/><link name="cart"><inertial><mass value="2"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="slide" type="prismatic"><parent link="world"/><child link="cart"/><axis xyz="1 0 0"/>
+<limit lower="-9" upper="9" effort="99" velocity="99"/></joint></robot>"""
+CART = "actuators: [{type: ideal, joints: [slide], name: pull}]\n"
+METHODS = ["rk4", "dopri5", "adams", "gauss_legendre", "generalized_alpha"]
+
+
+def pulled(source, method, dt=0.01, duration=0.1, **more):
+    """States of a cart of 2 kg under a force."""
+    scene = scene_of(f"{CART}integrator: {{type: {method}}}\n", SLIDE)
+    simulation = scene.simulation(dt=dt, sources={"pull": source}, **more)
+    return list(simulation.run(scene.initial, duration))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_steps_end_where_a_held_input_jumps(method):
+    """Closed form of two constant accelerations, the switch between two outputs."""
+    switch = 0.0537
+    states = pulled(HeldTable([0.0, switch], [[4.0], [-2.0]]), method)
+    assert [x.t for x in states] == pytest.approx(np.arange(11) * 0.01, abs=1e-15)
+    for x in states:
+        late = max(x.t - switch, 0.0)
+        assert x.v[0] == pytest.approx(2.0 * x.t - 3.0 * late, abs=1e-14)
+        assert x.q[0] == pytest.approx(x.t**2 - 1.5 * late**2, abs=1e-14)
+
+
+@pytest.mark.parametrize("jump", [0.0537, 0.05])
+@pytest.mark.parametrize("method", METHODS)
+def test_steps_end_where_a_smooth_input_jumps_and_see_the_values_of_their_side(method, jump):
+    """Closed form of F = 12 t before and 8 - 4 (t - jump) after it."""
+    source = Polynomials([0.0, jump], [[[0.0], [12.0]], [[8.0], [-4.0]]])
+    last = pulled(source, method)[-1]
+    late = last.t - jump
+    assert last.t == pytest.approx(0.1, abs=1e-15)
+    second = 1e-3 if method == "generalized_alpha" else 1e-13  # of order 2
+    speed = 3.0 * jump**2 + 4.0 * late - late**2
+    assert last.v[0] == pytest.approx(speed, abs=second)
+    way = jump**3 + 3.0 * jump**2 * late + 2.0 * late**2 - late**3 / 3.0
+    assert last.q[0] == pytest.approx(way, abs=second)
+
+
+def test_a_linear_table_acts_to_its_end_and_ends_there():
+    """F = 10 (1 + t) from 0.02 s to 0.06 s: the run that ends there sees it all."""
+    source = LinearTable([0.02, 0.06], [[10.2], [10.6]])
+    work = 5.0 * (0.04 + (0.06**2 - 0.02**2) / 2.0)
+    assert pulled(source, "rk4", duration=0.06)[-1].v[0] == pytest.approx(work, abs=1e-13)
+    assert pulled(source, "rk4")[-1].v[0] == pytest.approx(work, abs=1e-13)
+    assert source.at(0.06).tolist() == [10.6]
+    assert list(source.jumps(0.0, 1.0)) == [0.02, 0.06]
+    ramp = LinearTable([0.0, 0.5, 1.0], [[0.0], [1.0], [0.0]])
+    assert list(ramp.jumps(-1.0, 2.0)) == []  # continuous
+    assert ramp.at(0.25).tolist() == [0.5]
+
+
+def test_jumps_are_those_of_the_rows_and_samples():
+    held = HeldTable(np.arange(4.0), [[1.0], [2.0], [2.0], [3.0]])
+    assert list(held.jumps(0.0, 3.0)) == [1.0, 2.0]
+    assert [held.at(t)[0] for t in (-1.0, 0.9, 1.0, 7.0)] == [1.0, 1.0, 2.0, 3.0]
+    assert list(Sampled(np.zeros, 0.5).jumps(1.0, 2.5)) == [1.5, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: HeldTable([1.0, 0.0], [[1.0], [2.0]]), "must be finite and increasing"),
+        (lambda: HeldTable([0.0], [[np.nan]]), "values at 0 s must be finite"),
+        (lambda: HeldTable([0.0], [1.0]), r"values of shape \(1,\) for 1 times"),
+        (lambda: LinearTable([0.0], [[1.0]]), "accepted: 2 or more"),
+        (lambda: LinearTable([0.0, 0.0], [[1.0], [2.0]]), "strictly increasing"),
+        (lambda: Polynomials([0.0], [[1.0]]), r"accepted: \(m, powers, n\)"),
+    ],
+)
+def test_a_table_that_is_none_is_refused(make, message):
+    with pytest.raises(ModelError, match=message):
+        make()
+
+
+def test_a_source_of_an_unknown_part_is_refused_by_name():
+    scene = scene_of(CART, SLIDE)
+    with pytest.raises(SceneError, match=r"no part 'push' has inputs; accepted: pull"):
+        scene.simulation(sources={"push": Sampled(np.zeros, 0.1)})

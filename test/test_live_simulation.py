@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from mechanisms import scene_of
 
+from mbd_ros.core.dynamics.sources import Sampled
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
@@ -64,7 +65,8 @@ def played(simulation, count, commands=swinging):
 def test_ticks_are_the_run_with_the_same_commands(scene, more, dt):
     loaded = scene(f"{ARM}{more}dt: {dt}\n")
     held = lambda t: swinging(TICK * np.floor(t / TICK + 1e-6))  # noqa: E731
-    states = list(loaded.simulation().run(loaded.initial, 0.3, held))[:: round(TICK / dt)]
+    simulation = loaded.simulation(sources={loaded.actuators[0].name: Sampled(held, dt)})
+    states = list(simulation.run(loaded.initial, 0.3))[:: round(TICK / dt)]
     for moment, x in zip(played(live(loaded), 300), states[1:], strict=True):
         assert moment.t == pytest.approx(x.t, abs=1e-12)
         np.testing.assert_allclose(moment.position, x.q, rtol=0, atol=1e-9)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from mechanisms import scene_of
 
+from mbd_ros.core.dynamics.sources import HeldTable
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.projection.assembly import violation
 from mbd_ros.core.state import State
@@ -106,15 +107,14 @@ def test_commands_are_held_between_outputs(integrator):
     """Two halves with their own command, run as two simulations, are one run with a switch."""
     loaded = commanded()
 
-    def simulation():
-        return loaded.simulation(integrator={"type": integrator}, dt=1e-3)
+    def end(start, duration, times, values):
+        source = {loaded.actuators[0].name: HeldTable(times, np.array([values]).T)}
+        simulation = loaded.simulation(integrator={"type": integrator}, dt=1e-3, sources=source)
+        return list(simulation.run(start, duration))[-1]
 
-    switched = simulation().run(
-        loaded.initial, 0.2, lambda t: np.array([3.0 if t < 0.0999 else -2.0])
-    )
-    *_, expected = switched
-    *_, middle = simulation().run(loaded.initial, 0.1, lambda t: np.array([3.0]))
-    *_, found = simulation().run(middle, 0.1, lambda t: np.array([-2.0]))
+    expected = end(loaded.initial, 0.2, [0.0, 0.1], [3.0, -2.0])
+    middle = end(loaded.initial, 0.1, [0.0], [3.0])
+    found = end(middle, 0.1, [0.0], [-2.0])
     tolerance = 1e-7 if integrator == "adams" else 1e-12  # Adams starts anew in the second run
     assert np.abs(found.q - expected.q).max() <= tolerance
 

@@ -79,12 +79,17 @@ class _Steps(Stepper):
     def restart(self) -> None:
         """Forget accelerations and derivatives."""
         self._h, self._is_slow = 0.0, True
+        self._held: bytes | None = None
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step."""
         h, t = clip(x.t, self._dt, end)
+        held = None if u is None else u.tobytes()
         if h != self._h:
             self._start(x, u, h)
+        elif held != self._held:  # the accelerations jump with the commands
+            self._vdot0 = self._a0 = np.array(self._system.acceleration(x.t, x.q, x.v, u))
+        self._held = held
         self._begin(x, h)
         rate = FAILED if self._is_slow else self._solve(x, u, t)
         if rate == FAILED:

@@ -8,6 +8,7 @@ from typing import Any
 from mbd_ros.core.control.contract import ControlledJoints
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mass_check import check_mass_anywhere
+from mbd_ros.core.dynamics.sources import Source
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
@@ -24,6 +25,7 @@ from mbd_ros.scene.scene_parts import SceneParts
 
 DEFAULT_INTEGRATOR = {"type": "dopri5"}
 DEFAULT_STABLE = 1.3  # its `stable`, known without importing it
+_NO_SOURCES: Mapping[str, Source] = {}
 SHORTEST_DT, LONGEST_DT = 1.0e-9, 9.0e9  # s: stamps hold whole nanoseconds, in 63 bits
 
 
@@ -122,23 +124,27 @@ class Scene(SceneParts):
             raise SceneError(f"{self.name}: {error}") from error
 
     def system(
-        self, forces: Sequence[Load] = (), solver: Mapping[str, str] | None = None
+        self,
+        forces: Sequence[Load] = (),
+        solver: Mapping[str, str] | None = None,
+        sources: Mapping[str, Source] = _NO_SOURCES,
     ) -> System:
         """Forward dynamics with its own Pinocchio data.
 
         Args:
             forces: Force terms besides those of the scene.
             solver: Entry that replaces that of the scene.
+            sources: What gives the inputs of parts, by name of the part.
 
         Raises:
             SceneError: The tier cannot serve the scene, or a package is missing.
         """
         where = f"{self.name}: solver"
         chosen = self.solver if solver is None else schema.call(Solver, dict(solver), where)
-        loads = Loads(
-            self.robot.model.nv, (*self.forces, *forces), self.actuators, self.inputs.safe
-        )
+        every = (*self.forces, *forces)
         try:
+            given = self.inputs.sources(sources)
+            loads = Loads(self.robot.model.nv, every, self.actuators, given)
             return build_system(
                 self.robot, self.couplings, self.constraints, loads, chosen.type, chosen.backend
             )
@@ -151,7 +157,7 @@ class Scene(SceneParts):
         Raises:
             SceneError: No joint can be controlled, or one moves nothing with mass.
         """
-        loads = Loads(self.robot.model.nv, self.forces, (), self.inputs.safe)
+        loads = Loads(self.robot.model.nv, self.forces, (), self.inputs.sources({}))
         try:
             system = build_system(self.robot, self.couplings, rigid(self.constraints), loads)
             check_mass_anywhere(system)
@@ -167,6 +173,7 @@ class Scene(SceneParts):
         stabilization: Mapping[str, Any] | None = None,
         solver: Mapping[str, str] | None = None,
         forces: Sequence[Load] = (),
+        sources: Mapping[str, Source] = _NO_SOURCES,
     ) -> Simulation:
         """A simulation with its own Pinocchio data.
 
@@ -176,11 +183,12 @@ class Scene(SceneParts):
             stabilization: Entry that replaces that of the scene.
             solver: Entry that replaces that of the scene.
             forces: Force terms besides those of the scene.
+            sources: What gives the inputs of parts, by name of the part.
 
         Raises:
             SceneError: Names file and key.
         """
-        system = self.system(forces, solver)
+        system = self.system(forces, solver, sources)
         method, correction = self.integrator, self.stabilization
         if integrator is not None or method is None:
             given = integrator or DEFAULT_INTEGRATOR

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mbd_ros.core.dynamics.inputs import Sources
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.parts import Actuator, Load
 from mbd_ros.core.state import Array, State
@@ -17,14 +18,15 @@ class Loads:
         nv: Size of the velocity of the robot.
         forces: Loads that nobody commands.
         actuators: Actuators, in the order of their commands.
-        idle: The u that no source gives, shape (nu,); by default the safe values of the inputs
-            of these loads, in this order: actuators, forces.
+        sources: What gives u; by default there are only the safe values of the inputs of these
+            loads, in this order: actuators, forces.
 
     Attributes:
         is_empty: Whether the sum is always zero.
         reads: What `total` reads of k.
         commands: Names of the commanded joints.
-        idle: As given, not to be written to.
+        sources: What gives u.
+        idle: The u that no source gives, not to be written to.
     """
 
     def __init__(
@@ -32,7 +34,7 @@ class Loads:
         nv: int,
         forces: Sequence[Load] = (),
         actuators: Sequence[Actuator] = (),
-        idle: Array | None = None,
+        sources: Sources | None = None,
     ) -> None:
         self.forces, self.actuators = tuple(forces), tuple(actuators)
         self.is_empty = not forces and not actuators
@@ -41,7 +43,9 @@ class Loads:
         ends = np.cumsum([0, *(len(a.joints) for a in actuators)]).tolist()
         self._driven = [slice(*pair) for pair in itertools.pairwise(ends)]
         safe = [one.safe for part in (*actuators, *forces) for one in part.inputs]
-        self.idle = np.array(safe, dtype=np.float64) if idle is None else idle
+        self.sources = Sources(np.array(safe, dtype=np.float64)) if sources is None else sources
+        self.idle, self._has_sources = self.sources.idle, bool(self.sources.given)
+        self._is_smooth = bool(self.sources.smooth)
         self._zero = np.zeros(nv)
 
     def total(self, k: Kinematics, x: State, u: Array | None) -> Array:
@@ -50,9 +54,10 @@ class Loads:
         Args:
             k: Kinematics at the state, refreshed as far as `reads` says.
             x: State of all joints.
-            u: All inputs of the scene; None stands for `idle`.
+            u: What `Sources.held` gives, or all inputs where nothing smooth does; None asks the
+                sources.
         """
-        tau, u = self._zero, self.idle if u is None else u
+        tau, u = self._zero, self._whole(x, u)
         for actuator in self.actuators:
             tau = tau + actuator.force(k, x, u)
         for force in self.forces:
@@ -61,7 +66,7 @@ class Loads:
 
     def having(self, forces: Sequence[Load]) -> "Loads":
         """The same actuators beside other forces."""
-        return Loads(len(self._zero), forces, self.actuators, self.idle)
+        return Loads(len(self._zero), forces, self.actuators, self.sources)
 
     def beside(self, k: Kinematics, x: State) -> "Loads":
         """The loads near a state, smooth across the surfaces at which they jump.
@@ -77,7 +82,7 @@ class Loads:
 
     def actuator_torque(self, k: Kinematics, x: State, u: Array | None) -> Array:
         """Forces of the actuators on the joints [N·m or N], shape (nv,), not to be written to."""
-        tau, u = self._zero, self.idle if u is None else u
+        tau, u = self._zero, self._whole(x, u)
         for actuator in self.actuators:
             tau = tau + actuator.force(k, x, u)
         return tau
@@ -97,3 +102,9 @@ class Loads:
     def potential(self, k: Kinematics, x: State) -> float:
         """Potential energy of the conservative loads [J]."""
         return sum(force.potential(k, x) for force in self.forces)
+
+    def _whole(self, x: State, u: Array | None) -> Array:
+        """All inputs at a state."""
+        if u is None:
+            return self.sources.at(x.t) if self._has_sources else self.idle
+        return self.sources.complete(u, x.t) if self._is_smooth else u

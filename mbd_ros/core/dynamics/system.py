@@ -105,7 +105,7 @@ class System:
 
         Args:
             x: State of all joints; tiers that eliminate some read the others.
-            u: Commands; None stands for zero.
+            u: Inputs; None stands for what sources give, else for safe values.
 
         Raises:
             SolveError: The equations have no solution.

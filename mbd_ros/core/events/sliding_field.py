@@ -50,7 +50,7 @@ class SwitchedLoads(Loads):
     """
 
     def __init__(self, nv: int, loads: Loads, choice: Choice) -> None:
-        super().__init__(nv, loads.forces, loads.actuators, loads.idle)
+        super().__init__(nv, loads.forces, loads.actuators, loads.sources)
         self.switching = tuple(f for f in loads.forces if isinstance(f, DiscontinuousForce))
         others = [f for f in loads.forces if not isinstance(f, DiscontinuousForce)]
         self._smooth, self._choice = loads.having(others), choice

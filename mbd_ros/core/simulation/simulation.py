@@ -1,7 +1,7 @@
 """A system, an integrator and a stabilization at work."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -11,12 +11,12 @@ from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.projection.stabilizing import Stabilization
+from mbd_ros.core.simulation.input_course import InputCourse
 from mbd_ros.core.simulation.stall import PATIENCE, WINDOW, Notice, StallWatch, refuse_crawl
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SAME_TIME
 from mbd_ros.errors import DivergedError, ModelError, SolveError
 
-Commands = Callable[[float], Array]
 _SHOWN = 8  # joints in a message
 _IN_REACH = 1.0e6  # rad or m: where a mass matrix still says something of the robot
 _STRIDE = 16  # steps after which a state must be finite
@@ -74,15 +74,13 @@ class Simulation:
         self,
         x: State,
         duration: float,
-        commands: Commands | None = None,
         notice: Notice | None = None,
     ) -> Iterator[State]:
-        """States of all joints every dt, the first one included.
+        """States of all joints every dt, the first one included; steps end where inputs jump.
 
         Args:
             x: State of all joints; moved onto the constraints first.
             duration: [s], >= 0; a last shorter interval ends exactly there.
-            commands: Time [s] -> commands, read every dt and held until the next.
             notice: Is called once where steps are so short that the end is far away.
 
         Raises:
@@ -92,20 +90,21 @@ class Simulation:
         y = self.start(x)
         yield self.system.expand(y)
         begin, count = y.t, math.ceil(duration / self.dt - SAME_TIME)
-        last, u, k = begin + duration, None, 1
+        last, k = begin + duration, 1
         resolution = 2.0 * math.ulp(max(abs(begin), abs(last)))
         slack = max(SAME_TIME * self.dt, resolution)
         watch, look_at = StallWatch(self.system, self.dt, notice), self.steps + WINDOW
         watch.begin(begin)
+        inputs = InputCourse(self.system.loads.sources, begin, last, self.dt, slack)
         while k <= count:
             due = min(begin + k * self.dt, last)
-            if commands is not None and y.t > due - self.dt - slack:
-                u = commands(due - self.dt if k > 1 else begin)
             late = abs(begin + (k - 1) * self.dt - y.t)
             is_rounded = 0.2 * slack < late < 1.0e3 * slack  # a sum of steps, to be put right
-            y_next = self._step(y, u, due if is_rounded or commands is not None else last)
+            is_off = inputs.now > begin + (k - 1) * self.dt + slack  # back to the outputs
+            end = min(due if is_rounded or is_off else last, inputs.end)
+            y_next = self._step(y, inputs.u, end)
             if self.steps >= look_at:
-                watch.look(y_next, u, last)
+                watch.look(y_next, inputs.u, last)
                 look_at = self.steps + WINDOW
             if 0.0 < abs(y_next.t - due) <= resolution == slack:  # late times are coarse
                 y_next = y_next._replace(t=due)
@@ -120,6 +119,7 @@ class Simulation:
             if k <= count and due <= y.t + slack:
                 yield self.system.expand(y)
                 k += 1
+            inputs.reach(y.t)
 
     def advance(self, y: State, u: Array | None, due: float) -> State:
         """State of the integrated coordinates at a time, in as many steps as the method needs.

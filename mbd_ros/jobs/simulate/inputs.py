@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from mbd_ros.core.dynamics.sources import HeldTable, Source
 from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.parts import Load
-from mbd_ros.core.simulation.simulation import Commands
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State
 from mbd_ros.errors import DataError
 from mbd_ros.files.recordings import name_of, read_motion, read_wrenches
@@ -47,8 +47,8 @@ def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
     return State(run.start, q, v), said
 
 
-def drives(scene: Scene, run: Run) -> tuple[Commands | None, list[Load], list[str]]:
-    """Commands of the actuators, force terms that come from files, and remarks.
+def drives(scene: Scene, run: Run) -> tuple[dict[str, Source], list[Load], list[str]]:
+    """Sources of inputs by part, force terms that come from files, and remarks.
 
     Raises:
         DataError: A file that cannot be read, or that lacks a column or topic.
@@ -56,12 +56,13 @@ def drives(scene: Scene, run: Run) -> tuple[Commands | None, list[Load], list[st
     forces = _load_terms(scene, run)
     commanded = tuple(joint for actuator in scene.actuators for joint in actuator.joints)
     if run.efforts is None:
-        return None, forces, []
+        return {}, forces, []
     names = commanded or tuple(joint.name for joint in scene.robot.joints)
     motion = read_motion(run.efforts, names, required=()).motion
     where = name_of(run.efforts)
     if commanded:
-        return _held(motion.stamps * NANOSECOND, _commands(scene, where, motion)), forces, []
+        with about(where):
+            return _held(scene, motion, _commands(scene, where, motion)), forces, []
     if motion.effort is None:
         raise DataError(f"{where}: no column <joint>.effort of {', '.join(names)}")
     times, effort = motion.stamps * NANOSECOND, np.nan_to_num(motion.effort)
@@ -71,7 +72,7 @@ def drives(scene: Scene, run: Run) -> tuple[Commands | None, list[Load], list[st
     said = [f"{where}: no effort of {listed(lacking)}: 0 there"] if lacking else []
     with about(where):
         torque = part(scene.robot, joints=names, times=times, torque=effort)
-    return None, [torque, *forces], said
+    return {}, [torque, *forces], said
 
 
 def _commands(scene: Scene, where: str, motion: Motion) -> Array:
@@ -105,11 +106,14 @@ def _commands(scene: Scene, where: str, motion: Motion) -> Array:
     return given
 
 
-def _held(times: Array, effort: Array) -> Commands:
-    def commands(t: float) -> Array:
-        return effort[max(int(np.searchsorted(times, t + NANOSECOND, side="right")) - 1, 0)]
-
-    return commands
+def _held(scene: Scene, motion: Motion, commands: Array) -> dict[str, Source]:
+    """Sources of actuators by name, from the commands of their joints."""
+    times = motion.stamps * NANOSECOND
+    columns = [[motion.names.index(name) for name in part.joints] for part in scene.actuators]
+    return {
+        part.name: HeldTable(times, commands[:, at])
+        for part, at in zip(scene.actuators, columns, strict=True)
+    }
 
 
 def _load_terms(scene: Scene, run: Run) -> list[Load]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.dynamics.tiers import tier_of
-from mbd_ros.core.simulation.simulation import Commands, Simulation
+from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
 from mbd_ros.core.thresholds import SAME_TIME, TOGGLE
 from mbd_ros.errors import FAILED, DataError, DivergedError, MbdError, SolveError
@@ -106,17 +106,18 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     check_words(scene, run)
     if not scene.robot.joints:
         raise DataError(f"{scene.name}: no joint of the robot moves, so there is no motion")
-    commands, forces, remarks = drives(scene, run)
-    simulation = scene.simulation(forces=forces, **{**run.options, "dt": _interval(scene, run)})
+    sources, forces, remarks = drives(scene, run)
+    options = {**run.options, "dt": _interval(scene, run)}
+    simulation = scene.simulation(forces=forces, sources=sources, **options)
     x, more = initial_state(scene, run)
     odd = (*scene.robot.doubts, *start_warnings(scene.robot, scene.constraints, x))
     for text in (*remarks, *more, *(f"warning: {text}" for text in odd)):
         say(text)
     begin = time.perf_counter()
-    states, failure = _states(simulation, x, run, commands)
+    states, failure = _states(simulation, x, run)
     wall = time.perf_counter() - begin
     evaluations = simulation.system.evaluations
-    table, lost = table_of(simulation.system, states, commands)
+    table, lost = table_of(simulation.system, states)
     topics = topics_of(simulation.system)
     result = Result({MAIN: table}, metadata_of("simulate", scene, run.inputs, topics))
     failure = lost or failure
@@ -165,15 +166,13 @@ def _warn(text: str) -> None:
     sys.stderr.flush()
 
 
-def _states(
-    simulation: Simulation, x: State, run: Run, commands: Commands | None
-) -> tuple[list[State], MbdError | None]:
+def _states(simulation: Simulation, x: State, run: Run) -> tuple[list[State], MbdError | None]:
     states: list[State] = []
     count = round(run.duration / simulation.dt)
     duration = _duration(run, simulation.dt)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a divergence says so itself
-            every = simulation.run(x, duration, commands, _warn)
+            every = simulation.run(x, duration, _warn)
             states.extend(shown(every, count, "simulate"))
     except (DivergedError, SolveError) as error:
         return states, error

@@ -7,7 +7,6 @@ import numpy as np
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.projection.assembly import violation
-from mbd_ros.core.simulation.simulation import Commands
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DivergedError, MbdError, SolveError
 from mbd_ros.files.table import Column, Table
@@ -31,22 +30,19 @@ def topics_of(system: System) -> dict[str, Any]:
     return {**topics, "/energy_and_drift": {"data": list(BALANCE)}}
 
 
-def table_of(
-    system: System, states: Sequence[State], commands: Commands | None
-) -> tuple[Table, MbdError | None]:
+def table_of(system: System, states: Sequence[State]) -> tuple[Table, MbdError | None]:
     """A row a state, up to the first one without a finite answer, and why it ends there.
 
     Args:
         system: The system that was simulated.
         states: States of all joints.
-        commands: The commands of its actuators.
     """
     rows = []
     failure: MbdError | None = None
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             for x in states:
-                rows.append(_row(system, x, commands))
+                rows.append(_row(system, x))
     except SolveError as error:
         failure = error
     joints, m = system.robot.joints, len(system.multiplier_rows)
@@ -67,7 +63,7 @@ def table_of(
     ]
     table = Table(columns)
     count, lost = _finite_rows(table)
-    more = _commands(system, t[:, 0], commands)
+    more = _commands(system, t[:, 0])
     return Table([*table.columns, *more]).first(count), lost or failure
 
 
@@ -87,22 +83,19 @@ def _finite_rows(table: Table) -> tuple[int, DivergedError | None]:
     return row, DivergedError(f"{what} is not finite at t = {table[TIME][row]:.9g} s")
 
 
-def _commands(system: System, times: Array, commands: Commands | None) -> list[Column]:
+def _commands(system: System, times: Array) -> list[Column]:
     """Commands of actuators that do not take the torque of the joint."""
     takes = [a.takes for a in system.loads.actuators for _ in a.joints]
     at = [i for i, what in enumerate(takes) if what]
     if not at:
         return []
-    u = np.zeros((len(times), len(takes)))  # what no command stands for
-    if commands is not None and len(times):
-        u = np.array([commands(t) for t in times])
+    u = np.array([system.loads.sources.at(t) for t in times]).reshape(len(times), -1)
     return command_columns([system.loads.commands[i] for i in at], u[:, at])
 
 
-def _row(system: System, x: State, commands: Commands | None) -> tuple[Any, ...]:
+def _row(system: System, x: State) -> tuple[Any, ...]:
     """Time, q, v, a, effort, multipliers and balance of one state."""
     y = system.reduce(x)
-    u = None if commands is None else commands(x.t)
-    _, a, _, lam, _ = system.evaluate(x, u)
+    _, a, _, lam, _ = system.evaluate(x)
     balance = system.energy(y), *violation(system, y)
-    return x.t, x.q, x.v, a, system.loads.actuator_torque(system.k, x, u), lam, balance
+    return x.t, x.q, x.v, a, system.loads.actuator_torque(system.k, x, None), lam, balance
