@@ -7,6 +7,7 @@ Gauss's principle asks it of the multipliers of joint stops, dry friction and li
 (`bounded_rows`). Source: P. Lötstedt, SIAM J. Sci. Stat. Comput. 5 (1984).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -44,12 +45,14 @@ class Statistics(NamedTuple):
 class BoxQp:
     """Solves the problem above; every answer is polished by an active set, and checked.
 
-    A solve starts warm, then from nothing, then with a damped A, and fails after that. Each try
-    is judged by the complementarity residual recomputed here, never by the solver's status.
+    A solve starts warm, then from nothing, then with a damped A, and fails after that; where an
+    answer must not depend on earlier ones, it never starts warm. Each try is judged by the
+    complementarity residual recomputed here, never by the solver's status.
 
     Args:
         n: Number of multipliers.
         backend: `proxqp`, kept between calls, or any solver of qpsolvers, started anew.
+        rungs: How solves start, one after the other.
 
     Attributes:
         statistics: Counts so far.
@@ -58,8 +61,10 @@ class BoxQp:
         ModelError: The backend is not installed.
     """
 
-    def __init__(self, n: int, backend: str = "proxqp") -> None:
-        self.statistics = Statistics()
+    def __init__(
+        self, n: int, backend: str = "proxqp", rungs: Sequence[str] = ("warm", "cold", "damped")
+    ) -> None:
+        self.statistics, self._rungs = Statistics(), tuple(rungs)
         self._damping = _DAMPING * np.eye(n)
         self._solver = KeptProxQp(n) if backend == "proxqp" else OtherSolver(backend)
 
@@ -77,8 +82,8 @@ class BoxQp:
         size = max(float(np.abs(scale * b).max(initial=0.0)), TINY)
         unit = scale * size  # lam in its own unit: A gets ones on its diagonal, b at most 1
         H, rest = scale[:, None] * A * scale, (scale * b / size, lower / unit, upper / unit)
-        for rung in ("warm", "cold", "damped"):
-            if rung != "warm":
+        for rung in self._rungs:
+            if rung != self._rungs[0]:
                 self.statistics = counted(self.statistics, rung)
             H = H + self._damping if rung == "damped" else H
             lam = unit * self._solver.solve(H, *rest, cold=rung != "warm")
