@@ -106,7 +106,7 @@ class Scene(SceneParts):
         """
         if self.has_loops:
             return ObservedLoops(self.closed_loop())
-        loads = [wrench.load for wrench in self.wrenches.values()]
+        loads = tuple(self.wrenches.values())
         return InverseDynamics(self.robot, self.couplings, loads, self.forces)
 
     def closed_loop(self) -> ClosedLoopInverseDynamics:
@@ -115,7 +115,7 @@ class Scene(SceneParts):
         Raises:
             SceneError: An actuated joint is unknown or repeated.
         """
-        loads = [wrench.load for wrench in self.wrenches.values()]
+        loads = tuple(self.wrenches.values())
         try:
             return ClosedLoopInverseDynamics(
                 self.robot, self.couplings, self.constraints, self.actuated, loads, self.forces
@@ -141,7 +141,7 @@ class Scene(SceneParts):
         """
         where = f"{self.name}: solver"
         chosen = self.solver if solver is None else schema.call(Solver, dict(solver), where)
-        every = (*self.forces, *forces)
+        every = (*self.forces, *forces, *self.wrenches.values())
         try:
             given = self.inputs.sources(sources)
             loads = Loads(self.robot.model.nv, every, self.actuators, given)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.dynamics.external_wrench import ExternalWrench
 from mbd_ros.core.inverse.force_split import ForceSplit, Split
 from mbd_ros.core.inverse.loop_balance import LoopBalance
 from mbd_ros.core.inverse.loop_motion import LoopMotion, with_inertia
@@ -19,7 +20,6 @@ from mbd_ros.core.inverse.reach import Reach
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Constraint, Load
 from mbd_ros.core.rows.usual_sizes import usual_norms
 from mbd_ros.core.state import Array, State
