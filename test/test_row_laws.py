@@ -20,7 +20,7 @@ from mbd_ros.core.row_laws import Kind, Level, bilateral, box, cone, drive, unil
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_layout import RowLayout, rigid
 from mbd_ros.core.state import State
-from mbd_ros.errors import ModelError
+from mbd_ros.errors import ModelError, SolveError
 
 ROOT = Path(__file__).parents[1]
 CHAIN = read_robot(mechanisms.chain(3))
@@ -144,6 +144,25 @@ def test_laws_that_no_solver_serves_are_refused_by_name(part, message):
 def test_laws_that_do_not_fit_their_rows_name_them(part, message):
     with pytest.raises(ModelError, match=f"constraint Held with row held_0.*{message}"):
         RowLayout([part])
+
+
+def test_bounds_that_depend_on_the_state_are_those_of_that_state():
+    """Friction that grows with the angle, as that of a joint under load, against constant ones."""
+    limits = {0.1: 1.1, 2.0: 3.0}
+    law = box(lambda k, x: [-1.0 - x.q[0]], lambda k, x: 1.0 + x.q[0])
+    assert law.varies and not law.is_rigid and not box(-1.0, 1.0).varies
+    varying = built(Held(law, Level.VELOCITY, gains=(0.0, 100.0)))
+    for angle, limit in [*limits.items(), *reversed(limits.items())]:
+        constant = built(Held(box(-limit, limit), Level.VELOCITY, gains=(0.0, 100.0)))
+        for speed in (9.0, 1e-4, -9.0):
+            x = State(0.0, np.array((angle, 0.0, 0.0)), np.array((speed, 0.0, 0.0)))
+            found, expected = varying.evaluate(x), constant.evaluate(x)
+            assert np.array_equal(found.a, expected.a)
+            assert found.lam == pytest.approx(expected.lam, rel=1e-15)
+            assert abs(speed) < 1.0 or abs(found.lam[0]) == limit
+    crossed = built(Held(box(lambda k, x: x.q[0], 1.0)))
+    with pytest.raises(SolveError, match="lower bound of row held_0 is above the upper one"):
+        crossed.evaluate(State(0.0, np.full(3, 2.0), np.ones(3)))
 
 
 def test_multipliers_push_along_the_rows_or_beside_them():

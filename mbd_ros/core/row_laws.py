@@ -5,11 +5,12 @@ bounds, w >= 0 at the lower one and w <= 0 at the upper one.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-Bound = float | Sequence[float]  # of every row, or one a row
+Bound = float | Sequence[float] | Callable[..., Any]
+"""One number, one a row, or a function (k, x) of the state that gives one of these."""
 
 
 class Level(Enum):
@@ -47,6 +48,11 @@ class Law(NamedTuple):
     restitution: float = 0.0
 
     @property
+    def varies(self) -> bool:
+        """Whether bounds depend on the state."""
+        return callable(self.lower) or callable(self.upper)
+
+    @property
     def is_rigid(self) -> bool:
         """Whether the rows hold whatever multipliers that takes; other rows give way."""
         return self.kind is Kind.BILATERAL or (self.kind is Kind.DRIVE and self.upper == math.inf)
@@ -58,7 +64,13 @@ def bilateral() -> Law:
 
 
 def box(lower: Bound, upper: Bound) -> Law:
-    """Rows that hold while lower <= lam <= upper [N or N·m], as dry friction does."""
+    """Rows that hold while lower <= lam <= upper [N or N·m], as dry friction does.
+
+    Args:
+        lower: One number, one a row, or a function (k, x); a part that gives one says in `reads`
+            what it reads.
+        upper: The same.
+    """
     return Law(Kind.BOX, lower, upper)
 
 

@@ -69,7 +69,8 @@ class BoundedRows:
             a: Acceleration without the rows.
 
         Raises:
-            SolveError: No rung of the ladder of `BoxQp` solves it.
+            SolveError: No rung of the ladder of `BoxQp` solves it, or a lower bound is above the
+                upper one.
         """
         joint_q, joint_v, joint_a = system.joint_motion(q, v, a)
         for margin in self._margins:
@@ -79,7 +80,10 @@ class BoundedRows:
             self.multipliers, self.force = self._idle, self._no_force
             return a
         system.k.refresh(joint_q, joint_v, self.constraints.reads)
-        J, b = self.constraints.conditions(system.k, State(t, joint_q, joint_v))
+        x = State(t, joint_q, joint_v)
+        if self.constraints.varies:
+            self.constraints.limit(system.k, x)
+        J, b = self.constraints.conditions(system.k, x)
         response = system.respond(q, J.T)
         A, w = self._without_silent(J, J.dot(response), J.dot(joint_a) + b)
         lam = self._multipliers(A, w)

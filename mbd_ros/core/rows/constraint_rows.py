@@ -10,6 +10,7 @@ from mbd_ros.core.parts import Wrench
 from mbd_ros.core.row_laws import Level
 from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
 
 Residual = Callable[[Kinematics, State], Array]
 
@@ -30,6 +31,7 @@ class ConstraintRows:
         reads: What the parts read of k.
         lower: Smallest multiplier of every row, -inf where it is free, shape (m,).
         upper: Largest multiplier of every row, shape (m,).
+        varies: Whether some of these depend on the state; `limit` brings them there.
         is_corrected: Whether any row demands more than g'' = 0.
     """
 
@@ -47,7 +49,9 @@ class ConstraintRows:
         self._kp, self._kd = np.zeros(m), np.zeros(m)
         for block, mine in zip(self.blocks, self.slices, strict=True):
             self._kp[mine], self._kd[mine] = block.gains
-            self.lower[mine], self.upper[mine] = block.law.lower, block.law.upper
+            if not block.law.varies:
+                self.lower[mine], self.upper[mine] = block.law.lower, block.law.upper
+        self.varies = any(block.law.varies for block in self.blocks)
         self.is_corrected = bool(self._kp.any() or self._kd.any())
         self._J, self._drift = np.zeros((m, nv)), np.zeros(m)
         self._none, self._no_rows = np.zeros(0), np.zeros((0, nv))
@@ -81,6 +85,22 @@ class ConstraintRows:
         else:
             rate, g = J.dot(x.v) + self.rate(k, x), self.residual(k, x)
         return J, drift + self._kd * rate + self._kp * g
+
+    def limit(self, k: Kinematics, x: State) -> None:
+        """Bring `lower` and `upper` of rows whose bounds depend on the state there.
+
+        Raises:
+            SolveError: A lower bound is above the upper one; names the row.
+        """
+        for block, mine in zip(self.blocks, self.slices, strict=True):
+            law = block.law
+            if law.varies:
+                self.lower[mine] = law.lower(k, x) if callable(law.lower) else law.lower
+                self.upper[mine] = law.upper(k, x) if callable(law.upper) else law.upper
+        ordered = self.lower <= self.upper
+        if not ordered.all():
+            row = self.rows[int(ordered.argmin())].name
+            raise SolveError(f"the lower bound of row {row} is above the upper one")
 
     def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
         """Wrenches of the multipliers, shape (m,), on bodies, for parts that act on frames."""

@@ -100,7 +100,8 @@ def _block(part: Constraint, rows: tuple[Row, ...], slots: slice) -> RowBlock:
         raise ModelError(f"{where} has bounds: say law = box(lower, upper) of core/row_laws.py")
     law, m = part.law, len(rows)
     try:
-        lower, upper = np.broadcast_to(law.lower, m), np.broadcast_to(law.upper, m)
+        lower = np.broadcast_to(-np.inf if callable(law.lower) else law.lower, m)
+        upper = np.broadcast_to(np.inf if callable(law.upper) else law.upper, m)
         kp, kd = (np.broadcast_to(np.asarray(gain, dtype=float), m) for gain in part.gains)
     except ValueError as error:
         raise ModelError(f"{where}: bounds and gains are one number or {m}, one a row") from error
