@@ -51,7 +51,6 @@ setup(
         "peers": ["drake", "mujoco"],
         "tables": ["pandas", "pyarrow"],
         "dev": [
-            "casadi",
             "daqp",
             "mypy",
             "pandas",

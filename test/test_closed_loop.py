@@ -12,14 +12,15 @@ from mbd_ros.actuators.ideal import Ideal
 from mbd_ros.constraints.frame_anchor import FrameAnchor
 from mbd_ros.constraints.loop_closure import LoopClosure
 from mbd_ros.constraints.prescribed_motion import PrescribedMotion
-from mbd_ros.core.dynamics.external_wrench import ExternalWrench
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.inverse.efforts import joint_efforts
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.forces.joint_friction import JointFriction
@@ -27,6 +28,12 @@ from mbd_ros.forces.joint_spring import JointSpring
 from mbd_ros.scene.reader import load_scene
 
 SCENES = Path(__file__).parents[1] / "config/scenes"
+
+
+def inverse_of(robot, couplings, constraints, joints, *loads, **options):
+    """The solver for efforts of joints."""
+    efforts = joint_efforts(robot, joints)
+    return ClosedLoopInverseDynamics(robot, couplings, constraints, efforts, *loads, **options)
 
 
 def scene(name, *joints):
@@ -37,10 +44,8 @@ def scene(name, *joints):
 
 def solver(built, *joints):
     """For a scene with other actuated joints than its own."""
-    loads = list(built.wrenches.values())
-    return ClosedLoopInverseDynamics(
-        built.robot, built.couplings, built.constraints, joints, loads, built.forces
-    )
+    loads = [wrench.load for wrench in built.wrenches.values()]
+    return inverse_of(built.robot, built.couplings, built.constraints, joints, loads, built.forces)
 
 
 def command(t):
@@ -65,11 +70,11 @@ def bars(lengths=(1.0, 2.0, 1.5, 2.0)):
 def closed_bars(actuated, crank=0.9, rate=2.0, lengths=(1.0, 2.0, 1.5, 2.0), extra=()):
     """Solver, and a consistent moving state with its acceleration."""
     robot, closure = bars(lengths)
-    inverse = ClosedLoopInverseDynamics(robot, Couplings(robot), [closure, *extra], actuated)
+    inverse = inverse_of(robot, Couplings(robot), [closure, *extra], actuated)
     guess = State(0.0, np.array([crank, -0.9, 1.4]), np.zeros(3))
     q = inverse.motion.start(guess)
     only = np.array([True, False, False])
-    x, a = inverse.motion.complete(q, State(0.0, q, np.full(3, rate)), np.full(3, 5.0), only)
+    x, a, _ = inverse.motion.complete(q, State(0.0, q, np.full(3, rate)), np.full(3, 5.0), only)
     return inverse, x, a
 
 
@@ -136,7 +141,7 @@ def test_bar_of_other_units_does_not_change_the_efforts():
     """Efforts do not depend on how constraints are written down: here on redundant copies."""
     robot, closure = bars()
     one, x, a = closed_bars(("crank", "rocker"))
-    thrice = ClosedLoopInverseDynamics(robot, Couplings(robot), [closure] * 3, one.actuated)
+    thrice = inverse_of(robot, Couplings(robot), [closure] * 3, one.efforts.names)
     first, again = one.solve(x, a), thrice.solve(x, a)
     assert again.tau == pytest.approx(first.tau, rel=1e-10)
     assert again.null_space == first.null_space + 4
@@ -198,7 +203,7 @@ def test_open_and_coupled_chains_equal_the_reduced_equations(laws):
         JointFriction(robot, joint="joint5", coulomb=0.4, viscous=0.1),
     ]
     reduced = InverseDynamics(robot, couplings, loads, forces)
-    rows = ClosedLoopInverseDynamics(robot, couplings, (), couplings.independent, loads, forces)
+    rows = inverse_of(robot, couplings, (), couplings.independent, loads, forces)
     for independent, every, wrenches in arm_motion(couplings):
         expected, found = reduced.solve(*independent, wrenches), rows.solve(*every, wrenches)
         scale = np.abs(expected.tau).max()
@@ -213,9 +218,7 @@ def test_power_of_efforts_loads_and_forces_is_the_rise_of_the_energy():
     robot, rng = built.robot, np.random.default_rng(4)
     load = ExternalWrench(robot, frame="foot", expressed_in="world")
     joints = ("hip_flexion", "knee_anterior", "ankle")
-    inverse = ClosedLoopInverseDynamics(
-        robot, built.couplings, built.constraints, joints, [load], built.forces
-    )
+    inverse = inverse_of(robot, built.couplings, built.constraints, joints, [load], built.forces)
     model, data, h = robot.model, robot.model.createData(), 1e-4
     at = [robot.joint(name).v for name in joints]
     for x, a, _ in list(simulated(built, 0.4))[::20]:
@@ -300,8 +303,7 @@ def test_near_a_toggle_the_condition_says_so_and_torques_stay_right(angle):
     """A parallelogram folds flat at 0; the crank torque is known from its one freedom."""
     lengths = (1.0, 2.0, 1.0, 2.0)
     robot, closure = bars(lengths)
-    inverse = ClosedLoopInverseDynamics(robot, Couplings(robot), [closure], ("crank",))
-    inverse.reach(State(0.0, np.array([1.0, -1.0, 1.0]), np.zeros(3)))  # sizes of the rows
+    inverse = inverse_of(robot, Couplings(robot), [closure], ("crank",))
     x = State(0.0, np.array([angle, -angle, angle]), np.array([2.0, -2.0, 2.0]))
     a = np.array([5.0, -5.0, 5.0])
     b = pin.rnea(robot.model, robot.model.createData(), x.q, x.v, a)
@@ -313,8 +315,7 @@ def test_near_a_toggle_the_condition_says_so_and_torques_stay_right(angle):
 
 def test_motion_out_of_reach_at_a_toggle_is_refused_as_such():
     robot, closure = bars((1.0, 2.0, 1.0, 2.0))
-    inverse = ClosedLoopInverseDynamics(robot, Couplings(robot), [closure], ("crank",))
-    inverse.reach(State(0.0, np.array([1.0, -1.0, 1.0]), np.zeros(3)))
+    inverse = inverse_of(robot, Couplings(robot), [closure], ("crank",))
     flat = State(0.0, np.zeros(3), np.array([2.0, -2.0, 2.0]))
     with pytest.raises(SolveError, match="along .*coupler.* at a toggle"):
         inverse.solve(flat, np.array([5.0, -5.0, 5.0]))
@@ -323,14 +324,14 @@ def test_motion_out_of_reach_at_a_toggle_is_refused_as_such():
 def test_at_a_toggle_nothing_is_infinite_and_the_branch_is_kept():
     lengths = (1.0, 2.0, 1.0, 2.0)
     robot, closure = bars(lengths)
-    inverse = ClosedLoopInverseDynamics(robot, Couplings(robot), [closure], ("crank", "coupler"))
+    inverse = inverse_of(robot, Couplings(robot), [closure], ("crank", "coupler"))
     flat = State(0.0, np.zeros(3), np.array([2.0, -2.0, 2.0]))
     found = inverse.solve(*inverse.consistent(flat, np.zeros(3)))
     assert np.isfinite([*found.tau, *found.multipliers]).all()
     only, q = np.array([True, False, False]), np.array([0.3, -0.3, 0.3])
     for crank in np.linspace(0.3, -0.3, 61):  # 0 among them
         measured = State(0.0, np.array([crank, np.nan, np.nan]), np.full(3, np.nan))
-        x, _ = inverse.motion.complete(q, measured, np.full(3, np.nan), only)
+        x, _, _ = inverse.motion.complete(q, measured, np.full(3, np.nan), only)
         assert closure_gap(robot, closure, x) <= 1e-12
         q = x.q
 
@@ -350,7 +351,7 @@ def test_joints_that_nobody_measures_follow_from_the_loops_on_their_branch():
     q = inverse.motion.start(built.initial)
     for x, a, _ in list(simulated(built, 0.5))[::50]:  # far apart: strides in between
         hidden = [np.where(measured, values, np.nan) for values in (x.q, x.v, a)]
-        y, b = inverse.motion.complete(q, State(x.t, *hidden[:2]), hidden[2], measured)
+        y, b, _ = inverse.motion.complete(q, State(x.t, *hidden[:2]), hidden[2], measured)
         assert y.q == pytest.approx(x.q, abs=1e-11)
         assert np.r_[y.v, b] == pytest.approx(np.r_[x.v, a], rel=1e-9, abs=1e-9)
         q = y.q
@@ -362,24 +363,33 @@ def test_joints_that_nobody_measures_follow_from_the_loops_on_their_branch():
     assert set(loose) == {"ankle", "knee_anterior", "knee_posterior", "knee_tibial"}
 
 
-def test_anchored_floating_base_needs_no_actuator_of_its_own():
-    """At rest the anchor carries the weight; released, nothing drives the base."""
+def test_anchored_floating_base_has_no_residual_and_a_free_one_all_it_would_need():
+    """At rest the anchor carries the weight; released, the base would have to."""
     robot = read_robot(floating_body(), base="floating")
     arms = [joint.name for joint in robot.joints]
     anchor = FrameAnchor(robot, frame="trunk", position=(0.0,) * 3, orientation=(0.0,) * 3)
     rest, zero = State(0.0, robot.neutral(), np.zeros(8)), np.zeros(8)
-    held = ClosedLoopInverseDynamics(robot, Couplings(robot), [anchor], arms)
+    held = inverse_of(robot, Couplings(robot), [anchor], arms)
     found = held.solve(rest, zero)
     weight = 9.81 * sum(inertia.mass for inertia in robot.model.inertias)
     assert found.multipliers[:3] == pytest.approx([0.0, 0.0, weight], abs=1e-9)
-    free = ClosedLoopInverseDynamics(robot, Couplings(robot), [], arms)
+    free = inverse_of(robot, Couplings(robot), [], arms)
     assert free.reach(rest).undriven == ("the floating base",)
-    with pytest.raises(SolveError, match="along the floating base"):
-        free.solve(rest, zero)
+    assert found.residual == pytest.approx(np.zeros(6), abs=0.0)
+    rng = np.random.default_rng(5)
+    x, a = (
+        State(0.0, pin.integrate(robot.model, rest.q, rng.normal(size=8)), rng.normal(size=8)),
+        rng.normal(size=8),
+    )
+    needed = pin.rnea(robot.model, robot.model.createData(), x.q, x.v, a)
+    found = free.solve(x, a)
+    assert np.r_[found.residual, found.tau] == pytest.approx(needed, rel=1e-12, abs=1e-12)
+    whole = InverseDynamics(robot, Couplings(robot)).solve(x.q, x.v, a)
+    assert np.array_equal(whole.residual, needed[:6])
 
 
 def test_repeated_and_unknown_actuators_are_refused():
     robot, closure = bars()
     for joints, words in ((("crank", "crank"), "different"), (("knee",), "no joint 'knee'")):
         with pytest.raises(ModelError, match=words):
-            ClosedLoopInverseDynamics(robot, Couplings(robot), [closure], joints)
+            inverse_of(robot, Couplings(robot), [closure], joints)

@@ -9,14 +9,15 @@ from mechanisms import floating_body
 
 from mbd_ros.constraints.distance import Distance
 from mbd_ros.constraints.frame_anchor import FrameAnchor
-from mbd_ros.core.dynamics.external_wrench import ExternalWrench
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.inverse.efforts import joint_efforts
 from mbd_ros.core.inverse.reactions import JointReactions
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Wrench
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
@@ -91,8 +92,9 @@ def test_every_body_of_a_loop_balances(name, joint):
     drive = resolve("forces", "joint_torque", "here")
     push = schema.call(drive, {"joint": joint, "torque": torque}, "here", robot)
     simulation = scene.simulation(forces=[push])
+    efforts = joint_efforts(robot, [joint])
     inverse = ClosedLoopInverseDynamics(
-        robot, scene.couplings, scene.constraints, [joint], forces=scene.forces
+        robot, scene.couplings, scene.constraints, efforts, forces=scene.forces
     )
     reactions = JointReactions(robot, inverse.constraints, forces=scene.forces)
     data, moved = robot.model.createData(), 0.0

@@ -12,6 +12,7 @@ from mbd_ros.core.dynamics.sources import Source
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.inverse.efforts import joint_efforts
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.inverse.observed_loops import ObservedLoops
 from mbd_ros.core.inverse.torques import SampleSolver
@@ -99,29 +100,46 @@ class Scene(SceneParts):
         """A copy without what some sections built."""
         return replace(self, parts={k: part for k, part in self.parts.items() if k not in keys})
 
-    def inverse_dynamics(self) -> SampleSolver:
+    def inverse_dynamics(self, *, with_bounds: bool = False) -> SampleSolver:
         """A solver with its own Pinocchio data, for the independent joints.
 
-        Without loops it is an `InverseDynamics`, which takes many samples at once, too.
+        Without loops and bounds it is an `InverseDynamics`, which takes many samples at once.
+
+        Args:
+            with_bounds: As for `closed_loop`.
         """
-        if self.has_loops:
-            return ObservedLoops(self.closed_loop())
-        loads = tuple(self.wrenches.values())
+        if self.has_loops or with_bounds:
+            return ObservedLoops(self.closed_loop(with_bounds=with_bounds))
+        loads = [wrench.load for wrench in self.wrenches.values()]
         return InverseDynamics(self.robot, self.couplings, loads, self.forces)
 
-    def closed_loop(self) -> ClosedLoopInverseDynamics:
+    def closed_loop(self, *, with_bounds: bool = False) -> ClosedLoopInverseDynamics:
         """A solver for the efforts of `actuated` and all multipliers, with its own data.
+
+        Args:
+            with_bounds: Whether efforts keep the limits of their actuators, and stops, dry
+                friction and limited drives exert what their law lets them.
 
         Raises:
             SceneError: An actuated joint is unknown or repeated.
         """
-        loads = tuple(self.wrenches.values())
+        loads = [wrench.load for wrench in self.wrenches.values()]
+        parts = self.robot, self.couplings, self.constraints
         try:
+            efforts = joint_efforts(self.robot, self.actuated, self._effort_limits())
             return ClosedLoopInverseDynamics(
-                self.robot, self.couplings, self.constraints, self.actuated, loads, self.forces
+                *parts, efforts, loads, self.forces, with_bounds=with_bounds
             )
         except ModelError as error:
             raise SceneError(f"{self.name}: {error}") from error
+
+    def _effort_limits(self) -> list[float]:
+        """Largest effort of each of `actuated` [N·m or N], inf without actuators."""
+        limits = dict.fromkeys(self.actuated, 0.0 if self.actuators else math.inf)
+        for actuator in self.actuators:
+            for name, limit in zip(actuator.joints, actuator.limits().tolist(), strict=True):
+                limits[name] += limit
+        return list(limits.values())
 
     def system(
         self,
@@ -141,7 +159,7 @@ class Scene(SceneParts):
         """
         where = f"{self.name}: solver"
         chosen = self.solver if solver is None else schema.call(Solver, dict(solver), where)
-        every = (*self.forces, *forces, *self.wrenches.values())
+        every = (*self.forces, *forces)
         try:
             given = self.inputs.sources(sources)
             loads = Loads(self.robot.model.nv, every, self.actuators, given)

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mbd_ros.core.dynamics.external_wrench import ExternalWrench
 from mbd_ros.core.dynamics.tiers import TIERS
+from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.optimization.qp_solvers import check_backend
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
@@ -22,10 +22,13 @@ _WORD = "[A-Za-z_][A-Za-z0-9_]*"  # of a ROS 2 name
 _NAME, _TOPIC = re.compile(_WORD), re.compile(f"(~?/)?{_WORD}(/{_WORD})*")
 
 
-class MeasuredWrench(ExternalWrench):
+@dataclass(frozen=True)
+class MeasuredWrench:
     """An external load and the topic that carries it; None stands for `~/wrench/<name>`."""
 
-    topic: str | None = None
+    load: ExternalWrench
+    topic: str | None
+    name: str
 
     @property
     def heard_on(self) -> str:
@@ -71,9 +74,8 @@ def build_wrenches(site: Site, entries: Any) -> dict[str, MeasuredWrench]:
                 f"{where}.topic: '{topic}' is no ROS topic, accepted: words of letters, digits "
                 "and _, no digit first, joined by single /, perhaps after / or ~/"
             )
-        load: MeasuredWrench = schema.call(MeasuredWrench, entry, where, site.robot)
-        load.name, load.topic = name, topic
-        wrenches[name] = load
+        load = schema.call(ExternalWrench, entry, where, site.robot)
+        wrenches[name] = MeasuredWrench(load, topic, name)
     return wrenches
 
 

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,16 +45,15 @@ class TorqueEstimator(JointObserver):
         Raises:
             SolveError: There are none.
         """
-        before = self._inverse.memory
         try:
             torques = self._inverse.solve(x.position, x.velocity, x.acceleration, wrenches)
             if math.isfinite(torques.tau.dot(self._ones)):
                 return torques
         except SolveError:
-            self._give_up(x, before)
+            self._give_up(x)
             raise
         is_newest = x is self._newest
-        self._give_up(x, before)
+        self._give_up(x)
         if not is_newest:
             self.reset()
         return None
@@ -64,7 +62,6 @@ class TorqueEstimator(JointObserver):
         """Forget the past."""
         super().reset()
         self._newest: Observation | None = None
-        self._inverse.reset()
 
     def observe(
         self, stamp: int, position: Array, velocity: Array, present: NDArray[np.bool_]
@@ -74,13 +71,10 @@ class TorqueEstimator(JointObserver):
         found = super().observe(stamp, position, velocity, present)
         if isinstance(found, Observation):
             self._newest, self._before = found, before
-            if self.outcome is SampleStatus.RESTARTED:
-                self._inverse.reset()
         return found
 
-    def _give_up(self, x: Observation, of_solver: tuple[Any, ...]) -> None:
+    def _give_up(self, x: Observation) -> None:
         """Put back the state before an observation."""
-        self._inverse.memory = of_solver
         if x is self._newest:
             self.memory, self._newest = self._before, None
 

@@ -1,69 +1,92 @@
-"""Motion of a mechanism with loops -> efforts of its actuators and all multipliers.
+"""Motion of a mechanism -> what its actuators and its constraints exert.
 
-    M a + h - sum J_w' w - sum f = S' tau + J' lam
+    M a + h - sum J_w' w - sum f = B u + J' lam + R r
 
-with w the external wrenches, f the force terms, S the actuated joints and J the bilateral rows,
-couplings among them.
+with w the external wrenches, f the force terms, B the columns of the efforts u, J the rows of
+couplings and constraints, and R those of free bases. The residual r of the bases is as small as
+it can be; then come the least costly u, then the smallest lam.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.dynamics.external_wrench import ExternalWrench
+from mbd_ros.core.inverse.bounded_split import within_bounds
+from mbd_ros.core.inverse.consistency import check_closed, check_rates
+from mbd_ros.core.inverse.efforts import Efforts
 from mbd_ros.core.inverse.force_split import ForceSplit, Split
 from mbd_ros.core.inverse.loop_balance import LoopBalance
 from mbd_ros.core.inverse.loop_motion import LoopMotion, with_inertia
-from mbd_ros.core.inverse.reach import Reach
+from mbd_ros.core.inverse.reach import Reach, listed, movers
 from mbd_ros.core.inverse.torques import Torques
+from mbd_ros.core.inverse.unknowns import Mask, Unknowns
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Constraint, Load
 from mbd_ros.core.rows.usual_sizes import usual_norms
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.thresholds import ASSEMBLED, TINY
-from mbd_ros.errors import ModelError, SolveError
+from mbd_ros.errors import SolveError
 
-_OFF = 1.0e-6  # of the terms that should cancel: velocity and acceleration off the rows
 _LEFT = 1.0e-6  # of the forces at work: what may stay without an actuator
 _ZERO = 1.0e-9  # the same where nothing moves and nothing acts
-_NAMED = 0.3  # share of a joint in a direction, of the largest, to be named
-_BESIDE = 1.0e-2  # rad or m: the neighbourhood of a state, to tell a toggle from a freedom
-_SHOWN = 4  # joints in a message
-_DIGITS = 9  # of shares that differ; beyond them is rounding
+_ASIDE = 0.1  # of a neighbour that tells whether a mechanism is at a toggle [rad or m]
+
+
+class _Problem(NamedTuple):
+    """The equation at one state.
+
+    Attributes:
+        split: Its factors.
+        b: Force on all joints that is to be split, shape (nv,).
+        scale: Size of the terms in it, in the metric of the split.
+        asked: Which unknowns the split has; the motion shows the others, shape (n,).
+        known: What those are: efforts, then multipliers, targets of the cost in place of those
+            that are asked for, shape (na + m,).
+    """
+
+    split: ForceSplit
+    b: Array
+    scale: float
+    asked: Mask
+    known: Array
 
 
 class ClosedLoopInverseDynamics:
-    """Inverse dynamics with bilateral rows, redundant or not, and any set of actuators.
+    """Inverse dynamics with rows, redundant or not, and any set of efforts.
 
-    Efforts are exact where they are determined. Where actuators can work against one another
-    they have the smallest Euclidean norm in SI numbers; drives (prescribed motion) count as
-    actuators in it. Given the efforts, multipliers of redundant rows have the smallest norm.
-    A motion does not show the forces of bounded rows, stops and dry friction: they are part of the
-    efforts. A limited drive counts as an actuator that may exceed its limit.
+    Efforts are exact where they are determined. Where they can work against one another, those of
+    the least cost are taken: by default of the smallest Euclidean norm in SI numbers. Drives
+    (prescribed motion) count as efforts in it. Given the efforts, multipliers of redundant rows
+    have the smallest norm.
 
-    One instance owns its Pinocchio data: not for two threads.
+    Without bounds, stops and dry friction are part of the efforts, since a motion does not show
+    their forces, and a limited drive may exceed its limit. With bounds their rows are unknowns
+    that keep their law, and efforts stay within their bounds.
+
+    One instance owns its Pinocchio data: not for two threads. No result depends on earlier ones.
 
     Args:
         robot: The robot.
         couplings: Its dependent joints; they become rows.
         constraints: Constraints of the scene.
-        actuated: Joints that carry an actuator.
+        efforts: The unknown inputs.
         wrenches: External loads, in the order in which `solve` takes their values.
         forces: Force terms of the scene.
+        with_bounds: Whether efforts and multipliers keep their bounds.
 
     Attributes:
         robot: The robot.
         couplings: Its dependent joints.
-        actuated: Joints of `Torques.tau`.
-        constraints: Rows of the multipliers: couplings, then bilateral constraints and limited
-            drives in the order of the scene.
+        efforts: Those of `Torques.tau`.
+        constraints: Rows of the multipliers: couplings, then constraints in the order of the
+            scene; without bounds bilateral ones and drives alone.
         motion: Makes measured motion consistent.
 
     Raises:
-        ModelError: Unknown or repeated actuated joint.
+        ModelError: With bounds, a law of multipliers that has none in numbers.
     """
 
     def __init__(
@@ -71,30 +94,31 @@ class ClosedLoopInverseDynamics:
         robot: Robot,
         couplings: Couplings,
         constraints: Sequence[Constraint],
-        actuated: Sequence[str],
+        efforts: Efforts,
         wrenches: Sequence[ExternalWrench] = (),
         forces: Sequence[Load] = (),
+        *,
+        with_bounds: bool = False,
     ) -> None:
-        if len(set(actuated)) < len(actuated):
-            raise ModelError(f"actuated joints {', '.join(actuated)} must be different joints")
-        self.robot, self.couplings, self.actuated = robot, couplings, tuple(actuated)
+        self.robot, self.couplings, self.efforts = robot, couplings, efforts
         self.motion = LoopMotion(with_inertia(robot), couplings, constraints)
-        self._balance = LoopBalance(robot, couplings, constraints, wrenches, forces)
-        self.constraints = self._balance.constraints
-        self._drives = self._balance.is_drive
-        self._na, rows = len(self.actuated), self.constraints.rows
-        drives = int(self._drives.sum())
-        self._E = np.zeros((int(robot.model.nv), self._na + drives))
-        self._E[[robot.joint(name).v for name in actuated], range(self._na)] = 1.0
-        names = np.array([f"{row.name}.multiplier" for row in rows], dtype=np.object_)
-        efforts = [f"{name}.effort" for name in actuated]
-        self._labels = (*efforts, *names[self._drives], *names[~self._drives])
-        self._names = {joint.v: joint.name for joint in robot.joints}
-        self._usual = usual_norms(robot, self._columns)
+        self._balance = LoopBalance(
+            robot, couplings, constraints, efforts, wrenches, forces, with_bounds=with_bounds
+        )
+        self.constraints, self._drives = self._balance.constraints, self._balance.is_drive
+        self._unknowns = Unknowns(efforts, self.constraints, self._drives)
+        self._with_bounds, n = with_bounds, len(self._unknowns.labels)
+        self._every, self._R = np.ones(n, np.bool_), np.eye(int(robot.model.nv))[:, robot.base_v]
+        self._usual = usual_norms(robot, self._metric_and_columns)
 
     def consistent(self, x: State, a: Array) -> tuple[State, Array]:
         """Measured motion moved onto the constraints; see `LoopMotion.consistent`."""
         return self.motion.consistent(x, a)
+
+    def columns(self, x: State) -> Array:
+        """B at a state, shape (nv, na)."""
+        self._balance.place(x)
+        return self._balance.columns(x)
 
     def solve(self, x: State, a: Array, wrenches: Sequence[Array] = ()) -> Torques:
         """Efforts and multipliers of one sample.
@@ -105,111 +129,114 @@ class ClosedLoopInverseDynamics:
             wrenches: One (6,) array [N, N·m] for every load; none means unloaded.
 
         Raises:
-            SolveError: The motion is not consistent, or the actuators cannot produce it; names
-                the row, or the joints of the direction that nothing reaches.
+            SolveError: The motion is not consistent, or the efforts cannot produce it; names the
+                row, the joints of the direction that nothing reaches, or the bounds in the way.
         """
         if not all(np.isfinite(values).all() for values in (x.q, x.v, a, *wrenches)):
             raise SolveError("motion or wrenches are not finite")
-        self._balance.place(x)
-        J, drift = self._balance.rows(x)
-        self._check_closed(x)
-        terms = self._balance.terms(x, a, wrenches)
-        split = self._split(x, J)
-        self._check_rates(split, J, drift, x, a)
-        found = split.solve(terms.inertial + terms.bias - terms.loads)
-        scale = sum(split.norm(term) for term in terms)
-        if not found.share <= _LEFT * scale + _ZERO:
-            reason = self._unreachable(found, scale, x)
-            toggle = "; the mechanism is at a toggle" if self._is_toggle(x, split) else ""
-            raise SolveError(reason + toggle)
-        tau, drives = np.split(found.efforts, [self._na])
-        multipliers = np.empty(len(self._drives))
-        multipliers[self._drives], multipliers[~self._drives] = drives, found.multipliers
-        null_space, labels = split.null_space, self._undetermined(split)
-        return Torques(tau, multipliers, null_space, labels, split.condition)
+        problem = self._problem(x, a, wrenches)
+        split, b, accepted = problem.split, problem.b, _LEFT * problem.scale + _ZERO
+        found, r = split.solve(b), np.zeros(self._R.shape[1])
+        if len(r) and not found.share <= accepted:
+            r = split.out_of_reach(b, self._R)
+            found = split.solve(b - self._R.dot(r))
+        if found.share <= accepted and self._with_bounds:
+            found, r = self._within(problem, found, r)
+        if not found.share <= accepted:
+            raise SolveError(self._unreachable(found, problem, x))
+        return self._torques(problem, found, r)
 
     def reach(self, x: State) -> Reach:
-        """The reach of the actuators at a state on the constraints."""
+        """The reach of the efforts at a state on the constraints, bounds left aside."""
         self._balance.place(x)
-        split = self._split(x, self._balance.rows(x)[0])
-        undriven = self._movers(split.undriven(), x)
-        labels = self._undetermined(split)
+        split = self._split(x, self._balance.rows(x)[0], self._every)
+        undriven = movers(self.robot, split.undriven(), self.motion.metric(x.q))
+        labels = self._undetermined(split, self._every)
         return Reach(split.freedom, split.driven, undriven, split.null_space, labels)
 
-    def _split(self, x: State, J: Array) -> ForceSplit:
-        self._E[:, self._na :] = J[self._drives].T
-        return ForceSplit(self.motion.metric(x.q), self._E, J[~self._drives], self._usual)
+    def _problem(self, x: State, a: Array, wrenches: Sequence[Array]) -> _Problem:
+        balance, unknowns = self._balance, self._unknowns
+        balance.place(x)
+        shown = np.concatenate((np.full(len(self.efforts.names), np.nan), balance.shown(x, a)))
+        J, drift = balance.rows(x)
+        check_closed(balance, x)
+        asked = np.isnan(shown)[unknowns.place]
+        split = self._split(x, J, asked)
+        inside = np.flatnonzero(~self._drives)[asked[unknowns.efforts :]]
+        check_rates(balance, split, inside, (J, drift), x, a)
+        known = unknowns.filled(np.nan_to_num(shown), asked, np.zeros(int(asked.sum())))
+        na = len(self.efforts.names)
+        offset = J.T.dot(known[na:]) + balance.columns(x).dot(known[:na])
+        terms = balance.terms(x, a, wrenches)
+        b = terms.inertial + terms.bias - terms.loads - offset
+        scale = sum(split.norm(term) for term in (*terms, offset))
+        return _Problem(split, b, scale, asked, known)
 
-    def _columns(self, q: Array) -> tuple[Array, Array]:
-        """M and the columns of efforts, drives and other rows at a configuration."""
-        x = State(0.0, q, np.zeros(len(self._E)))
-        self._balance.place(x)
-        J = self._balance.rows(x)[0]
-        efforts = self._E[:, : self._na]
-        columns = (efforts, J[self._drives].T, J[~self._drives].T)
-        return self.motion.metric(q), np.concatenate(columns, axis=1)
+    def _within(self, problem: _Problem, found: Split, r: Array) -> tuple[Split, Array]:
+        """Efforts and multipliers within their bounds, and the residual of free bases."""
+        asked, unknowns = problem.asked, self._unknowns
+        ends = unknowns.lower[asked], unknowns.upper[asked]
+        kept = within_bounds(problem.split, problem.b, found, (self._R, r), ends)
+        if kept.is_within:
+            return kept.split, kept.residual
+        y = np.concatenate((kept.split.efforts, kept.split.multipliers))
+        passed = np.maximum(ends[0] - y, y - ends[1]) > _LEFT * np.abs(y).max()
+        names = listed(unknowns.named(asked, passed))
+        raise SolveError(f"the bounds of {names} do not let the efforts produce this motion")
 
-    def _is_toggle(self, x: State, split: ForceSplit) -> bool:
-        """Whether the rows allow fewer motions a little further on."""
-        away = np.full(len(self._E), _BESIDE)
-        try:
-            q = self.motion.start(x._replace(q=pin.integrate(self.robot.model, x.q, away)))
-            beside = x._replace(q=q)
-            self._balance.place(beside)
-            return self._split(beside, self._balance.rows(beside)[0]).freedom < split.freedom
-        except SolveError:
-            return False
-
-    def _check_closed(self, x: State) -> None:
-        g = np.abs(self._balance.residual(x))
-        if g.size and not g.max() <= ASSEMBLED:
-            row = self.constraints.rows[int(np.argmax(g))].name
-            raise SolveError(
-                f"the motion is not consistent: row {row} is {g.max():.3g} m or rad open; make "
-                "it consistent first"
-            )
-
-    def _check_rates(self, split: ForceSplit, J: Array, drift: Array, x: State, a: Array) -> None:
-        """Raise where velocity or acceleration leaves the rows, toggles apart."""
-        rows = ~self._drives
-        if not rows.any():
-            return
-        rate = self._balance.rate(x)
-        for what, of, fixed in (("velocity", x.v, rate), ("acceleration", a, drift)):
-            off = J[rows].dot(of) + fixed[rows]
-            terms = np.abs(J[rows]).dot(np.abs(of)) + np.abs(fixed[rows])
-            if not split.violation(off, terms) <= _OFF:
-                worst = int(np.argmax(np.abs(off)))
-                row = np.array(self.constraints.rows, dtype=np.object_)[rows][worst]
-                raise SolveError(
-                    f"the motion is not consistent: its {what} leaves row {row[0]} at "
-                    f"{abs(off[worst]):.3g}; make it consistent first"
-                )
-
-    def _undetermined(self, split: ForceSplit) -> tuple[str, ...]:
-        if not split.null_space:
-            return ()
-        pairs = zip(self._labels, np.concatenate(split.undetermined()), strict=True)
-        return tuple(label for label, takes_part in pairs if takes_part)
-
-    def _unreachable(self, found: Split, scale: float, x: State) -> str:
-        movers = self._movers(found.left[:, None], x)
-        by = ", ".join(label.rpartition(".")[0] for label in self._labels[: self._E.shape[1]])
-        return (
-            f"the actuators ({by or 'none'}) cannot produce this motion: "
-            f"{found.share / scale:.2g} of the forces at work are without an actuator, along "
-            f"{', '.join(movers)}; these need an actuator, or the motion better derivatives"
+    def _torques(self, problem: _Problem, found: Split, r: Array) -> Torques:
+        split, asked, na = problem.split, problem.asked, len(self.efforts.names)
+        y = np.concatenate((found.efforts, found.multipliers))
+        tau, multipliers = np.split(self._unknowns.filled(problem.known, asked, y), [na])
+        basis = self._unknowns.basis(asked, split.null_basis())
+        labels = self._undetermined(split, asked)
+        return Torques(
+            *(tau, multipliers, split.rank, r, split.null_space, labels, split.condition, basis)
         )
 
-    def _movers(self, directions: Array, x: State) -> tuple[str, ...]:
-        """Joints that carry most of some motions, one a column, by kinetic energy.
+    def _split(self, x: State, J: Array, asked: Mask) -> ForceSplit:
+        E, rows = self._columns(x, J)
+        n = self._unknowns.efforts
+        return ForceSplit(self.motion.metric(x.q), E, rows[asked[n:]], self._usual[asked])
 
-        Equal ones stand in the order of the robot, independent of rounding.
-        """
-        inertia = np.sqrt(self.motion.metric(x.q).diagonal())
-        share: Any = inertia * np.linalg.norm(directions, axis=1)
-        share = np.round(share / max(share.max(), TINY), _DIGITS)
-        order = np.argsort(-share, kind="stable")
-        chosen = [int(i) for i in order if share[i] > _NAMED * share.max() > 0.0]
-        names = dict.fromkeys(self._names.get(i, "the floating base") for i in chosen)
-        return tuple(names)[:_SHOWN]
+    def _columns(self, x: State, J: Array) -> tuple[Array, Array]:
+        """Forces of one unit of cost of every effort, one a column, and the other rows."""
+        E = np.concatenate((self._balance.columns(x), J[self._drives].T), axis=1)
+        return E / self._unknowns.weight[: self._unknowns.efforts], J[~self._drives]
+
+    def _metric_and_columns(self, q: Array) -> tuple[Array, Array]:
+        """M and the columns of all unknowns at rest, (nv, nv) and (nv, n)."""
+        x = State(0.0, q, np.zeros(int(self.robot.model.nv)))
+        self._balance.place(x)
+        E, rows = self._columns(x, self._balance.rows(x)[0])
+        return self.motion.metric(q), np.concatenate((E, rows.T), axis=1)
+
+    def _undetermined(self, split: ForceSplit, asked: Mask) -> tuple[str, ...]:
+        return self._unknowns.named(asked, split.undetermined()) if split.null_space else ()
+
+    def _unreachable(self, found: Split, problem: _Problem, x: State) -> str:
+        names = movers(self.robot, found.left[:, None], self.motion.metric(x.q))
+        labels = self._unknowns.labels[: self._unknowns.efforts]
+        by = ", ".join(label.rpartition(".")[0] for label in labels)
+        toggle = "; the mechanism is at a toggle" if self._is_at_toggle(x, problem) else ""
+        return (
+            f"the actuators ({by or 'none'}) cannot produce this motion: "
+            f"{found.share / problem.scale:.2g} of the forces at work are without an actuator, "
+            f"along {', '.join(names)}; these need an actuator, or the motion better derivatives"
+            f"{toggle}"
+        )
+
+    def _is_at_toggle(self, x: State, problem: _Problem) -> bool:
+        """Whether neighbours on the constraints have fewer motions."""
+        for motion in problem.split.motions().T:
+            away = _ASIDE / np.abs(motion).max() * motion
+            q = pin.integrate(self.robot.model, x.q, away)
+            try:
+                beside = State(x.t, self.motion.start(x._replace(q=q)), 0.0 * x.v)
+            except SolveError:
+                continue
+            self._balance.place(beside)
+            split = self._split(beside, self._balance.rows(beside)[0], problem.asked)
+            if split.freedom < problem.split.freedom:
+                return True
+        return False

@@ -7,7 +7,7 @@ Z' E e = Z' b. Source: Y. Nakamura, M. Ghodoussi, IEEE Trans. Robotics and Autom
 294, doi:10.1109/70.34765; there with Z from the derivative of the joint positions.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,13 +49,13 @@ class ForceSplit:
         M: Mass matrix, shape (nv, nv).
         E: Force of every effort, one a column, shape (nv, ne).
         J: Rows, shape (m, nv).
-        usual: Usual norm of each column of E and J'; it separates a column that vanishes at a
-            toggle from one that is small everywhere. Without it, the norms of these matrices.
+        usual: Usual norm of each column of E and J', shape (ne + m,); it separates a column that
+            vanishes at a toggle from one that is small everywhere.
 
     Attributes:
-        size: Norm of each column, at least the usual one, shape (ne + m,).
         freedom: Motions that the rows allow.
         driven: How many of them the efforts reach.
+        rank: How many independent forces efforts and multipliers exert together.
         null_space: Dimension of the (e, lam) that exert nothing together.
         condition: Largest ratio of singular values; beyond 1e6 the result is unreliable.
 
@@ -63,14 +63,13 @@ class ForceSplit:
         SolveError: The mass matrix is singular or not finite.
     """
 
-    def __init__(self, M: Array, E: Array, J: Array, usual: Array | None = None) -> None:
+    def __init__(self, M: Array, E: Array, J: Array, usual: Array) -> None:
         self._E, self._J, n = E, J, E.shape[1]
         try:
             self._L = np.linalg.cholesky(M)
             columns = np.linalg.solve(self._L, np.concatenate((E, J.T), axis=1))
-            norm = np.sqrt(np.einsum("ij,ij->j", columns, columns))
-            self.size = norm if usual is None else np.maximum(norm, usual)
-            scale = 1.0 / np.where(self.size > 0.0, self.size, 1.0)
+            self._size = np.maximum(np.sqrt(np.einsum("ij,ij->j", columns, columns)), usual)
+            scale = 1.0 / np.where(self._size > 0.0, self._size, 1.0)
             columns *= scale
             self._rows = _Inverse(columns[:, n:], scale[n:])
             self._Z = self._rows.outside
@@ -78,14 +77,18 @@ class ForceSplit:
         except np.linalg.LinAlgError as error:
             raise SolveError("the mass matrix or the rows are singular or not finite") from error
         self.freedom, self.driven = self._Z.shape[1], self._efforts.rank
-        self.null_space = n - self.driven + len(J) - self._rows.rank
+        self.rank = self.driven + self._rows.rank
+        self.null_space = n + len(J) - self.rank
         self.condition = max(self._rows.condition, self._efforts.condition)
 
     def solve(self, b: Array) -> Split:
         """Efforts and multipliers of a force on all joints, shape (nv,)."""
         e, lam = self._solve(b)
         more_e, more_lam = self._solve(b - self._E.dot(e) - self._J.T.dot(lam))
-        e, lam = e + more_e, lam + more_lam
+        return self.left(b, e + more_e, lam + more_lam)
+
+    def left(self, b: Array, e: Array, lam: Array) -> Split:
+        """What efforts and multipliers leave of a force on all joints, shape (nv,)."""
         left = np.linalg.solve(self._L, b - self._E.dot(e) - self._J.T.dot(lam))
         share = float(np.linalg.norm(left))
         return Split(e, lam, np.linalg.solve(self._L.T, left), share)
@@ -94,18 +97,57 @@ class ForceSplit:
         """Size of a force on all joints in the metric of `Split.share`."""
         return float(np.linalg.norm(np.linalg.solve(self._L, b)))
 
-    def undetermined(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Efforts and multipliers that take part in the null space, (ne,) and (m,)."""
-        efforts = self._efforts.null
-        forced = np.linalg.solve(self._L, self._E.dot(efforts))
-        rows = np.concatenate((self._rows.solve(forced), self._rows.null), axis=1)
-        n = len(efforts)
-        shares = (
-            np.linalg.norm(x * size[:, None], axis=1)
-            for x, size in ((efforts, self.size[:n]), (rows, self.size[n:]))
-        )
-        of_efforts, of_rows = (share > _TAKES_PART for share in shares)
-        return of_efforts, of_rows
+    def null_basis(self) -> Array:
+        """Efforts above multipliers that together exert nothing, shape (ne + m, null_space)."""
+        efforts, size = self._efforts.null, len(self._size)
+        if not self.null_space:
+            return np.zeros((size, 0))
+        held = -self._rows.solve(np.linalg.solve(self._L, self._E.dot(efforts)))
+        idle = np.zeros((len(efforts), self._rows.null.shape[1]))
+        return np.block([[efforts, idle], [held, self._rows.null]])
+
+    def out_of_reach(self, b: Array, R: Array) -> Array:
+        """Smallest forces along R that bring b into the reach of the efforts, shape (k,).
+
+        Smallest in the metric M^-1: moments of a base and its forces count as what they do.
+
+        Args:
+            b: Force on all joints, shape (nv,).
+            R: Independent forces, one a column, shape (nv, k).
+        """
+        Q, T = self._normalised(R)
+        beyond = self._efforts.outside.T.dot(self._Z.T)
+        lacking = beyond.dot(np.linalg.solve(self._L, b))
+        shortest: Any = np.linalg.lstsq(beyond.dot(Q), lacking, rcond=SINGULAR)[0]
+        forces: Array = np.linalg.solve(T, shortest)
+        return forces
+
+    def beside(self, R: Array) -> tuple["ForceSplit", Array]:
+        """A split with forces along R before the efforts, and the T of r = T^-1 (their values).
+
+        The values have the norm of r in the metric M^-1.
+
+        Args:
+            R: Independent forces, one a column, shape (nv, k).
+        """
+        T = self._normalised(R)[1]
+        E = np.concatenate((np.linalg.solve(T.T, R.T).T, self._E), axis=1)
+        size = np.concatenate((np.ones(len(T)), self._size))
+        return ForceSplit(self._L.dot(self._L.T), E, self._J, size), T
+
+    def _normalised(self, R: Array) -> tuple[Array, Array]:
+        """Q and T with L^-1 R = Q T."""
+        Q, T = np.linalg.qr(np.linalg.solve(self._L, R))
+        return Q, T
+
+    def undetermined(self) -> NDArray[np.bool_]:
+        """Which efforts, then multipliers, take part in the null space, shape (ne + m,)."""
+        share = np.linalg.norm(self.null_basis() * self._size[:, None], axis=1)
+        return share > _TAKES_PART
+
+    def motions(self) -> Array:
+        """Motions that the rows allow, Z' M Z = 1, one a column."""
+        return np.linalg.solve(self._L.T, self._Z)
 
     def undriven(self) -> Array:
         """Motions that the rows allow and no effort reaches, Z' M Z = 1, one a column."""

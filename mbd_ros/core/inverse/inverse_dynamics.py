@@ -12,11 +12,11 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.dynamics.body_loads import BodyLoads
-from mbd_ros.core.dynamics.external_wrench import ExternalWrench
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.couplings import Couplings, Slopes
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Load
 from mbd_ros.core.state import NONE, Array, State
 
@@ -58,11 +58,9 @@ class InverseDynamics:
         needed: Joints that must be measured: the independent ones.
         moved: 0, since there are no loops; see `SampleSolver`.
         gap: Zeros, shape (n_d,).
-        memory: Empty: a sample does not depend on those before it.
     """
 
     moved = 0.0
-    memory: tuple[Any, ...] = ()
 
     def __init__(
         self,
@@ -83,11 +81,10 @@ class InverseDynamics:
         self._zero = np.zeros(robot.model.nv)
         self._slopes: Slopes = [0.0] * len(couplings.dependent)
         self._no_multipliers = np.empty(0)
-        self._is_free = not couplings.dependent and not wrenches and not forces
+        self._rank = len(couplings.v_index) + len(couplings.dependent)
+        self._base = np.flatnonzero(np.isin(couplings.v_index, robot.base_v))
+        self._is_free = not (couplings.dependent or wrenches or forces or len(self._base))
         self._loads = BodyLoads(robot, self.wrenches)
-
-    def reset(self) -> None:
-        """Nothing: no sample is remembered."""
 
     def solve(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
@@ -95,9 +92,9 @@ class InverseDynamics:
         """Torques of one sample, fresh arrays; see `SampleSolver.solve`."""
         if self._is_free and len(wrenches) == 0:
             tau = pin.rnea(self._model, self._data, position, velocity, acceleration)
-            return Torques(tau, self._no_multipliers)
+            return Torques(tau, self._no_multipliers, self._rank)
         self._expand(position, velocity, acceleration)
-        return Torques(*self.couplings.reduce(self._full(wrenches), self._slopes))
+        return self._torques(*self.couplings.reduce(self._full(wrenches), self._slopes))
 
     def components(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
@@ -138,16 +135,24 @@ class InverseDynamics:
             solved = [self.solve(z, v, a, loads) for z, v, a, *loads in rows]
             n, dependent = len(solved), len(self.couplings.dependent)
             tau = np.array([s.tau for s in solved]).reshape(n, velocity.shape[1])
-            return Torques(tau, np.array([s.multipliers for s in solved]).reshape(n, dependent))
+            multipliers = np.array([s.multipliers for s in solved]).reshape(n, dependent)
+            return self._torques(tau, multipliers)
         chunks, pool = range(0, max(len(position), 1), _CHUNK), pin.ModelPool(self._model, 1)
-        solved = [
+        chunked = [
             self._chunk(pool, *(x[i : i + _CHUNK] for x in (position, velocity, acceleration)))
             for i in chunks
         ]
-        tau, multipliers = (np.concatenate([s[i] for s in solved]) for i in (0, 1))
-        return Torques(tau, multipliers)
+        tau, multipliers = (np.concatenate(each) for each in zip(*chunked, strict=True))
+        return self._torques(tau, multipliers)
 
-    def _chunk(self, pool: Any, position: Array, velocity: Array, acceleration: Array) -> Torques:
+    def _torques(self, tau: Array, multipliers: Array) -> Torques:
+        """The result; of a free base it needs all, since nothing carries it."""
+        residual = tau[..., self._base] if len(self._base) else NONE
+        return Torques(tau, multipliers, self._rank, residual)
+
+    def _chunk(
+        self, pool: Any, position: Array, velocity: Array, acceleration: Array
+    ) -> tuple[Array, Array]:
         """Unloaded torques of so many samples that they stay in the cache."""
         n, couplings = len(position), self.couplings
         nq, nv = self._model.nq, self._model.nv
@@ -158,7 +163,7 @@ class InverseDynamics:
         tau = np.empty((nv, n), order="F")
         pin.rneaInParallel(1, pool, *map(np.asfortranarray, (q, v, a)), tau)
         reduced, multipliers = couplings.reduce(tau, slopes)
-        return Torques(reduced.T, multipliers.T)
+        return reduced.T, multipliers.T
 
     def _expand(self, position: Array, velocity: Array, acceleration: Array) -> None:
         couplings = self.couplings

@@ -5,18 +5,23 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.body_loads import BodyLoads
-from mbd_ros.core.dynamics.external_wrench import ExternalWrench
+from mbd_ros.core.inverse.efforts import Efforts
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Constraint, Load
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.coupling_rows import CouplingRows
-from mbd_ros.core.rows.row_layout import RowLayout
+from mbd_ros.core.rows.row_layout import RowBlock, RowLayout
 from mbd_ros.core.state import NONE, Array, State
+from mbd_ros.errors import ModelError
+
+_HOLDS = 1.0e-6  # of the terms that cancel in w where a row holds, and of 1 m/s^2 or rad/s^2
 
 
 class Terms(NamedTuple):
@@ -42,13 +47,19 @@ class LoopBalance:
     Args:
         robot: The robot.
         couplings: Its dependent joints; they become rows.
-        constraints: Constraints of the scene. Bounded ones are left out, limited drives apart.
+        constraints: Constraints of the scene.
+        efforts: The unknown inputs.
+        with_bounds: Whether rows that give way are among the unknowns; drives always are.
         wrenches: External loads.
         forces: Force terms.
 
     Attributes:
         constraints: The rows: couplings, then constraints in the order of the scene.
         is_drive: Which rows are drives, shape (m,).
+        is_held: Which rows the motion must keep, shape (m,).
+
+    Raises:
+        ModelError: A law of multipliers that has no bounds in numbers.
     """
 
     def __init__(
@@ -56,34 +67,58 @@ class LoopBalance:
         robot: Robot,
         couplings: Couplings,
         constraints: Sequence[Constraint],
+        efforts: Efforts,
         wrenches: Sequence[ExternalWrench] = (),
         forces: Sequence[Load] = (),
+        *,
+        with_bounds: bool = False,
     ) -> None:
         coupled: list[Constraint] = [CouplingRows(robot, couplings)] if couplings.dependent else []
         layout = RowLayout([*coupled, *constraints])
-        known = layout.having(Kind.BILATERAL, Kind.DRIVE)
+        known = layout.blocks if with_bounds else layout.having(Kind.BILATERAL, Kind.DRIVE)
+        _check_bounds(known)
         self.constraints = ConstraintRows(known, robot.model.nv)
-        drives = [
-            np.full(len(part.rows), part.law.kind is Kind.DRIVE) for part in self.constraints.parts
-        ]
-        self.is_drive = np.concatenate([np.zeros(0, dtype=np.bool_), *drives])
+        self.is_drive = _of_kind(self.constraints, Kind.DRIVE)
+        self.is_held = _of_kind(self.constraints, Kind.BILATERAL)
+        self._gives_way = ~(self.is_drive | self.is_held)
         self._model, self._data = robot.model, pin.Data(robot.model)
         self._forces, self._loads = tuple(forces), BodyLoads(robot, wrenches)
         self._k = Kinematics(robot, self._data)
-        read = (force.reads for force in forces)
+        read = (efforts.reads, *(force.reads for force in forces))
         self._reads = max(self.constraints.reads, *read, Reads.POSITION)  # wrenches read positions
+        self._columns = efforts.columns
 
     def place(self, x: State) -> None:
         """Bring placements, velocities and joint Jacobians to a state."""
         self._k.refresh(x.q, x.v, self._reads)
 
+    def columns(self, x: State) -> Array:
+        """B of the efforts, shape (nv, na)."""
+        return self._columns(self._k, x)
+
     def rows(self, x: State) -> tuple[Array, Array]:
         """J and drift of all rows, (m, nv) and (m,), overwritten by the next call."""
         return self.constraints.accelerations(self._k, x)
 
+    def shown(self, x: State, a: Array) -> Array:
+        """Multipliers that the motion shows, NaN where it does not, shape (m,).
+
+        A row that gives way holds w = g'' + kd g' + kp g = 0 inside its bounds; where w > 0 its
+        multiplier is at the lower one, where w < 0 at the upper one. So does an open stop exert
+        nothing, and friction that slips all it can.
+        """
+        lam = np.full(len(self._gives_way), np.nan)
+        if not self._gives_way.any():
+            return lam
+        J, b = self.constraints.conditions(self._k, x)
+        w, terms = J.dot(a) + b, np.abs(J).dot(np.abs(a)) + np.abs(b)
+        off = self._gives_way & (np.abs(w) > _HOLDS * (1.0 + terms))
+        bound = np.where(w > 0.0, self.constraints.lower, self.constraints.upper)
+        return np.where(off & np.isfinite(bound), bound, lam)
+
     def residual(self, x: State) -> Array:
-        """Residual g of all rows, shape (m,); that of a drive is zero."""
-        return np.where(self.is_drive, 0.0, self.constraints.residual(self._k, x))
+        """Residual g of all rows, shape (m,); zero where the motion need not keep them."""
+        return np.where(self.is_held, self.constraints.residual(self._k, x), 0.0)
 
     def rate(self, x: State) -> Array:
         """What time alone changes in g of all rows, shape (m,)."""
@@ -100,3 +135,18 @@ class LoopBalance:
         bias = pin.nonLinearEffects(model, data, x.q, x.v)
         inertial = pin.rnea(model, data, x.q, x.v, a) - bias
         return Terms(inertial, bias, loads + inertial + bias - loaded)
+
+
+def _of_kind(constraints: ConstraintRows, kind: Kind) -> NDArray[np.bool_]:
+    """Which rows have a law of that kind, shape (m,)."""
+    blocks = [np.full(len(block.rows), block.law.kind is kind) for block in constraints.blocks]
+    return np.concatenate([np.zeros(0, dtype=np.bool_), *blocks])
+
+
+def _check_bounds(blocks: Sequence[RowBlock]) -> None:
+    for block in blocks:
+        if block.law.kind is Kind.CONE or block.slips:
+            raise ModelError(
+                f"row {block.rows[0].name}: inverse dynamics takes neither cones nor rows that "
+                "slip; accepted laws: bilateral, box, unilateral, drive"
+            )

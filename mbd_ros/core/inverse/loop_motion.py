@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,21 @@ _LITTLE = 1.0e-3  # of the largest moment of inertia
 Mask = NDArray[np.bool_]
 
 
+class Completed(NamedTuple):
+    """A motion whose loops have given the joints that nobody measured.
+
+    Attributes:
+        x: State of all joints.
+        a: Their acceleration, shape (nv,).
+        condition: Condition number of the rows; where it is large the loop folds, and the
+            measured joints no longer tell its two branches apart.
+    """
+
+    x: State
+    a: Array
+    condition: float
+
+
 class LoopMotion:
     """Nearest consistent motion in the mass metric, and joints that nobody measures.
 
@@ -39,10 +54,6 @@ class LoopMotion:
         robot: The robot.
         couplings: Its dependent joints, as rows.
         constraints: Bilateral constraints of the scene; drives among them are left out.
-
-    Attributes:
-        condition: Condition number of the last `complete`; where it is large the loop folds, and
-            the measured joints no longer tell its two branches apart.
     """
 
     def __init__(
@@ -55,7 +66,6 @@ class LoopMotion:
         self._v = np.array([joint.v for joint in robot.joints], dtype=np.intp)
         sizes = self._system.sizes
         self._usual = np.zeros(0) if sizes is None else np.sqrt(sizes.mobility)
-        self.condition = 1.0
 
     def metric(self, q: Array) -> Array:
         """Mass matrix with which distances are measured, shape (nv, nv)."""
@@ -80,7 +90,7 @@ class LoopMotion:
         x = State(x.t, q, v)
         return x, a - _shortest(J, L, size, J.dot(a) + self._drift(x))
 
-    def complete(self, before: Array, x: State, a: Array, measured: Mask) -> tuple[State, Array]:
+    def complete(self, before: Array, x: State, a: Array, measured: Mask) -> Completed:
         """A state whose other joints close the loops, on the branch of an earlier one.
 
         The measured joints move from their earlier to their present positions in steps that are
@@ -93,8 +103,8 @@ class LoopMotion:
             measured: Velocity coordinates that are measured, shape (nv,).
 
         Returns:
-            State and acceleration with the other joints filled in: NaN where they follow from
-            measured rates that are NaN.
+            The motion with the other joints filled in: NaN where they follow from measured rates
+            that are NaN.
         """
         free, system = np.flatnonzero(~measured), self._system
         kept = measured[self._v]
@@ -105,12 +115,12 @@ class LoopMotion:
             q[self._q[kept]] = start + (end - start) * (i / strides)
             q = self._closed(x.t, q, free)
         J = system.jacobian(x.t, q)
-        self.condition = float(np.linalg.cond(J[:, free])) if len(free) else 1.0
+        condition = float(np.linalg.cond(J[:, free])) if len(free) else 1.0
         v, a = np.where(measured, x.v, 0.0), np.where(measured, a, 0.0)
         v[free] = -_least(J[:, free], J.dot(v) + system.rate(x.t, q))
         x = State(x.t, q, v)
         a[free] = -_least(J[:, free], J.dot(a) + self._drift(x))
-        return x, a
+        return Completed(x, a, condition)
 
     def undetermined(self, x: State, measured: Mask) -> tuple[str, ...]:
         """Joints that are not measured and that no row ties to those that are.

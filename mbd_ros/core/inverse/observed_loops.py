@@ -26,8 +26,8 @@ class ObservedLoops:
         needed: Joints that must be measured: none, as long as the loops tie them to others.
         rows: Names of the multipliers: the dependent joints, then the rows of the constraints.
         moved: How far a joint of the last sample was moved onto the constraints [rad or m].
-        gap: Residual of every row at the last sample as measured, shape (m,); 0 for drives and
-            for couplings, whose violation stands elsewhere.
+        gap: Residual of every row at the last sample as measured, shape (m,); 0 for couplings,
+            whose violation stands elsewhere, and where the motion need not keep a row.
     """
 
     def __init__(self, inverse: ClosedLoopInverseDynamics) -> None:
@@ -39,25 +39,11 @@ class ObservedLoops:
         self.rows = tuple(row.name for row in constraints.rows)
         self.gap = np.zeros(len(self.rows))
         self._k = Kinematics(inverse.robot)
-        self._is_driven = np.zeros(len(self.rows), dtype=np.bool_)
+        self._is_kept = np.zeros(len(self.rows), dtype=np.bool_)
         for part, mine in zip(constraints.parts, constraints.slices, strict=True):
-            self._is_driven[mine] = part.law.kind is Kind.DRIVE
-        self._v = [inverse.robot.joint(name).v for name in inverse.actuated]
+            self._is_kept[mine] = part.law.kind is Kind.BILATERAL
+        self._base = inverse.robot.base_v
         self.needed: tuple[str, ...] = ()
-        self._begin = self.memory
-
-    @property
-    def memory(self) -> Array:
-        """State on which the next sample depends; may be set, to its value before a sample."""
-        return self.configuration
-
-    @memory.setter
-    def memory(self, memory: Array) -> None:
-        self.configuration = memory
-
-    def reset(self) -> None:
-        """Forget all samples."""
-        self.memory = self._begin
 
     def measured(
         self, t: float, position: Array, velocity: Array, acceleration: Array
@@ -71,7 +57,7 @@ class ObservedLoops:
             acceleration: [rad/s^2 or m/s^2], shape (nv_z,).
         """
         couplings, nv = self.couplings, int(self._model.nv)
-        q, v, a = self.configuration.copy(), np.zeros(nv), np.zeros(nv)
+        q, v, a = np.empty(int(self._model.nq)), np.zeros(nv), np.zeros(nv)
         q[couplings.q_index] = position
         v[couplings.v_index], a[couplings.v_index] = velocity, acceleration
         couplings.expand(q, v, a, self._slopes)
@@ -101,12 +87,15 @@ class ObservedLoops:
         self.configuration = x.q
         self.moved = float(np.abs(pin.difference(self._model, measured.q, x.q)).max(initial=0.0))
         found = self.inverse.solve(x, a, wrenches)
-        tau = np.zeros(len(a))
-        tau[self._v] = found.tau
+        B, n = self.inverse.columns(x), len(found.tau)
+        tau = B.dot(found.tau)
+        tau[self._base] = found.residual
         reduced, _ = self.couplings.reduce(tau, self._slopes)
-        return found._replace(tau=reduced)
+        nothing, _ = self.couplings.reduce(B.dot(found.null_basis[:n]), self._slopes)
+        basis = np.concatenate((nothing, found.null_basis[n:]))
+        return found._replace(tau=reduced, null_basis=basis)
 
     def _residual(self, x: State) -> Array:
         self._k.refresh(x.q, x.v, Reads.POSITION)
         gap = self.inverse.constraints.residual(self._k, x)
-        return np.where(self._is_driven, 0.0, gap)
+        return np.where(self._is_kept, gap, 0.0)

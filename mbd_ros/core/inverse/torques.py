@@ -1,10 +1,15 @@
 """Results of inverse dynamics, and the solvers that are asked sample by sample."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
+
+import numpy as np
 
 from mbd_ros.core.model.couplings import Couplings
-from mbd_ros.core.state import Array
+from mbd_ros.core.state import NONE, Array
+
+NO_BASIS: Array = np.zeros((0, 0))
+NO_BASIS.setflags(write=False)
 
 
 class Torques(NamedTuple):
@@ -12,23 +17,32 @@ class Torques(NamedTuple):
 
     Attributes:
         tau: Force of every independent coordinate [N·m or N], shape (nv_z,) or (n, nv_z); of
-            `ClosedLoopInverseDynamics` the effort of every actuated joint, shape (na,).
+            `ClosedLoopInverseDynamics` the inputs of its `efforts`, shape (na,).
         multipliers: Force of the tendon, cam or gear of every dependent joint on that joint
             [N·m for a revolute joint, N for a prismatic one], shape (n_d,) or (n, n_d). Positive
             pushes the joint in its positive direction. On its parent the coupling exerts -f' times
             as much. With loops one a row of the constraints; that of a drive is its effort.
-        null_space: Dimension of the efforts and multipliers that together exert nothing; 0
-            without loops.
+        rank: How many independent forces efforts and multipliers exert together.
+        residual: What a free base would need beside them, since nothing carries it: force [N],
+            then moment [N·m] on it, in its axes, shape (6,) or (n, 6); six for each free base, 0
+            where something carries it; size 0 without a free base.
+        null_space: Dimension of the efforts and multipliers that together exert nothing, bounds
+            left aside; 0 without loops.
         undetermined: `<joint>.effort` and `<row>.multiplier` that take part in it.
         condition: Beyond 1e6 the mechanism is near a toggle and the result unreliable; 1
             without loops.
+        null_basis: Entries of tau, then of multipliers, that together exert nothing, one
+            combination a column, shape (.., null_space); size 0 without loops.
     """
 
     tau: Array
     multipliers: Array
+    rank: int
+    residual: Array = NONE
     null_space: int = 0
     undetermined: tuple[str, ...] = ()
     condition: float = 1.0
+    null_basis: Array = NO_BASIS
 
 
 class SampleSolver(Protocol):
@@ -42,7 +56,6 @@ class SampleSolver(Protocol):
         moved: Largest move of a joint of the last sample onto the constraints [rad or m].
         gap: Residual of every row at the last sample as measured, shape (m,); 0 for drives and
             for couplings.
-        memory: State on which the next sample depends; may be set, to its value before a sample.
     """
 
     couplings: Couplings
@@ -51,15 +64,6 @@ class SampleSolver(Protocol):
     needed: tuple[str, ...]
     moved: float
     gap: Array
-
-    @property
-    def memory(self) -> tuple[Any, ...]: ...  # noqa: D102
-
-    @memory.setter
-    def memory(self, memory: tuple[Any, ...]) -> None: ...
-
-    def reset(self) -> None:
-        """Forget all samples."""
 
     def solve(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()

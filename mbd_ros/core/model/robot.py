@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from mbd_ros.core.model.points import Pair, Place, Places, Point, rotation_matrix
 from mbd_ros.core.state import Array
@@ -123,6 +124,12 @@ class Robot:
     def source(self) -> str:
         """File or topic of the description."""
         return self.recipe.source
+
+    @property
+    def base_v(self) -> NDArray[np.intp]:
+        """Where the velocities of free bases stand in v, six each: all that no joint has."""
+        of_joints = np.array([joint.v for joint in self.joints], dtype=np.intp)
+        return np.setdiff1d(np.arange(int(self.model.nv), dtype=np.intp), of_joints)
 
     def joint(self, name: str) -> Joint:
         """Joint of that topic name.

@@ -29,6 +29,7 @@ class Batch(NamedTuple):
         half_width: Samples on either side of a local zero-phase fit; None without one.
         topic: JointState topic of bags.
         parts: Also write the torques by cause.
+        bounds: Keep the bounds of efforts and multipliers.
         scheduler: Of a Dask cluster; None for processes of this machine.
         workers: How many processes; None for one a core.
     """
@@ -42,6 +43,7 @@ class Batch(NamedTuple):
     half_width: int | None
     topic: str
     parts: bool
+    bounds: bool
     scheduler: str | None
     workers: int | None
 
@@ -112,7 +114,7 @@ def one(argument: Mapping[str, Any]) -> tuple[list[str], str]:
 def _inverse(batch: Batch, say: Say) -> None:
     derivatives = Derivatives(batch.derivatives, batch.cutoff, batch.half_width)
     (motion,) = batch.motions
-    asked = Task(motion, derivatives, batch.wrenches, batch.topic, batch.parts)
+    asked = Task(motion, derivatives, batch.wrenches, batch.topic, batch.parts, batch.bounds)
     inverse_to(load_scene(batch.scene), asked, batch.out, say)
 
 

@@ -37,6 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="also gravity, coriolis, inertial, ..; refused for scenes with loops",
     )
     parser.add_argument(
+        "--bounds",
+        action="store_true",
+        help="efforts within the limits of actuators, stops and friction within their laws",
+    )
+    parser.add_argument(
         "--topic",
         default="/joint_states",
         help="JointState topic of a bag (default: %(default)s)",

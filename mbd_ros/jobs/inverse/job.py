@@ -44,6 +44,7 @@ class Task(NamedTuple):
         topic: JointState topic of a bag.
         parts: Also give the torques by cause; not for scenes with loops, where a cause alone may
             be out of reach of the actuators.
+        bounds: Keep the bounds of efforts and multipliers.
     """
 
     motion: Source
@@ -51,6 +52,7 @@ class Task(NamedTuple):
     wrenches: Source | None = None
     topic: str = "/joint_states"
     parts: bool = False
+    bounds: bool = False
 
 
 def inverse(
@@ -63,6 +65,7 @@ def inverse(
     wrenches: Source | None = None,
     topic: str = "/joint_states",
     parts: bool = False,
+    bounds: bool = False,
     say: Say | None = None,
     progress: Watch = False,
 ) -> Result:
@@ -77,6 +80,8 @@ def inverse(
         wrenches: Result, file or bag of the external loads; a bag motion carries its own.
         topic: JointState topic of a bag.
         parts: Also give the torque components (gravity, coriolis, inertial, external).
+        bounds: Efforts keep the limits of their actuators; stops, dry friction and limited
+            drives are unknowns that keep their law, not parts of the efforts.
         say: Is called with each line for people; without it the lines are
             `metadata["remarks"]`.
         progress: True for a line on a terminal, or a function of a label and a share.
@@ -94,7 +99,7 @@ def inverse(
     chosen = Derivatives(derivatives, cutoff, half_width)
     remarks: list[str] = []
     with watching(progress):
-        task = Task(motion, chosen, wrenches, topic, parts)
+        task = Task(motion, chosen, wrenches, topic, parts, bounds)
         result = run_inverse(scene, task, say or remarks.append)
     if say is None:
         result.metadata["remarks"] = remarks
@@ -123,9 +128,9 @@ def inverse_to(scene: Scene, task: Task, out: Path, say: Say) -> None:
 
 def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     """See `inverse`."""
-    way = loops if scene.has_loops else open_chains
+    way = loops if scene.has_loops or task.bounds else open_chains
     if task.parts and not way.HAS_CAUSES:
-        raise DataError(f"{scene.name}: --parts goes with scenes without loops only")
+        raise DataError(f"{scene.name}: --parts goes with scenes without loops and --bounds only")
     if scene.robot.floating:
         raise DataError(f"{scene.name}: robot.base: files carry no pose of a floating base")
     where = name_of(task.motion)
@@ -133,7 +138,8 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
         say(f"warning: {text}")
     observed = _observed(scene, task, say)
     samples, wrenches = observed.samples, observed.wrenches
-    columns, remarks = way.solve(scene, where, samples, wrenches, task.parts)
+    asked = task.bounds if way is loops else task.parts
+    columns, remarks = way.solve(scene, where, samples, wrenches, asked)
     table = Table([*time_columns(observed.stamps), *columns])
     _check_finite(where, table)
     with about(where), np.errstate(over="ignore", invalid="ignore"):
@@ -213,7 +219,8 @@ def _inputs(task: Task) -> dict[str, object]:
     """What the metadata of the result says."""
     source, cutoff, half_width = task.derivatives
     asked = {"motion": task.motion, "wrenches": task.wrenches, "derivatives": source}
-    return {**asked, "cutoff": cutoff, "half_width": half_width, "parts": task.parts}
+    filters = {"cutoff": cutoff, "half_width": half_width}
+    return {**asked, **filters, "parts": task.parts, "bounds": task.bounds}
 
 
 def _topics(topics: Mapping[str, object], task: Task) -> dict[str, object]:

@@ -70,7 +70,7 @@ def solve(
     where: str,
     samples: Sequence[Observation],
     wrenches: Sequence[Array],
-    with_parts: bool,
+    with_bounds: bool,
 ) -> tuple[list[Column], list[str]]:
     """Efforts and multipliers of observations.
 
@@ -79,7 +79,7 @@ def solve(
         where: Source of the motion, for the messages.
         samples: The observations.
         wrenches: One (n, 6) array for every load of the scene.
-        with_parts: False: a cause alone may be out of reach of the actuators.
+        with_bounds: Whether efforts and multipliers keep their bounds.
 
     Returns:
         Columns of all joints, of the efforts and of the multipliers, and remarks.
@@ -88,7 +88,7 @@ def solve(
         SolveError: The mechanism cannot be assembled, or the actuators cannot produce the motion;
             names the time.
     """
-    observed = scene.inverse_dynamics()
+    observed = scene.inverse_dynamics(with_bounds=with_bounds)
     inverse, solved, states, off = observed.inverse, [], [], []
     for i, sample in enumerate(progress(samples, len(samples), "solving")):
         t = sample.stamp * NANOSECOND
@@ -107,7 +107,7 @@ def solve(
     at_q, at_v = [joint.q for joint in joints], [joint.v for joint in joints]
     effort = np.array([each.tau for each in solved])
     multipliers = np.array([each.multipliers for each in solved])
-    driven = [scene.robot.joint(name) for name in inverse.actuated]
+    driven = [scene.robot.joint(name) for name in inverse.efforts.names]
     columns = [
         *joint_columns(joints, "position", q[:, at_q]),
         *joint_columns(joints, "velocity", v[:, at_v]),
@@ -164,11 +164,11 @@ def _completed(
     before, conditions = loops.start(scene.initial), []
     rows = zip(motion.stamps.tolist(), *fields, strict=True)
     for i, (stamp, q, v, a) in enumerate(progress(rows, len(motion.stamps), "closing")):
-        x, a = loops.complete(before, State(stamp * NANOSECOND, q, v), a, measured)
+        x, a, condition = loops.complete(before, State(stamp * NANOSECOND, q, v), a, measured)
         if i == 0:
             _check_tied(where, loops, x, measured)
         before = x.q
-        conditions.append(loops.condition)
+        conditions.append(condition)
         for field, values in zip(fields, (x.q, x.v, a), strict=True):
             field[i] = values
     dependent = motion.position[:, n:]
