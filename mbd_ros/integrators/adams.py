@@ -11,8 +11,9 @@ from mbd_ros.core.integration.linear_motion import LinearMotion, spectral_radius
 from mbd_ros.core.integration.nystrom_stages import new_state
 from mbd_ros.core.integration.runge_kutta import RungeKutta
 from mbd_ros.core.integration.step_length import NEAR, clip
-from mbd_ros.core.integration.stepping import Integrator, Memory, Stepper
+from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.core.integration.tableau import RK4
+from mbd_ros.core.memory import Memory
 from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.errors import ModelError
 

@@ -8,7 +8,8 @@ import numpy as np
 from mbd_ros.core.integration.linearization import Linearization
 from mbd_ros.core.integration.newton import FAILED, SLOW, converge
 from mbd_ros.core.integration.step_length import clip
-from mbd_ros.core.integration.stepping import Integrator, Memory, Stepper
+from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.memory import Memory
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DivergedError, ModelError
 

@@ -6,7 +6,8 @@ from typing import Any
 from mbd_ros.core.integration.constrained_verlet import ConstrainedVerlet, PositionStep
 from mbd_ros.core.integration.newton import refuse_bounded_rows
 from mbd_ros.core.integration.step_length import clip
-from mbd_ros.core.integration.stepping import Integrator, Memory, Stepper
+from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.memory import Memory
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 

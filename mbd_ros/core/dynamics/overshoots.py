@@ -4,10 +4,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.memory import Memory, copied, recognised
 from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.state import Array
 
 _SAID = 1.0e-4  # rad or m; what steps that resolve an impact leave is far below
+_KEPT = ("_first", "_worst", "_limit", "_speed", "_when", "_seen")
 
 
 class Overshoot(NamedTuple):
@@ -63,6 +65,15 @@ class Overshoots:
         self._first = np.maximum(self._outwards(y) - self._ends, 0.0)
         self._speed, self._when = np.zeros((2, len(self._ends)))
         self._worst, self._limit, self._seen = self._first, self._ends + self._first, y
+
+    def memory(self) -> Memory:
+        """What was seen so far, as a value of its own."""
+        return {name: copied(getattr(self, name)) for name in _KEPT}
+
+    def recall(self, memory: Memory, y: Any) -> None:
+        """Go on from a memory; y is the state from which the next step starts."""
+        for name, value in memory.items():
+            setattr(self, name, recognised(copied(value), y))
 
     def look(self, y: Any, y_next: Any) -> None:
         """Look at a step, from one state of the integrated coordinates to the next."""

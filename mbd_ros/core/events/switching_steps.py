@@ -9,6 +9,7 @@ from mbd_ros.core.events.step_events import Event, StepEvents
 from mbd_ros.core.events.surface_modes import mode_on
 from mbd_ros.core.integration.runge_kutta import RungeKutta
 from mbd_ros.core.integration.stepping import Stepper
+from mbd_ros.core.memory import Memory
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 
@@ -30,13 +31,15 @@ class SwitchingSteps(Stepper):
         field: As given; its `times` and `modes` are the history.
     """
 
+    kept = ("_last", "_u", "_event", "_left", "_event_time", "_quick")
+
     def __init__(self, field: SlidingField, inner: RungeKutta, dt: float) -> None:
         self.field, self._inner, self._short = field, inner, _SHORT * dt
         self._events = StepEvents(field, inner)
         self._last: State | None = None
         self._u: Array | None = None
         self._event: Event | None = None
-        self._left: set[int] = set()
+        self._left: frozenset[int] = frozenset()
         self._event_time, self._quick = -math.inf, 0
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
@@ -65,10 +68,23 @@ class SwitchingSteps(Stepper):
         """Forget mode, events and earlier steps."""
         self._inner.restart()
         self._last = self._u = self._event = None
-        self._left = set()
+        self._left = frozenset()
         self._event_time, self._quick = -math.inf, 0
         self.field.times.clear()
         self.field.modes.clear()
+
+    def memory(self) -> Memory:
+        """Mode, events and the last step."""
+        field = self.field
+        modes = field.mode, tuple(field.times), tuple(field.modes)
+        return {**super().memory(), "modes": modes, "inner": self._inner.memory()}
+
+    def recall(self, memory: Memory, x: State) -> None:
+        """As `Stepper.recall`."""
+        super().recall({name: memory[name] for name in self.kept}, x)
+        self._inner.recall(memory["inner"], x)
+        self.field.mode, times, modes = memory["modes"]
+        self.field.times[:], self.field.modes[:] = times, modes
 
     def continue_from(self, x: State) -> None:
         """Continue in the same mode from a corrected state."""
@@ -122,7 +138,7 @@ class SwitchingSteps(Stepper):
         if not field.modes or field.mode != field.modes[-1]:
             field.times.append(x.t)
             field.modes.append(field.mode)
-        self._left = {i for i, way in ways.items() if way}
+        self._left = frozenset(i for i, way in ways.items() if way)
         self._inner.stages.forget()
 
     def _count(self, t: float) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.newton import FAILED, converge
-from mbd_ros.core.integration.stepping import Memory, copied
+from mbd_ros.core.memory import Memory, copied
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import ASSEMBLED, redundant

@@ -6,8 +6,9 @@ from typing import Any
 from mbd_ros.core.integration.nystrom_stages import NystromStages
 from mbd_ros.core.integration.runge_kutta_stages import Stages
 from mbd_ros.core.integration.step_length import NEAR, clip
-from mbd_ros.core.integration.stepping import Memory, Stepper
+from mbd_ros.core.integration.stepping import Stepper
 from mbd_ros.core.integration.tableau import Tableau
+from mbd_ros.core.memory import Memory
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 

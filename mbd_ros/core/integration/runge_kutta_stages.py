@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.integration.stepping import Memory, copied, recognised
 from mbd_ros.core.integration.tableau import Tableau
+from mbd_ros.core.memory import Memory, copied, recognised
 from mbd_ros.core.state import Array, State
 
 

@@ -3,41 +3,8 @@
 import math
 from typing import Any, ClassVar
 
-import numpy as np
-
+from mbd_ros.core.memory import Memory, copied, recognised
 from mbd_ros.core.state import Array, State
-
-Memory = dict[str, Any]
-
-
-def copied(value: Any) -> Any:
-    """A value with arrays of its own, in tuples and dictionaries too."""
-    if isinstance(value, np.ndarray):
-        return value.copy()
-    if isinstance(value, State):
-        return State(value.t, *map(copied, value[1:]))
-    if isinstance(value, tuple):
-        return tuple(map(copied, value))
-    return value
-
-
-def recognised(value: Any, x: State) -> Any:
-    """The value; x itself in place of a state with the same bits, as steppers look for it."""
-    if isinstance(value, State):
-        return x if is_same(value, x) else value
-    if isinstance(value, tuple):
-        return tuple(recognised(each, x) for each in value)
-    return value
-
-
-def is_same(one: State, other: State) -> bool:
-    """Whether two states have the same bits."""
-    arrays = zip(one[1:4], other[1:4], strict=True)
-    return (
-        one.t == other.t
-        and one.mode == other.mode
-        and all(a.tobytes() == b.tobytes() for a, b in arrays)
-    )
 
 
 class Stepper:

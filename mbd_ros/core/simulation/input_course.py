@@ -3,6 +3,7 @@
 import math
 
 from mbd_ros.core.dynamics.inputs import Sources
+from mbd_ros.core.simulation.checkpoint import SampleTimes
 from mbd_ros.core.state import Array
 
 
@@ -11,10 +12,8 @@ class InputCourse:
 
     Args:
         sources: What gives u.
-        begin: Start of the run [s].
-        last: Its end [s].
-        dt: Interval of the outputs [s]: jumps that fall on an output are moved there.
-        slack: Times that are as near as this are the same [s].
+        times: Samples of the run: jumps that fall on one are moved there.
+        now: When u jumped last, or the start of the run [s].
 
     Attributes:
         u: Inputs from `now` on; None without sources.
@@ -22,14 +21,12 @@ class InputCourse:
         end: Time that the next step must not pass [s]; inf without a jump to come.
     """
 
-    def __init__(
-        self, sources: Sources, begin: float, last: float, dt: float, slack: float
-    ) -> None:
-        self._sources, self._begin, self._dt, self._slack = sources, begin, dt, slack
-        self._jumps = sources.jumps(begin, last)
+    def __init__(self, sources: Sources, times: SampleTimes, now: float) -> None:
+        self._sources, self._times = sources, times
+        self._jumps = sources.jumps(now, times.last)
         self._next = next(self._jumps, math.inf)
         self.u: Array | None = None
-        self._hold(begin)
+        self._hold(now)
 
     def reach(self, t: float) -> None:
         """Hold what is valid from a time [s] on, where a step ended."""
@@ -38,12 +35,13 @@ class InputCourse:
 
     def _hold(self, now: float) -> None:
         jump = self.now = now
-        while self._next <= now + self._slack:
+        while self._next <= now + self._times.slack:
             jump = max(jump, self._next)
             self._next = next(self._jumps, math.inf)
         self.u = self._sources.held(jump)
-        self.end = self._on_output(self._next) if self._next < math.inf else math.inf
+        self.end = self._on_sample(self._next) if self._next < math.inf else math.inf
 
-    def _on_output(self, jump: float) -> float:
-        output = self._begin + round((jump - self._begin) / self._dt) * self._dt
-        return output if abs(output - jump) <= self._slack else jump
+    def _on_sample(self, jump: float) -> float:
+        origin, dt = self._times.origin, self._times.dt
+        sample = origin + round((jump - origin) / dt) * dt
+        return sample if abs(sample - jump) <= self._times.slack else jump

@@ -9,8 +9,9 @@ from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.parts import Row, Wrench
 from mbd_ros.core.projection.assembly import Violation, violation
 from mbd_ros.core.simulation.command_watch import CommandWatch
+from mbd_ros.core.simulation.divergence import last_finite
 from mbd_ros.core.simulation.safe_command import SafeCommand
-from mbd_ros.core.simulation.simulation import Simulation, last_finite
+from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SAME_TIME
 from mbd_ros.errors import DivergedError, MbdError, ModelError, SolveError

@@ -3,22 +3,25 @@
 import math
 from collections.abc import Iterator
 
-import numpy as np
-
 from mbd_ros.core.dynamics.mass_check import check_mass
 from mbd_ros.core.dynamics.overshoots import Overshoots
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.projection.stabilizing import Stabilization
+from mbd_ros.core.simulation.checkpoint import (
+    Checkpoint,
+    Progress,
+    SampleTimes,
+    sample_times,
+)
+from mbd_ros.core.simulation.divergence import divergence, last_finite
 from mbd_ros.core.simulation.input_course import InputCourse
 from mbd_ros.core.simulation.stall import PATIENCE, WINDOW, Notice, StallWatch, refuse_crawl
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SAME_TIME
 from mbd_ros.errors import DivergedError, ModelError, SolveError
 
-_SHOWN = 8  # joints in a message
-_IN_REACH = 1.0e6  # rad or m: where a mass matrix still says something of the robot
 _STRIDE = 16  # steps after which a state must be finite
 
 
@@ -53,6 +56,8 @@ class Simulation:
         has_stops = any(block.part.stops for block in system.layout.yielding)
         self.overshoots = Overshoots(system) if has_stops else None
         self._is_corrected = bool(system.rows) and not integrator.keeps_constraints
+        self._made_by = type(integrator).__name__, dt, system.nq, system.nv
+        self._progress: Progress | None = None
 
     def start(self, x: State) -> State:
         """The nearest consistent state of the integrated coordinates to a state of all joints.
@@ -68,58 +73,91 @@ class Simulation:
             check_mass(self.system, y.q)
         if self.overshoots is not None:
             self.overshoots.begin(y)
+        self._progress = Progress(y.t, 0, y, False, y.t)
         return y
 
     def run(
         self,
-        x: State,
+        x: State | Checkpoint,
         duration: float,
         notice: Notice | None = None,
     ) -> Iterator[State]:
         """States of all joints every dt, the first one included; steps end where inputs jump.
 
         Args:
-            x: State of all joints; moved onto the constraints first.
-            duration: [s], >= 0; a last shorter interval ends exactly there.
+            x: State of all joints; moved onto the constraints first. Or a checkpoint of a run: the
+                samples after it follow.
+            duration: [s], >= 0, from the first time of the run on; a last shorter interval ends
+                exactly there.
             notice: Is called once where steps are so short that the end is far away.
 
         Raises:
             DivergedError: The state is no longer finite, or steps are too short to get to the end.
             SolveError: The mechanism cannot be assembled, or equations contradict one another.
+            ModelError: The checkpoint is one of another scene, method or dt.
         """
-        y = self.start(x)
-        yield self.system.expand(y)
-        begin, count = y.t, math.ceil(duration / self.dt - SAME_TIME)
-        last, k = begin + duration, 1
-        resolution = 2.0 * math.ulp(max(abs(begin), abs(last)))
-        slack = max(SAME_TIME * self.dt, resolution)
+        if isinstance(x, Checkpoint):
+            self.resume(x)
+        else:
+            yield self.system.expand(self.start(x))
+        yield from self._samples(self._progressed(), duration, notice)
+
+    def _samples(self, at: Progress, duration: float, notice: Notice | None) -> Iterator[State]:
+        """States of all joints at the samples after the newest one."""
+        times, (origin, k, y, is_within, now) = sample_times(at.origin, duration, self.dt), at
         watch, look_at = StallWatch(self.system, self.dt, notice), self.steps + WINDOW
-        watch.begin(begin)
-        inputs = InputCourse(self.system.loads.sources, begin, last, self.dt, slack)
-        while k <= count:
-            due = min(begin + k * self.dt, last)
-            late = abs(begin + (k - 1) * self.dt - y.t)
-            is_rounded = 0.2 * slack < late < 1.0e3 * slack  # a sum of steps, to be put right
-            is_off = inputs.now > begin + (k - 1) * self.dt + slack  # back to the outputs
-            end = min(due if is_rounded or is_off else last, inputs.end)
-            y_next = self._step(y, inputs.u, end)
-            if self.steps >= look_at:
-                watch.look(y_next, inputs.u, last)
-                look_at = self.steps + WINDOW
-            if 0.0 < abs(y_next.t - due) <= resolution == slack:  # late times are coarse
-                y_next = y_next._replace(t=due)
-                self.stepper.continue_from(y_next)
-            while k <= count and due < y_next.t - slack:
-                yield self.system.expand(self._corrected(self.stepper.interpolate(due)))
-                k += 1
-                due = min(begin + k * self.dt, last)
-            y = self._corrected(y_next)
+        watch.begin(y.t)
+        inputs = InputCourse(self.system.loads.sources, times, now)
+        while k < times.end:
+            due = times.due(k + 1)
+            if not is_within:
+                y = self._step(y, inputs.u, min(_end(y, k, times, inputs.now), inputs.end))
+                if self.steps >= look_at:
+                    watch.look(y, inputs.u, times.last)
+                    look_at = self.steps + WINDOW
+                if 0.0 < abs(y.t - due) <= times.resolution == times.slack:  # times are coarse
+                    y = y._replace(t=due)
+                    self.stepper.continue_from(y)
+            while k < times.end and due < y.t - times.slack:
+                x, k = self.system.expand(self._corrected(self.stepper.interpolate(due))), k + 1
+                self._progress = Progress(origin, k, y, True, inputs.now)
+                yield x
+                due = times.due(k + 1)
+            is_within, y_next, y = False, y, self._corrected(y)
             if y is not y_next:
                 self.stepper.continue_from(y)
-            if k <= count and due <= y.t + slack:
-                yield self.system.expand(y)
-                k += 1
             inputs.reach(y.t)
+            if k < times.end and due <= y.t + times.slack:
+                k += 1
+                self._progress = Progress(origin, k, y, False, inputs.now)
+                yield self.system.expand(y)
+
+    def checkpoint(self) -> Checkpoint:
+        """All that the samples after the newest one depend on, beside the scene and its inputs.
+
+        Raises:
+            ModelError: Nothing was started yet.
+        """
+        stops = {} if self.overshoots is None else self.overshoots.memory()
+        progress, memory = self._progressed(), self.stepper.memory()
+        return Checkpoint(self._made_by, progress, self.steps, self.worst, stops, memory)
+
+    def resume(self, checkpoint: Checkpoint) -> State:
+        """Go back to a checkpoint; returns the state of the integrated coordinates there.
+
+        Raises:
+            ModelError: It is one of another scene, method or dt.
+        """
+        if checkpoint.made_by != self._made_by:
+            texts = (_words(*made) for made in (checkpoint.made_by, self._made_by))
+            raise ModelError("a checkpoint of {} cannot be continued by {}".format(*texts))
+        self._progress, self.steps, self.worst = checkpoint[1:4]
+        y = checkpoint.progress.y
+        self.stepper.restart()
+        self.stepper.recall(checkpoint.memory, y)
+        if self.overshoots is not None:
+            self.overshoots.recall(checkpoint.stops, y)
+        return y
 
     def advance(self, y: State, u: Array | None, due: float) -> State:
         """State of the integrated coordinates at a time, in as many steps as the method needs.
@@ -144,11 +182,17 @@ class Simulation:
             y = self._corrected(y_next)
             if y is not y_next:
                 self.stepper.continue_from(y)
+        self._progress = self._progressed()._replace(y=y)
         return y
 
     def passed_stops(self) -> list[str]:
         """Joints that went beyond stops since the start, one text each."""
         return [] if self.overshoots is None else [str(one) for one in self.overshoots.found()]
+
+    def _progressed(self) -> Progress:
+        if self._progress is None:
+            raise ModelError("a simulation that has not started has no checkpoint")
+        return self._progress
 
     def _corrected(self, y: State) -> State:
         if not self._is_corrected:
@@ -172,33 +216,16 @@ class Simulation:
             if self.overshoots is not None:
                 self.overshoots.look(y, after)
             return after
-        raise DivergedError(
-            f"diverged at t = {after.t:.9g} s: {_lost(after)}; {last_finite(self.system, y)}; "
-            f"{self._advice(y)}"
-        )
-
-    def _advice(self, y: State) -> str:
-        try:
-            if np.abs(y.q).max(initial=0.0) < _IN_REACH:  # else rounding speaks, not the robot
-                check_mass(self.system, y.q)
-        except SolveError as error:
-            return str(error)
-        return "try a smaller dt"
+        raise divergence(self.system, y, after)
 
 
-def _lost(after: State) -> str:
-    lost = int(np.count_nonzero(~np.isfinite(after.v)))
-    if lost:
-        return f"{lost} of {len(after.v)} velocities are not finite"
-    return "positions or velocities are beyond all numbers"
+def _end(y: State, sample: int, times: SampleTimes, now: float) -> float:
+    """Time that the step after a sample should not pass: the next one where times drift apart."""
+    late = abs(times.origin + sample * times.dt - y.t)
+    is_rounded = 0.2 * times.slack < late < 1.0e3 * times.slack  # a sum of steps, to be put right
+    is_off = now > times.origin + sample * times.dt + times.slack  # back to the samples
+    return times.due(sample + 1) if is_rounded or is_off else times.last
 
 
-def last_finite(system: System, y: State) -> str:
-    """The fastest joint, time and positions of the last finite state."""
-    x, joints = system.expand(y), system.robot.joints
-    wild = max(joints, key=lambda joint: abs(float(x.v[joint.v])))
-    values = ", ".join(f"{j.name} {x.q[j.q]:.4g}" for j in joints[:_SHOWN])
-    return (
-        f"last finite state at t = {y.t:.9g} s: fastest joint {wild.name} with "
-        f"{x.v[wild.v]:.3g}/s; positions {values}{', ..' if len(joints) > _SHOWN else ''}"
-    )
+def _words(method: str, dt: float, nq: int, nv: int) -> str:
+    return f"{method} with dt {dt:g} s, {nq} positions and {nv} velocities"

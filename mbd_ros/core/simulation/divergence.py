@@ -1,0 +1,46 @@
+"""States that are no longer finite: what is lost, where it was last, and why."""
+
+import numpy as np
+
+from mbd_ros.core.dynamics.mass_check import check_mass
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.state import State
+from mbd_ros.errors import DivergedError, SolveError
+
+_SHOWN = 8  # joints in a message
+_IN_REACH = 1.0e6  # rad or m: where a mass matrix still says something of the robot
+
+
+def divergence(system: System, y: State, after: State) -> DivergedError:
+    """The error of a step from a finite state to one that is not."""
+    return DivergedError(
+        f"diverged at t = {after.t:.9g} s: {_lost(after)}; {last_finite(system, y)}; "
+        f"{_advice(system, y)}"
+    )
+
+
+def _advice(system: System, y: State) -> str:
+    try:
+        if np.abs(y.q).max(initial=0.0) < _IN_REACH:  # else rounding speaks, not the robot
+            check_mass(system, y.q)
+    except SolveError as error:
+        return str(error)
+    return "try a smaller dt"
+
+
+def _lost(after: State) -> str:
+    lost = int(np.count_nonzero(~np.isfinite(after.v)))
+    if lost:
+        return f"{lost} of {len(after.v)} velocities are not finite"
+    return "positions or velocities are beyond all numbers"
+
+
+def last_finite(system: System, y: State) -> str:
+    """The fastest joint, time and positions of the last finite state."""
+    x, joints = system.expand(y), system.robot.joints
+    wild = max(joints, key=lambda joint: abs(float(x.v[joint.v])))
+    values = ", ".join(f"{j.name} {x.q[j.q]:.4g}" for j in joints[:_SHOWN])
+    return (
+        f"last finite state at t = {y.t:.9g} s: fastest joint {wild.name} with "
+        f"{x.v[wild.v]:.3g}/s; positions {values}{', ..' if len(joints) > _SHOWN else ''}"
+    )
