@@ -1,14 +1,12 @@
 """What every registered part must keep to, found through the registry."""
 
 import inspect
-import typing
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mbd_ros.core.control.contract import ControlledJoints, Controller, EffortBox, Reference
+from mbd_ros.core.control.contract import ControlledJoints, Controller
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.integration.stepping import Integrator
@@ -17,13 +15,11 @@ from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.parts import Actuator, Constraint, Load
 from mbd_ros.core.projection.stabilizing import Stabilization
-from mbd_ros.core.ranges import described
 from mbd_ros.core.row_laws import Level
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.code_permission import permitting
-from mbd_ros.scene.docstrings import entries
 from mbd_ros.scene.registry import METHODS, PARTS, resolve
 
 LEG = (Path(__file__).parents[1] / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
@@ -39,10 +35,6 @@ CONTRACTS = {
 OF_A_ROBOT = ("actuators", "constraints", "forces")
 FIRST = {**dict.fromkeys(OF_A_ROBOT, "robot"), "controllers": "joints"}
 every_part = pytest.mark.parametrize(("section", "name"), NAMES)
-every_part_with_symbols = pytest.mark.parametrize(
-    ("section", "name"), [pair for pair in NAMES if pair[0] in ("actuators", "forces")]
-)
-GEOMETRY = ("point", "point_a", "point_b")  # are bound to bodies while building
 every_part_of_a_robot = pytest.mark.parametrize(
     ("section", "name"), [pair for pair in NAMES if pair[0] in OF_A_ROBOT]
 )
@@ -139,52 +131,6 @@ def test_unknown_names_are_answered_with_those_that_exist(section, name, robot):
                 schema.call(part, wrong, "here", robot)
 
 
-class Symbol:
-    """Stands for a number that is not known: it has neither a value nor a sign."""
-
-    def _made(self, *other):
-        return Symbol()
-
-    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = _made
-    __truediv__ = __rtruediv__ = __pow__ = __neg__ = _made
-    __lt__ = __le__ = __gt__ = __ge__ = _made
-
-    def __bool__(self):
-        raise TypeError("a symbol is neither true nor false")
-
-
-def symbolic(hint):
-    """A symbol for a number, three for a vector; None for tables, coefficients and words."""
-    kind, length = described(hint).kind, described(hint).length
-    if kind is float:
-        return Symbol()
-    return [Symbol() for _ in range(length)] if length and kind == Sequence[float] else None
-
-
-@every_part_with_symbols
-def test_constructor_stores_and_derives_so_that_it_takes_symbols(section, name, robot):
-    part = resolve(section, name, "here")
-    hints = typing.get_type_hints(part.__init__, include_extras=True)
-    symbols = {key: symbolic(hint) for key, hint in hints.items() if key not in GEOMETRY}
-    given = {key: symbol for key, symbol in symbols.items() if symbol is not None}
-    assert given or name in ("prescribed_torque", "switching_force")  # tables and coefficients
-    built = part(*context(section, robot), **{**part.example, **given})
-    assert isinstance(built, CONTRACTS[section])
-
-
-@every_part_with_symbols
-def test_numbers_have_units_and_vectors_a_length(section, name):
-    part = resolve(section, name, "here")
-    hints = typing.get_type_hints(part.__init__, include_extras=True)
-    texts = entries(part.__doc__)
-    for key in inspect.signature(part).parameters:
-        kind, _, unit, length = described(hints[key])
-        if "float" in str(kind):
-            assert unit, f"{name}.{key}"
-            assert f"[{unit}]" not in texts[key], "stands in the annotation"
-        assert length == 3 or key not in ("point", "force", "torque") or kind != Sequence[float]
-
-
 @pytest.mark.parametrize("name", PARTS["forces"])
 def test_force_is_fresh_finite_and_changes_nothing(name, robot, moment):
     part, (k, x) = built("forces", name, robot), moment
@@ -206,28 +152,6 @@ def test_torque_is_fresh_finite_and_changes_nothing(name, robot, moment):
     assert all(one.unit and one.lower < one.safe < one.upper for one in part.inputs)
     columns = part.columns(k, x)
     assert columns is None or columns.shape == (robot.model.nv, len(part.inputs))
-
-
-@pytest.mark.parametrize("name", PARTS["controllers"])
-def test_control_is_finite_of_the_right_shape_and_changes_nothing(name, robot, moment):
-    joints, (_, x) = controlled(robot), moment
-    part = schema.call(
-        resolve("controllers", name, "here"),
-        dict(resolve("controllers", name, "here").example),
-        name,
-        joints,
-    )
-    n, memory = len(joints), part.begin()
-    ref, box = Reference(*np.ones((3, n))), EffortBox(np.full(n, -1e6), np.full(n, 1e6))
-    before = [values.copy() for values in (x.q, x.v, *ref, memory, *box)]
-    first, second = (part.effort(x, ref, memory, box) for _ in range(2))
-    assert first.effort.shape == first.s.shape == first.equivalent.shape == (n,)
-    assert first.memory_rate.shape == memory.shape
-    assert first.active.shape == (len(part.limit_names),) and first.active.dtype == bool
-    assert all(np.isfinite(values).all() for values in first)
-    assert first.effort.any() and first.effort is not second.effort
-    for now, values in zip((x.q, x.v, *ref, memory, *box), before, strict=True):
-        assert np.array_equal(now, values)
 
 
 @pytest.mark.parametrize("name", PARTS["constraints"])

@@ -290,3 +290,16 @@ def test_a_section_of_ones_own(follow, capsys):
     pushed = blown["time"] < 0.1 - 1e-9
     assert np.diff(blown["energy"][pushed]).min() > 0
     np.testing.assert_allclose(np.diff(blown["energy"][~pushed])[1:], 0.0, atol=1e-9)
+
+
+def test_an_actuator_of_ones_own(follow, capsys):
+    """A motor whose winding is short-circuited brakes; inverse dynamics asks for no voltage."""
+    follow("An actuator")
+    said = capsys.readouterr().out
+    assert "actuator: hinge_voltage_motor" in re.sub(r" +", " ", said).replace(
+        "actuator ", "actuator: "
+    )
+    braked, voltages = table("braked.csv"), table("voltages.csv")
+    assert np.diff(braked["energy"]).max() < 1e-9
+    assert np.abs(voltages["hinge.command"]).max() < 1e-6
+    assert np.abs(voltages["hinge.effort"]).max() > 0.1
