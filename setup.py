@@ -51,6 +51,7 @@ setup(
         "peers": ["drake", "mujoco"],
         "tables": ["pandas", "pyarrow"],
         "dev": [
+            "casadi",
             "daqp",
             "mypy",
             "pandas",

@@ -2,11 +2,13 @@
 
 python benchmarks/against.py BASE [--only bits|instructions|time] [--rounds 15]
 
-Prints JSON. Bits: hashes of states, accelerations, multipliers and tables of every scene.
+Prints JSON. Bits: hashes of states, accelerations, multipliers and tables of every scene, and,
+where some differ, how far evaluations are apart at one and the same states: a run amplifies what
+one evaluation rounds otherwise.
 Instructions: those of one step, counted by callgrind as the difference of two run lengths, so that
 what comes before the first step drops out. Time: processes of both commits in turn, and of this
 checkout against itself first, which says what a ratio is worth. Exit code 1: bits differ, or a
-step takes more than `--limit` times the instructions.
+evaluations by more than 1e-13, or a step takes more than `--limit` times the instructions.
 """
 
 import argparse
@@ -28,6 +30,7 @@ from scenes_of_comparison import COSTS
 ROOT = Path(__file__).resolve().parents[1]
 PROBE = Path(__file__).with_name("probe.py")
 _SHORT, _LONG = 50, 250  # steps that callgrind counts
+_ROUNDING = 1.0e-13  # relative: how far evaluations of two commits may be apart
 _TIMED = 20_000  # steps that are timed
 _COUNT = re.compile(r"Collected : (\d+)")
 _CALLGRIND = ("valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null")
@@ -52,7 +55,7 @@ def main() -> int:
             found["time"] = {name: _time(name, base, words.rounds) for name in COSTS}
     json.dump(found, sys.stdout, indent=2)
     print()
-    wrong = [f"bits differ: {line}" for line in found.get("bits", {}).get("different", ())]
+    wrong = _too_far(found.get("bits", {}))
     dear = {n: c["ratio"] for n, c in found.get("instructions", {}).items()}
     wrong += [f"{n}: {r:.4f} x the instructions" for n, r in dear.items() if r > words.limit]
     print("\n".join(wrong) or "nothing is wrong", file=sys.stderr)
@@ -72,16 +75,33 @@ def checkout(commit: str) -> Iterator[Path]:
             subprocess.run([*git, "remove", "--force", str(tree)], check=True)
 
 
+def _too_far(bits: Mapping[str, Any]) -> list[str]:
+    """Evaluations that are not those of the base, in bits or to rounding."""
+    apart = bits.get("apart", {})
+    for line in bits.get("different", ()):
+        print(f"bits differ: {line}", file=sys.stderr)
+    return [
+        f"{scene}: {what} are {by:.3g} apart"
+        for scene, values in apart.items()
+        for what, by in values.items()
+        if not by <= _ROUNDING
+    ]
+
+
 def _bits(base: Path) -> dict[str, Any]:
-    trees = (base, ROOT)
-    theirs, ours = (json.loads(_probe(tree, ["bits"]).stdout) for tree in trees)
+    with tempfile.TemporaryDirectory() as folder:
+        theirs = json.loads(_probe(base, ["bits", folder]).stdout)
+        ours = json.loads(_probe(ROOT, ["bits"]).stdout)
+        apart = json.loads(_probe(ROOT, ["at", folder]).stdout) if theirs != ours else {}
     different = [
         f"{scene}: {what}"
         for scene in {**theirs, **ours}
         for what in {**theirs.get(scene, {}), **ours.get(scene, {})}
         if theirs.get(scene, {}).get(what) != ours.get(scene, {}).get(what)
     ]
-    return {"scenes": len(ours), "hashes": sum(map(len, ours.values())), "different": different}
+    hashes = sum(map(len, ours.values()))
+    changed = {scene: apart[scene] for scene in apart if theirs.get(scene) != ours.get(scene)}
+    return {"scenes": len(ours), "hashes": hashes, "different": different, "apart": changed}
 
 
 def _instructions(name: str, base: Path) -> Mapping[str, float]:

@@ -12,6 +12,7 @@ from mbd_ros.actuators.ideal import Ideal
 from mbd_ros.constraints.frame_anchor import FrameAnchor
 from mbd_ros.constraints.loop_closure import LoopClosure
 from mbd_ros.constraints.prescribed_motion import PrescribedMotion
+from mbd_ros.core.dynamics.external_wrench import ExternalWrench
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
@@ -20,7 +21,6 @@ from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.forces.joint_friction import JointFriction
@@ -44,7 +44,7 @@ def scene(name, *joints):
 
 def solver(built, *joints):
     """For a scene with other actuated joints than its own."""
-    loads = [wrench.load for wrench in built.wrenches.values()]
+    loads = list(built.wrenches.values())
     return inverse_of(built.robot, built.couplings, built.constraints, joints, loads, built.forces)
 
 

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from mechanisms import scene_of
 
+from mbd_ros.api import Scene
 from mbd_ros.core.dynamics.sources import HeldTable, LinearTable, Polynomials, Sampled
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.files.table import Column, Result, Table
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 LEG = f"robot: {{urdf: {ROBOTS / 'prosthetic_leg.urdf'}}}\n"
@@ -158,3 +161,63 @@ def test_a_source_of_an_unknown_part_is_refused_by_name():
     scene = scene_of(CART, SLIDE)
     with pytest.raises(SceneError, match=r"no part 'push' has inputs; accepted: pull"):
         scene.simulation(sources={"push": Sampled(np.zeros, 0.1)})
+
+
+PLATE = """external_wrenches:
+  plate: {frame: foot, expressed_in: universe, point: [0.1, 0.0, 0.2]}
+"""
+ARM = f"""robot: {{urdf: {ROBOTS / "arm7.urdf"}}}
+external_wrenches:
+  plate: {{frame: link3, point: [0.1, 0.0, 0.2]}}
+"""
+
+
+def test_an_external_wrench_is_a_load_with_six_inputs_after_those_of_actuators():
+    scene = scene_of(LEG + DRIVES + PLATE)
+    assert scene.inputs.names[3:] == tuple(
+        f"plate.{c}" for c in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+    )
+    assert [channel.unit for channel in scene.inputs.channels[3:]] == ["N"] * 3 + ["N·m"] * 3
+    assert scene.wrenches["plate"].u == slice(3, 9)
+    assert scene.with_(actuators=None).wrenches["plate"].u == slice(0, 6)
+    assert scene.wrenches["plate"].u == slice(3, 9)
+
+
+def test_columns_of_a_wrench_are_its_slopes_and_its_force_that_of_inverse_dynamics():
+    """tau without the load less tau with it, at random states: the force of the load."""
+    scene = scene_of(LEG + PLATE)
+    part, inverse, rng = (
+        scene.wrenches["plate"],
+        scene.inverse_dynamics(),
+        np.random.default_rng(2),
+    )
+    k = Kinematics(scene.robot)
+    for q, v, a in rng.normal(size=(10, 3, scene.robot.model.nv)):
+        x, w = State(0.0, q, v), rng.normal(scale=50.0, size=6)
+        k.refresh(q, v)
+        force = part.force(k, x, w)
+        np.testing.assert_allclose(part.columns(k, x) @ w, force, rtol=1e-12, atol=1e-11)
+        less = inverse.solve(q, v, a).tau - inverse.solve(q, v, a, [w]).tau
+        np.testing.assert_allclose(force, less, rtol=0, atol=1e-10)
+        assert not part.force(k, x, np.zeros(6)).any()
+
+
+def test_a_wrench_with_a_threshold_has_no_columns():
+    scene = scene_of(LEG + PLATE.replace("0.2]", "0.2], threshold: 5.0"))
+    assert scene.wrenches["plate"].columns(None, scene.initial) is None
+
+
+@pytest.mark.parametrize("more", ["", "couplings: {joint4: {parent: joint2, factor: 0.5}}\n"])
+def test_a_simulated_wrench_is_what_inverse_dynamics_is_given(more):
+    """No joint is driven: with the load of the file, inverse dynamics finds no torque."""
+    scene, times = Scene.of(scene_of(ARM + more)), np.linspace(0.0, 0.3, 31)
+    load = 3.0 * np.sin(np.outer(times, np.arange(3.0, 9.0)) + 1.0)
+    axes = [f"plate.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz"]
+    columns = [Column("time", times, "s"), *map(Column, axes, load.T)]
+    loads = Result({"samples": Table(columns)}, {})
+    motion = scene.simulate(0.3, wrenches=loads, dt=0.01, integrator="dop853")
+    torques = scene.inverse(motion, wrenches=loads)["samples"]
+    for joint in scene.couplings.independent:
+        assert np.abs(torques[f"{joint}.effort"]).max() < 1e-9
+    free = scene.simulate(0.3, dt=0.01, integrator="dop853")["samples"]
+    assert np.abs(free["joint2.position"] - motion["samples"]["joint2.position"]).max() > 0.01

@@ -9,12 +9,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from mbd_ros.core.dynamics.external_wrench import ExternalWrench
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.model.coupling_functions import Polynomial, natural_cubic_spline
 from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.state import NONE, State
 from mbd_ros.forces.joint_friction import JointFriction
 from mbd_ros.forces.joint_spring import JointSpring
@@ -137,7 +137,7 @@ def test_power_balances_and_coupling_forces_do_no_work(name, seed):
         pin.forwardKinematics(model, data, q, v)
         external = 0.0
         for load, w in zip(scene.wrenches.values(), wrenches, strict=True):
-            frame = robot.frame(load.load.frame)  # given in the world, about its origin
+            frame = robot.frame(load.frame)  # given in the world, about its origin
             external += w @ pin.getFrameVelocity(model, data, frame, pin.WORLD).vector
         before2, before, after, after2 = (energy(t + k * h) for k in (-2, -1, 1, 2))
         rise = (before2 - 8 * before + 8 * after - after2) / (12 * h)

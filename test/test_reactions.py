@@ -9,6 +9,7 @@ from mechanisms import floating_body
 
 from mbd_ros.constraints.distance import Distance
 from mbd_ros.constraints.frame_anchor import FrameAnchor
+from mbd_ros.core.dynamics.external_wrench import ExternalWrench
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
@@ -17,7 +18,6 @@ from mbd_ros.core.inverse.reactions import JointReactions
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Wrench
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.rows.constraint_rows import ConstraintRows

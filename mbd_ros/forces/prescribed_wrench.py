@@ -1,14 +1,14 @@
 """Wrench on a link that follows a table over time."""
 
-from bisect import bisect_right
 from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
 
+from mbd_ros.core.dynamics.external_wrench import ExternalWrench
+from mbd_ros.core.dynamics.sources import LinearTable
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Load, Wrench
 from mbd_ros.core.ranges import Length, NotNegative, Unit, Vector
 from mbd_ros.core.state import Array, State
@@ -57,9 +57,7 @@ class PrescribedWrench(Load):
         self._load = ExternalWrench(
             robot, frame=frame, expressed_in=expressed_in, point=point, threshold=threshold
         )
-        self._times, self._wrenches = list(times), np.array(wrenches, dtype=np.float64)
-        self._slopes = np.diff(self._wrenches, axis=0) / np.diff(times)[:, None]
-        self._nv = int(robot.model.nv)
+        self._table = LinearTable(np.array(times), np.array(wrenches))
 
     @staticmethod
     def check(times: Sequence[float], wrenches: Sequence[Sequence[float]]) -> None:
@@ -75,28 +73,12 @@ class PrescribedWrench(Load):
 
     def wrench(self, t: float) -> Array:
         """Force [N] and torque [N·m] of the table at a time [s], shape (6,)."""
-        i = bisect_right(self._times, t) - 1
-        if 0 <= i < len(self._slopes):
-            between: Array = self._wrenches[i] + (t - self._times[i]) * self._slopes[i]
-            return between
-        if t == self._times[-1]:
-            return np.array(self._wrenches[-1])
-        return np.zeros(6)
+        return self._table.at(t)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
-        wrench = self.wrench(x.t)
-        if not (self._load.carrier.moves and self._load.is_loaded(wrench)):
-            return np.zeros(self._nv)
-        load = self._load.in_body(k, wrench)
-        tau: Array = load.dot(k.own_jacobian(self._load.carrier))
-        return tau
+        return self._load.force_of(k, self.wrench(x.t))
 
     def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
         """The load on the link, about the origin of the joint that carries it."""
-        wrench = self.wrench(x.t)
-        if not self._load.is_loaded(wrench):
-            return ()
-        carrier, load = self._load.carrier, self._load.in_body(k, wrench)
-        axes, place = k.rotation(carrier), k.position(carrier)
-        return (Wrench(self._load.frame, place, axes.dot(load[:3]), axes.dot(load[3:])),)
+        return self._load.wrenches_of(k, self.wrench(x.t))

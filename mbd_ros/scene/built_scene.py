@@ -110,7 +110,7 @@ class Scene(SceneParts):
         """
         if self.has_loops or with_bounds:
             return ObservedLoops(self.closed_loop(with_bounds=with_bounds))
-        loads = [wrench.load for wrench in self.wrenches.values()]
+        loads = tuple(self.wrenches.values())
         return InverseDynamics(self.robot, self.couplings, loads, self.forces)
 
     def closed_loop(self, *, with_bounds: bool = False) -> ClosedLoopInverseDynamics:
@@ -123,7 +123,7 @@ class Scene(SceneParts):
         Raises:
             SceneError: An actuated joint is unknown or repeated.
         """
-        loads = [wrench.load for wrench in self.wrenches.values()]
+        loads = tuple(self.wrenches.values())
         parts = self.robot, self.couplings, self.constraints
         try:
             efforts = joint_efforts(self.robot, self.actuated, self._effort_limits())
@@ -159,7 +159,7 @@ class Scene(SceneParts):
         """
         where = f"{self.name}: solver"
         chosen = self.solver if solver is None else schema.call(Solver, dict(solver), where)
-        every = (*self.forces, *forces)
+        every = (*self.forces, *forces, *self.wrenches.values())
         try:
             given = self.inputs.sources(sources)
             loads = Loads(self.robot.model.nv, every, self.actuators, given)

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from mbd_ros.core.dynamics.external_wrench import ExternalWrench
 from mbd_ros.core.dynamics.tiers import TIERS
-from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.optimization.qp_solvers import check_backend
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
@@ -22,13 +22,10 @@ _WORD = "[A-Za-z_][A-Za-z0-9_]*"  # of a ROS 2 name
 _NAME, _TOPIC = re.compile(_WORD), re.compile(f"(~?/)?{_WORD}(/{_WORD})*")
 
 
-@dataclass(frozen=True)
-class MeasuredWrench:
+class MeasuredWrench(ExternalWrench):
     """An external load and the topic that carries it; None stands for `~/wrench/<name>`."""
 
-    load: ExternalWrench
-    topic: str | None
-    name: str
+    topic: str | None = None
 
     @property
     def heard_on(self) -> str:
@@ -74,8 +71,9 @@ def build_wrenches(site: Site, entries: Any) -> dict[str, MeasuredWrench]:
                 f"{where}.topic: '{topic}' is no ROS topic, accepted: words of letters, digits "
                 "and _, no digit first, joined by single /, perhaps after / or ~/"
             )
-        load = schema.call(ExternalWrench, entry, where, site.robot)
-        wrenches[name] = MeasuredWrench(load, topic, name)
+        load: MeasuredWrench = schema.call(MeasuredWrench, entry, where, site.robot)
+        load.name, load.topic = name, topic
+        wrenches[name] = load
     return wrenches
 
 

@@ -60,10 +60,7 @@ class Section(NamedTuple):
         return bool(self.parts or self.types or self.offers)
 
 
-_WRENCH = (
-    "wrench: {name} on {part.load.frame}, expressed in {part.load.expressed_in}, "
-    "topic {part.heard_on}"
-)
+_WRENCH = "wrench: {name} on {part.frame}, expressed in {part.expressed_in}, topic {part.heard_on}"
 _EVERY_ROBOT = ("robot", "actuators")  # with the inertia of its drives
 
 SECTIONS = (

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.dynamics.external_wrench import ExternalWrench
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Wrench
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.dynamics.external_wrench import ExternalWrench
 from mbd_ros.core.inverse.bounded_split import within_bounds
 from mbd_ros.core.inverse.consistency import check_closed, check_rates
 from mbd_ros.core.inverse.efforts import Efforts
@@ -24,7 +25,6 @@ from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.inverse.unknowns import Mask, Unknowns
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Constraint, Load
 from mbd_ros.core.rows.usual_sizes import usual_norms
 from mbd_ros.core.state import Array, State

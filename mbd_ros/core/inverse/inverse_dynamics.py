@@ -12,11 +12,11 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.dynamics.body_loads import BodyLoads
+from mbd_ros.core.dynamics.external_wrench import ExternalWrench
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.couplings import Couplings, Slopes
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Load
 from mbd_ros.core.state import NONE, Array, State
 

@@ -8,11 +8,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.body_loads import BodyLoads
+from mbd_ros.core.dynamics.external_wrench import ExternalWrench
 from mbd_ros.core.inverse.efforts import Efforts
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Constraint, Load
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows

@@ -7,9 +7,9 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.dynamics.body_loads import BodyLoads
+from mbd_ros.core.dynamics.external_wrench import ExternalWrench
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.model.wrenches import ExternalWrench
 from mbd_ros.core.parts import Load, Wrench
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import NONE, Array, State

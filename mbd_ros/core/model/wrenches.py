@@ -1,62 +1,11 @@
-"""Measured external loads on bodies."""
+"""Samples of measured loads on bodies."""
 
 from collections import deque
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.ranges import NotNegative, Unit, Vector
 from mbd_ros.core.state import Array, WrenchSamples
-
-
-class ExternalWrench:
-    """A load that acts on one body, given in one frame about one point.
-
-    Args:
-        robot: Robot of the scene.
-        frame: Link that carries the load.
-        expressed_in: Frame whose axes and, without `point`, whose origin the load refers to;
-            `frame` by default.
-        point: Point that the torque is taken about, in `expressed_in`, shape (3,).
-        threshold: Force norm below which the load counts as zero. A force plate whose centre of
-            pressure is undefined at little load needs one.
-
-    Attributes:
-        carrier: The joint that carries the link.
-
-    Raises:
-        ModelError: Unknown frame.
-    """
-
-    def __init__(
-        self,
-        robot: Robot,
-        *,
-        frame: str,
-        expressed_in: str | None = None,
-        point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
-        threshold: Annotated[NotNegative, Unit("N")] = 0.0,
-    ) -> None:
-        self.frame, self.expressed_in = frame, expressed_in or frame
-        self.point, self.threshold = tuple(point), threshold
-        self.carrier = robot.carrier(frame)
-        self._about = robot.point(self.expressed_in, point)
-
-    def is_loaded(self, wrench: Array) -> bool:
-        """Whether the force exceeds the threshold; without a threshold every load counts."""
-        return self.threshold == 0.0 or float(np.linalg.norm(wrench[:3])) > self.threshold
-
-    def in_body(self, k: Kinematics, wrench: Array) -> Array:
-        """The load about the origin and in the axes of `carrier`, shape (6,).
-
-        Args:
-            k: Kinematics at positions.
-            wrench: Force [N] then torque [N·m] in `expressed_in`, shape (6,).
-        """
-        return k.carried(wrench, self._about, self.carrier)
 
 
 def at_stamps(samples: WrenchSamples, stamps: NDArray[np.int64], max_age: int) -> Array:

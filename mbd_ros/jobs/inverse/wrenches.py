@@ -42,7 +42,7 @@ def read_loads(
     topics = {name: wrench.topic for name, wrench in scene.wrenches.items()}
     loads = read_wrenches(source, topics, dropped=dropped)
     for name, samples in loads.items():
-        expected = scene.wrenches[name].load.expressed_in
+        expected = scene.wrenches[name].expressed_in
         if samples.frame_id not in ("", expected):
             raise DataError(
                 f"{name_of(source)}: wrench '{name}' is in frame '{samples.frame_id}', the scene "

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mbd_ros.core.dynamics.sources import HeldTable, Source
+from mbd_ros.core.dynamics.sources import HeldTable, LinearTable, Source
 from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.parts import Load
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State
@@ -53,16 +53,16 @@ def drives(scene: Scene, run: Run) -> tuple[dict[str, Source], list[Load], list[
     Raises:
         DataError: A file that cannot be read, or that lacks a column or topic.
     """
-    forces = _load_terms(scene, run)
+    sources = _wrenches(scene, run)
     commanded = tuple(joint for actuator in scene.actuators for joint in actuator.joints)
     if run.efforts is None:
-        return {}, forces, []
+        return sources, [], []
     names = commanded or tuple(joint.name for joint in scene.robot.joints)
     motion = read_motion(run.efforts, names, required=()).motion
     where = name_of(run.efforts)
     if commanded:
         with about(where):
-            return _held(scene, motion, _commands(scene, where, motion)), forces, []
+            return sources | _held(scene, motion, _commands(scene, where, motion)), [], []
     if motion.effort is None:
         raise DataError(f"{where}: no column <joint>.effort of {', '.join(names)}")
     times, effort = motion.stamps * NANOSECOND, np.nan_to_num(motion.effort)
@@ -72,7 +72,7 @@ def drives(scene: Scene, run: Run) -> tuple[dict[str, Source], list[Load], list[
     said = [f"{where}: no effort of {listed(lacking)}: 0 there"] if lacking else []
     with about(where):
         torque = part(scene.robot, joints=names, times=times, torque=effort)
-    return {}, [torque, *forces], said
+    return sources, [torque], said
 
 
 def _commands(scene: Scene, where: str, motion: Motion) -> Array:
@@ -116,24 +116,14 @@ def _held(scene: Scene, motion: Motion, commands: Array) -> dict[str, Source]:
     }
 
 
-def _load_terms(scene: Scene, run: Run) -> list[Load]:
+def _wrenches(scene: Scene, run: Run) -> dict[str, Source]:
+    """Sources of external loads by name: straight lines between samples."""
     refuse_unused(scene, run.wrenches)
     if run.wrenches is None:
-        return []
+        return {}
     topics = {name: wrench.topic for name, wrench in scene.wrenches.items()}
-    part = resolve("forces", "prescribed_wrench", "--wrenches")
-    terms: list[Load] = []
-    for name, samples in read_wrenches(run.wrenches, topics).items():
-        load = scene.wrenches[name].load
-        terms.append(
-            part(
-                scene.robot,
-                frame=load.frame,
-                expressed_in=load.expressed_in,
-                point=load.point,
-                threshold=load.threshold,
-                times=samples.stamps * NANOSECOND,
-                wrenches=samples.wrench,
-            )
-        )
-    return terms
+    samples = read_wrenches(run.wrenches, topics)
+    with about(name_of(run.wrenches)):
+        return {
+            name: LinearTable(one.stamps * NANOSECOND, one.wrench) for name, one in samples.items()
+        }

@@ -78,7 +78,7 @@ class InverseDynamicsNode(JointStateNode):
     def _on_wrench(self, name: str) -> Callable[[Any], None]:
         def take(msg: Any) -> None:
             buffer = self._pipeline.queue.buffers[name]
-            expected = self._pipeline.scene.wrenches[name].load.expressed_in
+            expected = self._pipeline.scene.wrenches[name].expressed_in
             try:
                 sample = read_wrench(msg)
             except MessageError as error:
