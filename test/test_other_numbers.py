@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
+from mbd_ros.core.dynamics.sources import Sampled
 from mbd_ros.core.model import robot_reader
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import robot_entry
@@ -50,10 +51,19 @@ def leg():
     return scene_from(ENTRIES, urdf="prosthetic_leg")
 
 
+def pushed(scene):
+    """A simulation under inputs beyond what the drives can give."""
+    channels = {part.name: len(part.inputs) for part in scene.actuators}
+    sources = {
+        name: Sampled(lambda t, n=n: np.full(n, 90.0 + t), 1.0e-3) for name, n in channels.items()
+    }
+    sources["foot"] = Sampled(lambda t: np.array([0.0, 0.0, 10.0, 0.0, 0.0, 0.0]), 1.0)
+    return scene.simulation(sources=sources)
+
+
 def seen(scene):
     """Everything of a scene that a number can change, as bits and words."""
-    u = 90.0 + np.arange(len(scene.inputs.channels))
-    motion = scene.simulation().run(scene.initial, 0.005, lambda t: u)
+    motion = pushed(scene).run(scene.initial, 0.005)
     return {
         "motion": b"".join(x.q.tobytes() + x.v.tobytes() for x in motion),
         "armature": scene.robot.model.armature.tobytes(),

@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 
 from mbd_ros.core.control.contract import EffortBox, Reference
+from mbd_ros.core.dynamics.sources import Sampled
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.parts import Load
 from mbd_ros.core.ranges import described
@@ -264,7 +265,8 @@ def test_other_numbers_are_those_of_a_scene_built_anew(section, name):
 def ran(scene):
     """What a short motion leads to, and every constant of the parts."""
     u = np.full(len(scene.inputs.channels), 0.3)
-    motion = list(scene.simulation(dt=1e-3).run(scene.initial, 0.003, lambda t: u))
+    sources = {part.name: Sampled(lambda t: u, 1.0) for part in scene.actuators}
+    motion = list(scene.simulation(dt=1e-3, sources=sources).run(scene.initial, 0.003))
     parts = [part for key in OF_A_ROBOT for part in scene.parts.get(key, ())]
     forces = [part.force(*next(moments(scene)), u).tobytes() for part in scene.forces]
     names = [part.name for part in parts]

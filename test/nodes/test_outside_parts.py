@@ -1,0 +1,53 @@
+"""Force, constraint and actuator of other packages in a simulator: those that the pages show."""
+
+import sys
+
+import numpy as np
+import outside_parts
+import pytest
+from nodes.conftest import ROOT
+from nodes.simulation_client import simulated
+
+from mbd_ros.core.dynamics.sources import HeldTable
+from mbd_ros.scene.code_permission import permitting
+from mbd_ros.scene.reader import load_scene
+
+LEG = f"""robot: {{urdf: {ROOT / "config/robots/prosthetic_leg.urdf"}}}
+forces: [{{type: "hard_spring:HardSpring", joint: ankle, stiffness: 30.0, cubic: 40.0}}]
+constraints: [{{type: "level_tool:LevelTool", first: hip_flexion, second: knee, angle: 0.1}}]
+actuators:
+- {{type: "voltage_motor:VoltageMotor", joint: knee, constant: 1.2, resistance: 0.8}}
+initial: {{position: {{hip_flexion: 0.4, knee: -0.3}}}}
+"""
+
+
+@pytest.fixture
+def modules(tmp_path_factory, monkeypatch):
+    """A folder on the path of this process and of the nodes that it starts."""
+    folder = tmp_path_factory.mktemp("outside")
+    outside_parts.write(folder)
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.setenv("PYTHONPATH", str(folder), prepend=":")
+    yield folder
+    for name in outside_parts.MODULES:
+        sys.modules.pop(name, None)
+
+
+def test_a_node_moves_them_as_a_run_does(domain, tmp_path, modules):
+    """Steps under voltages from ~/commands, against the same steps offline."""
+    volts = [6.0, -3.0, 30.0, 0.5, 12.0]  # one beyond the limit
+    (tmp_path / "scene.yaml").write_text(LEG, encoding="utf-8")
+    with permitting(True):
+        scene = load_scene(tmp_path / "scene.yaml")
+    held = HeldTable(scene.dt * np.arange(5), np.reshape(volts, (5, 1)))
+    simulation = scene.simulation(sources={"knee_voltage_motor": held})
+    states = simulation.run(scene.initial, 5 * scene.dt)
+    expected = [[x.q[joint.q] for joint in scene.robot.joints] for x in states]
+    with simulated(domain, tmp_path, LEG, allow_code="true", paused="true") as client:
+        client.pause(True)
+        found = [client.newest.position]
+        for volt in volts:
+            client.command([volt])
+            found.append(client.step().position)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
+    assert np.abs(np.diff(np.array(expected), axis=0)).max() > 1e-6
