@@ -8,6 +8,7 @@ python probe.py run NAME STEPS simulates that many steps of a scene of `COSTS`
 import hashlib
 import importlib
 import json
+import re
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -21,7 +22,16 @@ from scenes_of_comparison import COSTS, EMBEDDED, PLANTED
 from mbd_ros.core.state import State
 
 _LOADERS = ("mbd_ros.scene.reader:load_scene", "mbd_ros.scene:load_scene")  # where commits have it
-_ALIKE = {"multiplier": "effort"}  # forces of one motion, some of them zero
+RENAMED = (  # columns: the old name, the new one; equal where what stands in brackets is equal
+    (r".+-(.+)\.([xyz])\.multiplier", r"(.+)_loop_closure\.force_([xyz])"),
+    (r".+-(.+)\.r([xyz])\.multiplier", r"(.+)_loop_closure\.torque_([xyz])"),
+    (r".+-(.+)\.distance#?(\d?)\.multiplier", r"(.+)_distance_?(\d?)\.force"),
+    (r".+-(.+)\.normal\.multiplier", r"(.+)_point_on_plane\.force"),
+    (r"(.+)\.stop\.multiplier", r"(.*?)_?joint_stop\.torque_?(.*)"),
+    (r"(.+)\.friction\.multiplier", r"(.+)_dry_friction\.torque"),
+    (r"(.+)\.motion\.multiplier", r"(.+)_prescribed_motion\.(?:torque|force)"),
+)
+_EFFORT = re.compile(r"multiplier|(force|torque)(_.*)?")  # of one motion, some of them zero
 _PROGRAMS = ("mbd_ros.cli:main", "mbd_ros.__main__:main")
 
 
@@ -119,7 +129,8 @@ def _by_quantity(table: Path) -> list[Any]:
     """Columns of a table, those of one quantity in one piece; efforts and multipliers are one."""
     names = table.read_text(encoding="utf-8").partition("\n")[0].split(",")
     values = np.loadtxt(table, delimiter=",", skiprows=1, ndmin=2)
-    quantities = np.array([_ALIKE.get(w, w) for w in (n.rpartition(".")[2] for n in names)])
+    words = [name.rpartition(".")[2] for name in names]
+    quantities = np.array(["effort" if _EFFORT.fullmatch(w) else w for w in words])
     return [values[:, quantities == one] for one in sorted(set(quantities))]
 
 
@@ -150,7 +161,7 @@ def _table_bits(name: str, seconds: float, folder: Path) -> dict[str, str]:
     ):
         out.unlink(missing_ok=True)
         code = _run(command)
-        content = out.read_bytes() if out.is_file() else b""
+        content = _under_one_name(out.read_bytes() if out.is_file() else b"")
         found[command[0]] = f"{code} {hashlib.sha256(content).hexdigest()}"
     return found
 
@@ -160,6 +171,21 @@ def _run(command: list[str]) -> int:
     with open("/dev/null", "w", encoding="utf-8") as nowhere, redirect_stdout(nowhere):
         code: int = _first(_PROGRAMS)(command)
     return code
+
+
+def _under_one_name(table: bytes) -> bytes:
+    """The table with a header that both names of a column give."""
+    header, newline, rows = table.partition(b"\n")
+    names = [_one_name(name) for name in header.decode().split(",")]
+    return ",".join(names).encode() + newline + rows
+
+
+def _one_name(column: str) -> str:
+    for number, names in enumerate(RENAMED):
+        for name in names:
+            if found := re.fullmatch(name, column):
+                return f"{number} {''.join(found.groups())}"
+    return column
 
 
 def _hash(arrays: Iterable[Any]) -> str:

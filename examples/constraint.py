@@ -21,7 +21,7 @@ class Belt(Constraint):
         self._q, self._ratio = (first.q, second.q), ratio
         self._jacobian, self._drift = np.zeros((1, robot.model.nv)), np.zeros(1)
         self._jacobian[0, [first.v, second.v]] = 1.0, ratio
-        self.rows = (Row(f"{a}.belt", "N·m"),)
+        self.rows = (Row("torque", "N·m"),)
 
     def residual(self, k, x):
         return np.array([x.q[self._q[0]] + self._ratio * x.q[self._q[1]]])
@@ -42,5 +42,5 @@ arm = mbd.scene_from(
     allow_code=True,
 )
 table = arm.simulate(1.0, dt=0.01)["samples"]
-print(f"largest force in the belt: {abs(table['joint2.belt.multiplier']).max():.3g} N m")
+print(f"largest force in the belt: {abs(table['belt.torque']).max():.3g} N m")
 print(f"largest slip: {table['drift.position'].max():.1e} rad")

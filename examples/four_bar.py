@@ -7,7 +7,7 @@ print(leg)
 
 swing = leg.simulate(0.5)
 table = swing["samples"]
-forces = [name for name in table if name.endswith(".multiplier")]
+forces = [name for name in table if ".force" in name or ".torque" in name]
 print("constraint forces:", *forces)
 print(f"largest violation of the loop: {table['drift.position'].max():.1e} m")
 

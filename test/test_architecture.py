@@ -39,6 +39,7 @@ CORE_ORDER = (  # of the subjects in `core`: the same
     "thresholds",
     "row_laws",
     "model",
+    "outputs",
     "parts",
     "rows",
     "optimization",

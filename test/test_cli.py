@@ -107,7 +107,7 @@ def test_check_says_how_a_closed_chain_is_solved(capsys, tmp_path):
     said = labelled(out)
     assert (code, err) == (0, "")
     assert said["actuator"] == "crank_ideal, Ideal at crank"
-    rows = "world-rocker_link.x [N], world-rocker_link.y [N]"
+    rows = "force_x [N], force_y [N]"
     assert said["constraint"] == f"rocker_link_loop_closure, LoopClosure, bilateral: {rows}"
     assert said["forward"].startswith(
         "kkt: bilateral rows, one factorised solve, 2 rows; Rk4, dt 0"
@@ -187,7 +187,7 @@ def test_check_refuses_a_mechanism_that_does_not_close(capsys, tmp_path):
     (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
     code, _, err = called(capsys, "check", tmp_path / "s.yaml")
     assert code == 2
-    assert "cannot be assembled near this position: row world-rocker_link.x" in err
+    assert "cannot be assembled near this position: row rocker_link_loop_closure.force_x" in err
 
 
 def test_inverse_writes_torques_and_says_so(capsys, tmp_path, motion):

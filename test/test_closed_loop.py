@@ -98,7 +98,7 @@ def test_simulated_motion_gives_back_the_torque(name, joint, null_space):
     """Forward against inverse; multipliers of Bricard are those of smallest norm in both."""
     built = scene(name, joint)
     inverse = solver(built, joint)
-    rows = {f"{row.name}.multiplier" for row in inverse.constraints.rows}
+    rows = {row.name for row in inverse.constraints.rows}
     duration = 0.01 if "andrews" in name else 0.5
     for x, a, lam in simulated(built, duration):
         found = inverse.solve(x, a)
@@ -252,7 +252,7 @@ def test_multiplier_of_a_drive_is_its_effort():
     crank, _, _ = closed_bars(("crank",))
     expected = crank.solve(x, a)
     found = inverse.solve(x._replace(t=123.0), a)  # off its motion, which demands nothing
-    assert inverse.constraints.rows[2].name == "crank.motion"
+    assert inverse.constraints.rows[2].name == "prescribed_motion.torque"
     assert found.multipliers == pytest.approx([*expected.multipliers, *expected.tau], rel=1e-9)
     assert found.null_space == 0
     start = State(0.0, inverse.motion.start(x._replace(q=np.array([0.9, -0.9, 1.4]))), x.v)
@@ -268,7 +268,7 @@ def test_limited_drive_and_actuator_of_one_joint_share_its_effort():
     both, _, _ = closed_bars(("crank",), extra=[drive])
     tau, found = alone.solve(x, a).tau[0], both.solve(x, a)
     assert (found.tau[0], found.multipliers[2]) == pytest.approx((tau / 2, tau / 2), rel=1e-9)
-    assert found.undetermined == ("crank.effort", "crank.motion.multiplier")
+    assert found.undetermined == ("crank.effort", "prescribed_motion.torque")
 
 
 def test_inconsistent_motion_is_refused_with_its_row_and_can_be_repaired():

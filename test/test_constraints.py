@@ -244,25 +244,29 @@ def test_multipliers_do_the_work_of_their_rows(robot, make):
 @pytest.mark.parametrize(
     ("name", "rows"),
     [
-        ("distance", [Row("link2-flange.distance", "N")]),
-        ("four-bar", [Row(f"coupler_link-rocker_link.{i}", "N", "coupler_link") for i in "xy"]),
+        ("distance", [Row("force", "N")]),
+        ("four-bar", [Row(f"force_{i}", "N", "coupler_link") for i in "xy"]),
         (
             "revolute y",
             [
-                *(Row(f"left-right.{i}", "N", "left") for i in "xyz"),
-                *(Row(f"left-right.r{i}", "N·m", "left") for i in "xz"),
+                *(Row(f"force_{i}", "N", "left") for i in "xyz"),
+                *(Row(f"torque_{i}", "N·m", "left") for i in "xz"),
             ],
         ),
-        ("anchored point", [Row(f"universe-foot.{i}", "N", "universe") for i in "xyz"]),
-        ("plane", [Row("link3-flange.normal", "N", "link3")]),
-        ("screw", [Row("knee_slide_y.screw", "N")]),
-        ("harmonic", [Row("ankle.motion", "N·m")]),
-        ("spline", [Row("right_slide.motion", "N")]),
-        ("friction", [Row("left_swing.friction", "N·m")]),
-        ("stop of a free body", [Row("right_slide.stop", "N")]),
+        ("anchored point", [Row(f"force_{i}", "N", "universe") for i in "xyz"]),
+        ("plane", [Row("force", "N", "link3")]),
+        ("screw", [Row("force", "N")]),
+        ("harmonic", [Row("torque", "N·m")]),
+        ("spline", [Row("force", "N")]),
+        ("friction", [Row("torque", "N·m")]),
+        ("stop of a free body", [Row("force", "N")]),
         (
             "couplings",
-            [Row("knee_slide_x", "N"), Row("knee_slide_y", "N"), Row("ankle", "N·m")],
+            [
+                Row("knee_slide_x.multiplier", "N"),
+                Row("knee_slide_y.multiplier", "N"),
+                Row("ankle.multiplier", "N·m"),
+            ],
         ),
     ],
 )

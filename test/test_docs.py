@@ -258,7 +258,7 @@ def test_a_constraint_of_ones_own(follow):
     follow("A constraint")
     fall = table("fall.csv")
     np.testing.assert_allclose(fall["joint4.position"] + fall["joint6.position"], 0.3, atol=1e-12)
-    assert np.abs(fall["joint4.level.multiplier"]).max() > 0.1
+    assert np.abs(fall["level_tool.torque"]).max() > 0.1
 
 
 def test_a_command_of_ones_own(follow, capsys):

@@ -21,7 +21,7 @@ SCENES = Path(__file__).parents[1] / "config/scenes"
 KNEE = ("knee_anterior", "knee_tibial", "knee_posterior")
 JOINTS = ("hip_flexion", "knee_anterior", "knee_tibial", "ankle", "knee_posterior")
 MOTION = ("position", "velocity", "acceleration")
-ROWS = tuple(f"posterior_bar-shank.{axis}.multiplier" for axis in "xz")
+ROWS = tuple(f"shank_loop_closure.force_{axis}" for axis in "xz")
 
 
 def called(capsys, *words):
@@ -204,7 +204,7 @@ def test_null_space_is_reported_and_its_smallest_norm_taken(capsys, tmp_path, le
     assert code == 0
     assert (
         "null space of dimension 1: knee_anterior.effort, knee_posterior.effort, "
-        "posterior_bar-shank.x.multiplier, posterior_bar-shank.z.multiplier are not determined"
+        "shank_loop_closure.force_x, shank_loop_closure.force_z are not determined"
     ) in said
     found, alone = columns(tmp_path / "back.csv"), columns(swing)["knee_anterior.effort"]
     efforts = [found[f"{joint}.effort"] for joint in ("knee_anterior", "knee_posterior")]
@@ -238,7 +238,10 @@ def test_force_in_time_is_read_at_the_time_of_the_sample(capsys, tmp_path, swing
         ),
         (
             "benchmark/ts_car_axis",
-            ["actuated    bar, left_x, left_y, right_x, right_y; no", "slider.motion.multiplier"],
+            [
+                "actuated    bar, left_x, left_y, right_x, right_y; no",
+                "slider_prescribed_motion.force",
+            ],
         ),
         (
             None,

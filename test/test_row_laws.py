@@ -94,8 +94,8 @@ def test_slots_are_the_same_in_every_mode_and_cover_all_rows():
     assert [b.part for b in layout.having(Kind.DRIVE, Kind.UNILATERAL)] == [parts[1], parts[4]]
     rows = ConstraintRows(layout.yielding, 3)
     assert rows.slots.tolist() == [2, 3, 5, 6]
-    assert [row.name for row in layout.rows][:2] == ["held_0", "held_1"]
-    assert layout.rows[4].name == "held_0#2" and layout.blocks[2].rows == layout.rows[4:5]
+    assert [row.name for row in layout.rows][:2] == ["held.held_0", "held.held_1"]
+    assert layout.rows[4].name == "latch.held_0" and layout.blocks[2].rows == layout.rows[4:5]
 
 
 def test_gains_are_one_number_or_one_a_row():
@@ -118,10 +118,13 @@ def test_rows_of_velocities_are_never_asked_for_g(count):
 @pytest.mark.parametrize(
     ("part", "message"),
     [
-        (Held(cone(0.5), m=3), "row held_0 has the law cone, which no solver serves"),
-        (Held(unilateral(0.3)), "row held_0 has restitution 0.3, which no solver serves"),
+        (Held(cone(0.5), m=3), "row held.held_0 has the law cone, which no solver serves"),
+        (Held(unilateral(0.3)), "row held.held_0 has restitution 0.3, which no solver serves"),
         (Held(bilateral(), Level.VELOCITY), "held_0 has the law bilateral on velocities, which"),
-        (Sliding(bilateral()), "row held_0 pushes along another direction than it holds, which"),
+        (
+            Sliding(bilateral()),
+            "row sliding.held_0 pushes along another direction than it holds, which",
+        ),
         (Held(unilateral(), Level.VELOCITY), "held_0 has the law unilateral on velocities, which"),
     ],
 )
@@ -142,7 +145,7 @@ def test_laws_that_no_solver_serves_are_refused_by_name(part, message):
     ],
 )
 def test_laws_that_do_not_fit_their_rows_name_them(part, message):
-    with pytest.raises(ModelError, match=f"constraint Held with row held_0.*{message}"):
+    with pytest.raises(ModelError, match=f"constraint Held with row held.held_0.*{message}"):
         RowLayout([part])
 
 
@@ -161,7 +164,7 @@ def test_bounds_that_depend_on_the_state_are_those_of_that_state():
             assert found.lam == pytest.approx(expected.lam, rel=1e-15)
             assert abs(speed) < 1.0 or abs(found.lam[0]) == limit
     crossed = built(Held(box(lambda k, x: x.q[0], 1.0)))
-    with pytest.raises(SolveError, match="lower bound of row held_0 is above the upper one"):
+    with pytest.raises(SolveError, match="lower bound of row held.held_0 is above the upper one"):
         crossed.evaluate(State(0.0, np.full(3, 2.0), np.ones(3)))
 
 

@@ -48,12 +48,13 @@ def test_wrenches_and_multipliers_do_not_depend_on_order_or_solver(parts, solver
     _, a, _, lam, _ = known.evaluate(x)
     by_name = dict(zip([row.name for row in known.multiplier_rows], lam, strict=True))
     pull = [w.force for w in known.wrenches(x, lam)]
-    assert by_name["hip_flexion.stop"] > 1.0 and abs(by_name["ankle.friction"]) > 0.1
+    assert by_name["hip_flexion_joint_stop.torque"] > 1.0
+    assert abs(by_name["ankle_dry_friction.torque"]) > 0.1
     assert max(np.abs(force).max() for force in pull) > 1.0
     scene, x = leg(parts, solver)
     system = scene.system()
     found = system.evaluate(x)
-    listed = [row.name for part in scene.constraints for row in part.rows]
+    listed = [f"{p.name}.{row.name}" for p in scene.constraints for row in p.rows]
     assert [row.name for row in system.multiplier_rows] == listed
     wanted = np.array([by_name[name] for name in listed])
     assert found.a == pytest.approx(a, rel=1e-9)
@@ -77,7 +78,11 @@ def test_couplings_come_first_under_every_solver():
     names = [row.name for row in reduced.multiplier_rows]
     assert tier_of(reduced) != tier_of(rows)
     assert names == [row.name for row in rows.multiplier_rows]
-    assert names == [*scene.couplings.dependent, f"{joint}.stop", f"{joint}.friction"]
+    assert names == [
+        *(f"{name}.multiplier" for name in scene.couplings.dependent),
+        f"{joint}_joint_stop.torque",
+        f"{joint}_dry_friction.torque",
+    ]
     x = reduced.expand(y)
     lam = reduced.evaluate(x).lam
     assert rows.evaluate(x).lam == pytest.approx(lam, rel=1e-8, abs=1e-8)
@@ -90,5 +95,6 @@ def test_rows_of_one_name_are_told_apart_over_bounded_and_free_ones(tmp_path):
     for solver in ("auto", "qp"):
         scene, _ = leg([limited, LOOP, free], solver)
         names = [row.name for row in scene.system().multiplier_rows]
-        assert names[0] == "hip_flexion.motion" and names[-1] == "hip_flexion.motion#2"
+        assert names[0] == "hip_flexion_prescribed_motion.torque"
+        assert names[-1] == "hip_flexion_prescribed_motion_2.torque"
     assert [row.name for row in scene.closed_loop().constraints.rows] == names

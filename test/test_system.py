@@ -178,15 +178,17 @@ def test_rows_that_contradict_each_other_are_refused():
     system = with_parts(
         PENDULUM, [motion(polynomial=[0.0, 1.0]), motion(polynomial=[0.0, 1.0, 1.0])]
     )
-    with pytest.raises(SolveError, match=r"row hinge\.motion contradicts the other rows"):
+    with pytest.raises(
+        SolveError, match=r"row prescribed_motion\.torque contradicts the other rows"
+    ):
         system.evaluate(State(0.0, np.zeros(1), np.ones(1)))
     two = with_parts(ARM, [STRUT, {**STRUT, "distance": 0.5}])
     with pytest.raises(
-        SolveError, match=r"cannot be assembled near this position: row base-link7"
+        SolveError, match=r"cannot be assembled near this position: row distance.force#2"
     ):
         assemble(two, State(0.0, np.full(7, 0.3), np.zeros(7)))
     faster = with_parts(PENDULUM, [motion(polynomial=[0.0, 1.0]), motion(polynomial=[0.0, 2.0])])
-    with pytest.raises(SolveError, match=r"no consistent velocity: row hinge\.motion"):
+    with pytest.raises(SolveError, match=r"no consistent velocity: row prescribed_motion\.torque"):
         assemble(faster, State(0.0, np.zeros(1), np.ones(1)))
 
 
@@ -229,9 +231,9 @@ def test_hundred_bodies_closed_to_a_loop():
 @pytest.mark.parametrize(
     ("tier", "message"),
     [
-        ("aba", "solver aba takes no rows, the scene has hinge.stop"),
-        ("reduced", "solver reduced takes couplings only, the scene has hinge.stop"),
-        ("kkt", "solver kkt takes no bounded rows, the scene has hinge.stop"),
+        ("aba", "solver aba takes no rows, the scene has joint_stop.torque"),
+        ("reduced", "solver reduced takes couplings only, the scene has joint_stop.torque"),
+        ("kkt", "solver kkt takes no bounded rows, the scene has joint_stop.torque"),
         ("simplex", "unknown solver type 'simplex', accepted: auto, aba, reduced, kkt, qp"),
     ],
 )

@@ -54,7 +54,7 @@ class Distance(Constraint):
         self._b = robot.point(frame_b, checked_vector("point_b", point_b))
         self._moves = np.abs(robot.pair(self._a, self._b).columns)
         self._distance, self._shortest = distance, _COINCIDENT * distance
-        self.rows = (Row(f"{frame_a}-{frame_b}.distance", "N"),)
+        self.rows = (Row("force", "N"),)
 
     def residual(self, k: Kinematics, x: State) -> Array:
         """How much too long the bar is, g [m], shape (1,)."""

@@ -44,7 +44,7 @@ class DryFriction(Constraint):
         self.law = box(-limit, limit)
         self.gains = (0.0, 1.0 / time_constant)
         self.brings = ("friction",)
-        self.rows = (Row(f"{joint}.friction", self.joint.effort_unit),)
+        self.rows = (Row(self.joint.effort_name, self.joint.effort_unit),)
         self._zero, self._jacobian = np.zeros(1), np.zeros((1, robot.model.nv))
         self._jacobian[0, self.joint.v] = 1.0
 

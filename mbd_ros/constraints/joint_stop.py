@@ -58,7 +58,7 @@ class JointStop(Constraint):
         ends = [_ends(one, lower, upper) for one in stopped]
         n, kp, kd = len(stopped), 1.0 / time_constant**2, 2.0 / time_constant
         self.joints = tuple(one.name for one in stopped)
-        self.rows = tuple(Row(f"{one.name}.stop", one.effort_unit) for one in stopped)
+        self.rows = tuple(Row(_quantity(one, n), one.effort_unit) for one in stopped)
         self.law, self.gains = unilateral(), (kp, kd)
         self._lower, self._upper = np.array(ends).T
         self.stops = tuple(Stop(one, *end) for one, end in zip(stopped, ends, strict=True))
@@ -137,6 +137,12 @@ def _ends(joint: Joint, lower: float | None, upper: float | None) -> tuple[float
     if not low < high:
         raise ModelError(f"joint '{joint.name}': lower {low:g} must be less than upper {high:g}")
     return low, high
+
+
+def _quantity(joint: Joint, count: int) -> str:
+    """Name of the multiplier of one of several joints."""
+    own = "" if count == 1 else f"_{joint.name.replace('.', '_')}"
+    return f"{joint.effort_name}{own}"
 
 
 def _where(indices: list[int]) -> Any:

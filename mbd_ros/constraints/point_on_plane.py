@@ -51,7 +51,7 @@ class PointOnPlane(PairRows):
         plane = robot.turned(plane, _turned(along / np.linalg.norm(along)))
         pair = robot.pair(plane, robot.point(frame, checked_vector("point", point)))
         super().__init__(pair, "z")
-        self.rows = (Row(f"{plane_frame}-{frame}.normal", "N", plane_frame),)
+        self.rows = (Row("force", "N", plane_frame),)
 
 
 def _turned(normal: np.ndarray) -> np.ndarray:

@@ -67,7 +67,7 @@ class PrescribedMotion(Constraint):
         if limit < math.inf:
             self.gains = (1.0 / time_constant**2, 2.0 / time_constant)
         self.driven = (joint,)
-        self.rows = (Row(f"{joint}.motion", self.joint.effort_unit),)
+        self.rows = (Row(self.joint.effort_name, self.joint.effort_unit),)
         self._jacobian = np.zeros((1, robot.model.nv))
         self._jacobian[0, self.joint.v] = 1.0
 

@@ -46,7 +46,7 @@ class Screw(Constraint):
         self._lead, self._offset = pitch / (2.0 * math.pi), offset
         self._jacobian, self._drift = np.zeros((1, robot.model.nv)), np.zeros(1)
         self._jacobian[0, slider.v], self._jacobian[0, turner.v] = 1.0, -self._lead
-        self.rows = (Row(f"{joint}.screw", "N"),)
+        self.rows = (Row("force", "N"),)
 
     def residual(self, k: Kinematics, x: State) -> Array:
         """How far the slider is off the thread, g [m], shape (1,)."""

@@ -6,6 +6,7 @@ never changes its inputs, and keeps no memory of earlier states. Positions are c
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.names import type_name
+from mbd_ros.core.outputs import Now, Output, Value
 from mbd_ros.core.row_laws import Law, Level, bilateral
 from mbd_ros.core.state import Array, Mode, State
 
@@ -54,6 +56,7 @@ class Part:
         name: Unique in the scene, without a dot; the type of a part that no scene has built.
         reads: What its methods read of k at most.
         inputs: What it takes from outside while it runs.
+        outputs: What it shows besides the multipliers of its rows.
         u: Its inputs in the u of the scene; all of u until it is bound.
         z: Its internal states in the z of a state; all of z until it is bound.
     """
@@ -61,6 +64,7 @@ class Part:
     name: str = ""
     reads: Reads = Reads.NOTHING
     inputs: tuple[Channel, ...] = ()
+    outputs: tuple[Output, ...] = ()
     u: slice = slice(None)
     z: slice = slice(None)
 
@@ -71,6 +75,17 @@ class Part:
     def bind(self, slots: Slots) -> None:
         """Learn where its numbers stand; once, when all parts are known."""
         self.u, self.z = slots
+
+    def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
+        """Values of `outputs`, in their order; asked for at samples only.
+
+        Args:
+            k: Kinematics at the state, refreshed as far as `reads` says.
+            x: State of all joints.
+            u: All inputs.
+            now: Accelerations, and the multipliers of the own rows.
+        """
+        return ()
 
 
 class Load(Part):
@@ -155,7 +170,7 @@ class Row(NamedTuple):
     """One scalar equation of a constraint, for readers of its multiplier.
 
     Attributes:
-        name: Name of the equation, such as `knee_loop.x`.
+        name: Of the multiplier in the part, such as `force_x`; columns put that of the part first.
         unit: Unit of the multiplier: N, N·m, ..
         frame: Frame in whose axes the multiplier stands; empty in joint space.
     """

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.parts import Row
 from mbd_ros.core.state import NONE, Array
 from mbd_ros.demo.files import PLANT, RATE
@@ -66,7 +67,8 @@ class DemoNumbers:
     @cached_property
     def rows(self) -> Sequence[Row]:
         """Constraint rows of the plant, in the order of their forces."""
-        return self.plant.simulation().system.multiplier_rows
+        rows = self.plant.simulation().system.multiplier_rows
+        return [row._replace(name=without_multiplier(row.name)) for row in rows]
 
     def disturbance_at(self, times: Array) -> Array:
         """The disturbance [N·m], shape (k, n), at times [s]."""

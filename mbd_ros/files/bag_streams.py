@@ -2,8 +2,8 @@
 
 `metadata["topics"]` of a result maps its `samples`: topic -> field of a JointState ->
 quantity, so that the joints on a topic are those with a column `<joint>.<quantity>` of the first
-field; or topic -> `data` -> columns of a Float64MultiArray. Numbers that no such topic takes are
-in a Float64MultiArray on `/<table>`, whose layout labels are their names.
+field, or -> name -> column; or topic -> `data` -> columns of a Float64MultiArray. Numbers that no
+such topic takes are in a Float64MultiArray on `/<table>`, whose layout labels are their names.
 """
 
 import re
@@ -109,15 +109,15 @@ def _checked(topics: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, 
 
 
 def _joint_states(
-    topic: str, fields: Mapping[str, str], table: Table
+    topic: str, fields: Mapping[str, Any], table: Table
 ) -> tuple[Stream, dict[str, dict[str, Any]]] | None:
-    end = f".{next(iter(fields.values()))}"
-    names = tuple(n.removesuffix(end) for n in table if n.endswith(end) and _is_plain(table, n))
-    columns = {
-        field: [f"{name}.{quantity}" for name in names]
-        for field, quantity in fields.items()
-        if names and all(_is_plain(table, f"{name}.{quantity}") for name in names)
-    }
+    first = _columns(next(iter(fields.values())), table)
+    names = tuple(name for name, column in first.items() if _is_plain(table, column))
+    columns = {}
+    for field, quantity in fields.items():
+        found = _columns(quantity, table)
+        if names and all(_is_plain(table, found.get(name, "")) for name in names):
+            columns[field] = [found[name] for name in names]
     if not columns:
         return None
     values = {f: np.column_stack([table[c] for c in named]) for f, named in columns.items()}
@@ -127,6 +127,14 @@ def _joint_states(
         for i, column in enumerate(named)
     }
     return Stream(topic, JOINT_STATE, names, values), where
+
+
+def _columns(quantity: str | Mapping[str, str], table: Table) -> Mapping[str, str]:
+    """Name on the topic -> column."""
+    if not isinstance(quantity, str):
+        return quantity
+    end = f".{quantity}"
+    return {name.removesuffix(end): name for name in table if name.endswith(end)}
 
 
 def _multi_array(

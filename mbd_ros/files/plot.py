@@ -1,5 +1,6 @@
 """Pictures of tables: a panel for each quantity, a curve for each column; writes only."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,11 @@ from mbd_ros.files.times import STAMP, TIME
 _PANEL, _WIDTH, _EDGE = 1.7, 8.0, 0.6  # in
 _DPI = 110  # per in
 _CURVES, _POINTS = 12, 4000  # a panel, a curve: more is not to be seen
-_FIRST = ("position", "velocity", "effort", "multiplier")  # drawn where nothing is asked for
+_LATER = (  # drawn where they are asked for
+    *("acceleration", "command", "energy", "drift"),
+    *("gravity", "coriolis", "inertial", "external"),
+)
+_COMPONENT = re.compile(r"(force|torque|multiplier|.+(?=_q?[xyzw]$))(?:_(.+))?")
 _MOST = 24  # panels
 
 
@@ -64,7 +69,7 @@ def figure(result: Result, table: str = MAIN, columns: Sequence[str] | None = No
         result: The result.
         table: Which of its tables.
         columns: Columns (`knee.position`), or last words of their names (`effort`); without any,
-            positions, velocities, efforts and multipliers, or what else there is.
+            all but accelerations, commands, causes, energy and drift, or what else there is.
 
     Raises:
         DataError: A column that is not there, or nothing to draw.
@@ -84,7 +89,7 @@ def figure(result: Result, table: str = MAIN, columns: Sequence[str] | None = No
         axes.set_ylabel(title, fontsize=8)
         axes.tick_params(labelsize=7)
         axes.grid(visible=True, alpha=0.3)
-        names = [column.name.rpartition(".")[0] or column.name for column in chosen[:_CURVES]]
+        names = [_curve(column) for column in chosen[:_CURVES]]
         more = [f"and {len(chosen) - _CURVES} more"] if len(chosen) > _CURVES else []
         if len(axes.lines) == len(names):
             axes.legend(names, fontsize=6, loc="upper right", title="".join(more) or None)
@@ -117,20 +122,29 @@ def _panels(table: Table, asked: Sequence[str] | None) -> dict[str, list[Column]
     if asked is not None:
         chosen = []
         for name in asked:
-            found = [c for c in numbers if name in (c.name, _quantity(c))]
+            found = [c for c in numbers if name in (c.name, *_words(c)[1:])]
             if not found:
                 table.column(name)  # says which there are
                 raise DataError(f"column {name} holds no numbers to draw")
             chosen += found
     else:
-        chosen = [c for c in numbers if _quantity(c) in _FIRST] or numbers
+        chosen = [c for c in numbers if not {*c.name.split(".")} & {*_LATER}] or numbers
     panels: dict[str, list[Column]] = {}
     for column in chosen:
-        title = _quantity(column) + (f"\n[{column.unit}]" if column.unit else "")
+        title = _words(column)[2] + (f"\n[{column.unit}]" if column.unit else "")
         panels.setdefault(title, []).append(column)
     return dict(list(panels.items())[:_MOST])
 
 
-def _quantity(column: Column) -> str:
-    """The last word of a name."""
-    return column.name.rpartition(".")[2]
+def _words(column: Column) -> tuple[str, str, str]:
+    """Part, quantity, and the quantity without its component: force of force_x."""
+    part, _, quantity = column.name.rpartition(".")
+    whole = _COMPONENT.fullmatch(quantity)
+    return part, quantity, whole[1] if whole else quantity
+
+
+def _curve(column: Column) -> str:
+    """Part and component: `foot_loop_closure x`."""
+    part, quantity, whole = _words(column)
+    component = quantity.removeprefix(whole).lstrip("_")
+    return " ".join(filter(None, (part, component))) or column.name

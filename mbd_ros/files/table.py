@@ -110,7 +110,7 @@ class Table(Mapping[str, NDArray[Any]]):
         except KeyError:
             from mbd_ros.scene.renamed import renamed  # here, since it serves errors only
 
-            hint = f"{renamed('column', name)}; there are: {_some(list(self))}"
+            hint = f"{renamed('column', name, self)}; there are: {_some(list(self))}"
             raise MissingColumnError(f"no column {name}{hint}") from None
 
     def first(self, count: int) -> "Table":

@@ -7,6 +7,8 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from mbd_ros.core.model.robot import Joint
+from mbd_ros.core.names import without_multiplier
+from mbd_ros.core.outputs import Output
 from mbd_ros.core.parts import Row
 from mbd_ros.core.rows.row_layout import numbered
 from mbd_ros.core.state import Array
@@ -37,17 +39,27 @@ def joint_columns(joints: Sequence[Joint], quantity: str, values: Array) -> list
     ]
 
 
-def row_columns(rows: Sequence[Row], multipliers: Array) -> list[Column]:
-    """Columns `<row>.multiplier`.
+def output_columns(outputs: Sequence[Output], values: Array) -> list[Column]:
+    """Columns of what parts show, multipliers first.
 
     Args:
-        rows: Constraint rows.
-        multipliers: Shape (n, len(rows)).
+        outputs: As `Showing` names them.
+        values: Shape (n, len(outputs)).
     """
     return [
-        Column(f"{row.name}.multiplier", column, row.unit, row.frame)
-        for row, column in zip(rows, multipliers.T, strict=True)
+        Column(output.name, column, output.unit, output.frame)
+        for output, column in zip(outputs, values.T, strict=True)
     ]
+
+
+def force_topic(rows: Sequence[Row]) -> dict[str, Any]:
+    """Topic of a bag with multipliers, see `files.bag_streams`; none without rows.
+
+    Args:
+        rows: As `RowLayout` names them.
+    """
+    names = {without_multiplier(row.name): row.name for row in rows}
+    return {"/constraint_forces": {"effort": names}} if names else {}
 
 
 def command_columns(joints: Sequence[str], commands: Array) -> list[Column]:

@@ -279,7 +279,7 @@ def test_constraint_forces_and_markers(domain, tmp_path, solver):
         scene = scene_of(tmp_path, text)
         system = scene.system()
         assert tuple(forces[0].name) == tuple(row.name for row in system.multiplier_rows)
-        assert forces[0].name[0] == "hip_flexion.stop" and len(forces[0].effort) == 3
+        assert forces[0].name[0] == "hip_flexion_joint_stop.torque" and len(forces[0].effort) == 3
         assert np.abs(forces[-1].effort).max() > 0.1
         upper, lower = shown = arrays[-1].markers
         assert {upper.ns, lower.ns} == {"posterior_bar", "shank"}

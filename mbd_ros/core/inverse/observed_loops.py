@@ -9,6 +9,7 @@ from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.couplings import Slopes
 from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.state import Array, State
 
@@ -36,7 +37,7 @@ class ObservedLoops:
         self._model = inverse.robot.model
         self._slopes: Slopes = [0.0] * len(inverse.couplings.pairs)
         constraints = inverse.constraints
-        self.rows = tuple(row.name for row in constraints.rows)
+        self.rows = tuple(without_multiplier(row.name) for row in constraints.rows)
         self.gap = np.zeros(len(self.rows))
         self._k = Kinematics(inverse.robot)
         self._is_kept = np.zeros(len(self.rows), dtype=np.bool_)

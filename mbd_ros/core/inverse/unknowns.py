@@ -33,7 +33,7 @@ class Unknowns:
     def __init__(self, efforts: Efforts, constraints: ConstraintRows, is_drive: Mask) -> None:
         na, m = len(efforts.names), len(constraints.rows)
         names = [*(f"{name}.effort" for name in efforts.names)]
-        names += [f"{row.name}.multiplier" for row in constraints.rows]
+        names += [row.name for row in constraints.rows]
         order = np.concatenate((np.zeros(na), np.where(is_drive, 1, 2)))
         self.place = np.argsort(order, kind="stable")
         self.efforts = na + int(is_drive.sum())

@@ -41,6 +41,11 @@ class Joint:
     max_effort: float
 
     @property
+    def effort_name(self) -> str:
+        """What its effort is, torque or force."""
+        return "force" if self.kind == "prismatic" else "torque"
+
+    @property
     def effort_unit(self) -> str:
         """Unit of its effort."""
         return "N" if self.kind == "prismatic" else "N·m"

@@ -23,7 +23,9 @@ class CouplingRows(Constraint):
 
     def __init__(self, robot: Robot, couplings: Couplings) -> None:
         self.pairs = couplings.pairs
-        self.rows = tuple(Row(name, robot.joint(name).effort_unit) for name in couplings.dependent)
+        self.name = ""  # its multipliers go by the dependent joints
+        tied = [robot.joint(name) for name in couplings.dependent]
+        self.rows = tuple(Row(f"{one.name}.multiplier", one.effort_unit) for one in tied)
         self._nv = int(robot.model.nv)
         self._constant: tuple[Array, Array] | None = None
         if all(isinstance(pair.function, Linear) for pair in couplings.pairs):

@@ -43,11 +43,10 @@ class PairRows(Constraint):
         self._pair = pair
         self._rows, self._rotation = DIRECTIONS[directions], rotation
         self._count = len(directions)
-        a, b = pair.a.frame, pair.b.frame
-        turns = () if rotation is None else rotation.names
+        a, turns = pair.a.frame, () if rotation is None else rotation.names
         self.rows = (
-            *(Row(f"{a}-{b}.{axis}", "N", a) for axis in directions),
-            *(Row(f"{a}-{b}.{axis}", "N·m", a) for axis in turns),
+            *(Row(f"force_{axis}", "N", a) for axis in directions),
+            *(Row(f"torque_{axis}", "N·m", a) for axis in turns),
         )
 
     def residual(self, k: Kinematics, x: State) -> Array:

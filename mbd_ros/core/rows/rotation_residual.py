@@ -45,7 +45,7 @@ class FullRotation:
     parameters); differentiated once more.
     """
 
-    names: tuple[str, ...] = ("rx", "ry", "rz")
+    names: tuple[str, ...] = ("x", "y", "z")
 
     def residual(self, R: Array) -> Array:
         """The remaining turn, g [rad], shape (3,)."""
@@ -88,7 +88,7 @@ class AxisRotation:
         along = "xyz".index(axis)
         self._cycle = along, (along + 1) % 3, (along + 2) % 3  # right-handed: e, second, third
         self._across = sorted(self._cycle[1:])
-        self.names: tuple[str, ...] = tuple("r" + "xyz"[i] for i in self._across)
+        self.names: tuple[str, ...] = tuple("xyz"[i] for i in self._across)
 
     def residual(self, R: Array) -> Array:
         """The remaining turn, g [rad], shape (2,)."""

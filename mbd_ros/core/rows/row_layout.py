@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.names import label
 from mbd_ros.core.parts import Constraint, Row
 from mbd_ros.core.row_laws import Kind, Law, Level
 from mbd_ros.core.state import Array, Mode
@@ -44,7 +45,7 @@ class RowLayout:
         parts: Couplings and constraints, in that order.
 
     Attributes:
-        rows: One entry a multiplier.
+        rows: One entry a multiplier, as columns call it: `<part>.<quantity>`.
         blocks: One entry a constraint.
         rigid: Blocks that hold whatever multipliers that takes.
         yielding: The other blocks.
@@ -54,7 +55,7 @@ class RowLayout:
     """
 
     def __init__(self, parts: Sequence[Constraint] = ()) -> None:
-        self.rows = numbered([row for part in parts for row in part.rows])
+        self.rows = labelled(parts)
         ends = np.cumsum([0, *(len(part.rows) for part in parts)]).tolist()
         slots = (slice(*pair) for pair in itertools.pairwise(ends))
         self.blocks = tuple(
@@ -79,6 +80,12 @@ class RowLayout:
 def rigid(parts: Sequence[Constraint]) -> list[Constraint]:
     """Constraints that hold whatever multipliers that takes: without stops and dry friction."""
     return [part for part in parts if part.law.is_rigid]
+
+
+def labelled(parts: Sequence[Constraint]) -> tuple[Row, ...]:
+    """All rows, as columns and messages call them: `<part>.<row>`, numbered where that repeats."""
+    rows = [row._replace(name=label(part, row.name)) for part in parts for row in part.rows]
+    return numbered(rows)
 
 
 def numbered(rows: Sequence[Row]) -> tuple[Row, ...]:

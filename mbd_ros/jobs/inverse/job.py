@@ -88,8 +88,8 @@ def inverse(
 
     Returns:
         Table `samples`: `time`, `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,
-        perhaps `.<cause>`, `<joint or row>.multiplier`, perhaps `<joint>.command`; the
-        independent joints, in a scene with loops all of them.
+        perhaps `.<cause>`, `<joint>.multiplier`, `<part>.<quantity>`, perhaps `<joint>.command`;
+        the independent joints, in a scene with loops all of them.
 
     Raises:
         DataError: Something cannot be read or does not fit the scene.
@@ -150,7 +150,7 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     if observed.cutoff is not None:
         for text in unexplained(observed.motion, table, observed.cutoff):
             say(text)
-    about_it = metadata_of("inverse", scene, _inputs(task), _topics(way.TOPICS, task))
+    about_it = metadata_of("inverse", scene, _inputs(task), _topics(way.topics(scene), task))
     return Result({MAIN: table}, {**about_it, "stamps": "recorded"})
 
 

@@ -1,29 +1,30 @@
 """Recorded motions of mechanisms with loops: joints that lack are closed, then all is solved."""
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.estimation.torque_estimator import Observation
 from mbd_ros.core.inverse.loop_motion import LoopMotion, Mask
 from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.inverse.torques import Torques
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Joint
-from mbd_ros.core.state import NANOSECOND, Array, Motion, State
+from mbd_ros.core.parts import Constraint
+from mbd_ros.core.rows.row_layout import RowLayout
+from mbd_ros.core.state import NANOSECOND, NONE, Array, Motion, State
 from mbd_ros.core.thresholds import FOLD, TOGGLE
 from mbd_ros.errors import DataError, SolveError
 from mbd_ros.files.recording import Recording
 from mbd_ros.files.table import Column
-from mbd_ros.jobs.columns import joint_columns, row_columns
+from mbd_ros.jobs.columns import force_topic, joint_columns, output_columns
 from mbd_ros.jobs.inverse import open_chains
 from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
 
 HAS_CAUSES = False
-TOPICS = {  # of a bag, see `files.bag_streams`
-    **open_chains.TOPICS,
-    "/joint_states": {field: field for field in ("position", "velocity")},
-}
 
 
 def close_loops(scene: Scene, where: str, recording: Recording) -> tuple[Recording, list[str]]:
@@ -98,24 +99,40 @@ def solve(
             solved.append(inverse.solve(x, a, [load[i] for load in wrenches]))
         except SolveError as error:
             raise SolveError(f"{where}: at {t:.9g} s: {error}") from error
-        states.append((x.q, x.v, a))
+        states.append((x, a))
         moves = x.q - measured.q, x.v - measured.v, a - given
         off.append([np.abs(move).max(initial=0.0) for move in moves])
     stamps = np.array([sample.stamp for sample in samples], dtype=np.int64)
-    q, v, a = (np.array(column) for column in zip(*states, strict=True))
+    q, v, a = (np.array(each) for each in zip(*((x.q, x.v, a) for x, a in states), strict=True))
     joints = scene.robot.joints
     at_q, at_v = [joint.q for joint in joints], [joint.v for joint in joints]
     effort = np.array([each.tau for each in solved])
-    multipliers = np.array([each.multipliers for each in solved])
+    showing = _showing(scene, inverse.constraints.parts)
+    shown = [
+        showing.at(x, NONE, a, each.multipliers)
+        for (x, a), each in zip(states, solved, strict=True)
+    ]
     driven = [scene.robot.joint(name) for name in inverse.efforts.names]
     columns = [
         *joint_columns(joints, "position", q[:, at_q]),
         *joint_columns(joints, "velocity", v[:, at_v]),
         *joint_columns(joints, "acceleration", a[:, at_v]),
         *joint_columns(driven, "effort", effort),
-        *row_columns(inverse.constraints.rows, multipliers),
+        *output_columns(showing.numbers, np.array(shown)),
     ]
     return columns, list(_remarks(np.max(off, axis=0), stamps, solved))
+
+
+def topics(scene: Scene) -> dict[str, Any]:
+    """Topics of a bag, see `files.bag_streams`."""
+    rows = scene.closed_loop().constraints.rows
+    states = {"/joint_states": {field: field for field in ("position", "velocity")}}
+    return {**open_chains.topics(scene), **force_topic(rows), **states}
+
+
+def _showing(scene: Scene, constraints: Sequence[Constraint]) -> Showing:
+    """What parts show of a motion; `constraints` in the order of the multipliers."""
+    return Showing(Kinematics(scene.robot), RowLayout(constraints), scene.forces)
 
 
 def _remarks(off: Array, stamps: np.ndarray, solved: Sequence[Torques]) -> Iterator[str]:

@@ -1,6 +1,7 @@
 """Torques of open chains, coupled or not: many samples at once."""
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +14,6 @@ from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
 
 HAS_CAUSES = True
-TOPICS = {  # of a bag, see `files.bag_streams`
-    "/joint_torques": {field: field for field in ("effort", "position", "velocity")},
-    "/constraint_forces": {"effort": "multiplier"},
-}
 _CHUNK = 1000  # samples between two signs of progress
 
 
@@ -65,6 +62,14 @@ def solve(
     )
     columns = [c for field, values in found.items() for c in joint_columns(free, field, values)]
     return [*columns, *joint_columns(tied, "multiplier", multipliers)], []
+
+
+def topics(scene: Scene) -> dict[str, Any]:
+    """Topics of a bag, see `files.bag_streams`."""
+    return {
+        "/joint_torques": {field: field for field in ("effort", "position", "velocity")},
+        "/constraint_forces": {"effort": "multiplier"},
+    }
 
 
 def violations(scene: Scene, samples: Sequence[Observation]) -> Iterator[str]:

@@ -83,8 +83,8 @@ def simulate(
 
     Returns:
         Table `samples`: `time`, `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,
-        `<row>.multiplier`, `energy`, `drift.position`, `drift.velocity`, perhaps
-        `<joint>.command`.
+        `<joint>.multiplier`, `<part>.<quantity>`, `energy`, `drift.position`, `drift.velocity`,
+        perhaps `<joint>.command`.
 
     Raises:
         Interrupted: The state diverged, equations have no solution, or steps became too short;

@@ -5,13 +5,14 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.projection.assembly import violation
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DivergedError, MbdError, SolveError
 from mbd_ros.files.table import Column, Table
 from mbd_ros.files.times import TIME
-from mbd_ros.jobs.columns import command_columns, joint_columns, row_columns
+from mbd_ros.jobs.columns import command_columns, force_topic, joint_columns, output_columns
 
 BALANCE = {  # column -> what messages call it, unit
     "energy": ("energy", "J"),
@@ -22,12 +23,11 @@ BALANCE = {  # column -> what messages call it, unit
 
 def topics_of(system: System) -> dict[str, Any]:
     """Topics of a bag, see `files.bag_streams`."""
-    topics: dict[str, Any] = {
-        "/joint_states": {field: field for field in ("position", "velocity", "effort")}
+    return {
+        "/joint_states": {field: field for field in ("position", "velocity", "effort")},
+        **force_topic(system.multiplier_rows),
+        "/energy_and_drift": {"data": list(BALANCE)},
     }
-    if system.multiplier_rows:
-        topics["/constraint_forces"] = {"effort": "multiplier"}
-    return {**topics, "/energy_and_drift": {"data": list(BALANCE)}}
 
 
 def table_of(system: System, states: Sequence[State]) -> tuple[Table, MbdError | None]:
@@ -37,20 +37,21 @@ def table_of(system: System, states: Sequence[State]) -> tuple[Table, MbdError |
         system: The system that was simulated.
         states: States of all joints.
     """
-    rows = []
+    rows, loads = [], system.loads
+    showing = Showing(system.k, system.layout, (*loads.actuators, *loads.forces))
     failure: MbdError | None = None
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             for x in states:
-                rows.append(_row(system, x))
+                rows.append(_row(system, showing, x))
     except SolveError as error:
         failure = error
-    joints, m = system.robot.joints, len(system.multiplier_rows)
+    joints, shown = system.robot.joints, showing.numbers
     q_index, v_index = [j.q for j in joints], [j.v for j in joints]
     nq, nv = system.model.nq, system.model.nv
-    t, q, v, a, effort, multiplier, balance = (
+    t, q, v, a, effort, values, balance = (
         np.array([row[i] for row in rows]).reshape(len(rows), width)
-        for i, width in enumerate((1, nq, nv, nv, nv, m, 3))
+        for i, width in enumerate((1, nq, nv, nv, nv, len(shown), 3))
     )
     columns = [
         Column(TIME, t[:, 0], "s"),
@@ -58,7 +59,7 @@ def table_of(system: System, states: Sequence[State]) -> tuple[Table, MbdError |
         *joint_columns(joints, "velocity", v[:, v_index]),
         *joint_columns(joints, "acceleration", a[:, v_index]),
         *joint_columns(joints, "effort", effort[:, v_index]),
-        *row_columns(system.multiplier_rows, multiplier),
+        *output_columns(shown, values),
         *(Column(name, balance[:, i], BALANCE[name][1]) for i, name in enumerate(BALANCE)),
     ]
     table = Table(columns)
@@ -93,9 +94,11 @@ def _commands(system: System, times: Array) -> list[Column]:
     return command_columns([system.loads.commands[i] for i in at], u[:, at])
 
 
-def _row(system: System, x: State) -> tuple[Any, ...]:
-    """Time, q, v, a, effort, multipliers and balance of one state."""
+def _row(system: System, showing: Showing, x: State) -> tuple[Any, ...]:
+    """Time, q, v, a, effort, outputs and balance of one state."""
     y = system.reduce(x)
     _, a, _, lam, _ = system.evaluate(x)
     balance = system.energy(y), *violation(system, y)
-    return x.t, x.q, x.v, a, system.loads.actuator_torque(system.k, x, None), lam, balance
+    effort = system.loads.actuator_torque(system.k, x, None)
+    shown = showing.at(x, system.loads.sources.at(x.t), a, lam)
+    return x.t, x.q, x.v, a, effort, shown, balance

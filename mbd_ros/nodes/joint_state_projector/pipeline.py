@@ -10,6 +10,7 @@ from mbd_ros.core.dynamics.mass_check import check_mass_anywhere
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.state_reconstruction import StateReconstructor
+from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.projection.state_projection import ProjectedState, StateProjector
 from mbd_ros.core.rows.row_layout import rigid
 from mbd_ros.core.state import Array
@@ -67,7 +68,7 @@ class ProjectorPipeline:
         self.reader = JointStateCdrReader(self.joints, joint_state)
         low, high = np.isfinite(self._projector.lower), np.isfinite(self._projector.upper)
         self._limited = (low | high).nonzero()[0]
-        self._rows = tuple(row.name for row in self._system.rows)
+        self._rows = tuple(without_multiplier(row.name) for row in self._system.rows)
         self._rows += tuple(f"{names[i]}.limit" for i in self._limited)
         self._states = JointStateCdrWriter(names, ("position", "velocity"))
         self._forces = JointStateCdrWriter(self._rows)

@@ -8,6 +8,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
 from mbd_ros.core.dynamics.tiers import tier_of
+from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.nodes.shell.driven_joints import command_order, driven_joints
@@ -50,7 +51,9 @@ class Plant:
             scene.simulation, scene.initial, 1.0 / values.rate, watch, scene.safe
         )
         names = [joint.name for joint in scene.robot.joints]
-        self.rows = [row.name for row in self.live.simulation.system.multiplier_rows]
+        self.rows = [
+            without_multiplier(row.name) for row in self.live.simulation.system.multiplier_rows
+        ]
         self._states = JointStateCdrWriter(names)
         self._forces = JointStateCdrWriter(self.rows, ("effort",))
         self._motion = JointMotionWriter(JointTrajectory(), JointTrajectoryPoint(), names)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.rows.row_layout import labelled
 from mbd_ros.errors import MbdError
 from mbd_ros.report.stability.motion import Grid
 from mbd_ros.report.stability.oracle import Oracle
@@ -119,6 +120,6 @@ def is_named(case: Case, reason: str) -> bool:
     """Whether a message names a time, a joint, a link or a row."""
     robot = case.scene.robot
     links = [frame.name for frame in robot.model.frames if frame.type == pin.FrameType.BODY]
-    rows = [row.name for part in case.scene.constraints for row in part.rows]
+    rows = [row.name for row in labelled(case.scene.constraints)]
     names = (*(joint.name for joint in robot.joints), *links, *rows)
     return "t = " in reason or any(re.search(rf"\b{re.escape(n)}\b", reason) for n in names)
