@@ -68,7 +68,7 @@ def _projected(system: System, x: State) -> State:
         v = _consistent_velocity(v, J, rate, factor)
         if float(np.abs(J.dot(v) + rate).max()) <= slow:
             break
-    return State(x.t, q, v)
+    return x._replace(q=q, v=v)
 
 
 def _closed_nearby(system: System, x: State) -> tuple[Array, RowFactor]:
@@ -100,6 +100,8 @@ def _closed_nearby(system: System, x: State) -> tuple[Array, RowFactor]:
 def assemble(system: System, x: State) -> State:
     """The nearest consistent state to one that may be far off, on its branch.
 
+    A state that is consistent to rounding stays what it is, so that runs continue from it.
+
     Args:
         system: The system.
         x: Any finite state of the integrated coordinates.
@@ -107,7 +109,7 @@ def assemble(system: System, x: State) -> State:
     Raises:
         SolveError: There is none near it; names the worst row and its residual.
     """
-    if not system.rows:
+    if not system.rows or _is_consistent(system, x):
         return x
     q = _nearest_configuration(system, x)
     J, rate = system.jacobian(x.t, q), system.rate(x.t, q)
@@ -123,7 +125,12 @@ def assemble(system: System, x: State) -> State:
             f"no consistent velocity: row {system.rows[worst].name} keeps a rate of "
             f"{left[worst]:.3g} per second; it contradicts the other rows"
         )
-    return State(x.t, q, v)
+    return x._replace(q=q, v=v)
+
+
+def _is_consistent(system: System, x: State) -> bool:
+    off, fastest = violation(system, x), float(np.abs(x.v).max(initial=0.0))
+    return off.position <= ON_MANIFOLD and off.velocity <= ON_MANIFOLD * (1.0 + fastest)
 
 
 def _nearest_configuration(system: System, x: State) -> Array:
