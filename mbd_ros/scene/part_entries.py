@@ -29,7 +29,7 @@ class MeasuredWrench(ExternalWrench):
 
     @property
     def heard_on(self) -> str:
-        """The topic, for people."""
+        """The topic that carries it."""
         return self.topic or f"~/wrench/{self.name}"
 
 

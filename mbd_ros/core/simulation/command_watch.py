@@ -1,6 +1,7 @@
 """The command in force: the last one, or the safe one when no other comes."""
 
 import math
+from collections.abc import Callable
 
 from mbd_ros.core.state import Array
 
@@ -54,6 +55,18 @@ class CommandWatch:
         late = self.age >= self.timeout - _ROUNDING
         self.weight = min(max(self.weight + (step if late else -step), 0.0), 1.0)
         self.age += period
+
+    def value(self, safe: Callable[[], Array]) -> Array:
+        """The command of the tick that began: the held one, the safe one, or a mixture.
+
+        Args:
+            safe: Gives the safe command, shape (nu,); is asked only where it takes part.
+        """
+        if self.held is None:
+            return safe()
+        if self.weight == 0.0:
+            return self.held
+        return (1.0 - self.weight) * self.held + self.weight * safe()
 
     @property
     def is_safe(self) -> bool:

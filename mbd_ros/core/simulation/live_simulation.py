@@ -1,6 +1,7 @@
 """A simulation that is stepped tick by tick while commands come in."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -38,15 +39,16 @@ class Snapshot(NamedTuple):
 
 
 class LiveSimulation:
-    """Simulates a scene in ticks; a command holds over a tick.
+    """Simulates a scene in ticks; its inputs hold over a tick.
 
     Args:
         build: Makes the simulation; `reset` calls it again, so that no history remains and a
             replay gives the same bits.
         initial: State of all joints at the start.
         period: Length of a tick [s], a whole number of steps.
-        watch: Takes the commands, in the order of `Loads.commands`.
-        safe: The safe command.
+        watch: Takes the inputs of all actuators, in their order.
+        safe: The safe command of the actuators.
+        heard: Where other inputs stand in u, and what takes them; the others have safe values.
 
     Attributes:
         simulation: At work since the last reset.
@@ -66,7 +68,9 @@ class LiveSimulation:
         period: float,
         watch: CommandWatch,
         safe: SafeCommand,
+        heard: Sequence[tuple[slice, CommandWatch]] = (),
     ) -> None:
+        self._heard = tuple(heard)
         self._build, self._initial, self._period = build, initial, period
         self.watch, self._safe = watch, safe
         self.reset()
@@ -90,7 +94,9 @@ class LiveSimulation:
         self._driven = np.array(driven, dtype=np.intp)
         self._selection = np.eye(robot.model.nv)[:, self._driven]
         self.simulation, self.fault, self._steps = simulation, "", 0
-        self.watch.restart()
+        self._commands = sum(len(a.inputs) for a in simulation.system.loads.actuators)
+        for watch in self.watches:
+            watch.restart()
         self._y = simulation.start(self._initial)
         self._x, self.now = self._observe(self._y, None)
 
@@ -106,8 +112,9 @@ class LiveSimulation:
             raise DivergedError(f"{self.fault}; reset it first")
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # a divergence says so itself
-                self.watch.begin(self._period)
-                u = self._command()
+                for watch in self.watches:
+                    watch.begin(self._period)
+                u = self._inputs()
                 y = self._y
                 for k in range(self._steps + 1, self._steps + self._count + 1):
                     y = self.simulation.advance(y, u, self._initial.t + k * self.simulation.dt)
@@ -119,6 +126,11 @@ class LiveSimulation:
         self._steps += self._count
         return now
 
+    @property
+    def watches(self) -> tuple[CommandWatch, ...]:
+        """Everything that takes inputs."""
+        return self.watch, *(watch for _, watch in self._heard)
+
     def violation(self) -> Violation:
         """How far the newest state is off the bilateral rows."""
         return violation(self.simulation.system, self._y)
@@ -127,17 +139,20 @@ class LiveSimulation:
         """Wrenches of bilateral rows on bodies at the newest state."""
         return self.simulation.system.wrenches(self._x, self.now.multipliers)
 
-    def _command(self) -> Array | None:
-        """Commands of this tick, shape (nu,)."""
-        watch, loads = self.watch, self.simulation.system.loads
-        if not loads.actuators:
-            return None
-        if watch.held is not None and watch.weight == 0.0:
-            return watch.held
-        safe = loads.command(self._safe_torque(), self._x)
-        if watch.held is None:
-            return safe
-        return (1.0 - watch.weight) * watch.held + watch.weight * safe
+    def _inputs(self) -> Array:
+        """Inputs of this tick, shape (nu,); those of actuators come first."""
+        idle, n = self.simulation.system.loads.idle, self._commands
+        u = idle.copy()
+        if n:
+            u[:n] = self.watch.value(self._safe_command)
+        for at, watch in self._heard:
+            u[at] = watch.value(partial(idle.__getitem__, at))
+        return u
+
+    def _safe_command(self) -> Array:
+        """Safe commands of the actuators."""
+        loads = self.simulation.system.loads
+        return loads.command(self._safe_torque(), self._x)[: self._commands]
 
     def _safe_torque(self) -> Array:
         """Safe torque of the actuated joints, shape (nu,)."""

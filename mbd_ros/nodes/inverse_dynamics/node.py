@@ -12,10 +12,10 @@ from mbd_ros.errors import SolveError
 from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS, tuning
 from mbd_ros.nodes.inverse_dynamics.pipeline import Pipeline
 from mbd_ros.nodes.shell.joint_state_node import SENSOR, JointStateNode
+from mbd_ros.nodes.shell.wrenches import read_load
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample
-from msg_adapters.wrench import read_wrench
 
 
 class InverseDynamicsNode(JointStateNode):
@@ -37,8 +37,7 @@ class InverseDynamicsNode(JointStateNode):
         super().configure_core()
         wrenches = self._pipeline.scene.wrenches
         for name, wrench in wrenches.items():
-            topic = wrench.topic or f"~/wrench/{name}"
-            self.subscribe(WrenchStamped, topic, self._on_wrench(name), SENSOR)
+            self.subscribe(WrenchStamped, wrench.heard_on, self._on_wrench(name), SENSOR)
         if wrenches:
             self.every(max(self.parameters.wrench_wait / 2.0, 1e-3), self._flush)
 
@@ -78,17 +77,12 @@ class InverseDynamicsNode(JointStateNode):
     def _on_wrench(self, name: str) -> Callable[[Any], None]:
         def take(msg: Any) -> None:
             buffer = self._pipeline.queue.buffers[name]
-            expected = self._pipeline.scene.wrenches[name].expressed_in
             try:
-                sample = read_wrench(msg)
+                sample = read_load(msg, self._pipeline.scene.wrenches[name])
             except MessageError as error:
-                self.drop("wrench", f"wrench '{name}': {error}")
+                self.drop("wrench", str(error))
                 return
-            if sample.frame_id not in ("", expected):
-                self.drop(
-                    "wrench", f"wrench '{name}': frame '{sample.frame_id}', expected '{expected}'"
-                )
-            elif not buffer.add(sample.stamp or self.receive_time(), sample.wrench):
+            if not buffer.add(sample.stamp or self.receive_time(), sample.wrench):
                 self.drop("wrench", f"wrench '{name}': stamp not newer than the last")
             else:
                 self._flush()

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from time import perf_counter
 from typing import Any
 
+from geometry_msgs.msg import WrenchStamped
 from rclpy.executors import Executor
 from rclpy.qos import HistoryPolicy, QoSProfile
 from sensor_msgs.msg import JointState
@@ -11,6 +12,7 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from mbd_ros.errors import DivergedError, MbdError
+from mbd_ros.nodes.shell.joint_state_node import SENSOR
 from mbd_ros.nodes.shell.scene_node import SceneNode
 from mbd_ros.nodes.simulator.outputs import SimulatedClock, SimulatorOutputs
 from mbd_ros.nodes.simulator.pace import Pace, wake_exactly
@@ -66,14 +68,15 @@ class SimulatorNode(SceneNode):
         self._pace = Pace(1.0 / values.rate, values.real_time_factor)
         wake_exactly()
         self._outputs = SimulatorOutputs(self, plant)
-        if plant.has_actuators:
-            qos = EVERY_COMMAND if values.lock_step else COMMANDS
-            for kind, topic, read in (
-                (Float64MultiArray, "~/commands", plant.reader.read_vector),
-                (JointState, "~/joint_commands", plant.reader.read_efforts),
-            ):
-                take = self._on_command(topic, read)
-                self.subscribe(kind, topic, take, qos, single_publisher=True)
+        qos = EVERY_COMMAND if values.lock_step else COMMANDS
+        for kind, topic, read in (
+            (Float64MultiArray, "~/commands", plant.reader.read_vector),
+            (JointState, "~/joint_commands", plant.reader.read_efforts),
+        )[: 2 * plant.has_actuators]:
+            take = self._on_command(topic, read)
+            self.subscribe(kind, topic, take, qos, single_publisher=True)
+        for name, wrench in plant.scene.wrenches.items():
+            self.subscribe(WrenchStamped, wrench.heard_on, self._on_wrench(name), SENSOR)
 
     def activate_core(self) -> None:
         """Continue from the kept state; show it at once.
@@ -96,8 +99,8 @@ class SimulatorNode(SceneNode):
 
     def retune(self, values: Any) -> None:
         """New timeouts for the commands; another factor takes hold at once."""
-        watch = self._plant.live.watch
-        watch.timeout, watch.ramp = values.command_timeout, values.safe_ramp
+        for watch in self._plant.live.watches:
+            watch.timeout, watch.ramp = values.command_timeout, values.safe_ramp
         if values.real_time_factor != self._pace.factor:
             self._restart(values.real_time_factor)
 
@@ -121,6 +124,7 @@ class SimulatorNode(SceneNode):
         details = {**self._plant.details(), **pace.details(self._is_running)}
         wrong = [pace.lag] if self._is_running and pace.is_lagging else []
         wrong += [self._plant.silence] if self._plant.silence else []
+        wrong += self._plant.lost_wrenches
         if self._waits and self._standing.waited > LATE and live.watch.held is not None:
             wrong.append(f"no command for {self._standing.waited:.3g} s, the state is repeated")
         details["states repeated"] = str(self._standing.repeats)
@@ -197,6 +201,15 @@ class SimulatorNode(SceneNode):
             self._plant.live.watch.take(command)
             if self._waits:
                 self._advance()
+
+        return take
+
+    def _on_wrench(self, name: str) -> Callable[[Any], None]:
+        def take(msg: Any) -> None:
+            try:
+                self._plant.hear(name, msg)
+            except MessageError as error:
+                self.drop("wrench", f"{error}; the last good one is held")
 
         return take
 

@@ -12,6 +12,7 @@ from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.nodes.shell.driven_joints import command_order, driven_joints
+from mbd_ros.nodes.shell.wrenches import read_load
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.commands import CommandReader
@@ -33,6 +34,7 @@ class Plant:
         live: The simulation.
         reader: Messages to commands.
         has_actuators: Whether anything can be commanded.
+        wrenches: What takes the external loads, by name.
         rows: Names of the constraint rows.
 
     Raises:
@@ -46,9 +48,12 @@ class Plant:
         self.has_actuators = bool(driven)
         takes = {joint: a.takes for a in scene.actuators for joint in a.joints if a.takes}
         self.reader = CommandReader(joints, driven, takes)
-        watch = CommandWatch(values.command_timeout, values.safe_ramp)
+        times = values.command_timeout, values.safe_ramp
+        self.wrenches = {name: CommandWatch(*times) for name in scene.wrenches}
+        heard = [(scene.wrenches[name].u, watch) for name, watch in self.wrenches.items()]
+        watch = CommandWatch(*times)
         self.live = LiveSimulation(
-            scene.simulation, scene.initial, 1.0 / values.rate, watch, scene.safe
+            scene.simulation, scene.initial, 1.0 / values.rate, watch, scene.safe, heard
         )
         names = [joint.name for joint in scene.robot.joints]
         self.rows = [
@@ -72,6 +77,23 @@ class Plant:
             return ""
         since = "yet" if watch.held is None else f"for {watch.age:.3g} s"
         return f"no command {since}, instead: {self.scene.safe}"
+
+    def hear(self, name: str, msg: Any) -> None:
+        """Take a WrenchStamped of an external load.
+
+        Raises:
+            MessageError: It is in another frame, or not finite.
+        """
+        self.wrenches[name].take(read_load(msg, self.scene.wrenches[name]).wrench)
+
+    @property
+    def lost_wrenches(self) -> list[str]:
+        """A text for every external load that is no longer heard."""
+        return [
+            f"no wrench '{name}' for {watch.age:.3g} s, instead: none"
+            for name, watch in self.wrenches.items()
+            if watch.held is not None and watch.is_safe
+        ]
 
     def joint_states(self, stamp: int) -> bytes:
         """Serialized JointState of the newest state."""
@@ -99,11 +121,11 @@ class Plant:
         """Contents and origin of the motion, for diagnostics."""
         robot, live, watch = self.scene.robot, self.live, self.live.watch
         system, violation = live.simulation.system, live.violation()
-        unloaded = ", ".join(self.scene.wrenches)
+        unheard = [name for name, one in self.wrenches.items() if one.held is None]
         details = {
             "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
             "joints dropped": ", ".join(robot.locked) or "none",
-            "external wrenches left out": unloaded or "none",
+            "external wrenches not heard": ", ".join(unheard) or "none",
             "solver tier": tier_of(system),
             "simulated time": f"{live.now.t:.9g}",
             "drift of positions": f"{violation.position:.3g}",
