@@ -5,15 +5,14 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 from scipy.integrate import solve_ivp
+from systems import acceleration, free_system
 
 from mbd_ros.constraints.distance import Distance
-from mbd_ros.core.dynamics.bilateral_system import BilateralSystem
 from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.parts import Row
-from mbd_ros.core.rows.constraint_rows import ConstraintRows
-from mbd_ros.core.rows.row_layout import RowLayout
+from mbd_ros.core.parts import Constraint, Row
 from mbd_ros.core.state import State
 
 LEG = (Path(__file__).parents[1] / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
@@ -60,73 +59,69 @@ BODY = (
 )
 
 
-class RowSystem(System):
-    """Rows g(q) = 0 that a subclass writes down; accelerations by the dense KKT matrix."""
-
-    def __init__(self, robot, names, forces=()):
-        super().__init__(robot, Loads(robot.model.nv, forces))
-        self.rows = tuple(Row(name, "N") for name in names)
-
-    def rate(self, t, q):
-        return np.zeros(len(self.rows))
-
-    def acceleration(self, t, q, v, u=None):
-        M, J, n = self.mass(q), self.jacobian(t, q), self.nv
-        K = np.zeros((n + len(J), n + len(J)))
-        K[:n, :n], K[:n, n:], K[n:, :n] = M, -J.T, J
-        r = np.concatenate([self.applied(t, q, v, u), -self.drift(q, v)])
-        return np.linalg.lstsq(K, r, rcond=1e-12)[0][:n]
-
-
-class MovingSphere(RowSystem):
+class MovingLength(Constraint):
     """A point at a distance from the origin that changes: |q| = 1 + 0.1 sin(3 t)."""
 
-    def __init__(self):
-        super().__init__(POINT, ("length",))
+    rows = (Row("length", "N"),)
 
-    def residual(self, t, q):
-        return np.array([np.sqrt(q.dot(q)) - 1.0 - 0.1 * np.sin(3.0 * t)])
+    def residual(self, k, x):
+        return np.array([np.sqrt(x.q.dot(x.q)) - 1.0 - 0.1 * np.sin(3.0 * x.t)])
 
-    def jacobian(self, t, q):
-        return (q / np.sqrt(q.dot(q)))[None]
+    def jacobian(self, k, x):
+        return (x.q / np.sqrt(x.q.dot(x.q)))[None]
 
-    def rate(self, t, q):
-        return np.array([-0.3 * np.cos(3.0 * t)])
+    def rate(self, k, x):
+        return np.array([-0.3 * np.cos(3.0 * x.t)])
+
+    def drift(self, k, x):
+        along = float(self.jacobian(k, x)[0].dot(x.v))
+        bent = (x.v.dot(x.v) - along**2) / np.sqrt(x.q.dot(x.q))
+        return np.array([bent + 0.9 * np.sin(3.0 * x.t)])
 
 
-class PinnedBar(RowSystem):
-    """A bar in the x-z plane, x, z and angle free, held 0.8 m from its centre at the origin."""
+class Pin(Constraint):
+    """Holds a bar in the x-z plane, x, z and angle free, 0.8 m from its centre at the origin."""
 
+    rows = (Row("pin.x", "N"), Row("pin.z", "N"))
     arm, mass_times_arm, inertia = 0.8, 1.6, 0.3 + 2.0 * 0.8**2
 
-    def __init__(self):
-        super().__init__(BAR, ("pin.x", "pin.z"))
+    def residual(self, k, x):
+        return x.q[:2] - self.at(x.q[2])[:2]
 
-    def residual(self, t, q):
-        return q[:2] - self.arm * np.array([np.sin(q[2]), -np.cos(q[2])])
-
-    def jacobian(self, t, q):
-        c, s = np.cos(q[2]), np.sin(q[2])
+    def jacobian(self, k, x):
+        c, s = np.cos(x.q[2]), np.sin(x.q[2])
         return np.array([[1.0, 0.0, -self.arm * c], [0.0, 1.0, -self.arm * s]])
 
-    def drift(self, q, v):
-        return self.arm * v[2] ** 2 * np.array([np.sin(q[2]), -np.cos(q[2])])
+    def drift(self, k, x):
+        return self.arm * x.v[2] ** 2 * np.array([np.sin(x.q[2]), -np.cos(x.q[2])])
 
     def at(self, angle):
+        """Configuration of the bar at an angle."""
         return np.array([self.arm * np.sin(angle), -self.arm * np.cos(angle), angle])
+
+
+PIN = Pin()
+
+
+def pinned_bar():
+    return build_system(BAR, Couplings(BAR), [PIN], Loads(3))
+
+
+def moving_sphere():
+    return build_system(POINT, Couplings(POINT), [MovingLength()], Loads(3))
 
 
 def leg():
     """The prosthetic leg on a fixed base in fast motion, and its state."""
     rng = np.random.default_rng(1)
     chain = read_robot(LEG)
-    return System(chain, Loads(5)), State(0.0, rng.uniform(-0.5, 0.5, 5), rng.uniform(-3, 3, 5))
+    return free_system(chain), State(0.0, rng.uniform(-0.5, 0.5, 5), rng.uniform(-3, 3, 5))
 
 
 def floating():
     """A free body with an arm, tumbling."""
     rng, free = np.random.default_rng(2), robot(*BODY, base="floating")
-    system = System(free, Loads(7))
+    system = free_system(free)
     q = system.chart.integrate(pin.neutral(free.model), rng.uniform(-0.5, 0.5, 7))
     return system, State(0.0, q, rng.uniform(-3, 3, 7))
 
@@ -134,7 +129,7 @@ def floating():
 def spherical_pendulum(copies=1, forces=()):
     """A point of 1 kg at distance 1 m from the origin; `copies` rows that say the same."""
     bars = [Distance(POINT, frame_a="world", frame_b="bob", distance=1.0) for _ in range(copies)]
-    return BilateralSystem(POINT, Loads(3, forces), ConstraintRows(RowLayout(bars).blocks, 3))
+    return build_system(POINT, Couplings(POINT), bars, Loads(3, forces))
 
 
 def sphere():
@@ -161,7 +156,7 @@ def reference(system, x, duration):
     def slope(t, y):
         dq, v = np.split(y, 2)
         q = system.chart.integrate(x.q, dq)
-        return np.concatenate([system.chart.rate(dq, v), system.acceleration(x.t + t, q, v)])
+        return np.concatenate([system.chart.rate(dq, v), acceleration(system, x.t + t, q, v)])
 
     start = np.concatenate([np.zeros(system.nv), x.v])
     y = solve_ivp(slope, (0, duration), start, "DOP853", rtol=1e-13, atol=1e-13).y[:, -1]

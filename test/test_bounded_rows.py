@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from mechanisms import scene_of
 
+from mbd_ros.core.dynamics.aba import Aba
+from mbd_ros.core.dynamics.composed_system import ComposedSystem
 from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.mechanism import Mechanism
+from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.tiers import build_system, tier_of
 from mbd_ros.core.model.coupling_functions import Linear
 from mbd_ros.core.model.couplings import Coupling, Couplings
@@ -60,7 +63,7 @@ def test_active_stops_agree_with_another_solver_of_the_primal_problem(seed):
     torque = 60.0 * rng.normal(size=7)
     free, stopped = arm([], torque=torque), arm([STOPS], torque=torque)
     x = near_the_stops(free.robot, rng)
-    M, a_free = free.mass(x.q), free.acceleration(x.t, x.q, x.v)
+    M, a_free = free.mass(x.q), free.evaluate(x).a
     J, b = stopped.bounded.constraints.conditions(stopped.k, x)
     expected = qpsolvers.solve_qp(M, -M @ a_free, -J, b, solver="daqp")
     found = stopped.evaluate(x)
@@ -159,7 +162,7 @@ def test_rows_that_act_are_found_without_the_qp():
     q = np.zeros(7)
     q[1] = system.robot.joints[1].upper + 1e-3
     for _ in range(10):
-        system.acceleration(0.0, q, np.zeros(7))
+        system.evaluate(State(0.0, q, np.zeros(7)))
     assert system.bounded.acts
     assert system.bounded.qp.statistics.solves == 0
 
@@ -203,8 +206,10 @@ def swing_through_proxqp(duration):
     entries = [{"type": "dry_friction", "joint": name, "limit": 2.0} for name in names]
     stops = {"type": "joint_stop", "joints": names, "lower": -0.6, "upper": 0.6}
     parts = [build_part("constraints", entry, "test", robot) for entry in [*entries, stops]]
-    bounded = AlwaysQp(ConstraintRows(RowLayout(parts).blocks, 7), 7)
-    system = System(robot, Loads(7), bounded=bounded)
+    layout, mechanism = RowLayout(parts), Mechanism(robot, Loads(7))
+    bounded = AlwaysQp(ConstraintRows(layout.blocks, 7), 7)
+    no_rows = RigidRows(mechanism, ConstraintRows((), 7))
+    system = ComposedSystem(Aba(mechanism), no_rows, bounded, layout, build_system)
     simulation = Simulation(system, Rk4(), NoStabilization(), 1e-3)
     x = State(0.0, np.full(7, 0.3), np.array([3.0, -2.0, 4.0, 2.0, -4.0, 3.0, -3.0]))
     gc.disable()  # a collection of what pytest holds takes 10 ms, wherever it happens

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from mechanisms import chain, double_pendulum
+from systems import free_system
 
 from mbd_ros.core.control.chatter import ChatterMeter
 from mbd_ros.core.control.contract import Control, ControlledJoints, Controller, EffortBox
@@ -11,8 +12,6 @@ from mbd_ros.core.control.guard import Guard
 from mbd_ros.core.control.reference_generator import ReferenceGenerator
 from mbd_ros.core.control.reference_limits import TargetError
 from mbd_ros.core.control.reference_map import ReferenceMap
-from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.model.coupling_functions import Linear, Polynomial
 from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
@@ -44,7 +43,7 @@ class Scripted(Controller):
 @pytest.fixture
 def joints():
     robot = read_robot(double_pendulum())
-    return ControlledJoints(System(robot, Loads(robot.model.nv)), NAMES)
+    return ControlledJoints(free_system(robot), NAMES)
 
 
 def loop_of(joints, effort=(8.0, -4.0), *, safe=None, ramp=0.1, **limits):

@@ -7,9 +7,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 import pytest
+from systems import free_system
 
-from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.simulation.simulation import Simulation
@@ -172,7 +171,7 @@ def rotor(place, base):
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (7.0, -5.0, 2.0), (100.0, 100.0, 0.0)])
 def test_free_rotor_through_gimbal_lock_for_ten_seconds(base, place):
     body = rotor(place, base)
-    system, start = System(body, Loads(body.model.nv)), body.neutral()
+    system, start = free_system(body), body.neutral()
     v = np.array(SPIN[::-1]) if base == "fixed" else np.array([0.0, 0.0, 0.0, *SPIN])
     if base == "floating":
         start[:3] = place

@@ -7,8 +7,8 @@ import pinocchio as pin
 import pytest
 from row_systems import (
     BODY,
+    PIN,
     POINT,
-    PinnedBar,
     advance,
     away,
     floating,
@@ -16,6 +16,7 @@ from row_systems import (
     joint,
     leg,
     link,
+    pinned_bar,
     reference,
     returned,
     robot,
@@ -23,12 +24,11 @@ from row_systems import (
     spherical_pendulum,
     symplectic_defect,
 )
+from systems import free_system
 
 from mbd_ros.constraints.joint_stop import JointStop
 from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.integration.linearization import Linearization
 from mbd_ros.core.integration.newton import FAILED, converge
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.parts import Load
@@ -63,7 +63,7 @@ class Spring(Load):
 
 
 def slider(stiffness, damping):
-    return System(SLIDER, Loads(1, (Spring(stiffness, damping),)))
+    return free_system(SLIDER, (Spring(stiffness, damping),))
 
 
 @pytest.mark.parametrize("scene", [leg, floating])
@@ -96,7 +96,7 @@ def test_reversed_motion_returns_to_its_start(scene, method):
 @pytest.mark.parametrize("method", [*GAUSS, Rattle(), Shake()])
 def test_symplectic_where_the_masses_are_constant(method):
     """Differences of a step of 0.05 s leave 1e-8 of the third derivative."""
-    system = System(POINT, Loads(3, (Spring(3.0, hardening=20.0),)))
+    system = free_system(POINT, (Spring(3.0, hardening=20.0),))
     x = State(0.0, np.array([0.5, -0.3, 0.2]), np.array([1.0, 0.4, -2.0]))
     S = flow_derivative(method, system, x, 0.05)
     assert symplectic_defect(S) < 1e-8
@@ -109,7 +109,7 @@ def test_symplectic_where_the_masses_are_constant(method):
 )
 def test_energy_of_reversible_motion_does_not_drift(method, dt, largest):
     """A double pendulum, whose masses turn: the last quarter is no worse than the first."""
-    system = System(DOUBLE, Loads(2))
+    system = free_system(DOUBLE)
     x = State(0.0, np.array([1.0, -0.6]), np.array([0.0, 1.0]))
     start, stepper, errors = system.energy(x), method.prepare(system, dt), []
     for _ in range(8000):
@@ -172,9 +172,9 @@ def test_generalized_alpha_is_well_conditioned_at_small_steps():
     """Without scaling the condition would grow as 1 / dt^2, by 1e8 here."""
     conditions = []
     for dt in (1e-2, 1e-6):
-        system = PinnedBar()
+        system = pinned_bar()
         x, stepper = (
-            State(0.0, system.at(1.0), np.zeros(3)),
+            State(0.0, PIN.at(1.0), np.zeros(3)),
             GeneralizedAlpha().prepare(system, dt),
         )
         for _ in range(20):
@@ -200,11 +200,10 @@ def test_last_step_ends_at_the_end(method):
 def test_linearization_equals_analytic_derivatives():
     """Forward differences leave 1e-8 of the second derivatives, here 1e-6 of the accelerations."""
     system, x = leg()
-    at = Linearization(system, system.acceleration)
-    at.update(x.t, x.q, x.v, None)
+    at = system.derivatives(x)
     model, data = system.model, system.model.createData()
     pin.computeABADerivatives(model, data, x.q, x.v, np.zeros(5))
-    for ours, exact in ((at.stiffness, data.ddq_dq), (at.damping, data.ddq_dv)):
+    for ours, exact in ((at.q, data.ddq_dq), (at.v, data.ddq_dv)):
         assert np.abs(ours - exact).max() < 1e-6 * np.abs(data.ddq).max()
 
 
@@ -227,7 +226,7 @@ class Broken(Load):
 
 @pytest.mark.parametrize("method", [*GAUSS, GeneralizedAlpha(), Rattle(), Shake()])
 def test_forces_that_are_not_finite_end_in_a_named_error(method):
-    system = System(SLIDER, Loads(1, (Broken(),)))
+    system = free_system(SLIDER, (Broken(),))
     with pytest.raises(DivergedError, match="t = 0 s|forces at t = 0.01 s"):
         method.prepare(system, 0.01).step(State(0.0, np.zeros(1), np.ones(1)), None)
 

@@ -9,10 +9,9 @@ import pinocchio as pin
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
+from systems import acceleration, free_system
 
 from mbd_ros.core.dynamics.chart import Chart
-from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.dynamics.system import System, writing
 from mbd_ros.core.integration.dop853_tableau import DOP853
 from mbd_ros.core.integration.tableau import RK4
 from mbd_ros.core.model.robot_reader import read_robot
@@ -58,7 +57,7 @@ def robot_system(name, base="fixed", driven=False):
         text = text.replace('<link name="world"/>', TORSO)
     robot = read_robot(text, base=base)
     nv = int(robot.model.nv)
-    return System(robot, Loads(nv, (), [Pusher(nv)] if driven else ()))
+    return free_system(robot, (), [Pusher(nv)] if driven else ())
 
 
 class Mass:
@@ -70,12 +69,12 @@ class Mass:
     def __init__(self, law):
         self.law, self.evaluations = law, 0
 
-    def acceleration(self, t, q, v, u=None):
-        self.evaluations += 1
-        return np.array([self.law(t, q[0], v[0])])
-
     def accelerator(self):
-        return writing(self.acceleration)
+        def accelerate(t, q, v, u, out):
+            self.evaluations += 1
+            out[0] = self.law(t, q[0], v[0])
+
+        return accelerate
 
 
 AT_REST = State(0.0, np.zeros(1), np.zeros(1))
@@ -93,12 +92,12 @@ def rates(system, t, y):
     """y' in the coordinates of Pinocchio; a floating base by its quaternion."""
     q, v = y[: system.nq].copy(), y[system.nq :]
     if system.chart.is_flat:
-        return np.concatenate([v, system.acceleration(t, q, v)])
+        return np.concatenate([v, acceleration(system, t, q, v)])
     q[3:7] /= np.linalg.norm(q[3:7])
     e, w, spin = q[3:6], q[6], v[3:6]
     rotated = v[:3] + 2 * np.cross(e, np.cross(e, v[:3]) + w * v[:3])
     turned = 0.5 * np.concatenate([w * spin + np.cross(e, spin), [-e.dot(spin)]])
-    return np.concatenate([rotated, turned, v[6:], system.acceleration(t, q, v)])
+    return np.concatenate([rotated, turned, v[6:], acceleration(system, t, q, v)])
 
 
 def solved(system, x, t):

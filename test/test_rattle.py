@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 from row_systems import (
     GRAVITY,
+    PIN,
     POINT,
-    MovingSphere,
-    PinnedBar,
     advance,
     away,
+    moving_sphere,
+    pinned_bar,
     returned,
     sphere,
     spherical_pendulum,
 )
 from scipy.special import ellipj
+from systems import free_system
 
-from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.parts import Load
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError
@@ -129,12 +129,12 @@ def test_energy_error_of_a_million_steps():
 @pytest.mark.parametrize("method", [Rattle(), Shake(), GeneralizedAlpha()])
 def test_bar_in_maximal_coordinates_swings_as_a_pendulum(method):
     """Released at 1.2 rad: sin(angle / 2) = k cd(w t, k)."""
-    system = PinnedBar()
-    k, w = math.sin(0.6), math.sqrt(system.mass_times_arm * GRAVITY / system.inertia)
+    system = pinned_bar()
+    k, w = math.sin(0.6), math.sqrt(PIN.mass_times_arm * GRAVITY / PIN.inertia)
     _, cn, dn, _ = ellipj(w * 1.0, k * k)
     exact, errors = 2 * math.asin(k * cn / dn), []
     for dt in (0.01, 0.005):
-        x = State(0.0, system.at(1.2), np.zeros(3))
+        x = State(0.0, PIN.at(1.2), np.zeros(3))
         x = advance(method.prepare(system, dt), x, 1.0)
         assert np.abs(system.residual(1.0, x.q)).max() < 1e-15
         errors.append(abs(x.q[2] - exact))
@@ -145,13 +145,13 @@ def test_bar_in_maximal_coordinates_swings_as_a_pendulum(method):
 def test_rattle_returns_to_its_start():
     system, x = sphere()
     assert returned(Rattle(), system, x, 0.01, 200) < 1e-12
-    bar = PinnedBar()
-    y = State(0.0, bar.at(0.4), 1.5 * np.array([0.8 * np.cos(0.4), 0.8 * np.sin(0.4), 1.0]))
+    bar = pinned_bar()
+    y = State(0.0, PIN.at(0.4), 1.5 * np.array([0.8 * np.cos(0.4), 0.8 * np.sin(0.4), 1.0]))
     assert returned(Rattle(), bar, y, 0.01, 200) < 1e-12
 
 
 def test_rows_that_move_with_time_are_kept():
-    system = MovingSphere()
+    system = moving_sphere()
     x = State(
         0.0, np.array([0.6, 0.0, -0.8]), np.array([0.0, 1.0, 0.0]) + 0.3 * np.array([0.6, 0, -0.8])
     )
@@ -184,6 +184,6 @@ class Damper(Load):
 @pytest.mark.parametrize("method", [Rattle(), Shake()])
 def test_a_damper_too_stiff_for_iteration_is_named(method):
     """Half a step of 10 ms times 500 1/s is 2.5: the repetition grows."""
-    system = System(POINT, Loads(3, (Damper(),)))
+    system = free_system(POINT, (Damper(),))
     with pytest.raises(DivergedError, match="depend on the velocity change too much"):
         method.prepare(system, 0.01).step(sphere()[1], None)

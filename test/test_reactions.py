@@ -190,7 +190,7 @@ def test_point_pendulum_pulls_with_its_weight_and_the_centrifugal_force():
     inertia = robot.model.inertias[1]
     length = np.linalg.norm(inertia.lever)
     x = State(0.0, np.array([angle]), np.array([rate]))
-    a = scene.system().acceleration(x.t, x.q, x.v)
+    a = scene.system().evaluate(x).a
     found = JointReactions(robot, ConstraintRows((), 1)).solve(x, a, np.zeros(0))
     tension = inertia.mass * (9.81 * np.cos(angle) + length * rate**2)
     pull = tension * np.array([-np.sin(angle), np.cos(angle), 0.0])

@@ -9,8 +9,8 @@ import pinocchio as pin
 import pytest
 
 from mbd_ros.constraints.distance import Distance
-from mbd_ros.core.dynamics.bilateral_system import BilateralSystem
-from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.composed_system import ComposedSystem
+from mbd_ros.core.dynamics.kkt import Kkt
 from mbd_ros.core.projection.assembly import assemble, violation
 from mbd_ros.core.rows.pair_rows import PairRows
 from mbd_ros.core.state import State
@@ -84,13 +84,23 @@ def test_a_force_that_is_not_a_number_is_wrong(monkeypatch, begin):
 def test_a_soft_constraint_is_wrong(monkeypatch):
     """A stiff spring with a damper in place of the rows, and no projection."""
 
-    def soft(self, t, q, v, u=None):
-        self.k.refresh(q, v)
-        J = self.constraints.jacobian(self.k, State(t, q, v))
-        g = self.constraints.residual(self.k, State(t, q, v))
-        return pin.aba(self.model, self.data, q, v, -J.T.dot(1.0e4 * g + 1.0e2 * J.dot(v)))
+    right, data = Kkt.accelerator, {}
 
-    monkeypatch.setattr(BilateralSystem, "acceleration", soft)
+    def soft(self):
+        right(self)
+        k, rows = self.mechanism.k, self._rigid.constraints
+        model = self.mechanism.model
+        data[self] = model.createData()
+
+        def accelerate(t, q, v, u, out):
+            k.refresh(q, v)
+            J, g = rows.jacobian(k, State(t, q, v)), rows.residual(k, State(t, q, v))
+            pull = -J.T.dot(1.0e4 * g + 1.0e2 * J.dot(v))
+            out[...] = pin.aba(model, data[self], q, v, pull)
+
+        return accelerate
+
+    monkeypatch.setattr(Kkt, "accelerator", soft)
     monkeypatch.setattr(Projection, "correct", lambda self, system, x: x)
     row = next(row for row in extremes(False) if row.name == FOUR_BAR)
     case = Case(row.load(), Grid(0.02, 4))
@@ -100,14 +110,19 @@ def test_a_soft_constraint_is_wrong(monkeypatch):
 
 
 def test_an_exception_of_another_kind_is_wrong(monkeypatch):
-    def failing(self, t, q, v, u=None):
-        if t > 0.05:
-            raise ZeroDivisionError("float division by zero")
-        return right(self, t, q, v, u)
+    def failing(self, mode=()):
+        accelerate = right(self, mode)
 
-    right = System.acceleration
+        def fail(t, *given):
+            if t > 0.05:
+                raise ZeroDivisionError("float division by zero")
+            accelerate(t, *given)
+
+        return fail
+
+    right = ComposedSystem.accelerator
     case = Case(mechanism({}, *rods((1.0,)))(), Grid(0.02, 5))
-    monkeypatch.setattr(System, "acceleration", failing)
+    monkeypatch.setattr(ComposedSystem, "accelerator", failing)
     verdict = judge(case, "rk4", 0.1)
     assert (verdict.kind, verdict.text) == ("WRONG", "ZeroDivisionError: float division by zero")
 
@@ -118,8 +133,13 @@ def test_a_method_that_does_not_converge_to_the_reference_is_wrong(monkeypatch):
     right = Rk4.prepare
 
     def prepare(self, system, dt):
-        acceleration = system.acceleration
-        system.acceleration = lambda *given: 0.99 * acceleration(*given)
+        accelerate = system.accelerator()
+
+        def weaker(t, q, v, u, out):
+            accelerate(t, q, v, u, out)
+            out *= 0.99
+
+        system.accelerator = lambda mode=(): weaker
         return right(self, system, dt)
 
     assert judge(case, "rk4", dt=0.01).kind == "converged"
@@ -180,15 +200,18 @@ def test_a_silent_error_whose_shorter_runs_all_stop(monkeypatch, is_known):
     case = Case(mechanism({}, *rods((1.0,)))(), Grid(0.05, 6))
     if not is_known:
         case.reference = case.reference._replace(reason="SolveError: stops at t = 1 s")
-    right, prepare = System.acceleration, Rk4.prepare
+    prepare = Rk4.prepare
 
     def stopping(self, system, dt):
-        def acceleration(*given):
+        accelerate = system.accelerator()
+
+        def stop(t, q, v, u, out):
             if dt < 0.009:
                 raise SolveError("no acceleration at t = 0 s")
-            return 0.9 * right(system, *given)
+            accelerate(t, q, v, u, out)
+            out *= 0.9
 
-        system.acceleration = acceleration
+        system.accelerator = lambda mode=(): stop
         return prepare(self, system, dt)
 
     monkeypatch.setattr(Rk4, "prepare", stopping)

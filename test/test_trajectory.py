@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mechanisms import double_pendulum
+from systems import free_system
 
 from mbd_ros.core.control.contract import ControlledJoints, Reference
 from mbd_ros.core.control.reference_generator import ReferenceGenerator
 from mbd_ros.core.control.reference_limits import TargetError
 from mbd_ros.core.control.trajectory import ReferenceTrajectory
-from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.model.robot_reader import read_robot
 
 TIMES = np.array([0.0, 0.4, 1.0, 1.1])
@@ -74,7 +73,7 @@ def test_a_course_between_points_has_no_jumps():
 def joints():
     """Two joints from -99 to 99, at most 10/s."""
     robot = read_robot(double_pendulum())
-    return ControlledJoints(System(robot, Loads(robot.model.nv)), ["joint_1", "joint_2"])
+    return ControlledJoints(free_system(robot), ["joint_1", "joint_2"])
 
 
 def smooth(generator, begin, end, step=1e-3):

@@ -52,8 +52,6 @@ class Filippov(Integrator):
     def prepare(self, system: Any, dt: float) -> Stepper:
         """The stepper for one system and one step size [s], or with a tolerance first guess.
 
-        Loads that know the modes replace those of a system with switching forces.
-
         Raises:
             ModelError: Switching forces beside bounded rows.
         """

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.integration.linearization import Linearization
 from mbd_ros.core.integration.newton import FAILED, SLOW, converge
 from mbd_ros.core.integration.step_length import clip
 from mbd_ros.core.integration.stepping import Integrator, Stepper
@@ -69,9 +68,10 @@ class _Steps(Stepper):
         self._system, self._dt, self._tolerance = system, dt, method.tolerance
         self._name = f"Gauss-Legendre with {method.stages} stages"
         self._a, self._b, self._c = _tableau(method.stages)
-        self._linearization = Linearization(system, system.acceleration)
+        self._accelerate = system.accelerator()
         shape = (method.stages, system.nv)
         self._K, self._turn, self._r = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        self._a0 = np.zeros(system.nv)
         self._inverse: Array = np.eye(self._K.size)
         self._vander = np.linalg.inv(np.vander(self._c, increasing=True))
         self._guess = np.vander(1.0 + self._c, method.stages, increasing=True).dot(self._vander)
@@ -110,7 +110,8 @@ class _Steps(Stepper):
         if h != self._h or self._is_fresh:
             self._scale(h)
             self._is_slow = True
-            self._K[...] = self._system.acceleration(x.t, x.q, x.v, u)
+            self._accelerate(x.t, x.q, x.v, u, self._a0)
+            self._K[...] = self._a0
             self._turn[...] = 0.0
             self._is_fresh = False
         else:
@@ -128,12 +129,12 @@ class _Steps(Stepper):
     def _refresh(self, x: State, u: Array | None, h: float) -> None:
         """Derivatives at the state, and the inverse of the Newton matrix."""
         if not np.isfinite(self._K).all():
-            self._K[...] = self._system.acceleration(x.t, x.q, x.v, u)
+            self._accelerate(x.t, x.q, x.v, u, self._a0)
+            self._K[...] = self._a0
             self._turn[...] = 0.0
-        at = self._linearization
-        at.update(x.t, x.q, x.v, u)
+        at = self._system.derivatives(x, u, inputs=False)
         matrix = np.eye(self._K.size)
-        matrix -= np.kron(self._ha, at.damping) + np.kron(self._hhaa, at.stiffness)
+        matrix -= np.kron(self._ha, at.v) + np.kron(self._hhaa, at.q)
         self._inverse = np.linalg.inv(matrix)
 
     def _solve(self, x: State, u: Array | None, h: float) -> float:
@@ -156,7 +157,8 @@ class _Steps(Stepper):
         V = x.v + self._ha.dot(K)
         Q = (x.q + self._hc * x.v) + self._hhaa.dot(K)
         for i, c in enumerate(self._times):
-            self._r[i] = self._system.acceleration(x.t + c, Q[i], V[i], u) - K[i]
+            self._accelerate(x.t + c, Q[i], V[i], u, self._r[i])
+            self._r[i] -= K[i]
         return 0.0
 
     def _curved_stages(self, x: State, u: Array | None) -> float:
@@ -174,6 +176,7 @@ class _Steps(Stepper):
         centre, D = system.chart.integrate(x.q, half), self._centred.dot(rates)
         for i, c in enumerate(self._times):
             q = system.chart.integrate(centre, D[i])
-            self._r[i] = system.acceleration(x.t + c, q, V[i], u) - K[i]
+            self._accelerate(x.t + c, q, V[i], u, self._r[i])
+            self._r[i] -= K[i]
         self._q1 = system.chart.integrate(centre, half)
         return moved

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.integration.linearization import Linearization
+from mbd_ros.core.dynamics.linearization import Linearization
 from mbd_ros.core.integration.newton import FAILED, SLOW, converge, refuse_bounded_rows
 from mbd_ros.core.integration.step_length import clip
 from mbd_ros.core.integration.stepping import Integrator, Stepper
@@ -64,6 +64,7 @@ class _Steps(Stepper):
 
     def __init__(self, method: GeneralizedAlpha, system: Any, dt: float) -> None:
         self._system, self._dt, self._tolerance = system, dt, method.tolerance
+        self._accelerate = system.accelerator()
         rho = method.spectral_radius
         self._am, self._af = (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0)
         self._gamma = 0.5 + self._af - self._am
@@ -73,7 +74,7 @@ class _Steps(Stepper):
         self._a0, self._vdot0, self._of_q = np.zeros((3, nv))
         self._lam0, self._of_g = np.zeros((2, size - nv))
         self._inverse, self._r = np.eye(size), np.zeros(size)
-        self._linearization = Linearization(system, self._balance)
+        self._linearization = Linearization(system, self._write_balance)
         self.restart()
 
     def restart(self) -> None:
@@ -88,7 +89,7 @@ class _Steps(Stepper):
         if h != self._h:
             self._start(x, u, h)
         elif held != self._held:  # the accelerations jump with the commands
-            self._vdot0 = self._a0 = np.array(self._system.acceleration(x.t, x.q, x.v, u))
+            self._vdot0 = self._a0 = self._acceleration(x, u)
         self._held = held
         self._begin(x, h)
         rate = FAILED if self._is_slow else self._solve(x, u, t)
@@ -113,7 +114,7 @@ class _Steps(Stepper):
         fast motion, and the order of q and v does not need it.
         """
         self._h, self._is_slow = h, True
-        self._vdot0 = self._a0 = np.array(self._system.acceleration(x.t, x.q, x.v, u))
+        self._vdot0 = self._a0 = self._acceleration(x, u)
         self._lam0 = np.zeros(len(self._system.rows))
 
     def _begin(self, x: State, h: float) -> None:
@@ -131,6 +132,14 @@ class _Steps(Stepper):
         self._q = self._system.chart.integrate(x.q, self._D0 + (self._beta * h * h) * self._a)
         self._v = self._v0 + (self._gamma * h) * self._a
         self._vdot = self._vdot_free + self._ratio * self._a
+
+    def _acceleration(self, x: State, u: Array | None) -> Array:
+        a: Array = np.empty(self._system.nv)
+        self._accelerate(x.t, x.q, x.v, u, a)
+        return a
+
+    def _write_balance(self, t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+        out[...] = self._balance(t, q, v, u)
 
     def _balance(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
         """Force that lacks for the equation of motion, shape (nv,)."""

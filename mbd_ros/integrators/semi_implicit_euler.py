@@ -47,12 +47,14 @@ class SemiImplicitEulerStepper(Stepper):
     """
 
     def __init__(self, system: Any, dt: float) -> None:
-        self._system, self._dt = system, dt
+        self._chart, self._accelerate, self._dt = system.chart, system.accelerator(), dt
+        self._a = np.zeros(int(system.nv))
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by dt, or to `end` if that is nearer; x itself at or after `end`."""
         h, t = clip(x.t, self._dt, end)
         if h <= 0.0:
             return x
-        v = x.v + h * self._system.acceleration(x.t, x.q, x.v, u)
-        return State(t, self._system.chart.integrate(x.q, h * v), v)
+        self._accelerate(x.t, x.q, x.v, u, self._a)
+        v = x.v + h * self._a
+        return State(t, self._chart.integrate(x.q, h * v), v)

@@ -4,7 +4,6 @@ import math
 import sys
 import timeit
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -80,9 +79,7 @@ def _lines(scene: Scene) -> Iterator[str]:
         yield from _stiffness(scene, linear_motion(system, start))
     left_out = (*scene.absent, *_rubbing(scene), *robot.ignored)
     yield line("left out", "; ".join(left_out) or "nothing")
-    cost = (
-        _loop_cost(scene, system.expand(start)) if scene.has_loops else _cost(scene, system.data)
-    )
+    cost = _loop_cost(scene, system.expand(start)) if scene.has_loops else _cost(scene)
     yield line("cost", cost if fault else f"{cost}; {_forward_cost(scene, system)}")
 
 
@@ -165,7 +162,7 @@ def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
         x = assemble(system, system.reduce(scene.initial))
     except SolveError as error:
         raise SolveError(f"{scene.name}: {error}") from error
-    a = system.acceleration(x.t, x.q, x.v)
+    a = system.evaluate(system.expand(x)).a
     if not np.isfinite(a).all():
         raise SolveError(f"{scene.name}: accelerations at the start are not finite: {a}")
     if not system.rows:
@@ -209,8 +206,9 @@ def _reach(scene: Scene, x: State) -> Iterator[str]:
         yield line("warning", text)
 
 
-def _cost(scene: Scene, data: Any) -> str:
+def _cost(scene: Scene) -> str:
     robot, model = scene.robot, scene.robot.model
+    data = pin.Data(model)
     inverse, loads = scene.inverse_dynamics(), [np.ones(6)] * len(scene.wrenches)
     q, v = pin.neutral(model), np.zeros(model.nv)
     z, w = q[scene.couplings.q_index], v[scene.couplings.v_index]
@@ -230,9 +228,10 @@ def _loop_cost(scene: Scene, x: State) -> str:
 
 def _forward_cost(scene: Scene, system: System) -> str:
     x = system.reduce(scene.initial)
-    model, data, zero = system.model, system.data, np.zeros(system.model.nv)
+    model, data, zero = system.model, pin.Data(system.model), np.zeros(system.model.nv)
     bare = _best(lambda: pin.aba(model, data, scene.initial.q, scene.initial.v, zero))
-    ours = _best(lambda: system.acceleration(x.t, x.q, x.v))
+    accelerate, a = system.accelerator(), np.zeros(system.nv)
+    ours = _best(lambda: accelerate(x.t, x.q, x.v, None, a))
     return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"
 
 

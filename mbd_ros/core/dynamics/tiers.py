@@ -2,10 +2,15 @@
 
 from collections.abc import Sequence
 
-from mbd_ros.core.dynamics.bilateral_system import BilateralSystem
+from mbd_ros.core.dynamics.aba import Aba
+from mbd_ros.core.dynamics.composed_system import ComposedSystem
+from mbd_ros.core.dynamics.free_motion import FreeMotion
+from mbd_ros.core.dynamics.kkt import Kkt
 from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.dynamics.mimic_system import MimicSystem, mimic_model
-from mbd_ros.core.dynamics.reduced_system import ReducedSystem
+from mbd_ros.core.dynamics.mechanism import Mechanism
+from mbd_ros.core.dynamics.mimic import Mimic, mimic_model
+from mbd_ros.core.dynamics.reduced import Reduced
+from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
@@ -15,6 +20,7 @@ from mbd_ros.core.row_laws import Kind, Level
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.rows.row_layout import RowBlock, RowLayout
+from mbd_ros.core.rows.usual_sizes import UsualSizes
 from mbd_ros.errors import ModelError
 
 TIERS = ("auto", "aba", "reduced", "kkt", "qp")
@@ -45,24 +51,64 @@ def build_system(
         ModelError: The tier cannot serve these rows, or a package is missing.
     """
     coupled: list[Constraint] = [CouplingRows(robot, couplings)] if couplings.dependent else []
-    layout, nv = RowLayout([*coupled, *constraints]), robot.model.nv
+    layout = RowLayout([*coupled, *constraints])
     _refuse_unserved(layout.blocks)
     _check(tier, couplings, layout.rigid[len(coupled) :], layout.yielding)
-    kept = [block for block in layout.of(Level.POSITION) if block.law.is_rigid]
-    rows = ConstraintRows(kept, nv)
-    if tier == "qp" and layout.blocks:
-        every = ConstraintRows(layout.blocks, nv)
-        return System(robot, loads, rows, BoundedRows(every, nv, backend), layout)
-    acting = ConstraintRows(layout.yielding, nv)
-    limits = BoundedRows(acting, nv, backend) if layout.yielding else None
-    if len(layout.rigid) > len(coupled) or (tier == "kkt" and coupled):
-        return BilateralSystem(robot, loads, rows, limits, layout)
-    if coupled:
-        mimics = mimic_model(robot, couplings)
-        if mimics is not None:
-            return MimicSystem(robot, loads, couplings, mimics, limits)
-        return ReducedSystem(robot, loads, couplings, limits)
-    return System(robot, loads, bounded=limits)
+    is_kept = tier in ("kkt", "qp") or len(layout.rigid) > len(coupled)
+    limited = layout.blocks if tier == "qp" else layout.yielding
+    plan = _Plan(robot, couplings, layout, is_kept, limited, backend)
+    return plan.build(loads, (0.0, 0.0))
+
+
+class _Plan:
+    """What stays of a system when it is built for other loads or gains.
+
+    Args:
+        robot: The robot.
+        couplings: Its dependent joints.
+        layout: All rows of the scene.
+        is_kept: Whether couplings are rows.
+        limited: Blocks whose multipliers the QP finds.
+        backend: Its solver.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        couplings: Couplings,
+        layout: RowLayout,
+        is_kept: bool,
+        limited: Sequence[RowBlock],
+        backend: str,
+    ) -> None:
+        self._robot, self._couplings, self._layout = robot, couplings, layout
+        self._limited, self._backend = tuple(limited), backend
+        kept = [block for block in layout.of(Level.POSITION) if block.law.is_rigid]
+        self._kept = kept if is_kept else []
+        self._is_reduced = bool(couplings.dependent) and not is_kept
+        self._mimics = mimic_model(robot, couplings) if self._is_reduced else None
+        self._sizes: UsualSizes | None = None
+
+    def build(self, loads: Loads, gains: tuple[float, float]) -> System:
+        """The system under some loads, with kp [1/s^2] and kd [1/s] of rigid rows."""
+        nv, blocks = self._robot.model.nv, self._limited
+        mechanism = Mechanism(self._robot, loads)
+        rigid = RigidRows(mechanism, ConstraintRows(self._kept, nv, gains), self._sizes)
+        self._sizes = rigid.sizes
+        acting = ConstraintRows(blocks, nv, gains)
+        bounded = BoundedRows(acting, nv, self._backend) if blocks else None
+        motion = self._motion(mechanism, rigid)
+        return ComposedSystem(motion, rigid, bounded, self._layout, self.build)
+
+    def _motion(self, mechanism: Mechanism, rigid: RigidRows) -> FreeMotion:
+        if self._mimics is not None:
+            return Mimic(mechanism, self._couplings, self._mimics)
+        if self._is_reduced:
+            return Reduced(mechanism, self._couplings)
+        is_solved = {block.slots.start for block in self._limited}
+        if any(block.slots.start not in is_solved for block in self._kept):
+            return Kkt(mechanism, rigid)
+        return Aba(mechanism)
 
 
 def _refuse_unserved(blocks: Sequence[RowBlock]) -> None:

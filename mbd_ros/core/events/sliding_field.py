@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.dynamics.system import Accelerator, System, writing
+from mbd_ros.core.dynamics.system import Accelerator, System
 from mbd_ros.core.events.surface_modes import Mode, equivalent_signs
 from mbd_ros.core.events.switching import DiscontinuousForce
 from mbd_ros.core.model.kinematics import Kinematics
@@ -77,19 +77,20 @@ class SlidingField:
     Source: A. F. Filippov, 1988, §4; L. Dieci, L. Lopez, SIAM J. Numer. Anal. 47, 2009, 2023-2051.
 
     Args:
-        system: The system, without bounded rows; its loads are replaced.
+        system: The system, without bounded rows.
 
     Attributes:
-        mode: Mode of `acceleration`, one entry a surface.
+        system: The same one, built for loads that know the modes.
+        mode: Mode of the accelerations, one entry a surface.
         names: Of the surfaces.
         times: When modes began [s].
         modes: Those modes.
     """
 
     def __init__(self, system: System) -> None:
-        self._system = system
         self._loads = SwitchedLoads(int(system.model.nv), system.loads, self._recorded_signs)
-        system.loads = self._loads
+        self.system = system.with_loads(self._loads)
+        self._write = self.system.accelerator()
         self.names = tuple(name for f in self._loads.switching for name in f.surfaces)
         self.nv, self.chart = system.nv, system.chart
         self.mode: Mode = (1,) * len(self.names)
@@ -101,27 +102,23 @@ class SlidingField:
         """Surfaces that the motion slides on."""
         return [i for i, way in enumerate(self.mode) if way == 0]
 
-    def acceleration(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Acceleration of the integrated coordinates in this mode, shape (nv,)."""
-        if 0 not in self.mode:
-            return self._accelerate(State(t, q, v), u, np.array(self.mode, dtype=np.float64))
-        x, on = State(t, q, v), self.sliding
-        answer = self.answer(x, u, on)
-        return answer.a + answer.B.dot(self._equivalent(answer, on))
-
     def accelerator(self) -> Accelerator:
-        """As that of a `System`."""
-        return writing(self.acceleration)
+        """As that of a `System`, in the mode at the time of the call."""
+
+        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+            out[...] = self._in_mode(State(t, q, v), u)
+
+        return accelerate
 
     def heights(self, x: State) -> Array:
         """The h of all surfaces, shape (m,)."""
         full = self._placed(x)
-        parts = [f.heights(self._system.k, full) for f in self._loads.switching]
+        parts = [f.heights(self.system.k, full) for f in self._loads.switching]
         return np.concatenate(parts)
 
     def rates(self, x: State, u: Array | None) -> Array:
         """The h' of all surfaces in this mode, shape (m,)."""
-        return self._rates(x, self.acceleration(x.t, x.q, x.v, u))
+        return self._rates(x, self._in_mode(x, u))
 
     def signs(self, x: State, u: Array | None) -> Array:
         """Signs that keep the motion on the surfaces that it slides on, shape (k,)."""
@@ -131,7 +128,7 @@ class SlidingField:
         """How the motion answers the signs of some surfaces, the others in their mode."""
         signs = np.array(self.mode, dtype=np.float64)
         signs[list(chosen)] = 0.0
-        a = self._accelerate(x, u, signs).copy()
+        a = self._accelerate(x, u, signs)
         r = self._rates(x, a)
         B, D = np.zeros((self.nv, len(chosen))), np.zeros((len(r), len(chosen)))
         for column, i in enumerate(chosen):
@@ -166,29 +163,39 @@ class SlidingField:
     def _named(self, chosen: Sequence[int]) -> list[str]:
         return [self.names[i] for i in chosen]
 
+    def _in_mode(self, x: State, u: Array | None) -> Array:
+        """Acceleration of the integrated coordinates in this mode, shape (nv,)."""
+        if 0 not in self.mode:
+            return self._accelerate(x, u, np.array(self.mode, dtype=np.float64))
+        on = self.sliding
+        answer = self.answer(x, u, on)
+        return answer.a + answer.B.dot(self._equivalent(answer, on))
+
     def _accelerate(self, x: State, u: Array | None, signs: Array) -> Array:
+        a: Array = np.empty(self.nv)
         self._loads.signs = signs
         try:
-            return self._system.acceleration(x.t, x.q, x.v, u)
+            self._write(x.t, x.q, x.v, u, a)
         finally:
             self._loads.signs = None
+        return a
 
     def _rates(self, x: State, a: Array) -> Array:
         """The h' under an acceleration that was just evaluated at x."""
-        full_a = self._system.joint_motion(x.q, x.v, a)[2]
+        full_a = self.system.lift(x, a)
         full = self._placed(x)
-        parts = [f.rates(self._system.k, full, full_a) for f in self._loads.switching]
+        parts = [f.rates(self.system.k, full, full_a) for f in self._loads.switching]
         return np.concatenate(parts)
 
     def _placed(self, x: State) -> State:
         """State of all joints, with `k` as the forces need it."""
-        full = self._system.expand(x)
-        self._system.k.refresh(full.q, full.v, self._loads.reads)
+        full = self.system.expand(x)
+        self.system.k.refresh(full.q, full.v, self._loads.reads)
         return full
 
     def _recorded_signs(self, full: State, u: Array | None) -> Array:
         """Signs at a state of all joints that was integrated over, or else of its heights."""
-        x = self._system.reduce(full)
+        x = self.system.reduce(full)
         k = bisect_right(self.times, full.t) - 1
         if k < 0:
             return np.sign(self.heights(x))

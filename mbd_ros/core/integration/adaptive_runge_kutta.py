@@ -113,7 +113,8 @@ class AdaptiveRungeKutta(RungeKutta):
         """Length of a first step from the slope and its change over a short Euler step."""
         probe, a = _PROBE * self._dt, self.stages.first
         q, v = self._system.chart.integrate(x.q, probe * x.v), x.v + probe * a
-        there = np.concatenate([v, self._system.acceleration(x.t + probe, q, v, u)])
+        there = np.concatenate([v, np.empty_like(v)])
+        self._system.accelerator()(x.t + probe, q, v, u, there[len(v) :])
         here = np.concatenate([x.v, a])[None]
         steepest = max(_norm(here / scale), _norm((there - here) / scale / probe))
         if not steepest > 0.0:

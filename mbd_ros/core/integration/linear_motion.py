@@ -6,7 +6,6 @@ from functools import cached_property
 import numpy as np
 
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.integration.linearization import Linearization
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.integration.tableau import Tableau
 from mbd_ros.core.state import Array, State
@@ -61,19 +60,16 @@ def linear_motion(system: System, x: State) -> LinearMotion:
         system: The system.
         x: Consistent state of its integrated coordinates.
     """
-    linear, loads = Linearization(system, system.acceleration), system.loads
     full = system.expand(x)
-    system.k.refresh(full.q, full.v, loads.reads)
-    system.loads = loads.beside(system.k, full)
-    try:
-        linear.update(x.t, x.q, x.v, None)
-    finally:
-        system.loads = loads
+    system.k.refresh(full.q, full.v, system.loads.reads)
+    loads = system.loads.beside(system.k, full)
+    smooth = system if loads is system.loads else system.with_loads(loads)
+    linear = smooth.derivatives(x, inputs=False)
     blocks = system.layout.yielding
     gains = [pair for block in blocks for pair in dict.fromkeys(zip(*block.gains, strict=True))]
     n = system.nv
     stiffness, damping = np.zeros((2, n + len(gains), n + len(gains)))
-    stiffness[:n, :n], damping[:n, :n] = linear.stiffness, linear.damping
+    stiffness[:n, :n], damping[:n, :n] = linear.q, linear.v
     for i, (kp, kd) in enumerate(gains, n):
         stiffness[i, i], damping[i, i] = -kp, -kd
     return LinearMotion(stiffness, damping)

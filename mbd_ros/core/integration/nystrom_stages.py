@@ -63,7 +63,6 @@ class NystromStages(Stages):
         return a
 
     def _allocate(self) -> None:
-        self._accelerate = self._system.accelerator()
         a, errors = self._tableau.a, self._tableau.errors
         self._pair = np.empty((2, self._nv))
         self._q, self._v = self._pair

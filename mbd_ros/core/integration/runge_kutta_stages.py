@@ -25,7 +25,8 @@ class Stages:
     """
 
     def __init__(self, system: Any, tableau: Tableau) -> None:
-        self._system, self._acceleration = system, system.acceleration
+        self._chart, self._accelerate = system.chart, system.accelerator()
+        self._a = np.zeros(int(system.nv))
         self._tableau, self._nv, self._end = tableau, int(system.nv), tableau.stages
         self._c = tableau.a.sum(axis=1).tolist()
         self._h, self._done = 0.0, 0
@@ -40,7 +41,11 @@ class Stages:
         is_known = self._done > self._end and x is self._after and held == self._held
         if held != self._held:  # by value, since a controller may reuse its array
             self._u, self._held = None if u is None else u.copy(), held
-        a = self._end_acceleration() if is_known else self._acceleration(x.t, x.q, x.v, self._u)
+        if is_known:
+            a = self._end_acceleration()
+        else:
+            a = self._a
+            self._accelerate(x.t, x.q, x.v, self._u, a)
         self._begin(x, a)
         self._x, self._done = x, 1
 
@@ -119,14 +124,14 @@ class Stages:
 
     def _blend(self, weights: Array) -> tuple[Array, Array]:
         dq, dv = (self._h * weights).dot(self._flat_rates[: len(weights)]).reshape(2, -1)
-        return self._system.chart.integrate(self._x.q, dq), self._x.v + dv
+        return self._chart.integrate(self._x.q, dq), self._x.v + dv
 
     def _complete(self, count: int) -> None:
         """Evaluate the rates up to `count`, which may be beyond those of the step."""
         t0, h, v0 = self._x.t, self._h, self._x.v
         for i in range(self._done, count):
             dq, dv = (h * self._tableau.a[i, :i]).dot(self._flat_rates[:i]).reshape(2, -1)
-            q, v = self._system.chart.integrate(self._x.q, dq), v0 + dv
-            self._rates[i, 0] = self._system.chart.rate(dq, v)
-            self._rates[i, 1] = self._acceleration(t0 + h * self._c[i], q, v, self._u)
+            q, v = self._chart.integrate(self._x.q, dq), v0 + dv
+            self._rates[i, 0] = self._chart.rate(dq, v)
+            self._accelerate(t0 + h * self._c[i], q, v, self._u, self._rates[i, 1])
         self._done = max(self._done, count)

@@ -12,8 +12,10 @@ class Stepper:
 
     Attributes:
         kept: Names of the attributes that later steps depend on beside their arguments.
+        system: The system that the steps follow, where it is not the one they were prepared for.
     """
 
+    system: Any = None
     kept: ClassVar[tuple[str, ...]] = ()
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mass_check import check_mass_anywhere
-from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.inverse.force_split import rank_of
 from mbd_ros.core.model.couplings import Couplings
@@ -177,7 +176,7 @@ def with_inertia(robot: Robot) -> Robot:
     Distances and ranks need a metric, not the masses: where some joints move nothing that has
     mass, every joint gets a little inertia. Forces never come from this robot.
     """
-    system = System(robot, Loads(robot.model.nv))
+    system = build_system(robot, Couplings(robot), (), Loads(robot.model.nv))
     try:
         check_mass_anywhere(system)
     except SolveError:

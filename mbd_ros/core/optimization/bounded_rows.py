@@ -58,11 +58,11 @@ class BoundedRows:
         """Whether any row was worth a solve in the last evaluation."""
         return self.multipliers is not self._idle
 
-    def accelerate(self, system: Any, t: float, q: Array, v: Array, a: Array) -> Array:
+    def accelerate(self, motion: Any, t: float, q: Array, v: Array, a: Array) -> Array:
         """Accelerations of the integrated coordinates with the rows, shape as `a`.
 
         Args:
-            system: The system, just evaluated at t, q, v.
+            motion: The `FreeMotion`, just evaluated at t, q, v.
             t: Time [s].
             q: Integrated configuration.
             v: Integrated velocity.
@@ -72,23 +72,23 @@ class BoundedRows:
             SolveError: No rung of the ladder of `BoxQp` solves it, or a lower bound is above the
                 upper one.
         """
-        joint_q, joint_v, joint_a = system.joint_motion(q, v, a)
+        joint_q, joint_v, joint_a = motion.joint_motion(q, v, a)
         for margin in self._margins:
             if margin(joint_q, joint_v, joint_a) < 0.0:
                 break
         else:
             self.multipliers, self.force = self._idle, self._no_force
             return a
-        system.k.refresh(joint_q, joint_v, self.constraints.reads)
-        x = State(t, joint_q, joint_v)
+        k, x = motion.mechanism.k, State(t, joint_q, joint_v)
+        k.refresh(joint_q, joint_v, self.constraints.reads)
         if self.constraints.varies:
-            self.constraints.limit(system.k, x)
-        J, b = self.constraints.conditions(system.k, x)
-        response = system.respond(q, J.T)
+            self.constraints.limit(k, x)
+        J, b = self.constraints.conditions(k, x)
+        response = motion.respond(q, J.T)
         A, w = self._without_silent(J, J.dot(response), J.dot(joint_a) + b)
         lam = self._multipliers(A, w)
         self.multipliers, self.force = lam, J.T.dot(lam)
-        return system.integrated(joint_a + response.dot(lam))
+        return motion.coordinates.integrated(joint_a + response.dot(lam))
 
     def _multipliers(self, A: Array, w: Array) -> Array:
         lower, upper = self._lower, self._upper

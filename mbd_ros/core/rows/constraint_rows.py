@@ -21,9 +21,11 @@ class ConstraintRows:
     Args:
         blocks: The blocks, of one `RowLayout`.
         nv: Size of the velocity of the robot.
+        gains: kp [1/s^2] and kd [1/s] of rows that do not give way.
 
     Attributes:
         blocks: As given.
+        gains: As given.
         parts: Their constraints.
         rows: One entry a row.
         slots: Where their multipliers stand among those of the scene, shape (m,).
@@ -35,8 +37,10 @@ class ConstraintRows:
         is_corrected: Whether any row demands more than g'' = 0.
     """
 
-    def __init__(self, blocks: Sequence[RowBlock], nv: int) -> None:
-        self.blocks = tuple(blocks)
+    def __init__(
+        self, blocks: Sequence[RowBlock], nv: int, gains: tuple[float, float] = (0.0, 0.0)
+    ) -> None:
+        self.blocks, self.gains = tuple(blocks), gains
         self.parts = tuple(block.part for block in blocks)
         self.rows = tuple(row for block in blocks for row in block.rows)
         every = [np.arange(block.slots.start, block.slots.stop) for block in blocks]
@@ -48,7 +52,7 @@ class ConstraintRows:
         self.lower, self.upper = np.full(m, -np.inf), np.full(m, np.inf)
         self._kp, self._kd = np.zeros(m), np.zeros(m)
         for block, mine in zip(self.blocks, self.slices, strict=True):
-            self._kp[mine], self._kd[mine] = block.gains
+            self._kp[mine], self._kd[mine] = gains if block.law.is_rigid else block.gains
             if not block.law.varies:
                 self.lower[mine], self.upper[mine] = block.law.lower, block.law.upper
         self.varies = any(block.law.varies for block in self.blocks)
@@ -57,13 +61,6 @@ class ConstraintRows:
         self._none, self._no_rows = np.zeros(0), np.zeros((0, nv))
         self._only = self.parts[0] if len(self.parts) == 1 else None
         self._residuals = [_residual(block) for block in self.blocks]
-
-    def correct_rigid_rows(self, kp: float, kd: float) -> None:
-        """Demand g'' + kd g' + kp g = 0 of the rows that do not give way."""
-        for block, mine in zip(self.blocks, self.slices, strict=True):
-            if block.law.is_rigid:
-                self._kp[mine], self._kd[mine] = kp, kd
-        self.is_corrected = bool(self._kp.any() or self._kd.any())
 
     def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
         """J and drift with g'' = J a + drift: (m, nv) and (m,), overwritten by the next call."""

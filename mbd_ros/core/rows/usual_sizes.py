@@ -47,12 +47,17 @@ def usual_norms(robot: Robot, at: Callable[[Array], tuple[Array, Array]]) -> Arr
     return _median(found)
 
 
-def usual_sizes(system: Any) -> UsualSizes:
-    """Sizes of the rows of a system that integrates all joints; 0 where nothing is finite."""
+def usual_sizes(robot: Robot, at: Callable[[Array], tuple[Array, Array]]) -> UsualSizes:
+    """Sizes of rows; 0 where nothing is finite.
+
+    Args:
+        robot: The robot.
+        at: Configuration -> M, shape (nv, nv), and the rows, shape (m, nv).
+    """
     found = []
     with np.errstate(all="ignore"):
-        for q in configurations(system.robot):
-            M, J = system.mass(q), system.jacobian(0.0, q)
+        for q in configurations(robot):
+            M, J = at(q)
             found.append((M.diagonal().copy(), _squares(M, J.T), J * J))
     inertia, mobility, square = (_median(each) for each in zip(*found, strict=True))
     share = 1.0 / np.where(inertia > 0.0, inertia, 1.0)

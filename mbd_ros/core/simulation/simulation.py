@@ -46,10 +46,11 @@ class Simulation:
     ) -> None:
         if not dt > 0:
             raise ModelError(f"dt {dt:g} s must be > 0")
-        self.system, self.integrator, self.dt = system, integrator, dt
+        system = system.with_gains(*stabilization.gains(dt))
+        self.integrator, self.dt = integrator, dt
         self.stabilization = stabilization
-        system.correct_rows(*stabilization.gains(dt))
         self.stepper = integrator.prepare(system, dt)
+        self.system: System = self.stepper.system or system
         self._stride = getattr(self.stepper, "stride", None)  # several steps at once, if it can
         self.steps = 0
         self.worst = (1.0, 0.0)

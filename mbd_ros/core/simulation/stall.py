@@ -100,7 +100,7 @@ def _cause(system: System, x: State, u: Array | None, step: float) -> str:
     full = system.expand(x)
     system.k.refresh(full.q, full.v, system.loads.reads)
     if system.loads.beside(system.k, full) is not system.loads:
-        hardest = np.abs(system.acceleration(x.t, x.q, x.v, u))
+        hardest = np.abs(system.integrated(system.evaluate(full, u).a))
         return (
             f"{_joint(system, hardest)} has the largest acceleration; a switching force chatters "
             "at its surface, which integrator filippov follows"
@@ -120,7 +120,7 @@ def _cause(system: System, x: State, u: Array | None, step: float) -> str:
             f"{_joint(system, mode[:n] + mode[n:])} is stiff with a rate of {motion.rate:.3g} "
             "1/s; soften its force, raise the tolerance or try integrator gauss_legendre"
         )
-    hardest = np.abs(system.acceleration(x.t, x.q, x.v, u))
+    hardest = np.abs(system.integrated(system.evaluate(full, u).a))
     return (
         f"{_joint(system, hardest)} has the largest acceleration; its "
         "force is not smooth, or the mechanism is near a singular configuration; raise the "

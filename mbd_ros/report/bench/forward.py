@@ -109,7 +109,8 @@ def _system(
 
 
 def _acceleration(system: System, x: State) -> Callable[[], object]:
-    return lambda: system.acceleration(x.t, x.q, x.v)
+    accelerate, a = system.accelerator(), np.zeros(system.nv)
+    return lambda: accelerate(x.t, x.q, x.v, None, a)
 
 
 def _step(stepper: Any, x: State) -> Callable[[], None]:

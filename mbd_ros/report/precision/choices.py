@@ -92,7 +92,7 @@ def stabilizations(scene: Scene, solver: str, kind: str) -> Sequence[Mapping[str
 
 def _signature(scene: Scene, solver: str) -> tuple[type, int, bool]:
     system = scene.system(solver={"type": solver})
-    return type(system), len(system.rows), system.bounded is not None
+    return system.tier, len(system.rows), system.bounded is not None
 
 
 def _entry(entry: Mapping[str, Any]) -> str:

@@ -94,8 +94,7 @@ def _is_finite_beyond(case: Case) -> bool:
     x, ahead = case.reference.fine[-1], case.reference.grid.interval
     q = pin.integrate(case.scene.robot.model, x.q, ahead * x.v)
     system = case.scene.system()
-    y = system.reduce(State(x.t + ahead, q, x.v))
-    a = system.acceleration(y.t, y.q, y.v)
+    a = system.evaluate(State(x.t + ahead, q, x.v)).a
     return bool(np.isfinite(a).all())
 
 

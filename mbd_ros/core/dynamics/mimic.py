@@ -4,69 +4,65 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import eigenpy
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.dynamics.reduced_system import ReducedSystem
+from mbd_ros.core.dynamics.free_motion import writing
+from mbd_ros.core.dynamics.independent_joints import IndependentJoints
+from mbd_ros.core.dynamics.mechanism import Mechanism
+from mbd_ros.core.dynamics.reduced import coupled_solution
 from mbd_ros.core.dynamics.system import Accelerator
 from mbd_ros.core.model.coupling_functions import Linear
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.optimization.bounded_rows import BoundedRows
-from mbd_ros.core.state import Array
+from mbd_ros.core.state import Array, State
 
 _SAME = 1.0e-12
 
 
-class MimicSystem(ReducedSystem):
-    """A `ReducedSystem` whose M and h Pinocchio makes in the independent coordinates at once.
+class Mimic:
+    """Accelerations of independent joints, from M and h that Pinocchio makes for them at once.
 
     Args:
-        robot: The robot.
-        loads: What acts on its joints.
+        mechanism: What moves.
         couplings: Its dependent joints.
-        mimic_model: What `mimic_model` makes of them.
-        bounded: Rows with bounded multipliers.
+        model: What `mimic_model` makes of them.
+
+    Attributes:
+        mechanism: As given.
+        coordinates: The independent joints.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        loads: Loads,
-        couplings: Couplings,
-        mimic_model: Any,
-        bounded: BoundedRows | None = None,
-    ) -> None:
-        super().__init__(robot, loads, couplings, bounded)
-        self._own_bias = partial(pin.nonLinearEffects, mimic_model, pin.Data(mimic_model))
-        self._own_mass = mass_matrix(mimic_model)
-        self._accelerate = self._free_accelerator()
+    tier = "reduced"
 
-    def acceleration(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Acceleration z'' [rad/s^2 or m/s^2], shape (nv,)."""
-        if self._is_free:
-            a = np.empty(self.nv)
-            self._accelerate(t, q, v, u, a)
-            return a
-        self.evaluations += 1
-        bias = self._own_bias(q, v)
-        self._cholesky.compute(self._own_mass(q))
-        self._expand(q, v)
-        a = self._cholesky.solve(self._GT.dot(self._tau(t, self._q, self._v, u)) - bias)
-        return a if self.bounded is None else self.bounded.accelerate(self, t, q, v, a)
+    def __init__(self, mechanism: Mechanism, couplings: Couplings, model: Any) -> None:
+        self.mechanism, self.coordinates = mechanism, IndependentJoints(mechanism, couplings)
+        self._cholesky = eigenpy.LLT(self.coordinates.chart.nv)
+        self._bias = partial(pin.nonLinearEffects, model, pin.Data(model))
+        self._mass = mass_matrix(model)
+
+    def accelerate(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
+        """The y'' [rad/s^2 or m/s^2], shape (nv,), fresh."""
+        mechanism, joints = self.mechanism, self.coordinates
+        mechanism.evaluations += 1
+        bias = self._bias(q, v)
+        self._cholesky.compute(self._mass(q))
+        if mechanism.loads.is_empty:
+            return np.negative(self._cholesky.solve(bias))
+        joints.at(q, v)
+        tau = mechanism.tau(t, joints.q, joints.v, u)
+        return self._cholesky.solve(joints.G.T.dot(tau) - bias)
 
     def accelerator(self) -> Accelerator:
-        """Without loads the function behind `acceleration`: a step takes a tenth less."""
-        return self._accelerate if self._is_free else super().accelerator()
-
-    def _free_accelerator(self) -> Accelerator:
-        """-M⁻¹ h, written at once."""
-        bias, mass = self._own_bias, self._own_mass
+        """The function that writes what `accelerate` returns; without loads at once."""
+        mechanism, bias, mass = self.mechanism, self._bias, self._mass
         factorise, solve = self._cholesky.compute, self._cholesky.solve
+        if not mechanism.loads.is_empty:
+            return writing(self.accelerate)
 
         def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-            self.evaluations += 1
+            mechanism.evaluations += 1
             h = bias(q, v)
             factorise(mass(q))
             np.negative(solve(h), out)
@@ -74,9 +70,21 @@ class MimicSystem(ReducedSystem):
         return accelerate
 
     def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
-        """q, v and a of all joints at the state of the last evaluation."""
-        self._expand(q, v)
-        return super().joint_motion(q, v, a)
+        """q, v and a of all joints at the state of the last `accelerate`."""
+        self.coordinates.at(q, v)
+        return self.coordinates.joint_motion(a)
+
+    def respond(self, q: Array, forces: Array) -> Array:
+        """G (G' M G)^-1 G' forces, shape as `forces`."""
+        G = self.coordinates.G
+        reduced = G.T.dot(forces)
+        return G.dot(self._cholesky.solve(reduced).reshape(reduced.shape))
+
+    def solution(
+        self, y: State, u: Array | None, a: Array, force: Array | None
+    ) -> tuple[Array, Array]:
+        """Accelerations of all joints, and multipliers of the couplings."""
+        return coupled_solution(self.coordinates, y, u, a, force)
 
 
 def mimic_model(robot: Robot, couplings: Couplings) -> Any:
@@ -109,7 +117,7 @@ def mimic_model(robot: Robot, couplings: Couplings) -> Any:
 
 
 def mass_matrix(mimic: Any) -> Callable[[Array], Array]:
-    """The function from z to the mass matrix of a model with mimic joints, local convention.
+    """The function from y to the mass matrix of a model with mimic joints, local convention.
 
     `crba` of Pinocchio 4.1 adds to the forces that its last call left on parents of mimic
     joints: they are set to zero before each call.
@@ -119,19 +127,19 @@ def mass_matrix(mimic: Any) -> Callable[[Array], Array]:
     left = [data.Fcrb[parent] for parent in sorted(parents)]
     crba = partial(pin.crba, mimic, data)
 
-    def mass(z: Array) -> Array:
+    def mass(y: Array) -> Array:
         for forces in left:
             forces.fill(0.0)
-        return crba(z)
+        return crba(y)
 
     return mass
 
 
 def _is_right(mimic: Any, full: Any, couplings: Couplings) -> bool:
     """Whether both models have the same reduced mass matrix at some configuration."""
-    z = np.linspace(0.3, 1.1, len(couplings.q_index))
-    q = couplings.positions(z)
+    y = np.linspace(0.3, 1.1, len(couplings.q_index))
+    q = couplings.positions(y)
     G, M = couplings.jacobian(q), pin.crba(full, pin.Data(full), q)
     expected, mass = G.T.dot(M).dot(G), mass_matrix(mimic)
-    mass(-z)  # the second call of Pinocchio is the one that may go wrong
-    return bool(np.abs(mass(z) - expected).max() <= _SAME * np.abs(expected).max())
+    mass(-y)  # the second call of Pinocchio is the one that may go wrong
+    return bool(np.abs(mass(y) - expected).max() <= _SAME * np.abs(expected).max())

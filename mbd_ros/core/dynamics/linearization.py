@@ -1,13 +1,10 @@
 """Derivatives of forces or accelerations, for Newton's method."""
 
-from collections.abc import Callable
-
 import numpy as np
 
-from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.system import Accelerator, Derivatives, System
 from mbd_ros.core.state import Array, State
 
-Field = Callable[[float, Array, Array, "Array | None"], Array]
 _STEP = 1.5e-8  # square root of the rounding unit: truncation and rounding are alike
 _SPACINGS = 4.0  # of the numbers around a position: a shorter step of it is rounding
 
@@ -20,34 +17,54 @@ class Linearization:
 
     Args:
         system: The system of these configurations.
-        field: The f; what it returns is copied.
+        field: Writes the f.
 
     Attributes:
         stiffness: df/dq at the last update, shape (nv, nv); a new array each time.
         damping: df/dv, same shape.
     """
 
-    def __init__(self, system: System, field: Field) -> None:
+    def __init__(self, system: System, field: Accelerator) -> None:
         self._system, self._field = system, field
-        self._step = np.zeros(system.nv)
+        self._step, self._base, self._moved = np.zeros((3, system.nv))
         self.stiffness = np.zeros((system.nv, system.nv))
         self.damping = np.zeros((system.nv, system.nv))
 
     def update(self, t: float, q: Array, v: Array, u: Array | None) -> None:
         """Differentiate at a state."""
-        field, step = self._field, self._step
-        base = np.array(field(t, q, v, u))
+        field, step, base, there = self._field, self._step, self._base, self._moved
+        chart = self._system.chart
+        field(t, q, v, u, base)
         self.stiffness, self.damping = np.empty((2, len(step), len(step)))
         lengths = self._lengths(t, q)
         for i in range(len(step)):
             step[i] = lengths[i]
-            there = self._system.chart.integrate(q, step)
-            length = there[i] - q[i] if self._system.chart.is_flat else step[i]
-            self.stiffness[:, i] = (field(t, there, v, u) - base) / length
+            moved = chart.integrate(q, step)
+            length = moved[i] - q[i] if chart.is_flat else step[i]
+            field(t, moved, v, u, there)
+            self.stiffness[:, i] = (there - base) / length
             step[i] = _STEP * max(1.0, abs(float(v[i])))
             moved = v + step
-            self.damping[:, i] = (field(t, q, moved, u) - base) / (moved[i] - v[i])
+            field(t, q, moved, u, there)
+            self.damping[:, i] = (there - base) / (moved[i] - v[i])
             step[i] = 0.0
+
+    def derivatives(self, y: State, u: Array | None, *, inputs: bool) -> Derivatives:
+        """Derivatives at a state; those by u cost an evaluation each where they are wanted."""
+        self.update(y.t, y.q, y.v, u)
+        by_u = self._by_inputs(y, u) if inputs else np.zeros((len(self._step), 0))
+        none = np.zeros((len(self._step), len(y.z)))
+        return Derivatives(self.stiffness, self.damping, none, by_u)
+
+    def _by_inputs(self, y: State, u: Array | None) -> Array:
+        given = np.array(self._system.loads.idle if u is None else u, dtype=np.float64)
+        found = np.empty((len(self._step), len(given)))
+        for i in range(len(given)):
+            moved = given.copy()
+            moved[i] += _STEP * max(1.0, abs(float(given[i])))
+            self._field(y.t, y.q, y.v, moved, self._moved)
+            found[:, i] = (self._moved - self._base) / (moved[i] - given[i])
+        return found
 
     def _lengths(self, t: float, q: Array) -> Array:
         """Steps of the coordinates that move no joint by more than `_STEP`, shape (nv,).
@@ -59,8 +76,6 @@ class Linearization:
             return lengths
         for i, unit in enumerate(np.eye(system.nv)):
             lengths[i] /= max(1.0, float(np.abs(system.expand(State(t, q, unit)).v).max()))
-        return (
-            np.maximum(lengths, _SPACINGS * np.spacing(np.abs(q)))
-            if system.chart.is_flat
-            else lengths
-        )
+        if not system.chart.is_flat:
+            return lengths
+        return np.maximum(lengths, _SPACINGS * np.spacing(np.abs(q)))

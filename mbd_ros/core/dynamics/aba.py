@@ -1,0 +1,63 @@
+"""Forward dynamics of an open chain: M(q) a + h(q, v) = tau."""
+
+from functools import partial
+
+import eigenpy
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.dynamics.all_joints import AllJoints
+from mbd_ros.core.dynamics.free_motion import writing
+from mbd_ros.core.dynamics.mechanism import Mechanism
+from mbd_ros.core.dynamics.system import Accelerator
+from mbd_ros.core.state import NONE, Array, State
+
+
+class Aba:
+    """Acceleration from state and inputs by the articulated-body algorithm.
+
+    Args:
+        mechanism: What moves.
+
+    Attributes:
+        mechanism: As given.
+        coordinates: All joints.
+    """
+
+    tier = "aba"
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism, self.coordinates = mechanism, AllJoints(mechanism)
+        self._aba = partial(pin.aba, mechanism.model, mechanism.data)
+
+    def accelerate(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
+        """Accelerations of all joints, shape (nv,); the next call overwrites them."""
+        mechanism = self.mechanism
+        mechanism.evaluations += 1
+        return self._aba(q, v, mechanism.tau(t, q, v, u))
+
+    def accelerator(self) -> Accelerator:
+        """The function that writes what `accelerate` returns."""
+        mechanism, aba, zero = self.mechanism, self._aba, self.mechanism.zero
+        if not mechanism.loads.is_empty:
+            return writing(self.accelerate)
+
+        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+            mechanism.evaluations += 1
+            out[...] = aba(q, v, zero)
+
+        return accelerate
+
+    def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+        """The same q, v and a."""
+        return q, v, a
+
+    def respond(self, q: Array, forces: Array) -> Array:
+        """M^-1 forces, shape as `forces`."""
+        return eigenpy.LLT(self.mechanism.mass(q)).solve(forces).reshape(forces.shape)
+
+    def solution(
+        self, y: State, u: Array | None, a: Array, force: Array | None
+    ) -> tuple[Array, Array]:
+        """Accelerations of all joints, and no multipliers."""
+        return np.array(a), NONE

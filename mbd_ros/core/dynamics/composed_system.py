@@ -1,0 +1,169 @@
+"""A system composed of a free motion and of rows that give way."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from mbd_ros.core.dynamics.free_motion import FreeMotion
+from mbd_ros.core.dynamics.linearization import Linearization
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.rigid_rows import RigidRows
+from mbd_ros.core.dynamics.system import Accelerator, Derivatives, System
+from mbd_ros.core.optimization.bounded_rows import BoundedRows
+from mbd_ros.core.parts import Row, Wrench
+from mbd_ros.core.rows.row_factor import RowFactor
+from mbd_ros.core.rows.row_layout import RowLayout
+from mbd_ros.core.state import NONE, Array, Evaluation, Mode, State
+from mbd_ros.errors import SolveError
+
+Build = Callable[[Loads, tuple[float, float]], System]
+
+
+class ComposedSystem:
+    """Free motion + response to forces + solver of the rows that give way; see `System`.
+
+    Args:
+        motion: Accelerations without rows that give way.
+        rigid: Rows that an integrator may have to keep, whoever solves for them.
+        bounded: Rows with bounded multipliers, solved for by Gauss's principle.
+        layout: All rows of the scene.
+        build: Makes the same system for other loads and gains.
+    """
+
+    def __init__(
+        self,
+        motion: FreeMotion,
+        rigid: RigidRows,
+        bounded: BoundedRows | None,
+        layout: RowLayout,
+        build: Build,
+    ) -> None:
+        self._motion, self._rigid, self._build = motion, rigid, build
+        self._mechanism, coordinates = motion.mechanism, motion.coordinates
+        self._coordinates = coordinates
+        self.tier, self.chart = motion.tier, coordinates.chart
+        self.robot, self.loads = self._mechanism.robot, self._mechanism.loads
+        self.model, self.k = self._mechanism.model, self._mechanism.k
+        self.nq, self.nv = self.chart.nq, self.chart.nv
+        self.bounded, self.layout = bounded, layout
+        self.constraints, self.sizes = rigid.constraints, rigid.sizes
+        self.rows: tuple[Row, ...] = rigid.rows
+        self.multiplier_rows: tuple[Row, ...] = layout.rows
+        solved = np.ones(len(layout.rows), dtype=np.bool_)
+        if bounded is not None:
+            solved[bounded.constraints.slots] = False
+        self._solved = np.flatnonzero(solved)
+        self._accelerator = self._written()
+        self._linearization = Linearization(self, self._accelerator)
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the rows in the mass metric when last factorised."""
+        return self._rigid.condition
+
+    @property
+    def evaluations(self) -> int:
+        """How often the equations of motion were asked."""
+        return self._mechanism.evaluations
+
+    def evaluate(self, x: State, u: Array | None = None) -> Evaluation:
+        """Accelerations, multipliers and the response to forces; as `System.evaluate`."""
+        motion, bounded, y = self._motion, self.bounded, self._coordinates.reduce(x)
+        a, force = motion.accelerate(y.t, y.q, y.v, u), None
+        if bounded is not None:
+            a = bounded.accelerate(motion, y.t, y.q, y.v, a)
+            force = bounded.force
+        a, lam = motion.solution(y, u, a, force)
+        if bounded is not None:
+            free, lam = lam, np.empty(len(self.multiplier_rows))
+            lam[self._solved], lam[bounded.constraints.slots] = free, bounded.multipliers
+        return Evaluation(x, a, NONE, lam, self._response(y))
+
+    def accelerator(self, mode: Mode = ()) -> Accelerator:
+        """The function of t, q, v, u that writes y''; the same in every mode."""
+        return self._accelerator
+
+    def derivatives(self, y: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
+        """Derivatives of y'' by differences, to about 1e-6; as `System.derivatives`."""
+        return self._linearization.derivatives(y, u, inputs=inputs)
+
+    def with_loads(self, loads: Loads) -> System:
+        """The same robot and rows, built for other loads."""
+        return self._build(loads, self.constraints.gains)
+
+    def with_gains(self, kp: float, kd: float) -> System:
+        """The same system, with g'' + kd g' + kp g = 0 of rigid rows; itself if it has them."""
+        if (kp, kd) == self.constraints.gains:
+            return self
+        return self._build(self.loads, (kp, kd))
+
+    def expand(self, y: State) -> State:
+        """State of all joints from that of what is integrated."""
+        return self._coordinates.expand(y)
+
+    def reduce(self, x: State) -> State:
+        """State of what is integrated from that of all joints."""
+        return self._coordinates.reduce(x)
+
+    def lift(self, y: State, a: Array) -> Array:
+        """Accelerations of all joints from the y'' at a state, fresh."""
+        return self._coordinates.lift(y, a)
+
+    def integrated(self, a: Array) -> Array:
+        """Those of what is integrated among values of all joints."""
+        return self._coordinates.integrated(a)
+
+    def mass(self, q: Array) -> Array:
+        """Mass matrix of what is integrated, symmetric, shape (nv, nv)."""
+        return self._coordinates.mass(q)
+
+    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """Generalized force tau - h without the constraints, shape (nv,)."""
+        return self._coordinates.applied(t, q, v, u)
+
+    def residual(self, t: float, q: Array) -> Array:
+        """g(t, q) of the bilateral rows, shape (m,)."""
+        return self._rigid.residual(t, q)
+
+    def jacobian(self, t: float, q: Array) -> Array:
+        """dg/dq, shape (m, nv)."""
+        return self._rigid.jacobian(t, q)
+
+    def rate(self, t: float, q: Array) -> Array:
+        """dg/dt, shape (m,)."""
+        return self._rigid.rate(t, q)
+
+    def factorise(self, M: Array, J: Array) -> RowFactor:
+        """Factor of the bilateral rows; brings `condition` up to date."""
+        return self._rigid.factorise(M, J)
+
+    def wrenches(self, x: State, lam: Array) -> tuple[Wrench, ...]:
+        """Wrenches of the bilateral rows on bodies, from the multipliers at a state."""
+        return self._rigid.wrenches(x, lam)
+
+    def energy(self, y: State) -> float:
+        """Kinetic and potential energy [J]; heights are counted from `Robot.origin`."""
+        return self._mechanism.energy(self._coordinates.expand(y))
+
+    def _response(self, y: State) -> Callable[[Array], Array]:
+        """The response to forces at a state that was just evaluated, until the next one."""
+        stamp = self._mechanism.evaluations
+
+        def respond(forces: Array) -> Array:
+            if self._mechanism.evaluations != stamp:
+                raise SolveError("respond was asked after a later evaluation of its system")
+            self._coordinates.expand(y)
+            return self._motion.respond(y.q, forces)
+
+        return respond
+
+    def _written(self) -> Accelerator:
+        motion, bounded = self._motion, self.bounded
+        if bounded is None:
+            return motion.accelerator()
+
+        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+            a = motion.accelerate(t, q, v, u)
+            out[...] = bounded.accelerate(motion, t, q, v, a)
+
+        return accelerate

@@ -1,0 +1,139 @@
+"""Forward dynamics with bilateral rows: one factorised solve.
+
+M a + h = tau + J' lam,   J a + drift = -kd g' - kp g
+"""
+
+from functools import partial
+
+import eigenpy
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.dynamics.all_joints import AllJoints
+from mbd_ros.core.dynamics.free_motion import writing
+from mbd_ros.core.dynamics.mechanism import Mechanism
+from mbd_ros.core.dynamics.rigid_rows import RigidRows
+from mbd_ros.core.dynamics.system import Accelerator
+from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import HELD_BY_ROWS, NEAR_TOGGLE
+from mbd_ros.errors import SolveError
+
+_multiply = np.multiply
+_FACTORISED = eigenpy.ComputationInfo.Success
+_REGULAR = NEAR_TOGGLE**-2.0
+_EXACT = 1.0e-20  # square of the accepted residual of the rows, relative
+
+
+class Kkt:
+    """Accelerations of all joints; rigid rows hold by multipliers.
+
+    A Cholesky factorisation solves it; redundant rows, and rows near a toggle, go through their
+    eigenvalues instead.
+
+    Args:
+        mechanism: What moves.
+        rigid: The rows.
+
+    Attributes:
+        mechanism: As given.
+        coordinates: All joints.
+    """
+
+    tier = "kkt"
+
+    def __init__(self, mechanism: Mechanism, rigid: RigidRows) -> None:
+        self.mechanism, self._rigid = mechanism, rigid
+        self.coordinates = AllJoints(mechanism)
+        self._constraints, self._loads = rigid.constraints, mechanism.loads
+        self._reads = max(rigid.constraints.reads, mechanism.loads.reads)
+        m, nv, sizes = len(rigid.rows), int(mechanism.model.nv), rigid.sizes
+        self._row_jacobian = np.zeros((m, nv))
+        self._lam: Array | None = None
+        self._weights = sizes.weights if sizes else np.zeros((m, nv))
+        self._weighted, self._gram = np.zeros((m, nv)), np.zeros((m, m))
+        self._square = partial(self._weighted.dot, self._weighted.T, self._gram)
+        self._is_single, self._is_pair, self._cholesky = m == 1, m == 2, eigenpy.LLT(m)
+        self._least = 0.0 if sizes is None else _REGULAR * float(sizes.square.min())
+
+    def accelerate(
+        self, t: float, q: Array, v: Array, u: Array | None, added: Array | None = None
+    ) -> Array:
+        """Accelerations under the loads and an added force; the next call overwrites them."""
+        mechanism, constraints, x = self.mechanism, self._constraints, State(t, q, v)
+        mechanism.evaluations += 1
+        model, data, k = mechanism.model, mechanism.data, mechanism.k
+        k.refresh(q, v, self._reads)
+        if constraints.is_corrected:
+            J, drift = constraints.conditions(k, x)
+        else:
+            J, drift = constraints.accelerations(k, x)
+        tau = mechanism.zero if self._loads.is_empty else self._loads.total(k, x, u)
+        if added is not None:
+            tau = tau + added
+        self._row_jacobian, self._lam = J, None
+        if self._is_regular(J):
+            pin.crba(model, data, q)
+            pin.nonLinearEffects(model, data, q, v)
+            a = pin.forwardDynamics(model, data, tau, J, drift, 0.0)
+            left = J.dot(a)
+            left += drift
+            off = left.dot(left)
+            if off <= _EXACT or off <= _EXACT * drift.dot(drift):
+                return a
+        a, self._lam = self._by_rank(q, v, tau, J, drift)
+        return a
+
+    def accelerator(self) -> Accelerator:
+        """The function that writes what `accelerate` returns."""
+        return writing(self.accelerate)
+
+    def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+        """The same q, v and a."""
+        return q, v, a
+
+    def respond(self, q: Array, forces: Array) -> Array:
+        """Accelerations that forces add while the rows hold, shape as `forces`."""
+        M, J = self.mechanism.mass(q), self._row_jacobian
+        factor = self._rigid.factorise(M, J)
+        free = np.linalg.solve(M, forces)
+        moved = free - factor.motion(J.dot(free))
+        held = np.abs(moved).max(axis=0) <= HELD_BY_ROWS * np.abs(free).max(axis=0)
+        moved[:, held] = 0.0
+        return moved
+
+    def solution(
+        self, y: State, u: Array | None, a: Array, force: Array | None
+    ) -> tuple[Array, Array]:
+        """Accelerations and multipliers of the rows."""
+        if force is not None:
+            a = self.accelerate(y.t, y.q, y.v, u, force)
+        a = np.array(a)
+        return a, np.array(self.mechanism.data.lambda_c) if self._lam is None else self._lam
+
+    def _is_regular(self, J: Array) -> bool:
+        """Whether rows are independent beyond doubt, by the usual masses."""
+        if self._is_single:
+            row = J[0]
+            return bool(row.dot(row) > self._least)
+        _multiply(J, self._weights, self._weighted)
+        gram = self._square()
+        if self._is_pair:
+            a, b, _, c = gram.ravel().tolist()
+            return bool(a > _REGULAR and a * c - b * b > _REGULAR * a)
+        self._cholesky.compute(gram)
+        return bool(self._cholesky.info() == _FACTORISED and self._cholesky.rcond() > _REGULAR)
+
+    def _by_rank(
+        self, q: Array, v: Array, tau: Array, J: Array, drift: Array
+    ) -> tuple[Array, Array]:
+        M = self.mechanism.mass(q)
+        free = np.linalg.solve(M, tau - self.mechanism.bias(q, v))
+        factor = self._rigid.factorise(M, J)
+        moved = J.dot(free)
+        r = -(moved + drift)
+        row = factor.contradiction(r, drift, float(free.dot(M.dot(free))) ** 0.5)
+        if row is not None:
+            name = self._rigid.rows[row].name
+            raise SolveError(f"constraint row {name} contradicts the other rows")
+        lam = factor.solve(r)
+        return free + factor.X.dot(lam), lam

@@ -1,0 +1,63 @@
+"""A robot with its `Data` and what acts on its joints, which the tiers are composed of."""
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.state import Array, State
+
+
+class Mechanism:
+    """All joints under loads; owns one Pinocchio `Data`: not for two threads.
+
+    Pinocchio's algorithms use their local convention, the default; in that of the world rounding
+    grows with the distance from its origin.
+
+    Args:
+        robot: The robot.
+        loads: What acts on its joints.
+
+    Attributes:
+        robot: As given.
+        loads: As given.
+        model: The Pinocchio model.
+        data: Its `Data`.
+        k: Kinematics over `data`.
+        zero: No velocity and no force, shape (nv,), not to be written to.
+        evaluations: How often the equations of motion were asked.
+    """
+
+    def __init__(self, robot: Robot, loads: Loads) -> None:
+        self.robot, self.loads = robot, loads
+        self.model, self.data = robot.model, pin.Data(robot.model)
+        self.k = Kinematics(robot, self.data)
+        self.zero: Array = np.zeros(self.model.nv)
+        self.evaluations = 0
+
+    def tau(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
+        """Loads at a state of all joints, shape (nv,), not to be written to."""
+        if self.loads.is_empty:
+            return self.zero
+        self.k.refresh(q, v, self.loads.reads)
+        return self.loads.total(self.k, State(t, q, v), u)
+
+    def mass(self, q: Array) -> Array:
+        """Mass matrix of all joints, symmetric, shape (nv, nv), overwritten by the next call."""
+        return pin.crba(self.model, self.data, q)
+
+    def bias(self, q: Array, v: Array) -> Array:
+        """The h of M a + h = tau, shape (nv,), overwritten by the next call."""
+        return pin.nonLinearEffects(self.model, self.data, q, v)
+
+    def placed(self, t: float, q: Array, reads: Reads) -> State:
+        """State at rest of all joints, with k as far as it is read."""
+        self.k.refresh(q, self.zero, reads)
+        return State(t, q, self.zero)
+
+    def energy(self, x: State) -> float:
+        """Kinetic and potential energy [J] at a state of all joints."""
+        stored = float(pin.computeMechanicalEnergy(self.model, self.data, x.q, x.v))
+        self.k.refresh(x.q, x.v, min(self.loads.reads, Reads.POSITION))
+        return stored + self.loads.potential(self.k, x)
