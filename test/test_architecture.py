@@ -77,7 +77,7 @@ ALLOWED = {
     CORE: {*MATH, "mbd_ros"},
     "mbd_ros.scene": {*MATH, "yaml", "mbd_ros.errors", CORE, "mbd_ros.scene"},
 }
-UNWANTED = {"proxsuite", "qpsolvers", "scipy", "matplotlib", "rosbags", "rclpy"}
+UNWANTED = {"casadi", "proxsuite", "qpsolvers", "scipy", "matplotlib", "rosbags", "rclpy"}
 
 
 class Import(NamedTuple):

@@ -13,7 +13,14 @@ from mbd_ros.errors import ModelError
 
 ROOT = Path(__file__).parents[1]
 ROBOTS = ROOT / "config/robots"
-PARTS = ("actuators", "constraints", "controllers", "forces", "integrators", "stabilization")
+PARTS = (
+    "actuators",
+    "constraints",
+    "controllers",
+    "forces",
+    "integrators",
+    "stabilization",
+)
 
 
 def trees(folder):

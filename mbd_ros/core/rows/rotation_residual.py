@@ -7,10 +7,9 @@ sines and dot products of axes do. Their derivatives are exact up to there.
 """
 
 import math
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-import pinocchio as pin
 
 from mbd_ros.core.state import Array
 
@@ -140,7 +139,28 @@ class AxisRotation:
         return np.array((third, second))
 
 
-def _quaternion(R: Array) -> Any:
-    """x, y, z, w as floats, w >= 0."""
-    coefficients = pin.Quaternion(R).coeffs().tolist()
-    return [-c for c in coefficients] if coefficients[3] < 0.0 else coefficients
+def _quaternion(R: Array) -> tuple[float, float, float, float]:
+    """x, y, z, w as floats, w >= 0; NaN where R is no rotation.
+
+    Source: K. Shoemake, Animating rotation with quaternion curves, 1985; as Eigen has it.
+    """
+    m = R.tolist()
+    trace = m[0][0] + (m[1][1] + m[2][2])
+    if trace > 0.0:
+        root = math.sqrt(trace + 1.0)
+        t = 0.5 / root
+        x, y, z = (m[2][1] - m[1][2]) * t, (m[0][2] - m[2][0]) * t, (m[1][0] - m[0][1]) * t
+        return x, y, z, 0.5 * root
+    i = 1 if m[1][1] > m[0][0] else 0
+    i = 2 if m[2][2] > m[i][i] else i
+    j, k = (i + 1) % 3, (i + 2) % 3
+    square = m[i][i] - m[j][j] - m[k][k] + 1.0
+    if not square > 0.0:
+        return math.nan, math.nan, math.nan, math.nan
+    root = math.sqrt(square)
+    t = 0.5 / root
+    w = (m[k][j] - m[j][k]) * t
+    sign = -1.0 if w < 0.0 else 1.0
+    e = [0.0, 0.0, 0.0]
+    e[i], e[j], e[k] = 0.5 * root, (m[j][i] + m[i][j]) * t, (m[k][i] + m[i][k]) * t
+    return sign * e[0], sign * e[1], sign * e[2], sign * w

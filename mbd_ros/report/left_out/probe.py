@@ -15,6 +15,7 @@ LIBRARIES = (
     "matplotlib",
     "daqp",
     "quadprog",
+    "casadi",
 )
 
 
