@@ -7,20 +7,23 @@ from mechanisms import double_pendulum, floating_body, four_bar, four_bar_closur
 from scipy.optimize import lsq_linear
 
 from mbd_ros import api
+from mbd_ros.actuators.geared_motor import GearedMotor
+from mbd_ros.actuators.series_elastic import SeriesElastic
 from mbd_ros.constraints.dry_friction import DryFriction
 from mbd_ros.constraints.frame_anchor import FrameAnchor
 from mbd_ros.constraints.joint_stop import JointStop
 from mbd_ros.constraints.loop_closure import LoopClosure
 from mbd_ros.constraints.point_on_plane import PointOnPlane
 from mbd_ros.constraints.prescribed_motion import PrescribedMotion
+from mbd_ros.core.dynamics.inputs import bound
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.core.inverse.efforts import Efforts, joint_efforts
+from mbd_ros.core.inverse.efforts import Efforts, input_efforts, joint_efforts
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.optimization.least_in_bounds import least_in_bounds
-from mbd_ros.core.row_laws import cone, unilateral
+from mbd_ros.core.row_laws import box, cone, unilateral
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SolveError
 
@@ -186,6 +189,30 @@ def test_columns_of_inputs_may_be_any():
     assert found.rank == 3
 
 
+def test_inputs_of_actuators_come_back_through_their_columns():
+    """Forward under known inputs: a motor behind a gear that rubs, and an elastic drive."""
+    robot, closure = bars()
+    motor = GearedMotor(robot, joint="crank", ratio=20.0, viscous=1e-3, limit=9.0)
+    spring = SeriesElastic(robot, joint="rocker", stiffness=30.0, damping=0.5)
+    parts = robot, Couplings(robot), [closure]
+    u = np.array([1.7, 0.4])
+    for actuators, given in (((motor,), u[:1]), ((spring,), u[1:]), ((motor, spring), u)):
+        efforts = input_efforts(robot, actuators)
+        inverse = ClosedLoopInverseDynamics(*parts, efforts, with_bounds=True)
+        x, _ = moving(inverse)
+        loads, _ = bound(actuators)
+        now = build_system(*parts, Loads(3, (), loads)).evaluate(x, given)
+        found = inverse.solve(x, now.a)
+        null = found.null_basis[: len(given)]
+        off = found.tau - given
+        assert found.null_space == len(given) - 1
+        assert off - null @ (np.linalg.pinv(null) @ off) == pytest.approx(0.0 * off, abs=1e-9)
+        assert np.linalg.norm(found.tau) <= np.linalg.norm(given) + 1e-9
+    rubbing = GearedMotor(robot, joint="crank", ratio=20.0, efficiency=0.8)
+    with pytest.raises(ModelError, match="geared_motor is not affine in its inputs"):
+        input_efforts(robot, (rubbing,))
+
+
 @pytest.mark.parametrize("pressed", [True, False])
 def test_stop_and_friction_push_as_forward_dynamics_says(pressed):
     """A motor of the crank beside a stop and dry friction: its torque from motion alone."""
@@ -213,6 +240,22 @@ def test_stop_and_friction_push_as_forward_dynamics_says(pressed):
         assert found.tau == pytest.approx([0.0], abs=1e-9)
         assert found.multipliers == pytest.approx(solution.lam, rel=1e-8, abs=1e-9)
         assert abs(found.multipliers[names.index("rocker.friction")]) == 0.7
+
+
+def test_bounds_that_depend_on_the_state_are_those_of_the_state():
+    robot, closure = bars()
+    constant, varying = (DryFriction(robot, joint="rocker", limit=0.7) for _ in range(2))
+    varying.law = box(lambda k, x: -0.5 * x.q[2], lambda k, x: 0.5 * x.q[2])
+    found = []
+    for friction in (varying, constant):
+        efforts = joint_efforts(robot, ("crank",))
+        parts = robot, Couplings(robot), [closure, friction]
+        inverse = ClosedLoopInverseDynamics(*parts, efforts, with_bounds=True)
+        x, a = moving(inverse)
+        constant.law = box(-0.5 * x.q[2], 0.5 * x.q[2])
+        found.append(inverse.solve(x, a))
+    assert abs(found[0].multipliers[2]) == 0.5 * x.q[2]
+    assert np.array_equal(found[0].tau, found[1].tau)
 
 
 class OneSided(PointOnPlane):

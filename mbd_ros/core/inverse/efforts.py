@@ -5,8 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.dynamics.inputs import bound
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.parts import Load
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -14,7 +16,7 @@ Columns = Callable[[Kinematics, State], Array]
 
 
 class Efforts(NamedTuple):
-    """Inputs u that exert B u on the joints.
+    """Inputs u that exert B u + rest on the joints.
 
     Where a motion does not determine them, those with the least sum of
     (weight (u - target))^2 are taken.
@@ -26,7 +28,8 @@ class Efforts(NamedTuple):
         upper: Largest values, inf without, shape (n,).
         weight: Of the cost [1 per unit of u], > 0, shape (n,).
         target: Of the cost, shape (n,).
-        reads: What `columns` reads of k.
+        reads: What `columns` and `rest` read of k.
+        rest: What they exert at u = 0, at a state, shape (nv,); None for nothing.
     """
 
     names: tuple[str, ...]
@@ -36,6 +39,7 @@ class Efforts(NamedTuple):
     weight: Array
     target: Array
     reads: Reads = Reads.NOTHING
+    rest: Columns | None = None
 
 
 def joint_efforts(
@@ -60,3 +64,36 @@ def joint_efforts(
     if upper.shape != (n,) or not (upper > 0.0).all():
         raise ModelError(f"limits {upper.tolist()} must be one number > 0 for each of {n} joints")
     return Efforts(names, lambda k, x: B, -upper, upper, np.ones(n), np.zeros(n))
+
+
+def input_efforts(robot: Robot, loads: Sequence[Load]) -> Efforts:
+    """Inputs of loads that are affine in them, within the bounds of their channels.
+
+    Args:
+        robot: The robot.
+        loads: Actuators and other loads with inputs; they are no force terms of the problem then.
+
+    Raises:
+        ModelError: A load that is not affine in its inputs.
+    """
+    parts, inputs = bound(loads)
+    affine = [part for part in parts if isinstance(part, Load)]
+    k, neutral = Kinematics(robot), State(0.0, robot.neutral(), np.zeros(int(robot.model.nv)))
+    reads = max((part.reads for part in affine), default=Reads.NOTHING)
+    k.refresh(neutral.q, neutral.v, reads)
+    for part in affine:
+        if part.columns(k, neutral) is None:
+            name = part.name or type(part).__name__
+            raise ModelError(f"the force of {name} is not affine in its inputs")
+    idle, n = np.zeros(len(inputs.names)), len(inputs.names)
+
+    def columns(k: Kinematics, x: State) -> Array:
+        none = np.zeros((len(x.v), 0))
+        return np.concatenate([none, *(part.columns(k, x) for part in affine)], axis=1)
+
+    def rest(k: Kinematics, x: State) -> Array:
+        return np.sum([np.zeros(len(x.v)), *(part.force(k, x, idle) for part in affine)], axis=0)
+
+    lower = np.array([channel.lower for channel in inputs.channels], dtype=np.float64)
+    upper = np.array([channel.upper for channel in inputs.channels], dtype=np.float64)
+    return Efforts(inputs.names, columns, lower, upper, np.ones(n), np.zeros(n), reads, rest)

@@ -86,7 +86,7 @@ class LoopBalance:
         self._k = Kinematics(robot, self._data)
         read = (efforts.reads, *(force.reads for force in forces))
         self._reads = max(self.constraints.reads, *read, Reads.POSITION)  # wrenches read positions
-        self._columns = efforts.columns
+        self._columns, self._rest = efforts.columns, efforts.rest
 
     def place(self, x: State) -> None:
         """Bring placements, velocities and joint Jacobians to a state."""
@@ -110,6 +110,8 @@ class LoopBalance:
         lam = np.full(len(self._gives_way), np.nan)
         if not self._gives_way.any():
             return lam
+        if self.constraints.varies:
+            self.constraints.limit(self._k, x)
         J, b = self.constraints.conditions(self._k, x)
         w, terms = J.dot(a) + b, np.abs(J).dot(np.abs(a)) + np.abs(b)
         off = self._gives_way & (np.abs(w) > _HOLDS * (1.0 + terms))
@@ -126,7 +128,7 @@ class LoopBalance:
 
     def terms(self, x: State, a: Array, wrenches: Sequence[Array]) -> Terms:
         """Forces of a motion; overwrites the last state in `data`."""
-        loads = np.zeros_like(a)
+        loads = np.zeros_like(a) if self._rest is None else self._rest(self._k, x)
         for force in self._forces:
             loads += force.force(self._k, x, NONE)
         self._loads.set(self._k, wrenches)

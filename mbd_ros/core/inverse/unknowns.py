@@ -26,8 +26,6 @@ class Unknowns:
         efforts: How many come before the rows: inputs and drives.
         weight: Shape (n,), 1 but for inputs.
         target: Shape (n,), 0 but for inputs.
-        lower: Least y, shape (n,).
-        upper: Largest y, shape (n,).
     """
 
     def __init__(self, efforts: Efforts, constraints: ConstraintRows, is_drive: Mask) -> None:
@@ -40,10 +38,16 @@ class Unknowns:
         self.labels = tuple(names[i] for i in self.place)
         self.weight = np.concatenate((efforts.weight, np.ones(m)))[self.place]
         self.target = np.concatenate((efforts.target, np.zeros(m)))[self.place]
-        lower = np.concatenate((efforts.lower, constraints.lower))[self.place]
-        upper = np.concatenate((efforts.upper, constraints.upper))[self.place]
-        self.lower = self.weight * (lower - self.target)
-        self.upper = self.weight * (upper - self.target)
+        self._lower = efforts.lower, constraints.lower  # the latter change with the state
+        self._upper = efforts.upper, constraints.upper
+
+    def bounds(self, asked: Mask) -> tuple[Array, Array]:
+        """Least and largest y of those that are asked for, as the rows are limited now."""
+        lower, upper = (
+            self.weight * (np.concatenate(ends)[self.place] - self.target)
+            for ends in (self._lower, self._upper)
+        )
+        return lower[asked], upper[asked]
 
     def filled(self, known: Array, asked: Mask, y: Array) -> Array:
         """Efforts, then multipliers, shape (na + m,).
