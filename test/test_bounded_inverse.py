@@ -234,12 +234,12 @@ def test_stop_and_friction_push_as_forward_dynamics_says(pressed):
     names = [row.name for row in inverse.constraints.rows]
     if pressed:  # friction holds, too: what the motor need not do it does not
         assert found.tau == pytest.approx([0.0], abs=1e-7)
-        assert found.multipliers[names.index("crank.stop")] > 1.0
-        assert abs(found.multipliers[names.index("rocker.friction")]) <= 0.7
+        assert found.multipliers[names.index("joint_stop.torque")] > 1.0
+        assert abs(found.multipliers[names.index("dry_friction.torque")]) <= 0.7
     else:
         assert found.tau == pytest.approx([0.0], abs=1e-9)
         assert found.multipliers == pytest.approx(solution.lam, rel=1e-8, abs=1e-9)
-        assert abs(found.multipliers[names.index("rocker.friction")]) == 0.7
+        assert abs(found.multipliers[names.index("dry_friction.torque")]) == 0.7
 
 
 def test_bounds_that_depend_on_the_state_are_those_of_the_state():
@@ -331,7 +331,7 @@ def test_cones_are_refused_by_name():
     grip = Gripping(robot, frame="trunk", position=(0.0,) * 3, kind="point")
     parts = robot, Couplings(robot), [grip], joint_efforts(robot, ())
     ClosedLoopInverseDynamics(*parts)
-    with pytest.raises(ModelError, match=r"row .*trunk.* takes neither cones nor"):
+    with pytest.raises(ModelError, match=r"row gripping.* takes neither cones, nor bounds"):
         ClosedLoopInverseDynamics(*parts, with_bounds=True)
 
 

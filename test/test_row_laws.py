@@ -13,6 +13,8 @@ from mbd_ros.constraints.joint_stop import JointStop
 from mbd_ros.constraints.prescribed_motion import PrescribedMotion
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.inverse.efforts import joint_efforts
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.parts import Constraint, Row
@@ -121,6 +123,7 @@ def test_rows_of_velocities_are_never_asked_for_g(count):
         (Held(cone(0.5), m=3), "row held.held_0 has the law cone, which no solver serves"),
         (Held(unilateral(0.3)), "row held.held_0 has restitution 0.3, which no solver serves"),
         (Held(bilateral(), Level.VELOCITY), "held_0 has the law bilateral on velocities, which"),
+        (Latch(bilateral()), "row latch.held_0 comes and goes with the mode, which no solver"),
         (
             Sliding(bilateral()),
             "row sliding.held_0 pushes along another direction than it holds, which",
@@ -149,6 +152,15 @@ def test_laws_that_do_not_fit_their_rows_name_them(part, message):
         RowLayout([part])
 
 
+@pytest.mark.parametrize(
+    "law", [cone(0.5), box(lambda k, x: x.q[:3], 9.0)], ids=["cone", "by the state"]
+)
+def test_inverse_dynamics_refuses_bounds_that_are_no_numbers(law):
+    efforts, parts = joint_efforts(CHAIN, ["joint_1"]), [Held(law, m=3)]
+    with pytest.raises(ModelError, match=r"row .*held_0: inverse dynamics takes neither cones"):
+        ClosedLoopInverseDynamics(CHAIN, Couplings(CHAIN), parts, efforts, with_bounds=True)
+
+
 def test_bounds_that_depend_on_the_state_are_those_of_that_state():
     """Friction that grows with the angle, as that of a joint under load, against constant ones."""
     limits = {0.1: 1.1, 2.0: 3.0}
@@ -175,12 +187,20 @@ def test_multipliers_push_along_the_rows_or_beside_them():
     assert rows.pushes(None, x).tolist() == np.eye(3)[[0, 1, 1]].tolist()
 
 
+ASKING = ("getattr", "hasattr")
+OPTIONS = {"batch", "task"}  # of `mbd-ros inverse --bounds`: whether, not which
+
+
 def doors(source):
     """Lines that read what multipliers are limited to."""
     for node in ast.walk(ast.parse(source)):
-        name = getattr(node, "attr", getattr(node, "value", None))
-        is_of_law = getattr(getattr(node, "value", None), "attr", "") == "law"
-        if name == "bounds" or (is_of_law and name in ("lower", "upper")):
+        if isinstance(node, ast.Attribute):
+            owner = getattr(node.value, "attr", getattr(node.value, "id", ""))
+            is_of_law = owner == "law" and node.attr in ("lower", "upper")
+            if is_of_law or (node.attr == "bounds" and owner not in OPTIONS):
+                yield node.lineno
+        is_call = isinstance(node, ast.Call) and getattr(node.func, "id", "") in ASKING
+        if is_call and getattr(node.args[1], "value", "") == "bounds":
             yield node.lineno
 
 
@@ -193,7 +213,7 @@ def test_nobody_outside_the_rows_asks_for_bounds():
         for line in doors(path.read_text(encoding="utf-8"))
     ]
     assert found == []
-    asked = "part.bounds\ngetattr(part, 'bounds')\npart.law.lower\nlaw.kind\nrows.lower"
+    asked = "part.bounds\ngetattr(part, 'bounds')\nlaw.lower\nlaw.kind\nrows.lower"
     assert sorted(doors(asked)) == [1, 2, 3]
 
 

@@ -123,6 +123,8 @@ def _refuse_unserved(blocks: Sequence[RowBlock]) -> None:
             what = f"has the law {block.law.kind.value} on velocities"
         elif block.slips:
             what = "pushes along another direction than it holds"
+        elif not block.part.acts(()):
+            what = "comes and goes with the mode"
         if what:
             raise ModelError(
                 f"row {block.rows[0].name} {what}, which no solver serves; accepted: bilateral, "
