@@ -3,7 +3,7 @@
 import numpy as np
 
 import mbd_ros as mbd
-from mbd_ros.core.parts import Constraint, Row
+from mbd_ros.core.rows.constraint import Constraint, Row
 
 
 class Belt(Constraint):

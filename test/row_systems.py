@@ -12,7 +12,7 @@ from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.parts import Constraint, Row
+from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.state import State
 
 LEG = (Path(__file__).parents[1] / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")

@@ -21,8 +21,8 @@ from mbd_ros.core.model.coupling_functions import Linear, Polynomial
 from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.parts import Row
 from mbd_ros.core.row_laws import box, drive, unilateral
+from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.rows.rotation_residual import AxisRotation, FullRotation
 from mbd_ros.core.state import State

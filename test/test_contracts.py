@@ -13,9 +13,10 @@ from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.parts import Actuator, Constraint, Load
+from mbd_ros.core.parts import Actuator, Load
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.row_laws import Level
+from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema

@@ -17,8 +17,8 @@ from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
 from mbd_ros.core.inverse.efforts import joint_efforts
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.parts import Constraint, Row
 from mbd_ros.core.row_laws import Kind, Level, bilateral, box, cone, drive, unilateral
+from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_layout import RowLayout, rigid
 from mbd_ros.core.state import State

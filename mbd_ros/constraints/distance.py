@@ -8,7 +8,8 @@ import numpy as np
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.points import checked_vector
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Constraint, Row, Wrench
+from mbd_ros.core.parts import Wrench
+from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Joint, Robot
-from mbd_ros.core.parts import Constraint, Row, Stop
 from mbd_ros.core.ranges import Duration
 from mbd_ros.core.row_laws import unilateral
+from mbd_ros.core.rows.constraint import Constraint, Row, Stop
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 

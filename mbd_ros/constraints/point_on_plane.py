@@ -6,7 +6,7 @@ import numpy as np
 
 from mbd_ros.core.model.points import checked_vector
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Row
+from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.pair_rows import PairRows
 from mbd_ros.errors import ModelError
 

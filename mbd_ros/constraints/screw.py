@@ -6,7 +6,7 @@ import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Constraint, Row
+from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.names import without_multiplier
-from mbd_ros.core.parts import Row
+from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.state import NONE, Array
 from mbd_ros.demo.files import PLANT, RATE
 from mbd_ros.demo.signals import Series, Signals

@@ -9,7 +9,7 @@ from typing import Any
 from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.outputs import Output
-from mbd_ros.core.parts import Row
+from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.row_layout import numbered
 from mbd_ros.core.state import Array
 from mbd_ros.files.recordings import name_of

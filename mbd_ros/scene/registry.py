@@ -65,7 +65,11 @@ METHODS: Mapping[str, Sequence[str]] = {  # what the parts of a kind must have
     **{section.parts: section.offers for section in SECTIONS if section.parts},
     "controllers": ("effort",),  # of nodes, not of scenes
 }
-_CONTRACTS = {"command": "Actuator", "force": "Load", "residual": "Constraint"}
+_CONTRACTS = {
+    "command": "parts.Actuator",
+    "force": "parts.Load",
+    "residual": "rows.constraint.Constraint",
+}
 
 
 def types_of(section: Section) -> Mapping[str, str]:
@@ -112,7 +116,7 @@ def resolve_type(
         )
     contract = next((_CONTRACTS[method] for method in offers if method in _CONTRACTS), "")
     if contract and not hasattr(part, "bind"):
-        raise SceneError(f"{where}: type '{shown}' must derive from mbd_ros.core.parts.{contract}")
+        raise SceneError(f"{where}: type '{shown}' must derive from mbd_ros.core.{contract}")
     return part
 
 

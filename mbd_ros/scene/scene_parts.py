@@ -9,8 +9,9 @@ from mbd_ros.core.dynamics.inputs import Inputs
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Actuator, Constraint, Load
+from mbd_ros.core.parts import Actuator, Load
 from mbd_ros.core.projection.stabilizing import Stabilization
+from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.core.state import State
 from mbd_ros.scene.building import Origin, parts_in

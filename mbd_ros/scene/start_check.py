@@ -8,8 +8,8 @@ import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Constraint
 from mbd_ros.core.row_laws import Kind
+from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.state import State
 
 _SLACK = 1.0e-6  # rad or m beyond an end that is rounding

@@ -10,7 +10,8 @@ from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.system import Accelerator, Derivatives, System
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
-from mbd_ros.core.parts import Row, Wrench
+from mbd_ros.core.parts import Wrench
+from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import NONE, Array, Evaluation, Mode, State

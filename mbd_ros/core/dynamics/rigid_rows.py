@@ -2,7 +2,8 @@
 
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.model.kinematics import Reads
-from mbd_ros.core.parts import Row, Wrench
+from mbd_ros.core.parts import Wrench
+from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.rows.usual_sizes import UsualSizes, usual_sizes

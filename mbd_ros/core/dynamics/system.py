@@ -8,7 +8,8 @@ from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
-from mbd_ros.core.parts import Row, Wrench
+from mbd_ros.core.parts import Wrench
+from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.rows.row_layout import RowLayout

@@ -15,8 +15,8 @@ from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
-from mbd_ros.core.parts import Constraint
 from mbd_ros.core.row_laws import Kind, Level
+from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.rows.row_layout import RowBlock, RowLayout

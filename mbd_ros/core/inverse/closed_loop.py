@@ -25,7 +25,8 @@ from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.inverse.unknowns import Mask, Unknowns
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Constraint, Load
+from mbd_ros.core.parts import Load
+from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.rows.usual_sizes import usual_norms
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError

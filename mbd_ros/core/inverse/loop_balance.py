@@ -13,8 +13,9 @@ from mbd_ros.core.inverse.efforts import Efforts
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Constraint, Load
+from mbd_ros.core.parts import Load
 from mbd_ros.core.row_laws import Kind
+from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.rows.row_layout import RowBlock, RowLayout

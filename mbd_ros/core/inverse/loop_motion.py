@@ -14,9 +14,9 @@ from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.inverse.force_split import rank_of
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Constraint
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.row_laws import Kind
+from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import LANDED, SINGULAR
 from mbd_ros.errors import SolveError

@@ -7,7 +7,8 @@ import numpy as np
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.pair_motion import PairMotion, Placed
 from mbd_ros.core.model.points import Pair
-from mbd_ros.core.parts import Constraint, Row, Wrench
+from mbd_ros.core.parts import Wrench
+from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.rows.rotation_residual import RotationResidual
 from mbd_ros.core.state import Array, State
 

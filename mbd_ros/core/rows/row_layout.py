@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.names import label
-from mbd_ros.core.parts import Constraint, Row
 from mbd_ros.core.row_laws import Kind, Law, Level
+from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.state import Array, Mode
 from mbd_ros.errors import ModelError
 

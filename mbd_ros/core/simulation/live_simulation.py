@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.model.robot import Joint
-from mbd_ros.core.parts import Row, Wrench
+from mbd_ros.core.parts import Wrench
 from mbd_ros.core.projection.assembly import Violation, violation
+from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.divergence import last_finite
 from mbd_ros.core.simulation.safe_command import SafeCommand

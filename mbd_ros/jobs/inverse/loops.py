@@ -12,7 +12,7 @@ from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Joint
-from mbd_ros.core.parts import Constraint
+from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import NANOSECOND, NONE, Array, Motion, State
 from mbd_ros.core.thresholds import FOLD, TOGGLE

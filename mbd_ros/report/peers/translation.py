@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.model.coupling_functions import Linear
-from mbd_ros.core.parts import Constraint
 from mbd_ros.core.row_laws import Kind
+from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
 from mbd_ros.report.peers.task import Body, End, Follow, Spring, Task

@@ -1,0 +1,109 @@
+"""The contract of constraints: geometry, and what their multipliers may be."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.robot import Joint
+from mbd_ros.core.parts import Part, Wrench
+from mbd_ros.core.row_laws import Law, Level, bilateral
+from mbd_ros.core.state import Array, Mode, State
+
+
+class Row(NamedTuple):
+    """One scalar equation of a constraint, for readers of its multiplier.
+
+    Attributes:
+        name: Of the multiplier in the part, such as `force_x`; columns put that of the part first.
+        unit: Unit of the multiplier: N, N·m, ..
+        frame: Frame in whose axes the multiplier stands; empty in joint space.
+    """
+
+    name: str
+    unit: str
+    frame: str = ""
+
+
+class Stop(NamedTuple):
+    """Ends that a constraint keeps a joint within.
+
+    Attributes:
+        joint: The joint.
+        lower: Lower end [rad or m], -inf without one.
+        upper: Upper end [rad or m], inf without one.
+    """
+
+    joint: Joint
+    lower: float
+    upper: float
+
+
+class Constraint(Part):
+    """Geometry of rows g(t, q) = 0 with the equation of motion M a + h = tau + J' lam.
+
+        g' = J v + rate(t),   g'' = J a + drift
+
+    Attributes:
+        rows: One entry a row.
+        level: Whether g exists; rows of velocities state g' = J v + rate alone.
+        law: What the multipliers may be; a row that gives way holds g'' + kd g' + kp g = 0.
+        gains: kp [1/s^2] and kd [1/s] of rows that give way, each one number or one a row.
+        driven: Joints that a law `drive` moves, one a row: inverse dynamics asks for these
+            multipliers as for efforts, and they demand nothing of the motion.
+        stops: Joints that it keeps within ends; a motion that passes one is reported.
+        slips: Whether its multipliers push along `pushes` in some mode, rather than along J'.
+    """
+
+    rows: tuple[Row, ...]
+    level: Level = Level.POSITION
+    law: Law = bilateral()
+    gains: tuple[float | Array, float | Array] = (0.0, 0.0)
+    driven: tuple[str, ...] = ()
+    stops: tuple[Stop, ...] = ()
+    slips: bool = False
+
+    def acts(self, mode: Mode) -> bool:
+        """Whether the rows are on in a mode; those of most constraints always are."""
+        return True
+
+    def residual(self, k: Kinematics, x: State) -> Array:
+        """g(t, q), shape (m,)."""
+        raise NotImplementedError
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """J = dg/dq, shape (m, nv)."""
+        raise NotImplementedError
+
+    def pushes(self, k: Kinematics, x: State) -> Array:
+        """D, with the force D' lam on the joints, shape (m, nv); J while nothing slips."""
+        return self.jacobian(k, x)
+
+    def drift(self, k: Kinematics, x: State) -> Array:
+        """The part of g'' without the acceleration, J' v included, shape (m,)."""
+        raise NotImplementedError
+
+    def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
+        """Both `jacobian` and `drift`; for parts where one costs less with the other."""
+        return self.jacobian(k, x), self.drift(k, x)
+
+    def rate(self, k: Kinematics, x: State) -> Array:
+        """The part of g' without the velocity, shape (m,)."""
+        return np.zeros(len(self.rows))
+
+    def quick_margin(self, q: Array, v: Array, a: Array) -> float:
+        """A cheap lower bound of w = g'' + kd g' + kp g; for the law `unilateral` only.
+
+        No row acts where it is >= 0; then nothing else of the constraint is evaluated.
+
+        Args:
+            q: Configuration, shape (nq,).
+            v: Velocity, shape (nv,).
+            a: Acceleration without the bounded rows, shape (nv,).
+        """
+        return -math.inf
+
+    def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
+        """Wrenches of the multipliers, shape (m,), on bodies; empty where no frame exists."""
+        return ()
