@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mbd_ros.cli import main
+from mbd_ros.core.dynamics.mass_check import _least_resistance
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError, SolveError
 from mbd_ros.files.csv import read_table, write_table
@@ -232,3 +233,17 @@ def test_inverse_of_a_loop_with_a_massless_bar(capsys, tmp_path):
         efforts.append(columns(tmp_path / "t.csv")["j1.effort"])
     assert efforts[0] == pytest.approx(efforts[1], rel=1e-6, abs=1e-6)
     assert np.abs(efforts[0]).max() > 1.0
+
+
+@pytest.mark.parametrize("n", [1, 2, 6, 30])
+def test_the_motion_without_mass_is_that_of_the_smallest_eigenvalue(n):
+    """Pivots instead of eigenvalues: the same direction, and an eigenvalue of the same size."""
+    rng = np.random.default_rng(n)
+    for least in (0.0, 1e-14, 1e-12):
+        Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
+        values = np.concatenate([[least], rng.uniform(0.5, 2.0, n - 1)])
+        M = (Q * values).dot(Q.T)
+        resistance, motion = _least_resistance(M)
+        assert abs(resistance - least) <= 1e-14 * n + 1e-3 * least
+        assert abs(motion.dot(Q[:, 0])) == pytest.approx(1.0, abs=1e-9)
+    assert _least_resistance(np.eye(n))[0] == pytest.approx(1.0)
