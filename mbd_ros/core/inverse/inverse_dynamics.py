@@ -1,6 +1,6 @@
 """Motion and external loads -> torques of the independent coordinates and coupling multipliers.
 
-    tau_z = G' (rnea(F(z), G z', G z'' + dG/dt z') - sum J' w - sum f)
+    tau_y = G' (rnea(F(y), G y', G y'' + dG/dt y') - sum J' w - sum f)
 
 with w the external wrenches and f the force terms of the scene.
 """
@@ -28,8 +28,8 @@ class TorqueComponents(NamedTuple):
 
     Attributes:
         gravity: G' g(q).
-        coriolis: G' (C(q, v) v + M dG/dt z'): all terms quadratic in velocity.
-        inertial: G' M G z''.
+        coriolis: G' (C(q, v) v + M dG/dt y'): all terms quadratic in velocity.
+        inertial: G' M G y''.
         external: -G' (sum J' w + sum f): the share of the environment and the force terms.
     """
 
@@ -52,7 +52,7 @@ class InverseDynamics:
         forces: Force terms of the scene.
 
     Attributes:
-        configuration: q = F(z) of the last `solve` of a coupled or loaded robot, a live view
+        configuration: q = F(y) of the last `solve` of a coupled or loaded robot, a live view
             (nq,).
         rows: Names of the dependent joints, which the multipliers belong to.
         needed: Joints that must be measured: the independent ones.
@@ -122,9 +122,9 @@ class InverseDynamics:
         """Torques of many samples, one a row.
 
         Args:
-            position: shape (n, nz).
-            velocity: shape (n, nv_z).
-            acceleration: shape (n, nv_z).
+            position: shape (n, ny).
+            velocity: shape (n, nv_y).
+            acceleration: shape (n, nv_y).
             wrenches: One (n, 6) array for every load of the scene; none means unloaded.
 
         Returns:

@@ -53,9 +53,9 @@ class ObservedLoops:
 
         Args:
             t: Time [s].
-            position: Independent joints [rad or m], shape (nz,).
-            velocity: [rad/s or m/s], shape (nv_z,).
-            acceleration: [rad/s^2 or m/s^2], shape (nv_z,).
+            position: Independent joints [rad or m], shape (ny,).
+            velocity: [rad/s or m/s], shape (nv_y,).
+            acceleration: [rad/s^2 or m/s^2], shape (nv_y,).
         """
         couplings, nv = self.couplings, int(self._model.nv)
         q, v, a = np.empty(int(self._model.nq)), np.zeros(nv), np.zeros(nv)
@@ -70,9 +70,9 @@ class ObservedLoops:
         """Torques of the independent coordinates of one sample, 0 where nothing acts.
 
         Args:
-            position: z [rad or m], shape (nz,), near the constraints.
-            velocity: z' [rad/s or m/s], shape (nv_z,).
-            acceleration: z'' [rad/s^2 or m/s^2], shape (nv_z,).
+            position: y [rad or m], shape (ny,), near the constraints.
+            velocity: y' [rad/s or m/s], shape (nv_y,).
+            acceleration: y'' [rad/s^2 or m/s^2], shape (nv_y,).
             wrenches: One (6,) array [N, N·m] for every load of the scene; none means unloaded.
 
         Returns:

@@ -16,7 +16,7 @@ class Torques(NamedTuple):
     """Torques and multipliers that explain a motion, with loops or without.
 
     Attributes:
-        tau: Force of every independent coordinate [N·m or N], shape (nv_z,) or (n, nv_z); of
+        tau: Force of every independent coordinate [N·m or N], shape (nv_y,) or (n, nv_y); of
             `ClosedLoopInverseDynamics` the inputs of its `efforts`, shape (na,).
         multipliers: Force of the tendon, cam or gear of every dependent joint on that joint
             [N·m for a revolute joint, N for a prismatic one], shape (n_d,) or (n, n_d). Positive
@@ -71,9 +71,9 @@ class SampleSolver(Protocol):
         """Torques of one sample.
 
         Args:
-            position: z [rad or m], shape (nz,).
-            velocity: z' [rad/s or m/s], shape (nv_z,).
-            acceleration: z'' [rad/s^2 or m/s^2], shape (nv_z,).
+            position: y [rad or m], shape (ny,).
+            velocity: y' [rad/s or m/s], shape (nv_y,).
+            acceleration: y'' [rad/s^2 or m/s^2], shape (nv_y,).
             wrenches: One (6,) array [N, N·m] for every load of the scene; none means unloaded.
         """
         ...

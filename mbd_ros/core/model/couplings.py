@@ -1,11 +1,11 @@
-"""Dependent joints: q = F(z), with G = dF/dz and the drift dG/dt z'.
+"""Dependent joints: q = F(y), with G = dF/dy and the drift dG/dt y'.
 
 Every dependent joint follows one other joint, its parent, by a coupling function f. Chains are
 walked joint by joint:
 
     q_d = f(q_p),    v_d = f' v_p,    a_d = f' a_p + f'' v_p^2
 
-from the independent joints outwards gives F(z), G z' and G z'' + dG/dt z'; the same walk
+from the independent joints outwards gives F(y), G y' and G y'' + dG/dt y'; the same walk
 backwards, tau_p += f' tau_d, gives G' tau. After the backward walk tau_d is the coupling
 multiplier lam_d.
 """
@@ -48,11 +48,11 @@ class Couplings:
         couplings: Dependent joint -> what it follows; replaces a `<mimic>` of the same joint.
 
     Attributes:
-        independent: Names of the independent joints, in the order of z.
+        independent: Names of the independent joints, in the order of y.
         dependent: Names of the dependent joints, in the order of the multipliers.
         parents: Dependent joint -> its direct parent.
-        q_index: Where z stands in q, shape (nz,); with a floating base its pose comes first.
-        v_index: Where z' stands in v, shape (nv_z,).
+        q_index: Where y stands in q, shape (ny,); with a floating base its pose comes first.
+        v_index: Where y' stands in v, shape (nv_y,).
         pairs: The couplings in indices, parents before children.
 
     Raises:
@@ -106,26 +106,26 @@ class Couplings:
             slopes: What `expand` returned.
 
         Returns:
-            Forces of the independent coordinates, shape (nv_z,) or (nv_z, n), and the multiplier
+            Forces of the independent coordinates, shape (nv_y,) or (nv_y, n), and the multiplier
             of every dependent joint, shape (len(dependent),) or (len(dependent), n).
         """
         for slope, pair in zip(reversed(slopes), reversed(self.pairs), strict=True):
             tau[pair.parent_v] += slope * tau[pair.child_v]
         return tau[self.v_index], tau[self._dependent_v]
 
-    def positions(self, z: Array) -> Array:
-        """F(z): all positions of a fixed-base robot, shape (nq,).
+    def positions(self, y: Array) -> Array:
+        """F(y): all positions of a fixed-base robot, shape (nq,).
 
         Args:
-            z: Independent positions [rad or m], shape (nz,).
+            y: Independent positions [rad or m], shape (ny,).
         """
         q, v, a = np.empty(self._nv), np.zeros(self._nv), np.zeros(self._nv)
-        q[self.q_index] = z
+        q[self.q_index] = y
         self.expand(q, v, a)
         return q
 
     def jacobian(self, q: Array) -> Array:
-        """G = dF/dz at a configuration, shape (nv, nv_z)."""
+        """G = dF/dy at a configuration, shape (nv, nv_y)."""
         G = np.zeros((self._nv, len(self.v_index)))
         G[self.v_index, np.arange(len(self.v_index))] = 1.0
         for pair in self.pairs:

@@ -1,7 +1,7 @@
-"""All joints as functions of the independent ones, q = F(z), with two derivatives.
+"""All joints as functions of the independent ones, q = F(y), with two derivatives.
 
 Every dependent joint follows one other joint, so that it has one independent ancestor z_k: row i
-of G = dF/dz holds one number, dF_i/dz_k, and so do its second derivatives.
+of G = dF/dy holds one number, dF_i/dz_k, and so do its second derivatives.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ _SUCCESS = eigenpy.ComputationInfo.Success
 
 
 class Place(NamedTuple):
-    """F and its derivatives at one z.
+    """F and its derivatives at one y.
 
     Attributes:
         q: All positions [rad or m], shape (n,).
@@ -40,8 +40,8 @@ class CoupledJoints:
         pairs: The couplings, parents before children.
 
     Attributes:
-        free: The independent joints, shape (nz,).
-        ancestry: 1 where a joint moves with an independent one, shape (n, nz).
+        free: The independent joints, shape (ny,).
+        ancestry: 1 where a joint moves with an independent one, shape (n, ny).
     """
 
     def __init__(self, n: int, pairs: Sequence[CoupledPair]) -> None:
@@ -57,7 +57,7 @@ class CoupledJoints:
         """F and its derivatives.
 
         Args:
-            start: Positions whose independent ones are z [rad or m], shape (n,).
+            start: Positions whose independent ones are y [rad or m], shape (n,).
         """
         q, slope, curvature = start.tolist(), self._ones.copy(), self._zeros.copy()
         slopes = []
@@ -95,10 +95,10 @@ class CoupledJoints:
 
 
 class Tangent:
-    """Moves along the couplings, p = G dz, that cost 1/2 dz' H dz with H = G' W G + diag(h).
+    """Moves along the couplings, p = G dy, that cost 1/2 dy' H dy with H = G' W G + diag(h).
 
     Args:
-        ancestry: That of the `CoupledJoints`, shape (n, nz).
+        ancestry: That of the `CoupledJoints`, shape (n, ny).
         slope: dF_i/dz_k, shape (n,).
         W: Metric, shape (n, n).
         bend: What each joint adds to h, shape (n,).

@@ -1,7 +1,7 @@
 """The nearest state of robots with couplings alone, in the independent coordinates.
 
-    position   min 1/2 p' W p,  p = F(z) - q_m   subject to  lower <= F(z) <= upper
-    velocity   min 1/2 p' W p,  p = G z' - v_m   subject to  floor <= G z' <= ceiling
+    position   min 1/2 p' W p,  p = F(y) - q_m   subject to  lower <= F(y) <= upper
+    velocity   min 1/2 p' W p,  p = G y' - v_m   subject to  floor <= G y' <= ceiling
 
 Newton's method finds the position, with gradient G' W p and Hessian G' W G + diag(h), where h_k is
 the sum of (W p)_i d2F_i/dz_k2 over the joints i that follow z_k. Source: J. Nocedal and S. Wright,

@@ -32,8 +32,8 @@ class ObservedState:
 
         Args:
             t: [s].
-            position: Independent joints [rad or m], shape (nz,).
-            velocity: [rad/s or m/s], shape (nv_z,).
+            position: Independent joints [rad or m], shape (ny,).
+            velocity: [rad/s or m/s], shape (nv_y,).
         """
         q, v = self._neutral.copy(), np.zeros(self._nv)
         q[self._couplings.q_index], v[self._couplings.v_index] = position, velocity
