@@ -221,3 +221,31 @@ def test_a_simulated_wrench_is_what_inverse_dynamics_is_given(more):
         assert np.abs(torques[f"{joint}.effort"]).max() < 1e-9
     free = scene.simulate(0.3, dt=0.01, integrator="dop853")["samples"]
     assert np.abs(free["joint2.position"] - motion["samples"]["joint2.position"]).max() > 0.01
+
+
+@pytest.mark.parametrize("method", [*METHODS, "semi_implicit_euler", "dop853"])
+@pytest.mark.parametrize("stop", [2, 5, 6, 9])
+def test_a_checkpoint_continues_between_and_at_jumps_of_inputs_with_the_same_bits(method, stop):
+    """Samples of a function, a held table off the samples, and polynomials with a jump."""
+    drives = "{type: ideal, joints: [slide], name: NAME}"
+    names = ("held", "smooth", "sampled")
+    text = ", ".join(drives.replace("NAME", name) for name in names)
+    scene = scene_of(f"actuators: [{text}]\nintegrator: {{type: {method}}}\n", SLIDE)
+    sources = {
+        "held": HeldTable([0.0, 0.0137, 0.0537], [[4.0], [1.0], [-2.0]]),
+        "smooth": Polynomials([0.0, 0.05], [[[0.0], [12.0]], [[8.0], [-4.0]]]),
+        "sampled": Sampled(lambda t: np.array([np.sin(40.0 * t)]), 0.01),
+    }
+
+    def simulation():
+        return scene.simulation(dt=0.01, sources=sources)
+
+    run = simulation()
+    seen, kept = [], None
+    for k, x in enumerate(run.run(scene.initial, 0.1)):
+        seen.append(x)
+        if k == stop:
+            kept = run.checkpoint()
+    for x, expected in zip(simulation().run(kept, 0.1), seen[stop + 1 :], strict=True):
+        assert x.t == expected.t
+        assert x.q.tobytes() + x.v.tobytes() == expected.q.tobytes() + expected.v.tobytes()

@@ -69,7 +69,7 @@ def test_a_bad_vector_is_refused(new, values, reason):
 def test_efforts_go_by_name(new, order):
     reader = CommandReader("cab", "abc")
     names, values = np.array(list("abc"))[order], np.array([1.0, 2.0, 3.0])[order]
-    read = reader.read_efforts(message := efforts(new, names.tolist(), values))
+    read = reader.read_named(message := efforts(new, names.tolist(), values))
     assert read.tolist() == [1.0, 2.0, 3.0]
     message.effort[0] = 9.0  # a refilled message changes no command that is held
     assert read.tolist() == [1.0, 2.0, 3.0]
@@ -91,18 +91,39 @@ def test_bad_efforts_are_refused_and_the_next_good_ones_are_not(new, names, valu
     reader = CommandReader("ab", "ab")
     for _ in range(2):
         with pytest.raises(MessageError, match=reason):
-            reader.read_efforts(efforts(new, names, values))
-        assert reader.read_efforts(efforts(new, ["b", "a"], [2.0, 1.0])).tolist() == [1.0, 2.0]
+            reader.read_named(efforts(new, names, values))
+        assert reader.read_named(efforts(new, ["b", "a"], [2.0, 1.0])).tolist() == [1.0, 2.0]
 
 
 def test_efforts_of_another_length_or_none_are_refused():
     message = efforts(of_rclpy, ["a", "b"], [1.0, 2.0])
     message.effort = [1.0]
     with pytest.raises(MessageError, match="effort has 1 values for 2 names"):
-        CommandReader("ab", "ab").read_efforts(message)
+        CommandReader("ab", "ab").read_named(message)
     message.effort = []
     with pytest.raises(MessageError, match="effort is absent"):
-        CommandReader("ab", "ab").read_efforts(message)
+        CommandReader("ab", "ab").read_named(message)
+
+
+def test_a_joint_stands_for_its_only_actuator_and_units_say_where_values_stand(new):
+    """A spring takes a position, a gear the torque of its motor: no effort of its joint."""
+    inputs = ["spring", "gear", "free"]
+    takes = {"spring": "position of the motor side", "gear": "torque of the motor"}
+    joints = {"ankle": "spring", "knee": "gear", "hip": "free"}
+    reader = CommandReader(["hip", "gear", "ankle"], inputs, joints, takes, ["spring"])
+    vector = write_multi_array(new("std_msgs/msg/Float64MultiArray"), np.array([3.0, 2.0, 1.0]))
+    assert reader.read_vector(vector).tolist() == [1.0, 2.0, 3.0]
+    good = efforts(new, ["hip", "gear", "ankle"], [3.0, 2.0, NAN], position=np.array([0, 0, 1.0]))
+    assert reader.read_named(good).tolist() == [1.0, 2.0, 3.0]
+    for names, message in (
+        (["hip", "gear", "ankle"], "no command of ankle, which takes the position"),
+        (["hip", "knee", "spring"], "no command of knee, .* name of that input is gear"),
+        (["hip", "gear", "spring"], "effort or position is absent or not finite"),
+        (["hip", "gear"], "names ankle are missing"),
+        (["hip", "gear", "ankle", "toe"], "unknown names toe; accepted: ankle, knee, hip"),
+    ):
+        with pytest.raises(MessageError, match=message):
+            reader.read_named(efforts(new, names, np.arange(float(len(names)))))
 
 
 # ---------------------------------------------------------------------- motion

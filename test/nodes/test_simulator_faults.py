@@ -82,8 +82,8 @@ def test_a_bad_command_is_dropped_counted_and_the_last_good_one_held(domain, tmp
         assert f"{text} (dropped for 'command': 1)" in client.node.log
 
 
-def test_an_effort_is_no_command_of_a_geared_motor(domain, tmp_path):
-    """`~/commands` is what the actuator takes, effort the torque of the joint: never mixed."""
+def test_an_effort_of_a_joint_is_no_command_of_a_geared_motor(domain, tmp_path):
+    """By the name of the joint `effort` is its torque, by that of the input what it takes."""
     geared = "actuators:\n- {type: geared_motor, joint: hinge, ratio: 50.0}\n"
     text = PENDULUM.partition("actuators:")[0] + geared
     with simulated(domain, tmp_path, text, paused="true", command_timeout=1e6) as client:
@@ -94,6 +94,19 @@ def test_an_effort_is_no_command_of_a_geared_motor(domain, tmp_path):
         client.probe.wait_health(lambda h: h.values.get("dropped.command") == "1")
         reason = "an effort is no command of hinge, which takes the torque of the motor [N·m]"
         assert reason in client.node.log
+        client.publish(efforts(["hinge_geared_motor"], [0.002]))
+        assert client.step().effort == pytest.approx([0.1])
+
+
+def test_two_drives_of_a_joint_go_by_the_names_of_their_inputs(domain, tmp_path):
+    two = PENDULUM.replace("}]\n", "}, {type: ideal, joints: [hinge], name: brake}]\n", 1)
+    with simulated(domain, tmp_path, two, paused="true", command_timeout=1e6) as client:
+        client.publish(efforts(["brake", "hinge_ideal"], [-0.1, 0.4]))
+        assert client.step().effort == pytest.approx([0.3])
+        client.command([0.5, 0.1])
+        assert client.step().effort == pytest.approx([0.6])
+        client.publish(efforts(["hinge"], [0.4]))
+        client.node.wait_for("unknown names hinge; accepted: hinge_ideal, brake")
 
 
 def test_commands_of_best_effort_are_named_as_incompatible(domain, tmp_path):
@@ -250,11 +263,6 @@ def test_11_21_22_a_simulation_waits_for_its_robot_and_keeps_it(start_node, prob
     [
         (PENDULUM, "rate: 1500.0", "a tick of 0.000666667 s is no whole number of steps of dt"),
         (PENDULUM, "joints: [knee]", "parameter 'joints' is knee; accepted: all actuated joints"),
-        (
-            PENDULUM.replace("}]\n", "}, {type: ideal, joints: [hinge]}]\n", 1),
-            "paused: true",
-            "actuators: hinge driven twice",
-        ),
     ],
 )
 def test_what_does_not_fit_leaves_the_node_unconfigured(

@@ -174,11 +174,14 @@ class Sampled(Source):
 
     Args:
         function: Time [s] -> values, shape (n,).
-        period: Time from sample to sample, from the start of a run on [s], > 0.
+        period: Time from sample to sample [s], > 0.
+        origin: Time of one of the samples [s].
     """
 
-    def __init__(self, function: Callable[[float], Array], period: float) -> None:
-        self._function, self._period = function, period
+    def __init__(
+        self, function: Callable[[float], Array], period: float, origin: float = 0.0
+    ) -> None:
+        self._function, self._period, self._origin = function, period, origin
 
     def at(self, t: float) -> Array:
         """What the function gives at a time [s], shape (n,)."""
@@ -186,9 +189,9 @@ class Sampled(Source):
 
     def jumps(self, begin: float, end: float) -> Iterator[float]:
         """The times of the samples [s]."""
-        return itertools.takewhile(
-            lambda t: t < end, (begin + k * self._period for k in itertools.count(1))
-        )
+        first = math.floor((begin - self._origin) / self._period)
+        times = (self._origin + k * self._period for k in itertools.count(first))
+        return itertools.takewhile(lambda t: t < end, (t for t in times if t > begin))
 
 
 def _table(times: Array, values: Array, least: int) -> tuple[Array, Array]:

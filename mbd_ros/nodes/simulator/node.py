@@ -71,7 +71,7 @@ class SimulatorNode(SceneNode):
         qos = EVERY_COMMAND if values.lock_step else COMMANDS
         for kind, topic, read in (
             (Float64MultiArray, "~/commands", plant.reader.read_vector),
-            (JointState, "~/joint_commands", plant.reader.read_efforts),
+            (JointState, "~/joint_commands", plant.reader.read_named),
         )[: 2 * plant.has_actuators]:
             take = self._on_command(topic, read)
             self.subscribe(kind, topic, take, qos, single_publisher=True)

@@ -31,7 +31,7 @@ PARAMETERS = (
     Parameter(
         "joints",
         list[str],
-        "Order of the values in ~/commands; empty: that of the actuators of the scene.",
+        "Order of the values in ~/commands, by joint or input; empty: that of the actuators.",
         (),
     ),
     Parameter(

@@ -11,11 +11,10 @@ from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
-from mbd_ros.nodes.shell.driven_joints import command_order, driven_joints
 from mbd_ros.nodes.shell.wrenches import read_load
+from mbd_ros.nodes.simulator.commands import command_reader
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
-from msg_adapters.commands import CommandReader
 from msg_adapters.joint_motion import JointMotionWriter
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
 from msg_adapters.markers import Arrow, ArrowWriter
@@ -43,11 +42,8 @@ class Plant:
 
     def __init__(self, values: Any, description: str | None) -> None:
         self.scene = scene = load_scene(values.scene, description)
-        driven = driven_joints(scene.actuators)
-        joints = command_order(values.joints, driven)
-        self.has_actuators = bool(driven)
-        takes = {joint: a.takes for a in scene.actuators for joint in a.joints if a.takes}
-        self.reader = CommandReader(joints, driven, takes)
+        self.has_actuators = bool(scene.actuators)
+        self.reader = command_reader(scene, values.joints)
         times = values.command_timeout, values.safe_ramp
         self.wrenches = {name: CommandWatch(*times) for name in scene.wrenches}
         heard = [(scene.wrenches[name].u, watch) for name, watch in self.wrenches.items()]

@@ -1,0 +1,47 @@
+"""The inputs of actuators as messages name them."""
+
+from collections.abc import Sequence
+
+from mbd_ros.nodes.shell.parameters import ParameterError
+from mbd_ros.scene.built_scene import Scene
+from msg_adapters.commands import CommandReader
+
+
+def command_reader(scene: Scene, order: Sequence[str]) -> CommandReader:
+    """What reads the commands of a scene; a joint stands for its only actuator.
+
+    Args:
+        scene: The scene.
+        order: Of the values in vectors, by input or joint; empty: that of the actuators.
+
+    Raises:
+        ParameterError: The order does not name every input once.
+    """
+    names = scene.inputs.names[: sum(len(part.inputs) for part in scene.actuators)]
+    joints, takes = _joints(scene), {}
+    for part in scene.actuators:
+        if part.takes:
+            takes |= dict.fromkeys(names[part.u], part.takes)
+    given = [joints.get(name, name) for name in order or names]
+    if sorted(given) != sorted(names):
+        label = {name: joint for joint, name in joints.items()}
+        accepted = ", ".join(label.get(name, name) for name in names) or "none"
+        raise ParameterError(
+            f"parameter 'joints' is {', '.join(order)}; accepted: all actuated joints, each once: "
+            f"{accepted}"
+        )
+    units = {name: scene.inputs.channels[i].unit for i, name in enumerate(names)}
+    positions = [name for name, unit in units.items() if unit in ("rad", "m")]
+    return CommandReader(given, names, joints, takes, positions)
+
+
+def _joints(scene: Scene) -> dict[str, str]:
+    """Joint -> input, for joints with one actuator that has an input a joint."""
+    every = [joint for part in scene.actuators for joint in part.joints]
+    return {
+        joint: scene.inputs.names[part.u.start + i]
+        for part in scene.actuators
+        if len(part.inputs) == len(part.joints)
+        for i, joint in enumerate(part.joints)
+        if every.count(joint) == 1
+    }
