@@ -36,6 +36,7 @@ class SwitchingSteps(Stepper):
     def __init__(self, field: SlidingField, inner: RungeKutta, dt: float) -> None:
         self.field, self._inner, self._short = field, inner, _SHORT * dt
         self.system = field.system
+        self.is_fixed = inner.is_fixed
         self._events = StepEvents(field, inner)
         self._last: State | None = None
         self._u: Array | None = None

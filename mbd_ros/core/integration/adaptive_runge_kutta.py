@@ -52,6 +52,7 @@ class AdaptiveRungeKutta(RungeKutta):
     """
 
     kept = ("_length", "_last_error")
+    is_fixed = False
 
     def __init__(self, system: Any, tableau: Tableau, dt: float, tolerance: float) -> None:
         super().__init__(system, tableau, dt)

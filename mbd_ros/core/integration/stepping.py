@@ -13,10 +13,12 @@ class Stepper:
     Attributes:
         kept: Names of the attributes that later steps depend on beside their arguments.
         system: The system that the steps follow, where it is not the one they were prepared for.
+        is_fixed: Whether steps are as long as dt, those apart that end early.
     """
 
     system: Any = None
     kept: ClassVar[tuple[str, ...]] = ()
+    is_fixed: bool = True
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step.

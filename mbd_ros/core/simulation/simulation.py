@@ -112,7 +112,8 @@ class Simulation:
         while k < times.end:
             due = times.due(k + 1)
             if not is_within:
-                y = self._step(y, inputs.u, min(_end(y, k, times, inputs.now), inputs.end))
+                end = _end(y, k, times, inputs.now, self.stepper.is_fixed)
+                y = self._step(y, inputs.u, min(end, inputs.end))
                 if self.steps >= look_at:
                     watch.look(y, inputs.u, times.last)
                     look_at = self.steps + WINDOW
@@ -220,12 +221,14 @@ class Simulation:
         raise divergence(self.system, y, after)
 
 
-def _end(y: State, sample: int, times: SampleTimes, now: float) -> float:
-    """Time that the step after a sample should not pass: the next one where times drift apart."""
-    late = abs(times.origin + sample * times.dt - y.t)
-    is_rounded = 0.2 * times.slack < late < 1.0e3 * times.slack  # a sum of steps, to be put right
-    is_off = now > times.origin + sample * times.dt + times.slack  # back to the samples
-    return times.due(sample + 1) if is_rounded or is_off else times.last
+def _end(y: State, sample: int, times: SampleTimes, now: float, is_fixed: bool) -> float:
+    """Time that the step after a sample should not pass, so that samples are n dt apart."""
+    here = times.origin + sample * times.dt
+    late = abs(here - y.t)
+    is_rounded = late > 0.2 * times.slack or is_fixed  # a sum of steps, to be put right
+    is_off = now > here + times.slack  # back to the samples
+    is_next = (is_rounded and late < 1.0e3 * times.slack) or is_off
+    return times.due(sample + 1) if is_next else times.last
 
 
 def _words(method: str, dt: float, nq: int, nv: int) -> str:
