@@ -331,7 +331,7 @@ initial: {{position: {{x: 1.0}}}}
 def test_bounded_rows_beside_it_are_refused(scene):
     rows = "constraints: [{type: dry_friction, joint: y, limit: 1.0}]\n"
     loaded = scene(f"{PLANE}{rows}forces: [{relay('x', 1.0)}]")
-    with pytest.raises(SceneError, match=r"beside bounded rows \(y.friction\)"):
+    with pytest.raises(SceneError, match=r"beside bounded rows \(y_dry_friction.force\)"):
         loaded.simulation(integrator=EXACT)
 
 

@@ -69,6 +69,13 @@ class ComposedSystem:
 
     def evaluate(self, x: State, u: Array | None = None) -> Evaluation:
         """Accelerations, multipliers and the response to forces; as `System.evaluate`."""
+        self._mechanism.mode = x.mode
+        try:
+            return self._evaluated(x, u)
+        finally:
+            self._mechanism.mode = ()
+
+    def _evaluated(self, x: State, u: Array | None) -> Evaluation:
         motion, bounded, y = self._motion, self.bounded, self._coordinates.reduce(x)
         a, force = motion.accelerate(y.t, y.q, y.v, u), None
         if bounded is not None:

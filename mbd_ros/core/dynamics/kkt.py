@@ -14,7 +14,7 @@ from mbd_ros.core.dynamics.free_motion import writing
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.system import Accelerator
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.core.thresholds import HELD_BY_ROWS, NEAR_TOGGLE
 from mbd_ros.errors import SolveError
 
@@ -59,7 +59,8 @@ class Kkt:
         self, t: float, q: Array, v: Array, u: Array | None, added: Array | None = None
     ) -> Array:
         """Accelerations under the loads and an added force; the next call overwrites them."""
-        mechanism, constraints, x = self.mechanism, self._constraints, State(t, q, v)
+        mechanism, constraints = self.mechanism, self._constraints
+        x = State(t, q, v, NONE, mechanism.mode)
         mechanism.evaluations += 1
         model, data, k = mechanism.model, mechanism.data, mechanism.k
         k.refresh(q, v, self._reads)

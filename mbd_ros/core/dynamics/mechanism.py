@@ -6,7 +6,7 @@ import pinocchio as pin
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import NONE, Array, Mode, State
 
 
 class Mechanism:
@@ -27,6 +27,7 @@ class Mechanism:
         k: Kinematics over `data`.
         zero: No velocity and no force, shape (nv,), not to be written to.
         evaluations: How often the equations of motion were asked.
+        mode: Of the state that is evaluated, for the loads; () in accelerators.
     """
 
     def __init__(self, robot: Robot, loads: Loads) -> None:
@@ -35,13 +36,14 @@ class Mechanism:
         self.k = Kinematics(robot, self.data)
         self.zero: Array = np.zeros(self.model.nv)
         self.evaluations = 0
+        self.mode: Mode = ()
 
     def tau(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
         """Loads at a state of all joints, shape (nv,), not to be written to."""
         if self.loads.is_empty:
             return self.zero
         self.k.refresh(q, v, self.loads.reads)
-        return self.loads.total(self.k, State(t, q, v), u)
+        return self.loads.total(self.k, State(t, q, v, NONE, self.mode), u)
 
     def mass(self, q: Array) -> Array:
         """Mass matrix of all joints, symmetric, shape (nv, nv), overwritten by the next call."""

@@ -1,7 +1,6 @@
 """The smooth pieces of a system with switching forces, and its motion on their surfaces."""
 
 import itertools
-from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -71,8 +70,8 @@ class SlidingField:
     """A system in one mode at a time: smooth, also across its switching surfaces.
 
     Where it slides, a = a_0 + B s with the signs for which h' = 0: Filippov's combination, whose
-    weights are (1 + s) / 2 and (1 - s) / 2. The system knows the modes too: at a time that was
-    integrated over, its acceleration is that of the mode there, sliding included.
+    weights are (1 + s) / 2 and (1 - s) / 2. The system knows the modes too: it evaluates a state
+    in the mode that the state has, sliding included.
 
     Source: A. F. Filippov, 1988, §4; L. Dieci, L. Lopez, SIAM J. Numer. Anal. 47, 2009, 2023-2051.
 
@@ -83,12 +82,12 @@ class SlidingField:
         system: The same one, built for loads that know the modes.
         mode: Mode of the accelerations, one entry a surface.
         names: Of the surfaces.
-        times: When modes began [s].
+        times: When modes began [s], for reports.
         modes: Those modes.
     """
 
     def __init__(self, system: System) -> None:
-        self._loads = SwitchedLoads(int(system.model.nv), system.loads, self._recorded_signs)
+        self._loads = SwitchedLoads(int(system.model.nv), system.loads, self._signs_of)
         self.system = system.with_loads(self._loads)
         self._write = self.system.accelerator()
         self.names = tuple(name for f in self._loads.switching for name in f.surfaces)
@@ -150,7 +149,7 @@ class SlidingField:
         answer = self.answer(x, u, on)
         for _ in range(_CORRECTIONS):
             move = answer.B.dot(equivalent_signs(h, answer.D[on], self._named(on)))
-            nearer = State(x.t, x.q, x.v + move)
+            nearer = x._replace(v=x.v + move)
             left = self.heights(nearer)[on]
             if not np.abs(left).max() < np.abs(h).max():
                 break
@@ -193,16 +192,17 @@ class SlidingField:
         self.system.k.refresh(full.q, full.v, self._loads.reads)
         return full
 
-    def _recorded_signs(self, full: State, u: Array | None) -> Array:
-        """Signs at a state of all joints that was integrated over, or else of its heights."""
+    def _signs_of(self, full: State, u: Array | None) -> Array:
+        """Signs at a state of all joints: those of its mode, without one those of its heights."""
         x = self.system.reduce(full)
-        k = bisect_right(self.times, full.t) - 1
-        if k < 0:
+        if len(full.mode) != len(self.names):
             return np.sign(self.heights(x))
-        now, self.mode = self.mode, self.modes[k]
-        signs = np.array(self.mode, dtype=np.float64)
-        if 0 in self.mode:
-            signs[self.sliding] = self.signs(x, u)
-        self.mode = now
+        now, self.mode = self.mode, full.mode
+        signs = np.array(full.mode, dtype=np.float64)
+        try:
+            if 0 in full.mode:
+                signs[self.sliding] = self.signs(x, u)
+        finally:
+            self.mode = now
         self._placed(x)
         return signs

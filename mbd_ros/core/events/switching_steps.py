@@ -28,7 +28,7 @@ class SwitchingSteps(Stepper):
         dt: Step of a fixed-step method, and interval of the output [s].
 
     Attributes:
-        field: As given; its `times` and `modes` are the history.
+        field: As given.
     """
 
     kept = ("_last", "_u", "_event", "_left", "_event_time", "_quick")
@@ -61,10 +61,19 @@ class SwitchingSteps(Stepper):
             after, self._event = self._events.first(x, u, after, self._left)
             if after is not x:
                 break
-        after = self.field.onto(after, u)
-        self._last = after
+        stepped, after = after, self.field.onto(after, u)
+        is_inner = after is stepped
+        self._last = after = after._replace(mode=self.field.mode)
+        if is_inner:
+            self._inner.stages.rename(after)
         self._left &= self._events.near(after)
         return after
+
+    def settle(self, x: State, u: Array | None) -> State:
+        """The state with the mode in which it goes on."""
+        self._settle(x, u)
+        self._last = x = x._replace(mode=self.field.mode)
+        return x
 
     def restart(self) -> None:
         """Forget mode, events and earlier steps."""
@@ -96,7 +105,8 @@ class SwitchingSteps(Stepper):
         """State at a time inside the last step, on the surfaces that it slides on."""
         if self._last is not None and t == self._last.t:
             return self._last
-        return self.field.onto(self._inner.interpolate(t), self._u)
+        x = self.field.onto(self._inner.interpolate(t), self._u)
+        return x._replace(mode=self.field.mode)
 
     def _settle(self, x: State, u: Array | None) -> None:
         """Decide the mode of the next step where anything has happened."""

@@ -72,6 +72,10 @@ class Stages:
         self._h, self._done, self._x, self._after, self._u, self._held = step
         self._put_rates(memory["rates"])
 
+    def rename(self, after: State) -> None:
+        """Take a state with the numbers of the last result for that result."""
+        self._after = after
+
     def forget(self) -> None:
         """Nothing of this step may serve the next one."""
         self._done = 0

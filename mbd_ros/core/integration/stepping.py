@@ -33,6 +33,15 @@ class Stepper:
         """
         raise NotImplementedError
 
+    def settle(self, x: State, u: Array | None) -> State:
+        """The first state with the mode in which it goes on.
+
+        Args:
+            x: State from which the first step starts.
+            u: Inputs there; None without any.
+        """
+        return x
+
     def restart(self) -> None:
         """Forget everything that was kept from earlier steps."""
 

@@ -60,8 +60,12 @@ class Simulation:
         self._made_by = type(integrator).__name__, dt, system.nq, system.nv
         self._progress: Progress | None = None
 
-    def start(self, x: State) -> State:
+    def start(self, x: State, u: Array | None = None) -> State:
         """The nearest consistent state of the integrated coordinates to a state of all joints.
+
+        Args:
+            x: State of all joints.
+            u: Inputs there, which may decide in which mode it goes on.
 
         Raises:
             SolveError: The mechanism cannot be assembled near it, or its mass matrix is singular.
@@ -74,6 +78,7 @@ class Simulation:
             check_mass(self.system, y.q)
         if self.overshoots is not None:
             self.overshoots.begin(y)
+        y = self.stepper.settle(y, u)
         self._progress = Progress(y.t, 0, y, False, y.t)
         return y
 
@@ -100,7 +105,8 @@ class Simulation:
         if isinstance(x, Checkpoint):
             self.resume(x)
         else:
-            yield self.system.expand(self.start(x))
+            u = self.system.loads.sources.held(x.t)
+            yield self.system.expand(self.start(x, u))
         yield from self._samples(self._progressed(), duration, notice)
 
     def _samples(self, at: Progress, duration: float, notice: Notice | None) -> Iterator[State]:
