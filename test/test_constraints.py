@@ -26,7 +26,8 @@ from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.rows.rotation_residual import AxisRotation, FullRotation
 from mbd_ros.core.state import State
-from mbd_ros.errors import ModelError
+from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.scene import schema
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 LEG_URDF = (ROBOTS / "prosthetic_leg.urdf").read_text(encoding="utf-8")
@@ -451,14 +452,19 @@ def test_stop_with_one_end_and_those_of_the_description():
 
 def test_stop_of_a_continuous_joint_needs_one_end_only():
     spinner = read_robot(mechanisms.chain(2).replace('"revolute"', '"continuous"'))
-    with pytest.raises(ModelError, match="joint 'joint_1' has no limits, give lower or upper"):
-        JointStop(spinner, joint="joint_1")
+    with pytest.raises(SceneError, match="joint 'joint_1' has no limits, give lower or upper"):
+        schema.call(JointStop, {"joint": "joint_1"}, "here", spinner)
     with pytest.raises(ModelError, match=r"joints \[all\]: no joint has a limit"):
         JointStop(spinner, joints=["all"])
     part = JointStop(spinner, joint="joint_1", upper=1.0)
     x = State(0.0, np.full(2, -50.0), np.zeros(2))
     assert part.residual(None, x) == pytest.approx([51.0])
     assert part.quick_margin(x.q, x.v, x.v) == pytest.approx(51.0 * part.gains[0])
+
+
+def listed(value):
+    """As a file holds it."""
+    return np.array(value).tolist() if isinstance(value, tuple | np.ndarray) else value
 
 
 FOOT, ENDS = {"frame": "foot"}, {"frame_a": "world", "frame_b": "foot"}
@@ -468,20 +474,20 @@ NAN, INF = math.nan, math.inf
 @pytest.mark.parametrize(
     ("part", "values", "message"),
     [
-        (Distance, {**ENDS, "distance": 0.0}, "distance 0 m must be finite and > 0"),
-        (Distance, {**ENDS, "distance": NAN}, "distance nan m must be finite and > 0"),
-        (Distance, {**ENDS, "distance": 1.0, "point_a": (0, 1)}, "point_a (0, 1) must be 3 fini"),
+        (Distance, {**ENDS, "distance": 0.0}, ".distance: 0 is out of range, accepted: 1e-30"),
+        (Distance, {**ENDS, "distance": NAN}, ".distance: nan is out of range"),
+        (Distance, {**ENDS, "distance": 1.0, "point_a": (0, 1)}, ".point_a: expected 3 numbers"),
         (Distance, {**ENDS, "distance": 1.0, "frame_b": "nose"}, "no frame 'nose'; the links"),
         (
             Distance,
             {"frame_a": "foot", "frame_b": "toe", "distance": 1.0},
             "frames 'foot' and 'toe' do not move against each other",
         ),
-        (LoopClosure, {**ENDS, "kind": "ball"}, "kind 'ball', accepted: point, revolute, full"),
-        (LoopClosure, {**ENDS, "directions": "yx"}, "directions 'yx', accepted: x, y, z, xy, xz"),
-        (LoopClosure, {**ENDS, "directions": ""}, "directions '', accepted: x, y, z, xy"),
-        (LoopClosure, {**ENDS, "axis": "-z"}, "axis '-z', accepted: x, y, z"),
-        (LoopClosure, {**ENDS, "rpy_b": (0, 0, NAN)}, "rpy_b (0, 0, nan) must be 3 finite num"),
+        (LoopClosure, {**ENDS, "kind": "ball"}, ".kind: expected one of point, revolute, full"),
+        (LoopClosure, {**ENDS, "directions": "yx"}, "one of x, y, z, xy, xz, yz, xyz, got 'yx'"),
+        (LoopClosure, {**ENDS, "directions": ""}, ".directions: expected one of x, y, z"),
+        (LoopClosure, {**ENDS, "axis": "-z"}, ".axis: expected one of x, y, z, got '-z'"),
+        (LoopClosure, {**ENDS, "rpy_b": (0, 0, NAN)}, ".rpy_b[2]: nan is out of range"),
         (LoopClosure, {"frame_a": "foot", "frame_b": "heel"}, "do not move against each other"),
         (FrameAnchor, {**FOOT, "position": (0, 0, 0)}, "orientation goes with kind full"),
         (
@@ -489,8 +495,12 @@ NAN, INF = math.nan, math.inf
             {**FOOT, "position": A, "orientation": A, "kind": "point"},
             "orientation goes with kind full",
         ),
-        (FrameAnchor, {**FOOT, "position": A, "kind": "x"}, "kind 'x', accepted: full, point"),
-        (FrameAnchor, {**FOOT, "position": (0, 0), "kind": "point"}, "position (0, 0) must be 3"),
+        (
+            FrameAnchor,
+            {**FOOT, "position": A, "kind": "x"},
+            ".kind: expected one of full, point, got 'x'",
+        ),
+        (FrameAnchor, {**FOOT, "position": (0, 0), "kind": "point"}, ".position: expected 3 numb"),
         (
             FrameAnchor,
             {"frame": "world", "position": A, "kind": "point"},
@@ -499,12 +509,12 @@ NAN, INF = math.nan, math.inf
         (
             PointOnPlane,
             {**FOOT, "plane_frame": "world", "normal": (0, 0, 0)},
-            "normal (0, 0, 0) must have a direction",
+            "normal [0.0, 0.0, 0.0] must have a direction",
         ),
         (
             PointOnPlane,
             {**FOOT, "plane_frame": "world", "normal": (0, 0, INF)},
-            "normal (0, 0, inf) must be 3 finite numbers",
+            ".normal[2]: inf is out of range",
         ),
         (
             PointOnPlane,
@@ -520,12 +530,12 @@ NAN, INF = math.nan, math.inf
         (
             Screw,
             {"joint": "knee_slide_x", "parent": "knee", "pitch": 0.0},
-            "pitch 0 m must be finite and not 0",
+            ".pitch: 0 is out of range, accepted: a size of 1e-30 .. 1e+30",
         ),
         (
             Screw,
             {"joint": "knee_slide_x", "parent": "knee", "pitch": 1.0, "offset": INF},
-            "offset inf m must be finite",
+            ".offset: inf is out of range",
         ),
         (PrescribedMotion, {"joint": "nose", "polynomial": [1.0]}, "no joint 'nose'"),
         (PrescribedMotion, {"joint": "knee"}, "exactly one of polynomial, harmonic, spline; got"),
@@ -535,7 +545,7 @@ NAN, INF = math.nan, math.inf
             "got polynomial, spline",
         ),
         (PrescribedMotion, {"joint": "knee", "polynomial": []}, "polynomial has no coefficients"),
-        (PrescribedMotion, {"joint": "knee", "polynomial": [NAN]}, "polynomial [nan] must be fin"),
+        (PrescribedMotion, {"joint": "knee", "polynomial": [NAN]}, ".polynomial[0]: nan is out"),
         (
             PrescribedMotion,
             {"joint": "knee", "harmonic": {"amplitude": 1.0}},
@@ -559,17 +569,17 @@ NAN, INF = math.nan, math.inf
         (
             PrescribedMotion,
             {"joint": "knee", "spline": {"x": [0.0, 1.0], "y": [0.0, INF]}},
-            "spline [0.0, 1.0, 0.0, inf] must be finite",
+            ".spline.y[1]: inf is out of range",
         ),
         (
             PrescribedMotion,
             {"joint": "knee", "polynomial": [0.0], "limit": 0.0},
-            "limit 0 must be > 0",
+            ".limit: 0 is out of range",
         ),
         (
             PrescribedMotion,
             {"joint": "knee", "polynomial": [0.0], "time_constant": 0.0},
-            "time_constant 0 s must be finite and > 0",
+            ".time_constant: 0 is out of range, accepted: 1e-09 .. 1e+09",
         ),
         (JointStop, {}, "give either 'joint' or 'joints'"),
         (JointStop, {"joint": "knee", "joints": ["ankle"]}, "give either 'joint' or 'joints'"),
@@ -581,18 +591,18 @@ NAN, INF = math.nan, math.inf
             {"joint": "knee", "lower": 0.5},
             "joint 'knee': lower 0.5 must be less than upper 0",
         ),
-        (JointStop, {"joint": "knee", "upper": NAN}, "must be less than upper nan"),
-        (JointStop, {"joint": "knee", "time_constant": -1.0}, "time_constant -1 s must be finite"),
-        (DryFriction, {"joint": "knee", "limit": 0.0}, "limit 0 must be finite and > 0"),
-        (DryFriction, {"joint": "knee", "limit": INF}, "limit inf must be finite and > 0"),
+        (JointStop, {"joint": "knee", "upper": NAN}, ".upper: nan is out of range"),
+        (JointStop, {"joint": "knee", "time_constant": -1.0}, ".time_constant: -1 is out of"),
+        (DryFriction, {"joint": "knee", "limit": 0.0}, ".limit: 0 is out of range"),
+        (DryFriction, {"joint": "knee", "limit": INF}, ".limit: inf is out of range"),
         (
             DryFriction,
             {"joint": "knee", "limit": 1.0, "time_constant": 0.0},
-            "time_constant 0 must be finite and > 0",
+            ".time_constant: 0 is out of range",
         ),
     ],
 )
 def test_values_that_make_no_sense_are_refused(part, values, message):
-    with pytest.raises(ModelError) as caught:
-        part(LEG, **values)
+    with pytest.raises(SceneError) as caught:
+        schema.call(part, {key: listed(value) for key, value in values.items()}, "here", LEG)
     assert message in str(caught.value)

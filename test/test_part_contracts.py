@@ -6,14 +6,14 @@ import typing
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import outside_parts
+import parts_of_pages
 import pinocchio as pin
 import pytest
 
 from mbd_ros.core.control.contract import EffortBox, Reference
 from mbd_ros.core.dynamics.sources import Sampled
 from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.parts import Load
+from mbd_ros.core.parts import Part
 from mbd_ros.core.ranges import described
 from mbd_ros.core.row_laws import Level
 from mbd_ros.core.state import NONE, State
@@ -26,7 +26,7 @@ from mbd_ros.scene.part_lines import part_lines
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.registry import PARTS, resolve
 
-OUTSIDE = outside_parts.OUTSIDE
+OUTSIDE = parts_of_pages.OUTSIDE
 OF_A_ROBOT = ("actuators", "constraints", "forces")
 EVERY = [(section, name) for section in PARTS for name in PARTS[section]]
 EVERY += [(section, name) for section in OUTSIDE for name in OUTSIDE[section]]
@@ -37,20 +37,25 @@ every_load = pytest.mark.parametrize(
 every_constraint = pytest.mark.parametrize(
     "name", [name for section, name in EVERY if section == "constraints"]
 )
-every_part_with_symbols = every_load
-GEOMETRY = ("point", "point_a", "point_b")  # are bound to bodies while building
+every_part_with_symbols = pytest.mark.parametrize(
+    ("section", "name"), [pair for pair in EVERY if pair[0] in OF_A_ROBOT]
+)
+IN_NUMBERS = {  # what bodies or the cheap margins of stops are bound to while building
+    *("point", "point_a", "point_b", "plane_point", "position", "normal"),
+    *("rpy", "rpy_a", "rpy_b", "orientation", "lower", "upper"),
+}
 
 
 @pytest.fixture(scope="module", autouse=True)
 def modules(tmp_path_factory):
     """The parts of the pages, in a folder on the path."""
     folder = tmp_path_factory.mktemp("outside")
-    outside_parts.write(folder)
+    parts_of_pages.write(folder)
     sys.path.insert(0, str(folder))
     with permitting(True):
         yield folder
     sys.path.remove(str(folder))
-    for name in outside_parts.MODULES:
+    for name in parts_of_pages.MODULES:
         sys.modules.pop(name, None)
 
 
@@ -120,11 +125,12 @@ def symbolic(hint):
 def test_constructor_stores_and_derives_so_that_it_takes_symbols(section, name):
     part = kind_of(section, name)
     hints = typing.get_type_hints(part.__init__, include_extras=True)
-    symbols = {key: symbolic(hint) for key, hint in hints.items() if key not in GEOMETRY}
+    symbols = {key: symbolic(hint) for key, hint in hints.items() if key not in IN_NUMBERS}
     given = {key: symbol for key, symbol in symbols.items() if symbol is not None}
-    assert given or name == "prescribed_torque"  # which has a table alone
+    without = ("prescribed_torque", "frame_anchor", "loop_closure", "point_on_plane")
+    assert bool(given) != (name in without)  # which have a table or places alone
     robot = scene_from(urdf="prosthetic_leg").robot
-    assert isinstance(part(robot, **{**arguments(section, name), **given}), Load)
+    assert isinstance(part(robot, **{**arguments(section, name), **given}), Part)
 
 
 @every_part_with_symbols

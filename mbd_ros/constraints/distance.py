@@ -1,17 +1,15 @@
 """Two points at a fixed distance."""
 
-import math
-from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics, Reads
-from mbd_ros.core.model.points import checked_vector
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Wrench
+from mbd_ros.core.ranges import Positive, Unit, Vector
 from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import ModelError
 
 _COINCIDENT = 1.0e-9  # share of the distance below which the line has no direction
 _ANY_DIRECTION = np.array((1.0, 0.0, 0.0))
@@ -28,12 +26,12 @@ class Distance(Constraint):
         robot: Robot of the scene.
         frame_a: Link (or frame) of one end; the root link or `universe` for a point at rest.
         frame_b: Link (or frame) of the other end.
-        distance: Length of the bar [m], > 0.
-        point_a: End in `frame_a` [m], shape (3,).
-        point_b: End in `frame_b` [m], shape (3,).
+        distance: Length of the bar.
+        point_a: End in `frame_a`, shape (3,).
+        point_b: End in `frame_b`, shape (3,).
 
     Raises:
-        ModelError: Unknown frame, both ends on one body, or a value out of its range.
+        ModelError: Unknown frame, or both ends on one body.
     """
 
     reads = Reads.DRIFT
@@ -45,14 +43,11 @@ class Distance(Constraint):
         *,
         frame_a: str,
         frame_b: str,
-        distance: float,
-        point_a: Sequence[float] = (0.0, 0.0, 0.0),
-        point_b: Sequence[float] = (0.0, 0.0, 0.0),
+        distance: Annotated[Positive, Unit("m")],
+        point_a: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
+        point_b: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
     ) -> None:
-        if not 0 < distance < math.inf:
-            raise ModelError(f"distance {distance:g} m must be finite and > 0")
-        self._a = robot.point(frame_a, checked_vector("point_a", point_a))
-        self._b = robot.point(frame_b, checked_vector("point_b", point_b))
+        self._a, self._b = robot.point(frame_a, point_a), robot.point(frame_b, point_b)
         self._moves = np.abs(robot.pair(self._a, self._b).columns)
         self._distance, self._shortest = distance, _COINCIDENT * distance
         self.rows = (Row("force", "N"),)

@@ -1,16 +1,15 @@
 """Dry friction with exact stiction."""
 
-import math
+from typing import Annotated
 
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.ranges import Duration
+from mbd_ros.core.ranges import Duration, Positive, Unit
 from mbd_ros.core.row_laws import Level, box
 from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import ModelError
 
 
 class DryFriction(Constraint):
@@ -23,23 +22,25 @@ class DryFriction(Constraint):
     Args:
         robot: Robot of the scene.
         joint: Joint with friction.
-        limit: Largest friction [N·m or N], > 0.
-        time_constant: Time constant of a slow joint that comes to rest [s], > 0; a step stays
-            stable with one that is longer than the step.
+        limit: Largest friction.
+        time_constant: Time constant of a slow joint that comes to rest; a step stays stable with
+            one that is longer than the step.
 
     Raises:
-        ModelError: Unknown joint, or a value out of its range.
+        ModelError: Unknown joint.
     """
 
     level = Level.VELOCITY  # any position will do
     example = {"joint": "ankle", "limit": 0.8, "time_constant": 0.005}
 
     def __init__(
-        self, robot: Robot, *, joint: str, limit: float, time_constant: Duration = 0.002
+        self,
+        robot: Robot,
+        *,
+        joint: str,
+        limit: Annotated[Positive, Unit("N·m or N")],
+        time_constant: Duration = 0.002,
     ) -> None:
-        for key, value in (("limit", limit), ("time_constant", time_constant)):
-            if not 0 < value < math.inf:
-                raise ModelError(f"{key} {value:g} must be finite and > 0")
         self.joint = robot.joint(joint)
         self.law = box(-limit, limit)
         self.gains = (0.0, 1.0 / time_constant)

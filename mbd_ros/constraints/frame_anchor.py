@@ -1,9 +1,11 @@
 """A link held at a place in the world."""
 
 from collections.abc import Sequence
+from typing import Annotated, Literal
 
-from mbd_ros.core.model.points import checked_vector, rotation_matrix
+from mbd_ros.core.model.points import rotation_matrix
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import Unit, Vector
 from mbd_ros.core.rows.pair_rows import PairRows
 from mbd_ros.core.rows.rotation_residual import FullRotation
 from mbd_ros.errors import ModelError
@@ -20,14 +22,14 @@ class FrameAnchor(PairRows):
     Args:
         robot: Robot of the scene.
         frame: Link (or frame) that is held.
-        position: Where its point is held, in the world [m], shape (3,).
-        point: The point in `frame` [m], shape (3,).
-        rpy: Axes of the held frame in `frame`, roll, pitch, yaw [rad], shape (3,).
-        orientation: How these axes are held in the world, roll, pitch, yaw [rad], shape (3,).
+        position: Where its point is held, in the world, shape (3,).
+        point: The point in `frame`, shape (3,).
+        rpy: Axes of the held frame in `frame`, roll, pitch, yaw, shape (3,).
+        orientation: How these axes are held in the world, roll, pitch, yaw, shape (3,).
         kind: `full`: six rows; `point`: free to turn, three rows, without `orientation`.
 
     Raises:
-        ModelError: Unknown frame or one that does not move, or a value that is not accepted.
+        ModelError: Unknown frame, or one that does not move.
     """
 
     example = {
@@ -42,21 +44,26 @@ class FrameAnchor(PairRows):
         robot: Robot,
         *,
         frame: str,
-        position: Sequence[float],
-        point: Sequence[float] = (0.0, 0.0, 0.0),
-        rpy: Sequence[float] = (0.0, 0.0, 0.0),
-        orientation: Sequence[float] | None = None,
-        kind: str = "full",
+        position: Annotated[Vector, Unit("m")],
+        point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
+        rpy: Annotated[Vector, Unit("rad")] = (0.0, 0.0, 0.0),
+        orientation: Annotated[Vector | None, Unit("rad")] = None,
+        kind: Literal["full", "point"] = "full",
     ) -> None:
-        if kind not in ("full", "point"):
-            raise ModelError(f"kind '{kind}', accepted: full, point")
-        if (orientation is None) == (kind == "full"):
-            raise ModelError("orientation goes with kind full, which cannot do without it")
-        place = robot.point("universe", checked_vector("position", position))
-        held = robot.point(frame, checked_vector("point", point), checked_vector("rpy", rpy))
+        place, held = robot.point("universe", position), robot.point(frame, point, rpy)
         if orientation is not None:
-            wanted = rotation_matrix(checked_vector("orientation", orientation))
+            wanted = rotation_matrix(orientation)
             held = robot.turned(held, wanted.T)  # has the axes of the world
         super().__init__(
             robot.pair(place, held), "xyz", FullRotation() if kind == "full" else None
         )
+
+    @staticmethod
+    def check(orientation: Sequence[float] | None, kind: str) -> None:
+        """Refuse an orientation of a frame that is free to turn, and none of one that is not.
+
+        Raises:
+            ModelError: Says so.
+        """
+        if (orientation is None) == (kind == "full"):
+            raise ModelError("orientation goes with kind full, which cannot do without it")

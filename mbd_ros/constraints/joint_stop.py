@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Joint, Robot
-from mbd_ros.core.ranges import Duration
+from mbd_ros.core.ranges import Duration, Unit
 from mbd_ros.core.row_laws import unilateral
 from mbd_ros.core.rows.constraint import Constraint, Row, Stop
 from mbd_ros.core.state import Array, State
@@ -32,12 +32,12 @@ class JointStop(Constraint):
         joint: The joint with stops, or else `joints`.
         joints: Several joints, or [all]: every one with a limit in the robot description, or every
             one at all with `lower` or `upper`.
-        lower: Lower end [rad or m]; that of the robot description by default.
-        upper: Upper end [rad or m]; that of the robot description by default.
-        time_constant: T with which a joint comes to an end [s], > 0.
+        lower: Lower end; that of the robot description by default.
+        upper: Upper end; that of the robot description by default.
+        time_constant: T with which a joint comes to an end.
 
     Raises:
-        ModelError: Unknown joint, one without any end, or a value that is not accepted.
+        ModelError: Unknown joint.
     """
 
     example = {"joint": "ankle", "lower": -0.3, "upper": 0.35, "time_constant": 0.02}
@@ -48,12 +48,10 @@ class JointStop(Constraint):
         *,
         joint: str | None = None,
         joints: Sequence[str] | None = None,
-        lower: float | None = None,
-        upper: float | None = None,
+        lower: Annotated[float | None, Unit("rad or m")] = None,
+        upper: Annotated[float | None, Unit("rad or m")] = None,
         time_constant: Duration = 0.01,
     ) -> None:
-        if not 0 < time_constant < math.inf:
-            raise ModelError(f"time_constant {time_constant:g} s must be finite and > 0")
         stopped = _stopped(robot, joint, joints, lower is None and upper is None)
         ends = [_ends(one, lower, upper) for one in stopped]
         n, kp, kd = len(stopped), 1.0 / time_constant**2, 2.0 / time_constant
@@ -72,6 +70,28 @@ class JointStop(Constraint):
         self._margins = np.empty((2, len(robot.joints)))
         flat = self._margins.reshape(-1)
         self._combine, self._smallest, self._item = condition.dot, flat.argmin, flat.item
+
+    @staticmethod
+    def check(
+        robot: Robot,
+        joint: str | None,
+        joints: Sequence[str] | None,
+        lower: float | None,
+        upper: float | None,
+    ) -> None:
+        """Refuse joints without any end, and ends in the wrong order.
+
+        Raises:
+            ModelError: Names the joint.
+        """
+        for one in _stopped(robot, joint, joints, lower is None and upper is None):
+            low, high = _ends(one, lower, upper)
+            if math.isinf(low) and math.isinf(high):
+                raise ModelError(f"joint '{one.name}' has no limits, give lower or upper")
+            if not low < high:
+                raise ModelError(
+                    f"joint '{one.name}': lower {low:g} must be less than upper {high:g}"
+                )
 
     def quick_margin(self, q: Array, v: Array, a: Array) -> float:
         """Smallest g'' + kd g' + kp g of both ends of all joints; positive while none acts.
@@ -131,12 +151,7 @@ def _stopped(
 
 
 def _ends(joint: Joint, lower: float | None, upper: float | None) -> tuple[float, float]:
-    low, high = joint.lower if lower is None else lower, joint.upper if upper is None else upper
-    if math.isinf(low) and math.isinf(high):
-        raise ModelError(f"joint '{joint.name}' has no limits, give lower or upper")
-    if not low < high:
-        raise ModelError(f"joint '{joint.name}': lower {low:g} must be less than upper {high:g}")
-    return low, high
+    return joint.lower if lower is None else lower, joint.upper if upper is None else upper
 
 
 def _quantity(joint: Joint, count: int) -> str:

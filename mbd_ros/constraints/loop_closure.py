@@ -1,14 +1,11 @@
 """Closed chain: a frame on one body held to a frame on another."""
 
-from collections.abc import Sequence
+from typing import Annotated, Literal
 
-from mbd_ros.core.model.points import checked_vector
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.rows.pair_rows import DIRECTIONS, PairRows
+from mbd_ros.core.ranges import Unit, Vector
+from mbd_ros.core.rows.pair_rows import PairRows
 from mbd_ros.core.rows.rotation_residual import AxisRotation, FullRotation, RotationResidual
-from mbd_ros.errors import ModelError
-
-KINDS = ("point", "revolute", "full")
 
 
 class LoopClosure(PairRows):
@@ -26,18 +23,17 @@ class LoopClosure(PairRows):
         robot: Robot of the scene.
         frame_a: Link (or frame) that carries frame a, whose axes the rows stand in.
         frame_b: Link (or frame) that carries frame b.
-        point_a: Origin of a in `frame_a` [m], shape (3,).
-        rpy_a: Axes of a in `frame_a`, roll, pitch, yaw [rad], shape (3,).
-        point_b: Origin of b in `frame_b` [m], shape (3,).
-        rpy_b: Axes of b in `frame_b`, roll, pitch, yaw [rad], shape (3,).
+        point_a: Origin of a in `frame_a`, shape (3,).
+        rpy_a: Axes of a in `frame_a`, roll, pitch, yaw, shape (3,).
+        point_b: Origin of b in `frame_b`, shape (3,).
+        rpy_b: Axes of b in `frame_b`, roll, pitch, yaw, shape (3,).
         kind: `point`: free to turn; `revolute`: turns about `axis`, which both frames share;
             `full`: does not turn.
         directions: Axes of a along which the origins must not part: x, y, z, xy, xz, yz or xyz.
         axis: Axis of a `revolute` closure: x, y or z.
 
     Raises:
-        ModelError: Unknown frame, frames that do not move against each other, or a value that is
-            not accepted.
+        ModelError: Unknown frame, or frames that do not move against each other.
     """
 
     example = {"frame_a": "world", "point_a": [0.1, 0.0, 0.0], "frame_b": "foot", "kind": "full"}
@@ -48,25 +44,16 @@ class LoopClosure(PairRows):
         *,
         frame_a: str,
         frame_b: str,
-        point_a: Sequence[float] = (0.0, 0.0, 0.0),
-        rpy_a: Sequence[float] = (0.0, 0.0, 0.0),
-        point_b: Sequence[float] = (0.0, 0.0, 0.0),
-        rpy_b: Sequence[float] = (0.0, 0.0, 0.0),
-        kind: str = "point",
-        directions: str = "xyz",
-        axis: str = "z",
+        point_a: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
+        rpy_a: Annotated[Vector, Unit("rad")] = (0.0, 0.0, 0.0),
+        point_b: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
+        rpy_b: Annotated[Vector, Unit("rad")] = (0.0, 0.0, 0.0),
+        kind: Literal["point", "revolute", "full"] = "point",
+        directions: Literal["x", "y", "z", "xy", "xz", "yz", "xyz"] = "xyz",
+        axis: Literal["x", "y", "z"] = "z",
     ) -> None:
-        for key, value, accepted in (
-            ("kind", kind, KINDS),
-            ("directions", directions, tuple(DIRECTIONS)),
-            ("axis", axis, ("x", "y", "z")),
-        ):
-            if value not in accepted:
-                raise ModelError(f"{key} '{value}', accepted: {', '.join(accepted)}")
         rotation: RotationResidual | None = None
         if kind != "point":
             rotation = FullRotation() if kind == "full" else AxisRotation(axis)
-        place_a = checked_vector("point_a", point_a), checked_vector("rpy_a", rpy_a)
-        place_b = checked_vector("point_b", point_b), checked_vector("rpy_b", rpy_b)
-        a, b = robot.point(frame_a, *place_a), robot.point(frame_b, *place_b)
+        a, b = robot.point(frame_a, point_a, rpy_a), robot.point(frame_b, point_b, rpy_b)
         super().__init__(robot.pair(a, b), directions, rotation)

@@ -1,11 +1,12 @@
 """A point that stays on a plane."""
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.model.points import checked_vector
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import Unit, Vector
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.pair_rows import PairRows
 from mbd_ros.errors import ModelError
@@ -22,12 +23,11 @@ class PointOnPlane(PairRows):
         frame: Link (or frame) that carries the point.
         plane_frame: Link (or frame) that carries the plane.
         normal: Normal of the plane in `plane_frame`, of any length, shape (3,).
-        point: The point in `frame` [m], shape (3,).
-        plane_point: Any point of the plane in `plane_frame` [m], shape (3,).
+        point: The point in `frame`, shape (3,).
+        plane_point: Any point of the plane in `plane_frame`, shape (3,).
 
     Raises:
-        ModelError: Unknown frame, frames that do not move against each other, or a normal without
-            direction.
+        ModelError: Unknown frame, or frames that do not move against each other.
     """
 
     example = {"frame": "heel", "plane_frame": "world", "normal": [0.1, 0.0, 1.0]}
@@ -38,20 +38,27 @@ class PointOnPlane(PairRows):
         *,
         frame: str,
         plane_frame: str,
-        normal: Sequence[float],
-        point: Sequence[float] = (0.0, 0.0, 0.0),
-        plane_point: Sequence[float] = (0.0, 0.0, 0.0),
+        normal: Annotated[Vector, Unit("-")],
+        point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
+        plane_point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
     ) -> None:
-        along = checked_vector("normal", normal)
-        size = float(np.abs(along).max())
-        if size == 0.0:
-            raise ModelError(f"normal {normal} must have a direction")
-        along = along / size  # so that its square neither vanishes nor overflows
-        plane = robot.point(plane_frame, checked_vector("plane_point", plane_point))
+        along = np.array(normal, dtype=np.float64)
+        along = along / np.abs(along).max()  # so that its square neither vanishes nor overflows
+        plane = robot.point(plane_frame, plane_point)
         plane = robot.turned(plane, _turned(along / np.linalg.norm(along)))
-        pair = robot.pair(plane, robot.point(frame, checked_vector("point", point)))
+        pair = robot.pair(plane, robot.point(frame, point))
         super().__init__(pair, "z")
         self.rows = (Row("force", "N", plane_frame),)
+
+    @staticmethod
+    def check(normal: Sequence[float]) -> None:
+        """Refuse a normal that points nowhere.
+
+        Raises:
+            ModelError: Names it.
+        """
+        if not any(normal):
+            raise ModelError(f"normal {normal} must have a direction")
 
 
 def _turned(normal: np.ndarray) -> np.ndarray:

@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated
 
 import numpy as np
 
 from mbd_ros.core.model.coupling_functions import Polynomial, natural_cubic_spline
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.ranges import Duration
+from mbd_ros.core.ranges import Duration, Positive, Unit, is_value
 from mbd_ros.core.row_laws import drive
 from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.state import Array, State
@@ -28,16 +29,16 @@ class PrescribedMotion(Constraint):
     Args:
         robot: Robot of the scene.
         joint: Driven joint.
-        polynomial: c0, c1, ... of f = c0 + c1 t + c2 t^2 + ... [rad or m, per power of s].
+        polynomial: c0, c1, ... of f = c0 + c1 t + c2 t^2 + ...
         harmonic: f = offset + amplitude sin(angular_frequency t + phase); amplitude [rad or m] and
             angular_frequency [rad/s], and if not 0 offset [rad or m] and phase [rad].
         spline: Times x [s] and positions y [rad or m] of a natural cubic spline, which straight
             lines continue.
-        limit: Largest effort of the drive [N·m or N], > 0.
-        time_constant: T of a drive with a finite limit [s], > 0.
+        limit: Largest effort of the drive; without it there is none.
+        time_constant: T of a drive with a finite limit.
 
     Raises:
-        ModelError: Unknown joint, not exactly one function, or a value that is not accepted.
+        ModelError: Unknown joint.
     """
 
     example = {
@@ -51,25 +52,47 @@ class PrescribedMotion(Constraint):
         robot: Robot,
         *,
         joint: str,
-        polynomial: Sequence[float] | None = None,
-        harmonic: Mapping[str, float] | None = None,
-        spline: Mapping[str, Sequence[float]] | None = None,
-        limit: float = math.inf,
+        polynomial: Annotated[Sequence[float] | None, Unit("rad or m, per power of s")] = None,
+        harmonic: Annotated[Mapping[str, float] | None, Unit("as above")] = None,
+        spline: Annotated[Mapping[str, Sequence[float]] | None, Unit("as above")] = None,
+        limit: Annotated[Positive, Unit("N·m or N")] = math.inf,
         time_constant: Duration = 0.02,
     ) -> None:
-        if not limit > 0:
-            raise ModelError(f"limit {limit:g} must be > 0")
-        if not 0 < time_constant < math.inf:
-            raise ModelError(f"time_constant {time_constant:g} s must be finite and > 0")
         self.joint = robot.joint(joint)
         self._motion = _motion(polynomial, harmonic, spline)
         self.law = drive(limit)
-        if limit < math.inf:
+        if not is_value(limit, math.inf):
             self.gains = (1.0 / time_constant**2, 2.0 / time_constant)
         self.driven = (joint,)
         self.rows = (Row(self.joint.effort_name, self.joint.effort_unit),)
         self._jacobian = np.zeros((1, robot.model.nv))
         self._jacobian[0, self.joint.v] = 1.0
+
+    @staticmethod
+    def check(
+        polynomial: Sequence[float] | None,
+        harmonic: Mapping[str, float] | None,
+        spline: Mapping[str, Sequence[float]] | None,
+    ) -> None:
+        """Refuse more than one function or none, and other keys than those of the function.
+
+        Raises:
+            ModelError: Names them, and what is accepted.
+        """
+        functions = {"polynomial": polynomial, "harmonic": harmonic, "spline": spline}
+        given = [key for key, function in functions.items() if function is not None]
+        if len(given) != 1:
+            raise ModelError(
+                f"give exactly one of {', '.join(functions)}; got {', '.join(given) or 'none'}"
+            )
+        if spline is not None and set(spline) != {"x", "y"}:
+            raise ModelError(f"spline has {', '.join(spline) or 'nothing'}, accepted: x and y")
+        for key in harmonic or ():
+            if key not in _HARMONIC:
+                raise ModelError(f"harmonic has '{key}', accepted: {', '.join(_HARMONIC)}")
+        for key in _HARMONIC[:2] if harmonic is not None else ():
+            if key not in harmonic:
+                raise ModelError(f"harmonic lacks {key}")
 
     def residual(self, k: Kinematics, x: State) -> Array:
         """How far the joint is off its motion, q - f(t) [rad or m], shape (1,)."""
@@ -93,32 +116,15 @@ def _motion(
     harmonic: Mapping[str, float] | None,
     spline: Mapping[str, Sequence[float]] | None,
 ) -> Motion:
-    functions = {"polynomial": polynomial, "harmonic": harmonic, "spline": spline}
-    given = [key for key, function in functions.items() if function is not None]
-    if len(given) != 1:
-        raise ModelError(
-            f"give exactly one of {', '.join(functions)}; got {', '.join(given) or 'none'}"
-        )
     if harmonic is not None:
         return _harmonic(harmonic)
     if spline is not None:
-        if set(spline) != {"x", "y"}:
-            raise ModelError(f"spline has {', '.join(spline) or 'nothing'}, accepted: x and y")
-        _check_finite("spline", [*spline["x"], *spline["y"]])
         return natural_cubic_spline(spline["x"], spline["y"])
     assert polynomial is not None
-    _check_finite("polynomial", polynomial)
     return Polynomial(polynomial)
 
 
 def _harmonic(given: Mapping[str, float]) -> Motion:
-    for key in given:
-        if key not in _HARMONIC:
-            raise ModelError(f"harmonic has '{key}', accepted: {', '.join(_HARMONIC)}")
-    for key in _HARMONIC[:2]:
-        if key not in given:
-            raise ModelError(f"harmonic lacks {key}")
-    _check_finite("harmonic", list(given.values()))
     amplitude, frequency = given["amplitude"], given["angular_frequency"]
     offset, phase = given.get("offset", 0.0), given.get("phase", 0.0)
 
@@ -129,8 +135,3 @@ def _harmonic(given: Mapping[str, float]) -> Motion:
         return offset + swing, slope, -frequency * frequency * swing
 
     return motion
-
-
-def _check_finite(key: str, values: Sequence[float]) -> None:
-    if not np.isfinite(values).all():
-        raise ModelError(f"{key} {list(values)} must be finite numbers")

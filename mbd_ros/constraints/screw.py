@@ -1,11 +1,13 @@
 """Rotation coupled to translation."""
 
 import math
+from typing import Annotated
 
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import NotZero, Unit
 from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -21,31 +23,34 @@ class Screw(Constraint):
         robot: Robot of the scene.
         joint: Prismatic joint that the screw moves.
         parent: Revolute or continuous joint that turns it.
-        pitch: Travel of a turn [m], not 0; < 0 for a left-handed screw.
-        offset: Position of `joint` at `parent` = 0 [m].
+        pitch: Travel of a turn; < 0 for a left-handed screw.
+        offset: Position of `joint` at `parent` = 0.
 
     Raises:
-        ModelError: Joints of other kinds, or a value out of its range.
+        ModelError: Joints of other kinds.
     """
 
     example = {"joint": "knee_slide_y", "parent": "knee", "pitch": 0.005}
 
     def __init__(
-        self, robot: Robot, *, joint: str, parent: str, pitch: float, offset: float = 0.0
+        self,
+        robot: Robot,
+        *,
+        joint: str,
+        parent: str,
+        pitch: Annotated[NotZero, Unit("m")],
+        offset: Annotated[float, Unit("m")] = 0.0,
     ) -> None:
         slider, turner = robot.joint(joint), robot.joint(parent)
         if slider.kind != "prismatic":
             raise ModelError(f"joint '{joint}' is {slider.kind}, accepted: prismatic")
         if turner.kind == "prismatic":
             raise ModelError(f"parent '{parent}' is prismatic, accepted: revolute, continuous")
-        if pitch == 0 or not math.isfinite(pitch):
-            raise ModelError(f"pitch {pitch:g} m must be finite and not 0")
-        if not math.isfinite(offset):
-            raise ModelError(f"offset {offset:g} m must be finite")
         self._slider, self._turner = slider.q, turner.q
         self._lead, self._offset = pitch / (2.0 * math.pi), offset
-        self._jacobian, self._drift = np.zeros((1, robot.model.nv)), np.zeros(1)
-        self._jacobian[0, slider.v], self._jacobian[0, turner.v] = 1.0, -self._lead
+        slopes = [0.0] * int(robot.model.nv)  # a list, which holds symbols, too
+        slopes[slider.v], slopes[turner.v] = 1.0, -self._lead
+        self._jacobian, self._drift = np.array([slopes]), np.zeros(1)
         self.rows = (Row("force", "N"),)
 
     def residual(self, k: Kinematics, x: State) -> Array:

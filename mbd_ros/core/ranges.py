@@ -87,6 +87,6 @@ def described(annotation: Any) -> Described:
     return found
 
 
-def is_zero(number: Any) -> bool:
-    """Whether a number is 0; a symbol is not."""
-    return isinstance(number, int | float) and number == 0
+def is_value(number: Any, value: float) -> bool:
+    """Whether a number has a value; a symbol has none."""
+    return isinstance(number, int | float) and number == value

@@ -5,7 +5,7 @@ from typing import Annotated
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load
-from mbd_ros.core.ranges import NotNegative, Smoothing, Unit, is_zero
+from mbd_ros.core.ranges import NotNegative, Smoothing, Unit, is_value
 from mbd_ros.core.state import Array, State
 
 
@@ -35,7 +35,7 @@ class JointFriction(Load):
         self._coulomb, self._viscous, self._smoothing = coulomb, viscous, smoothing
         self._nv = int(robot.model.nv)
         given = {"friction": coulomb, "damping": viscous}
-        self.brings = tuple(key for key, value in given.items() if not is_zero(value))
+        self.brings = tuple(key for key, value in given.items() if not is_value(value, 0.0))
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force of the friction, shape (nv,)."""

@@ -5,7 +5,7 @@ from typing import Annotated
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load
-from mbd_ros.core.ranges import NotNegative, Unit, is_zero
+from mbd_ros.core.ranges import NotNegative, Unit, is_value
 from mbd_ros.core.state import Array, State
 
 
@@ -34,7 +34,7 @@ class JointSpring(Load):
         self.joint = robot.joint(joint)
         self._stiffness, self._rest, self._damping = stiffness, rest, damping
         self._nv = int(robot.model.nv)
-        self.brings = () if is_zero(damping) else ("damping",)
+        self.brings = () if is_value(damping, 0.0) else ("damping",)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force of the spring, shape (nv,)."""

@@ -114,18 +114,3 @@ def rotation_matrix(rpy: Sequence[float]) -> Array:
     """Rotation by roll, pitch and yaw as in URDF [rad], shape (3, 3)."""
     rotation: Array = pin.rpy.rpyToMatrix(*map(float, rpy))
     return rotation
-
-
-def checked_vector(key: str, values: Sequence[float]) -> Array:
-    """Three finite numbers as an array.
-
-    Args:
-        key: What the message calls them.
-        values: What was given.
-
-    Raises:
-        ModelError: They are not.
-    """
-    if np.shape(values) != (3,) or not np.isfinite(values).all():
-        raise ModelError(f"{key} {values} must be 3 finite numbers")
-    return np.array(values, dtype=np.float64)

@@ -3,7 +3,7 @@
 import sys
 
 import numpy as np
-import outside_parts
+import parts_of_pages
 import pytest
 from nodes.conftest import ROOT
 from nodes.simulation_client import simulated
@@ -25,11 +25,11 @@ initial: {{position: {{hip_flexion: 0.4, knee: -0.3}}}}
 def modules(tmp_path_factory, monkeypatch):
     """A folder on the path of this process and of the nodes that it starts."""
     folder = tmp_path_factory.mktemp("outside")
-    outside_parts.write(folder)
+    parts_of_pages.write(folder)
     monkeypatch.syspath_prepend(str(folder))
     monkeypatch.setenv("PYTHONPATH", str(folder), prepend=":")
     yield folder
-    for name in outside_parts.MODULES:
+    for name in parts_of_pages.MODULES:
         sys.modules.pop(name, None)
 
 
