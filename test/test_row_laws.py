@@ -13,8 +13,6 @@ from mbd_ros.constraints.joint_stop import JointStop
 from mbd_ros.constraints.prescribed_motion import PrescribedMotion
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.core.inverse.efforts import joint_efforts
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.row_laws import Kind, Level, bilateral, box, cone, drive, unilateral
@@ -150,15 +148,6 @@ def test_laws_that_no_solver_serves_are_refused_by_name(part, message):
 def test_laws_that_do_not_fit_their_rows_name_them(part, message):
     with pytest.raises(ModelError, match=f"constraint Held with row held.held_0.*{message}"):
         RowLayout([part])
-
-
-@pytest.mark.parametrize(
-    "law", [cone(0.5), box(lambda k, x: x.q[:3], 9.0)], ids=["cone", "by the state"]
-)
-def test_inverse_dynamics_refuses_bounds_that_are_no_numbers(law):
-    efforts, parts = joint_efforts(CHAIN, ["joint_1"]), [Held(law, m=3)]
-    with pytest.raises(ModelError, match=r"row .*held_0: inverse dynamics takes neither cones"):
-        ClosedLoopInverseDynamics(CHAIN, Couplings(CHAIN), parts, efforts, with_bounds=True)
 
 
 def test_bounds_that_depend_on_the_state_are_those_of_that_state():

@@ -176,7 +176,7 @@ class ClosedLoopInverseDynamics:
     def _within(self, problem: _Problem, found: Split, r: Array) -> tuple[Split, Array]:
         """Efforts and multipliers within their bounds, and the residual of free bases."""
         asked, unknowns = problem.asked, self._unknowns
-        ends = unknowns.bounds(asked)
+        ends = unknowns.ends(asked)
         kept = within_bounds(problem.split, problem.b, found, (self._R, r), ends)
         if kept.is_within:
             return kept.split, kept.residual

@@ -148,9 +148,8 @@ def _of_kind(constraints: ConstraintRows, kind: Kind) -> NDArray[np.bool_]:
 
 def _check_bounds(blocks: Sequence[RowBlock]) -> None:
     for block in blocks:
-        if block.law.kind is Kind.CONE or block.law.varies or block.slips:
+        if block.law.kind is Kind.CONE or block.slips:
             raise ModelError(
-                f"row {block.rows[0].name}: inverse dynamics takes neither cones, nor bounds that "
-                "depend on the state, nor rows that slip; accepted laws: bilateral, unilateral, "
-                "drive, and box with numbers"
+                f"row {block.rows[0].name}: inverse dynamics takes neither cones nor rows that "
+                "slip; accepted laws: bilateral, box, unilateral, drive"
             )

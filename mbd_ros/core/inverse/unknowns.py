@@ -41,7 +41,7 @@ class Unknowns:
         self._lower = efforts.lower, constraints.lower  # the latter change with the state
         self._upper = efforts.upper, constraints.upper
 
-    def bounds(self, asked: Mask) -> tuple[Array, Array]:
+    def ends(self, asked: Mask) -> tuple[Array, Array]:
         """Least and largest y of those that are asked for, as the rows are limited now."""
         lower, upper = (
             self.weight * (np.concatenate(ends)[self.place] - self.target)
