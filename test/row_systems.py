@@ -182,7 +182,7 @@ def flow_derivative(method, system, x, dt):
     n, step = system.nv, 1e-4
 
     def flow(z):
-        v = np.linalg.solve(system.mass(z[:n]), z[n:])
+        v = np.linalg.solve(system.mass(z[:n]).dense, z[n:])
         y = method.prepare(system, dt).step(State(0.0, z[:n].copy(), v), None)
         return np.concatenate([y.q, system.mass(y.q).dot(y.v)])
 

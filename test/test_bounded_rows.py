@@ -63,7 +63,7 @@ def test_active_stops_agree_with_another_solver_of_the_primal_problem(seed):
     torque = 60.0 * rng.normal(size=7)
     free, stopped = arm([], torque=torque), arm([STOPS], torque=torque)
     x = near_the_stops(free.robot, rng)
-    M, a_free = free.mass(x.q), free.evaluate(x).a
+    M, a_free = free.mass(x.q).dense, free.evaluate(x).a
     J, b = stopped.bounded.constraints.conditions(stopped.k, x)
     expected = qpsolvers.solve_qp(M, -M @ a_free, -J, b, solver="daqp")
     found = stopped.evaluate(x)
@@ -132,7 +132,7 @@ def test_dry_friction_sticks_below_its_limit_and_slides_at_it():
     system = build_system(robot, Couplings(robot), [rub], Loads(1))
     for angle in np.linspace(-1.5, 1.5, 13):
         q, rest = np.array([angle]), np.zeros(1)
-        pull, M = float(system.applied(0.0, q, rest)[0]), float(system.mass(q)[0, 0])
+        pull, M = float(system.applied(0.0, q, rest)[0]), float(system.mass(q).dense[0, 0])
         _, a, _, lam, _ = system.evaluate(State(0.0, q, rest))
         if abs(pull) <= 2.0:
             assert (a[0], lam[0]) == pytest.approx((0.0, -pull), abs=1e-9)

@@ -176,7 +176,7 @@ def test_check_says_which_step_a_stiff_scene_needs(capsys, tmp_path, integrator,
         encoding="utf-8",
     )
     out = called(capsys, "check", tmp_path / "s.yaml")[1]
-    inertia = load_scene(tmp_path / "s.yaml").system().mass(np.zeros(1))[0, 0]
+    inertia = load_scene(tmp_path / "s.yaml").system().mass(np.zeros(1)).dense[0, 0]
     rate = (1e7 / inertia) ** 0.5
     assert (f"stiff: fastest rate {rate:.3g} 1/s at dt {dt:g} s" in out) == warned
     assert (f"need dt < {8**0.5 / rate:.2g} s" in out) == warned, "RK4 on the imaginary axis"

@@ -61,7 +61,7 @@ def leg_state(scene, z=(0.3, -0.8, 0.1), w=(0.5, -2.0, 1.0)):
 
 def nearest_in_z(scene, system, m, lower, upper):
     """Oracle 1: dependent joints eliminated, q = F(z), by quadprog; no multipliers, no rows."""
-    M, couplings = system.mass(m.x.q), scene.couplings
+    M, couplings = system.mass(m.x.q).dense, scene.couplings
     z = m.x.q[couplings.q_index].copy()
     W = np.where(m.known[:, None] & m.known, M, 0.0)
     for _ in range(200):
@@ -183,7 +183,7 @@ def test_loops_equal_an_independent_solve(name, tight):
         _, limited = projector(name, (lower, upper))
         found = limited.project(m)
         assert_consistent(limited, found, m)
-        W = ours.system.mass(q)
+        W = ours.system.mass(q).dense
         expected_q, expected_v = nearest_by_daqp(ours.system, m.x, W, lower, upper)
         np.testing.assert_allclose(found.x.q, expected_q, rtol=0, atol=1e-8)
         np.testing.assert_allclose(found.x.v, expected_v, rtol=0, atol=1e-7)  # J by differences

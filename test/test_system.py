@@ -1,5 +1,6 @@
 """Forward dynamics in all tiers: identities, other tiers, dense linear algebra."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,12 @@ import pinocchio as pin
 import pytest
 from systems import acceleration
 
+from mbd_ros.core.dynamics.aba import Aba
+from mbd_ros.core.dynamics.composed_system import ComposedSystem
+from mbd_ros.core.dynamics.kkt import Kkt
 from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.mimic import Mimic
+from mbd_ros.core.dynamics.reduced import Reduced
 from mbd_ros.core.dynamics.tiers import build_system, tier_of
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
@@ -99,7 +105,7 @@ def test_loops_agree_with_a_dense_least_squares_solution(name):
     system = loaded.system()
     x = state(loaded, system)
     found = system.evaluate(x)
-    M, J = system.mass(x.q), system.jacobian(x.t, x.q)
+    M, J = system.mass(x.q).dense, system.jacobian(x.t, x.q)
     applied = system.applied(x.t, x.q, x.v)
     system.k.refresh(x.q, x.v)
     drift = system.constraints.accelerations(system.k, x)[1]
@@ -222,7 +228,7 @@ def test_hundred_bodies_closed_to_a_loop():
     q[0] = 0.5
     x = assemble(system, State(0.0, q, np.zeros(100)))
     _, a, _, lam, _ = system.evaluate(x)
-    M, J = system.mass(x.q), system.jacobian(0.0, x.q)
+    M, J = system.mass(x.q).dense, system.jacobian(0.0, x.q)
     left = M @ a - system.applied(0.0, x.q, x.v) - J.T @ lam
     assert np.abs(system.residual(0.0, x.q)).max() <= 1e-12
     assert np.abs(left).max() <= 1e-9
@@ -296,3 +302,55 @@ def test_an_evaluation_is_a_value_whose_response_ends_with_the_next_one(name):
     assert np.array_equal(now.a, kept[0]) and np.array_equal(now.lam, kept[1])
     with pytest.raises(SolveError, match="after a later evaluation"):
         now.respond(forces)
+
+
+@pytest.mark.parametrize("name", ["arm7", *COUPLED])
+def test_the_mass_is_an_operator_that_stays(name):
+    """Products and solutions are those of its entries, also after the system went elsewhere."""
+    loaded = scene(name)
+    system, rng = loaded.system(), np.random.default_rng(4)
+    y, other = state(loaded, system), state(loaded, system, 3)
+    mass, dense = system.mass(y.q), system.mass(y.q).dense.copy()
+    system.mass(other.q)
+    for force in (rng.normal(size=system.nv), rng.normal(size=(system.nv, 1))):
+        assert np.array_equal(mass.dot(force), dense.dot(force))
+        assert mass.solve(force).shape == force.shape
+        assert dense.dot(mass.solve(force)) == pytest.approx(force, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["arm7", *COUPLED, *LOOPS])
+def test_values_accelerators_and_other_loads_agree(name):
+    """One acceleration by value and by writing; under other loads by a system built for them."""
+    loaded = scene(name)
+    system = loaded.system()
+    y = state(loaded, system)
+    x = system.expand(y)
+    now, a = system.evaluate(x), acceleration(system, y.t, y.q, y.v)
+    assert np.array_equal(system.lift(y, a), now.a)
+    force = drop_effort(loaded, np.ones(loaded.robot.model.nv))
+    pushed = system.with_loads(Loads(loaded.robot.model.nv, [*system.loads.forces, force]))
+    expected = loaded.system([force]).evaluate(x).a
+    assert np.array_equal(pushed.evaluate(x).a, expected)
+    assert np.array_equal(system.evaluate(x).a, now.a)
+
+
+def test_derivatives_by_inputs_are_those_of_the_forces():
+    """The arm with its drives: a by u is M^-1 B."""
+    loaded = scene("arm7")
+    drive = build_part("actuators", {"type": "ideal", "joints": ["joint2"]}, "test", loaded.robot)
+    system = loaded.system()
+    driven = system.with_loads(Loads(7, (), [drive]))
+    y = state(loaded, driven)
+    by_u = driven.derivatives(y, np.array([0.3])).u
+    column = np.eye(7)[:, [loaded.robot.joint("joint2").v]]
+    assert by_u == pytest.approx(driven.mass(y.q).solve(column), rel=1e-6, abs=1e-6)
+    assert driven.derivatives(y, inputs=False).u.shape == (7, 0)
+
+
+def test_no_tier_inherits_from_another_and_nothing_swaps_loads():
+    """Systems are composed; loads, gains and rows are arguments of building."""
+    assert all(t.__bases__ == (object,) for t in (Aba, Kkt, Reduced, Mimic, ComposedSystem))
+    for file in (ROOT / "mbd_ros").rglob("*.py"):
+        text = file.read_text(encoding="utf-8")
+        assert not re.search(r"system\.(loads|bounded|constraints) = ", text), file
+        assert file.parent.name != "dynamics" or "linalg.eig" not in text, file

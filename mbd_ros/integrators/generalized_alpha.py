@@ -151,7 +151,7 @@ class _Steps(Stepper):
         """Inverse of the scaled matrix of positions and multipliers at the predicted state."""
         system, n, hh = self._system, self._system.nv, self._beta * self._h**2
         self._evaluate(x)
-        at, M = self._linearization, system.mass(self._q)
+        at, M = self._linearization, system.mass(self._q).dense
         at.update(t, self._q, self._v, u)
         J = system.jacobian(t, self._q) if system.rows else np.zeros((0, n))
         self._of_q = 1.0 / np.sqrt(M.diagonal())

@@ -167,7 +167,7 @@ def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
         raise SolveError(f"{scene.name}: accelerations at the start are not finite: {a}")
     if not system.rows:
         return x, None
-    return x, system.factorise(system.mass(x.q), system.jacobian(x.t, x.q))
+    return x, system.factorise(x.t, x.q)
 
 
 def _rank_lines(factor: RowFactor) -> Iterator[str]:

@@ -234,7 +234,7 @@ def _check_forces(leg, ours, q, v, x, missing, force, violation):
     scene, J = leg.scene, ours.system.jacobian(0.0, x)
     known = [name not in missing for name in leg.joints]
     on_couplings = scene.couplings.positions(q[scene.couplings.q_index])
-    M = ours.system.mass(np.where(known, q, on_couplings))
+    M = ours.system.mass(np.where(known, q, on_couplings)).dense
     W = np.where(np.outer(known, known), M, 0.0)
     effort = np.array(force.effort)
     assert tuple(force.name) == (*scene.couplings.dependent, *(f"{n}.limit" for n in leg.joints))

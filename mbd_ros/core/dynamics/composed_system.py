@@ -7,6 +7,7 @@ import numpy as np
 from mbd_ros.core.dynamics.free_motion import FreeMotion
 from mbd_ros.core.dynamics.linearization import Linearization
 from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.mass import Mass
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.system import Accelerator, Derivatives, System
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
@@ -121,9 +122,9 @@ class ComposedSystem:
         """Those of what is integrated among values of all joints."""
         return self._coordinates.integrated(a)
 
-    def mass(self, q: Array) -> Array:
-        """Mass matrix of what is integrated, symmetric, shape (nv, nv)."""
-        return self._coordinates.mass(q)
+    def mass(self, q: Array) -> Mass:
+        """Mass matrix of what is integrated, as an operator."""
+        return Mass(self._coordinates.mass(q))
 
     def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
         """Generalized force tau - h without the constraints, shape (nv,)."""
@@ -141,9 +142,10 @@ class ComposedSystem:
         """dg/dt, shape (m,)."""
         return self._rigid.rate(t, q)
 
-    def factorise(self, M: Array, J: Array) -> RowFactor:
+    def factorise(self, t: float, q: Array) -> RowFactor:
         """Factor of the bilateral rows; brings `condition` up to date."""
-        return self._rigid.factorise(M, J)
+        J = self._rigid.jacobian(t, q)
+        return self._rigid.factorise(self._coordinates.mass(q), J)
 
     def wrenches(self, x: State, lam: Array) -> tuple[Wrench, ...]:
         """Wrenches of the bilateral rows on bodies, from the multipliers at a state."""

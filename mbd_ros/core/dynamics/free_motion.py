@@ -33,7 +33,7 @@ class Coordinates(Protocol):
         """Those of y among values of all joints."""
 
     def mass(self, q: Array) -> Array:
-        """Mass matrix of y, shape (nv, nv)."""
+        """Mass matrix of y, shape (nv, nv), overwritten by the next call."""
 
     def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
         """Generalized force tau - h on y, shape (nv,)."""

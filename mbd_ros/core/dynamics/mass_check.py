@@ -27,7 +27,7 @@ def check_mass(system: Any, q: Array) -> None:
     Raises:
         SolveError: Names the joints, or the floating base.
     """
-    M: Array = system.mass(q)
+    M: Array = system.mass(q).dense
     diagonal = M.diagonal()
     largest = float(diagonal.max(initial=0.0))
     empty = diagonal <= MASSLESS * largest

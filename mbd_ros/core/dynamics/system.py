@@ -5,6 +5,7 @@ from typing import Any, NamedTuple, Protocol
 
 from mbd_ros.core.dynamics.chart import Chart
 from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.mass import Mass
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
@@ -124,8 +125,8 @@ class System(Protocol):
     def integrated(self, a: Array) -> Array:
         """Those of what is integrated among values of all joints."""
 
-    def mass(self, q: Array) -> Array:
-        """Mass matrix, symmetric, shape (nv, nv)."""
+    def mass(self, q: Array) -> Mass:
+        """Mass matrix as an operator: products, solutions, and entries for who needs them."""
 
     def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
         """Generalized force tau - h without the constraints, shape (nv,)."""
@@ -139,7 +140,7 @@ class System(Protocol):
     def rate(self, t: float, q: Array) -> Array:
         """dg/dt, shape (m,)."""
 
-    def factorise(self, M: Array, J: Array) -> RowFactor:
+    def factorise(self, t: float, q: Array) -> RowFactor:
         """Factor of the bilateral rows; brings `condition` up to date."""
 
     def wrenches(self, x: State, lam: Array) -> tuple[Wrench, ...]:

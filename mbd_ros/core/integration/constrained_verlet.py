@@ -3,7 +3,6 @@
 from math import isfinite
 from typing import NamedTuple
 
-import eigenpy
 import numpy as np
 
 from mbd_ros.core.dynamics.system import System
@@ -44,17 +43,15 @@ class Configuration:
 
     def __init__(self, system: System, t: float, q: Array, unit: Array) -> None:
         self.t, self.q = t, q
-        M = system.mass(q)
-        self._mass = eigenpy.LLT(M)
+        self._mass = system.mass(q)
         if system.rows:
             self._J, self._rate = system.jacobian(t, q), system.rate(t, q)
-            factor = RowFactor(M, self._J)
+            factor = RowFactor(self._mass.dense, self._J)
             self.lift: Array = factor.motion(unit)
 
     def respond(self, force: Array) -> Array:
         """M^-1 force, shape (nv,)."""
-        a: Array = self._mass.solve(force).reshape(force.shape)  # eigenpy returns (1, 1) for (1,)
-        return a
+        return self._mass.solve(force)
 
     def project(self, v: Array) -> Array:
         """The nearest velocity, in the mass metric, with J v + dg/dt = 0."""

@@ -68,7 +68,7 @@ class LoopMotion:
 
     def metric(self, q: Array) -> Array:
         """Mass matrix with which distances are measured, shape (nv, nv)."""
-        return self._system.mass(q)
+        return self._system.mass(q).dense
 
     def consistent(self, x: State, a: Array) -> tuple[State, Array]:
         """The nearest state on the constraints and the nearest acceleration that they allow.
@@ -162,7 +162,7 @@ class LoopMotion:
 
     def _rows(self, t: float, q: Array) -> tuple[Array, Array, Array]:
         """J, the Cholesky factor of M, and the size of the rows in the metric M^-1."""
-        J, M = self._system.jacobian(t, q), self._system.mass(q)
+        J, M = self._system.jacobian(t, q), self._system.mass(q).dense
         if not (np.isfinite(J).all() and np.isfinite(M).all()):
             raise SolveError("constraint rows or masses are not finite")
         L: Any = np.linalg.cholesky(M)

@@ -64,7 +64,7 @@ def _projected(system: System, x: State) -> State:
     v, slow = x.v, ON_MANIFOLD * (1.0 + float(np.abs(x.v).max()))
     for attempt in range(_VELOCITY_CORRECTIONS):
         if attempt == _VELOCITY_CORRECTIONS - 1:  # the rows have turned since they were factorised
-            factor = system.factorise(system.mass(q), J)
+            factor = system.factorise(x.t, q)
         v = _consistent_velocity(v, J, rate, factor)
         if float(np.abs(J.dot(v) + rate).max()) <= slow:
             break
@@ -74,7 +74,7 @@ def _projected(system: System, x: State) -> State:
 def _closed_nearby(system: System, x: State) -> tuple[Array, RowFactor]:
     """Newton's method with the rows of the start, while it converges."""
     q, g = x.q, system.residual(x.t, x.q)
-    factor = system.factorise(system.mass(q), system.jacobian(x.t, q))
+    factor = system.factorise(x.t, q)
     last, stuck = float(np.abs(g).max()), 0
     for _ in range(_CORRECTIONS):
         q = system.chart.integrate(q, -factor.motion(g))
@@ -86,7 +86,7 @@ def _closed_nearby(system: System, x: State) -> tuple[Array, RowFactor]:
             stuck += 1
             if worst <= ASSEMBLED or stuck == _STUCK or not worst < np.inf:
                 break
-            factor = system.factorise(system.mass(q), system.jacobian(x.t, q))
+            factor = system.factorise(x.t, q)
         last = worst
     if not worst <= _OPEN:
         row = system.rows[int(np.argmax(np.abs(g)))].name
@@ -113,7 +113,7 @@ def assemble(system: System, x: State) -> State:
         return x
     q = _nearest_configuration(system, x)
     J, rate = system.jacobian(x.t, q), system.rate(x.t, q)
-    v, factor = x.v, system.factorise(system.mass(q), J)
+    v, factor = x.v, system.factorise(x.t, q)
     for _ in range(_VELOCITY_CORRECTIONS):  # redundant rows leave some of the first one's error
         v = _consistent_velocity(v, J, rate, factor)
         left = J.dot(v) + rate
@@ -135,7 +135,7 @@ def _is_consistent(system: System, x: State) -> bool:
 
 def _nearest_configuration(system: System, x: State) -> Array:
     """Downhill in the distance to the start, along the manifold, after Newton landed on it."""
-    M = system.mass(x.q)
+    M = system.mass(x.q).dense
     landed, step = _closed(system, x.t, x.q, M), 1.0
     if landed is None:
         raise _not_assembled(system, x)

@@ -161,7 +161,7 @@ class NearestConfiguration:
             half[i] = 0.0
         H = 0.5 * (H + H.T)
         _, J = self.rows(t, q)
-        weight = _STIFF * row_weight(self._system.mass(q), J)
+        weight = _STIFF * row_weight(self._system.mass(q).dense, J)
         curved = Metric(H, weight)
         return curved if is_convex(curved, J) else metric
 

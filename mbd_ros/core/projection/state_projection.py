@@ -147,7 +147,7 @@ class StateProjector:
         Raises:
             SolveError: The rows are not finite there.
         """
-        x, M = m.x, self.system.mass(m.x.q)
+        x, M = m.x, self.system.mass(m.x.q).dense
         is_same = m.known is m.known_velocity or bool((m.known == m.known_velocity).all())
         is_whole = is_same and bool(m.known.all())
         if is_whole and self._coupled is not None:

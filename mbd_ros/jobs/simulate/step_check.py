@@ -78,7 +78,7 @@ def _folds(system: System, states: Sequence[State]) -> Iterator[str]:
     looked, conditions = states[:: 1 + len(states) // _FOLD_LOOKS], []
     for x in looked:
         y = system.reduce(x)
-        factor = system.factorise(system.mass(y.q), system.jacobian(y.t, y.q))
+        factor = system.factorise(y.t, y.q)
         conditions.append(factor.condition)
     known = [c for c in conditions if c < math.inf]
     if known and max(known) > TOGGLE_RISE * min(known):
