@@ -36,6 +36,10 @@ class SymbolicKinematics:
         return ca.jacobian(self.velocity(point), self.x.q) @ self.x.v
 
     @staticmethod
+    def item(vector, index):
+        return vector[index]
+
+    @staticmethod
     def dot(a, b):
         """As for numpy: vector and vector, vector and matrix, or matrix and vector."""
         return (a.T @ b).T if a.shape[1] == 1 else a @ b

@@ -13,6 +13,7 @@ from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import NONE, State
 from mbd_ros.forces.joint_friction import JointFriction
 from mbd_ros.forces.joint_spring import JointSpring
+from mbd_ros.forces.joint_torque import JointTorque
 from mbd_ros.forces.point_spring import PointSpring
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
@@ -26,6 +27,7 @@ FAR = {"point_a": (0.2, -0.1, 0.3), "point_b": (0.02, 0.05, -0.04)}
 FORCES = {
     "joint_spring": (LEG, JointSpring, {"joint": "knee", "stiffness": 30.0, "damping": 0.7}),
     "joint_friction": (LEG, JointFriction, {"joint": "ankle", "coulomb": 0.4, "viscous": 0.05}),
+    "joint_torque": (LEG, JointTorque, {"joint": "knee", "torque": 3.0}),
     "point_spring": (ARM, PointSpring, {"frame_a": "link2", "frame_b": "flange", **SPRING, **FAR}),
     "point_spring to the world": (
         LEG,

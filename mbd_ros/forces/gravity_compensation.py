@@ -43,11 +43,11 @@ class GravityCompensation(Load):
         names = every if list(joints) == [ALL] and ALL not in every else list(joints)
         if not names or len(set(names)) != len(names):
             raise ModelError(f"joints {list(joints)} must be [{ALL}] or different joints")
-        self._nv, self._factor = int(robot.model.nv), factor
-        self._v = np.array([robot.joint(name).v for name in names])
+        chosen = np.zeros(int(robot.model.nv))
+        chosen[[robot.joint(name).v for name in names]] = 1.0
+        self._gain = chosen * factor
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
-        tau, weight = k.zeros(self._nv), k.gravity(x.q)
-        tau[self._v] = self._factor * weight[self._v]
+        tau: Array = self._gain * k.gravity(x.q)
         return tau

@@ -40,7 +40,7 @@ class JointFriction(Load):
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force of the friction, shape (nv,)."""
         tau = k.zeros(self._nv)
-        rate = x.v[self.joint.v]
+        rate = k.item(x.v, self.joint.v)
         dry = self._coulomb * k.tanh(rate / self._smoothing)
         tau[self.joint.v] = -dry - self._viscous * rate
         return tau

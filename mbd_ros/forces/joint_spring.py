@@ -39,11 +39,11 @@ class JointSpring(Load):
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force of the spring, shape (nv,)."""
         tau = k.zeros(self._nv)
-        stretch, rate = x.q[self.joint.q] - self._rest, x.v[self.joint.v]
+        stretch, rate = k.item(x.q, self.joint.q) - self._rest, k.item(x.v, self.joint.v)
         tau[self.joint.v] = -self._stiffness * stretch - self._damping * rate
         return tau
 
     def potential(self, k: Kinematics, x: State) -> float:
         """Energy of the spring, zero at rest [J]."""
-        stretch = x.q[self.joint.q] - self._rest
+        stretch = k.item(x.q, self.joint.q) - self._rest
         return 0.5 * self._stiffness * stretch * stretch

@@ -2,8 +2,6 @@
 
 from typing import Annotated
 
-import numpy as np
-
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load
@@ -33,10 +31,10 @@ class JointTorque(Load):
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
-        tau = np.zeros(self._nv)
+        tau = k.zeros(self._nv)
         tau[self.joint.v] = self._torque
         return tau
 
     def potential(self, k: Kinematics, x: State) -> float:
         """Energy whose slope the torque is, zero at q = 0 [J]."""
-        return -self._torque * float(x.q[self.joint.q])
+        return -self._torque * k.item(x.q, self.joint.q)

@@ -45,6 +45,7 @@ class Kinematics:
     """
 
     zeros = staticmethod(np.zeros)
+    item = staticmethod(np.ndarray.item)
     dot = staticmethod(np.ndarray.dot)
     array = staticmethod(np.array)
     sqrt = staticmethod(math.sqrt)
@@ -215,7 +216,13 @@ def _own_jacobian(model: Any, data: Any, joint: int, at: Any) -> _Call:
 
 
 def _carried(model: Any, data: Any, a: Place, b: Place) -> Callable[[Array], Array]:
-    from_a, to_b = partial(data.oMi[a.joint].__mul__, a.at), data.oMi[b.joint]
+    from_a, joint_b = partial(data.oMi[a.joint].__mul__, a.at), data.oMi[b.joint]
+
+    def to_b(load: Any) -> Any:
+        return (joint_b * b.at).actInv(load)
+
+    if b.at.isIdentity(0.0):
+        to_b = joint_b.actInv
     if a.joint == 0 and a.at.isIdentity():
-        return lambda wrench: (to_b * b.at).actInv(pin.Force(wrench)).vector
-    return lambda wrench: (to_b * b.at).actInv(from_a().act(pin.Force(wrench))).vector
+        return lambda wrench: to_b(pin.Force(wrench)).vector
+    return lambda wrench: to_b(from_a().act(pin.Force(wrench))).vector
