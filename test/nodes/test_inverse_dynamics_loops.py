@@ -33,7 +33,7 @@ def swing(leg, count):
     for angles, rates in zip(q - 0.3, v, strict=True):
         x = leg.scene.initial._replace(q=before.copy(), v=np.zeros(5))
         x.q[known], x.v[known] = leg.scene.initial.q[known] + angles, rates
-        x, _ = loops.complete(before, x, np.zeros(5), measured)
+        x, _, _ = loops.complete(before, x, np.zeros(5), measured)
         before = x.q
         rows.append((x.q + 1e-4 * random.normal(size=5), x.v))
     order = [robot.joint(name).v for name in leg.joints]
