@@ -393,3 +393,32 @@ def test_repeated_and_unknown_actuators_are_refused():
     for joints, words in ((("crank", "crank"), "different"), (("knee",), "no joint 'knee'")):
         with pytest.raises(ModelError, match=words):
             inverse_of(robot, Couplings(robot), [closure], joints)
+
+
+@pytest.mark.parametrize(
+    "name", ["four_bar_leg", "benchmark/a04_bricard", "benchmark/a03_andrews"]
+)
+@pytest.mark.parametrize("with_bounds", [False, True])
+def test_no_result_depends_on_what_was_solved_before(name, with_bounds):
+    """1 000 evaluations in random order give the bits of a new solver, the noisy ones too."""
+    built, rng = load_scene(SCENES / f"{name}.yaml"), np.random.default_rng(6)
+    joints = len(built.couplings.v_index)
+    begin = built.closed_loop().motion.start(built.initial)[built.couplings.q_index]
+    moves = [
+        (begin + 1e-3 * size * rng.normal(size=joints), *(size * rng.normal(size=(2, joints))))
+        for size in (1e-3, 1e-2, 0.1, 1.0)
+    ]
+    actuated = built.holding(actuators=(Ideal(built.robot, joints=built.couplings.independent),))
+
+    def bits(solver, move):
+        try:
+            found = solver.solve(*move)
+        except SolveError as error:
+            return str(error)
+        return tuple(found.tau) + tuple(found.multipliers) + (found.condition, solver.moved)
+
+    fresh = [bits(actuated.inverse_dynamics(with_bounds=with_bounds), move) for move in moves]
+    used = actuated.inverse_dynamics(with_bounds=with_bounds)
+    assert sum(isinstance(each, tuple) for each in fresh) >= 2
+    for i in rng.integers(len(moves), size=170):
+        assert bits(used, moves[i]) == fresh[i]

@@ -166,11 +166,12 @@ class ClosedLoopInverseDynamics:
         inside = np.flatnonzero(~self._drives)[asked[unknowns.efforts :]]
         check_rates(balance, split, inside, (J, drift), x, a)
         known = unknowns.filled(np.nan_to_num(shown), asked, np.zeros(int(asked.sum())))
-        na = len(self.efforts.names)
-        offset = J.T.dot(known[na:]) + balance.columns(x).dot(known[:na])
+        offset, na = np.zeros_like(a), len(self.efforts.names)
+        if known.any():
+            offset = J.T.dot(known[na:]) + balance.columns(x).dot(known[:na])
         terms = balance.terms(x, a, wrenches)
         b = terms.inertial + terms.bias - terms.loads - offset
-        scale = sum(split.norm(term) for term in (*terms, offset))
+        scale = sum(split.norm(term) for term in (*terms, offset) if term.any())
         return _Problem(split, b, scale, asked, known)
 
     def _within(self, problem: _Problem, found: Split, r: Array) -> tuple[Split, Array]:
