@@ -9,6 +9,7 @@ from mechanisms import scene_of
 from mbd_ros.api import Scene
 from mbd_ros.core.dynamics.sources import HeldTable, LinearTable, Polynomials, Sampled
 from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.parts import Actuator, Channel
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.files.table import Column, Result, Table
@@ -249,3 +250,46 @@ def test_a_checkpoint_continues_between_and_at_jumps_of_inputs_with_the_same_bit
     for x, expected in zip(simulation().run(kept, 0.1), seen[stop + 1 :], strict=True):
         assert x.t == expected.t
         assert x.q.tobytes() + x.v.tobytes() == expected.q.tobytes() + expected.v.tobytes()
+
+
+class Pair(Actuator):
+    """Two cords on one joint, of which each only pulls."""
+
+    joints = ("slide",)
+    inputs = (Channel("pull", "N", 0.0, 50.0), Channel("back", "N", 0.0, 50.0))
+
+    def force(self, k, x, u):
+        pull, back = np.clip(u[self.u], 0.0, 50.0)
+        return np.array([pull - back])
+
+    def command(self, torque, x):
+        return np.array([max(torque[0], 0.0), max(-torque[0], 0.0)])
+
+
+def test_commands_of_several_inputs_a_joint_go_by_the_names_of_the_inputs():
+    """They come from a file, stand in the result, and inverse dynamics finds them again."""
+    scene = Scene.of(scene_of("dt: 0.01\n", SLIDE).holding(actuators=(Pair(),)))
+    assert scene.inputs.names == ("pair.pull", "pair.back")
+    times = np.linspace(0.0, 0.1, 11)
+    given = {"pair.pull": np.full(11, 6.0), "pair.back": 20.0 * times}
+    columns = [Column(f"{name}.command", values) for name, values in given.items()]
+    efforts = Result({"samples": Table([Column("time", times, "s"), *columns])}, {})
+    samples = scene.simulate(0.1, dt=0.01, efforts=efforts)["samples"]
+    for name, values in given.items():
+        assert samples[f"{name}.command"].tolist() == values.tolist()
+    assert samples["slide.effort"] == pytest.approx(6.0 - 20.0 * times, abs=1e-12)
+    back = scene.inverse(Result({"samples": samples}, {}))["samples"]
+    assert back["pair.pull.command"] == pytest.approx(6.0 - 20.0 * times, abs=1e-9)
+    assert back["pair.back.command"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_two_drives_of_a_joint_have_commands_of_their_own():
+    two = (
+        "actuators: [{type: ideal, joints: [slide]}, {type: ideal, joints: [slide], name: aid}]\n"
+    )
+    scene, times = Scene.of(scene_of(two, SLIDE)), np.array([0.0, 0.1])
+    columns = [Column("slide_ideal.command", times + 1.0), Column("aid.command", times + 2.0)]
+    efforts = Result({"samples": Table([Column("time", times, "s"), *columns])}, {})
+    samples = scene.simulate(0.1, dt=0.05, efforts=efforts)["samples"]
+    assert samples["slide.effort"] == pytest.approx([3.0, 3.0, 3.2])
+    assert samples["aid.command"] == pytest.approx([2.0, 2.0, 2.1])

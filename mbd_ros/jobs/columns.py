@@ -10,7 +10,6 @@ from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.outputs import Output
 from mbd_ros.core.rows.constraint import Row
-from mbd_ros.core.rows.row_layout import numbered
 from mbd_ros.core.state import Array
 from mbd_ros.files.recordings import name_of
 from mbd_ros.files.table import Column, Result
@@ -62,14 +61,13 @@ def force_topic(rows: Sequence[Row]) -> dict[str, Any]:
     return {"/constraint_forces": {"effort": names}} if names else {}
 
 
-def command_columns(joints: Sequence[str], commands: Array) -> list[Column]:
-    """Columns `<joint>.command`; of a joint with several actuators the others have a number.
+def command_columns(names: Sequence[str], commands: Array) -> list[Column]:
+    """Columns `<name>.command`.
 
     Args:
-        joints: Names.
-        commands: Shape (n, len(joints)).
+        names: As `inputs.command_names` gives them.
+        commands: Shape (n, len(names)).
     """
-    names = [row.name for row in numbered([Row(name, "") for name in joints])]
     pairs = zip(names, commands.T, strict=True)
     return [Column(f"{name}.command", column) for name, column in pairs]
 

@@ -1,6 +1,7 @@
 """u: the numbers that the parts of a scene take from outside, where each stands, what gives it."""
 
 import heapq
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from typing import NamedTuple
@@ -8,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.dynamics.sources import Source
-from mbd_ros.core.parts import Channel, Part, Slots
+from mbd_ros.core.parts import Actuator, Channel, Part, Slots
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
@@ -92,6 +93,31 @@ class Inputs(NamedTuple):
         return Sources(self.safe, [(self.slots[name], one) for name, one in given.items()])
 
 
+def input_names(part: Part) -> tuple[str, ...]:
+    """`<part>`, or `<part>.<channel>` where a part has several inputs."""
+    return tuple(".".join(filter(None, (part.name, one.name))) for one in part.inputs)
+
+
+def command_names(actuators: Sequence[Actuator]) -> list[tuple[str, ...]]:
+    """What files and topics call the inputs of each actuator.
+
+    A joint stands for its only actuator, where that has one input a joint; all other inputs go by
+    their own names.
+
+    Args:
+        actuators: All actuators of a scene.
+    """
+    driven = Counter(joint for part in actuators for joint in part.joints)
+    found = []
+    for part in actuators:
+        names = input_names(part)
+        if len(names) == len(part.joints):
+            pairs = zip(part.joints, names, strict=True)
+            names = tuple(joint if driven[joint] == 1 else name for joint, name in pairs)
+        found.append(names)
+    return found
+
+
 def bound(parts: Sequence[Part]) -> tuple[tuple[Part, ...], Inputs]:
     """Parts that know where their inputs stand, in the order given, and all inputs.
 
@@ -106,7 +132,7 @@ def bound(parts: Sequence[Part]) -> tuple[tuple[Part, ...], Inputs]:
     for part in parts:
         begin = len(channels)
         channels += part.inputs
-        names += [".".join(filter(None, (part.name, one.name))) for one in part.inputs]
+        names += input_names(part)
         found.append(_at(part, Slots(slice(begin, len(channels)), part.z)))
     slots = {part.name: part.u for part in found}
     return tuple(found), Inputs(tuple(names), tuple(channels), slots)

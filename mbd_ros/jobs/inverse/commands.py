@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from mbd_ros.core.dynamics.inputs import command_names
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.state import NANOSECOND, Array, State
@@ -31,7 +32,7 @@ def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
     names: list[str] = []
     commands: list[Array] = []
     remarks = []
-    for actuator in scene.actuators:
+    for actuator, inputs in zip(scene.actuators, command_names(scene.actuators), strict=True):
         if not all(f"{name}.effort" in table for name in actuator.joints):
             continue
         wanted = np.column_stack([table[f"{name}.effort"] for name in actuator.joints])
@@ -39,12 +40,13 @@ def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
         u = np.array([actuator.demanded(tau, x) for tau, x in pairs])
         if not np.isfinite(u).all():
             row, i = np.argwhere(~np.isfinite(u))[0]
+            listed = ", ".join(f"{effort:.4g}" for effort in wanted[row])
             raise DataError(
-                f"{actuator.joints[i]}.command at {table[TIME][row]:.9g} s is not "
-                f"finite: no command of its actuator gives the effort {wanted[row, i]:.4g}"
+                f"{inputs[i]}.command at {table[TIME][row]:.9g} s is not "
+                f"finite: no command of its actuator gives the effort {listed}"
             )
         at = [scene.robot.joint(name).v for name in actuator.joints]
-        given = np.empty_like(u)
+        given = np.empty_like(wanted)
         for row, (one, x) in enumerate(zip(u, states, strict=True)):
             every = loads.idle.copy()
             every[actuator.u] = one
@@ -58,8 +60,8 @@ def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
                     f"{name}: its actuator cannot give {lacking.sum()} of {len(lacking)} efforts, "
                     f"the first at {t:.9g} s: beyond its limit"
                 )
-        if actuator.takes:
-            names += actuator.joints
+        if actuator.takes or inputs != actuator.joints:
+            names += inputs
             commands.append(u)
     return command_columns(names, np.column_stack(commands)) if names else [], remarks
 

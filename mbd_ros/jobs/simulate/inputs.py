@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from mbd_ros.core.dynamics.inputs import command_names
 from mbd_ros.core.dynamics.sources import HeldTable, LinearTable, Source
 from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.parts import Load
@@ -54,7 +55,7 @@ def drives(scene: Scene, run: Run) -> tuple[dict[str, Source], list[Load], list[
         DataError: A file that cannot be read, or that lacks a column or topic.
     """
     sources = _wrenches(scene, run)
-    commanded = tuple(joint for actuator in scene.actuators for joint in actuator.joints)
+    commanded = tuple(name for names in command_names(scene.actuators) for name in names)
     if run.efforts is None:
         return sources, [], []
     names = commanded or tuple(joint.name for joint in scene.robot.joints)
@@ -84,12 +85,12 @@ def _commands(scene: Scene, where: str, motion: Motion) -> Array:
     unknown = np.full((len(motion.stamps), len(motion.names)), np.nan)
     given = unknown.copy() if motion.command is None else motion.command.copy()
     effort = unknown if motion.effort is None else motion.effort
-    for actuator in scene.actuators:
-        for name in actuator.joints:
+    for actuator, names in zip(scene.actuators, command_names(scene.actuators), strict=True):
+        for name in names:
             i = motion.names.index(name)
             if not np.isnan(given[:, i]).all():
                 continue
-            if not actuator.takes:
+            if not actuator.takes and name in actuator.joints:
                 given[:, i] = effort[:, i]
             elif not np.isnan(effort[:, i]).all():
                 raise DataError(
@@ -107,13 +108,9 @@ def _commands(scene: Scene, where: str, motion: Motion) -> Array:
 
 
 def _held(scene: Scene, motion: Motion, commands: Array) -> dict[str, Source]:
-    """Sources of actuators by name, from the commands of their joints."""
+    """Sources of actuators by name, from all their commands in order."""
     times = motion.stamps * NANOSECOND
-    columns = [[motion.names.index(name) for name in part.joints] for part in scene.actuators]
-    return {
-        part.name: HeldTable(times, commands[:, at])
-        for part, at in zip(scene.actuators, columns, strict=True)
-    }
+    return {part.name: HeldTable(times, commands[:, part.u]) for part in scene.actuators}
 
 
 def _wrenches(scene: Scene, run: Run) -> dict[str, Source]:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.dynamics.inputs import command_names
 from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.projection.assembly import violation
@@ -86,12 +87,14 @@ def _finite_rows(table: Table) -> tuple[int, DivergedError | None]:
 
 def _commands(system: System, times: Array) -> list[Column]:
     """Commands of actuators that do not take the torque of the joint."""
-    takes = [a.takes for a in system.loads.actuators for _ in a.joints]
-    at = [i for i, what in enumerate(takes) if what]
-    if not at:
+    actuators = system.loads.actuators
+    named = list(zip(actuators, command_names(actuators), strict=True))
+    chosen = [(a, names) for a, names in named if a.takes or names != a.joints]
+    if not chosen:
         return []
     u = np.array([system.loads.sources.at(t) for t in times]).reshape(len(times), -1)
-    return command_columns([system.loads.commands[i] for i in at], u[:, at])
+    every = [name for _, names in chosen for name in names]
+    return command_columns(every, np.column_stack([u[:, a.u] for a, _ in chosen]))
 
 
 def _row(system: System, showing: Showing, x: State) -> tuple[Any, ...]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from mbd_ros.core.dynamics.inputs import command_names
 from mbd_ros.nodes.shell.parameters import ParameterError
 from mbd_ros.scene.built_scene import Scene
 from msg_adapters.commands import CommandReader
@@ -36,12 +37,7 @@ def command_reader(scene: Scene, order: Sequence[str]) -> CommandReader:
 
 
 def _joints(scene: Scene) -> dict[str, str]:
-    """Joint -> input, for joints with one actuator that has an input a joint."""
-    every = [joint for part in scene.actuators for joint in part.joints]
-    return {
-        joint: scene.inputs.names[part.u.start + i]
-        for part in scene.actuators
-        if len(part.inputs) == len(part.joints)
-        for i, joint in enumerate(part.joints)
-        if every.count(joint) == 1
-    }
+    """Joint -> the input that it stands for."""
+    called = [name for names in command_names(scene.actuators) for name in names]
+    pairs = zip(called, scene.inputs.names[: len(called)], strict=True)
+    return {joint: name for joint, name in pairs if joint != name}
