@@ -1,7 +1,8 @@
 """std_msgs/Float64MultiArray as serialized bytes, for streams at high rates.
 
-Layout after the 4 bytes of encapsulation, little endian: number of dimensions, none here, data
-offset and number of values, 4 bytes each, then, aligned to 8, the values as doubles.
+Layout after the 4 bytes of encapsulation, little endian: number of dimensions; of each the length
+of its label, the label, which ends with a zero, and, aligned to 4, size and stride; data offset
+and number of values, 4 bytes each; then, aligned to 8, the values as doubles.
 
 Source: as `joint_state_cdr`.
 """
@@ -13,18 +14,23 @@ from collections.abc import Sequence
 from msg_adapters.errors import MessageError
 
 _HEAD = bytes([0, 1, 0, 0])  # little endian
-_LAYOUT = "<III"
 
 
 class MultiArrayCdrWriter:
     """Writes vectors of one length.
 
     Args:
-        size: The length, > 0.
+        size: The length.
+        names: Labels of dimensions, none or one a value.
     """
 
-    def __init__(self, size: int) -> None:
-        layout = struct.pack(_LAYOUT, 0, 0, size)
+    def __init__(self, size: int, names: Sequence[str] = ()) -> None:
+        layout = struct.pack("<I", len(names))
+        for name in names:
+            label = name.encode() + b"\0"
+            layout += struct.pack("<I", len(label)) + label + bytes(-len(label) % 4)
+            layout += struct.pack("<II", 1, 1)  # size and stride
+        layout += struct.pack("<II", 0, size)
         self._head = _HEAD + layout + bytes(-len(layout) % 8)
         self._values = struct.Struct(f"<{size}d")
 

@@ -3,6 +3,8 @@
 Revolute joints turn about z, rods lie along x.
 """
 
+from mbd_ros.core.dynamics.showing import Showing
+from mbd_ros.core.state import NONE
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.strict_yaml import mapping_of
 
@@ -18,6 +20,11 @@ def scaled(scene, scale):
     return scene.with_inertias(
         {name: (scale * y.mass, y.lever, scale * y.inertia) for name, y in inertias}
     )
+
+
+def wrenches_of(system, x, lam):
+    """Wrenches that loops, bars and anchors of a system show at a state."""
+    return Showing(system.k, system.layout).wrenches(x, NONE, NONE, lam)
 
 
 def link(name, mass=0.0, com=(0.0, 0.0, 0.0), moments=(1.0, 1.0, 1.0)):

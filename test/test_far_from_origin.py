@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 import pytest
+from mechanisms import wrenches_of
 from systems import free_system
 
 from mbd_ros.core.model.robot_reader import read_robot
@@ -99,7 +100,7 @@ def test_accelerations_and_forces_do_not_depend_on_the_mount(case, place):
         expected, found = theirs.evaluate(x), ours.evaluate(x)
         assert away(found.a, expected.a) <= 1e-12
         assert away(found.lam, expected.lam) <= 1e-12
-        pulls = ours.wrenches(x, found.lam), theirs.wrenches(x, expected.lam)
+        pulls = wrenches_of(ours, x, found.lam), wrenches_of(theirs, x, expected.lam)
         for pull, known in zip(*pulls, strict=True):
             assert away(pull.force, known.force) <= 1e-12
             assert pull.point + far.robot.origin == pytest.approx(known.point + place, abs=1e-11)

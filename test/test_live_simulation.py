@@ -82,7 +82,7 @@ def test_inverse_dynamics_of_every_tick_gives_the_commanded_torques(scene):
         torques = inverse.solve(now.position[z], now.velocity[z], now.acceleration[z])
         np.testing.assert_allclose(torques.tau, swinging(k * TICK), rtol=0, atol=1e-10)
         np.testing.assert_allclose(torques.tau, now.effort[z], rtol=0, atol=1e-10)
-        np.testing.assert_allclose(torques.multipliers, now.multipliers, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(torques.multipliers, now.shown, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("more", ["", STOPS, "integrator: {type: adams}\n"])

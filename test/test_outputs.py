@@ -1,13 +1,21 @@
 """Columns, topics, arrows and plots of what parts show."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import Float64MultiArray
 
 import mbd_ros as mbd
-from mbd_ros.core.outputs import Kind, Output
-from mbd_ros.core.parts import Load
+from mbd_ros.core.outputs import Kind, Output, exerted_on
+from mbd_ros.core.parts import Load, Reads
+from mbd_ros.core.simulation.command_watch import CommandWatch
+from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.errors import DataError, ModelError
 from mbd_ros.files.formats import read_result
+from mbd_ros.nodes.simulator.plant import Plant
+from mbd_ros.scene.code_permission import permitting
 from mbd_ros.scene.renamed import renamed
 
 BAR = {"type": "distance", "frame_a": "world", "frame_b": "shank", "distance": 0.7}
@@ -72,6 +80,69 @@ def test_a_plot_draws_outputs(swing):
     (panel,) = swing.plot(columns=["way"]).axes
     curves = [text.get_text() for text in panel.get_legend().get_texts()]
     assert curves == ["ankle_strap x", "ankle_strap y", "ankle_strap z"]
+
+
+class Pull(Load):
+    """Pulls the shank up and shows that as an arrow."""
+
+    reads = Reads.POSITION
+
+    def __init__(self, robot, *, joint: str, somewhere: bool = True):
+        self.point, self.zero = robot.point("shank"), np.zeros(robot.model.nv)
+        arrow = exerted_on(self.point, self.point)
+        self.outputs = (Output("pull", "N"), arrow._replace(at=self.point if somewhere else None))
+
+    def force(self, k, x, u):
+        return self.zero
+
+    def show(self, k, x, u, now):
+        return 5.0, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]
+
+
+def live(scene):
+    watch = CommandWatch(0.1, 0.1)
+    return LiveSimulation(scene.simulation, scene.initial, 0.01, watch, scene.safe)
+
+
+def test_a_live_simulation_shows_numbers_and_arrows():
+    there = live(scene(kind=Pull, constraints=[BAR]))
+    there.tick()
+    names = [output.name for output in there.showing.numbers]
+    assert names == ["shank_distance.force", "ankle_pull.pull"]
+    (tension, pull), arrows = there.now.shown, there.wrenches()
+    assert pull == 5.0
+    assert [output.name for output in there.showing.arrows] == [
+        "shank_distance.on_world",
+        "shank_distance.on_shank",
+        "ankle_pull.on_shank",
+    ]
+    assert arrows[2].force.tolist() == [0.0, 0.0, 5.0]
+    assert np.linalg.norm(arrows[1].force) == pytest.approx(abs(tension), rel=1e-12)
+    np.testing.assert_allclose(arrows[1].point, arrows[2].point, atol=1e-12)
+
+
+def test_the_simulator_publishes_what_parts_show(tmp_path):
+    text = (
+        "forces: [{type: 'test_outputs:Strap', joint: ankle}]\ninitial: {position: {ankle: 0.3}}"
+    )
+    robot = "robot: {urdf: 'package://mbd_ros/config/robots/prosthetic_leg.urdf'}"
+    (tmp_path / "scene.yaml").write_text(f"{robot}\n{text}\n", encoding="utf-8")
+    values = SimpleNamespace(
+        scene=str(tmp_path / "scene.yaml"), joints=[], rate=100.0, command_timeout=1, safe_ramp=1
+    )
+    with permitting(True):
+        plant = Plant(values, None)
+    message = deserialize_message(plant.outputs(), Float64MultiArray)
+    assert [one.label for one in message.layout.dim] == plant.shown
+    assert plant.shown == ["ankle_strap.stretch", *(f"ankle_strap.way_{i}" for i in "xyz")]
+    assert message.data[:3].tolist() == [0.3, 1.0, 2.0] and not plant.rows
+
+
+def test_a_wrench_needs_a_place():
+    entry = {"type": Pull, "joint": "ankle", "somewhere": False}
+    there = mbd.scene_from({"forces": [entry]}, urdf="four_bar_leg", allow_code=True)
+    with pytest.raises(ModelError, match="ankle_pull.on_shank: a wrench needs `at`, a point"):
+        live(there)
 
 
 class Short(Strap):

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from mechanisms import wrenches_of
 from systems import acceleration
 
 from mbd_ros.core.dynamics.aba import Aba
@@ -274,7 +275,7 @@ def test_wrenches_of_the_constraints_are_their_generalized_force(name):
     pin.forwardKinematics(model, data, x.q)
     pin.computeJointJacobians(model, data, x.q)
     total = np.zeros(model.nv)
-    wrenches = system.wrenches(x, lam)
+    wrenches = wrenches_of(system, x, lam)
     for frame, point, force, torque in wrenches:
         body = model.frames[loaded.robot.frame(frame)].parentJoint
         place = pin.SE3(np.eye(3), data.oMi[body].actInv(point))

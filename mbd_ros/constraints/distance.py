@@ -1,11 +1,13 @@
 """Two points at a fixed distance."""
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.outputs import Now, Value, exerted_on
 from mbd_ros.core.parts import Wrench
 from mbd_ros.core.ranges import Positive, Unit, Vector
 from mbd_ros.core.rows.constraint import Constraint, Row
@@ -51,6 +53,7 @@ class Distance(Constraint):
         self._moves = np.abs(robot.pair(self._a, self._b).columns)
         self._distance, self._shortest = distance, _COINCIDENT * distance
         self.rows = (Row("force", "N"),)
+        self.outputs = (exerted_on(self._a, self._a), exerted_on(self._b, self._b))
 
     def residual(self, k: Kinematics, x: State) -> Array:
         """How much too long the bar is, g [m], shape (1,)."""
@@ -86,6 +89,10 @@ class Distance(Constraint):
         across = v - n * k.dot(n, v)
         turn = k.dot(across, across) / k.maximum(length, self._shortest)
         return k.array((bent + k.where(length > self._shortest, turn, 0.0),))
+
+    def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
+        """The forces at the ends of the bar."""
+        return [wrench.numbers for wrench in self.wrenches(k, x, now.lam)]
 
     def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
         """Forces at the ends of the bar."""

@@ -48,3 +48,14 @@ class Now(NamedTuple):
 
     a: Array
     lam: Array
+
+
+def exerted_on(link: Point, at: Point) -> Output:
+    """A wrench on a link.
+
+    Args:
+        link: Any point of it.
+        at: Where the wrench acts.
+    """
+    name = f"on_{link.frame.replace('.', '_')}"
+    return Output(name, "N, N·m", Kind.WRENCH, link.frame, at)

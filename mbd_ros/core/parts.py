@@ -178,3 +178,8 @@ class Wrench(NamedTuple):
     point: Array
     force: Array
     torque: Array
+
+    @property
+    def numbers(self) -> Array:
+        """Force, then torque, as an output shows them, shape (6,)."""
+        return np.concatenate((self.force, self.torque))

@@ -282,7 +282,8 @@ def test_constraint_forces_and_markers(domain, tmp_path, solver):
         assert forces[0].name[0] == "hip_flexion_joint_stop.torque" and len(forces[0].effort) == 3
         assert np.abs(forces[-1].effort).max() > 0.1
         upper, lower = shown = arrays[-1].markers
-        assert {upper.ns, lower.ns} == {"posterior_bar", "shank"}
+        on = "shank_loop_closure.on_"
+        assert {upper.ns, lower.ns} == {f"{on}posterior_bar", f"{on}shank"}
         tails = [np.array([m.points[0].x, m.points[0].y, m.points[0].z]) for m in (upper, lower)]
         heads = [np.array([m.points[1].x, m.points[1].y, m.points[1].z]) for m in (upper, lower)]
         np.testing.assert_allclose(tails[0], tails[1], atol=1e-9)

@@ -11,7 +11,6 @@ from mbd_ros.core.dynamics.mass import Mass
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.system import Accelerator, Derivatives, System
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
-from mbd_ros.core.parts import Wrench
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.rows.row_layout import RowLayout
@@ -146,10 +145,6 @@ class ComposedSystem:
         """Factor of the bilateral rows; brings `condition` up to date."""
         J = self._rigid.jacobian(t, q)
         return self._rigid.factorise(self._coordinates.mass(q), J)
-
-    def wrenches(self, x: State, lam: Array) -> tuple[Wrench, ...]:
-        """Wrenches of the bilateral rows on bodies, from the multipliers at a state."""
-        return self._rigid.wrenches(x, lam)
 
     def energy(self, y: State) -> float:
         """Kinetic and potential energy [J]; heights are counted from `Robot.origin`."""

@@ -57,7 +57,7 @@ class Loads:
             u: What `Sources.held` gives, or all inputs where nothing smooth does; None asks the
                 sources.
         """
-        tau, u = self._zero, self._whole(x, u)
+        tau, u = self._zero, self.inputs(x, u)
         for actuator in self.actuators:
             tau = tau + actuator.force(k, x, u)
         for force in self.forces:
@@ -82,7 +82,7 @@ class Loads:
 
     def actuator_torque(self, k: Kinematics, x: State, u: Array | None) -> Array:
         """Forces of the actuators on the joints [N·m or N], shape (nv,), not to be written to."""
-        tau, u = self._zero, self._whole(x, u)
+        tau, u = self._zero, self.inputs(x, u)
         for actuator in self.actuators:
             tau = tau + actuator.force(k, x, u)
         return tau
@@ -103,8 +103,13 @@ class Loads:
         """Potential energy of the conservative loads [J]."""
         return sum(force.potential(k, x) for force in self.forces)
 
-    def _whole(self, x: State, u: Array | None) -> Array:
-        """All inputs at a state."""
+    def inputs(self, x: State, u: Array | None) -> Array:
+        """All inputs at a state, shape (nu,).
+
+        Args:
+            x: State of all joints.
+            u: As for `total`.
+        """
         if u is None:
             return self.sources.at(x.t) if self._has_sources else self.idle
         return self.sources.complete(u, x.t) if self._is_smooth else u

@@ -2,7 +2,6 @@
 
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.model.kinematics import Reads
-from mbd_ros.core.parts import Wrench
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_factor import RowFactor
@@ -64,19 +63,6 @@ class RigidRows:
         factor = RowFactor(M, J, self._usual)
         self.condition = factor.condition
         return factor
-
-    def wrenches(self, x: State, lam: Array) -> tuple[Wrench, ...]:
-        """Wrenches on bodies.
-
-        Args:
-            x: State of all joints.
-            lam: Multipliers of all rows of the scene there.
-        """
-        if not self.rows:
-            return ()
-        k = self._mechanism.k
-        k.refresh(x.q, x.v, self._of_g)
-        return self.constraints.wrenches(k, x, lam[self.constraints.slots])
 
     def _at(self, q: Array) -> tuple[Array, Array]:
         return self._mechanism.mass(q), self.jacobian(0.0, q)

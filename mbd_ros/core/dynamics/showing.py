@@ -6,8 +6,8 @@ import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.names import label
-from mbd_ros.core.outputs import Kind, Now, Output
-from mbd_ros.core.parts import Part
+from mbd_ros.core.outputs import Kind, Now, Output, Value
+from mbd_ros.core.parts import Part, Wrench
 from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -25,17 +25,22 @@ class Showing:
 
     Attributes:
         numbers: What `at` gives: scalars, and the components of vectors and poses.
+        arrows: What `wrenches` gives.
+
+    Raises:
+        ModelError: A part shows a wrench and does not say where it acts.
     """
 
     def __init__(self, k: Kinematics, layout: RowLayout, loads: Sequence[Part] = ()) -> None:
         self._k = k
         every: list[tuple[Part, slice]] = [(block.part, block.slots) for block in layout.blocks]
         every += [(part, _NO_ROWS) for part in loads]
-        self._asked = [(part, mine) for part, mine in every if _numbers(part)]
-        self._reads = max((part.reads for part, _ in self._asked), default=Reads.NOTHING)
+        self._counted = [pair for pair in every if any(map(_is_number, pair[0].outputs))]
+        self._drawn = [pair for pair in every if not all(map(_is_number, pair[0].outputs))]
         multipliers = (Output(row.name, row.unit, frame=row.frame) for row in layout.rows)
-        shown = (output for part, _ in self._asked for output in _numbers(part))
+        shown = (number for part, _ in self._counted for number in _numbers(part))
         self.numbers = (*multipliers, *shown)
+        self.arrows = tuple(arrow for part, _ in self._drawn for arrow in _arrows(part))
 
     def at(self, x: State, u: Array, a: Array, multipliers: Array) -> Array:
         """Values of `numbers`, shape (len(numbers),), not to be written to.
@@ -49,38 +54,69 @@ class Showing:
         Raises:
             ModelError: A part shows something else than it declares; names it.
         """
-        if not self._asked:
+        if not self._counted:
             return multipliers
-        if self._reads:
-            self._k.refresh(x.q, x.v, self._reads)
-        found = [multipliers]
-        for part, mine in self._asked:
-            found += _values(part, part.show(self._k, x, u, Now(a, multipliers[mine])))
-        return np.concatenate(found)
+        shown = self._asked(self._counted, x, u, a, multipliers)
+        return np.concatenate([multipliers, *(v for output, v in shown if _is_number(output))])
 
+    def wrenches(self, x: State, u: Array, a: Array, multipliers: Array) -> list[Wrench]:
+        """Values of `arrows`, with where each begins; arguments and errors are those of `at`."""
+        shown = self._asked(self._drawn, x, u, a, multipliers)
+        return [
+            Wrench(output.frame, self._k.position(output.at), value[:3], value[3:])
+            for output, value in shown
+            if output.at is not None and not _is_number(output)
+        ]
 
-def _values(part: Part, shown: Sequence[float | Array]) -> Iterator[Array]:
-    """Numbers of one part, checked against its outputs."""
-    if len(shown) != len(part.outputs):
-        raise ModelError(f"{part.name} shows {len(shown)} values, outputs: {len(part.outputs)}")
-    for output, value in zip(part.outputs, shown, strict=True):
-        if output.kind is not Kind.WRENCH:
-            numbers = np.asarray(value, dtype=np.float64).reshape(-1)
-            if len(numbers) != len(output.kind.value):
+    def _asked(
+        self,
+        parts: Sequence[tuple[Part, slice]],
+        x: State,
+        u: Array,
+        a: Array,
+        multipliers: Array,
+    ) -> Iterator[tuple[Output, Array]]:
+        """All outputs of parts."""
+        reads = max((part.reads for part, _ in parts), default=Reads.NOTHING)
+        if parts:
+            self._k.refresh(x.q, x.v, max(reads, Reads.POSITION))
+        for part, mine in parts:
+            shown = part.show(self._k, x, u, Now(a, multipliers[mine]))
+            if len(shown) != len(part.outputs):
                 raise ModelError(
-                    f"{label(part, output.name)}: shows {len(numbers)} numbers, a "
-                    f"{output.kind.name.lower()} has {len(output.kind.value)}"
+                    f"{part.name} shows {len(shown)} values, outputs: {len(part.outputs)}"
                 )
-            yield numbers
+            for output, value in zip(part.outputs, shown, strict=True):
+                yield output, _checked(part, output, value)
 
 
-def _numbers(part: Part) -> list[Output]:
-    """Its outputs as scalars, without wrenches: what these are made of are numbers already."""
-    return [
-        output._replace(
-            name="_".join(filter(None, (label(part, output.name), word))), kind=Kind.SCALAR
+def _checked(part: Part, output: Output, value: Value) -> Array:
+    numbers: Array = np.asarray(value, dtype=np.float64).reshape(-1)
+    wanted = len(output.kind.value)
+    if len(numbers) != wanted:
+        raise ModelError(
+            f"{label(part, output.name)}: shows {len(numbers)} numbers, a "
+            f"{output.kind.name.lower()} has {wanted}"
         )
-        for output in part.outputs
-        if output.kind is not Kind.WRENCH
-        for word in output.kind.value
-    ]
+    return numbers
+
+
+def _is_number(output: Output) -> bool:
+    """Whether it has columns; what wrenches are made of are numbers already."""
+    return output.kind is not Kind.WRENCH
+
+
+def _numbers(part: Part) -> Iterator[Output]:
+    """Its outputs as scalars."""
+    for output in filter(_is_number, part.outputs):
+        for word in output.kind.value:
+            name = "_".join(filter(None, (label(part, output.name), word)))
+            yield output._replace(name=name, kind=Kind.SCALAR)
+
+
+def _arrows(part: Part) -> Iterator[Output]:
+    for output in part.outputs:
+        if output.kind is Kind.WRENCH:
+            if output.at is None:
+                raise ModelError(f"{label(part, output.name)}: a wrench needs `at`, a point")
+            yield output._replace(name=label(part, output.name))

@@ -9,7 +9,6 @@ from mbd_ros.core.dynamics.mass import Mass
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
-from mbd_ros.core.parts import Wrench
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_factor import RowFactor
@@ -142,9 +141,6 @@ class System(Protocol):
 
     def factorise(self, t: float, q: Array) -> RowFactor:
         """Factor of the bilateral rows; brings `condition` up to date."""
-
-    def wrenches(self, x: State, lam: Array) -> tuple[Wrench, ...]:
-        """Wrenches of the bilateral rows on bodies, from the multipliers at a state."""
 
     def energy(self, y: State) -> float:
         """Kinetic and potential energy [J]; heights are counted from `Robot.origin`."""

@@ -1,5 +1,6 @@
 """Rows that hold a frame on one body to a frame on another."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.pair_motion import PairMotion, Placed
 from mbd_ros.core.model.points import Pair
+from mbd_ros.core.outputs import Now, Value, exerted_on
 from mbd_ros.core.parts import Wrench
 from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.rows.rotation_residual import RotationResidual
@@ -49,6 +51,7 @@ class PairRows(Constraint):
             *(Row(f"force_{axis}", "N", a) for axis in directions),
             *(Row(f"torque_{axis}", "N·m", a) for axis in turns),
         )
+        self.outputs = (exerted_on(pair.a, pair.b), exerted_on(pair.b, pair.b))
 
     def residual(self, k: Kinematics, x: State) -> Array:
         """Distances [m] in axes of a, then what the rotation residual measures [rad]."""
@@ -93,6 +96,10 @@ class PairRows(Constraint):
         assert placed is not None
         linear, omega, alpha = seen.motion(placed)
         return np.concatenate((linear[self._rows], self._rotation.drift(R, omega, alpha)))
+
+    def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
+        """The wrenches between a and b."""
+        return [wrench.numbers for wrench in self.wrenches(k, x, now.lam)]
 
     def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
         """The wrenches between a and b, at the origin of b: on a, then on b."""

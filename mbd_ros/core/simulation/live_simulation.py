@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.model.robot import Joint
+from mbd_ros.core.outputs import Output
 from mbd_ros.core.parts import Wrench
 from mbd_ros.core.projection.assembly import Violation, violation
-from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.divergence import last_finite
 from mbd_ros.core.simulation.safe_command import SafeCommand
@@ -28,7 +29,7 @@ class Snapshot(NamedTuple):
         velocity: [rad/s or m/s], shape (n,).
         acceleration: [rad/s^2 or m/s^2], shape (n,), under the command that ends here.
         effort: What the actuators exert on each joint [N·m or N], shape (n,).
-        multipliers: Of the rows of the system, shape (m,).
+        shown: What parts show, multipliers first, see `LiveSimulation.showing`.
     """
 
     t: float
@@ -36,7 +37,7 @@ class Snapshot(NamedTuple):
     velocity: Array
     acceleration: Array
     effort: Array
-    multipliers: Array
+    shown: Array
 
 
 class LiveSimulation:
@@ -54,6 +55,7 @@ class LiveSimulation:
     Attributes:
         simulation: At work since the last reset.
         watch: As given.
+        showing: What `Snapshot.shown` holds, and the arrows.
         now: The newest state; after a divergence the last finite one.
         fault: Why it diverged; empty before.
 
@@ -95,11 +97,13 @@ class LiveSimulation:
         self._driven = np.array(driven, dtype=np.intp)
         self._selection = np.eye(robot.model.nv)[:, self._driven]
         self.simulation, self.fault, self._steps = simulation, "", 0
+        system, loads = simulation.system, simulation.system.loads
+        self.showing = Showing(system.k, system.layout, (*loads.actuators, *loads.forces))
         self._commands = sum(len(a.inputs) for a in simulation.system.loads.actuators)
         for watch in self.watches:
             watch.restart()
         self._y = simulation.start(self._initial)
-        self._x, self.now = self._observe(self._y, None)
+        self._x, self._evaluated, self.now = self._observe(self._y, None)
 
     def tick(self) -> Snapshot:
         """Advance by one period.
@@ -119,11 +123,11 @@ class LiveSimulation:
                 y = self._y
                 for k in range(self._steps + 1, self._steps + self._count + 1):
                     y = self.simulation.advance(y, u, self._initial.t + k * self.simulation.dt)
-                x, now = self._observe(y, u)
+                x, evaluated, now = self._observe(y, u)
         except (DivergedError, SolveError) as error:
             self.fault = str(error)
             raise
-        self._y, self._x, self.now = y, x, now
+        self._y, self._x, self._evaluated, self.now = y, x, evaluated, now
         self._steps += self._count
         return now
 
@@ -136,9 +140,9 @@ class LiveSimulation:
         """How far the newest state is off the bilateral rows."""
         return violation(self.simulation.system, self._y)
 
-    def wrenches(self) -> tuple[Wrench, ...]:
-        """Wrenches of bilateral rows on bodies at the newest state."""
-        return self.simulation.system.wrenches(self._x, self.now.multipliers)
+    def wrenches(self) -> list[Wrench]:
+        """The arrows of `showing` at the newest state."""
+        return self.showing.wrenches(self._x, *self._evaluated)
 
     def _inputs(self) -> Array:
         """Inputs of this tick, shape (nu,); those of actuators come first."""
@@ -164,24 +168,29 @@ class LiveSimulation:
         response = now.respond(self._selection)[self._driven]
         return self._safe.torque(v, response, self._period)
 
-    def _observe(self, y: State, u: Array | None) -> tuple[State, Snapshot]:
+    def _observe(
+        self, y: State, u: Array | None
+    ) -> tuple[State, tuple[Array, Array, Array], Snapshot]:
+        """State of all joints; inputs, accelerations and multipliers there; what is shown."""
         system = self.simulation.system
         x = system.expand(y)
         _, a, _, lam, _ = system.evaluate(x, u)
         effort = system.loads.actuator_torque(system.k, x, u)
-        now = Snapshot(x.t, x.q[self._q], x.v[self._v], a[self._v], effort[self._v], lam)
+        evaluated = system.loads.inputs(x, u), a, lam
+        shown = self.showing.at(x, *evaluated)
+        now = Snapshot(x.t, x.q[self._q], x.v[self._v], a[self._v], effort[self._v], shown)
         for name, values in zip(now._fields[1:], now[1:], strict=True):
             if not np.isfinite(values).all():
                 raise _not_finite(self, name, values, y)
-        return x, now
+        return x, evaluated, now
 
 
 def _not_finite(live: LiveSimulation, name: str, values: Array, y: State) -> MbdError:
     """The error that names what is lost, and the last finite state if there is one."""
     system = live.simulation.system
-    things: Sequence[Row | Joint] = system.robot.joints
-    if name == "multipliers":
-        things = system.multiplier_rows
+    things: Sequence[Output | Joint] = system.robot.joints
+    if name == "shown":
+        things = live.showing.numbers
     finite = np.isfinite(values)
     lost = ", ".join(thing.name for thing, ok in zip(things, finite, strict=True) if not ok)
     kept = last_finite(system, live._y)

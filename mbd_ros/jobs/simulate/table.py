@@ -103,5 +103,5 @@ def _row(system: System, showing: Showing, x: State) -> tuple[Any, ...]:
     _, a, _, lam, _ = system.evaluate(x)
     balance = system.energy(y), *violation(system, y)
     effort = system.loads.actuator_torque(system.k, x, None)
-    shown = showing.at(x, system.loads.sources.at(x.t), a, lam)
+    shown = showing.at(x, system.loads.inputs(x, None), a, lam)
     return x.t, x.q, x.v, a, effort, shown, balance

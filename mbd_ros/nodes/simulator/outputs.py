@@ -6,6 +6,7 @@ from typing import Any
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
@@ -29,10 +30,12 @@ class SimulatorOutputs:
         self._plant = plant
         self._states = node.publish_to(JointState, "joint_states", STATES)
         self._motion = node.publish_to(JointTrajectory, "~/motion", STATES)
-        self._forces = self._markers = None
+        self._forces = self._shown = self._markers = None
         if plant.rows:
             self._forces = node.publish_to(JointState, "~/constraint_forces", STATES)
-        if plant.live.wrenches():
+        if plant.shown:
+            self._shown = node.publish_to(Float64MultiArray, "~/outputs", STATES)
+        if plant.live.showing.arrows:
             self._markers, self._marked = node.publish_to(MarkerArray, "~/markers", 10), 0.0
 
     @property
@@ -55,6 +58,8 @@ class SimulatorOutputs:
         self._states.publish(plant.joint_states(stamp))
         if self._forces is not None:
             self._forces.publish(plant.constraint_forces(stamp))
+        if self._shown is not None:
+            self._shown.publish(plant.outputs())
         if self._motion.get_subscription_count():
             self._motion.publish(plant.motion(stamp))
         rate, now = values.marker_rate, perf_counter()

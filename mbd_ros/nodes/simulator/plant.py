@@ -18,6 +18,7 @@ from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_motion import JointMotionWriter
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
 from msg_adapters.markers import Arrow, ArrowWriter
+from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 from msg_adapters.time import NANOSECONDS
 
 
@@ -35,6 +36,7 @@ class Plant:
         has_actuators: Whether anything can be commanded.
         wrenches: What takes the external loads, by name.
         rows: Names of the constraint rows.
+        shown: Names of what parts show besides.
 
     Raises:
         MbdError: The scene, `joints` or `rate` do not fit.
@@ -52,11 +54,13 @@ class Plant:
             scene.simulation, scene.initial, 1.0 / values.rate, watch, scene.safe, heard
         )
         names = [joint.name for joint in scene.robot.joints]
-        self.rows = [
-            without_multiplier(row.name) for row in self.live.simulation.system.multiplier_rows
-        ]
+        numbers = [output.name for output in self.live.showing.numbers]
+        count = len(self.live.simulation.system.multiplier_rows)
+        self.rows = [without_multiplier(name) for name in numbers[:count]]
+        self.shown = numbers[count:]
         self._states = JointStateCdrWriter(names)
         self._forces = JointStateCdrWriter(self.rows, ("effort",))
+        self._shown = MultiArrayCdrWriter(len(self.shown), self.shown)
         self._motion = JointMotionWriter(JointTrajectory(), JointTrajectoryPoint(), names)
         self._arrows = ArrowWriter(MarkerArray(), Marker, Point, _root_link(scene))
 
@@ -100,7 +104,11 @@ class Plant:
 
     def constraint_forces(self, stamp: int) -> bytes:
         """Serialized JointState with the multipliers."""
-        return self._forces.write(stamp, effort=self.live.now.multipliers)
+        return self._forces.write(stamp, effort=self.live.now.shown[: len(self.rows)])
+
+    def outputs(self) -> bytes:
+        """Serialized Float64MultiArray of what parts show besides, with names as labels."""
+        return self._shown.write(self.live.now.shown[len(self.rows) :].tolist())
 
     def motion(self, stamp: int) -> Any:
         """JointTrajectory whose point is the newest state with accelerations."""
@@ -108,9 +116,10 @@ class Plant:
         return self._motion.write(stamp, now.position, now.velocity, now.acceleration, now.effort)
 
     def markers(self, stamp: int, length: float) -> Any:
-        """MarkerArray of the forces of loops, bars and anchors; `length` is [m/N]."""
+        """MarkerArray of the forces that parts show, by their names; `length` is [m/N]."""
         origin = self.scene.robot.origin
-        arrows = [Arrow(w.frame, w.point + origin, w.force) for w in self.live.wrenches()]
+        pairs = zip(self.live.showing.arrows, self.live.wrenches(), strict=True)
+        arrows = [Arrow(one.name, w.point + origin, w.force) for one, w in pairs]
         return self._arrows.write(stamp, arrows, length)
 
     def details(self) -> dict[str, str]:
