@@ -152,7 +152,7 @@ class ClosedLoopInverseDynamics:
         self._balance.place(x)
         split = self._split(x, self._balance.rows(x)[0], self._every)
         undriven = movers(self.robot, split.undriven(), self.motion.metric(x.q))
-        labels = self._undetermined(split, self._every)
+        labels = self._undetermined(split, self._every, split.null_basis())
         return Reach(split.freedom, split.driven, undriven, split.null_space, labels)
 
     def _problem(self, x: State, a: Array, wrenches: Sequence[Array]) -> _Problem:
@@ -190,11 +190,10 @@ class ClosedLoopInverseDynamics:
         split, asked, na = problem.split, problem.asked, len(self.efforts.names)
         y = np.concatenate((found.efforts, found.multipliers))
         tau, multipliers = np.split(self._unknowns.filled(problem.known, asked, y), [na])
-        basis = self._unknowns.basis(asked, split.null_basis())
-        labels = self._undetermined(split, asked)
-        return Torques(
-            *(tau, multipliers, split.rank, r, split.null_space, labels, split.condition, basis)
-        )
+        null = split.null_basis()
+        about = split.null_space, self._undetermined(split, asked, null), split.condition
+        basis = self._unknowns.basis(asked, null)
+        return Torques(tau, multipliers, split.rank, r, *about, basis)
 
     def _split(self, x: State, J: Array, asked: Mask) -> ForceSplit:
         E, rows = self._columns(x, J)
@@ -213,8 +212,8 @@ class ClosedLoopInverseDynamics:
         E, rows = self._columns(x, self._balance.rows(x)[0])
         return self.motion.metric(q), np.concatenate((E, rows.T), axis=1)
 
-    def _undetermined(self, split: ForceSplit, asked: Mask) -> tuple[str, ...]:
-        return self._unknowns.named(asked, split.undetermined()) if split.null_space else ()
+    def _undetermined(self, split: ForceSplit, asked: Mask, null: Array) -> tuple[str, ...]:
+        return self._unknowns.named(asked, split.undetermined(null)) if split.null_space else ()
 
     def _unreachable(self, found: Split, problem: _Problem, x: State) -> str:
         names = movers(self.robot, found.left[:, None], self.motion.metric(x.q))

@@ -103,8 +103,9 @@ class ForceSplit:
         if not self.null_space:
             return np.zeros((size, 0))
         held = -self._rows.solve(np.linalg.solve(self._L, self._E.dot(efforts)))
-        idle = np.zeros((len(efforts), self._rows.null.shape[1]))
-        return np.block([[efforts, idle], [held, self._rows.null]])
+        basis, (n, k) = np.zeros((size, self.null_space)), efforts.shape
+        basis[:n, :k], basis[n:, :k], basis[n:, k:] = efforts, held, self._rows.null
+        return basis
 
     def out_of_reach(self, b: Array, R: Array) -> Array:
         """Smallest forces along R that bring b into the reach of the efforts, shape (k,).
@@ -140,9 +141,9 @@ class ForceSplit:
         Q, T = np.linalg.qr(np.linalg.solve(self._L, R))
         return Q, T
 
-    def undetermined(self) -> NDArray[np.bool_]:
-        """Which efforts, then multipliers, take part in the null space, shape (ne + m,)."""
-        share = np.linalg.norm(self.null_basis() * self._size[:, None], axis=1)
+    def undetermined(self, basis: Array) -> NDArray[np.bool_]:
+        """Which efforts, then multipliers, take part in a `null_basis`, shape (ne + m,)."""
+        share = np.linalg.norm(basis * self._size[:, None], axis=1)
         return share > _TAKES_PART
 
     def motions(self) -> Array:
