@@ -97,14 +97,17 @@ def test_only_what_changes_is_built_again(leg, monkeypatch):
     assert lighter.forces[0] is not leg.forces[0]  # was built on the robot with the heavier drive
 
 
-@pytest.mark.parametrize("key", ["ankle_joint_spring.stiffness", "knee_geared_motor.ratio"])
-def test_a_number_costs_milliseconds(leg, key):
+@pytest.mark.parametrize(
+    ("key", "limit"), [("ankle_joint_spring.stiffness", 0.010), ("knee_geared_motor.ratio", 0.040)]
+)
+def test_a_number_costs_milliseconds(leg, key, limit):
+    """Of processor time; another rotor inertia at the joint builds every part again."""
     costs = []
     for i in range(10):
         begin = time.process_time()
         leg.with_({key: 10.0 + i})
         costs.append(time.process_time() - begin)
-    assert min(costs) < 0.010
+    assert min(costs) < limit
 
 
 def test_numbers_hold_beside_new_sections_and_before_them():
