@@ -33,6 +33,7 @@ REFUSED = ("keeps bilateral rows only", "takes no floating base", "beside bounde
 UNFIT = (  # diverges, or does not converge where a force jumps
     *(("a05_governor", name) for name in ("adams", "rattle", "shake")),
     *(("filippov", name) for name in ("gauss_legendre", "generalized_alpha", "rattle", "shake")),
+    ("filippov", "dopri5"),
 )
 SAMPLES = 14
 
