@@ -64,7 +64,8 @@ class Kkt:
         x = _new_state(State, (t, q, v, NONE, mechanism.mode))
         mechanism.evaluations += 1
         model, data, k = mechanism.model, mechanism.data, mechanism.k
-        k.refresh(q, v, self._reads)
+        if self._reads:
+            k.refresh(q, v, self._reads)
         if constraints.is_corrected:
             J, drift = constraints.conditions(k, x)
         else:
