@@ -236,7 +236,7 @@ def test_one_sided_rows_are_refused(method):
     body = robot(*BODY)
     stop = JointStop(body, joint="swing", upper=1.0)
     system = build_system(body, Couplings(body), [stop], Loads(1))
-    with pytest.raises(ModelError, match="bilateral rows only, the scene bounds swing.stop;"):
+    with pytest.raises(ModelError, match="rows only, the scene bounds joint_stop.torque;"):
         method.prepare(system, 0.01)
 
 
