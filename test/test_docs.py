@@ -252,6 +252,8 @@ def test_a_force_of_ones_own(follow, capsys):
     swing = table("swing.csv")
     np.testing.assert_allclose(swing["energy"], swing["energy"][0], rtol=0, atol=1e-9)
     assert np.ptp(swing["hinge.position"]) > 0.9
+    q = swing["hinge.position"]
+    np.testing.assert_allclose(swing["hinge_hard_spring.torque"], -3.0 * q - 40.0 * q**3)
 
 
 def test_a_constraint_of_ones_own(follow):

@@ -69,6 +69,15 @@ def test_inverse_dynamics_shows_the_same(leg, swing):
     assert (found["ankle_strap.way_z"] == found["ankle.acceleration"]).all()
 
 
+def test_inverse_dynamics_of_an_open_chain_shows_the_same():
+    arm = scene("prosthetic_leg", couplings={"knee": {"parent": "hip_flexion", "factor": 0.5}})
+    swing = arm.simulate(0.02)
+    found, table = arm.inverse(swing)["samples"], swing["samples"]
+    assert found.column("knee.multiplier").unit == "N·m"
+    np.testing.assert_allclose(found["ankle_strap.stretch"], table["ankle.position"], atol=1e-9)
+    assert (found["ankle_strap.way_z"] == found["ankle.acceleration"]).all()
+
+
 def test_a_bag_holds_outputs(swing, tmp_path):
     swing.to(tmp_path / "swing.mcap")
     assert read_result(tmp_path / "swing.mcap") == swing

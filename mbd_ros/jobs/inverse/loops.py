@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.estimation.torque_estimator import Observation
 from mbd_ros.core.inverse.loop_motion import LoopMotion, Mask
@@ -14,7 +15,7 @@ from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.rows.row_layout import RowLayout
-from mbd_ros.core.state import NANOSECOND, NONE, Array, Motion, State
+from mbd_ros.core.state import NANOSECOND, Array, Motion, State
 from mbd_ros.core.thresholds import FOLD, TOGGLE
 from mbd_ros.errors import DataError, SolveError
 from mbd_ros.files.recording import Recording
@@ -108,9 +109,9 @@ def solve(
     at_q, at_v = [joint.q for joint in joints], [joint.v for joint in joints]
     effort = np.array([each.tau for each in solved])
     showing = _showing(scene, inverse.constraints.parts)
+    u = Loads(scene.robot.model.nv, scene.forces, scene.actuators).idle
     shown = [
-        showing.at(x, NONE, a, each.multipliers)
-        for (x, a), each in zip(states, solved, strict=True)
+        showing.at(x, u, a, each.multipliers) for (x, a), each in zip(states, solved, strict=True)
     ]
     driven = [scene.robot.joint(name) for name in inverse.efforts.names]
     columns = [

@@ -5,11 +5,16 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.estimation.torque_estimator import Observation
 from mbd_ros.core.inverse.inverse_dynamics import TorqueComponents
-from mbd_ros.core.state import Array
+from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.rows.coupling_rows import CouplingRows
+from mbd_ros.core.rows.row_layout import RowLayout
+from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.files.table import Column
-from mbd_ros.jobs.columns import joint_columns
+from mbd_ros.jobs.columns import joint_columns, output_columns
 from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
 
@@ -56,12 +61,25 @@ def solve(
         for i, name in enumerate(TorqueComponents._fields):
             found[name] = np.array([c[i] for c in causes])
     robot, couplings = scene.robot, solver.couplings
-    free, tied = (
-        [robot.joint(name) for name in names]
-        for names in (couplings.independent, couplings.dependent)
-    )
+    free = [robot.joint(name) for name in couplings.independent]
     columns = [c for field, values in found.items() for c in joint_columns(free, field, values)]
-    return [*columns, *joint_columns(tied, "multiplier", multipliers)], []
+    return [*columns, *_shown(scene, samples, multipliers)], []
+
+
+def _shown(scene: Scene, samples: Sequence[Observation], multipliers: Array) -> list[Column]:
+    """Columns of multipliers and of what forces show."""
+    robot, couplings = scene.robot, scene.couplings
+    rows = [CouplingRows(robot, couplings)] if couplings.dependent else []
+    showing = Showing(Kinematics(robot), RowLayout(rows), scene.forces)
+    if len(showing.numbers) == multipliers.shape[1]:
+        return output_columns(showing.numbers, multipliers)
+    u, shown = Loads(robot.model.nv, scene.forces, scene.actuators).idle, []
+    for sample, lam in zip(samples, multipliers, strict=True):
+        q, v, a = robot.neutral().copy(), np.zeros(robot.model.nv), np.zeros(robot.model.nv)
+        q[couplings.q_index], v[couplings.v_index], a[couplings.v_index] = sample[1:4]
+        couplings.expand(q, v, a)
+        shown.append(showing.at(State(sample.stamp * NANOSECOND, q, v), u, a, lam))
+    return output_columns(showing.numbers, np.array(shown))
 
 
 def topics(scene: Scene) -> dict[str, Any]:
