@@ -28,7 +28,7 @@ class Torques(NamedTuple):
             where something carries it; size 0 without a free base.
         null_space: Dimension of the efforts and multipliers that together exert nothing, bounds
             left aside; 0 without loops.
-        undetermined: `<joint>.effort` and `<row>.multiplier` that take part in it.
+        undetermined: `<joint>.effort` and names of rows that take part in it.
         condition: Beyond 1e6 the mechanism is near a toggle and the result unreliable; 1
             without loops.
         null_basis: Entries of tau, then of multipliers, that together exert nothing, one

@@ -21,7 +21,7 @@ class Unknowns:
         is_drive: Which rows are drives, shape (m,).
 
     Attributes:
-        labels: `<effort>.effort` and `<row>.multiplier`, shape (n,).
+        labels: `<effort>.effort` and names of rows, shape (n,).
         place: Where each stands among efforts, then multipliers, shape (n,).
         efforts: How many come before the rows: inputs and drives.
         weight: Shape (n,), 1 but for inputs.
