@@ -74,9 +74,12 @@ def test_parabola_to_rounding_with_entry_and_exit():
     states = list(simulation.run(loaded.initial, 2.5))
     for x in states:
         assert [*x.q, *x.v] == pytest.approx(parabola(x.t), abs=1e-13)
+        now, a = simulation.system.evaluate(x), np.empty(2)
+        simulation.system.accelerator(x.mode)(x.t, x.q, x.v, None, a)
+        assert len(x.mode) == 1 and np.array_equal(a, now.a)
         if HIT <= x.t <= EXIT:
             assert abs(x.v[1] - x.v[0] ** 2) <= 1e-15
-            weight = (simulation.system.evaluate(x).a[1] - 3.0) / (-1.0 - 3.0)
+            weight = (now.a[1] - 3.0) / (-1.0 - 3.0)
             assert weight == pytest.approx((3.0 - 2.0 * x.v[0]) / 4.0, abs=1e-13)
     times, found = modes(simulation)
     assert found == [(1,), (0,), (-1,)]

@@ -48,14 +48,18 @@ class ComposedSystem:
         self.nq, self.nv = self.chart.nq, self.chart.nv
         self.bounded, self.layout = bounded, layout
         self.constraints, self.sizes = rigid.constraints, rigid.sizes
+        self.residual, self.jacobian, self.rate = rigid.residual, rigid.jacobian, rigid.rate
+        self.expand, self.reduce = coordinates.expand, coordinates.reduce
+        self.lift, self.integrated = coordinates.lift, coordinates.integrated
+        self.applied = coordinates.applied
         self.rows: tuple[Row, ...] = rigid.rows
         self.multiplier_rows: tuple[Row, ...] = layout.rows
         solved = np.ones(len(layout.rows), dtype=np.bool_)
         if bounded is not None:
             solved[bounded.constraints.slots] = False
         self._solved = np.flatnonzero(solved)
-        self._accelerator = self._written()
-        self._linearization = Linearization(self, self._accelerator)
+        self._accelerators: dict[Mode, Accelerator] = {(): self._written()}
+        self._linearization = Linearization(self, self._accelerators[()])
 
     @property
     def condition(self) -> float:
@@ -88,8 +92,10 @@ class ComposedSystem:
         return Evaluation(x, a, NONE, lam, self._response(y))
 
     def accelerator(self, mode: Mode = ()) -> Accelerator:
-        """The function of t, q, v, u that writes y''; the same in every mode."""
-        return self._accelerator
+        """The function of t, q, v, u that writes y'' in a mode, made once."""
+        if mode not in self._accelerators:
+            self._accelerators[mode] = self._written_in(mode)
+        return self._accelerators[mode]
 
     def derivatives(self, y: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
         """Derivatives of y'' by differences, to about 1e-6; as `System.derivatives`."""
@@ -105,41 +111,9 @@ class ComposedSystem:
             return self
         return self._build(self.loads, (kp, kd))
 
-    def expand(self, y: State) -> State:
-        """State of all joints from that of what is integrated."""
-        return self._coordinates.expand(y)
-
-    def reduce(self, x: State) -> State:
-        """State of what is integrated from that of all joints."""
-        return self._coordinates.reduce(x)
-
-    def lift(self, y: State, a: Array) -> Array:
-        """Accelerations of all joints from the y'' at a state, fresh."""
-        return self._coordinates.lift(y, a)
-
-    def integrated(self, a: Array) -> Array:
-        """Those of what is integrated among values of all joints."""
-        return self._coordinates.integrated(a)
-
     def mass(self, q: Array) -> Mass:
         """Mass matrix of what is integrated, as an operator."""
         return Mass(self._coordinates.mass(q))
-
-    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Generalized force tau - h without the constraints, shape (nv,)."""
-        return self._coordinates.applied(t, q, v, u)
-
-    def residual(self, t: float, q: Array) -> Array:
-        """g(t, q) of the bilateral rows, shape (m,)."""
-        return self._rigid.residual(t, q)
-
-    def jacobian(self, t: float, q: Array) -> Array:
-        """dg/dq, shape (m, nv)."""
-        return self._rigid.jacobian(t, q)
-
-    def rate(self, t: float, q: Array) -> Array:
-        """dg/dt, shape (m,)."""
-        return self._rigid.rate(t, q)
 
     def factorise(self, t: float, q: Array) -> RowFactor:
         """Factor of the bilateral rows; brings `condition` up to date."""
@@ -161,6 +135,18 @@ class ComposedSystem:
             return self._motion.respond(y.q, forces)
 
         return respond
+
+    def _written_in(self, mode: Mode) -> Accelerator:
+        mechanism, write = self._mechanism, self._accelerators[()]
+
+        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+            mechanism.mode = mode
+            try:
+                write(t, q, v, u, out)
+            finally:
+                mechanism.mode = ()
+
+        return accelerate
 
     def _written(self) -> Accelerator:
         motion, bounded = self._motion, self.bounded

@@ -19,7 +19,7 @@ from mbd_ros.core.thresholds import HELD_BY_ROWS, NEAR_TOGGLE
 from mbd_ros.errors import SolveError
 
 _new_state = tuple.__new__  # half the time of the constructor
-_multiply = np.multiply
+_multiply, _bias = np.multiply, pin.nonLinearEffects
 _FACTORISED = eigenpy.ComputationInfo.Success
 _REGULAR = NEAR_TOGGLE**-2.0
 _EXACT = 1.0e-20  # square of the accepted residual of the rows, relative
@@ -47,6 +47,9 @@ class Kkt:
         self.coordinates = AllJoints(mechanism)
         self._constraints, self._loads = rigid.constraints, mechanism.loads
         self._reads = max(rigid.constraints.reads, mechanism.loads.reads)
+        model, data = mechanism.model, mechanism.data
+        self._crba, self._bias = partial(pin.crba, model, data), partial(_bias, model, data)
+        self._forward = partial(pin.forwardDynamics, model, data)
         m, nv, sizes = len(rigid.rows), int(mechanism.model.nv), rigid.sizes
         self._row_jacobian = np.zeros((m, nv))
         self._lam: Array | None = None
@@ -63,7 +66,7 @@ class Kkt:
         mechanism, constraints = self.mechanism, self._constraints
         x = _new_state(State, (t, q, v, NONE, mechanism.mode))
         mechanism.evaluations += 1
-        model, data, k = mechanism.model, mechanism.data, mechanism.k
+        k = mechanism.k
         if self._reads:
             k.refresh(q, v, self._reads)
         if constraints.is_corrected:
@@ -75,9 +78,9 @@ class Kkt:
             tau = tau + added
         self._row_jacobian, self._lam = J, None
         if self._is_regular(J):
-            pin.crba(model, data, q)
-            pin.nonLinearEffects(model, data, q, v)
-            a = pin.forwardDynamics(model, data, tau, J, drift, 0.0)
+            self._crba(q)
+            self._bias(q, v)
+            a = self._forward(tau, J, drift, 0.0)
             left = J.dot(a)
             left += drift
             off = left.dot(left)
