@@ -4,6 +4,7 @@ import math
 import sys
 import timeit
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -208,11 +209,10 @@ def _reach(scene: Scene, x: State) -> Iterator[str]:
 
 def _cost(scene: Scene) -> str:
     robot, model = scene.robot, scene.robot.model
-    data = pin.Data(model)
-    inverse, loads = scene.inverse_dynamics(), [np.ones(6)] * len(scene.wrenches)
     q, v = pin.neutral(model), np.zeros(model.nv)
+    bare = _best(partial(pin.rnea, model, pin.Data(model), q, v, v))
+    inverse, loads = scene.inverse_dynamics(), [np.ones(6)] * len(scene.wrenches)
     z, w = q[scene.couplings.q_index], v[scene.couplings.v_index]
-    bare = _best(lambda: pin.rnea(model, data, q, v, v))
     ours = _best(lambda: inverse.solve(z, w, w, loads))
     ratio = f"{ours / bare:.1f} x a bare rnea of {len(robot.joints)} joints"
     return f"one inverse-dynamics call {ours * 1e6:.1f} us, {ratio}"
@@ -228,8 +228,8 @@ def _loop_cost(scene: Scene, x: State) -> str:
 
 def _forward_cost(scene: Scene, system: System) -> str:
     x = system.reduce(scene.initial)
-    model, data, zero = system.model, pin.Data(system.model), np.zeros(system.model.nv)
-    bare = _best(lambda: pin.aba(model, data, scene.initial.q, scene.initial.v, zero))
+    model, given = system.model, scene.initial
+    bare = _best(partial(pin.aba, model, pin.Data(model), given.q, given.v, np.zeros(model.nv)))
     accelerate, a = system.accelerator(), np.zeros(system.nv)
     ours = _best(lambda: accelerate(x.t, x.q, x.v, None, a))
     return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint import Constraint
@@ -24,13 +24,8 @@ def start_warnings(robot: Robot, constraints: Sequence[Constraint], x: State) ->
         x: State of all joints.
     """
     stops = [part for part in constraints if _is_stop(part)]
-    at_rest, k = x._replace(v=np.zeros_like(x.v)), Kinematics(robot)
-    k.refresh(x.q, at_rest.v, max((part.reads for part in stops), default=Reads.NOTHING))
-    for part in stops:
-        for name, gap in zip(part.joints, part.residual(k, at_rest), strict=True):
-            if gap < -_SLACK:
-                unit = robot.joint(name).position_unit
-                yield f"{name} starts {-gap:.3g} {unit} beyond its {type(part).__name__}"
+    if stops:
+        yield from _beyond_stops(robot, stops, x._replace(v=np.zeros_like(x.v)))
     for joint in robot.joints:
         value = float(x.q[joint.q])
         if not joint.lower - _SLACK <= value <= joint.upper + _SLACK:
@@ -38,6 +33,16 @@ def start_warnings(robot: Robot, constraints: Sequence[Constraint], x: State) ->
             doubt = "; radians?" if unit == "rad" and abs(value) > math.pi else ""
             limits = f"{joint.lower:g} .. {joint.upper:g}"
             yield f"{joint.name} starts at {value:g} {unit}, outside its limits {limits}{doubt}"
+
+
+def _beyond_stops(robot: Robot, stops: Sequence[Any], at_rest: State) -> Iterator[str]:
+    k = Kinematics(robot)
+    k.refresh(at_rest.q, at_rest.v, max(part.reads for part in stops))
+    for part in stops:
+        for name, gap in zip(part.joints, part.residual(k, at_rest), strict=True):
+            if gap < -_SLACK:
+                unit = robot.joint(name).position_unit
+                yield f"{name} starts {-gap:.3g} {unit} beyond its {type(part).__name__}"
 
 
 def _is_stop(part: Any) -> bool:
