@@ -165,6 +165,8 @@ def method_entry(
                 f"--tolerance: the integrator {entry['type']} {whose} takes steps of dt and has "
                 f"none; --integrator takes {', '.join(_with_tolerance())}, which have one"
             )
+        if not math.isfinite(tolerance):
+            raise DataError(f"--tolerance: {tolerance:g} is not finite")
         entry["tolerance"] = tolerance
     schema.call(kind, {key: v for key, v in entry.items() if key != "type"}, where)
     return entry
