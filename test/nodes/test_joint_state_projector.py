@@ -271,7 +271,7 @@ def test_each_knee_joint_of_the_four_bar_is_reconstructed_on_its_branch(domain, 
             health = stream.probe.wait_health(lambda h: h.name == NAME)
             assert health.values["joints reconstructed"] == missing
             assert (health.level, health.message) == (OK, "projected states published")
-        rows = [row.name for part in scene.constraints for row in part.rows]
+        rows = [f"{part.name}.{row.name}" for part in scene.constraints for row in part.rows]
         assert list(force.name) == [*rows, *(f"{name}.limit" for name in stream.joints)]
 
 
