@@ -96,9 +96,14 @@ def test_it_leaves_recording_scenes_picture_and_page(arm):
 
 
 def test_time_is_that_of_the_simulation_tick_by_tick(arm):
-    """Nothing is skipped, and what the actuators exert is what was commanded the tick before."""
+    """Nothing is skipped, and what the actuators exert is what was commanded the tick before.
+
+    The first state may be repeated, for listeners that come late.
+    """
     bag = Bag(arm[1])
     stamps, effort = bag.stamped("/joint_states", "effort", ROBOT_JOINTS)
+    begin = np.count_nonzero(stamps == stamps[0]) - 1
+    stamps, effort = stamps[begin:], effort[begin:]
     np.testing.assert_allclose(np.diff(stamps), 1 / RATE, atol=2e-9)
     assert stamps[0] == 1e-9  # ROS reads 0 as no time at all
     commands = np.array([m.data for _, m in bag.rows["/simulator/commands"]])
