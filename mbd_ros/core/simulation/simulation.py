@@ -16,7 +16,7 @@ from mbd_ros.core.simulation.checkpoint import (
     sample_times,
 )
 from mbd_ros.core.simulation.divergence import divergence, last_finite
-from mbd_ros.core.simulation.input_course import InputCourse
+from mbd_ros.core.simulation.held_inputs import HeldInputs
 from mbd_ros.core.simulation.stall import PATIENCE, WINDOW, Notice, StallWatch, refuse_crawl
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SAME_TIME
@@ -114,7 +114,7 @@ class Simulation:
         times, (origin, k, y, is_within, now) = sample_times(at.origin, duration, self.dt), at
         watch, look_at = StallWatch(self.system, self.dt, notice), self.steps + WINDOW
         watch.begin(y.t)
-        inputs = InputCourse(self.system.loads.sources, times, now)
+        inputs = HeldInputs(self.system.loads.sources, times, now)
         while k < times.end:
             due = times.due(k + 1)
             if not is_within:

@@ -7,7 +7,7 @@ from mbd_ros.core.simulation.checkpoint import SampleTimes
 from mbd_ros.core.state import Array
 
 
-class InputCourse:
+class HeldInputs:
     """Holds u until its next jump, where a step must end.
 
     Args:
