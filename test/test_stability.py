@@ -67,6 +67,17 @@ def test_a_wrong_sign_in_a_constraint_drift_is_wrong(monkeypatch, part, row):
     assert "accelerates" in text
 
 
+def test_the_oracle_asks_a_constraint_that_it_does_not_know(monkeypatch):
+    """Which may read points, as one of another package does."""
+    row = next(row for row in extremes(False) if row.name == FOUR_BAR)
+    known, moved = Oracle(row.load()), row.load().scene.initial
+    monkeypatch.setattr("mbd_ros.report.stability.oracle_rows._KNOWN", {})
+    asked = Oracle(row.load())
+    moved = moved._replace(q=moved.q + 0.1)
+    assert known.violation(moved) > 1e-3
+    assert asked.violation(moved) == pytest.approx(known.violation(moved), rel=1e-12)
+
+
 @pytest.mark.parametrize("begin", [0.0, 0.1])
 def test_a_force_that_is_not_a_number_is_wrong(monkeypatch, begin):
     right = JointSpring.force

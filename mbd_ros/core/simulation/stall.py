@@ -100,10 +100,9 @@ def _cause(system: System, x: State, u: Array | None, step: float) -> str:
     full = system.expand(x)
     system.k.refresh(full.q, full.v, system.loads.reads)
     if system.loads.beside(system.k, full) is not system.loads:
-        hardest = np.abs(system.integrated(system.evaluate(full, u).a))
         return (
-            f"{_joint(system, hardest)} has the largest acceleration; a switching force chatters "
-            "at its surface, which integrator filippov follows"
+            f"{_hardest(system, full, u)}; a switching force chatters at its surface, which "
+            "integrator filippov follows"
         )
     try:
         motion = linear_motion(system, x)
@@ -120,12 +119,15 @@ def _cause(system: System, x: State, u: Array | None, step: float) -> str:
             f"{_joint(system, mode[:n] + mode[n:])} is stiff with a rate of {motion.rate:.3g} "
             "1/s; soften its force, raise the tolerance or try integrator gauss_legendre"
         )
-    hardest = np.abs(system.integrated(system.evaluate(full, u).a))
     return (
-        f"{_joint(system, hardest)} has the largest acceleration; its "
-        "force is not smooth, or the mechanism is near a singular configuration; raise the "
-        "tolerance, or smooth the force"
+        f"{_hardest(system, full, u)}; its force is not smooth, or the mechanism is near a "
+        "singular configuration; raise the tolerance, or smooth the force"
     )
+
+
+def _hardest(system: System, full: State, u: Array | None) -> str:
+    a = np.abs(system.integrated(system.evaluate(full, u).a))
+    return f"{_joint(system, a)} has the largest acceleration"
 
 
 def _joint(system: System, share: Array) -> str:

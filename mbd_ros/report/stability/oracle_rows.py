@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.report.stability.scene_text import Entry, LoadedScene
@@ -58,7 +59,7 @@ def bilateral_rows(loaded: LoadedScene) -> list[Rows]:
     for entry, part in _constraints(loaded):
         if part.law.is_rigid:
             make = _KNOWN.get(entry["type"])
-            rows.append(_own(part) if make is None else make(scene.robot, entry))
+            rows.append(_own(scene.robot, part) if make is None else make(scene.robot, entry))
     return rows
 
 
@@ -89,8 +90,14 @@ def _constraints(loaded: LoadedScene) -> list[tuple[Entry, Any]]:
     return list(zip(entries, loaded.scene.constraints, strict=True))
 
 
-def _own(part: Any) -> Rows:
-    return lambda data, t, q: part.residual(data, State(t, q, np.zeros(data.J.shape[1])))
+def _own(robot: Robot, part: Any) -> Rows:
+    k, rest = Kinematics(robot), np.zeros(robot.model.nv)
+
+    def rows(data: Any, t: float, q: Array) -> Any:
+        k.refresh(q, rest, part.reads)
+        return part.residual(k, State(t, q, rest))
+
+    return rows
 
 
 def _couplings(scene: Scene) -> Rows:
