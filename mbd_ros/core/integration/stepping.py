@@ -76,6 +76,8 @@ class Integrator:
         keeps_constraints: Whether the method itself keeps the constraints, so that no
             stabilization acts.
         is_explicit: Whether stiff forces limit the step.
+        event_driven: Whether its steps can be taken again with another length, so that they end
+            at events; other methods refuse exact rows that give way, and guards.
         stable: Largest rate times dt, with the rate of `linear_motion.fastest_rate`, at which no
             oscillation and no decay grows, however it is damped; beyond it `growth` decides. inf
             where the method chooses its steps.
@@ -85,6 +87,7 @@ class Integrator:
     dense: ClassVar[bool] = False
     keeps_constraints: ClassVar[bool] = False
     is_explicit: ClassVar[bool] = True
+    event_driven: ClassVar[bool] = False
     stable: float = 2.5
 
     def growth(self, motion: Any, dt: float) -> float:

@@ -50,6 +50,8 @@ class Constraint(Part):
         level: Whether g exists; rows of velocities state g' = J v + rate alone.
         law: What the multipliers may be; a row that gives way holds g'' + kd g' + kp g = 0.
         gains: kp [1/s^2] and kd [1/s] of rows that give way, each one number or one a row.
+        smoothed: Whether rows that give way are solved for in every evaluation, with these gains,
+            which costs the order of the method; otherwise they are exact, from event to event.
         driven: Joints that a law `drive` moves, one a row: inverse dynamics asks for these
             multipliers as for efforts, and they demand nothing of the motion.
         stops: Joints that it keeps within ends; a motion that passes one is reported.
@@ -60,6 +62,7 @@ class Constraint(Part):
     level: Level = Level.POSITION
     law: Law = bilateral()
     gains: tuple[float | Array, float | Array] = (0.0, 0.0)
+    smoothed: bool = True
     driven: tuple[str, ...] = ()
     stops: tuple[Stop, ...] = ()
     slips: bool = False

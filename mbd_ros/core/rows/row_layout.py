@@ -24,6 +24,7 @@ class RowBlock(NamedTuple):
         level: Whether they state positions or velocities.
         law: What the multipliers may be.
         gains: kp [1/s^2] and kd [1/s] of every row, shape (m,) each.
+        smoothed: Whether rows that give way are solved for in every evaluation.
         slips: Whether multipliers may push along another direction than J'.
     """
 
@@ -33,6 +34,7 @@ class RowBlock(NamedTuple):
     level: Level
     law: Law
     gains: tuple[Array, Array]
+    smoothed: bool
     slips: bool
 
 
@@ -121,4 +123,4 @@ def _block(part: Constraint, rows: tuple[Row, ...], slots: slice) -> RowBlock:
         )
     if law.kind is Kind.CONE and m != 3:
         raise ModelError(f"{where}: a cone has 3 rows, a normal and two tangents; this has {m}")
-    return RowBlock(part, rows, slots, part.level, law, (kp, kd), part.slips)
+    return RowBlock(part, rows, slots, part.level, law, (kp, kd), part.smoothed, part.slips)
