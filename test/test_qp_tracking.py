@@ -10,7 +10,7 @@ from mbd_ros.core.control.contract import EffortBox, Reference
 from mbd_ros.core.control.motion_limits import MotionLimits
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.model.robot import Joint
+from mbd_ros.core.model.joints import Joint
 from mbd_ros.core.rows.row_layout import rigid
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State

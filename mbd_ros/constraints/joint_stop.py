@@ -6,8 +6,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from mbd_ros.core.model.joints import Joint
 from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.model.robot import Joint, Robot
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Duration, Unit
 from mbd_ros.core.row_laws import unilateral
 from mbd_ros.core.rows.constraint import Constraint, Row, Stop
@@ -63,7 +64,9 @@ class JointStop(Constraint):
         self._q, self._v = _where([one.q for one in stopped]), _where([one.v for one in stopped])
         self._each, self._at = np.arange(n), np.array([one.v for one in stopped])
         self._ahead, self._zero, self._nv = kd / kp, np.zeros(n), int(robot.model.nv)
-        self._is_floating = robot.floating
+        self._has_bases = robot.floating
+        self._q_of = _where([one.q for one in robot.joints])
+        self._v_of = _where([one.v for one in robot.joints])
         self._rows = _margin_rows(robot, stopped, ends)
         self._q_row, self._v_row, self._a_row = self._rows[:3]
         condition = np.array(((kp, kd, 1.0, -kp, 0.0), (-kp, -kd, -1.0, 0.0, kp)))
@@ -101,8 +104,8 @@ class JointStop(Constraint):
             v: Velocity, shape (nv,).
             a: Acceleration without the stops, shape (nv,).
         """
-        if self._is_floating:
-            q, v, a = q[7:], v[6:], a[6:]
+        if self._has_bases:
+            q, v, a = q[self._q_of], v[self._v_of], a[self._v_of]
         self._q_row[:] = q
         self._v_row[:] = v
         self._a_row[:] = a

@@ -6,7 +6,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from mbd_ros.core.model.robot import Joint
+from mbd_ros.core.model.joints import Joint
 from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.outputs import Output
 from mbd_ros.core.rows.constraint import Row

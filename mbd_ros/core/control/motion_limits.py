@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.model.robot import Joint
+from mbd_ros.core.model.joints import Joint
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import ModelError

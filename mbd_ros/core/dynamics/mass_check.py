@@ -25,7 +25,7 @@ def check_mass(system: Any, q: Array) -> None:
         q: Configuration of its integrated coordinates.
 
     Raises:
-        SolveError: Names the joints, or the floating base.
+        SolveError: Names the joints, or the free base.
     """
     M: Array = system.mass(q).dense
     diagonal = M.diagonal()
@@ -74,12 +74,15 @@ def _least_resistance(M: Array) -> tuple[float, Array]:
 
 def _reason(system: Any, free: Array, is_massless: bool) -> str:
     robot = system.robot
-    names = {joint.v: f"joint '{joint.name}'" for joint in robot.joints}
+    titles = robot.base_titles
+    names = {joint.v: f"joint '{joint.name}'" for joint in robot.joints} | titles
     at = system.integrated(np.arange(int(robot.model.nv)))
     chosen = [int(i) for i in np.argsort(-free, kind="stable") if free[i] > _NAMED * free.max()]
-    movers = list(dict.fromkeys(names.get(int(at[i]), "the floating base") for i in chosen))
-    if robot.floating and free[:6].max() > _SHARE:
-        movers = ["the floating base"]
+    movers = list(dict.fromkeys(names[int(at[i])] for i in chosen))
+    loose = [
+        titles[int(v)] for v, share in zip(at, free, strict=True) if v in titles and share > _SHARE
+    ]
+    movers = list(dict.fromkeys(loose)) or movers
     if is_massless and system.rows:
         return (
             f"{movers[0]} moves nothing that has mass: tier {system.tier} starts from the mass "

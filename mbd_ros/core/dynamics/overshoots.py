@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbd_ros.core.memory import Memory, copied, recognised
-from mbd_ros.core.model.robot import Joint
+from mbd_ros.core.model.joints import Joint
 from mbd_ros.core.state import Array
 
 _SAID = 1.0e-4  # rad or m; what steps that resolve an impact leave is far below

@@ -60,7 +60,8 @@ class LoopMotion:
     ) -> None:
         rows = [part for part in constraints if part.law.kind is Kind.BILATERAL]
         self._system = build_system(robot, couplings, rows, Loads(robot.model.nv), tier="kkt")
-        self._names = {joint.v: joint.name for joint in robot.joints}
+        self._names = {joint.v: joint.name for joint in robot.joints} | robot.base_titles
+        self._is_base = np.isin(np.arange(robot.model.nv), robot.base_v)
         self._q = np.array([joint.q for joint in robot.joints], dtype=np.intp)
         self._v = np.array([joint.v for joint in robot.joints], dtype=np.intp)
         sizes = self._system.sizes
@@ -108,9 +109,14 @@ class LoopMotion:
         free, system = np.flatnonzero(~measured), self._system
         kept = measured[self._v]
         start, end = before[self._q[kept]], x.q[self._q[kept]]
-        q = before.copy()
-        strides = max(1, math.ceil(float(np.abs(end - start).max(initial=0.0)) / _STRIDE))
+        q, way = before.copy(), np.zeros(self._system.nv)
+        seen = measured & self._is_base
+        way[seen] = self._system.chart.difference(before, x.q)[seen]
+        longest = max(np.abs(end - start).max(initial=0.0), np.abs(way).max(initial=0.0))
+        strides = max(1, math.ceil(float(longest) / _STRIDE))
         for i in range(1, strides + 1):
+            if seen.any():
+                q = self._system.chart.integrate(q, way / strides)
             q[self._q[kept]] = start + (end - start) * (i / strides)
             q = self._closed(x.t, q, free)
         J = system.jacobian(x.t, q)
@@ -132,7 +138,7 @@ class LoopMotion:
         _, s, Vt = np.linalg.svd(self._system.jacobian(x.t, x.q)[:, free])
         loose = Vt[rank_of(s) :]
         share = np.linalg.norm(loose, axis=0)
-        names = (self._names.get(int(v), "the floating base") for v in free[share > SINGULAR])
+        names = (self._names[int(v)] for v in free[share > SINGULAR])
         return tuple(dict.fromkeys(names))
 
     def start(self, x: State) -> Array:

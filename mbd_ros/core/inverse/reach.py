@@ -47,9 +47,9 @@ def movers(robot: Robot, directions: Array, M: Array) -> tuple[str, ...]:
         directions: Motions, one a column, shape (nv, k).
         M: Mass matrix, shape (nv, nv).
     """
-    names = {joint.v: joint.name for joint in robot.joints}
+    names = {joint.v: joint.name for joint in robot.joints} | robot.base_titles
     share: Any = np.sqrt(M.diagonal()) * np.linalg.norm(directions, axis=1)
     share = np.round(share / max(share.max(), TINY), _DIGITS)
     order = np.argsort(-share, kind="stable")
     chosen = [int(i) for i in order if share[i] > _NAMED * share.max() > 0.0]
-    return tuple(dict.fromkeys(names.get(i, "the floating base") for i in chosen))[:_SHOWN]
+    return tuple(dict.fromkeys(names[i] for i in chosen))[:_SHOWN]

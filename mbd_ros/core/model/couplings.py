@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbd_ros.core.model.coupling_functions import CouplingFunction, Linear
-from mbd_ros.core.model.robot import Joint, Robot
+from mbd_ros.core.model.joints import Joint
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
@@ -51,7 +52,7 @@ class Couplings:
         independent: Names of the independent joints, in the order of y.
         dependent: Names of the dependent joints, in the order of the multipliers.
         parents: Dependent joint -> its direct parent.
-        q_index: Where y stands in q, shape (ny,); with a floating base its pose comes first.
+        q_index: Where y stands in q, poses of free bases included, shape (ny,).
         v_index: Where y' stands in v, shape (nv_y,).
         pairs: The couplings in indices, parents before children.
 

@@ -37,7 +37,7 @@ def centred(
     origin: Array = model.jointPlacements[1].translation.copy()
     if np.linalg.norm(origin) <= _FAR:
         return model, near
-    root = _root_link(tree)
+    root = root_link(tree)
     model = build(_moved(tree, root, origin))
     for index in {0, int(model.getFrameId(root, pin.FrameType.BODY))}:
         frame = model.frames[index]
@@ -62,7 +62,7 @@ def _moved(tree: ElementTree.Element, root: str, origin: Array) -> ElementTree.E
     return tree
 
 
-def _root_link(tree: ElementTree.Element) -> str:
+def root_link(tree: ElementTree.Element) -> str:
     """Name of the link that no joint carries."""
     carried = {link_name(joint, "child") for joint in tree.findall("joint")}
     names = (link.get("name", "") for link in tree.findall("link"))

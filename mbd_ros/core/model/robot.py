@@ -9,73 +9,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from mbd_ros.core.model.joints import Base, Joint, Mimic, Rubbing
 from mbd_ros.core.model.points import Pair, Place, Places, Point, rotation_matrix
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
-
-
-@dataclass(frozen=True)
-class Joint:
-    """One joint with one coordinate.
-
-    Attributes:
-        name: Name on topics, bags and CSV columns.
-        urdf_name: Name in the robot description.
-        kind: revolute, continuous or prismatic.
-        q: Index of its coordinate in a configuration.
-        v: Index of its coordinate in a velocity.
-        lower: Lower position limit [rad or m], -inf without one.
-        upper: Upper position limit [rad or m], inf without one.
-        max_velocity: [rad/s or m/s], inf where the description says 0 or nothing.
-        max_effort: [N·m or N], inf where the description says nothing (continuous joints may).
-    """
-
-    name: str
-    urdf_name: str
-    kind: str
-    q: int
-    v: int
-    lower: float
-    upper: float
-    max_velocity: float
-    max_effort: float
-
-    @property
-    def effort_name(self) -> str:
-        """What its effort is, torque or force."""
-        return "force" if self.kind == "prismatic" else "torque"
-
-    @property
-    def effort_unit(self) -> str:
-        """Unit of its effort."""
-        return "N" if self.kind == "prismatic" else "N·m"
-
-    @property
-    def position_unit(self) -> str:
-        """Unit of its position."""
-        return "m" if self.kind == "prismatic" else "rad"
-
-
-@dataclass(frozen=True)
-class Mimic:
-    """A `<mimic>` of the description: joint = factor * parent + offset [rad or m]."""
-
-    joint: str
-    parent: str
-    factor: float
-    offset: float
-
-
-class Rubbing(NamedTuple):
-    """A `<dynamics>` of the description.
-
-    Attributes:
-        friction: Dry friction [N·m or N].
-        damping: Viscous [N·m·s/rad or N·s/m].
-    """
-
-    friction: float
-    damping: float
 
 
 class Recipe(NamedTuple):
@@ -99,7 +36,7 @@ class Robot:
         model: Pinocchio model with gravity set and locked joints removed.
         joints: Joints in the order of their velocity coordinates.
         mimics: The `<mimic>` elements, in topic names.
-        floating: Whether the first 7 (6) coordinates of q (v) are those of a free base.
+        bases: Links that move freely, in the order of their coordinates.
         locked: Position [rad or m] of every joint that was frozen and removed.
         fixed: Names of the joints that never move.
         doubts: Inertias that no body has and that can be used nevertheless, a line a link.
@@ -115,7 +52,7 @@ class Robot:
     model: Any
     joints: tuple[Joint, ...]
     mimics: tuple[Mimic, ...]
-    floating: bool
+    bases: tuple[Base, ...]
     locked: Mapping[str, float]
     fixed: frozenset[str]
     doubts: tuple[str, ...]
@@ -131,10 +68,19 @@ class Robot:
         return self.recipe.source
 
     @property
+    def floating(self) -> bool:
+        """Whether anything moves freely."""
+        return bool(self.bases)
+
+    @property
     def base_v(self) -> NDArray[np.intp]:
-        """Where the velocities of free bases stand in v, six each: all that no joint has."""
-        of_joints = np.array([joint.v for joint in self.joints], dtype=np.intp)
-        return np.setdiff1d(np.arange(int(self.model.nv), dtype=np.intp), of_joints)
+        """Where the velocities of free bases stand in v, six each."""
+        return np.array([i for base in self.bases for i in _places(base.v)], dtype=np.intp)
+
+    @property
+    def base_titles(self) -> dict[int, str]:
+        """Where in v free bases have coordinates -> what messages call them."""
+        return {i: base.title for base in self.bases for i in _places(base.v)}
 
     def joint(self, name: str) -> Joint:
         """Joint of that topic name.
@@ -153,8 +99,11 @@ class Robot:
         raise ModelError(f"no joint '{name}'; the robot has {existing}")
 
     def neutral(self) -> Array:
-        """Configuration with every joint at 0 and the base at the origin, shape (nq,), fresh."""
-        return pin.neutral(self.model)
+        """Configuration with every joint at 0 and every base at its start, shape (nq,), fresh."""
+        q: Array = pin.neutral(self.model)
+        for base in self.bases:
+            q[base.q] = base.start
+        return q
 
     def frame(self, name: str) -> int:
         """Index in the model of the link (or frame) of that name.
@@ -248,3 +197,7 @@ class Robot:
             f"Robot '{self.name}' from {self.source}\n"
             f"  {base} base, {mass:.6g} kg, joints ({len(self.joints)}): {names}"
         )
+
+
+def _places(of: slice) -> range:
+    return range(of.start, of.stop)

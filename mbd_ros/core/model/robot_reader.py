@@ -13,9 +13,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.model.far_base import centred
+from mbd_ros.core.model.far_base import centred, root_link
+from mbd_ros.core.model.joints import BASE, Base, Joint, Mimic, Rubbing
 from mbd_ros.core.model.points import Places
-from mbd_ros.core.model.robot import Joint, Mimic, Recipe, Robot, Rubbing
+from mbd_ros.core.model.robot import Recipe, Robot
 from mbd_ros.core.model.urdf import parse_urdf
 from mbd_ros.core.model.urdf_inertias import check_inertias
 from mbd_ros.core.model.urdf_reading import numbers
@@ -23,6 +24,7 @@ from mbd_ros.errors import ModelError
 
 EARTH_GRAVITY = (0.0, 0.0, -9.81)
 BASES = ("fixed", "floating")
+_BASE_V = 6  # velocities of a free base
 
 
 def read_robot(
@@ -69,9 +71,9 @@ def read_robot(
     return Robot(
         name=tree.get("name", ""),
         model=model,
-        joints=_joints(model, tree, names, floating=base == "floating"),
+        joints=_joints(model, tree, names),
         mimics=tuple(mimic for mimic in mimics if mimic.joint not in locked),
-        floating=base == "floating",
+        bases=_bases(model, root_link(tree)),
         locked=locked,
         fixed=fixed,
         doubts=doubts,
@@ -166,14 +168,29 @@ def _lock(
         raise ModelError(f"{source}: locked: {str(error).splitlines()[0]}") from error
 
 
-def _joints(
-    model: Any, tree: ElementTree.Element, names: Mapping[str, str], *, floating: bool
-) -> tuple[Joint, ...]:
+def _bases(model: Any, link: str) -> tuple[Base, ...]:
+    """The free base that the root link may have."""
+    return tuple(
+        Base(
+            BASE,
+            slice(joint.idx_q, joint.idx_q + joint.nq),
+            slice(joint.idx_v, joint.idx_v + joint.nv),
+            int(joint.id),
+            link,
+            pin.neutral(model)[joint.idx_q : joint.idx_q + joint.nq],
+        )
+        for joint in model.joints
+        if joint.nv == _BASE_V
+    )
+
+
+def _joints(model: Any, tree: ElementTree.Element, names: Mapping[str, str]) -> tuple[Joint, ...]:
     joints, kinds = [], _kinds(tree)
     limited = {e.get("name", "") for e in tree.iterfind("joint") if _has_effort_limit(e)}
-    first = 2 if floating else 1  # after the universe and the free base
-    pairs = zip(list(model.names)[first:], list(model.joints)[first:], strict=True)
+    pairs = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)  # but the universe
     for urdf_name, joint in pairs:
+        if joint.nv == _BASE_V:
+            continue
         kind, q, v = kinds[urdf_name], int(joint.idx_q), int(joint.idx_v)
         bounded = kind != "continuous"
         joints.append(

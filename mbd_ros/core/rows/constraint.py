@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.model.joints import Joint
 from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.parts import Part, Wrench
 from mbd_ros.core.row_laws import Law, Level, bilateral
 from mbd_ros.core.state import Array, Mode, State

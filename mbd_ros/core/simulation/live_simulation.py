@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.dynamics.showing import Showing
-from mbd_ros.core.model.robot import Joint
+from mbd_ros.core.model.joints import Joint
 from mbd_ros.core.outputs import Output
 from mbd_ros.core.parts import Wrench
 from mbd_ros.core.projection.assembly import Violation, violation

@@ -132,5 +132,5 @@ def _hardest(system: System, full: State, u: Array | None) -> str:
 
 def _joint(system: System, share: Array) -> str:
     at = int(system.integrated(np.arange(float(system.model.nv)))[int(share.argmax())])
-    names = [joint.name for joint in system.robot.joints if joint.v == at]
-    return f"joint {names[0]}" if names else "the floating base"
+    names = {joint.v: f"joint {joint.name}" for joint in system.robot.joints}
+    return (names | system.robot.base_titles)[at]

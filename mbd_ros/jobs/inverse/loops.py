@@ -11,8 +11,8 @@ from mbd_ros.core.estimation.torque_estimator import Observation
 from mbd_ros.core.inverse.loop_motion import LoopMotion, Mask
 from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.inverse.torques import Torques
+from mbd_ros.core.model.joints import Joint
 from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State
