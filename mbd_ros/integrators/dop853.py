@@ -26,6 +26,7 @@ class Dop853(Integrator):
 
     order: ClassVar[int] = 8
     dense: ClassVar[bool] = True
+    event_driven: ClassVar[bool] = True
     stable = 5.5
     example = {"tolerance": 1e-9}
 

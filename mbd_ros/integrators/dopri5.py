@@ -54,6 +54,7 @@ class Dopri5(Integrator):
     order: ClassVar[int] = 5
     stable = 1.3  # without damping; 2.4 with a twentieth of the critical one
     dense: ClassVar[bool] = True
+    event_driven: ClassVar[bool] = True
     example = {"tolerance": 1e-6}
 
     def __init__(self, *, tolerance: float | None = None) -> None:

@@ -1,15 +1,18 @@
 """Gauss-Legendre collocation: implicit midpoint and its relatives of order 4 and 6."""
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
+from mbd_ros.core.dynamics.linearization import Linearization
 from mbd_ros.core.integration.newton import FAILED, SLOW, converge
+from mbd_ros.core.integration.polynomial import integrals
 from mbd_ros.core.integration.step_length import clip
 from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.core.memory import Memory
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, Mode, State
+from mbd_ros.core.thresholds import SAME_TIME
 from mbd_ros.errors import DivergedError, ModelError
 
 
@@ -37,6 +40,8 @@ class GaussLegendre(Integrator):
     """
 
     order = 4
+    dense: ClassVar[bool] = True
+    event_driven: ClassVar[bool] = True
     is_explicit = False
     example = {"stages": 2}
 
@@ -62,17 +67,21 @@ def _tableau(stages: int) -> tuple[Array, Array, Array]:
 
 
 class _Steps(Stepper):
-    kept = ("_is_fresh", "_is_slow", "_h", "_K", "_turn", "_inverse")
+    kept = ("_is_fresh", "_is_slow", "_h", "_K", "_turn", "_inverse", "_slopes", "_x", "_after")
 
     def __init__(self, method: GaussLegendre, system: Any, dt: float) -> None:
         self._system, self._dt, self._tolerance = system, dt, method.tolerance
         self._name = f"Gauss-Legendre with {method.stages} stages"
         self._a, self._b, self._c = _tableau(method.stages)
-        self._accelerate = system.accelerator()
+        self._accelerate, self._differentiate = system.accelerator(), system.derivatives
+        self._mode: Mode = ()
+        self._x = self._after = State(0.0, np.zeros(0), np.zeros(0))
+        self._u: Array | None = None
         shape = (method.stages, system.nv)
         self._K, self._turn, self._r = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         self._a0 = np.zeros(system.nv)
         self._inverse: Array = np.eye(self._K.size)
+        self._slopes: tuple[Array, ...] = ()  # by q and by v, of which the inverse was made
         self._vander = np.linalg.inv(np.vander(self._c, increasing=True))
         self._guess = np.vander(1.0 + self._c, method.stages, increasing=True).dot(self._vander)
         self._stages = self._flat_stages if system.chart.is_flat else self._curved_stages
@@ -91,6 +100,51 @@ class _Steps(Stepper):
         """Advance by one step."""
         h, t = clip(x.t, self._dt, end)
         self._begin(x, u, h)
+        return self._advance(x, u, h, t)
+
+    def again(self, h: float, t: float) -> State:
+        """As `Stepper.again`, with the same derivatives."""
+        places = np.minimum(self._c * (h / self._h), 1.0)
+        guess = np.vander(places, len(places), increasing=True).dot(self._vander)
+        self._K, self._turn = guess.dot(self._K), guess.dot(self._turn)
+        self._scale(h)
+        self._invert()
+        self._is_slow = False
+        return self._advance(self._x, self._u, h, t)
+
+    def follow(self, accelerate: Any, mode: Mode = ()) -> None:
+        """As `Stepper.follow`."""
+        self._accelerate, self._mode = accelerate, mode
+        self._differentiate = Linearization(self._system, accelerate).derivatives
+        self.restart()
+
+    def interpolate(self, t: float) -> State:
+        """State inside the last step, by the polynomial of the collocation.
+
+        Raises:
+            ModelError: t [s] is outside the last step.
+        """
+        x, h, after = self._x, self._h, self._after
+        if t == after.t:
+            return after
+        theta = (t - x.t) / h if h else math.nan
+        if not -SAME_TIME <= theta <= 1.0 + SAME_TIME:
+            raise ModelError(
+                f"t = {t:.9g} s is outside the last step, {x.t:.9g} .. {after.t:.9g} s"
+            )
+        once, twice = integrals(self._c, theta)
+        v = x.v + h * once.dot(self._K)
+        moved = theta * h * x.v + h * h * twice.dot(self._K)
+        if self._system.chart.is_flat:
+            return State(t, x.q + moved, v, mode=self._mode)
+        V = x.v + self._ha.dot(self._K)
+        half = 0.5 * self._hb.dot(V + self._turn)
+        centre = self._system.chart.integrate(x.q, half)
+        q = self._system.chart.integrate(centre, moved + h * once.dot(self._turn) - half)
+        return State(t, q, v, mode=self._mode)
+
+    def _advance(self, x: State, u: Array | None, h: float, t: float) -> State:
+        """The step that has begun."""
         rate = FAILED
         if not self._is_slow:
             rate = self._solve(x, u, h)
@@ -102,8 +156,9 @@ class _Steps(Stepper):
                 f"{self._name}: the stages of the step from t = {x.t:.9g} s by {h:g} s do not "
                 "converge; try a smaller dt"
             )
-        self._is_slow = rate > SLOW
-        return State(t, self._q1, x.v + self._hb.dot(self._K))
+        self._is_slow, self._x, self._u = rate > SLOW, x, u
+        self._after = State(t, self._q1, x.v + self._hb.dot(self._K), mode=self._mode)
+        return self._after
 
     def _begin(self, x: State, u: Array | None, h: float) -> None:
         """First guess of the stages: the last polynomial continued, or no change."""
@@ -132,9 +187,15 @@ class _Steps(Stepper):
             self._accelerate(x.t, x.q, x.v, u, self._a0)
             self._K[...] = self._a0
             self._turn[...] = 0.0
-        at = self._system.derivatives(x, u, inputs=False)
+        at = self._differentiate(x, u, inputs=False)
+        self._slopes = at.q, at.v
+        self._invert()
+
+    def _invert(self) -> None:
+        """The inverse of the Newton matrix with the derivatives that are known."""
+        by_q, by_v = self._slopes
         matrix = np.eye(self._K.size)
-        matrix -= np.kron(self._ha, at.v) + np.kron(self._hhaa, at.q)
+        matrix -= np.kron(self._ha, by_v) + np.kron(self._hhaa, by_q)
         self._inverse = np.linalg.inv(matrix)
 
     def _solve(self, x: State, u: Array | None, h: float) -> float:

@@ -16,6 +16,7 @@ class Rk4(Integrator):
 
     order: ClassVar[int] = 4
     dense: ClassVar[bool] = True
+    event_driven: ClassVar[bool] = True
     example: ClassVar[dict[str, Any]] = {}
 
     def growth(self, motion: LinearMotion, dt: float) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 
 from mbd_ros.core.integration.runge_kutta import RungeKutta
 from mbd_ros.core.integration.tableau import Tableau
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import DivergedError, ModelError
 
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 6.0  # factors of the step length
@@ -57,6 +57,7 @@ class AdaptiveRungeKutta(RungeKutta):
     def __init__(self, system: Any, tableau: Tableau, dt: float, tolerance: float) -> None:
         super().__init__(system, tableau, dt)
         self._system, self._tolerance = system, tolerance
+        self._accelerate = system.accelerator()
         self._weights = np.zeros(2 * int(system.nv))
         self._power = 1.0 / (tableau.error_order + 1)
         self._length, self._last_error = 0.0, _SMALL_ERROR
@@ -93,6 +94,11 @@ class AdaptiveRungeKutta(RungeKutta):
         super().restart()
         self._length, self._last_error = 0.0, _SMALL_ERROR
 
+    def follow(self, accelerate: Any, mode: Mode = ()) -> None:
+        """As `Stepper.follow`."""
+        super().follow(accelerate, mode)
+        self._accelerate = accelerate
+
     def _factor(self, error: float) -> float:
         """Change of the step length after an accepted step."""
         error = max(error, _NO_ERROR)
@@ -115,7 +121,7 @@ class AdaptiveRungeKutta(RungeKutta):
         probe, a = _PROBE * self._dt, self.stages.first
         q, v = self._system.chart.integrate(x.q, probe * x.v), x.v + probe * a
         there = np.concatenate([v, np.empty_like(v)])
-        self._system.accelerator()(x.t + probe, q, v, u, there[len(v) :])
+        self._accelerate(x.t + probe, q, v, u, there[len(v) :])
         here = np.concatenate([x.v, a])[None]
         steepest = max(_norm(here / scale), _norm((there - here) / scale / probe))
         if not steepest > 0.0:

@@ -46,7 +46,8 @@ class NystromStages(Stages):
             accelerate(t0 + c * h, q, v, u, row)
         side.step(side.above_step, side.result)
         self._done = self._end
-        self._after = after = new_state(State, (t, side.result_q(), side.result_v(), NONE, ()))
+        result = t, side.result_q(), side.result_v(), NONE, self._mode
+        self._after = after = new_state(State, result)
         return after
 
     def errors(self) -> Array:

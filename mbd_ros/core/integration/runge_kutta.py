@@ -9,7 +9,7 @@ from mbd_ros.core.integration.step_length import NEAR, clip
 from mbd_ros.core.integration.stepping import Stepper
 from mbd_ros.core.integration.tableau import Tableau
 from mbd_ros.core.memory import Memory
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import ModelError
 
 
@@ -40,6 +40,14 @@ class RungeKutta(Stepper):
     def restart(self) -> None:
         """Forget the acceleration at the end of the last step."""
         self.stages.forget()
+
+    def again(self, h: float, t: float) -> State:
+        """As `Stepper.again`."""
+        return self.stages.advance(h, t)
+
+    def follow(self, accelerate: Any, mode: Mode = ()) -> None:
+        """As `Stepper.follow`; the length of adaptive steps is kept."""
+        self.stages.follow(accelerate, mode)
 
     def memory(self) -> Memory:
         """The last step."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from mbd_ros.core.integration.tableau import Tableau
 from mbd_ros.core.memory import Memory, copied, recognised
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, Mode, State
 
 
 class Stages:
@@ -33,6 +33,7 @@ class Stages:
         self._x = self._after = State(0.0, np.zeros(0), np.zeros(0))
         self._u: Array | None = None
         self._held: bytes | None = None
+        self._mode: Mode = ()
         self._allocate()
 
     def start(self, x: State, u: Array | None) -> None:
@@ -58,7 +59,7 @@ class Stages:
         """State after a step of length h [s] from the started one; t is its time [s]."""
         self._h, self._done = h, 1
         self._complete(self._end)
-        self._after = State(t, *self._stage(self._end))
+        self._after = State(t, *self._stage(self._end), mode=self._mode)
         return self._after
 
     def memory(self) -> Memory:
@@ -76,6 +77,11 @@ class Stages:
         """Take a state with the numbers of the last result for that result."""
         self._after = after
 
+    def follow(self, accelerate: Any, mode: Mode) -> None:
+        """Other accelerations for the next step, and the mode that its states have."""
+        self._accelerate, self._mode = accelerate, mode
+        self.forget()
+
     def forget(self) -> None:
         """Nothing of this step may serve the next one."""
         self._done = 0
@@ -92,13 +98,19 @@ class Stages:
         if t == self._after.t:
             return self._after
         self._complete(len(self._c))
-        return State(t, *self._blend(self._tableau.weights((t - self._x.t) / self._h)))
+        weights = self._tableau.weights((t - self._x.t) / self._h)
+        return State(t, *self._blend(weights), mode=self._mode)
 
     @property
     def first(self) -> Array:
         """Acceleration at the started state, shape (nv,); changes with the next step."""
         a: Array = self._rates[0, 1]
         return a
+
+    @property
+    def before(self) -> State:
+        """State that the last step started from."""
+        return self._x
 
     @property
     def span(self) -> tuple[float, float]:

@@ -4,7 +4,7 @@ import math
 from typing import Any, ClassVar
 
 from mbd_ros.core.memory import Memory, copied, recognised
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, Mode, State
 
 
 class Stepper:
@@ -58,6 +58,27 @@ class Stepper:
         """
         for name, value in memory.items():
             setattr(self, name, recognised(copied(value), x))
+
+    def again(self, h: float, t: float) -> State:
+        """The last step taken again from its start, with the order of the method.
+
+        Args:
+            h: Another length [s].
+            t: Time that it leads to [s].
+
+        Raises:
+            DivergedError: An iteration does not converge.
+        """
+        raise NotImplementedError
+
+    def follow(self, accelerate: Any, mode: Mode = ()) -> None:
+        """Follow other accelerations from the next step on; what was kept of the old is forgotten.
+
+        Args:
+            accelerate: An `Accelerator`.
+            mode: What the states of the steps have from then on.
+        """
+        raise NotImplementedError
 
     def continue_from(self, x: State) -> None:
         """Go on from a state that stabilization has made of the last one, history kept."""
