@@ -118,7 +118,7 @@ def test_states_inside_a_step_have_their_order(method, base, order, h):
         return max(distance(system, *pair) for pair in there)
 
     assert method.dense
-    assert math.log2(error(h) / error(h / 2)) > order + 0.5
+    assert math.log2(error(h) / error(h / 2)) > order + 0.35  # order + 1 for one step
 
 
 @pytest.mark.parametrize(("method", "base"), EVERY, ids=label)
