@@ -4,24 +4,19 @@
     w = 0 inside the bounds, w >= 0 at the lower one, w <= 0 at the upper one
 
 Among all accelerations that the rows allow, a is the nearest to that of the system without them,
-in the mass metric. Sources: P. Lötstedt, SIAM J. Appl. Math. 42 (1982), doi:10.1137/0142022;
-M. Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13 (2002), on the exchange of rows.
+in the mass metric. Source: P. Lötstedt, SIAM J. Appl. Math. 42 (1982), doi:10.1137/0142022.
 """
 
 from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.optimization.active_set import on_active_set
-from mbd_ros.core.optimization.box_qp import BoxQp, complementarity_residual
+from mbd_ros.core.optimization.box_qp import BoxQp, exchanged
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_factor import is_rounding
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import CONTRADICTION, SMALL_ROW, ZERO_ROW
 from mbd_ros.errors import SolveError
-
-_EXCHANGES = 6
-_EXACT = 1.0e-11  # complementarity residual of the right active set, relative
 
 
 class BoundedRows:
@@ -91,17 +86,8 @@ class BoundedRows:
         return motion.coordinates.integrated(joint_a + response.dot(lam))
 
     def _multipliers(self, A: Array, w: Array) -> Array:
-        lower, upper = self._lower, self._upper
-        diagonal = A.diagonal()
-        step = -w / diagonal
-        for _ in range(_EXCHANGES):
-            stepped = np.minimum(np.maximum(step, lower), upper)
-            lam = on_active_set(A, w, stepped, (stepped > lower) & (stepped < upper))
-            kept = np.minimum(np.maximum(lam, lower), upper)
-            if complementarity_residual(A, w, lower, upper, lam) <= _EXACT:
-                return kept
-            step = kept - (A.dot(kept) + w) / diagonal
-        return self.qp.solve(A, w, lower, upper)
+        lam = exchanged(A, w, self._lower, self._upper)
+        return self.qp.solve(A, w, self._lower, self._upper) if lam is None else lam
 
     def _without_silent(self, J: Array, A: Array, w: Array) -> tuple[Array, Array]:
         """A and w without rows that nothing moves, whose multipliers are then 0.

@@ -4,7 +4,8 @@
 
 With w = A lam + b: w = 0 inside the bounds, w >= 0 at the lower one, w <= 0 at the upper one.
 Gauss's principle asks it of the multipliers of joint stops, dry friction and limited drives
-(`bounded_rows`). Source: P. Lötstedt, SIAM J. Sci. Stat. Comput. 5 (1984).
+(`bounded_rows`), impacts that of impulses. Sources: P. Lötstedt, SIAM J. Sci. Stat. Comput. 5
+(1984); M. Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13 (2002), on the exchange of rows.
 """
 
 from collections.abc import Sequence
@@ -24,6 +25,8 @@ _POLISH_STEPS = 10
 _DAMPING = 1.0e-10  # beside a diagonal of ones
 _NOTHING = 1.0e-12  # terms of that size are none
 _DWARFS = 1.0e5
+_EXCHANGES = 6
+_EXACT = 1.0e-11  # complementarity residual of the right active set, relative
 
 
 class Statistics(NamedTuple):
@@ -93,6 +96,24 @@ class BoxQp:
                 return lam
         self.statistics = counted(self.statistics, "failed")
         raise SolveError(f"QP not solved: complementarity residual {residual:.1e}")
+
+
+def exchanged(A: Array, b: Array, lower: Array, upper: Array) -> Array | None:
+    """The multipliers by exchange of rows, from those on that each row by itself asks for.
+
+    Returns:
+        Shape (n,), fresh; None where that does not end soon, and a `BoxQp` has to serve.
+    """
+    diagonal = A.diagonal()
+    step = -b / diagonal
+    for _ in range(_EXCHANGES):
+        stepped = np.minimum(np.maximum(step, lower), upper)
+        lam = on_active_set(A, b, stepped, (stepped > lower) & (stepped < upper))
+        kept: Array = np.minimum(np.maximum(lam, lower), upper)
+        if complementarity_residual(A, b, lower, upper, lam) <= _EXACT:
+            return kept
+        step = kept - (A.dot(kept) + b) / diagonal
+    return None
 
 
 def complementarity_residual(A: Array, b: Array, lower: Array, upper: Array, lam: Array) -> float:
