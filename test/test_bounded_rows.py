@@ -209,7 +209,7 @@ def swing_through_proxqp(duration):
     layout, mechanism = RowLayout(parts), Mechanism(robot, Loads(7))
     bounded = AlwaysQp(ConstraintRows(layout.blocks, 7), 7)
     no_rows = RigidRows(mechanism, ConstraintRows((), 7))
-    system = ComposedSystem(Aba(mechanism), no_rows, bounded, layout, build_system)
+    system = ComposedSystem(Aba(mechanism), no_rows, no_rows, bounded, layout, build_system)
     simulation = Simulation(system, Rk4(), NoStabilization(), 1e-3)
     x = State(0.0, np.full(7, 0.3), np.array([3.0, -2.0, 4.0, 2.0, -4.0, 3.0, -3.0]))
     gc.disable()  # a collection of what pytest holds takes 10 ms, wherever it happens

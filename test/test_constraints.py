@@ -12,6 +12,7 @@ from mbd_ros.constraints.distance import Distance
 from mbd_ros.constraints.dry_friction import DryFriction
 from mbd_ros.constraints.frame_anchor import FrameAnchor
 from mbd_ros.constraints.joint_stop import JointStop
+from mbd_ros.constraints.knife_edge import KnifeEdge
 from mbd_ros.constraints.loop_closure import LoopClosure
 from mbd_ros.constraints.point_on_plane import PointOnPlane
 from mbd_ros.constraints.prescribed_motion import PrescribedMotion
@@ -21,7 +22,7 @@ from mbd_ros.core.model.coupling_functions import Linear, Polynomial
 from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.row_laws import box, drive, unilateral
+from mbd_ros.core.row_laws import Level, box, drive, unilateral
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.rows.rotation_residual import AxisRotation, FullRotation
@@ -84,6 +85,15 @@ IN_SPACE = {  # rows of frames
         lambda r: PointOnPlane(r, frame="world", plane_frame="foot", **PLANE),
     ),
 }
+EDGE = {"direction": (0.3, -2.0, 0.5), "point": A}
+ON_THE_GROUND = {  # rows of velocities on frames, which have no g
+    "knife edge": (ARM, lambda r: KnifeEdge(r, frame="flange", ground_frame="link3", **EDGE)),
+    "knife edge at rest": (BODY, lambda r: KnifeEdge(r, frame="left", **EDGE)),
+    "knife edge under a point at rest": (
+        LEG,
+        lambda r: KnifeEdge(r, frame="world", ground_frame="foot", **EDGE),
+    ),
+}
 IN_JOINTS = {
     "screw": (
         LEG,
@@ -107,7 +117,8 @@ IN_JOINTS = {
     "stop of a free body": (BODY, lambda r: JointStop(r, joint="right_slide", upper=0.4)),
     "friction": (BODY, lambda r: DryFriction(r, joint="left_swing", limit=2.0)),
 }
-EVERY = IN_SPACE | IN_JOINTS
+WITHOUT_G = {"friction", *ON_THE_GROUND}
+EVERY = IN_SPACE | ON_THE_GROUND | IN_JOINTS
 
 
 def _ends(pair):
@@ -171,7 +182,7 @@ def cases(table):
     )
 
 
-@cases({name: case for name, case in EVERY.items() if name != "friction"})  # it has no g
+@cases({name: case for name, case in EVERY.items() if name not in WITHOUT_G})
 @pytest.mark.parametrize("seed", range(4))
 def test_jacobian_is_the_derivative_of_the_residual(robot, make, seed):
     """At random places, far from g = 0, in the tangent space of a floating base."""
@@ -201,14 +212,16 @@ def test_rate_and_drift_are_derivatives_along_a_motion(robot, make, seed):
         J, drift = part.accelerations(k, x)
         assert np.array_equal(J, part.jacobian(k, x))
         assert np.array_equal(drift, part.drift(k, x))
-    if not isinstance(part, DryFriction | JointStop):  # a stop looks ahead by the velocity
+    if part.level is Level.POSITION and not isinstance(
+        part, JointStop
+    ):  # a stop looks ahead by the velocity
         first = slope(lambda h: residual(part, robot, later(h)))
         assert rate(part, robot, x) == pytest.approx(first, abs=1e-9)
     second = slope(lambda h: rate(part, robot, later(h)))
     assert part.jacobian(k, x) @ a + part.drift(k, x) == pytest.approx(second, abs=1e-9)
 
 
-@cases(IN_SPACE)
+@cases(IN_SPACE | ON_THE_GROUND)
 @pytest.mark.parametrize("seed", range(3))
 def test_wrenches_balance_and_are_what_the_multipliers_exert(robot, make, seed):
     """Forces on a and b cancel with their moments; their generalized force is J' lam."""
@@ -256,6 +269,7 @@ def test_multipliers_do_the_work_of_their_rows(robot, make):
         ),
         ("anchored point", [Row(f"force_{i}", "N", "universe") for i in "xyz"]),
         ("plane", [Row("force", "N", "link3")]),
+        ("knife edge", [Row("force", "N", "flange")]),
         ("screw", [Row("force", "N")]),
         ("harmonic", [Row("torque", "N·m")]),
         ("spline", [Row("force", "N")]),

@@ -41,7 +41,7 @@ every_part_with_symbols = pytest.mark.parametrize(
     ("section", "name"), [pair for pair in EVERY if pair[0] in OF_A_ROBOT]
 )
 IN_NUMBERS = {  # what bodies or the cheap margins of stops are bound to while building
-    *("point", "point_a", "point_b", "plane_point", "position", "normal"),
+    *("point", "point_a", "point_b", "plane_point", "position", "normal", "direction"),
     *("rpy", "rpy_a", "rpy_b", "orientation", "lower", "upper"),
 }
 
@@ -127,7 +127,7 @@ def test_constructor_stores_and_derives_so_that_it_takes_symbols(section, name):
     hints = typing.get_type_hints(part.__init__, include_extras=True)
     symbols = {key: symbolic(hint) for key, hint in hints.items() if key not in IN_NUMBERS}
     given = {key: symbol for key, symbol in symbols.items() if symbol is not None}
-    without = ("prescribed_torque", "frame_anchor", "loop_closure", "point_on_plane")
+    without = ("prescribed_torque", "frame_anchor", "knife_edge", "loop_closure", "point_on_plane")
     assert bool(given) != (name in without)  # which have a table or places alone
     robot = scene_from(urdf="prosthetic_leg").robot
     assert isinstance(part(robot, **{**arguments(section, name), **given}), Part)

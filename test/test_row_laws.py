@@ -120,7 +120,6 @@ def test_rows_of_velocities_are_never_asked_for_g(count):
     [
         (Held(cone(0.5), m=3), "row held.held_0 has the law cone, which no solver serves"),
         (Held(unilateral(0.3)), "row held.held_0 has restitution 0.3, which no solver serves"),
-        (Held(bilateral(), Level.VELOCITY), "held_0 has the law bilateral on velocities, which"),
         (Latch(bilateral()), "row latch.held_0 comes and goes with the mode, which no solver"),
         (
             Sliding(bilateral()),

@@ -23,7 +23,8 @@ class GeneralizedAlpha(Integrator):
         (1 - alpha_m) a+ + alpha_m a = (1 - alpha_f) v'+ + alpha_f v'
         q+ = q (+) h (v + (1/2 - beta) h a + beta h a+),   v+ = v + (1 - gamma) h a + gamma h a+
 
-    The positions keep the constraints; the velocities keep them to O(h^2) only. Force equations
+    The positions keep the constraints; the velocities keep them to O(h^2) only, but rows of
+    velocities, J v+ + rate = 0, to the tolerance. Force equations
     and multipliers are scaled by beta h^2 and by the masses, so that the condition of the Newton
     matrix does not depend on the step. Redundant rows are allowed. One-sided rows are refused.
 
@@ -64,13 +65,15 @@ class _Steps(Stepper):
 
     def __init__(self, method: GeneralizedAlpha, system: Any, dt: float) -> None:
         self._system, self._dt, self._tolerance = system, dt, method.tolerance
+        self._kept, self._is_rate = system.held, system.held.constraints.is_rate
+        self._has_rates = bool(self._is_rate.any())
         self._accelerate = system.accelerator()
         rho = method.spectral_radius
         self._am, self._af = (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0)
         self._gamma = 0.5 + self._af - self._am
         self._beta = 0.25 * (self._gamma + 0.5) ** 2
         self._ratio = (1.0 - self._am) / (1.0 - self._af)  # dv'+ / da+
-        nv, size = system.nv, system.nv + len(system.rows)
+        nv, size = system.nv, system.nv + len(system.held.rows)
         self._a0, self._vdot0, self._of_q = np.zeros((3, nv))
         self._lam0, self._of_g = np.zeros((2, size - nv))
         self._inverse, self._r = np.eye(size), np.zeros(size)
@@ -115,7 +118,7 @@ class _Steps(Stepper):
         """
         self._h, self._is_slow = h, True
         self._vdot0 = self._a0 = self._acceleration(x, u)
-        self._lam0 = np.zeros(len(self._system.rows))
+        self._lam0 = np.zeros(len(self._kept.rows))
 
     def _begin(self, x: State, h: float) -> None:
         """What of the step does not depend on a+, and a+ for a constant acceleration."""
@@ -145,7 +148,7 @@ class _Steps(Stepper):
         """Force that lacks for the equation of motion, shape (nv,)."""
         system = self._system
         force = system.applied(t, q, v, u) - system.mass(q).dot(self._vdot)
-        return force + self._lam.dot(system.jacobian(t, q)) if system.rows else force
+        return force + self._lam.dot(self._kept.jacobian(t, q)) if self._kept.rows else force
 
     def _refresh(self, x: State, u: Array | None, t: float) -> None:
         """Inverse of the scaled matrix of positions and multipliers at the predicted state."""
@@ -153,7 +156,7 @@ class _Steps(Stepper):
         self._evaluate(x)
         at, M = self._linearization, system.mass(self._q).dense
         at.update(t, self._q, self._v, u)
-        J = system.jacobian(t, self._q) if system.rows else np.zeros((0, n))
+        J = self._kept.jacobian(t, self._q) if self._kept.rows else np.zeros((0, n))
         self._of_q = 1.0 / np.sqrt(M.diagonal())
         J = J * self._of_q
         size = np.sqrt((J * J).sum(axis=1))
@@ -168,15 +171,15 @@ class _Steps(Stepper):
         self._inverse = np.linalg.pinv(matrix, rcond=redundant(len(matrix)))
 
     def _solve(self, x: State, u: Array | None, t: float) -> float:
-        system, r, n = self._system, self._r, self._system.nv
+        r, n = self._r, self._system.nv
         hh = self._beta * self._h**2
         force_scale, of_a, of_lam = hh * self._of_q, self._of_q / hh, self._of_g / hh
 
         def correct() -> float:
             self._evaluate(x)
             r[:n] = force_scale * self._balance(t, self._q, self._v, u)
-            if system.rows:
-                r[n:] = -self._of_g * system.residual(t, self._q)
+            if self._kept.rows:
+                r[n:] = -self._of_g * self._off(t)
             z = self._inverse.dot(r)
             self._a = self._a + of_a * z[:n]
             self._lam += of_lam * z[n:]
@@ -186,3 +189,11 @@ class _Steps(Stepper):
         rate = converge(correct, self._tolerance * scale)
         self._evaluate(x)
         return rate
+
+    def _off(self, t: float) -> Array:
+        """What the rows leave, as positions: beta h / gamma of the rate where they state rates."""
+        g = self._kept.residual(t, self._q)
+        if self._has_rates:
+            rate = self._kept.jacobian(t, self._q).dot(self._v) + self._kept.rate(t, self._q)
+            g = np.where(self._is_rate, (self._beta * self._h / self._gamma) * rate, g)
+        return g

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from mbd_ros.core.integration.constrained_verlet import ConstrainedVerlet, PositionStep
-from mbd_ros.core.integration.newton import refuse_bounded_rows
+from mbd_ros.core.integration.newton import refuse_bounded_rows, refuse_rows_of_velocities
 from mbd_ros.core.integration.step_length import clip
 from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.core.memory import Memory
@@ -23,7 +23,8 @@ class Rattle(Integrator):
     error stays bounded for ever. For other robots w is found by iteration; the method is still of
     second order and time-reversible (if the forces are), but not symplectic: the energy of
     reversible motion usually stays bounded, which is no theorem. Stiff dampers need another
-    method. Without rows it is velocity Verlet. One-sided rows are refused.
+    method. Without rows it is velocity Verlet. One-sided rows and
+    rows of velocities are refused.
 
     Args:
         tolerance: |g| from which one more correction is the last [m, rad].
@@ -46,9 +47,10 @@ class Rattle(Integrator):
         """A stepper for one system and one step size [s].
 
         Raises:
-            ModelError: The system has one-sided rows.
+            ModelError: The system has one-sided rows, or rows of velocities.
         """
         refuse_bounded_rows(system, "rattle")
+        refuse_rows_of_velocities(system, "rattle")
         return _Steps(system, self.tolerance, dt)
 
 

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from mbd_ros.core.integration.constrained_verlet import ConstrainedVerlet, PositionStep
-from mbd_ros.core.integration.newton import refuse_bounded_rows
+from mbd_ros.core.integration.newton import refuse_bounded_rows, refuse_rows_of_velocities
 from mbd_ros.core.integration.step_length import clip
 from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.core.memory import Memory
@@ -24,7 +24,7 @@ class Shake(Integrator):
     for ahead and used then; a step after a restart therefore costs two. For other robots q_{n+1} =
     q_n (+) h w_{n+1/2}, v_n is the mean of both w, and f(q_n, v_n) comes by iteration; the method
     is of second order and time-reversible (if the forces are), but not symplectic. One-sided rows
-    are refused.
+    and rows of velocities are refused.
 
     Args:
         tolerance: |g| from which one more correction is the last [m, rad].
@@ -47,9 +47,10 @@ class Shake(Integrator):
         """A stepper for one system and one step size [s].
 
         Raises:
-            ModelError: The system has one-sided rows.
+            ModelError: The system has one-sided rows, or rows of velocities.
         """
         refuse_bounded_rows(system, "shake")
+        refuse_rows_of_velocities(system, "shake")
         return _Steps(system, self.tolerance, dt)
 
 

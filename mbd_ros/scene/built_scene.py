@@ -212,7 +212,7 @@ class Scene(SceneParts):
             given = integrator or DEFAULT_INTEGRATOR
             method = build_part("integrators", given, f"{self.name}: integrator")
         if stabilization is not None or correction is None:
-            given = stabilization or {"type": "projection" if system.rows else "none"}
+            given = stabilization or {"type": "projection" if system.held.rows else "none"}
             correction = build_part("stabilization", given, f"{self.name}: stabilization")
         try:
             return Simulation(system, method, correction, self.dt if dt is None else dt)

@@ -99,11 +99,11 @@ def _rubbing(scene: Scene) -> Iterator[str]:
 
 def _forward(scene: Scene, system: System) -> str:
     """The tier, the method and the step."""
-    rows = f", {len(system.rows)} rows" if system.rows else ""
+    rows = f", {len(system.held.rows)} rows" if system.held.rows else ""
     method = "integrator" if scene.integrator is None else type(scene.integrator).__name__
     default = f" {DEFAULT_INTEGRATOR['type']} by default" if scene.integrator is None else ""
     text = f"{tier_of(system)}: {_TIERS[system.tier]}{rows}; {method}{default}, dt {scene.dt:g} s"
-    if system.rows:
+    if system.held.rows:
         kept = scene.stabilization
         text += f"; stabilization {'projection by default' if kept is None else type_name(kept)}"
     return text
@@ -113,7 +113,11 @@ def _warnings(scene: Scene, system: System, x: State, factor: RowFactor | None) 
     for text in start_warnings(scene.robot, scene.constraints, scene.initial):
         yield line("warning", text)
     floor = getattr(scene.stabilization, "floor", None)
-    if system.rows and floor is not None and floor(scene.dt) > scene.stabilization.time_constant:
+    if (
+        system.held.rows
+        and floor is not None
+        and floor(scene.dt) > scene.stabilization.time_constant
+    ):
         used = f"time constant {scene.stabilization.time_constant:g} s raised to 2 dt"
         yield line("warning", f"Baumgarte: {used} = {floor(scene.dt):g} s")
     if factor is not None:
@@ -154,7 +158,7 @@ def _held_start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
         return system.reduce(scene.initial), None
     motion = scene.closed_loop().motion
     x = scene.initial._replace(q=motion.start(scene.initial))
-    return x, RowFactor(motion.metric(x.q), system.jacobian(x.t, x.q))
+    return x, RowFactor(motion.metric(x.q), system.held.jacobian(x.t, x.q))
 
 
 def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
@@ -166,9 +170,9 @@ def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
     a = system.evaluate(system.expand(x)).a
     if not np.isfinite(a).all():
         raise SolveError(f"{scene.name}: accelerations at the start are not finite: {a}")
-    if not system.rows:
+    if not system.held.rows:
         return x, None
-    return x, system.factorise(x.t, x.q)
+    return x, system.held.factor_at(x.t, x.q)
 
 
 def _rank_lines(factor: RowFactor) -> Iterator[str]:

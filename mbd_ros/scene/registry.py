@@ -20,6 +20,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "dry_friction": "mbd_ros.constraints.dry_friction:DryFriction",
         "frame_anchor": "mbd_ros.constraints.frame_anchor:FrameAnchor",
         "joint_stop": "mbd_ros.constraints.joint_stop:JointStop",
+        "knife_edge": "mbd_ros.constraints.knife_edge:KnifeEdge",
         "loop_closure": "mbd_ros.constraints.loop_closure:LoopClosure",
         "point_on_plane": "mbd_ros.constraints.point_on_plane:PointOnPlane",
         "prescribed_motion": "mbd_ros.constraints.prescribed_motion:PrescribedMotion",

@@ -25,7 +25,8 @@ class ComposedSystem:
 
     Args:
         motion: Accelerations without rows that give way.
-        rigid: Rows that an integrator may have to keep, whoever solves for them.
+        rigid: Rows of positions that an integrator may have to keep, whoever solves for them.
+        held: The same with rows of velocities; the same object without any.
         bounded: Rows with bounded multipliers, solved for by Gauss's principle.
         layout: All rows of the scene.
         build: Makes the same system for other loads and gains.
@@ -35,11 +36,13 @@ class ComposedSystem:
         self,
         motion: FreeMotion,
         rigid: RigidRows,
+        held: RigidRows,
         bounded: BoundedRows | None,
         layout: RowLayout,
         build: Build,
     ) -> None:
         self._motion, self._rigid, self._build = motion, rigid, build
+        self.held = held
         self._mechanism, coordinates = motion.mechanism, motion.coordinates
         self._coordinates = coordinates
         self.tier, self.chart = motion.tier, coordinates.chart
@@ -64,7 +67,7 @@ class ComposedSystem:
     @property
     def condition(self) -> float:
         """Condition number of the rows in the mass metric when last factorised."""
-        return self._rigid.condition
+        return self.held.condition
 
     @property
     def evaluations(self) -> int:
@@ -116,7 +119,7 @@ class ComposedSystem:
         return Mass(self._coordinates.mass(q))
 
     def factorise(self, t: float, q: Array) -> RowFactor:
-        """Factor of the bilateral rows; brings `condition` up to date."""
+        """Factor of the bilateral rows of positions; brings `condition` up to date."""
         J = self._rigid.jacobian(t, q)
         return self._rigid.factorise(self._coordinates.mass(q), J)
 

@@ -40,7 +40,7 @@ class RigidRows:
         self._usual = None if self.sizes is None else self.sizes.mobility
 
     def residual(self, t: float, q: Array) -> Array:
-        """g(t, q), shape (m,)."""
+        """g(t, q), shape (m,); 0 for rows of velocities."""
         x = self._mechanism.placed(t, q, self._of_g)
         return self.constraints.residual(self._mechanism.k, x)
 
@@ -63,6 +63,11 @@ class RigidRows:
         factor = RowFactor(M, J, self._usual)
         self.condition = factor.condition
         return factor
+
+    def factor_at(self, t: float, q: Array) -> RowFactor:
+        """Factor at a configuration of all joints; brings `condition` up to date."""
+        J = self.jacobian(t, q)
+        return self.factorise(self._mechanism.mass(q), J)
 
     def _at(self, q: Array) -> tuple[Array, Array]:
         return self._mechanism.mass(q), self.jacobian(0.0, q)

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Protocol
 from mbd_ros.core.dynamics.chart import Chart
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mass import Mass
+from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
@@ -50,13 +51,15 @@ class System(Protocol):
         chart: Of y.
         nq: Size of the configuration of y.
         nv: Size of its velocity.
-        rows: Bilateral rows that an integrator may have to keep.
+        rows: Bilateral rows of positions, which an integrator may have to keep.
         constraints: The same, stacked.
+        held: All bilateral rows, those of velocities included: what velocities and accelerations
+            keep, and positions need not. `held.rows` is `rows` where no row states velocities.
         bounded: Rows that give way, None without any.
         layout: Which multipliers of an `Evaluation` are those of which rows.
         multiplier_rows: What they are, in the same order under every tier.
-        sizes: What masses and bilateral rows usually are; None without rows.
-        condition: Condition number of the rows in the mass metric when last factorised, for
+        sizes: What masses and these rows usually are; None without rows.
+        condition: Condition number of `held` in the mass metric when last factorised, for
             reports; 1 without rows.
     """
 
@@ -70,6 +73,7 @@ class System(Protocol):
     nv: int
     rows: tuple[Row, ...]
     constraints: ConstraintRows
+    held: RigidRows
     bounded: BoundedRows | None
     layout: RowLayout
     multiplier_rows: tuple[Row, ...]
@@ -131,7 +135,7 @@ class System(Protocol):
         """Generalized force tau - h without the constraints, shape (nv,)."""
 
     def residual(self, t: float, q: Array) -> Array:
-        """g(t, q) of the bilateral rows, shape (m,)."""
+        """g(t, q) of `rows`, shape (m,)."""
 
     def jacobian(self, t: float, q: Array) -> Array:
         """dg/dq, shape (m, nv)."""
@@ -140,7 +144,7 @@ class System(Protocol):
         """dg/dt, shape (m,)."""
 
     def factorise(self, t: float, q: Array) -> RowFactor:
-        """Factor of the bilateral rows; brings `condition` up to date."""
+        """Factor of `rows`; brings `condition` up to date."""
 
     def energy(self, y: State) -> float:
         """Kinetic and potential energy [J]; heights are counted from `Robot.origin`."""

@@ -83,31 +83,33 @@ class _Plan:
     ) -> None:
         self._robot, self._couplings, self._layout = robot, couplings, layout
         self._limited, self._backend = tuple(limited), backend
-        kept = [block for block in layout.of(Level.POSITION) if block.law.is_rigid]
-        self._kept = kept if is_kept else []
+        self._held = layout.rigid if is_kept else ()
+        self._kept = tuple(block for block in self._held if block.level is Level.POSITION)
         self._is_reduced = bool(couplings.dependent) and not is_kept
         self._mimics = mimic_model(robot, couplings) if self._is_reduced else None
-        self._sizes: UsualSizes | None = None
+        self._sizes: tuple[UsualSizes | None, ...] = (None, None)
 
     def build(self, loads: Loads, gains: tuple[float, float]) -> System:
         """The system under some loads, with kp [1/s^2] and kd [1/s] of rigid rows."""
         nv, blocks = self._robot.model.nv, self._limited
         mechanism = Mechanism(self._robot, loads)
-        rigid = RigidRows(mechanism, ConstraintRows(self._kept, nv, gains), self._sizes)
-        self._sizes = rigid.sizes
+        held = rigid = RigidRows(mechanism, ConstraintRows(self._kept, nv, gains), self._sizes[0])
+        if self._held != self._kept:
+            held = RigidRows(mechanism, ConstraintRows(self._held, nv, gains), self._sizes[1])
+        self._sizes = rigid.sizes, held.sizes
         acting = ConstraintRows(blocks, nv, gains)
         bounded = BoundedRows(acting, nv, self._backend) if blocks else None
-        motion = self._motion(mechanism, rigid)
-        return ComposedSystem(motion, rigid, bounded, self._layout, self.build)
+        motion = self._motion(mechanism, held)
+        return ComposedSystem(motion, rigid, held, bounded, self._layout, self.build)
 
-    def _motion(self, mechanism: Mechanism, rigid: RigidRows) -> FreeMotion:
+    def _motion(self, mechanism: Mechanism, held: RigidRows) -> FreeMotion:
         if self._mimics is not None:
             return Mimic(mechanism, self._couplings, self._mimics)
         if self._is_reduced:
             return Reduced(mechanism, self._couplings)
         is_solved = {block.slots.start for block in self._limited}
-        if any(block.slots.start not in is_solved for block in self._kept):
-            return Kkt(mechanism, rigid)
+        if any(block.slots.start not in is_solved for block in self._held):
+            return Kkt(mechanism, held)
         return Aba(mechanism)
 
 
@@ -119,8 +121,8 @@ def _refuse_unserved(blocks: Sequence[RowBlock]) -> None:
             what = "has the law cone"
         elif block.law.restitution > 0.0:
             what = f"has restitution {block.law.restitution:g}"
-        elif block.level is Level.VELOCITY and block.law.kind is not Kind.BOX:
-            what = f"has the law {block.law.kind.value} on velocities"
+        elif block.level is Level.VELOCITY and block.law.kind is Kind.UNILATERAL:
+            what = "has the law unilateral on velocities"
         elif block.slips:
             what = "pushes along another direction than it holds"
         elif not block.part.acts(()):
@@ -128,7 +130,7 @@ def _refuse_unserved(blocks: Sequence[RowBlock]) -> None:
         if what:
             raise ModelError(
                 f"row {block.rows[0].name} {what}, which no solver serves; accepted: bilateral, "
-                "drive, unilateral without restitution, and box, which serves velocities too"
+                "drive and box, and unilateral without restitution on positions"
             )
 
 

@@ -58,3 +58,19 @@ def refuse_bounded_rows(system: System, name: str) -> None:
             f"integrator {name} keeps bilateral rows only, the scene bounds {rows}; accepted: "
             "any integrator that does not keep constraints itself, such as rk4"
         )
+
+
+def refuse_rows_of_velocities(system: System, name: str) -> None:
+    """Refuse rows that state velocities alone, which a method for positions does not keep.
+
+    Raises:
+        ModelError: There are some; names them.
+    """
+    held = system.held
+    if len(held.rows) > len(system.rows):
+        known = {row.name for row in system.rows}
+        rows = ", ".join(row.name for row in held.rows if row.name not in known)
+        raise ModelError(
+            f"integrator {name} keeps rows of positions, the scene has rows of velocities {rows}; "
+            "accepted: generalized_alpha, or any integrator that does not keep constraints itself"
+        )

@@ -64,7 +64,8 @@ class LoopMotion:
         self._is_base = np.isin(np.arange(robot.model.nv), robot.base_v)
         self._q = np.array([joint.q for joint in robot.joints], dtype=np.intp)
         self._v = np.array([joint.v for joint in robot.joints], dtype=np.intp)
-        sizes = self._system.sizes
+        self._held = self._system.held  # rows of velocities among them
+        sizes = self._held.sizes
         self._usual = np.zeros(0) if sizes is None else np.sqrt(sizes.mobility)
 
     def metric(self, q: Array) -> Array:
@@ -81,12 +82,11 @@ class LoopMotion:
         Raises:
             SolveError: The mechanism cannot be assembled near this position.
         """
-        system = self._system
-        if not system.rows:
+        if not self._held.rows:
             return x, a
-        q = assemble(system, x._replace(v=np.zeros_like(x.v))).q
+        q = assemble(self._system, x._replace(v=np.zeros_like(x.v))).q
         J, L, size = self._rows(x.t, q)
-        v = x.v - _shortest(J, L, size, J.dot(x.v) + system.rate(x.t, q))
+        v = x.v - _shortest(J, L, size, J.dot(x.v) + self._held.rate(x.t, q))
         x = State(x.t, q, v)
         return x, a - _shortest(J, L, size, J.dot(a) + self._drift(x))
 
@@ -106,7 +106,7 @@ class LoopMotion:
             The motion with the other joints filled in: NaN where they follow from measured rates
             that are NaN.
         """
-        free, system = np.flatnonzero(~measured), self._system
+        free = np.flatnonzero(~measured)
         kept = measured[self._v]
         start, end = before[self._q[kept]], x.q[self._q[kept]]
         q, way = before.copy(), np.zeros(self._system.nv)
@@ -119,10 +119,10 @@ class LoopMotion:
                 q = self._system.chart.integrate(q, way / strides)
             q[self._q[kept]] = start + (end - start) * (i / strides)
             q = self._closed(x.t, q, free)
-        J = system.jacobian(x.t, q)
+        J = self._held.jacobian(x.t, q)
         condition = float(np.linalg.cond(J[:, free])) if len(free) else 1.0
         v, a = np.where(measured, x.v, 0.0), np.where(measured, a, 0.0)
-        v[free] = -_least(J[:, free], J.dot(v) + system.rate(x.t, q))
+        v[free] = -_least(J[:, free], J.dot(v) + self._held.rate(x.t, q))
         x = State(x.t, q, v)
         a[free] = -_least(J[:, free], J.dot(a) + self._drift(x))
         return Completed(x, a, condition)
@@ -162,13 +162,13 @@ class LoopMotion:
         return q
 
     def _drift(self, x: State) -> Array:
-        constraints, k = self._system.constraints, self._system.k
+        constraints, k = self._held.constraints, self._system.k
         k.refresh(x.q, x.v, constraints.reads)
         return constraints.accelerations(k, x)[1]
 
     def _rows(self, t: float, q: Array) -> tuple[Array, Array, Array]:
         """J, the Cholesky factor of M, and the size of the rows in the metric M^-1."""
-        J, M = self._system.jacobian(t, q), self._system.mass(q).dense
+        J, M = self._held.jacobian(t, q), self._system.mass(q).dense
         if not (np.isfinite(J).all() and np.isfinite(M).all()):
             raise SolveError("constraint rows or masses are not finite")
         L: Any = np.linalg.cholesky(M)

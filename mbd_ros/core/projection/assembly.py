@@ -35,22 +35,24 @@ class Violation(NamedTuple):
 
 def violation(system: System, x: State) -> Violation:
     """How far a state of the integrated coordinates violates the bilateral rows."""
-    if not system.rows:
+    held = system.held
+    if not held.rows:
         return Violation(0.0, 0.0)
-    g = system.residual(x.t, x.q)
-    rate = system.jacobian(x.t, x.q).dot(x.v) + system.rate(x.t, x.q)
+    g = held.residual(x.t, x.q)
+    rate = held.jacobian(x.t, x.q).dot(x.v) + held.rate(x.t, x.q)
     return Violation(float(np.abs(g).max()), float(np.abs(rate).max()))
 
 
 def project(system: System, x: State) -> State:
     """A state near the constraints moved onto them, for use after every step.
 
-    Dependent rows and rows at a toggle are left out. `system.condition` is brought up to date.
+    Positions see rows of positions alone, velocities see all of them. Dependent rows and rows at a
+    toggle are left out. `system.condition` is brought up to date.
 
     Raises:
         SolveError: The state is too far away; names the time, and the row that stays open.
     """
-    if not system.rows:
+    if not system.held.rows:
         return x
     try:
         return _projected(system, x)
@@ -59,12 +61,16 @@ def project(system: System, x: State) -> State:
 
 
 def _projected(system: System, x: State) -> State:
-    q, factor = _closed_nearby(system, x)
-    J, rate = system.jacobian(x.t, q), system.rate(x.t, q)
+    held, q, factor = system.held, x.q, None
+    if system.rows:
+        q, factor = _closed_nearby(system, x)
+    if factor is None or len(held.rows) > len(system.rows):
+        factor = held.factor_at(x.t, q)
+    J, rate = held.jacobian(x.t, q), held.rate(x.t, q)
     v, slow = x.v, ON_MANIFOLD * (1.0 + float(np.abs(x.v).max()))
     for attempt in range(_VELOCITY_CORRECTIONS):
         if attempt == _VELOCITY_CORRECTIONS - 1:  # the rows have turned since they were factorised
-            factor = system.factorise(x.t, q)
+            factor = held.factor_at(x.t, q)
         v = _consistent_velocity(v, J, rate, factor)
         if float(np.abs(J.dot(v) + rate).max()) <= slow:
             break
@@ -109,11 +115,12 @@ def assemble(system: System, x: State) -> State:
     Raises:
         SolveError: There is none near it; names the worst row and its residual.
     """
-    if not system.rows or _is_consistent(system, x):
+    held = system.held
+    if not held.rows or _is_consistent(system, x):
         return x
-    q = _nearest_configuration(system, x)
-    J, rate = system.jacobian(x.t, q), system.rate(x.t, q)
-    v, factor = x.v, system.factorise(x.t, q)
+    q = _nearest_configuration(system, x) if system.rows else x.q
+    J, rate = held.jacobian(x.t, q), held.rate(x.t, q)
+    v, factor = x.v, held.factor_at(x.t, q)
     for _ in range(_VELOCITY_CORRECTIONS):  # redundant rows leave some of the first one's error
         v = _consistent_velocity(v, J, rate, factor)
         left = J.dot(v) + rate
@@ -122,7 +129,7 @@ def assemble(system: System, x: State) -> State:
     worst = int(np.argmax(np.abs(left)))
     if not abs(left[worst]) <= ASSEMBLED * (1.0 + float(np.abs(x.v).max())):
         raise SolveError(
-            f"no consistent velocity: row {system.rows[worst].name} keeps a rate of "
+            f"no consistent velocity: row {held.rows[worst].name} keeps a rate of "
             f"{left[worst]:.3g} per second; it contradicts the other rows"
         )
     return x._replace(q=q, v=v)

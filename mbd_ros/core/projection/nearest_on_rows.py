@@ -28,6 +28,9 @@ class NearestOnRows:
         upper: Largest positions [rad or m], shape (n,).
         of_position: Forces of the limits.
         of_velocity: Forces of those that are reached.
+
+    Attributes:
+        has_rates: Whether velocities have rows that positions do not have.
     """
 
     def __init__(
@@ -42,6 +45,7 @@ class NearestOnRows:
         self._configuration = NearestConfiguration(system, lower, upper, of_position)
         self._program = MoveQp(system.nv, of_velocity)
         self._zero = np.zeros(system.nv)
+        self.has_rates = len(system.held.rows) > len(system.rows)
 
     def rows(self, t: float, q: Array) -> Rows:
         """Residual g and Jacobian J, shapes (m,) and (m, n).
@@ -69,8 +73,12 @@ class NearestOnRows:
             raise SolveError(self._too_far(x.q, rows[0]))
         q, move, at_q, iterations = found
         _check(q - x.q, metric, move, at_q)
-        v = self._velocity(x, q, at_q[1], of_velocity)
+        v = self._velocity(x, q, self.held(x.t, q, at_q[1]), of_velocity)
         return Nearest(q, v, move.lam, move.mu, iterations, move.condition)
+
+    def held(self, t: float, q: Array, J: Array) -> Array:
+        """Jacobian of all rows that velocities keep, from that of positions at the same q."""
+        return self._system.held.jacobian(t, q) if self.has_rates else J
 
     def violation(self, x: State, rows: Rows | None = None) -> tuple[Array, Array]:
         """Residual g and its rate g' at any state, shapes (m,) and (m,).
@@ -83,7 +91,7 @@ class NearestOnRows:
         return g, J.dot(x.v) + self._system.rate(x.t, x.q)
 
     def _velocity(self, x: State, q: Array, J: Array, metric: Metric) -> Array:
-        rate = self._system.rate(x.t, q)
+        rate = self._system.held.rate(x.t, q)
         floor, ceiling = stops(q, self._lower, self._upper)
         c = -(J.dot(x.v) + rate)
         try:

@@ -41,7 +41,7 @@ class ObservedState:
             self._couplings.expand(q, v, np.zeros(self._nv), self._slopes)
             self.dependent = q[self._dependent_q]
         x = State(t, q, v)
-        if self._system.rows:
+        if self._system.held.rows:
             x = project(self._system, x)
             self.moved = float(np.abs(x.q - q).max())
         return x

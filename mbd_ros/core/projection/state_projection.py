@@ -2,7 +2,8 @@
 
     position   min 1/2 p' W p,  p = q - q_m   subject to  g(t, q) = 0,  lower <= q <= upper
     velocity   min 1/2 p' W p,  p = v - v_m   subject to  J v + dg/dt = 0, and no motion out of a
-                                                          limit that is reached
+                                                          limit that is reached;
+                                                          here J has rows of velocities too
 
 W is the mass matrix at the measured state; `nearest_state.metric_of` defines it for joints that
 were not measured. Source: E. Eich, SIAM J. Numer. Anal. 30 (1993).
@@ -128,9 +129,10 @@ class StateProjector:
         self._limits = LimitForces(n, is_bounded), LimitForces(n, is_bounded)
         self._on_rows = NearestOnRows(system, self.lower, self.upper, *self._limits)
         self._none = np.zeros(n, dtype=np.bool_)
-        parts = [part for part in system.constraints.parts if isinstance(part, CouplingRows)]
+        held = system.held.constraints.parts
+        parts = [part for part in held if isinstance(part, CouplingRows)]
         self._coupled: NearestCoupled | None = None
-        if n and len(parts) == len(system.constraints.parts):
+        if n and len(parts) == len(held):
             couplings = CoupledJoints(n, [pair for part in parts for pair in part.pairs])
             self._coupled = NearestCoupled(couplings, self.lower, self.upper, *self._limits)
 
@@ -156,8 +158,9 @@ class StateProjector:
         rows = self._on_rows.rows(x.t, x.q)
         metric, undetermined = metric_of(M, rows[1], m.known, self._amplification)
         of_velocity = metric
-        if not is_same:
-            of_velocity, _ = metric_of(M, rows[1], m.known_velocity, self._amplification)
+        if not is_same or self._on_rows.has_rates:
+            J = self._on_rows.held(x.t, x.q, rows[1])
+            of_velocity, _ = metric_of(M, J, m.known_velocity, self._amplification)
         return Prepared(metric, of_velocity, undetermined, is_whole, rows)
 
     def project(self, m: Measurement, prepared: Prepared | None = None) -> ProjectedState:

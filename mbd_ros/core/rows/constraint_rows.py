@@ -35,6 +35,7 @@ class ConstraintRows:
         upper: Largest multiplier of every row, shape (m,).
         varies: Whether some of these depend on the state; `limit` brings them there.
         is_corrected: Whether any row demands more than g'' = 0.
+        is_rate: Which rows state velocities, and have no g, shape (m,).
     """
 
     def __init__(
@@ -51,8 +52,10 @@ class ConstraintRows:
         m = len(self.rows)
         self.lower, self.upper = np.full(m, -np.inf), np.full(m, np.inf)
         self._kp, self._kd = np.zeros(m), np.zeros(m)
+        self.is_rate = np.zeros(m, dtype=np.bool_)
         for block, mine in zip(self.blocks, self.slices, strict=True):
             self._kp[mine], self._kd[mine] = gains if block.law.is_rigid else block.gains
+            self.is_rate[mine] = block.level is Level.VELOCITY
             if not block.law.varies:
                 self.lower[mine], self.upper[mine] = block.law.lower, block.law.upper
         self.varies = any(block.law.varies for block in self.blocks)

@@ -56,7 +56,7 @@ class Simulation:
         self.worst = (1.0, 0.0)
         has_stops = any(block.part.stops for block in system.layout.yielding)
         self.overshoots = Overshoots(system) if has_stops else None
-        self._is_corrected = bool(system.rows) and not integrator.keeps_constraints
+        self._is_corrected = bool(system.held.rows) and not integrator.keeps_constraints
         self._made_by = type(integrator).__name__, dt, system.nq, system.nv
         self._progress: Progress | None = None
 
@@ -73,7 +73,7 @@ class Simulation:
         self.stepper.restart()
         y = self.system.reduce(x)
         check_mass(self.system, y.q)
-        if self.system.rows:
+        if self.system.held.rows:
             y = assemble(self.system, y)
             check_mass(self.system, y.q)
         if self.overshoots is not None:
