@@ -2,23 +2,23 @@
 
 from typing import Annotated
 
-import numpy as np
-
-from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.dynamics.path_load import PathLoad
+from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.point_path import path_through
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Load, Wrench
+from mbd_ros.core.model.via_points import ViaPoint
 from mbd_ros.core.ranges import NotNegative, Unit, Vector
 from mbd_ros.core.state import Array, State
 
 
-class PointSpring(Load):
+class PointSpring(PathLoad):
     """Massless spring and damper between two points at the distance d.
 
         F = stiffness (d - length) + damping d',   tau = -F grad d
 
     It pulls the points together where F > 0 and pushes them apart where F < 0 (it does not go
-    slack as a rope does). With d = 0 the line has no direction, and F is zero; only for `length` 0
-    and without damping is that the limit of the forces nearby.
+    slack as a cable does). With d = 0 the line has no direction, and F is zero; only for `length`
+    0 and without damping is that the limit of the forces nearby.
 
     Args:
         robot: Robot of the scene.
@@ -34,7 +34,7 @@ class PointSpring(Load):
         ModelError: Unknown frame, or both ends on one body.
     """
 
-    reads = Reads.JACOBIAN
+    outputs = ()
     example = {"frame_a": "world", "frame_b": "foot", "stiffness": 200.0, "length": 0.1}
 
     def __init__(
@@ -49,38 +49,15 @@ class PointSpring(Load):
         damping: Annotated[NotNegative, Unit("N·s/m")] = 0.0,
         length: Annotated[NotNegative, Unit("m")] = 0.0,
     ) -> None:
-        a, b = robot.point(frame_a, point_a), robot.point(frame_b, point_b)
-        robot.pair(a, b)  # refuses ends that do not move against each other
-        self._a, self._b = sorted((a, b), key=lambda end: end.moves)  # at most a is at rest
+        ends = ViaPoint(robot, frame_a, point_a), ViaPoint(robot, frame_b, point_b)
+        super().__init__(path_through(robot, sorted(ends, key=lambda end: end.moves)))
         self._stiffness, self._damping, self._length = stiffness, damping, length
 
-    def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force, shape (nv,)."""
-        _, slope, pull = self._tension(k, x)
-        tau: Array = slope * -pull
-        return tau
-
-    def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
-        """Forces at the ends of the spring."""
-        direction, _, pull = self._tension(k, x)
-        force, free = direction * pull, np.zeros(3)
-        return (
-            Wrench(self._a.frame, k.position(self._a), force, free),
-            Wrench(self._b.frame, k.position(self._b), -force, free),
-        )
-
-    def _tension(self, k: Kinematics, x: State) -> tuple[Array, Array, float]:
-        """From end a to end b, rate of the distance with every joint, and F [N]."""
-        line = k.position(self._b) - k.position(self._a)
-        distance = k.hypot(line)
-        direction = line / k.where(distance > 0.0, distance, 1.0)
-        slope: Array = k.dot(direction, k.jacobian(self._b))
-        if self._a.moves:
-            slope = slope - k.dot(direction, k.jacobian(self._a))
-        stretch = distance - self._length
-        return direction, slope, self._stiffness * stretch + self._damping * k.dot(slope, x.v)
+    def tension(self, k: Kinematics, x: State, u: Array, length: float, speed: float) -> float:
+        """The F [N], negative where it pushes."""
+        return self._stiffness * (length - self._length) + self._damping * speed
 
     def potential(self, k: Kinematics, x: State) -> float:
         """Energy of the spring, zero at its length [J]."""
-        stretch = k.hypot(k.position(self._b) - k.position(self._a)) - self._length
+        stretch = self.path.length(k, x) - self._length
         return 0.5 * self._stiffness * stretch * stretch

@@ -46,7 +46,7 @@ class Kinematics:
 
     zeros = staticmethod(np.zeros)
     item = staticmethod(np.ndarray.item)
-    dot = staticmethod(np.ndarray.dot)
+    dot: Callable[..., Any] = staticmethod(np.ndarray.dot)
     array = staticmethod(np.array)
     sqrt = staticmethod(math.sqrt)
     tanh = staticmethod(math.tanh)
@@ -152,6 +152,11 @@ class Kinematics:
     def where(condition: bool, first: Any, second: Any) -> Any:
         """The first value where a condition holds, else the second; both are evaluated."""
         return first if condition else second
+
+    @staticmethod
+    def either(condition: bool, first: Callable[[], Any], second: Callable[[], Any]) -> Any:
+        """What the first call gives where a condition holds, else the second; only one is made."""
+        return first() if condition else second()
 
 
 class _Bound(dict[Any, Any]):

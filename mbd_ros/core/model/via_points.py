@@ -1,0 +1,167 @@
+"""Points that a path goes through: held by a link, moved along it by a joint, there or not."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.model.coupling_functions import CouplingFunction
+from mbd_ros.core.model.joints import Joint
+from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.points import Point
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.state import Array, State
+
+_AXES = "xyz"
+
+
+class Interval(NamedTuple):
+    """Positions of a joint, its ends included.
+
+    Attributes:
+        joint: The joint.
+        lower: Smallest position [rad or m], -inf without one.
+        upper: Largest position [rad or m], inf without one.
+    """
+
+    joint: Joint
+    lower: float
+    upper: float
+
+    def holds(self, k: Kinematics, x: State) -> bool:
+        """Whether the joint is there."""
+        q = k.item(x.q, self.joint.q)
+        return k.maximum(self.lower - q, q - self.upper) <= 0.0
+
+
+class ViaPoint:
+    """A point that a link holds.
+
+    Args:
+        robot: The robot.
+        frame: The link.
+        point: Where it is in the axes of the link [m], shape (3,).
+        within: Where in the motion of a joint the path goes through it; None: everywhere.
+
+    Attributes:
+        point: As kinematics know it.
+        frame: Name of the link.
+        within: As given.
+        moves: Whether any joint moves it.
+
+    Raises:
+        ModelError: Unknown frame.
+    """
+
+    is_held = True  # by its link, at one place
+
+    def __init__(
+        self, robot: Robot, frame: str, point: Sequence[float], within: Interval | None = None
+    ) -> None:
+        self.point: Point = robot.point(frame, point)
+        self.frame, self.moves, self.within = frame, self.point.moves, within
+
+    def position(self, k: Kinematics, x: State) -> Array:
+        """Where it is, less `Robot.origin` [m], shape (3,), not to be written to."""
+        return k.position(self.point)
+
+    def velocity(self, k: Kinematics, x: State) -> Array:
+        """Its velocity [m/s], shape (3,)."""
+        return k.velocity(self.point)
+
+    def acceleration(self, k: Kinematics, x: State) -> Array:
+        """Its acceleration at zero joint acceleration [m/s^2], shape (3,)."""
+        return k.acceleration(self.point)
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """From joint velocities to its velocity, shape (3, nv)."""
+        return k.jacobian(self.point)
+
+
+class MovingViaPoint(ViaPoint):
+    """A point that slides along its link as a joint moves: p = p_0 + sum s_i(q) e_i.
+
+    The e_i are axes of the link, each the difference of two points 1 m apart, so that velocities
+    and accelerations follow from those of points of the link.
+
+    Source: A. Seth et al., OpenSim, PLoS Comput. Biol. 14, 2018, e1006223: moving path points.
+
+    Args:
+        robot: The robot.
+        frame: The link.
+        point: Its coordinates in the axes of the link [m], shape (3,); those that a function
+            gives are not read.
+        joint: The joint that moves it.
+        functions: x, y or z -> that coordinate, as function of the position of the joint [m].
+        within: As for `ViaPoint`.
+
+    Raises:
+        ModelError: Unknown frame or joint.
+    """
+
+    is_held = False
+
+    def __init__(
+        self,
+        robot: Robot,
+        frame: str,
+        point: Sequence[float],
+        joint: str,
+        functions: Mapping[str, CouplingFunction],
+        within: Interval | None = None,
+    ) -> None:
+        begin = np.array([0.0 if axis in functions else float(point[i]) for i, axis in _NUMBERED])
+        super().__init__(robot, frame, begin.tolist(), within)
+        self.moves, self._joint = True, robot.joint(joint)
+        self._axes = [
+            (robot.point(frame, (begin + np.eye(3)[i]).tolist()), functions[axis])
+            for i, axis in _NUMBERED
+            if axis in functions
+        ]
+
+    def position(self, k: Kinematics, x: State) -> Array:
+        """Where it is, less `Robot.origin` [m], shape (3,)."""
+        q, begin = k.item(x.q, self._joint.q), k.position(self.point)
+        return begin + sum((k.position(end) - begin) * f(q)[0] for end, f in self._axes)
+
+    def velocity(self, k: Kinematics, x: State) -> Array:
+        """Its velocity [m/s], shape (3,)."""
+        q, rate = k.item(x.q, self._joint.q), k.item(x.v, self._joint.v)
+        begin, velocity = k.position(self.point), k.velocity(self.point)
+        whole = velocity
+        for end, function in self._axes:
+            s, slope, _ = function(q)
+            whole = whole + (k.velocity(end) - velocity) * s
+            whole = whole + (k.position(end) - begin) * (slope * rate)
+        return whole
+
+    def acceleration(self, k: Kinematics, x: State) -> Array:
+        """Its acceleration at zero joint acceleration [m/s^2], shape (3,)."""
+        q, rate = k.item(x.q, self._joint.q), k.item(x.v, self._joint.v)
+        begin, velocity = k.position(self.point), k.velocity(self.point)
+        acceleration = k.acceleration(self.point)
+        whole = acceleration
+        for end, function in self._axes:
+            s, slope, curvature = function(q)
+            whole = whole + (k.acceleration(end) - acceleration) * s
+            whole = whole + (k.velocity(end) - velocity) * (2.0 * slope * rate)
+            whole = whole + (k.position(end) - begin) * (curvature * rate * rate)
+        return whole
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """From joint velocities to its velocity, shape (3, nv)."""
+        q, begin, jacobian = (
+            k.item(x.q, self._joint.q),
+            k.position(self.point),
+            k.jacobian(self.point),
+        )
+        whole, along = jacobian, 0.0
+        for end, function in self._axes:
+            s, slope, _ = function(q)
+            whole = whole + (k.jacobian(end) - jacobian) * s
+            along = along + (k.position(end) - begin) * slope
+        whole[:, self._joint.v] += along
+        return whole
+
+
+_NUMBERED = tuple(enumerate(_AXES))
