@@ -85,7 +85,7 @@ def test_every_section_is_built(write, tmp_path):
     assert scene.initial.q[[knee.q, slide.q]] == pytest.approx([-0.5, -0.004])
     assert scene.initial.v[scene.robot.joint("hip").v] == 1.0
     assert (scene.safe.type, scene.safe.gain) == ("damping", 2.0)
-    assert scene.absent == ()
+    assert scene.absent == ("robots", "bodies")
     solver = scene.inverse_dynamics()
     assert len(solver.solve(*np.ones((3, 2)), [np.ones(6)] * 2).multipliers) == 2
 
@@ -93,7 +93,7 @@ def test_every_section_is_built(write, tmp_path):
 @pytest.mark.parametrize("rest", ["", "couplings:\nforces:\n", "couplings: {}\nforces: []\n"])
 def test_empty_section_is_an_absent_one(write, rest):
     scene = load_scene(write("robot: {urdf: leg.urdf}\n" + rest))
-    assert scene.absent == keys(SECTIONS)[1:]
+    assert scene.absent == tuple(key for key in keys(SECTIONS)[1:] if key != "gravity")
     assert (scene.coupling_kinds, scene.forces, scene.wrenches) == ({}, (), {})
 
 
@@ -126,7 +126,11 @@ def test_empty_section_is_an_absent_one(write, rest):
         ),
         ("lower: -1.5", "lower: 9.0", "constraints[0]: joint 'knee': lower 9 must be less than u"),
         ("ratio: 10.0", "ratio: 0.0", "actuators[0].ratio: 0 is out of range, acc"),
-        ("robot:\n", "robots:\n", "unknown key 'robots', accepted: robot, couplings, external_wr"),
+        (
+            "robot:\n",
+            "robotes:\n",
+            "unknown key 'robotes', accepted: robot, robots, bodies, gravity",
+        ),
         ("urdf:", "urd:", "robot: unknown key 'urd', accepted: urdf, description_topic, gravity"),
         ("urdf: leg.urdf", "", "robot: give either 'urdf' or 'description_topic'"),
         ("leg.urdf", "leg.urdf\n  description_topic: a", "robot: give either 'urdf' or"),
@@ -179,7 +183,7 @@ def test_empty_section_is_an_absent_one(write, rest):
         ("stiffness: 30.0", "stiffness: -3", "forces[0].stiffness: -3 is out of range, accept"),
         ("joint: hip", "joint: ankle", "forces[1]: joint 'ankle' is locked at 0.1"),
         ("forces:\n", "forces: {}\nforce:\n", "unknown key 'force'"),
-        (FULL, "robot:", "robot: expected a mapping, got None"),
+        (FULL, "robot:", "key 'robot' is missing, or robots, or bodies"),
         (FULL, "forces: []", "key 'robot' is missing"),
         (FULL, "robot: {urdf: leg.urdf}\ncouplings: 0", "couplings: expected a mapping, got 0"),
         (FULL, "robot: {urdf: leg.urdf}\nforces: {}", "forces: expected a list, got {}"),

@@ -116,7 +116,7 @@ def test_a_class_stands_for_its_name():
         ({"forces": [{**SPRING, "rest": 10**20}]}, "forces[0].rest: 1000000000000000000"),
         ({"forces": [{**SPRING, "rest": 1j}]}, "forces[0].rest: expected a number, a word, a li"),
         ({"forces": [{1: 2}]}, "forces[0]: a key must be a word, got 1"),
-        ({"force": []}, "unknown key 'force', accepted: robot, couplings"),
+        ({"force": []}, "unknown key 'force', accepted: robot, robots, bodies"),
         ({"dt": "fast"}, "dt: expected a number, got 'fast'"),
         ({"robot": {"urdf": "a.urdf"}}, "robot: its description is given twice"),
         ({"robot": {"base": "flying"}}, "robot: base 'flying', accepted"),
@@ -186,7 +186,7 @@ def test_what_a_section_does_not_change_is_kept(leg):
     ("sections", "message"),
     [
         ({"forces": [{**SPRING, "rate": 1}]}, "forces[0]: unknown key 'rate', accepted: joint"),
-        ({"speed": 1}, "unknown key 'speed', accepted: robot, couplings"),
+        ({"speed": 1}, "unknown key 'speed', accepted: robot, robots, bodies"),
         ({"robot": None}, "key 'robot' is missing"),
         ({"dt": 0}, "dt: 0 s must be finite and > 0"),
     ],

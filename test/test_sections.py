@@ -140,7 +140,7 @@ def test_parts_of_a_section_of_others_are_kept_by_key(windy):
         ("torque: 2.0", "torqe: 2.0", "winds.mistral: unknown key 'torqe', accepted: joint, tor"),
         ("joint: hinge", "joint: knee", "winds.mistral: no joint 'knee'; the robot has hinge"),
         (WINDS, "winds: []", "winds: expected a mapping, got []"),
-        ("winds:", "wind:", "unknown key 'wind', accepted: robot, couplings"),
+        ("winds:", "wind:", "unknown key 'wind', accepted: robot, robots, bodies"),
     ],
 )
 def test_mistakes_in_it_are_named_like_any(windy, old, new, message):

@@ -1,7 +1,7 @@
 """Entries of a file -> built sections, by the table of sections."""
 
 import importlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -11,7 +11,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.code_permission import code_of_others, require_permission
 from mbd_ros.scene.part_names import refuse_repeated
-from mbd_ros.scene.sections import REQUIRED, SECTIONS, Form, Section, keys, ordered
+from mbd_ros.scene.sections import SECTIONS, Form, Section, keys, ordered
 
 if TYPE_CHECKING:
     from mbd_ros.scene.built_scene import Scene
@@ -146,19 +146,9 @@ def refuse_unknown(origin: Origin, unknown: Sequence[str], table: Sequence[Secti
         raise SceneError(f"{origin.name}: unknown key '{unknown[0]}', accepted: {accepted}")
 
 
-def present(
-    origin: Origin, entries: Mapping[str, Any], table: Iterable[Section]
-) -> dict[str, Any]:
-    """The entries without those that are null; required ones must be there.
-
-    Raises:
-        SceneError: Names the key that is missing.
-    """
-    required = [section.key for section in table if section.absent is REQUIRED]
-    for key in required:
-        if key not in entries:
-            raise SceneError(f"{origin.name}: key '{key}' is missing")
-    return {key: e for key, e in entries.items() if e is not None or key in required}
+def present(entries: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries without those that are null."""
+    return {key: entry for key, entry in entries.items() if entry is not None}
 
 
 def build(
@@ -184,7 +174,7 @@ def build(
         given = entries.get(section.key, section.absent)
         if section.key in kept.sections:
             parts[section.key] = kept.sections[section.key]
-        elif given is not None or section.absent is REQUIRED:
+        elif given is not None:
             site = Site(section, origin, robot, parts, kept.parts.get(section.key, {}))
             parts[section.key] = _builder(section)(site, given)
         else:

@@ -49,9 +49,8 @@ def describe(scene: Scene) -> Iterator[str]:
 def _lines(scene: Scene) -> Iterator[str]:
     robot, couplings = scene.robot, scene.couplings
     gravity = np.array2string(robot.model.gravity.linear, separator=", ")
-    base = "floating" if robot.floating else "fixed"
     yield line("scene", scene.name)
-    yield line("robot", f"{robot.name} from {scene.source}, {base} base")
+    yield from _members(scene)
     yield line("gravity", f"{gravity} m/s^2, included in every torque")
     system = scene.system()
     fault = _mass_fault(scene, system)
@@ -82,6 +81,17 @@ def _lines(scene: Scene) -> Iterator[str]:
     yield line("left out", "; ".join(left_out) or "nothing")
     cost = _loop_cost(scene, system.expand(start)) if scene.has_loops else _cost(scene)
     yield line("cost", cost if fault else f"{cost}; {_forward_cost(scene, system)}")
+
+
+def _members(scene: Scene) -> Iterator[str]:
+    """The robots and the other bodies."""
+    robot, bodies = scene.robot, scene.parts.get("bodies", {})
+    if len(robot.recipes) == 1 and not robot.recipes[0].name:
+        yield line("robot", f"{robot.name} from {scene.source}, {robot.base_text}")
+        return
+    for recipe in robot.recipes:
+        label = "body" if recipe.name in bodies else "robot"
+        yield line(label, f"{recipe.name or 'robot'} from {recipe.source}, {recipe.base} base")
 
 
 def _rubbing(scene: Scene) -> Iterator[str]:

@@ -8,7 +8,6 @@ from mbd_ros.scene.building import Kept, Origin, build, foreign_keys, present, t
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.locate import find_scene
 from mbd_ros.scene.robot_entry import read_entry
-from mbd_ros.scene.sections import SECTIONS
 from mbd_ros.scene.strict_yaml import read_mapping
 
 
@@ -43,7 +42,7 @@ def build_scene(
         SceneError: Names file, key, what is wrong and what is accepted.
     """
     foreign = foreign_keys(origin, entries)
-    entries = present(origin, entries, SECTIONS)
+    entries = present(entries)
     sections, code = table_of(origin, entries, foreign)
     parts, robot = build(origin, entries, sections, kept)
     assert robot is not None
@@ -59,5 +58,5 @@ def description_topic(path: str | Path) -> str | None:
     path = find_scene(path)
     origin, entries = Origin(path), read_mapping(path)
     foreign_keys(origin, entries)
-    robot = present(origin, entries, SECTIONS)["robot"]
-    return read_entry(f"{path}: robot", robot).description_topic
+    robot = present(entries).get("robot")
+    return None if robot is None else read_entry(f"{path}: robot", robot).description_topic

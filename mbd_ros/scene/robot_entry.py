@@ -1,17 +1,27 @@
-"""The `robot` section of a scene -> a robot."""
+"""Sections `robot`, `robots`, `bodies` and `gravity` of a scene -> one robot."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import pinocchio as pin
+
+from mbd_ros.core.model.members import read_robots
+from mbd_ros.core.model.recipe import Recipe
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.model.robot_reader import EARTH_GRAVITY, read_robot
+from mbd_ros.core.model.robot_reader import EARTH_GRAVITY
 from mbd_ros.core.model.urdf import MAX_CHARACTERS
+from mbd_ros.core.ranges import Positive, Vector
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
+from mbd_ros.scene.body_entry import shaped
 from mbd_ros.scene.building import Site
 from mbd_ros.scene.locate import find_file
+from mbd_ros.scene.pose_entry import read_pose
 from mbd_ros.scene.strict_yaml import read_text
+
+_NAME = re.compile("[A-Za-z_][A-Za-z0-9_]{0,99}")  # topics are named after robots and bodies
 
 
 @dataclass(frozen=True)
@@ -20,14 +30,15 @@ class RobotEntry:
 
     urdf: str | None = None
     description_topic: str | None = None
-    gravity: Sequence[float] = EARTH_GRAVITY
+    gravity: Sequence[float] | None = None
     base: str = "fixed"
     locked: Mapping[str, float] | None = None
     rename: Mapping[str, str] | None = None
+    pose: Mapping[str, Any] | None = None
 
 
 def read_entry(where: str, given: Any, has_text: bool = False) -> RobotEntry:
-    """The section, checked.
+    """The section `robot`, checked.
 
     Args:
         where: File and key, for the messages.
@@ -41,21 +52,125 @@ def read_entry(where: str, given: Any, has_text: bool = False) -> RobotEntry:
     named = (entry.urdf is not None) + (entry.description_topic is not None)
     if named != 1 and not (has_text and not named):
         raise SceneError(f"{where}: give either 'urdf' or 'description_topic'")
-    if len(entry.gravity) != 3:
+    if entry.gravity is not None and len(entry.gravity) != 3:
         raise SceneError(f"{where}.gravity: expected 3 numbers, got {entry.gravity}")
     return entry
 
 
 def build_robot(site: Site, given: Any) -> Robot:
-    """The `robot` section.
+    """The robot of the section `robot`, with those of `robots` and with `bodies`.
 
     Raises:
         SceneError: Names file, key and what is wrong.
     """
+    others = [*site.parts.get("robots", {}).values(), *site.parts.get("bodies", {}).values()]
+    gravity = site.parts.get("gravity")
+    if given is site.section.absent:
+        if not others:
+            raise SceneError(f"{site.origin.name}: key 'robot' is missing, or robots, or bodies")
+        return _read(others, gravity or EARTH_GRAVITY, site.origin.name)
+    text = site.origin.description
+    entry = read_entry(site.where, given, site.origin.path is None and text is not None)
+    if gravity is not None and entry.gravity is not None:
+        raise SceneError(f"{site.where}.gravity: given twice, there is a section 'gravity'")
+    gravity = gravity or entry.gravity or EARTH_GRAVITY
+    recipe = _recipe(site, entry)
+    where = site.origin.name if others else site.where
+    try:
+        return _read([recipe, *others], gravity, where)
+    except SceneError as error:
+        raise SceneError(f"{error}{_joints_to_lock(recipe)}") from error
+
+
+def build_robots(site: Site, given: Any) -> dict[str, Recipe]:
+    """The section `robots`.
+
+    Raises:
+        SceneError: Names file, key and what is wrong.
+    """
+    return _each(site, given, _robot)
+
+
+def build_bodies(site: Site, given: Any) -> dict[str, Recipe]:
+    """The section `bodies`.
+
+    Raises:
+        SceneError: Names file, key and what is wrong.
+    """
+    return _each(site, given, _body)
+
+
+def build_gravity(site: Site, given: Any) -> Sequence[float]:
+    """The section `gravity` [m/s^2].
+
+    Raises:
+        SceneError: It is no vector.
+    """
+    gravity: Sequence[float] = schema.value(given, Vector, site.where)
+    return gravity
+
+
+def _each(site: Site, given: Any, read: Callable[..., Recipe]) -> dict[str, Recipe]:
+    recipes = {}
+    for name, entry in schema.value(given, Mapping[str, Any], site.where).items():
+        where = f"{site.where}.{name}"
+        if not _NAME.fullmatch(str(name)):
+            raise SceneError(
+                f"{where}: is no ROS name, accepted: letters, digits and _, no digit first"
+            )
+        recipes[name] = schema.call(read, entry, where, site, where, name)
+    return recipes
+
+
+def _robot(
+    site: Site,
+    where: str,
+    name: str,
+    *,
+    urdf: str,
+    pose: Mapping[str, Any] | None = None,
+    base: str = "fixed",
+    locked: Mapping[str, float] | None = None,
+    rename: Mapping[str, str] | None = None,
+) -> Recipe:
+    source, text = _read_urdf(site, urdf, where)
+    return Recipe(text, source, base, locked, rename, None, name, _placed(pose, where))
+
+
+def _body(
+    site: Site,
+    where: str,
+    name: str,
+    *,
+    urdf: str | None = None,
+    shape: Mapping[str, Any] | None = None,
+    mass: Positive | None = None,
+    inertia: Sequence[Any] | None = None,
+    free: bool = True,
+    pose: Mapping[str, Any] | None = None,
+) -> Recipe:
+    if (urdf is None) == (shape is None):
+        raise SceneError(f"{where}: give either 'urdf' or 'shape'")
+    if urdf is not None:
+        if mass is not None or inertia is not None:
+            raise SceneError(f"{where}: mass and inertia are those of the 'urdf'")
+        source, text = _read_urdf(site, urdf, where)
+        recipe = Recipe(text, source, name=name)
+    elif mass is None and (free or inertia is not None):
+        raise SceneError(f"{where}: key 'mass' is missing")
+    else:
+        recipe = shaped(name, where, shape, mass, inertia)
+    return recipe._replace(base="floating" if free else "fixed", pose=_placed(pose, where))
+
+
+def _placed(pose: Mapping[str, Any] | None, where: str) -> Any:
+    return None if pose is None else pin.XYZQUATToSE3(read_pose(pose, f"{where}.pose"))
+
+
+def _recipe(site: Site, entry: RobotEntry) -> Recipe:
     where, text = site.where, site.origin.description
-    entry = read_entry(where, given, site.origin.path is None and text is not None)
     if entry.urdf is not None:
-        source, text = _read_urdf(site, entry.urdf)
+        source, text = _read_urdf(site, entry.urdf, where)
     elif text is None:
         raise SceneError(
             f"{where}: the description comes from topic {entry.description_topic}, which only a "
@@ -63,36 +178,30 @@ def build_robot(site: Site, given: Any) -> Robot:
         )
     else:
         source = f"topic {entry.description_topic}" if entry.description_topic else "URDF text"
+    pose = _placed(entry.pose, where)
+    return Recipe(text, source, entry.base, entry.locked, entry.rename, None, "", pose)
+
+
+def _read(recipes: Sequence[Recipe], gravity: Sequence[float], where: str) -> Robot:
     try:
-        return _robot(text, source, entry)
+        return read_robots(recipes, gravity)
     except ModelError as error:
-        raise SceneError(f"{where}: {error}{_joints_to_lock(text, entry)}") from error
+        raise SceneError(f"{where}: {error}") from error
 
 
-def _robot(text: str, source: str, entry: RobotEntry) -> Robot:
-    return read_robot(
-        text,
-        source=source,
-        gravity=entry.gravity,
-        base=entry.base,
-        locked=entry.locked,
-        rename=entry.rename,
-    )
-
-
-def _joints_to_lock(text: str, entry: RobotEntry) -> str:
+def _joints_to_lock(recipe: Recipe) -> str:
     """The joints there are, where nothing but `locked` is wrong."""
-    if not entry.locked:
+    if not recipe.locked:
         return ""
     try:
-        robot = _robot(text, "", replace(entry, locked=None))
+        robot = read_robots([recipe._replace(locked=None)])
     except ModelError:
         return ""
     return f"; the robot has {', '.join(joint.name for joint in robot.joints)}"
 
 
-def _read_urdf(site: Site, name: str) -> tuple[str, str]:
-    where = f"{site.where}.urdf"
+def _read_urdf(site: Site, name: str, entry: str) -> tuple[str, str]:
+    where = f"{entry}.urdf"
     file = find_file(site.origin.folder, name, where)
     try:
         return str(file), read_text(file, MAX_CHARACTERS, "robot description")

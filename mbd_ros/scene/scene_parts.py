@@ -135,8 +135,9 @@ class SceneParts:
 
     @property
     def absent(self) -> tuple[str, ...]:
-        """Sections that the file leaves out."""
-        return tuple(s.key for s in self.sections if not self.entries.get(s.key))
+        """Sections that the file leaves out; gravity acts without one."""
+        keys = (section.key for section in self.sections if section.key != "gravity")
+        return tuple(key for key in keys if not self.entries.get(key))
 
     def _offering(self, method: str) -> tuple[Any, ...]:
         """Parts of all sections whose parts have a method, in the order of the table."""

@@ -12,7 +12,17 @@ if TYPE_CHECKING:
     from mbd_ros.scene.scene_parts import SceneParts
 
 _WIDTH, _LINES = 90, 9
-_TOLD = ("robot", "couplings", "stabilization", "solver", "integrator", "dt", "initial", "safe")
+_TOLD = (
+    "gravity",
+    "robot",
+    "couplings",
+    "stabilization",
+    "solver",
+    "integrator",
+    "dt",
+    "initial",
+    "safe",
+)
 
 
 def scene_text(scene: "SceneParts") -> str:
@@ -37,8 +47,10 @@ def scene_html(scene: "SceneParts") -> str:
 def _rows(scene: "SceneParts") -> Iterator[tuple[str, str]]:
     """Section and its parts."""
     robot, dependent = scene.robot, scene.couplings.dependent
-    base = "floating" if robot.floating else "fixed"
-    yield "robot", f"{robot.name} from {scene.source}, {base} base, joints: {len(robot.joints)}"
+    yield (
+        "robot",
+        f"{robot.name} from {scene.source}, {robot.base_text}, joints: {len(robot.joints)}",
+    )
     if dependent:
         yield "couplings", _listed(dependent)
     for section in scene.sections:

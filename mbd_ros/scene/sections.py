@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from mbd_ros.errors import SceneError
 
 _NOTHING: Mapping[str, Any] = {}
+_MEMBERS = "mbd_ros.scene.robot_entry"
 _PARTS, _ENTRIES = "mbd_ros.scene.part_entries", "mbd_ros.scene.single_entries"
 
 
@@ -20,9 +21,6 @@ class Form(Enum):
     SINGLE = "one entry"
     LIST = "a list of entries"
     NAMED = "entries by name"
-
-
-REQUIRED = object()  # as `absent`: a file without the section is refused
 
 
 class Section(NamedTuple):
@@ -64,7 +62,16 @@ _WRENCH = "wrench: {name} on {part.frame}, expressed in {part.expressed_in}, top
 _EVERY_ROBOT = ("robot", "actuators")  # with the inertia of its drives
 
 SECTIONS = (
-    Section("robot", Form.SINGLE, "mbd_ros.scene.robot_entry:build_robot", (), absent=REQUIRED),
+    Section(
+        "robot",
+        Form.SINGLE,
+        f"{_MEMBERS}:build_robot",
+        ("gravity", "robots", "bodies"),
+        absent=_NOTHING,
+    ),
+    Section("robots", Form.NAMED, f"{_MEMBERS}:build_robots", ()),
+    Section("bodies", Form.NAMED, f"{_MEMBERS}:build_bodies", ()),
+    Section("gravity", Form.SINGLE, f"{_MEMBERS}:build_gravity", ()),
     Section(
         "couplings",
         Form.NAMED,

@@ -5,24 +5,29 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unlimited
 from mbd_ros.core.simulation.safe_command import SafeCommand
-from mbd_ros.core.state import State
+from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
 from mbd_ros.scene.built_scene import refuse_dt
 from mbd_ros.scene.part_entries import Solver
+from mbd_ros.scene.pose_entry import read_pose, read_twist
 
 
 @dataclass(frozen=True)
 class _Initial:
-    """The `initial` section; joints that it leaves out start at 0."""
+    """The `initial` section; joints start at 0, free bodies where they are placed, at rest."""
 
     position: Mapping[str, float] | None = None
     velocity: Mapping[str, float] | None = None
+    pose: Mapping[str, Any] | None = None
+    twist: Mapping[str, Any] | None = None
 
 
 def build_solver(site: Site, given: Any) -> Any:
@@ -67,5 +72,22 @@ def build_initial(site: Site, given: Any) -> State:
             except ModelError as error:
                 raise SceneError(f"{where}: {error}") from error
             (q if index == "q" else v)[getattr(joint, index)] = number
+    _place_bases(robot, initial, site.where, q, v)
     couplings.expand(q, v, np.zeros(robot.model.nv))
     return State(0.0, q, v)
+
+
+def _place_bases(robot: Robot, initial: _Initial, where: str, q: Array, v: Array) -> None:
+    """Write poses and velocities of free bodies into a configuration and a velocity."""
+    bases = {base.name: base for base in robot.bases}
+    for key, given in (("pose", initial.pose or {}), ("twist", initial.twist or {})):
+        for name, entry in given.items():
+            place = f"{where}.{key}.{name}"
+            if name not in bases:
+                free = ", ".join(bases) or "nothing"
+                raise SceneError(f"{place}: is no free body; {free} moves freely")
+            base = bases[name]
+            if key == "pose":
+                q[base.q] = read_pose(entry, place)
+            else:
+                v[base.v] = read_twist(entry, place, pin.XYZQUATToSE3(q[base.q]).rotation)

@@ -41,7 +41,7 @@ def read_task(path: str | Path, scene: Scene) -> Task:
     path = find_file(Path(), str(path), "task")
     origin, entries = Origin(path, task_of=scene), read_mapping(path, "task file")
     refuse_unknown(origin, [key for key in entries if key not in keys(TASKS)], TASKS)
-    entries = present(origin, entries, TASKS)
+    entries = present(entries)
     if not entries:
         raise SceneError(f"{path}: asks for nothing, accepted: {', '.join(keys(TASKS))}")
     return Task(path, scene, build(origin, entries, TASKS).parts, entries)

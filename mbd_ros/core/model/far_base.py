@@ -15,7 +15,7 @@ import pinocchio as pin
 from mbd_ros.core.model.urdf_reading import link_name, numbers
 from mbd_ros.core.state import Array
 
-_FAR = 2.0  # m; nearer robots keep the world's origin, and lose no digit that counts
+FAR = 2.0  # m; nearer robots keep the world's origin, and lose no digit that counts
 
 
 def centred(
@@ -35,7 +35,7 @@ def centred(
     if model.njoints == 1:
         return model, near
     origin: Array = model.jointPlacements[1].translation.copy()
-    if np.linalg.norm(origin) <= _FAR:
+    if np.linalg.norm(origin) <= FAR:
         return model, near
     root = root_link(tree)
     model = build(_moved(tree, root, origin))

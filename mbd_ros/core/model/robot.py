@@ -1,30 +1,21 @@
-"""A robot that passed every check, frozen, with its Pinocchio model."""
+"""What moves in a scene, checked and frozen: robots and bodies in one Pinocchio model."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from textwrap import shorten
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from mbd_ros.core.model.joints import Base, Joint, Mimic, Rubbing
+from mbd_ros.core.model.joints import BASE, Base, Joint, Mimic, Rubbing
 from mbd_ros.core.model.points import Pair, Place, Places, Point, rotation_matrix
+from mbd_ros.core.model.recipe import Recipe
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
-
-class Recipe(NamedTuple):
-    """Arguments of `read_robot` that made a robot."""
-
-    text: str
-    source: str
-    gravity: Sequence[float]
-    base: str
-    locked: Mapping[str, float] | None
-    rename: Mapping[str, str] | None
-    inertias: Mapping[str, Any] | None
+WORLD = "world"  # a frame at rest, beside `universe`, unless a link is called so
 
 
 @dataclass(frozen=True, repr=False)
@@ -33,7 +24,7 @@ class Robot:
 
     Attributes:
         name: Name in the description.
-        model: Pinocchio model with gravity set and locked joints removed.
+        model: Pinocchio model of all robots and bodies, gravity set and locked joints removed.
         joints: Joints in the order of their velocity coordinates.
         mimics: The `<mimic>` elements, in topic names.
         bases: Links that move freely, in the order of their coordinates.
@@ -44,7 +35,7 @@ class Robot:
         ignored: Other contents of the description, which this package leaves out.
         origin: Point from which positions in the model count, in the world of the description
             [m], shape (3,): 0, or the first joint of a fixed base that is more than 2 m away.
-        recipe: What it was read from.
+        recipes: What its robots and bodies were read from.
         places: Points that parts have asked for.
     """
 
@@ -59,13 +50,21 @@ class Robot:
     rubbing: Mapping[str, Rubbing]
     ignored: tuple[str, ...]
     origin: Array
-    recipe: Recipe
+    recipes: tuple[Recipe, ...]
     places: Places = field(compare=False)
 
     @property
     def source(self) -> str:
-        """File or topic of the description."""
-        return self.recipe.source
+        """File or topic of the description, or of the descriptions."""
+        return ", ".join(recipe.source for recipe in self.recipes)
+
+    @property
+    def base_text(self) -> str:
+        """What moves freely, in words."""
+        if not self.bases:
+            return "fixed base"
+        names = [base.name for base in self.bases]
+        return "floating base" if names == [BASE] else f"free: {', '.join(names)}"
 
     @property
     def floating(self) -> bool:
@@ -106,7 +105,7 @@ class Robot:
         return q
 
     def frame(self, name: str) -> int:
-        """Index in the model of the link (or frame) of that name.
+        """Index in the model of the link (or frame) of that name; `world` is at rest.
 
         Raises:
             ModelError: There is none; the message lists the links.
@@ -114,6 +113,8 @@ class Robot:
         index = int(self.model.getFrameId(name, pin.FrameType.BODY))
         if index == len(self.model.frames):
             index = int(self.model.getFrameId(name))
+        if index == len(self.model.frames) and name == WORLD:
+            return 0
         if index == len(self.model.frames):
             bodies = [f.name for f in self.model.frames if f.type == pin.FrameType.BODY]
             raise ModelError(f"no frame '{name}'; the links are {', '.join(bodies)}")
@@ -128,8 +129,8 @@ class Robot:
         """A point that travels with a link.
 
         Args:
-            frame: Link (or frame) that carries it; the root link of a fixed base or `universe` for
-                one at rest.
+            frame: Link (or frame) that carries it; the root link of a fixed base, `world` or
+                `universe` for one at rest.
             xyz: Where it is in `frame` [m], shape (3,).
             rpy: Roll, pitch and yaw of its axes in `frame` as in URDF [rad], shape (3,).
 
@@ -165,11 +166,9 @@ class Robot:
 
     def inertias(self) -> dict[str, Any]:
         """Link -> `pinocchio.Inertia` in the axes of the link, 0 where it has none."""
-        from mbd_ros.core.model.other_inertias import inertias_of
-        from mbd_ros.core.model.urdf import parse_urdf
+        from mbd_ros.core.model.members import inertias_of_links
 
-        recipe = self.recipe
-        return inertias_of(parse_urdf(recipe.text, recipe.source, recipe.inertias))
+        return inertias_of_links(self.recipes)
 
     def with_inertias(self, inertias: Mapping[str, Any]) -> "Robot":
         """The robot with other inertias of some links, checked as those of a description.
@@ -182,20 +181,19 @@ class Robot:
         Raises:
             ModelError: Names link, value and condition.
         """
-        from mbd_ros.core.model.robot_reader import read_robot
+        from mbd_ros.core.model.members import read_robots, with_inertias
 
-        given = {**(self.recipe.inertias or {}), **inertias}
-        robot = read_robot(**self.recipe._replace(inertias=given)._asdict())
+        recipes = with_inertias(self.recipes, inertias)
+        robot = read_robots(recipes, self.model.gravity.linear.tolist())
         robot.model.armature = self.model.armature.copy()  # of drives, which no description has
         return robot
 
     def __repr__(self) -> str:
-        base = "floating" if self.floating else "fixed"
         mass = pin.computeTotalMass(self.model)
         names = shorten(", ".join(joint.name for joint in self.joints), 200, placeholder=" ..")
         return (
             f"Robot '{self.name}' from {self.source}\n"
-            f"  {base} base, {mass:.6g} kg, joints ({len(self.joints)}): {names}"
+            f"  {self.base_text}, {mass:.6g} kg, joints ({len(self.joints)}): {names}"
         )
 
 

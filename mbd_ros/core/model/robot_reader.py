@@ -16,7 +16,8 @@ import pinocchio as pin
 from mbd_ros.core.model.far_base import centred, root_link
 from mbd_ros.core.model.joints import BASE, Base, Joint, Mimic, Rubbing
 from mbd_ros.core.model.points import Places
-from mbd_ros.core.model.robot import Recipe, Robot
+from mbd_ros.core.model.recipe import Recipe
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.urdf import parse_urdf
 from mbd_ros.core.model.urdf_inertias import check_inertias
 from mbd_ros.core.model.urdf_reading import numbers
@@ -52,13 +53,29 @@ def read_robot(
         ModelError: The description cannot be trusted, or an option names a joint that is not
             there.
     """
+    return read_recipe(Recipe(text, source, base, locked, rename, inertias), gravity)
+
+
+def read_recipe(
+    recipe: Recipe, gravity: Sequence[float] = EARTH_GRAVITY, *, is_centred: bool = True
+) -> Robot:
+    """One robot or body by itself, its links and joints called as in its description.
+
+    Args:
+        recipe: What it is read from; its name and pose are those of a scene, and left aside.
+        gravity: As for `read_robot`.
+        is_centred: Whether `origin` may be another point than the world's.
+
+    Raises:
+        ModelError: As `read_robot`.
+    """
+    text, source, base = recipe[:3]
     if base not in BASES:
         raise ModelError(f"base '{base}', accepted: {', '.join(BASES)}")
-    recipe = Recipe(text, source, gravity, base, locked, rename, inertias)
-    tree = parse_urdf(text, source, inertias)
+    tree = parse_urdf(text, source, recipe.inertias)
     doubts = check_inertias(tree, source)
-    names = _topic_names(tree, rename or {}, source)
-    locked = dict(locked or {})
+    names = _topic_names(tree, recipe.rename or {}, source)
+    locked = dict(recipe.locked or {})
     kinds = _kinds(tree)
     fixed = frozenset(names[joint] for joint, kind in kinds.items() if kind == "fixed")
     mimics = _mimics(tree, names, source)
@@ -67,7 +84,8 @@ def read_robot(
         model = _build_model(tree, base == "floating", gravity, source)
         return _lock(model, locked, names, fixed, source)
 
-    model, origin = (build(tree), np.zeros(3)) if base == "floating" else centred(build, tree)
+    is_centred = is_centred and base == "fixed"
+    model, origin = centred(build, tree) if is_centred else (build(tree), np.zeros(3))
     return Robot(
         name=tree.get("name", ""),
         model=model,
@@ -80,7 +98,7 @@ def read_robot(
         rubbing=_rubbing(tree, names),
         ignored=("URDF <transmission>",) if tree.find("transmission") is not None else (),
         origin=origin,
-        recipe=recipe,
+        recipes=(recipe,),
         places=Places(model),
     )
 
