@@ -22,6 +22,7 @@ from mbd_ros.errors import SolveError
 from mbd_ros.scene.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE, Scene
 from mbd_ros.scene.part_entries import build_part
 from mbd_ros.scene.part_lines import line, part_lines, type_name
+from mbd_ros.scene.row_lines import row_lines
 from mbd_ros.scene.start_check import start_warnings
 
 _CALLS, _REPEATS = 2000, 5
@@ -66,6 +67,7 @@ def _lines(scene: Scene) -> Iterator[str]:
         locked = ", ".join(f"{name} at {value:g}" for name, value in robot.locked.items())
         yield line("locked", locked)
     yield from part_lines(scene)
+    yield from row_lines(scene, system.layout)
     for key, name in scene.code.items():
         file = sys.modules[name.partition(":")[0]].__file__
         yield line("code", f"{key}: {name} from {file}")

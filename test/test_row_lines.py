@@ -1,0 +1,67 @@
+"""What `check` says of rows that give way, and that it is so."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mbd_ros as mbd
+from mbd_ros.core.state import State
+from mbd_ros.integrators.rk4 import Rk4
+
+PENDULUM = Path(__file__).parents[1] / "config/robots/pendulum.urdf"
+FRICTION = {"type": "dry_friction", "joint": "hinge", "limit": 0.3, "time_constant": 0.05}
+
+
+def lines(label, **sections):
+    scene = mbd.scene_from({"robot": {"urdf": str(PENDULUM)}, **sections})
+    return [line for line in scene.check().splitlines() if line.startswith(f"{label} ")]
+
+
+@pytest.mark.parametrize(
+    ("method", "cost"),
+    [
+        ("rk4", "Rk4 has order 2 in place of 4 in steps in which a row begins or ceases to act"),
+        ("semi_implicit_euler", "SemiImplicitEuler has order 1 all the same"),
+        (None, "Dopri5 has order 2 in place of 5"),
+    ],
+)
+def test_check_says_what_smoothed_rows_cost_in_order(method, cost):
+    chosen = {} if method is None else {"integrator": {"type": method}}
+    (line,) = lines("smoothed", constraints=[FRICTION], **chosen)
+    assert "hinge_dry_friction; solved for in every evaluation" in line
+    assert cost in line
+    assert not lines("exact", constraints=[FRICTION], **chosen)
+
+
+def test_rows_that_never_give_way_have_no_such_line():
+    anchored = {"type": "prescribed_motion", "joint": "hinge", "polynomial": [0.1]}
+    assert not lines("smoothed") + lines("exact")
+    assert not lines("smoothed", constraints=[anchored])
+
+
+def test_smoothed_dry_friction_has_the_order_that_check_names():
+    """The largest error of many runs that slip and stick, against shorter steps.
+
+    A single run is no measure: its error depends on where in a step the row changes.
+    """
+    scene = mbd.scene_from({"robot": {"urdf": str(PENDULUM)}, "constraints": [FRICTION]})
+    system, rng = scene.system(), np.random.default_rng(0)
+    starts = [State(0.0, *rng.uniform((0.1, -1.0), (0.45, 1.0))[:, None]) for _ in range(6)]
+
+    def ends(dt):
+        for x in starts:
+            stepper = Rk4().prepare(system, dt)
+            for _ in range(round(0.3 / dt)):
+                x = stepper.step(x, None)
+            yield x
+
+    exact = list(ends(3e-4))
+
+    def error(dt):
+        pairs = zip(ends(dt), exact, strict=True)
+        return max(abs(x.q[0] - y.q[0]) + abs(x.v[0] - y.v[0]) for x, y in pairs)
+
+    steps = np.array([0.02, 0.01, 0.005, 0.0025])
+    slope = np.polyfit(np.log(steps), np.log([error(dt) for dt in steps]), 1)[0]
+    assert 1.5 < slope < 2.7
