@@ -35,6 +35,24 @@ class Channel(NamedTuple):
     safe: float = 0.0
 
 
+class Internal(NamedTuple):
+    """A state of a part of its own: activation, motor current, length of a bristle.
+
+    Attributes:
+        name: Unique in the part; empty where the part has only one.
+        unit: rad, A, ..; empty for pure numbers.
+        lower: Smallest value it may have, -inf without.
+        upper: Largest one, inf without.
+        initial: Value at the start; None for the equilibrium, where the rates are 0.
+    """
+
+    name: str
+    unit: str
+    lower: float = -math.inf
+    upper: float = math.inf
+    initial: float | None = None
+
+
 class Slots(NamedTuple):
     """Where the numbers of a part stand.
 
@@ -54,6 +72,7 @@ class Part:
         name: Unique in the scene, without a dot; the type of a part that no scene has built.
         reads: What its methods read of k at most.
         inputs: What it takes from outside while it runs.
+        internal: Its states besides q and v, which `rates` moves.
         outputs: What it shows besides the multipliers of its rows.
         u: Its inputs in the u of the scene; all of u until it is bound.
         z: Its internal states in the z of a state; all of z until it is bound.
@@ -62,6 +81,7 @@ class Part:
     name: str = ""
     reads: Reads = Reads.NOTHING
     inputs: tuple[Channel, ...] = ()
+    internal: tuple[Internal, ...] = ()
     outputs: tuple[Output, ...] = ()
     u: slice = slice(None)
     z: slice = slice(None)
@@ -73,6 +93,16 @@ class Part:
     def bind(self, slots: Slots) -> None:
         """Learn where its numbers stand; once, when all parts are known."""
         self.u, self.z = slots
+
+    def rates(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Rates of `internal`, in their order, shape (len(internal),).
+
+        Args:
+            k: Kinematics at the state, refreshed as far as `reads` says.
+            x: State of all joints; internal states are inside their bounds.
+            u: All inputs.
+        """
+        raise NotImplementedError
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
         """Values of `outputs`, in their order; asked for at samples only.
@@ -114,7 +144,7 @@ class Load(Part):
         return self
 
     def potential(self, k: Kinematics, x: State) -> float:
-        """Potential energy of what is conservative in the force [J]."""
+        """Energy that it stores [J], by what is conservative in its force and by its states."""
         return 0.0
 
     def wrenches(self, k: Kinematics, x: State, u: Array) -> "tuple[Wrench, ...]":

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from mbd_ros.core.dynamics.inputs import Inputs
+from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
@@ -13,10 +14,10 @@ from mbd_ros.core.parts import Actuator, Load
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.simulation.safe_command import SafeCommand
-from mbd_ros.core.state import State
+from mbd_ros.core.state import Array, State
 from mbd_ros.scene.building import Origin, parts_in
 from mbd_ros.scene.coupling_entries import coupling_kinds
-from mbd_ros.scene.input_slots import bind_inputs
+from mbd_ros.scene.input_slots import bind_inputs, first_values
 from mbd_ros.scene.part_entries import MeasuredWrench, Solver
 from mbd_ros.scene.sections import Section
 
@@ -33,6 +34,7 @@ class SceneParts:
         sections: Lines of the table, those of other packages included.
         code: Key -> `package.module:Class` of what was imported from outside this package.
         inputs: What parts take from outside while they run: u.
+        internals: States of parts of their own: z.
     """
 
     origin: Origin
@@ -42,11 +44,21 @@ class SceneParts:
     sections: tuple[Section, ...]
     code: Mapping[str, str]
     inputs: Inputs = field(init=False)
+    internals: Internals = field(init=False)
+    _first: Array = field(init=False)
 
     def __post_init__(self) -> None:
         parts, inputs = bind_inputs(self.sections, self.parts)
         object.__setattr__(self, "parts", parts)
         object.__setattr__(self, "inputs", inputs)
+        every = [
+            part for s in self.sections if s.key in parts for part in parts_in(s, parts[s.key])
+        ]
+        holders = [part for part in every if getattr(part, "internal", ())]
+        object.__setattr__(self, "internals", Internals(holders))
+        given = self.entries.get("initial") or {}
+        z = first_values(self.internals, given.get("internal"), f"{self.name}: initial")
+        object.__setattr__(self, "_first", z)
 
     @property
     def path(self) -> Path | None:
@@ -123,9 +135,9 @@ class SceneParts:
 
     @property
     def initial(self) -> State:
-        """State of all joints at the start, as the file gives it."""
+        """State of all joints at the start as the file gives it, NaN where z is left open."""
         initial: State = self.parts["initial"]
-        return initial
+        return initial if len(initial.z) else initial._replace(z=self._first)
 
     @property
     def safe(self) -> SafeCommand:

@@ -28,6 +28,7 @@ class _Initial:
     velocity: Mapping[str, float] | None = None
     pose: Mapping[str, Any] | None = None
     twist: Mapping[str, Any] | None = None
+    internal: Mapping[str, Any] | None = None
 
 
 def build_solver(site: Site, given: Any) -> Any:

@@ -25,7 +25,10 @@ class Chart:
         nq: Size of a configuration.
         nv: Size of a step and of a velocity.
         is_flat: Whether configurations are a vector space with q' = v.
+        sizes: Errors of steps and velocities that count as one [m, rad, m/s, rad/s].
     """
+
+    sizes: float | Array = 1.0
 
     def __init__(self, model: Any) -> None:
         self._model, self.nq, self.nv = model, int(model.nq), int(model.nv)

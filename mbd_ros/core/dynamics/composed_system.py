@@ -4,7 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from mbd_ros.core.dynamics.extended import Extended
 from mbd_ros.core.dynamics.free_motion import FreeMotion
+from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.linearization import Linearization
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mass import Mass
@@ -29,6 +31,7 @@ class ComposedSystem:
         held: The same with rows of velocities; the same object without any.
         bounded: Rows with bounded multipliers, solved for by Gauss's principle.
         layout: All rows of the scene.
+        internals: The internal states of all parts.
         build: Makes the same system for other loads and gains.
     """
 
@@ -39,6 +42,7 @@ class ComposedSystem:
         held: RigidRows,
         bounded: BoundedRows | None,
         layout: RowLayout,
+        internals: Internals,
         build: Build,
     ) -> None:
         self._motion, self._rigid, self._build = motion, rigid, build
@@ -49,7 +53,7 @@ class ComposedSystem:
         self.robot, self.loads = self._mechanism.robot, self._mechanism.loads
         self.model, self.k = self._mechanism.model, self._mechanism.k
         self.nq, self.nv = self.chart.nq, self.chart.nv
-        self.bounded, self.layout = bounded, layout
+        self.bounded, self.layout, self.internals = bounded, layout, internals
         self.constraints, self.sizes = rigid.constraints, rigid.sizes
         self.residual, self.jacobian, self.rate = rigid.residual, rigid.jacobian, rigid.rate
         self.expand, self.reduce = coordinates.expand, coordinates.reduce
@@ -61,8 +65,11 @@ class ComposedSystem:
         if bounded is not None:
             solved[bounded.constraints.slots] = False
         self._solved = np.flatnonzero(solved)
-        self._accelerators: dict[Mode, Accelerator] = {(): self._written()}
-        self._linearization = Linearization(self, self._accelerators[()])
+        self._write = self._written()
+        self._accelerators: dict[Mode, Accelerator] = {}
+        self._whole = Extended(self) if internals.nz else None
+        integrated = self if self._whole is None else self._whole
+        self._linearization = Linearization(integrated, integrated.accelerator())
 
     @property
     def condition(self) -> float:
@@ -76,11 +83,17 @@ class ComposedSystem:
 
     def evaluate(self, x: State, u: Array | None = None) -> Evaluation:
         """Accelerations, multipliers and the response to forces; as `System.evaluate`."""
-        self._mechanism.mode = x.mode
+        mechanism, internals = self._mechanism, self.internals
+        mechanism.mode = x.mode
         try:
-            return self._evaluated(x, u)
+            if not internals.nz:
+                return self._evaluated(x, u)
+            internals.check(x.z)
+            mechanism.z = internals.inside(x.z)
+            zdot = self._rates(x._replace(z=mechanism.z), u)
+            return self._evaluated(x, u)._replace(zdot=zdot)
         finally:
-            self._mechanism.mode = ()
+            mechanism.mode, mechanism.z = (), NONE
 
     def _evaluated(self, x: State, u: Array | None) -> Evaluation:
         motion, bounded, y = self._motion, self.bounded, self._coordinates.reduce(x)
@@ -95,14 +108,33 @@ class ComposedSystem:
         return Evaluation(x, a, NONE, lam, self._response(y))
 
     def accelerator(self, mode: Mode = ()) -> Accelerator:
-        """The function of t, q, v, u that writes y'' in a mode, made once."""
+        """The function that writes y'' in a mode, and z' with internal states; made once."""
         if mode not in self._accelerators:
             self._accelerators[mode] = self._written_in(mode)
         return self._accelerators[mode]
 
+    def rates(self, y: State, u: Array | None = None) -> Array:
+        """Rates z' of the internal states, shape (nz,)."""
+        x = self._coordinates.expand(y)
+        return self._rates(x._replace(z=self.internals.inside(y.z)), u)
+
+    def applied_with(self, y: State, u: Array | None = None) -> Array:
+        """Generalized force tau - h at a state with internal states, shape (nv,)."""
+        mechanism = self._mechanism
+        before, mechanism.z = mechanism.z, self.internals.inside(y.z)
+        try:
+            return self.applied(y.t, y.q, y.v, u)
+        finally:
+            mechanism.z = before
+
     def derivatives(self, y: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
         """Derivatives of y'' by differences, to about 1e-6; as `System.derivatives`."""
-        return self._linearization.derivatives(y, u, inputs=inputs)
+        if self._whole is None:
+            return self._linearization.derivatives(y, u, inputs=inputs)
+        n, x = self.nv, self._whole.joined(y)
+        by_q, by_v, _, by_u, _ = self._linearization.derivatives(x, u, inputs=inputs)
+        rates = Derivatives(by_q[n:, :n], by_v[n:, :n], by_v[n:, n:], by_u[n:])
+        return Derivatives(by_q[:n, :n], by_v[:n, :n], by_v[:n, n:], by_u[:n], rates)
 
     def with_loads(self, loads: Loads) -> System:
         """The same robot and rows, built for other loads."""
@@ -139,8 +171,18 @@ class ComposedSystem:
 
         return respond
 
+    def _rates(self, x: State, u: Array | None) -> Array:
+        """The z' at a state of all joints, internal states inside their bounds."""
+        internals, k, loads = self.internals, self._mechanism.k, self.loads
+        k.refresh(x.q, x.v, internals.reads)
+        return internals.rates(k, x, loads.inputs(x, u))
+
     def _written_in(self, mode: Mode) -> Accelerator:
-        mechanism, write = self._mechanism, self._accelerators[()]
+        mechanism, write = self._mechanism, self._write
+        if self.internals.nz:
+            return self._written_with_rates(mode)
+        if not mode:
+            return write
 
         def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
             mechanism.mode = mode
@@ -148,6 +190,23 @@ class ComposedSystem:
                 write(t, q, v, u, out)
             finally:
                 mechanism.mode = ()
+
+        return accelerate
+
+    def _written_with_rates(self, mode: Mode) -> Accelerator:
+        mechanism, write, inside = self._mechanism, self._write, self.internals.inside
+        expand = self._coordinates.expand
+
+        def accelerate(
+            t: float, q: Array, v: Array, z: Array, u: Array | None, a_out: Array, z_out: Array
+        ) -> None:
+            before = mechanism.mode, mechanism.z
+            mechanism.mode, mechanism.z = mode, inside(z)
+            try:
+                z_out[...] = self._rates(expand(State(t, q, v, mechanism.z, mode)), u)
+                write(t, q, v, u, a_out)
+            finally:
+                mechanism.mode, mechanism.z = before
 
         return accelerate
 

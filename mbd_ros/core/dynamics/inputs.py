@@ -119,29 +119,35 @@ def command_names(actuators: Sequence[Actuator]) -> list[tuple[str, ...]]:
 
 
 def bound(parts: Sequence[Part]) -> tuple[tuple[Part, ...], Inputs]:
-    """Parts that know where their inputs stand, in the order given, and all inputs.
+    """Parts that know where their inputs and internal states stand, and all inputs.
 
     A part that another scene has bound to other places is copied: parts hold constants.
 
     Args:
-        parts: Parts with inputs.
+        parts: Parts with inputs or internal states.
+
+    Returns:
+        The parts in the order given, and the inputs.
     """
     found: list[Part] = []
     names: list[str] = []
     channels: list[Channel] = []
+    states = 0
     for part in parts:
-        begin = len(channels)
+        begin, first = len(channels), states
         channels += part.inputs
         names += input_names(part)
-        found.append(_at(part, Slots(slice(begin, len(channels)), part.z)))
-    slots = {part.name: part.u for part in found}
+        states += len(part.internal)
+        z = slice(first, states) if part.internal else part.z
+        found.append(_at(part, Slots(slice(begin, len(channels)), z)))
+    slots = {part.name: part.u for part in found if part.inputs}
     return tuple(found), Inputs(tuple(names), tuple(channels), slots)
 
 
 def _at(part: Part, slots: Slots) -> Part:
     if (part.u, part.z) == slots:
         return part
-    if part.u != Part.u:
+    if (part.u, part.z) != (Part.u, Part.z):
         part = copy(part)
     part.bind(slots)
     return part

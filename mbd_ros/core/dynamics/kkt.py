@@ -14,7 +14,7 @@ from mbd_ros.core.dynamics.free_motion import writing
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.system import Accelerator
-from mbd_ros.core.state import NONE, Array, State
+from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import HELD_BY_ROWS, NEAR_TOGGLE
 from mbd_ros.errors import SolveError
 
@@ -64,7 +64,7 @@ class Kkt:
     ) -> Array:
         """Accelerations under the loads and an added force; the next call overwrites them."""
         mechanism, constraints = self.mechanism, self._constraints
-        x = _new_state(State, (t, q, v, NONE, mechanism.mode))
+        x = _new_state(State, (t, q, v, mechanism.z, mechanism.mode))
         mechanism.evaluations += 1
         k = mechanism.k
         if self._reads:

@@ -1,8 +1,10 @@
 """Derivatives of forces or accelerations, for Newton's method."""
 
+from typing import Any
+
 import numpy as np
 
-from mbd_ros.core.dynamics.system import Accelerator, Derivatives, System
+from mbd_ros.core.dynamics.system import Accelerator, Derivatives
 from mbd_ros.core.state import Array, State
 
 _STEP = 1.5e-8  # square root of the rounding unit: truncation and rounding are alike
@@ -16,7 +18,7 @@ class Linearization:
     evaluations.
 
     Args:
-        system: The system of these configurations.
+        system: A `System`, or an `Extended` one.
         field: Writes the f.
 
     Attributes:
@@ -24,9 +26,10 @@ class Linearization:
         damping: df/dv, same shape.
     """
 
-    def __init__(self, system: System, field: Accelerator) -> None:
+    def __init__(self, system: Any, field: Accelerator) -> None:
         self._system, self._field = system, field
         self._step, self._base, self._moved = np.zeros((3, system.nv))
+        self._upper: Array | None = getattr(system, "upper", None)
         self.stiffness = np.zeros((system.nv, system.nv))
         self.damping = np.zeros((system.nv, system.nv))
 
@@ -44,6 +47,8 @@ class Linearization:
             field(t, moved, v, u, there)
             self.stiffness[:, i] = (there - base) / length
             step[i] = _STEP * max(1.0, abs(float(v[i])))
+            if self._upper is not None and v[i] + step[i] > self._upper[i]:
+                step[i] = -step[i]  # internal states stay inside their bounds
             moved = v + step
             field(t, q, moved, u, there)
             self.damping[:, i] = (there - base) / (moved[i] - v[i])

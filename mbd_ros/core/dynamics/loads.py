@@ -100,8 +100,8 @@ class Loads:
         return u
 
     def potential(self, k: Kinematics, x: State) -> float:
-        """Potential energy of the conservative loads [J]."""
-        return sum(force.potential(k, x) for force in self.forces)
+        """Energy that the loads store [J]."""
+        return sum(part.potential(k, x) for part in (*self.actuators, *self.forces))
 
     def inputs(self, x: State, u: Array | None) -> Array:
         """All inputs at a state, shape (nu,).

@@ -28,6 +28,7 @@ class Mechanism:
         zero: No velocity and no force, shape (nv,), not to be written to.
         evaluations: How often the equations of motion were asked.
         mode: Of the state that is evaluated, for the loads; () in accelerators.
+        z: Internal states of the state that is evaluated, for loads and rows.
     """
 
     def __init__(self, robot: Robot, loads: Loads) -> None:
@@ -37,13 +38,14 @@ class Mechanism:
         self.zero: Array = np.zeros(self.model.nv)
         self.evaluations = 0
         self.mode: Mode = ()
+        self.z: Array = NONE
 
     def tau(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
         """Loads at a state of all joints, shape (nv,), not to be written to."""
         if self.loads.is_empty:
             return self.zero
         self.k.refresh(q, v, self.loads.reads)
-        return self.loads.total(self.k, State(t, q, v, NONE, self.mode), u)
+        return self.loads.total(self.k, State(t, q, v, self.z, self.mode), u)
 
     def mass(self, q: Array) -> Array:
         """Mass matrix of all joints, symmetric, shape (nv, nv), overwritten by the next call."""

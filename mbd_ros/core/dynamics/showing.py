@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.names import label
 from mbd_ros.core.outputs import Kind, Now, Output, Value
@@ -16,7 +17,7 @@ _NO_ROWS = slice(0, 0)
 
 
 class Showing:
-    """Multipliers of all rows, then the outputs of parts: constraints, then loads.
+    """Multipliers of all rows, internal states, and the outputs of constraints, then of loads.
 
     Args:
         k: Kinematics, refreshed here where a part reads it.
@@ -37,9 +38,12 @@ class Showing:
         every += [(part, _NO_ROWS) for part in loads]
         self._counted = [pair for pair in every if any(map(_is_number, pair[0].outputs))]
         self._drawn = [pair for pair in every if not all(map(_is_number, pair[0].outputs))]
+        self._internals = Internals([part for part, _ in every])
+        states = zip(self._internals.names, self._internals.units, strict=True)
+        internals = (Output(name, unit) for name, unit in states)
         multipliers = (Output(row.name, row.unit, frame=row.frame) for row in layout.rows)
         shown = (number for part, _ in self._counted for number in _numbers(part))
-        self.numbers = (*multipliers, *shown)
+        self.numbers = (*multipliers, *internals, *shown)
         self.arrows = tuple(arrow for part, _ in self._drawn for arrow in _arrows(part))
 
     def at(self, x: State, u: Array, a: Array, multipliers: Array) -> Array:
@@ -54,10 +58,12 @@ class Showing:
         Raises:
             ModelError: A part shows something else than it declares; names it.
         """
-        if not self._counted:
+        if not self._counted and not self._internals.nz:
             return multipliers
         shown = self._asked(self._counted, x, u, a, multipliers)
-        return np.concatenate([multipliers, *(v for output, v in shown if _is_number(output))])
+        return np.concatenate(
+            [multipliers, x.z, *(v for output, v in shown if _is_number(output))]
+        )
 
     def wrenches(self, x: State, u: Array, a: Array, multipliers: Array) -> list[Wrench]:
         """Values of `arrows`, with where each begins; arguments and errors are those of `at`."""

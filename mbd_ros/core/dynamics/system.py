@@ -3,7 +3,10 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+
 from mbd_ros.core.dynamics.chart import Chart
+from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mass import Mass
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
@@ -17,7 +20,8 @@ from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.rows.usual_sizes import UsualSizes
 from mbd_ros.core.state import Array, Evaluation, Mode, State
 
-Accelerator = Callable[[float, Array, Array, Array | None, Array], None]  # the last one is written
+# t, q, v, u and what is written; with internal states t, q, v, z, u and what is written, a and z'
+Accelerator = Callable[..., None]
 
 
 class Derivatives(NamedTuple):
@@ -28,12 +32,23 @@ class Derivatives(NamedTuple):
         v: By the velocity, shape (nv, nv).
         z: By the internal states, shape (nv, nz).
         u: By the inputs, shape (nv, nu).
+        rates: The same of the rates z', (nz,) instead of (nv,); None without internal states.
     """
 
     q: Array
     v: Array
     z: Array
     u: Array
+    rates: "Derivatives | None" = None
+
+    @property
+    def of_velocities(self) -> tuple[Array, Array]:
+        """Derivatives of (y'', z') by (y, nothing) and by (y', z), shape (nv + nz, nv + nz)."""
+        if self.rates is None:
+            return self.q, self.v
+        none = np.zeros((len(self.q) + self.z.shape[1], self.z.shape[1]))
+        by_q = np.hstack((np.vstack((self.q, self.rates.q)), none))
+        return by_q, np.block([[self.v, self.z], [self.rates.v, self.rates.z]])
 
 
 class System(Protocol):
@@ -51,6 +66,7 @@ class System(Protocol):
         chart: Of y.
         nq: Size of the configuration of y.
         nv: Size of its velocity.
+        internals: The internal states of its parts: z.
         rows: Bilateral rows of positions, which an integrator may have to keep.
         constraints: The same, stacked.
         held: All bilateral rows, those of velocities included: what velocities and accelerations
@@ -71,6 +87,7 @@ class System(Protocol):
     chart: Chart
     nq: int
     nv: int
+    internals: Internals
     rows: tuple[Row, ...]
     constraints: ConstraintRows
     held: RigidRows
@@ -99,7 +116,13 @@ class System(Protocol):
         """
 
     def accelerator(self, mode: Mode = ()) -> Accelerator:
-        """The function of t, q, v, u that writes y'' in a mode, shape (nv,)."""
+        """The function of t, q, v, u that writes y'' in a mode, shape (nv,).
+
+        With internal states it is one of t, q, v, z, u that writes y'' and z', shape (nz,).
+        """
+
+    def rates(self, y: State, u: Array | None = None) -> Array:
+        """Rates z' of the internal states at a state of what is integrated, shape (nz,)."""
 
     def derivatives(self, y: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
         """Derivatives of y'' at a state of what is integrated.
@@ -133,6 +156,9 @@ class System(Protocol):
 
     def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
         """Generalized force tau - h without the constraints, shape (nv,)."""
+
+    def applied_with(self, y: State, u: Array | None = None) -> Array:
+        """The same at a state with internal states."""
 
     def residual(self, t: float, q: Array) -> Array:
         """g(t, q) of `rows`, shape (m,)."""

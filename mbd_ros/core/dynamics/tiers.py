@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from mbd_ros.core.dynamics.aba import Aba
 from mbd_ros.core.dynamics.composed_system import ComposedSystem
 from mbd_ros.core.dynamics.free_motion import FreeMotion
+from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.kkt import Kkt
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mechanism import Mechanism
@@ -56,7 +57,8 @@ def build_system(
     _check(tier, couplings, layout.rigid[len(coupled) :], layout.yielding)
     is_kept = tier in ("kkt", "qp") or len(layout.rigid) > len(coupled)
     limited = layout.blocks if tier == "qp" else layout.yielding
-    plan = _Plan(robot, couplings, layout, is_kept, limited, backend)
+    parts = (*loads.actuators, *loads.forces, *constraints)
+    plan = _Plan(robot, couplings, layout, Internals(parts), is_kept, limited, backend)
     return plan.build(loads, (0.0, 0.0))
 
 
@@ -67,6 +69,7 @@ class _Plan:
         robot: The robot.
         couplings: Its dependent joints.
         layout: All rows of the scene.
+        internals: The internal states of all parts.
         is_kept: Whether couplings are rows.
         limited: Blocks whose multipliers the QP finds.
         backend: Its solver.
@@ -77,11 +80,13 @@ class _Plan:
         robot: Robot,
         couplings: Couplings,
         layout: RowLayout,
+        internals: Internals,
         is_kept: bool,
         limited: Sequence[RowBlock],
         backend: str,
     ) -> None:
         self._robot, self._couplings, self._layout = robot, couplings, layout
+        self._internals = internals
         self._limited, self._backend = tuple(limited), backend
         self._held = layout.rigid if is_kept else ()
         self._kept = tuple(block for block in self._held if block.level is Level.POSITION)
@@ -100,7 +105,8 @@ class _Plan:
         acting = ConstraintRows(blocks, nv, gains)
         bounded = BoundedRows(acting, nv, self._backend) if blocks else None
         motion = self._motion(mechanism, held)
-        return ComposedSystem(motion, rigid, held, bounded, self._layout, self.build)
+        parts = rigid, held, bounded, self._layout, self._internals
+        return ComposedSystem(motion, *parts, self.build)
 
     def _motion(self, mechanism: Mechanism, held: RigidRows) -> FreeMotion:
         if self._mimics is not None:

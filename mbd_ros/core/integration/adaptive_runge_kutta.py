@@ -112,7 +112,7 @@ class AdaptiveRungeKutta(RungeKutta):
         scale[:nv] = x.q if self._system.chart.is_flat else 0.0
         scale[nv:] = x.v
         np.abs(scale, out=scale)
-        scale += 1.0
+        scale += self._system.chart.sizes
         scale *= self._tolerance
         return scale
 

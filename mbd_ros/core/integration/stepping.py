@@ -96,6 +96,8 @@ class Integrator:
         dense: Whether its steppers can interpolate.
         keeps_constraints: Whether the method itself keeps the constraints, so that no
             stabilization acts.
+        keeps_internal: Whether the method moves internal states, as velocities of coordinates
+            that nobody asks for; see `core/dynamics/extended.py`.
         is_explicit: Whether stiff forces limit the step.
         event_driven: Whether its steps can be taken again with another length, so that they end
             at events; other methods refuse exact rows that give way, and guards.
@@ -107,6 +109,7 @@ class Integrator:
     order: int
     dense: ClassVar[bool] = False
     keeps_constraints: ClassVar[bool] = False
+    keeps_internal: ClassVar[bool] = True
     is_explicit: ClassVar[bool] = True
     event_driven: ClassVar[bool] = False
     stable: float = 2.5

@@ -74,7 +74,7 @@ class BoundedRows:
         else:
             self.multipliers, self.force = self._idle, self._no_force
             return a
-        k, x = motion.mechanism.k, State(t, joint_q, joint_v)
+        k, x = motion.mechanism.k, State(t, joint_q, joint_v, motion.mechanism.z)
         k.refresh(joint_q, joint_v, self.constraints.reads)
         if self.constraints.varies:
             self.constraints.limit(k, x)

@@ -40,7 +40,7 @@ class Checkpoint(NamedTuple):
         memory: What the method remembers of earlier steps.
     """
 
-    made_by: tuple[str, float, int, int]
+    made_by: tuple[str, float, int, int, int]
     progress: Progress
     steps: int
     worst: tuple[float, float]
@@ -77,3 +77,9 @@ def sample_times(origin: float, duration: float, dt: float) -> SampleTimes:
     last, end = origin + duration, math.ceil(duration / dt - SAME_TIME)
     resolution = 2.0 * math.ulp(max(abs(origin), abs(last)))
     return SampleTimes(origin, dt, last, end, resolution, max(SAME_TIME * dt, resolution))
+
+
+def words(method: str, dt: float, nq: int, nv: int, nz: int) -> str:
+    """What made a checkpoint, for messages; arguments are `Checkpoint.made_by`."""
+    states = f", {nv} velocities and {nz} internal states" if nz else f" and {nv} velocities"
+    return f"{method} with dt {dt:g} s, {nq} positions{states}"

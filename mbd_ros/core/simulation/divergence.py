@@ -14,7 +14,7 @@ _IN_REACH = 1.0e6  # rad or m: where a mass matrix still says something of the r
 def divergence(system: System, y: State, after: State) -> DivergedError:
     """The error of a step from a finite state to one that is not."""
     return DivergedError(
-        f"diverged at t = {after.t:.9g} s: {_lost(after)}; {last_finite(system, y)}; "
+        f"diverged at t = {after.t:.9g} s: {_lost(system, after)}; {last_finite(system, y)}; "
         f"{_advice(system, y)}"
     )
 
@@ -28,10 +28,14 @@ def _advice(system: System, y: State) -> str:
     return "try a smaller dt"
 
 
-def _lost(after: State) -> str:
+def _lost(system: System, after: State) -> str:
     lost = int(np.count_nonzero(~np.isfinite(after.v)))
     if lost:
         return f"{lost} of {len(after.v)} velocities are not finite"
+    states = zip(system.internals.names, np.isfinite(after.z).tolist(), strict=True)
+    names = [name for name, is_finite in states if not is_finite]
+    if names:
+        return f"{', '.join(names[:_SHOWN])} not finite"
     return "positions or velocities are beyond all numbers"
 
 

@@ -3,9 +3,11 @@
 import math
 from collections.abc import Iterator
 
+from mbd_ros.core.dynamics.equilibrium import settled
 from mbd_ros.core.dynamics.mass_check import check_mass
 from mbd_ros.core.dynamics.overshoots import Overshoots
 from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.integration.internal_steps import prepared
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.projection.stabilizing import Stabilization
@@ -14,6 +16,7 @@ from mbd_ros.core.simulation.checkpoint import (
     Progress,
     SampleTimes,
     sample_times,
+    words,
 )
 from mbd_ros.core.simulation.divergence import divergence, last_finite
 from mbd_ros.core.simulation.held_inputs import HeldInputs
@@ -49,7 +52,7 @@ class Simulation:
         system = system.with_gains(*stabilization.gains(dt))
         self.integrator, self.dt = integrator, dt
         self.stabilization = stabilization
-        self.stepper = integrator.prepare(system, dt)
+        self.stepper = prepared(integrator, system, dt)
         self.system: System = self.stepper.system or system
         self._stride = getattr(self.stepper, "stride", None)  # several steps at once, if it can
         self.steps = 0
@@ -57,7 +60,8 @@ class Simulation:
         has_stops = any(block.part.stops for block in system.layout.yielding)
         self.overshoots = Overshoots(system) if has_stops else None
         self._is_corrected = bool(system.held.rows) and not integrator.keeps_constraints
-        self._made_by = type(integrator).__name__, dt, system.nq, system.nv
+        self._nz = system.internals.nz
+        self._made_by = type(integrator).__name__, dt, system.nq, system.nv, self._nz
         self._progress: Progress | None = None
 
     def start(self, x: State, u: Array | None = None) -> State:
@@ -68,7 +72,9 @@ class Simulation:
             u: Inputs there, which may decide in which mode it goes on.
 
         Raises:
-            SolveError: The mechanism cannot be assembled near it, or its mass matrix is singular.
+            SolveError: The mechanism cannot be assembled near it, its mass matrix is singular, or
+                internal states have no equilibrium there.
+            ModelError: An internal state starts outside its bounds.
         """
         self.stepper.restart()
         y = self.system.reduce(x)
@@ -78,6 +84,8 @@ class Simulation:
             check_mass(self.system, y.q)
         if self.overshoots is not None:
             self.overshoots.begin(y)
+        if self._nz:
+            y = settled(self.system, y, u)
         y = self.stepper.settle(y, u)
         self._progress = Progress(y.t, 0, y, False, y.t)
         return y
@@ -157,7 +165,7 @@ class Simulation:
             ModelError: It is one of another scene, method or dt.
         """
         if checkpoint.made_by != self._made_by:
-            texts = (_words(*made) for made in (checkpoint.made_by, self._made_by))
+            texts = (words(*made) for made in (checkpoint.made_by, self._made_by))
             raise ModelError("a checkpoint of {} cannot be continued by {}".format(*texts))
         self._progress, self.steps, self.worst = checkpoint[1:4]
         y = checkpoint.progress.y
@@ -220,7 +228,8 @@ class Simulation:
         except (DivergedError, SolveError) as error:
             raise type(error)(f"{error}; {last_finite(self.system, y)}") from error
         self.steps += count
-        if math.isfinite(after.v.dot(after.v)) and math.isfinite(after.q.dot(after.q)):
+        is_finite = math.isfinite(after.v.dot(after.v)) and math.isfinite(after.q.dot(after.q))
+        if is_finite and (not self._nz or math.isfinite(after.z.dot(after.z))):
             if self.overshoots is not None:
                 self.overshoots.look(y, after)
             return after
@@ -235,7 +244,3 @@ def _end(y: State, sample: int, times: SampleTimes, now: float, is_fixed: bool) 
     is_off = now > here + times.slack  # back to the samples
     is_next = (is_rounded and late < 1.0e3 * times.slack) or is_off
     return times.due(sample + 1) if is_next else times.last
-
-
-def _words(method: str, dt: float, nq: int, nv: int) -> str:
-    return f"{method} with dt {dt:g} s, {nq} positions and {nv} velocities"
