@@ -8,7 +8,7 @@ import numpy as np
 from mbd_ros.core.dynamics.extended import Extended
 from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.core.memory import Memory, copied, recognised
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import ModelError
 
 
@@ -73,6 +73,19 @@ class InternalSteps(Stepper):
         self._last = recognised(copied(memory["last"]), x)
         self._inner.recall(memory["inner"], self._joined(x))
 
+    def again(self, h: float, t: float) -> State:
+        """The last step taken again with another length."""
+        after = self._inner.again(h, t)
+        x = self._whole.parted(after)
+        self._last = x, after
+        if _is_beyond(x, after):
+            self._last = x, self._moved(x)
+        return x
+
+    def follow(self, accelerate: Any, mode: Mode = ()) -> None:
+        """Follow other accelerations and rates from the next step on."""
+        self._inner.follow(self._whole.adapted(accelerate), mode)
+
     def continue_from(self, x: State) -> None:
         """Go on from a state that stabilization has made of the last one, history kept."""
         self._last = x, self._moved(x)
@@ -93,7 +106,7 @@ class InternalSteps(Stepper):
         """The state after a step; the method goes on from bounds where it went beyond."""
         x = self._whole.parted(after)
         self._last = x, after
-        if not np.array_equal(x.z, after.v[len(x.v) :], equal_nan=True):
+        if _is_beyond(x, after):
             self.continue_from(x)
         return x
 
@@ -101,3 +114,8 @@ class InternalSteps(Stepper):
         """A state with the integrals of the last one."""
         joined = self._last[1]
         return self._whole.joined(x, None if joined is None else joined.q[self._nq :])
+
+
+def _is_beyond(x: State, joined: State) -> bool:
+    """Whether a step went beyond bounds of internal states."""
+    return not np.array_equal(x.z, joined.v[len(x.v) :], equal_nan=True)
