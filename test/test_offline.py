@@ -235,10 +235,3 @@ def test_torques_that_are_not_finite_are_refused(tmp_path):
             tmp_path / "out.csv",
         )
     assert not (tmp_path / "out.csv").exists()
-
-
-def test_floating_base_is_refused(tmp_path):
-    urdf = SCENES.parent / "robots/pendulum.urdf"
-    (tmp_path / "s.yaml").write_text(f"robot: {{urdf: {urdf}, base: floating}}", encoding="utf-8")
-    with pytest.raises(DataError, match=r"s\.yaml: robot\.base: files carry no pose"):
-        run(tmp_path / "s.yaml", table(tmp_path / "m.csv"), tmp_path / "out.csv")

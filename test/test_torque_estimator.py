@@ -11,7 +11,6 @@ from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.model.coupling_functions import Polynomial
 from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.errors import ModelError
 
 MS = 1_000_000
 ARM = (Path(__file__).parents[1] / "config/robots/prosthetic_arm.urdf").read_text(encoding="utf-8")
@@ -179,12 +178,6 @@ def test_new_tuning_takes_effect_at_once():
     e.tune(Tuning(cutoff=50.0))
     assert e.differentiator.delay == pytest.approx(slow / 10)
     assert isinstance(e.observe(*sample(0)), Observation)
-
-
-def test_floating_base_is_refused():
-    robot = read_robot(ARM, base="floating")
-    with pytest.raises(ModelError, match="joint states do not carry the pose of a floating base"):
-        TorqueEstimator(robot, InverseDynamics(robot, Couplings(robot)), Tuning())
 
 
 def test_two_publishers_whose_stamps_differ_by_microseconds_both_count():

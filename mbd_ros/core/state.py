@@ -53,8 +53,26 @@ class Evaluation(NamedTuple):
     respond: Callable[[Array], Array]
 
 
+class BodyMotion(NamedTuple):
+    """Sampled motion of a free body, one row a sample.
+
+    Attributes:
+        name: Of the body.
+        pose: Place in the world [m], then quaternion (x, y, z, w), shape (n, 7); a quaternion has
+            the sign of the one before.
+        twist: Velocity [m/s], then angular velocity [rad/s], in axes of the body, shape (n, 6);
+            NaN where it was not measured; None without any.
+        acceleration: Derivative of the twist, same shape, or None.
+    """
+
+    name: str
+    pose: Array
+    twist: Array | None = None
+    acceleration: Array | None = None
+
+
 class Motion(NamedTuple):
-    """Sampled joint motion, one row a sample, one column a joint.
+    """Sampled motion, one row a sample, one column a joint.
 
     Attributes:
         names: Joint names, one a column.
@@ -64,6 +82,7 @@ class Motion(NamedTuple):
         acceleration: [rad/s^2 or m/s^2], same shape, or None.
         effort: Measured effort [N·m or N], same shape, NaN where not measured; None without any.
         command: What actuators take, same shape, NaN where there is none; None without any.
+        bodies: Motion of the free bodies.
     """
 
     names: tuple[str, ...]
@@ -73,6 +92,7 @@ class Motion(NamedTuple):
     acceleration: Array | None = None
     effort: Array | None = None
     command: Array | None = None
+    bodies: tuple[BodyMotion, ...] = ()
 
 
 class WrenchSamples(NamedTuple):

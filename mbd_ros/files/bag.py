@@ -9,13 +9,21 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
-from mbd_ros.files.bag_recordings import bag_motion
-from mbd_ros.files.bag_streams import FIELDS, JOINT_STATE, Stream, streams_of
+from mbd_ros.files.bag_recordings import Wanted, bag_motion
+from mbd_ros.files.bag_streams import (
+    BODY_FIELDS,
+    FIELDS,
+    JOINT_STATE,
+    ODOMETRY,
+    Stream,
+    streams_of,
+)
 from mbd_ros.files.bags import BagWriter, messages, new_message, topic_types
 from mbd_ros.files.description import column_of, describe, described
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.files.times import STAMP, TIME, stamps_of, time_columns
 from msg_adapters.errors import MessageError
+from msg_adapters.odometry import read_odometry
 
 DESCRIPTION, STRING = "/result", "std_msgs/msg/String"
 RECORDED = "recorded"  # metadata `stamps`: those of a motion that was read
@@ -88,7 +96,7 @@ class Bag:
                 },
                 metadata,
             )
-        except (KeyError, ValueError, TypeError, IndexError) as error:
+        except (KeyError, ValueError, TypeError, IndexError) as error:  # a MessageError too
             raise DataError(f"{path}: its messages do not fit {DESCRIPTION} ({error})") from error
 
 
@@ -105,7 +113,9 @@ def _values(path: Path, topics: Mapping[str, str]) -> dict[tuple[str, str], Arra
     """Topic and field -> values, shape (n, width), or log times, shape (n, 1)."""
     rows: dict[tuple[str, str], list[Any]] = {}
     for topic, log_time, message in messages(path, topics) if topics else ():
-        fields = FIELDS if topics[topic] == JOINT_STATE else ("data",)
+        fields: tuple[str, ...] = FIELDS if topics[topic] == JOINT_STATE else ("data",)
+        if topics[topic] == ODOMETRY:
+            message, fields = read_odometry(message), tuple(BODY_FIELDS)
         for field in fields:
             rows.setdefault((topic, field), []).append(getattr(message, field))
         rows.setdefault((topic, "log_time"), []).append([log_time])
@@ -124,7 +134,7 @@ def _recorded(path: Path, topic: str) -> Result:
     """Joint states of others: the finite values of every joint that a message names."""
     named = (msg.name for _, _, msg in messages(path, {topic: JOINT_STATE}))
     names = list(dict.fromkeys(name for each in named for name in each))
-    recording = bag_motion(path, names, topic, ())
+    recording = bag_motion(path, topic, Wanted(tuple(names)))
     motion = recording.motion
     columns = time_columns(motion.stamps)
     for field in FIELDS:

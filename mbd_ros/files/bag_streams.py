@@ -2,8 +2,9 @@
 
 `metadata["topics"]` of a result maps its `samples`: topic -> field of a JointState ->
 quantity, so that the joints on a topic are those with a column `<joint>.<quantity>` of the first
-field, or -> name -> column; or topic -> `data` -> columns of a Float64MultiArray. Numbers that no
-such topic takes are in a Float64MultiArray on `/<table>`, whose layout labels are their names.
+field, or -> name -> column; or topic -> `data` -> columns of a Float64MultiArray; or topic ->
+`body` -> the free body whose pose and twist it carries as Odometry. Numbers that no such topic
+takes are in a Float64MultiArray on `/<table>`, whose layout labels are their names.
 """
 
 import re
@@ -15,11 +16,15 @@ import numpy as np
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.bag_types import new_message, to_cdr
+from mbd_ros.files.body_columns import POSE, TWIST, names_of
 from mbd_ros.files.table import MAIN, Column, Table
 from msg_adapters.joint_state import JointStateWriter
+from msg_adapters.odometry import OdometryCdrWriter
 
 JOINT_STATE, MULTI_ARRAY = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
+ODOMETRY = "nav_msgs/msg/Odometry"
 FIELDS = ("position", "velocity", "effort")  # of a JointState
+BODY_FIELDS = {"pose": POSE, "twist": TWIST}  # of an Odometry
 TOPICS = {"/joint_states": {field: field for field in FIELDS}}  # where a result says nothing
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
 
@@ -29,8 +34,8 @@ class Stream(NamedTuple):
 
     Attributes:
         topic: Its name.
-        msgtype: JointState or Float64MultiArray.
-        names: Joints, or labels; empty labels are not written.
+        msgtype: JointState, Odometry or Float64MultiArray.
+        names: Joints, frames of pose and twist, or labels; empty labels are not written.
         fields: Field of the message -> its values, shape (n, width).
     """
 
@@ -46,6 +51,11 @@ class Stream(NamedTuple):
             for i, stamp in enumerate(stamps.tolist()):
                 row = {field: values[i] for field, values in self.fields.items()}
                 yield stamp, writer.write(stamp, **row)
+            return
+        if self.msgtype == ODOMETRY:
+            body, rows = OdometryCdrWriter(*self.names), zip(*self.fields.values(), strict=True)
+            for stamp, (pose, twist) in zip(stamps.tolist(), rows, strict=True):
+                yield stamp, body.write(stamp, pose, twist)
             return
         head, data = self._head(), np.ascontiguousarray(self.fields["data"])
         for stamp, row in zip(stamps.tolist(), data, strict=True):
@@ -88,6 +98,8 @@ def streams_of(
     for topic, fields in chosen.items():
         if "data" in fields:
             taken = _multi_array(topic, fields, table)
+        elif "body" in fields:
+            taken = _odometry(topic, fields["body"], table)
         else:
             taken = _joint_states(topic, fields, others)
         if taken is not None:
@@ -100,10 +112,10 @@ def streams_of(
 
 def _checked(topics: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
     for topic, fields in topics.items():
-        if not set(fields) <= {*FIELDS} and list(fields) != ["data"]:
+        if not set(fields) <= {*FIELDS} and list(fields) not in (["data"], ["body"]):
             raise DataError(
                 f"metadata topics: {topic}: fields {', '.join(fields)}, accepted: "
-                f"{', '.join(FIELDS)}, or data alone"
+                f"{', '.join(FIELDS)}, or data or body alone"
             )
     return dict(topics)
 
@@ -146,6 +158,22 @@ def _multi_array(
     values = np.column_stack([table[name] for name in names])
     where = {name: {"topic": topic, "field": "data", "at": i} for i, name in enumerate(names)}
     return Stream(topic, MULTI_ARRAY, (), {"data": values}), where
+
+
+def _odometry(
+    topic: str, body: str, table: Table
+) -> tuple[Stream, dict[str, dict[str, Any]]] | None:
+    columns = {field: names_of(body, words) for field, words in BODY_FIELDS.items()}
+    if not all(_is_plain(table, name) for names in columns.values() for name in names):
+        return None
+    values = {f: np.column_stack([table[name] for name in named]) for f, named in columns.items()}
+    where = {
+        name: {"topic": topic, "field": field, "at": i}
+        for field, named in columns.items()
+        for i, name in enumerate(named)
+    }
+    frames = tuple(table.column(names[0]).frame for names in columns.values())
+    return Stream(topic, ODOMETRY, frames, values), where
 
 
 def _rest(

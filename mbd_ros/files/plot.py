@@ -19,10 +19,12 @@ _PANEL, _WIDTH, _EDGE = 1.7, 8.0, 0.6  # in
 _DPI = 110  # per in
 _CURVES, _POINTS = 12, 4000  # a panel, a curve: more is not to be seen
 _LATER = (  # drawn where they are asked for
-    *("acceleration", "command", "energy", "drift"),
+    *("acceleration", "linear_acceleration", "angular_acceleration"),
+    *("command", "energy", "drift"),
     *("gravity", "coriolis", "inertial", "external"),
 )
 _COMPONENT = re.compile(r"(force|torque|multiplier|.+(?=_q?[xyzw]$))(?:_(.+))?")
+_AXES = ("x", "y", "z", "w")
 _MOST = 24  # panels
 
 
@@ -137,10 +139,13 @@ def _panels(table: Table, asked: Sequence[str] | None) -> dict[str, list[Column]
 
 
 def _words(column: Column) -> tuple[str, str, str]:
-    """Part, quantity, and the quantity without its component: force of force_x."""
+    """Part, quantity, and the quantity without its component: force of force_x or force.x."""
     part, _, quantity = column.name.rpartition(".")
-    whole = _COMPONENT.fullmatch(quantity)
-    return part, quantity, whole[1] if whole else quantity
+    if quantity in _AXES and "." in part:
+        part, _, whole = part.rpartition(".")
+        return part, f"{whole}_{quantity}", whole
+    found = _COMPONENT.fullmatch(quantity)
+    return part, quantity, found[1] if found else quantity
 
 
 def _curve(column: Column) -> str:

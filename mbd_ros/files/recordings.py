@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mbd_ros.core.state import Array, Motion, WrenchSamples
+from mbd_ros.core.model.poses import with_steady_signs
+from mbd_ros.core.state import Array, BodyMotion, Motion, WrenchSamples
 from mbd_ros.errors import DataError
+from mbd_ros.files.body_columns import ACCELERATION, POSE, TWIST, names_of
 from mbd_ros.files.formats import format_of, is_bag
 from mbd_ros.files.recording import Recording
 from mbd_ros.files.table import MAIN, Result, Table
@@ -16,6 +18,7 @@ from mbd_ros.files.times import TIME, motion_stamps
 Source = str | Path | Result  # of a motion
 CSV = (".csv", ".csv.gz")  # strict: nan stands only where it has a meaning
 _IN_MEMORY = "the result"
+_NO_TURN = 1.0e-3  # length of a quaternion that says nothing
 
 
 def read_motion(
@@ -24,12 +27,16 @@ def read_motion(
     *,
     topic: str = "/joint_states",
     required: Collection[str] | None = None,
+    bodies: Sequence[str] = (),
+    members: Collection[str] = (),
 ) -> Recording:
-    """Samples of the joints asked for; others in the file are ignored.
+    """Samples of the joints and free bodies asked for; others in the file are ignored.
 
     A bag message is dropped, and counted, if it is malformed, if a required joint lacks a finite
     position, or if its stamp is not newer than all before it. Velocities and efforts that are not
-    finite are absent. One zero stamp makes all stamps those of the log.
+    finite are absent. One zero stamp makes all stamps those of the log. Joints of a named robot
+    and free bodies come on topics of their own; messages of one stamp make a sample, and what
+    lacks a part of it is dropped and counted.
 
     Args:
         source: A result, or a file of one, with columns `<joint>.position`, `.velocity`,
@@ -38,6 +45,8 @@ def read_motion(
         joints: Names, in the order of the columns of the motion.
         topic: JointState topic of a bag.
         required: Joints whose position must be there; all without it. The others may be NaN.
+        bodies: Names of free bodies, whose pose must be there.
+        members: Names of robots and bodies in front of those of their joints, see `topics`.
 
     Raises:
         DataError: A file that cannot be read, a required joint that is nowhere in it, or nothing
@@ -45,11 +54,13 @@ def read_motion(
     """
     needed = [name for name in joints if required is None or name in required]
     if not isinstance(source, Result) and is_bag(source):
-        from mbd_ros.files.bag_recordings import bag_motion
+        from mbd_ros.files.bag_recordings import Wanted, bag_motion
 
-        return bag_motion(Path(source), joints, topic, needed)
+        wanted = Wanted(tuple(joints), tuple(needed), tuple(bodies), frozenset(members))
+        return bag_motion(Path(source), topic, wanted)
     table, where = _samples(source, ())
-    _check_columns(table, where, [f"{name}.position" for name in needed])
+    poses = [name for body in bodies for name in names_of(body, POSE)]
+    _check_columns(table, where, [*(f"{name}.position" for name in needed), *poses])
     position, velocity, acceleration, effort, command = (
         _columns(table, [f"{name}.{field}" for name in joints])
         for field in ("position", "velocity", "acceleration", "effort", "command")
@@ -57,7 +68,24 @@ def read_motion(
     if position is None:
         position = np.full((table.rows, len(joints)), np.nan)
     fields = position, velocity, acceleration, effort, command
-    return Recording(Motion(tuple(joints), motion_stamps(table, where), *fields), Counter())
+    moving = tuple(_body(table, where, name) for name in bodies)
+    motion = Motion(tuple(joints), motion_stamps(table, where), *fields, moving)
+    return Recording(motion, Counter())
+
+
+def _body(table: Table, where: str, name: str) -> BodyMotion:
+    """Motion of a free body; its pose is there."""
+    pose, twist, acceleration = (
+        _columns(table, names_of(name, words)) for words in (POSE, TWIST, ACCELERATION)
+    )
+    assert pose is not None
+    lost = np.flatnonzero(~(np.linalg.norm(pose[:, 3:], axis=1) > _NO_TURN))
+    if len(lost):
+        raise DataError(
+            f"{where}: {name}.orientation at {table[TIME][lost[0]]:.9g} s is no quaternion: all "
+            "of its numbers are 0 or one is nan"
+        )
+    return BodyMotion(name, with_steady_signs(pose), twist, acceleration)
 
 
 def name_of(source: Source) -> str:

@@ -1,4 +1,4 @@
-"""Joint-state samples -> accepted samples with derivatives, holes filled for a while."""
+"""Samples of joints and free bodies -> accepted samples with derivatives, filled for a while."""
 
 from typing import Annotated, Any, NamedTuple
 
@@ -6,11 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.estimation.differentiation import CausalDifferentiator, SampleStatus
+from mbd_ros.core.model.base_motion import (
+    IndependentCoordinates,
+    configuration_of,
+    step_between,
+)
 from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.poses import TWIST, with_sign_of
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unit, Within
 from mbd_ros.core.state import NANOSECOND, Array
-from mbd_ros.errors import ModelError
 
 _NEVER = -(2**62)
 _UNUSED = (SampleStatus.OLD, SampleStatus.JUMP, SampleStatus.NOT_FINITE, SampleStatus.INCOMPLETE)
@@ -39,9 +44,9 @@ class Observation(NamedTuple):
 
     Attributes:
         stamp: Time [ns].
-        position: Independent joints [rad or m], shape (n,).
-        velocity: [rad/s or m/s], shape (n,).
-        acceleration: [rad/s^2 or m/s^2], shape (n,).
+        position: Independent coordinates y [rad or m], shape (ny,).
+        velocity: y' [rad/s or m/s], shape (nv_y,).
+        acceleration: y'' [rad/s^2 or m/s^2], shape (nv_y,).
         dependent: Measured positions of the dependent joints, NaN where absent, shape (n_d,).
     """
 
@@ -53,10 +58,13 @@ class Observation(NamedTuple):
 
 
 class JointObserver:
-    """Judges a stream of joint samples and derives missing velocities and accelerations.
+    """Judges a stream of samples and derives missing velocities and accelerations.
+
+    A free body is filtered in the coordinates of its twist: the sum of the steps from pose to
+    pose, each in axes of the body. A constant twist passes any filter as it is.
 
     Args:
-        robot: The robot; fixed base.
+        robot: The robot.
         couplings: Its dependent joints, which may be missing.
         tuning: How samples are judged and filtered.
 
@@ -64,18 +72,13 @@ class JointObserver:
         names: Joints of a sample: the independent ones, then the dependent ones.
         differentiator: Where velocity and acceleration come from.
         outcome: Verdict on the newest sample.
-
-    Raises:
-        ModelError: The base floats: joint states do not carry its pose.
     """
 
     def __init__(self, robot: Robot, couplings: Couplings, tuning: Tuning) -> None:
-        if robot.floating:
-            raise ModelError(
-                "joint states do not carry the pose of a floating base; use base: fixed"
-            )
+        self._robot, self._coordinates = robot, IndependentCoordinates(robot, couplings)
         self.names = couplings.independent + couplings.dependent
         self._n = len(couplings.independent)
+        self._size = self._n + TWIST * len(robot.bases)
         self._independent = [robot.joint(name) for name in couplings.independent]
         self._present, self._is_complete = np.zeros(len(self.names), dtype=np.bool_), False
         self.tune(tuning)
@@ -86,10 +89,11 @@ class JointObserver:
         with np.errstate(over="ignore"):  # a limit near the largest number is none
             limits *= tuning.velocity_margin
         continuous = [joint.kind == "continuous" for joint in self._independent]
+        bodies = self._size - self._n
         self.differentiator = CausalDifferentiator(
             cutoff=tuning.cutoff,
-            velocity_limit=limits,
-            wraps=np.array(continuous, dtype=np.bool_),
+            velocity_limit=np.append(limits, np.full(bodies, np.inf)),
+            wraps=np.array(continuous + [False] * bodies, dtype=np.bool_),
             patience=tuning.patience,
             rewind=tuning.rewind,
         )
@@ -100,23 +104,29 @@ class JointObserver:
         """Forget the past."""
         self.differentiator.reset()
         self.outcome = SampleStatus.USED
-        self._position, self._velocity = np.zeros(self._n), np.full(self._n, np.nan)
-        self._seen = np.full(self._n, _NEVER, dtype=np.int64)
+        self._position, self._velocity = np.zeros(self._size), np.full(self._size, np.nan)
+        self._seen = np.full(self._size, _NEVER, dtype=np.int64)
+        self._poses: Array | None = None  # of the newest sample that is used
         self._complete: int | None = None  # stamp of a complete sample since the last partial one
 
     @property
     def memory(self) -> tuple[Any, ...]:
         """State on which the next samples depend; may be set, to its value before a sample."""
-        kept = self._position, self._velocity, self._complete, self._seen
+        kept = self._position, self._velocity, self._complete, self._seen, self._poses
         return kept, self.differentiator.memory
 
     @memory.setter
     def memory(self, memory: tuple[Any, ...]) -> None:
         kept, self.differentiator.memory = memory
-        self._position, self._velocity, self._complete, self._seen = kept
+        self._position, self._velocity, self._complete, self._seen, self._poses = kept
 
     def observe(
-        self, stamp: int, position: Array, velocity: Array, present: NDArray[np.bool_]
+        self,
+        stamp: int,
+        position: Array,
+        velocity: Array,
+        present: NDArray[np.bool_],
+        bodies: tuple[Array, Array] | None = None,
     ) -> Observation | SampleStatus:
         """Take a sample of the motion.
 
@@ -126,12 +136,17 @@ class JointObserver:
             velocity: In the order of `names` [rad/s or m/s], NaN where absent.
             present: Which of `names` the message carries, shape (len(names),); the same array as
                 long as that does not change.
+            bodies: Poses of the free bodies in the world, shape (k, 7), and their twists, NaN
+                where not measured, shape (k, 6); None without free bodies.
 
         Returns:
             The sample with its derivatives, or why it cannot be used.
         """
-        n = self._n
+        n, poses = self._n, None
         z, v = position[:n], velocity[:n]
+        if bodies is not None:
+            poses, steps = self._placed(bodies[0])
+            z, v = np.concatenate((z, steps)), np.concatenate((v, bodies[1].ravel()))
         if present is not self._present:
             self._present, self._is_complete = present, bool(present[:n].all())
         if self._is_complete:
@@ -140,11 +155,27 @@ class JointObserver:
                 return outcome
             self._position, self._velocity, self._complete = z, v, stamp
         else:
-            self.outcome = outcome = self._take_part(stamp, z, v, present[:n])
+            of_bodies = np.ones(self._size - n, dtype=np.bool_)
+            known = np.concatenate((present[:n], of_bodies))
+            self.outcome = outcome = self._take_part(stamp, z, v, known)
             if outcome in _UNUSED:
                 return outcome
-        d = self.differentiator
-        return Observation(stamp, d.position, d.velocity, d.acceleration, position[n:])
+        d, dependent = self.differentiator, position[n:]
+        if poses is None:
+            return Observation(stamp, d.position, d.velocity, d.acceleration, dependent)
+        self._poses, c = poses, self._coordinates
+        y = c.positions(np.concatenate((d.position[:n], poses.ravel())))
+        return Observation(stamp, y, c.rates(d.velocity), c.rates(d.acceleration), dependent)
+
+    def _placed(self, poses: Array) -> tuple[Array, Array]:
+        """Coordinates of the free bodies, (k, 7), and the sums of the steps that lead there."""
+        q, before = configuration_of(self._robot, poses), self._poses
+        if before is None or not np.isfinite(q).all():
+            return q, 0.0 * q[:, 1:].ravel()  # NaN stays
+        pairs = list(zip(before, q, strict=True))
+        steps = np.concatenate([step_between(*pair) for pair in pairs])
+        signed = np.array([with_sign_of(*pair) for pair in pairs])
+        return signed, self.differentiator.position[self._n :] + steps
 
     def _take_part(
         self, stamp: int, z: Array, v: Array, present: NDArray[np.bool_]

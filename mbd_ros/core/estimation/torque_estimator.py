@@ -20,7 +20,7 @@ class TorqueEstimator(JointObserver):
     """Causal inverse dynamics on a stream of joint samples.
 
     Args:
-        robot: The robot; fixed base.
+        robot: The robot.
         inverse: Solver, owned by the estimator from now on.
         tuning: How samples are judged and filtered.
     """
@@ -29,7 +29,7 @@ class TorqueEstimator(JointObserver):
         self._inverse = inverse
         super().__init__(robot, inverse.couplings, tuning)
         self._dependent_q = [robot.joint(name).q for name in inverse.couplings.dependent]
-        self._ones = np.ones(len(inverse.couplings.independent))
+        self._ones = np.ones(len(inverse.couplings.v_index))
 
     def solve(self, x: Observation, wrenches: Sequence[Array] = ()) -> Torques | None:
         """Torques of an observation; None if they are not finite.
@@ -64,11 +64,16 @@ class TorqueEstimator(JointObserver):
         self._newest: Observation | None = None
 
     def observe(
-        self, stamp: int, position: Array, velocity: Array, present: NDArray[np.bool_]
+        self,
+        stamp: int,
+        position: Array,
+        velocity: Array,
+        present: NDArray[np.bool_],
+        bodies: tuple[Array, Array] | None = None,
     ) -> Observation | SampleStatus:
         """As `JointObserver.observe`."""
         before = self.memory
-        found = super().observe(stamp, position, velocity, present)
+        found = super().observe(stamp, position, velocity, present, bodies)
         if isinstance(found, Observation):
             self._newest, self._before = found, before
         return found

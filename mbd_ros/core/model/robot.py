@@ -81,6 +81,11 @@ class Robot:
         """Where in v free bases have coordinates -> what messages call them."""
         return {i: base.title for base in self.bases for i in _places(base.v)}
 
+    @property
+    def members(self) -> frozenset[str]:
+        """Names of the robots and bodies with joints; none for the only robot."""
+        return frozenset(joint.member for joint in self.joints if joint.member)
+
     def joint(self, name: str) -> Joint:
         """Joint of that topic name.
 

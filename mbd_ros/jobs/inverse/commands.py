@@ -4,9 +4,11 @@ import numpy as np
 
 from mbd_ros.core.dynamics.inputs import command_names
 from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.model.base_motion import configuration_of
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import DataError
+from mbd_ros.files.body_columns import POSE, TWIST, names_of
 from mbd_ros.files.table import Column, Table
 from mbd_ros.files.times import TIME, stamps_of
 from mbd_ros.jobs.columns import command_columns
@@ -73,5 +75,9 @@ def _states(scene: Scene, table: Table) -> list[State]:
         if f"{joint.name}.position" in table:
             q[:, joint.q] = table[f"{joint.name}.position"]
             v[:, joint.v] = table[f"{joint.name}.velocity"]
+    for base in scene.robot.bases:
+        pose = np.column_stack([table[name] for name in names_of(base.name, POSE)])
+        q[:, base.q] = configuration_of(scene.robot, pose)
+        v[:, base.v] = np.column_stack([table[name] for name in names_of(base.name, TWIST)])
     times = (stamps_of(table) * NANOSECOND).tolist()
     return [State(*row) for row in zip(times, q, v, strict=True)]

@@ -5,14 +5,18 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbd_ros.core.estimation.differentiation import CausalDifferentiator
 from mbd_ros.core.estimation.local_polynomials import local_polynomials
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
-from mbd_ros.core.state import Array, Motion
+from mbd_ros.core.model.base_motion import IndependentCoordinates, configuration_of
+from mbd_ros.core.model.poses import TWIST
+from mbd_ros.core.state import Array, BodyMotion, Motion
 from mbd_ros.errors import DataError
+from mbd_ros.files.body_columns import ACCELERATION as ACCELERATION_WORDS
+from mbd_ros.files.body_columns import TWIST as TWIST_WORDS
 from mbd_ros.files.table import Table
+from mbd_ros.jobs.inverse.body_signals import BodySignals
 from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
 
@@ -39,7 +43,7 @@ class Derivatives(NamedTuple):
 
 
 class Differentiated(NamedTuple):
-    """Samples of the independent joints, and their origin.
+    """Samples of the independent coordinates, and their origin.
 
     Attributes:
         samples: The samples.
@@ -62,12 +66,12 @@ def observe(
         motion: The motion, NaN where a joint is absent.
         dropped: Counts the samples that cannot be used, by reason.
     """
-    velocity = motion.velocity
+    velocity, n = motion.velocity, len(motion.stamps)
     if velocity is None:
         velocity = np.full_like(motion.position, np.nan)
     present = np.isfinite(motion.position)
-    observed = []
-    rows = zip(motion.stamps.tolist(), motion.position, velocity, present, strict=True)
+    observed, bodies = [], _body_rows(motion) if motion.bodies else [None] * n
+    rows = zip(motion.stamps.tolist(), motion.position, velocity, present, bodies, strict=True)
     for row in progress(rows, len(motion.stamps), "filtering"):
         x = estimator.observe(*row)
         if isinstance(x, Observation):
@@ -75,6 +79,14 @@ def observe(
         else:
             dropped[x.value] += 1
     return observed
+
+
+def _body_rows(motion: Motion) -> list[tuple[Array, Array]]:
+    """Poses and twists of the free bodies, a pair a sample."""
+    unknown = np.full((len(motion.stamps), TWIST), np.nan)
+    poses = np.stack([body.pose for body in motion.bodies], axis=1)
+    twists = [unknown if body.twist is None else body.twist for body in motion.bodies]
+    return list(zip(poses, np.stack(twists, axis=1), strict=True))
 
 
 def causal_line(filters: CausalDifferentiator, cutoff: float) -> str:
@@ -88,7 +100,7 @@ def causal_line(filters: CausalDifferentiator, cutoff: float) -> str:
 def differentiate(
     scene: Scene, where: str, motion: Motion, derivatives: Derivatives
 ) -> Differentiated:
-    """Samples of the independent joints, with the derivatives given or without lag.
+    """Samples of the independent coordinates, with the derivatives given or without lag.
 
     Args:
         scene: The scene.
@@ -99,43 +111,82 @@ def differentiate(
     Raises:
         DataError: Derivatives are to be given and are not, or samples are too few.
     """
-    n = len(scene.couplings.independent)
+    n, bodies = len(scene.couplings.independent), list(motion.bodies)
     position = motion.position[:, :n].copy()
     wraps = [scene.robot.joint(j).kind == "continuous" for j in scene.couplings.independent]
     position[:, wraps] = np.unwrap(position[:, wraps], axis=0)
     if derivatives.source == "given":
-        velocity = _given(scene, where, motion.velocity, "velocity")
-        acceleration = _given(scene, where, motion.acceleration, "acceleration")
+        velocity = _given(scene, where, position, motion.velocity, "velocity")
+        acceleration = _given(scene, where, position, motion.acceleration, "acceleration")
         cutoff, remarks = None, []
+        _check_given(where, bodies)
     else:
         measured = None if motion.velocity is None else motion.velocity[:, :n]
-        position, velocity, acceleration, cutoff, remarks = _without_lag(
-            scene.couplings.independent, motion.stamps, position, measured, derivatives
+        position, velocity, acceleration, bodies, cutoff, remarks = _without_lag(
+            scene.couplings.independent, motion, position, measured, derivatives
         )
-    dependent = motion.position[:, n:]
-    rows = zip(motion.stamps.tolist(), position, velocity, acceleration, dependent, strict=True)
+    whole = _together(scene, (position, velocity, acceleration), bodies)
+    rows = zip(motion.stamps.tolist(), *whole, motion.position[:, n:], strict=True)
     return Differentiated([Observation(*row) for row in rows], cutoff, remarks)
 
 
+def _together(
+    scene: Scene, joints: tuple[Array, Array, Array], bodies: Sequence[BodyMotion]
+) -> tuple[Array, Array, Array]:
+    """y, y' and y'' of joints and free bodies."""
+    if not bodies:
+        return joints
+    c = IndependentCoordinates(scene.robot, scene.couplings)
+    poses = [configuration_of(scene.robot, body.pose) for body in bodies]
+    twists = [body.twist for body in bodies if body.twist is not None]
+    pushes = [body.acceleration for body in bodies if body.acceleration is not None]
+    return (
+        c.positions(np.hstack([joints[0], *poses])),
+        c.rates(np.hstack([joints[1], *twists])),
+        c.rates(np.hstack([joints[2], *pushes])),
+    )
+
+
+def _check_given(where: str, bodies: Sequence[BodyMotion]) -> None:
+    """Refuse bodies whose derivatives are not there."""
+    for body in bodies:
+        for values, words in ((body.twist, TWIST_WORDS), (body.acceleration, ACCELERATION_WORDS)):
+            if values is None or not np.isfinite(values).all():
+                lacking = " and ".join(f"{body.name}.{word}" for word, _, _ in words)
+                raise DataError(
+                    f"{where}: no {lacking}; choose --derivatives causal or zero-phase"
+                )
+
+
 def _without_lag(
-    names: Sequence[str],
-    stamps: NDArray[np.int64],
+    joints: Sequence[str],
+    motion: Motion,
     position: Array,
     velocity: Array | None,
     derivatives: Derivatives,
-) -> tuple[Array, Array, Array, Array | None, list[str]]:
-    """Position, velocity, acceleration, cut-off of each joint, and remarks."""
-    width = derivatives.half_width
+) -> tuple[Array, Array, Array, list[BodyMotion], Array | None, list[str]]:
+    """Position, velocity, acceleration of joints; bodies; cut-off of each joint, and remarks."""
+    width, n, names, stamps = derivatives.half_width, len(joints), list(joints), motion.stamps
+    signals = BodySignals(motion.bodies) if motion.bodies else None
+    if signals is not None:
+        velocity = np.full_like(position, np.nan) if velocity is None else velocity
+        position = np.hstack([position, signals.position])
+        velocity, names = np.hstack([velocity, signals.velocity]), names + signals.names
     if width is not None and derivatives.cutoff is not None:
         raise DataError("--half-width and --cutoff: zero-phase derivatives take one of them")
     if width is not None:
         fitted = local_polynomials(stamps, position, velocity, half_width=width)
-        return position, *fitted, None, []
-    from mbd_ros.jobs.inverse.zero_phase import cutoff_lines, zero_phase
+        whole, cutoff, said = (position, *fitted), None, list[str]()
+    else:
+        from mbd_ros.jobs.inverse.zero_phase import cutoff_lines, zero_phase
 
-    found = zero_phase(stamps, position, velocity, cutoff=derivatives.cutoff)
-    said = cutoff_lines(found.cutoff, names, derivatives.cutoff is None, len(stamps))
-    return *found, list(said)
+        *found, cutoffs = zero_phase(stamps, position, velocity, cutoff=derivatives.cutoff)
+        chosen = derivatives.cutoff is None
+        said = list(cutoff_lines(cutoffs, names, chosen, len(stamps)))
+        whole, cutoff = (found[0], found[1], found[2]), cutoffs[:n]
+    bodies = [] if signals is None else signals.motions(*(values[:, n:] for values in whole))
+    own = (values[:, :n] for values in whole)
+    return *own, bodies, cutoff, said
 
 
 def unexplained(motion: Motion, table: Table, cutoff: Array) -> Iterator[str]:
@@ -175,8 +226,10 @@ def unexplained(motion: Motion, table: Table, cutoff: Array) -> Iterator[str]:
         )
 
 
-def _given(scene: Scene, where: str, values: Array | None, field: str) -> Array:
+def _given(scene: Scene, where: str, position: Array, values: Array | None, field: str) -> Array:
     names = scene.couplings.independent
+    if not names:
+        return position
     lacking = [
         name
         for i, name in enumerate(names)

@@ -89,7 +89,8 @@ def inverse(
     Returns:
         Table `samples`: `time`, `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,
         perhaps `.<cause>`, `<joint>.multiplier`, `<part>.<quantity>`, perhaps `<joint>.command`;
-        the independent joints, in a scene with loops all of them.
+        the independent joints, in a scene with loops all of them. Of free bodies
+        `<body>.position.x` and so on, and `<body>.residual.force_x`: what nothing carries.
 
     Raises:
         DataError: Something cannot be read or does not fit the scene.
@@ -131,8 +132,6 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     way = loops if scene.has_loops or task.bounds else open_chains
     if task.parts and not way.HAS_CAUSES:
         raise DataError(f"{scene.name}: --parts goes with scenes without loops and --bounds only")
-    if scene.robot.floating:
-        raise DataError(f"{scene.name}: robot.base: files carry no pose of a floating base")
     where = name_of(task.motion)
     for text in scene.robot.doubts:
         say(f"warning: {text}")
@@ -204,7 +203,15 @@ def _motion(
 ) -> Motion:
     """The motion, with what loops give of it."""
     where = name_of(task.motion)
-    recording = read_motion(task.motion, names, topic=task.topic, required=needed)
+    bodies = [base.name for base in scene.robot.bases]
+    recording = read_motion(
+        task.motion,
+        names,
+        topic=task.topic,
+        required=needed,
+        bodies=bodies,
+        members=scene.robot.members,
+    )
     recording, remarks = loops.close_loops(scene, where, recording)
     for text in remarks:
         say(text)

@@ -11,16 +11,26 @@ from mbd_ros.core.estimation.torque_estimator import Observation
 from mbd_ros.core.inverse.loop_motion import LoopMotion, Mask
 from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.inverse.torques import Torques
+from mbd_ros.core.model.base_motion import configuration_of
 from mbd_ros.core.model.joints import Joint
 from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.rows.row_layout import RowLayout
-from mbd_ros.core.state import NANOSECOND, Array, Motion, State
+from mbd_ros.core.state import NANOSECOND, Array, BodyMotion, Motion, State
 from mbd_ros.core.thresholds import FOLD, TOGGLE
 from mbd_ros.errors import DataError, SolveError
 from mbd_ros.files.recording import Recording
 from mbd_ros.files.table import Column
-from mbd_ros.jobs.columns import force_topic, joint_columns, output_columns
+from mbd_ros.jobs.columns import (
+    body_columns,
+    carried_columns,
+    force_topic,
+    joint_columns,
+    output_columns,
+    state_topics,
+    whole_bodies,
+)
 from mbd_ros.jobs.inverse import open_chains
 from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
@@ -119,6 +129,8 @@ def solve(
         *joint_columns(joints, "velocity", v[:, at_v]),
         *joint_columns(joints, "acceleration", a[:, at_v]),
         *joint_columns(driven, "effort", effort),
+        *body_columns(scene.robot, whole_bodies(scene.robot, q, v, a)),
+        *carried_columns(scene.robot, np.array([each.residual for each in solved])),
         *output_columns(showing.numbers, np.array(shown)),
     ]
     return columns, list(_remarks(np.max(off, axis=0), stamps, solved))
@@ -127,7 +139,7 @@ def solve(
 def topics(scene: Scene) -> dict[str, Any]:
     """Topics of a bag, see `files.bag_streams`."""
     rows = scene.closed_loop().constraints.rows
-    states = {"/joint_states": {field: field for field in ("position", "velocity")}}
+    states = state_topics(scene.robot, ("position", "velocity"))
     return {**open_chains.topics(scene), **force_topic(rows), **states}
 
 
@@ -157,27 +169,28 @@ def _remarks(off: Array, stamps: np.ndarray, solved: Sequence[Torques]) -> Itera
 
 
 def _kept(motion: Motion, rows: Mask) -> Motion:
-    columns = {
-        field: None if values is None else values[rows]
-        for field, values in motion._asdict().items()
-        if field != "names"
-    }
-    return motion._replace(**columns)
+    return motion._replace(
+        **_rows(motion, rows, {"names", "bodies"}),
+        bodies=tuple(body._replace(**_rows(body, rows, {"name"})) for body in motion.bodies),
+    )
+
+
+def _rows(whole: Motion | BodyMotion, rows: Mask, others: set[str]) -> dict[str, Any]:
+    """Some rows of all fields but others."""
+    fields = whole._asdict().items()
+    return {f: None if v is None else v[rows] for f, v in fields if f not in others}
 
 
 def _completed(
     scene: Scene, where: str, motion: Motion, joints: Sequence[Joint], is_there: Mask
 ) -> tuple[Motion, list[str]]:
     """The motion with the independent joints that lack in it, and where its loops fold."""
-    loops, nv, n = scene.closed_loop().motion, scene.robot.model.nv, len(joints)
-    measured = np.zeros(nv, dtype=np.bool_)
+    loops, robot, n = scene.closed_loop().motion, scene.robot, len(joints)
+    measured = np.zeros(robot.model.nv, dtype=np.bool_)
     measured[[joint.v for joint, there in zip(joints, is_there, strict=True) if there]] = True
-    fields = [np.full((len(motion.stamps), nv), np.nan) for _ in range(3)]
-    at = [joint.v for joint in joints]
-    for field, values in zip(fields, motion[2:5], strict=True):
-        if values is not None:
-            field[:, at] = values[:, :n]
-    turning = [joint.v for joint in joints if joint.kind == "continuous" and measured[joint.v]]
+    measured[robot.base_v] = True
+    fields, places = _fields(robot, motion, joints)
+    turning = [joint.q for joint in joints if joint.kind == "continuous" and measured[joint.v]]
     fields[0][:, turning] = np.unwrap(fields[0][:, turning], axis=0)
     before, conditions = loops.start(scene.initial), []
     rows = zip(motion.stamps.tolist(), *fields, strict=True)
@@ -192,13 +205,33 @@ def _completed(
     dependent = motion.position[:, n:]
     columns = [
         np.concatenate((field[:, at], other), axis=1)
-        for field, other in zip(fields, (dependent, *[dependent * np.nan] * 2), strict=True)
+        for field, at, other in zip(
+            fields, places, (dependent, *[dependent * np.nan] * 2), strict=True
+        )
     ]
     for i, given in ((1, motion.velocity), (2, motion.acceleration)):
         if given is None:
             columns[i] = None
     whole = motion._replace(**dict(zip(motion._fields[2:5], columns, strict=True)))
     return whole, _folds(motion, conditions)
+
+
+def _fields(
+    robot: Robot, motion: Motion, joints: Sequence[Joint]
+) -> tuple[tuple[Array, Array, Array], tuple[list[int], ...]]:
+    """q, v and a of all coordinates, NaN where unknown, and where the joints stand in them."""
+    n, nq, nv = len(motion.stamps), robot.model.nq, robot.model.nv
+    q, v, a = np.full((n, nq), np.nan), np.full((n, nv), np.nan), np.full((n, nv), np.nan)
+    at_q, at_v = [joint.q for joint in joints], [joint.v for joint in joints]
+    for field, at, values in zip((q, v, a), (at_q, at_v, at_v), motion[2:5], strict=True):
+        if values is not None:
+            field[:, at] = values[:, : len(joints)]
+    for base, body in zip(robot.bases, motion.bodies, strict=True):
+        q[:, base.q] = configuration_of(robot, body.pose)
+        for field, values in ((v, body.twist), (a, body.acceleration)):
+            if values is not None:
+                field[:, base.v] = values
+    return (q, v, a), (at_q, at_v, at_v)
 
 
 def _folds(motion: Motion, conditions: Sequence[float]) -> list[str]:

@@ -9,12 +9,19 @@ from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.estimation.torque_estimator import Observation
 from mbd_ros.core.inverse.inverse_dynamics import TorqueComponents
+from mbd_ros.core.model.base_motion import IndependentCoordinates
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.files.table import Column
-from mbd_ros.jobs.columns import joint_columns, output_columns
+from mbd_ros.jobs.columns import (
+    body_columns,
+    body_topics,
+    carried_columns,
+    joint_columns,
+    output_columns,
+)
 from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
 
@@ -29,7 +36,7 @@ def solve(
     wrenches: Sequence[Array],
     with_parts: bool,
 ) -> tuple[list[Column], list[str]]:
-    """Torques of the independent joints, multipliers of the dependent ones.
+    """Torques of the independent joints, multipliers of the dependent ones, residuals of bodies.
 
     Args:
         scene: A scene without loops.
@@ -41,7 +48,7 @@ def solve(
     Returns:
         Columns of motion and torques, and no remarks.
     """
-    solver = scene.inverse_dynamics()
+    solver, robot = scene.inverse_dynamics(), scene.robot
     motion = {
         field: np.array([getattr(x, field) for x in samples])
         for field in ("position", "velocity", "acceleration")
@@ -53,6 +60,8 @@ def solve(
         for part in progress(chunks, len(chunks), "solving")
     ]
     tau, multipliers = (np.concatenate([each[i] for each in solved]) for i in (0, 1))
+    residual = np.concatenate([each.residual.reshape(len(each.tau), -1) for each in solved])
+    at = IndependentCoordinates(robot, solver.couplings)
     found = {**motion, "effort": tau}
     if with_parts:
         each = zip(z, v, a, *wrenches, strict=True)
@@ -60,9 +69,12 @@ def solve(
         causes = [solver.components(*row[:3], row[3:]) for row in rows]
         for i, name in enumerate(TorqueComponents._fields):
             found[name] = np.array([c[i] for c in causes])
-    robot, couplings = scene.robot, solver.couplings
-    free = [robot.joint(name) for name in couplings.independent]
-    columns = [c for field, values in found.items() for c in joint_columns(free, field, values)]
+    free, columns = [robot.joint(name) for name in solver.couplings.independent], []
+    for field, values in found.items():
+        mine = at.joint_y if field == "position" else at.joint_w
+        columns += joint_columns(free, field, values[:, mine])
+    bodies = [(z[:, y], v[:, w], a[:, w]) for y, w in zip(at.body_y, at.body_w, strict=True)]
+    columns += [*body_columns(robot, bodies), *carried_columns(robot, residual)]
     return [*columns, *_shown(scene, samples, multipliers)], []
 
 
@@ -86,6 +98,7 @@ def topics(scene: Scene) -> dict[str, Any]:
     """Topics of a bag, see `files.bag_streams`."""
     return {
         "/joint_torques": {field: field for field in ("effort", "position", "velocity")},
+        **body_topics(scene.robot),
         "/constraint_forces": {"effort": "multiplier"},
     }
 

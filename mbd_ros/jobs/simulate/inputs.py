@@ -5,6 +5,8 @@ import numpy as np
 from mbd_ros.core.dynamics.inputs import command_names
 from mbd_ros.core.dynamics.sources import HeldTable, LinearTable, Source
 from mbd_ros.core.inverse.reach import listed
+from mbd_ros.core.model.base_motion import configuration_of
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State
 from mbd_ros.errors import DataError
@@ -25,7 +27,11 @@ def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
     if run.origin is None:
         return scene.initial._replace(t=run.start), []
     names = [joint.name for joint in scene.robot.joints]
-    motion = read_motion(run.origin, names, required=scene.couplings.independent).motion
+    bodies, members = [base.name for base in scene.robot.bases], scene.robot.members
+    required = scene.couplings.independent
+    motion = read_motion(
+        run.origin, names, required=required, bodies=bodies, members=members
+    ).motion
     stamp = round(run.start / NANOSECOND)
     row = int(np.argmin(np.abs(motion.stamps - stamp)))
     if abs(int(motion.stamps[row]) - stamp) > 1000:
@@ -41,11 +47,25 @@ def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
     ):
         q[joint.q], v[joint.v] = position, 0.0 if np.isnan(rate) else rate
     scene.couplings.expand(q, v, np.zeros(scene.robot.model.nv))
+    resting = _place_bodies(scene.robot, motion, row, q, v)
     free = scene.couplings.independent
     lacking = [n for n, rate in zip(names, velocity, strict=True) if n in free and np.isnan(rate)]
+    lacking += resting
     where = f"{name_of(run.origin)}: no velocity of"
     said = [f"{where} {listed(lacking)}: at rest there"] if lacking else []
     return State(run.start, q, v), said
+
+
+def _place_bodies(robot: Robot, motion: Motion, row: int, q: Array, v: Array) -> list[str]:
+    """Put the free bodies of a sample into q and v; those that have no velocity there."""
+    resting = []
+    for base, body in zip(robot.bases, motion.bodies, strict=True):
+        q[base.q] = configuration_of(robot, body.pose[row])
+        if body.twist is None or np.isnan(body.twist[row]).any():
+            resting.append(base.name)
+        else:
+            v[base.v] = body.twist[row]
+    return resting
 
 
 def drives(scene: Scene, run: Run) -> tuple[dict[str, Source], list[Load], list[str]]:
@@ -59,7 +79,8 @@ def drives(scene: Scene, run: Run) -> tuple[dict[str, Source], list[Load], list[
     if run.efforts is None:
         return sources, [], []
     names = commanded or tuple(joint.name for joint in scene.robot.joints)
-    motion = read_motion(run.efforts, names, required=()).motion
+    members = scene.robot.members
+    motion = read_motion(run.efforts, names, required=(), members=members).motion
     where = name_of(run.efforts)
     if commanded:
         with about(where):

@@ -84,7 +84,7 @@ def simulate(
     Returns:
         Table `samples`: `time`, `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,
         `<joint>.multiplier`, `<part>.<quantity>`, `energy`, `drift.position`, `drift.velocity`,
-        perhaps `<joint>.command`.
+        perhaps `<joint>.command`; of free bodies `<body>.position.x` and so on.
 
     Raises:
         Interrupted: The state diverged, equations have no solution, or steps became too short;
@@ -104,7 +104,7 @@ def simulate(
 def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     """See `simulate`."""
     check_words(scene, run)
-    if not scene.robot.joints:
+    if not scene.robot.model.nv:
         raise DataError(f"{scene.name}: no joint of the robot moves, so there is no motion")
     sources, forces, remarks = drives(scene, run)
     options = {**run.options, "dt": _interval(scene, run)}

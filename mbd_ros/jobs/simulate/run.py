@@ -58,8 +58,6 @@ def check_words(scene: Scene, run: Run) -> None:
     Raises:
         MbdError: Names the option, what is wrong with it and what is accepted.
     """
-    if scene.robot.floating:
-        raise DataError(f"{scene.name}: robot.base: files carry no pose of a floating base")
     _check_times(scene, run)
     if "solver" in run.options:
         schema.call(Solver, run.options["solver"], "--solver")

@@ -13,7 +13,16 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DivergedError, MbdError, SolveError
 from mbd_ros.files.table import Column, Table
 from mbd_ros.files.times import TIME
-from mbd_ros.jobs.columns import command_columns, force_topic, joint_columns, output_columns
+from mbd_ros.jobs.columns import (
+    body_columns,
+    body_topics,
+    command_columns,
+    force_topic,
+    joint_columns,
+    output_columns,
+    state_topics,
+    whole_bodies,
+)
 
 BALANCE = {  # column -> what messages call it, unit
     "energy": ("energy", "J"),
@@ -25,7 +34,8 @@ BALANCE = {  # column -> what messages call it, unit
 def topics_of(system: System) -> dict[str, Any]:
     """Topics of a bag, see `files.bag_streams`."""
     return {
-        "/joint_states": {field: field for field in ("position", "velocity", "effort")},
+        **state_topics(system.robot, ("position", "velocity", "effort")),
+        **body_topics(system.robot),
         **force_topic(system.multiplier_rows),
         "/energy_and_drift": {"data": list(BALANCE)},
     }
@@ -60,6 +70,7 @@ def table_of(system: System, states: Sequence[State]) -> tuple[Table, MbdError |
         *joint_columns(joints, "velocity", v[:, v_index]),
         *joint_columns(joints, "acceleration", a[:, v_index]),
         *joint_columns(joints, "effort", effort[:, v_index]),
+        *body_columns(system.robot, whole_bodies(system.robot, q, v, a)),
         *output_columns(shown, values),
         *(Column(name, balance[:, i], BALANCE[name][1]) for i, name in enumerate(BALANCE)),
     ]

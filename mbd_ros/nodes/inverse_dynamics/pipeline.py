@@ -8,6 +8,7 @@ import numpy as np
 from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator
 from mbd_ros.core.state import NANOSECOND
+from mbd_ros.errors import ModelError
 from mbd_ros.nodes.inverse_dynamics.parameters import tuning
 from mbd_ros.nodes.inverse_dynamics.wrench_queue import WrenchQueue
 from mbd_ros.nodes.shell.serialized import joint_state
@@ -35,6 +36,10 @@ class Pipeline:
 
     def __init__(self, values: Any, description: str | None) -> None:
         self.scene = load_scene(values.scene, description)
+        if self.scene.robot.floating:
+            raise ModelError(
+                "joint states do not carry the pose of a floating base; use base: fixed"
+            )
         couplings = self.scene.couplings
         self._solver = self.scene.inverse_dynamics()
         self.estimator = TorqueEstimator(self.scene.robot, self._solver, tuning(values))

@@ -1,0 +1,96 @@
+"""nav_msgs/Odometry <-> pose and twist of a free body; covariances are 0 and not read.
+
+Layout after the 4 bytes of encapsulation, little endian: sec, nanosec, frame_id, child_frame_id;
+then, aligned to 8, the doubles: place, quaternion (x, y, z, w), 36 of a covariance, velocity,
+angular velocity, 36 of a covariance. A text is its length with the final NUL, its bytes and the
+NUL, aligned to 4.
+
+Source: REP 103 and the definition of nav_msgs/Odometry: the pose is in frame_id, the twist in
+child_frame_id; layout as `joint_state_cdr`.
+"""
+
+import struct
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msg_adapters.errors import MessageError
+from msg_adapters.finite import require_finite
+from msg_adapters.time import read_time, seconds_of
+
+_HEAD = bytes([0, 1, 0, 0])  # little endian
+_STAMP = struct.Struct("<iI")
+_DOUBLES = struct.Struct("<7d288x6d288x")
+_OFF = 0.1  # by which a quaternion may miss its length of 1
+
+
+class OdometrySample(NamedTuple):
+    """One Odometry.
+
+    Attributes:
+        stamp: Header stamp [ns]; 0 where the publisher set none.
+        frame_id: Frame of the pose.
+        child_frame_id: Frame of the twist: a link of the body.
+        pose: Place [m], then quaternion (x, y, z, w), shape (7,).
+        twist: Velocity [m/s], then angular velocity [rad/s], shape (6,); NaN where a component
+            is not finite.
+    """
+
+    stamp: int
+    frame_id: str
+    child_frame_id: str
+    pose: NDArray[np.float64]
+    twist: NDArray[np.float64]
+
+
+def read_odometry(msg: Any) -> OdometrySample:
+    """Arrays of one message.
+
+    Args:
+        msg: Odometry of rclpy, rosbags, or anything with the same fields.
+
+    Raises:
+        MessageError: A pose that is not finite, a quaternion far from length 1, or a stamp that
+            no message can carry back.
+    """
+    at, turn = msg.pose.pose.position, msg.pose.pose.orientation
+    pose = np.array([at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w], dtype=np.float64)
+    if not np.isfinite(pose).all():
+        raise MessageError(f"pose is not finite: {pose.tolist()}")
+    length = float(np.linalg.norm(pose[3:]))
+    if not abs(length - 1.0) <= _OFF:
+        raise MessageError(f"orientation has the length {length:.3g}, a quaternion has 1")
+    linear, angular = msg.twist.twist.linear, msg.twist.twist.angular
+    twist = np.array(
+        [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z], dtype=np.float64
+    )
+    twist[~np.isfinite(twist)] = np.nan
+    frames = msg.header.frame_id, msg.child_frame_id
+    return OdometrySample(read_time(msg.header.stamp), *frames, pose, twist)
+
+
+class OdometryCdrWriter:
+    """Writes serialized messages of one body.
+
+    Args:
+        frame_id: Frame of the pose.
+        child_frame_id: Frame of the twist.
+    """
+
+    def __init__(self, frame_id: str, child_frame_id: str) -> None:
+        texts = b""
+        for text in (frame_id, child_frame_id):
+            data = text.encode() + b"\0"
+            texts += struct.pack("<I", len(data)) + data + bytes(-len(data) % 4)
+        self._texts = texts + bytes(-(_STAMP.size + len(texts)) % 8)
+
+    def write(self, stamp: int, pose: NDArray[np.float64], twist: NDArray[np.float64]) -> bytes:
+        """A message; arguments as the attributes of `OdometrySample`.
+
+        Raises:
+            MessageError: A value is NaN or infinite, or no message can carry the stamp.
+        """
+        require_finite(pose=pose, twist=twist)
+        numbers = _DOUBLES.pack(*pose.tolist(), *twist.tolist())
+        return _HEAD + _STAMP.pack(*seconds_of(stamp)) + self._texts + numbers

@@ -1,0 +1,230 @@
+"""Free bodies in simulations, recordings and inverse dynamics: poses, twists, root wrenches."""
+
+import numpy as np
+import pytest
+from mechanisms import floating_body, four_bar, four_bar_closure, link, scene_of, urdf
+from scipy.spatial.transform import Rotation
+
+from mbd_ros.errors import DataError
+from mbd_ros.files.bags import BagWriter, messages
+from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.jobs.inverse.job import inverse
+from mbd_ros.jobs.simulate.job import simulate
+from msg_adapters.odometry import OdometryCdrWriter
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+MASS, COM = 3.0, np.array([0.1, -0.2, 0.05])
+MOMENTS = np.array([0.2, 0.3, 0.4])
+GRAVITY = np.array([0.0, 0.0, -9.81])
+BOX = urdf(link("box", MASS, COM, MOMENTS))
+FREE = "robot: {base: floating}\ndt: 0.001\nintegrator: {type: rk4}\n"
+ARM = FREE + "actuators: [{type: ideal, joints: [left_swing, right_slide]}]\n"
+COUPLED = ARM.replace(", right_slide]", "]") + (
+    "couplings: {right_slide: {parent: left_swing, factor: 0.3, offset: 0.1}}\n"
+)
+POSE = [f"base.position.{x}" for x in "xyz"] + [f"base.orientation.{x}" for x in "xyzw"]
+TWIST = [f"base.{word}_velocity.{x}" for word in ("linear", "angular") for x in "xyz"]
+PUSH = [f"base.{word}_acceleration.{x}" for word in ("linear", "angular") for x in "xyz"]
+ROOT = [f"base.residual.{word}_{x}" for word in ("force", "torque") for x in "xyz"]
+
+
+def values(result, names):
+    return np.column_stack([result["samples"][name] for name in names])
+
+
+def without(result, *words):
+    """The result without columns whose name holds one of the words."""
+    kept = [c for c in result["samples"].columns if not any(word in c.name for word in words)]
+    return Result({"samples": Table(kept)})
+
+
+def commands(names, duration=0.5):
+    """Torques that keep changing, and the table that holds them."""
+    t = np.arange(0.0, duration + 1e-9, 1e-3)
+    tau = {name: (2.0 + i) * np.sin((5.0 - i) * t + i) for i, name in enumerate(names)}
+    columns = [Column(f"{name}.command", column) for name, column in tau.items()]
+    return tau, Result({"samples": Table([Column("time", t), *columns])})
+
+
+# ---------------------------------------------------------------------- applied torques come back
+
+
+@pytest.mark.parametrize(
+    ("text", "robot", "driven"),
+    [
+        (ARM, floating_body(), ("left_swing", "right_slide")),
+        (COUPLED, floating_body(), ("left_swing",)),
+    ],
+)
+def test_inverse_returns_the_applied_torques_and_no_root_wrench(text, robot, driven):
+    scene, (tau, efforts) = scene_of(text, robot), commands(driven)
+    found = inverse(scene, simulate(scene, 0.5, efforts=efforts))
+    for name, applied in tau.items():
+        assert found["samples"][f"{name}.effort"] == pytest.approx(applied, abs=1e-9)
+    assert np.abs(values(found, ROOT)).max() < 1e-9
+
+
+def four_bar_on_a_trunk():
+    """The four-bar linkage, its ground a trunk that floats."""
+    trunk = link("trunk", 9.0, (0.3, 0.1, 0.2), (0.9, 1.1, 1.3))
+    return four_bar().replace('<link name="world"/>', trunk).replace('"world"', '"trunk"')
+
+
+def test_a_free_flying_linkage_with_a_loop_has_no_root_wrench_either():
+    scene = scene_of(FREE + "actuators: [{type: ideal, joints: [crank]}]\n", four_bar_on_a_trunk())
+    scene = scene.with_(
+        constraints=[{"type": "loop_closure", **four_bar_closure()}],
+        initial={"position": {"crank": 1.2, "coupler": -0.8, "rocker": 1.6}},
+    )
+    tau, efforts = commands(("crank",), 0.2)
+    run = simulate(scene, 0.2, efforts=efforts)
+    for motion in (run, without(run, "coupler.")):  # which the loop gives
+        found = inverse(scene, motion)
+        assert found["samples"]["crank.effort"] == pytest.approx(tau["crank"], abs=1e-9)
+        assert np.abs(values(found, ROOT)).max() < 1e-9
+
+
+# ---------------------------------------------------------------------- closed forms
+
+
+def tumbling(t, far=0.0):
+    """Pose in the world of a body that wobbles and flies, from angles by scipy."""
+    angles = np.column_stack([2.0 * t, 0.4 * np.sin(3.0 * t), 0.7 * t + 0.2 * np.cos(2.0 * t)])
+    place = np.column_stack([far + np.sin(t), t**2, 0.5 * np.cos(3.0 * t)])
+    return place, Rotation.from_euler("ZYX", angles)
+
+
+def exact(t, h=2e-3):
+    """Twist and its derivative in axes of the body by central differences of sixth order.
+
+    omega' from R' R' = hat: all by numpy and scipy, in the world first.
+    """
+    weights = {1: 45.0 / 60.0, 2: -9.0 / 60.0, 3: 1.0 / 60.0}
+
+    def derivative(f):
+        return lambda s: sum(w * (f(s + k * h) - f(s - k * h)) for k, w in weights.items()) / h
+
+    def omega(s):
+        turn = tumbling(s)[1].as_matrix()
+        rate = derivative(lambda r: tumbling(r)[1].as_matrix())(s)
+        hat = np.einsum("nji,njk->nik", turn, rate)  # R' dR/dt
+        return np.column_stack([hat[:, 2, 1], hat[:, 0, 2], hat[:, 1, 0]])
+
+    def linear(s):
+        return tumbling(s)[1].inv().apply(derivative(lambda r: tumbling(r)[0])(s))
+
+    twist = np.hstack([linear(t), omega(t)])
+    return twist, np.hstack([derivative(linear)(t), derivative(omega)(t)])
+
+
+def pose_table(t, flips=None, far=0.0):
+    place, turn = tumbling(t, far)
+    quaternion = turn.as_quat() * (1.0 if flips is None else flips[:, None])
+    columns = zip(POSE, np.hstack([place, quaternion]).T, strict=True)
+    return [Column("time", t), *(Column(name, column) for name, column in columns)]
+
+
+def root_wrench(t):
+    """What must push a rigid body along `tumbling`: Newton and Euler about its origin, by hand."""
+    twist, push = exact(t)
+    v, w, dv, dw = twist[:, :3], twist[:, 3:], push[:, :3], push[:, 3:]
+    fall = tumbling(t)[1].inv().apply(np.tile(GRAVITY, (len(t), 1)))
+    centre = dv + np.cross(w, v) + np.cross(dw, COM) + np.cross(w, np.cross(w, COM)) - fall
+    moment = dw * MOMENTS + np.cross(w, w * MOMENTS) + np.cross(COM, MASS * centre)
+    return np.hstack([MASS * centre, moment])
+
+
+@pytest.mark.parametrize("far", [0.0, 1e4])
+def test_root_wrench_of_a_rigid_body_is_that_of_newton_and_euler(far):
+    t = np.arange(0.0, 1.0, 0.01)
+    twist, push = exact(t)
+    given = zip(TWIST + PUSH, np.hstack([twist, push]).T, strict=True)
+    table = Table([*pose_table(t, far=far), *(Column(name, column) for name, column in given)])
+    found = inverse(scene_of(FREE, BOX), Result({"samples": table}))
+    assert values(found, ROOT) == pytest.approx(root_wrench(t), abs=1e-8)
+
+
+@pytest.mark.parametrize("options", [{}, {"half_width": 3}])
+def test_poses_alone_are_differentiated_whatever_the_signs_of_their_quaternions(options):
+    t = np.arange(0.0, 2.0, 0.005)
+    flips = np.random.default_rng(0).choice([-1.0, 1.0], len(t))
+    table = Result({"samples": Table(pose_table(t, flips))})
+    found = inverse(scene_of(FREE, BOX), table, derivatives="zero-phase", **options)
+    inside, (twist, push) = slice(60, -60), exact(t)
+    assert values(found, TWIST)[inside] == pytest.approx(twist[inside], abs=1e-5)
+    assert values(found, PUSH)[inside] == pytest.approx(push[inside], abs=2e-3)
+    quaternions = values(found, POSE)[:, 3:]
+    assert ((quaternions[1:] * quaternions[:-1]).sum(axis=1) > 0.9).all()
+    assert abs(quaternions[0].dot(tumbling(t)[1].as_quat()[0])) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_causal_filters_pass_a_constant_twist_as_it_is():
+    """A screw motion over several turns: no lag, no acceleration but that of its own axes."""
+    t = np.arange(0.0, 3.0, 0.002)
+    axis, speed = np.array([0.6, 0.0, 0.8]), 9.0
+    turn = Rotation.from_rotvec(np.outer(speed * t, axis))
+    twist = np.array([0.0, 0.0, 0.0, *(speed * axis)])
+    poses = np.hstack([np.zeros((len(t), 3)), turn.as_quat()]).T
+    columns = [Column("time", t), *(Column(n, c) for n, c in zip(POSE, poses, strict=True))]
+    table = Result({"samples": Table(columns)})
+    found = inverse(scene_of(FREE, BOX), table, derivatives="causal", cutoff=10.0)
+    assert values(found, TWIST)[200:] == pytest.approx(np.tile(twist, (len(t) - 200, 1)), abs=1e-9)
+    assert np.abs(values(found, PUSH)[200:]).max() < 1e-6
+
+
+def test_what_is_not_given_is_asked_for():
+    t = np.arange(0.0, 1.0, 0.01)
+    table = pose_table(t)
+    with pytest.raises(
+        DataError, match=r"no base\.linear_velocity and base\.angular_velocity; ch"
+    ):
+        inverse(scene_of(FREE, BOX), Result({"samples": Table(table)}))
+    with pytest.raises(DataError, match=r"no column base\.orientation\.w; there are: time"):
+        inverse(scene_of(FREE, BOX), Result({"samples": Table(table[:-1])}))
+    still = [c if "orientation" not in c.name else c._replace(values=0.0 * t) for c in table]
+    with pytest.raises(DataError, match=r"base\.orientation at 0 s is no quaternion"):
+        inverse(scene_of(FREE, BOX), Result({"samples": Table(still)}))
+
+
+# ---------------------------------------------------------------------- files
+
+
+def test_a_bag_holds_odometry_and_comes_back_to_the_bit(tmp_path):
+    scene, (_, efforts) = scene_of(ARM, floating_body()), commands(("left_swing", "right_slide"))
+    run = simulate(scene, 0.1, start=0.1, efforts=efforts)
+    run.to(tmp_path / "bag")
+    sent = [message for _, _, message in messages(tmp_path / "bag", {"/odometry": ODOMETRY})]
+    assert {(m.header.frame_id, m.child_frame_id) for m in sent} == {("world", "trunk")}
+    places = np.array([[getattr(m.pose.pose.position, x) for x in "xyz"] for m in sent])
+    assert np.array_equal(places, values(run, POSE[:3]))
+    again = [
+        simulate(scene, 0.05, start=0.15, origin=o, efforts=efforts)
+        for o in (run, tmp_path / "bag")
+    ]
+    assert again[0]["samples"] == again[1]["samples"]
+    for name in (*POSE, *TWIST):
+        assert np.array_equal(again[0]["samples"][name], run["samples"][name][50:]), name
+    of_bag = inverse(scene, tmp_path / "bag", derivatives="zero-phase")
+    of_table = inverse(scene, without(run, "acceleration"), derivatives="zero-phase")
+    assert of_bag["samples"] == of_table["samples"]
+
+
+def test_messages_without_a_partner_of_their_stamp_are_left_out_and_counted(tmp_path):
+    t = np.arange(0.0, 1.0, 0.01)
+    scene = scene_of(ARM, floating_body())
+    run = simulate(scene, 0.1)
+    run.to(tmp_path / "whole")
+    kept = 0
+    with BagWriter(tmp_path / "bag") as bag:
+        for topic, log_time, message in messages(tmp_path / "whole"):
+            if topic == "/joint_states":
+                bag.write(topic, "sensor_msgs/msg/JointState", log_time, message)
+            elif topic == "/odometry" and (kept := kept + 1) % 4:
+                bag.write(topic, ODOMETRY, log_time, message)
+        wrong = np.array([0.0, 0, 0, 0, 0, 0, 1]), np.zeros(6)
+        bag.write("/odometry", ODOMETRY, 10**9, OdometryCdrWriter("", "").write(10**9, *wrong))
+    lines = []
+    found = inverse(scene, tmp_path / "bag", derivatives="causal", say=lines.append)
+    assert found["samples"].rows == 101 - 25 < len(t)
+    left_out = [line for line in lines if "no message of its stamp on the other topics" in line]
+    assert [line.split(": ")[1].split()[0] for line in left_out] == ["25", "1"]
