@@ -59,15 +59,26 @@ def test_a_step_taken_again_is_that_of_the_method(method, base):
 
 
 @pytest.mark.parametrize(("method", "base"), EVERY, ids=label)
-def test_the_full_step_stands_when_it_was_taken_again(method, base):
-    """A search that finds nothing must not cost Adams its history."""
+def test_a_search_that_finds_nothing_leaves_the_motion_as_it_is(method, base):
     _, stepper, x, after = stepped(method, base)
     _, other, _, same = stepped(method, base)
     stepper.again(0.5 * (after.t - x.t), 0.5 * (after.t + x.t))
-    if not isinstance(method, Adams):
+    if not isinstance(method, Adams):  # it goes on from a step of its starter
         stepper.again(after.t - x.t, after.t)
-    one, two = stepper.step(after, None), other.step(same, None)
+    end = after.t + 1e-4
+    one, two = stepper.step(after, None, end), other.step(same, None, end)
     assert one.q == pytest.approx(two.q, abs=1e-12) and one.v == pytest.approx(two.v, abs=1e-12)
+
+
+@pytest.mark.parametrize("method", ADAMS, ids=label)
+def test_adams_forgets_what_was_before_a_jump(method):
+    """Also where a stabilization puts the state that follows the jump onto rows."""
+    system, stepper, x, after = stepped(method, "fixed")
+    h = 0.5 * (after.t - x.t)
+    struck = stepper.again(h, x.t + h)._replace(v=-x.v)
+    stepper.continue_from(struck)
+    step = stepper.step(struck, None)
+    assert distance(system, step, one_step(method, system, struck, step.t - struck.t)) < 1e-13
 
 
 @pytest.mark.parametrize(("method", "base"), EVERY, ids=label)

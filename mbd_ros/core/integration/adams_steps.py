@@ -102,7 +102,8 @@ class AdamsSteps(Stepper):
         self._starter.restart()
 
     def again(self, h: float, t: float) -> State:
-        """As `Stepper.again`, by the starter."""
+        """As `Stepper.again`, by the starter; the method starts anew after it."""
+        self._known, self._last, self._ready = 0, None, None
         start, stages = self._began(), self._starter.stages
         if stages.before is not start:
             self._starter.restart()
