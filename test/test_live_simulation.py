@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mechanisms import scene_of
+from mechanisms import floating_body, scene_of
 
 from mbd_ros.core.dynamics.sources import Sampled
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
@@ -12,10 +12,15 @@ from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.errors import DivergedError, ModelError, SceneError
+from mbd_ros.files.body_columns import POSE as POSE_WORDS
+from mbd_ros.files.body_columns import TWIST as TWIST_WORDS
+from mbd_ros.files.body_columns import names_of
+from mbd_ros.jobs.simulate.table import table_of
 
 ROOT = Path(__file__).parents[1]
 ROBOTS = ROOT / "config/robots"
 TICK = 1e-3
+POSE, TWIST = names_of("base", POSE_WORDS), names_of("base", TWIST_WORDS)
 ARM = f"""robot: {{urdf: {ROBOTS / "prosthetic_arm.urdf"}}}
 couplings:
   elbow: {{parent: shoulder_flexion, factor: 1.75, offset: 0.175}}
@@ -104,12 +109,25 @@ def test_a_tick_that_is_no_whole_number_of_steps_is_refused(scene):
             live(loaded)
 
 
-def test_a_floating_base_is_refused(scene):
-    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
-    link = f'<link name="ball"><inertial><mass value="1"/>{inertia}</inertial></link>'
-    urdf = f'<robot name="ball">{link}</robot>'
-    with pytest.raises(ModelError, match="pose of a floating base"):
-        live(scene("robot: {base: floating}\n", urdf))
+def test_ticks_of_free_bodies_are_the_offline_table_to_the_bit(scene):
+    """Fixed steps; a body that spins keeps the sign of its quaternion over several turns."""
+    text = "robot: {base: floating}\ndt: 0.001\nintegrator: {type: rk4}\n"
+    loaded = scene(text, floating_body())
+    v = np.zeros(loaded.robot.model.nv)
+    v[loaded.robot.bases[0].v] = [0.3, -0.2, 0.1, 14.0, 0.5, -1.0]
+    initial = loaded.initial._replace(v=v)
+    simulation = LiveSimulation(
+        loaded.simulation, initial, 5 * TICK, CommandWatch(0.1, 0.1), loaded.safe
+    )
+    moments = [simulation.now, *(simulation.tick() for _ in range(200))]
+    states = list(loaded.simulation().run(initial, 1.0))[::5]
+    table, _ = table_of(loaded.simulation().system, states)
+    for names, field in ((POSE, "poses"), (TWIST, "twists")):
+        offline = np.column_stack([table[name] for name in names])
+        assert np.array_equal([getattr(moment, field)[0] for moment in moments], offline)
+    quaternions = np.array([moment.poses[0, 3:] for moment in moments])
+    assert ((quaternions[1:] * quaternions[:-1]).sum(axis=1) > 0.9).all()
+    assert quaternions[:, 3].min() < -0.5
 
 
 # ---------------------------------------------------------------------- commands and their loss

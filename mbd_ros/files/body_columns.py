@@ -8,6 +8,7 @@ import numpy as np
 
 from mbd_ros.core.state import Array, BodyMotion
 from mbd_ros.files.table import Column
+from mbd_ros.files.topics import WORLD
 
 Words = tuple[tuple[str, str, str], ...]  # quantity, components, unit
 POSE: Words = (("position", "xyz", "m"), ("orientation", "xyzw", ""))
@@ -30,7 +31,7 @@ def motion_columns(motion: BodyMotion, frame: str) -> list[Column]:
         motion: The motion.
         frame: Link in whose axes twist and acceleration stand.
     """
-    columns = _columns(motion.name, POSE, motion.pose, "world")
+    columns = _columns(motion.name, POSE, motion.pose, WORLD)
     for words, values in ((TWIST, motion.twist), (ACCELERATION, motion.acceleration)):
         if values is not None:
             columns += _columns(motion.name, words, values, frame)

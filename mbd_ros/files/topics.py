@@ -5,6 +5,7 @@ from collections.abc import Collection, Sequence
 from mbd_ros.core.model.joints import BASE
 
 JOINT_STATES, ODOMETRY = "joint_states", "odometry"
+WORLD = "world"  # frame in which poses of free bodies are given
 
 
 def joint_state_topic(member: str) -> str:

@@ -7,7 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.dynamics.showing import Showing
-from mbd_ros.core.model.joints import Joint
+from mbd_ros.core.model.base_motion import world_pose
+from mbd_ros.core.model.joints import Base, Joint
+from mbd_ros.core.model.poses import POSE, TWIST, with_sign_of
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.outputs import Output
 from mbd_ros.core.parts import Wrench
 from mbd_ros.core.projection.assembly import Violation, violation
@@ -18,6 +21,8 @@ from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SAME_TIME
 from mbd_ros.errors import DivergedError, MbdError, ModelError, SolveError
+
+_NO_TWISTS: Array = np.zeros((0, TWIST))
 
 
 class Snapshot(NamedTuple):
@@ -30,6 +35,8 @@ class Snapshot(NamedTuple):
         acceleration: [rad/s^2 or m/s^2], shape (n,), under the command that ends here.
         effort: What the actuators exert on each joint [N·m or N], shape (n,).
         shown: What parts show, multipliers first, see `LiveSimulation.showing`.
+        poses: Of the free bodies in the world, of the signs of the state before, shape (k, 7).
+        twists: Velocity, then angular velocity of the free bodies, in axes of each, shape (k, 6).
     """
 
     t: float
@@ -38,6 +45,8 @@ class Snapshot(NamedTuple):
     acceleration: Array
     effort: Array
     shown: Array
+    poses: Array
+    twists: Array
 
 
 class LiveSimulation:
@@ -60,7 +69,7 @@ class LiveSimulation:
         fault: Why it diverged; empty before.
 
     Raises:
-        ModelError: The period is no whole number of steps; the base floats.
+        ModelError: The period is no whole number of steps.
         MbdError: The mechanism cannot be assembled, or its first state is not finite.
     """
 
@@ -82,8 +91,6 @@ class LiveSimulation:
         """Return to the initial state, with no memory of anything since."""
         simulation = self._build()
         robot, dt = simulation.system.robot, simulation.dt
-        if robot.floating:
-            raise ModelError("joint states carry no pose of a floating base; use base: fixed")
         self._count = round(self._period / dt)
         if self._count < 1 or abs(self._count * dt - self._period) > SAME_TIME * dt:
             raise ModelError(
@@ -102,6 +109,7 @@ class LiveSimulation:
         self._commands = sum(len(a.inputs) for a in simulation.system.loads.actuators)
         for watch in self.watches:
             watch.restart()
+        self._poses = np.zeros((len(robot.bases), POSE))
         self._y = simulation.start(self._initial)
         self._x, self._evaluated, self.now = self._observe(self._y, None)
 
@@ -178,20 +186,36 @@ class LiveSimulation:
         effort = system.loads.actuator_torque(system.k, x, u)
         evaluated = system.loads.inputs(x, u), a, lam
         shown = self.showing.at(x, *evaluated)
-        now = Snapshot(x.t, x.q[self._q], x.v[self._v], a[self._v], effort[self._v], shown)
+        bodies = _bodies(system.robot, x, self._poses)
+        joints = x.q[self._q], x.v[self._v], a[self._v], effort[self._v]
+        now = Snapshot(x.t, *joints, shown, *bodies)
         for name, values in zip(now._fields[1:], now[1:], strict=True):
             if not np.isfinite(values).all():
                 raise _not_finite(self, name, values, y)
+        self._poses = now.poses
         return x, evaluated, now
+
+
+def _bodies(robot: Robot, x: State, before: Array) -> tuple[Array, Array]:
+    """Poses and twists of the free bodies at a state of all joints."""
+    if not robot.bases:
+        return before, _NO_TWISTS
+    poses = [world_pose(robot, x.q[base.q]) for base in robot.bases]
+    signed = [with_sign_of(*pair) for pair in zip(before, poses, strict=True)]
+    return np.array(signed), np.array([x.v[base.v] for base in robot.bases])
 
 
 def _not_finite(live: LiveSimulation, name: str, values: Array, y: State) -> MbdError:
     """The error that names what is lost, and the last finite state if there is one."""
     system = live.simulation.system
-    things: Sequence[Output | Joint] = system.robot.joints
+    things: Sequence[Output | Joint | Base] = system.robot.joints
     if name == "shown":
         things = live.showing.numbers
-    finite = np.isfinite(values)
-    lost = ", ".join(thing.name for thing, ok in zip(things, finite, strict=True) if not ok)
+    elif name in ("poses", "twists"):
+        things = system.robot.bases
+    rows = values.reshape(len(things), -1)
+    lost = ", ".join(
+        thing.name for thing, row in zip(things, rows, strict=True) if not np.isfinite(row).all()
+    )
     kept = last_finite(system, live._y)
     return DivergedError(f"diverged at t = {y.t:.9g} s: {name} of {lost} not finite; {kept}")

@@ -1,8 +1,10 @@
 """Topics on which the node `simulator` publishes a state."""
 
+from collections.abc import Sequence
 from time import perf_counter
 from typing import Any
 
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -10,6 +12,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+from mbd_ros.files.topics import joint_state_topic, odometry_topic
 from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.nodes.simulator.plant import Plant
 from msg_adapters.clock import write_clock
@@ -28,7 +31,11 @@ class SimulatorOutputs:
 
     def __init__(self, node: Shell, plant: Plant) -> None:
         self._plant = plant
-        self._states = node.publish_to(JointState, "joint_states", STATES)
+        self._states = [
+            node.publish_to(JointState, joint_state_topic(member), STATES)
+            for member in plant.members
+        ]
+        self._odometry = _odometry(node, plant.bodies)
         self._motion = node.publish_to(JointTrajectory, "~/motion", STATES)
         self._forces = self._shown = self._markers = None
         if plant.rows:
@@ -40,12 +47,16 @@ class SimulatorOutputs:
 
     @property
     def listeners(self) -> int:
-        """How many listen to joint states."""
-        return int(self._states.get_subscription_count())
+        """How many listen to joint states, or to free bodies where there are none."""
+        topics = self._states or self._odometry
+        return max(int(topic.get_subscription_count()) for topic in topics)
 
     def repeat(self, stamp: int) -> None:
-        """Publish the newest joint state again, under a stamp [ns]."""
-        self._states.publish(self._plant.joint_states(stamp))
+        """Publish the newest joint states and poses again, under a stamp [ns]."""
+        for topic, odometry in zip(self._odometry, self._plant.odometry(stamp), strict=True):
+            topic.publish(odometry)
+        for topic, states in zip(self._states, self._plant.joint_states(stamp), strict=True):
+            topic.publish(states)
 
     def publish(self, stamp: int, values: Any) -> None:
         """Show the newest state.
@@ -55,7 +66,7 @@ class SimulatorOutputs:
             values: Parameters of the node.
         """
         plant = self._plant
-        self._states.publish(plant.joint_states(stamp))
+        self.repeat(stamp)
         if self._forces is not None:
             self._forces.publish(plant.constraint_forces(stamp))
         if self._shown is not None:
@@ -66,6 +77,15 @@ class SimulatorOutputs:
         if self._markers is not None and rate > 0.0 and now >= self._marked + 1.0 / rate:
             self._marked = now
             self._markers.publish(plant.markers(stamp, values.marker_scale))
+
+
+def _odometry(node: Shell, bodies: Sequence[str]) -> list[Publisher]:
+    """Publishers of free bodies."""
+    if not bodies:
+        return []
+    from nav_msgs.msg import Odometry  # only where something flies
+
+    return [node.publish_to(Odometry, odometry_topic(body), STATES) for body in bodies]
 
 
 class SimulatedClock:

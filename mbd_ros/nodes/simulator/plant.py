@@ -1,5 +1,6 @@
 """A built scene between commands and the messages that show its motion."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from geometry_msgs.msg import Point
@@ -11,6 +12,7 @@ from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
+from mbd_ros.files.topics import WORLD, by_member
 from mbd_ros.nodes.shell.wrenches import read_load
 from mbd_ros.nodes.simulator.commands import command_reader
 from mbd_ros.scene.built_scene import Scene
@@ -19,6 +21,7 @@ from msg_adapters.joint_motion import JointMotionWriter
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
 from msg_adapters.markers import Arrow, ArrowWriter
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
+from msg_adapters.odometry import OdometryCdrWriter
 from msg_adapters.time import NANOSECONDS
 
 
@@ -35,6 +38,9 @@ class Plant:
         reader: Messages to commands.
         has_actuators: Whether anything can be commanded.
         wrenches: What takes the external loads, by name.
+        members: Where the joints of each robot stand in a state, by its name, empty for the only
+            robot.
+        bodies: Names of the free bodies.
         rows: Names of the constraint rows.
         shown: Names of what parts show besides.
 
@@ -54,11 +60,17 @@ class Plant:
             scene.simulation, scene.initial, 1.0 / values.rate, watch, scene.safe, heard
         )
         names = [joint.name for joint in scene.robot.joints]
+        self.bodies = [base.name for base in scene.robot.bases]
+        members = by_member(names, scene.robot.members)
+        if not members and not self.bodies:
+            members[""] = {}  # a scene where nothing moves says so
+        self.members = {member: _places(names, own) for member, own in members.items()}
         numbers = [output.name for output in self.live.showing.numbers]
         count = len(self.live.simulation.system.multiplier_rows)
         self.rows = [without_multiplier(name) for name in numbers[:count]]
         self.shown = numbers[count:]
-        self._states = JointStateCdrWriter(names)
+        self._states = [JointStateCdrWriter(list(own)) for own in members.values()]
+        self._odometry = [OdometryCdrWriter(WORLD, base.frame) for base in scene.robot.bases]
         self._forces = JointStateCdrWriter(self.rows, ("effort",))
         self._shown = MultiArrayCdrWriter(len(self.shown), self.shown)
         self._motion = JointMotionWriter(JointTrajectory(), JointTrajectoryPoint(), names)
@@ -95,12 +107,21 @@ class Plant:
             if watch.held is not None and watch.is_safe
         ]
 
-    def joint_states(self, stamp: int) -> bytes:
-        """Serialized JointState of the newest state."""
+    def joint_states(self, stamp: int) -> list[bytes]:
+        """Serialized JointState of the newest state, one for each of `members`."""
+        now, pairs = self.live.now, zip(self._states, self.members.values(), strict=True)
+        return [
+            writer.write(
+                stamp, position=now.position[at], velocity=now.velocity[at], effort=now.effort[at]
+            )
+            for writer, at in pairs
+        ]
+
+    def odometry(self, stamp: int) -> list[bytes]:
+        """Serialized Odometry of the newest state, one for each of `bodies`."""
         now = self.live.now
-        return self._states.write(
-            stamp, position=now.position, velocity=now.velocity, effort=now.effort
-        )
+        rows = zip(self._odometry, now.poses, now.twists, strict=True)
+        return [writer.write(stamp, pose, twist) for writer, pose, twist in rows]
 
     def constraint_forces(self, stamp: int) -> bytes:
         """Serialized JointState with the multipliers."""
@@ -149,6 +170,13 @@ class Plant:
                 f"{s.solves} solves, {s.cold} cold, {s.damped} damped, {s.failed} failed"
             )
         return details
+
+
+def _places(names: Sequence[str], joints: Mapping[str, str]) -> slice | list[int]:
+    """Where joints stand among all."""
+    if len(joints) == len(names):
+        return slice(None)
+    return [names.index(name) for name in joints.values()]
 
 
 def _root_link(scene: Scene) -> str:
