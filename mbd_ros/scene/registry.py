@@ -14,6 +14,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "geared_motor": "mbd_ros.actuators.geared_motor:GearedMotor",
         "ideal": "mbd_ros.actuators.ideal:Ideal",
         "series_elastic": "mbd_ros.actuators.series_elastic:SeriesElastic",
+        "series_elastic_drive": "mbd_ros.actuators.series_elastic_drive:SeriesElasticDrive",
     },
     "constraints": {
         "distance": "mbd_ros.constraints.distance:Distance",
