@@ -7,6 +7,9 @@ DOCS = Path(__file__).parents[1] / "docs"
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 OUTSIDE = {  # section -> type -> arguments on the prosthetic leg
     "actuators": {
+        "wound_motor:WoundMotor": {
+            **{"joint": "ankle", "constant": 1.2, "resistance": 0.8, "inductance": 0.02},
+        },
         "voltage_motor:VoltageMotor": {"joint": "knee", "constant": 1.2, "resistance": 0.8},
     },
     "constraints": {
@@ -17,6 +20,7 @@ OUTSIDE = {  # section -> type -> arguments on the prosthetic leg
 }
 MODULES = {
     "voltage_motor": "extend.md",
+    "wound_motor": "extend.md",
     "level_tool": "extend.md",
     "hard_spring": "extend.md",
     "soft_spring": "control.md",

@@ -72,6 +72,12 @@ def built(section, name, robot):
     return schema.call(part, dict(part.example), f"{section}.{name}", *context(section, robot))
 
 
+def with_states(part, x):
+    """The state with internal states of the part inside their bounds."""
+    lower, upper = ([np.clip(one[i], -1.0, 1.0) for one in part.internal] for i in (2, 3))
+    return x._replace(z=np.random.default_rng(2).uniform(lower, upper))
+
+
 def test_every_section_of_the_registry_has_a_contract():
     assert set(METHODS) == set(PARTS) == set(CONTRACTS)
     assert NAMES
@@ -135,6 +141,7 @@ def test_unknown_names_are_answered_with_those_that_exist(section, name, robot):
 @pytest.mark.parametrize("name", PARTS["forces"])
 def test_force_is_fresh_finite_and_changes_nothing(name, robot, moment):
     part, (k, x) = built("forces", name, robot), moment
+    x = with_states(part, x)
     check_value(lambda: part.force(k, x, NONE), (robot.model.nv,), x)
     assert x.t == 0.0 or part.force(k, x, NONE).any()
     assert np.isfinite(part.potential(k, x))
@@ -143,6 +150,7 @@ def test_force_is_fresh_finite_and_changes_nothing(name, robot, moment):
 @pytest.mark.parametrize("name", PARTS["actuators"])
 def test_torque_is_fresh_finite_and_changes_nothing(name, robot, moment):
     part, (k, x) = built("actuators", name, robot), moment
+    x = with_states(part, x)
     u = np.linspace(0.5, 1.0, len(part.inputs))
     check_value(lambda: part.force(k, x, u), (robot.model.nv,), x)
     assert part.force(k, x, u).any()
@@ -151,6 +159,9 @@ def test_torque_is_fresh_finite_and_changes_nothing(name, robot, moment):
     assert (part.armature() >= 0.0).all()
     assert part.command(np.ones(len(part.joints)), x).shape == (len(part.inputs),)
     assert all(one.unit and one.lower < one.safe < one.upper for one in part.inputs)
+    if part.internal:
+        check_value(lambda: part.rates(k, x, u), (len(part.internal),), x)
+        assert all(one.lower < one.upper for one in part.internal)
     columns = part.columns(k, x)
     assert columns is None or columns.shape == (robot.model.nv, len(part.inputs))
 

@@ -86,10 +86,11 @@ def part_in(scene):
 def moments(scene, count=5):
     """Kinematics at random states of the leg, and the states."""
     robot, rng = scene.robot, np.random.default_rng(3)
-    model, k = robot.model, Kinematics(robot)
+    model, k, nz = robot.model, Kinematics(robot), scene.internals.nz
     for t in rng.uniform(0.1, 0.8, count):
         q = pin.integrate(model, robot.neutral(), rng.uniform(-1.0, 1.0, model.nv))
-        yield refreshed(k, State(t, q, rng.normal(size=model.nv)))
+        v, z = rng.normal(size=model.nv), scene.internals.inside(rng.normal(size=nz))
+        yield refreshed(k, State(t, q, v, z))
 
 
 def refreshed(k, x):
@@ -176,6 +177,20 @@ def test_columns_are_the_slopes_of_the_force(section, name, base):
             expected = part.force(k, x, np.zeros(n)) + columns @ u
             np.testing.assert_allclose(part.force(k, x, u), expected, rtol=1e-13, atol=1e-12)
     assert n > 0 or section != "actuators"
+
+
+@every_load
+def test_rates_stand_where_their_states_do(section, name):
+    """One finite rate a state, by name, at values inside their bounds; others have none."""
+    scene = scene_with(section, name)
+    part, u = part_in(scene), scene.inputs.safe
+    names = tuple(".".join(filter(None, (part.name, one.name))) for one in part.internal)
+    assert scene.internals.names == names and scene.internals.nz == len(part.internal)
+    for k, x in moments(scene):
+        if names:
+            assert part.rates(k, x, u).shape == (len(names),)
+        assert np.isfinite(scene.internals.rates(k, x, u)).all()
+        assert all(one.lower < one.upper for one in part.internal)
 
 
 @pytest.mark.parametrize("base", ["fixed", "floating"])

@@ -88,6 +88,21 @@ def _body(table: Table, where: str, name: str) -> BodyMotion:
     return BodyMotion(name, with_steady_signs(pose), twist, acceleration)
 
 
+def read_columns(source: Source, names: Sequence[str]) -> Array | None:
+    """Columns of the samples by name, shape (n, len(names)), NaN where there is none.
+
+    Args:
+        source: As for `read_motion`.
+        names: Of the columns.
+
+    Returns:
+        None where the source has none of them; a bag has none.
+    """
+    if not names or (not isinstance(source, Result) and is_bag(source)):
+        return None
+    return _columns(_samples(source, ())[0], list(names))
+
+
 def name_of(source: Source) -> str:
     """What messages call a source."""
     return _IN_MEMORY if isinstance(source, Result) else str(source)

@@ -108,6 +108,7 @@ class Scene(SceneParts):
         Args:
             with_bounds: As for `closed_loop`.
         """
+        self._refuse_internal("inverse dynamics")
         if self.has_loops or with_bounds:
             return ObservedLoops(self.closed_loop(with_bounds=with_bounds))
         loads = tuple(self.wrenches.values())
@@ -123,6 +124,7 @@ class Scene(SceneParts):
         Raises:
             SceneError: An actuated joint is unknown or repeated.
         """
+        self._refuse_internal("inverse dynamics")
         loads = tuple(self.wrenches.values())
         parts = self.robot, self.couplings, self.constraints
         try:
@@ -132,6 +134,19 @@ class Scene(SceneParts):
             )
         except ModelError as error:
             raise SceneError(f"{self.name}: {error}") from error
+
+    def _refuse_internal(self, who: str) -> None:
+        """Refuse states that no measured motion shows, besides those of actuators.
+
+        Raises:
+            SceneError: Names the parts.
+        """
+        parts = [part.name for part in (*self.forces, *self.constraints) if part.internal]
+        if parts:
+            raise SceneError(
+                f"{self.name}: {who} knows no internal states, which {', '.join(parts)} has; "
+                "leave it out"
+            )
 
     def _effort_limits(self) -> list[float]:
         """Largest effort of each of `actuated` [N·m or N], inf without actuators."""
@@ -175,6 +190,7 @@ class Scene(SceneParts):
         Raises:
             SceneError: No joint can be controlled, or one moves nothing with mass.
         """
+        self._refuse_internal("a controller")
         loads = Loads(self.robot.model.nv, self.forces, (), self.inputs.sources({}))
         try:
             system = build_system(self.robot, self.couplings, rigid(self.constraints), loads)

@@ -9,6 +9,8 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.dynamics.equilibrium import settled
+from mbd_ros.core.dynamics.extended import evaluation_at
 from mbd_ros.core.dynamics.mass_check import check_mass
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import tier_of
@@ -82,7 +84,7 @@ def _lines(scene: Scene) -> Iterator[str]:
     left_out = (*scene.absent, *_rubbing(scene), *robot.ignored)
     yield line("left out", "; ".join(left_out) or "nothing")
     cost = _loop_cost(scene, system.expand(start)) if scene.has_loops else _cost(scene)
-    yield line("cost", cost if fault else f"{cost}; {_forward_cost(scene, system)}")
+    yield line("cost", cost if fault else f"{cost}; {_forward_cost(scene, system, start)}")
 
 
 def _members(scene: Scene) -> Iterator[str]:
@@ -176,7 +178,7 @@ def _held_start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
 def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
     """The assembled start and its rows; a mechanism that cannot be assembled is an error."""
     try:
-        x = assemble(system, system.reduce(scene.initial))
+        x = settled(system, assemble(system, system.reduce(scene.initial)), None)
     except SolveError as error:
         raise SolveError(f"{scene.name}: {error}") from error
     a = system.evaluate(system.expand(x)).a
@@ -242,12 +244,10 @@ def _loop_cost(scene: Scene, x: State) -> str:
     return f"one inverse-dynamics call {_best(call) * 1e6:.0f} us"
 
 
-def _forward_cost(scene: Scene, system: System) -> str:
-    x = system.reduce(scene.initial)
+def _forward_cost(scene: Scene, system: System, x: State) -> str:
     model, given = system.model, scene.initial
     bare = _best(partial(pin.aba, model, pin.Data(model), given.q, given.v, np.zeros(model.nv)))
-    accelerate, a = system.accelerator(), np.zeros(system.nv)
-    ours = _best(lambda: accelerate(x.t, x.q, x.v, None, a))
+    ours = _best(evaluation_at(system, x))
     return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"
 
 

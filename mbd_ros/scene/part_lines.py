@@ -1,16 +1,21 @@
 """Lines of `mbd-ros check` about the parts of a scene, by the texts of their sections."""
 
+import math
 from collections.abc import Iterator, Mapping
 from itertools import repeat
 from typing import Any
 
+import numpy as np
+
+from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.parts import Part
+from mbd_ros.core.state import Array
 from mbd_ros.scene.building import parts_in
 from mbd_ros.scene.built_scene import Scene
 
 
 def part_lines(scene: Scene) -> Iterator[str]:
-    """A line for every part whose section has a text: loads first, then rows."""
+    """A line for every part whose section has a text: loads, then rows; then their states."""
     for section in sorted(scene.sections, key=lambda section: "residual" in section.offers):
         if section.check and section.key in scene.parts:
             label, _, text = section.check.partition(":")
@@ -19,6 +24,22 @@ def part_lines(scene: Scene) -> Iterator[str]:
             for key, part in zip(keys, parts_in(section, built), strict=False):
                 words = {"name": key, **_words(part)}
                 yield line(label, text.strip().format(part=part, **words))
+    yield from _state_lines(scene.internals, scene.initial.z)
+
+
+def _state_lines(internals: Internals, z: Array) -> Iterator[str]:
+    """A line for every internal state.
+
+    Args:
+        internals: Of the scene.
+        z: First values, NaN for those that the parts choose.
+    """
+    for i, first in enumerate(internals.completed(z).tolist()):
+        bounds = (internals.lower[i], internals.upper[i])
+        unit = f" [{internals.units[i]}]" if internals.units[i] else ""
+        text = "starts at equilibrium" if math.isnan(first) else f"starts at {first:g}"
+        inside = f", in {bounds[0]:g} .. {bounds[1]:g}" if np.isfinite(bounds).any() else ""
+        yield line("state", f"{internals.names[i]}{unit}, {text}{inside}")
 
 
 def _words(part: Any) -> dict[str, str]:

@@ -16,7 +16,7 @@ _HALVINGS = 12  # of the interval in which the longest step is
 
 
 class LinearMotion:
-    """The motion dq'' = stiffness dq + damping dq'.
+    """The motion dq'' = stiffness dq + damping dq'; internal states stand beside velocities.
 
     Args:
         stiffness: [1/s^2], shape (n, n).
@@ -67,9 +67,9 @@ def linear_motion(system: System, x: State) -> LinearMotion:
     linear = smooth.derivatives(x, inputs=False)
     blocks = system.layout.yielding
     gains = [pair for block in blocks for pair in dict.fromkeys(zip(*block.gains, strict=True))]
-    n = system.nv
+    n = system.nv + system.internals.nz
     stiffness, damping = np.zeros((2, n + len(gains), n + len(gains)))
-    stiffness[:n, :n], damping[:n, :n] = linear.q, linear.v
+    stiffness[:n, :n], damping[:n, :n] = linear.of_velocities
     for i, (kp, kd) in enumerate(gains, n):
         stiffness[i, i], damping[i, i] = -kp, -kd
     return LinearMotion(stiffness, damping)

@@ -74,7 +74,7 @@ def input_efforts(robot: Robot, loads: Sequence[Load]) -> Efforts:
         loads: Actuators and other loads with inputs; they are no force terms of the problem then.
 
     Raises:
-        ModelError: A load that is not affine in its inputs.
+        ModelError: A load that is not affine in its inputs, or that has internal states.
     """
     parts, inputs = bound(loads)
     affine = [part for part in parts if isinstance(part, Load)]
@@ -82,8 +82,10 @@ def input_efforts(robot: Robot, loads: Sequence[Load]) -> Efforts:
     reads = max((part.reads for part in affine), default=Reads.NOTHING)
     k.refresh(neutral.q, neutral.v, reads)
     for part in affine:
+        name = part.name or type(part).__name__
+        if part.internal:
+            raise ModelError(f"{name} has internal states, which a motion does not show")
         if part.columns(k, neutral) is None:
-            name = part.name or type(part).__name__
             raise ModelError(f"the force of {name} is not affine in its inputs")
     idle, n = np.zeros(len(inputs.names)), len(inputs.names)
 

@@ -108,7 +108,7 @@ def _cause(system: System, x: State, u: Array | None, step: float) -> str:
         motion = linear_motion(system, x)
     except SolveError:
         return "no acceleration nearby"
-    n = system.nv
+    n = system.nv + system.internals.nz
     if motion.rate * step > _AT_THE_LIMIT and np.isfinite(motion.rate):
         first = np.block(
             [[np.zeros((n, n)), np.eye(n)], [motion.stiffness[:n, :n], motion.damping[:n, :n]]]
@@ -116,7 +116,7 @@ def _cause(system: System, x: State, u: Array | None, step: float) -> str:
         values, vectors = np.linalg.eig(first)
         mode = np.abs(vectors[:, int(np.abs(values).argmax())])
         return (
-            f"{_joint(system, mode[:n] + mode[n:])} is stiff with a rate of {motion.rate:.3g} "
+            f"{_mover(system, mode[:n] + mode[n:])} is stiff with a rate of {motion.rate:.3g} "
             "1/s; soften its force, raise the tolerance or try integrator gauss_legendre"
         )
     return (
@@ -128,6 +128,12 @@ def _cause(system: System, x: State, u: Array | None, step: float) -> str:
 def _hardest(system: System, full: State, u: Array | None) -> str:
     a = np.abs(system.integrated(system.evaluate(full, u).a))
     return f"{_joint(system, a)} has the largest acceleration"
+
+
+def _mover(system: System, share: Array) -> str:
+    """What has the largest share, among joints and internal states."""
+    beyond = int(share.argmax()) - system.nv
+    return _joint(system, share[: system.nv]) if beyond < 0 else system.internals.names[beyond]
 
 
 def _joint(system: System, share: Array) -> str:

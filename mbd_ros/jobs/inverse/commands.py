@@ -20,7 +20,8 @@ _SAME = 1e-9  # of the largest effort
 def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
     """Commands that give the efforts of a table, and which efforts no command gives.
 
-    Commands are those of actuators that take something else than the torque of their joint.
+    Commands are those of actuators that take something else than the torque of their joint, and
+    whose torque follows from a motion: internal states are not in it.
 
     Args:
         scene: The scene.
@@ -36,6 +37,10 @@ def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
     remarks = []
     for actuator, inputs in zip(scene.actuators, command_names(scene.actuators), strict=True):
         if not all(f"{name}.effort" in table for name in actuator.joints):
+            continue
+        if actuator.internal:
+            states_of = ", ".join(one.name or "its state" for one in actuator.internal)
+            remarks.append(f"{actuator.name}: no command, a motion does not show {states_of}")
             continue
         wanted = np.column_stack([table[f"{name}.effort"] for name in actuator.joints])
         pairs = list(zip(wanted, states, strict=True))

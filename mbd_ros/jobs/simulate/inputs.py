@@ -10,7 +10,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State
 from mbd_ros.errors import DataError
-from mbd_ros.files.recordings import name_of, read_motion, read_wrenches
+from mbd_ros.files.recordings import name_of, read_columns, read_motion, read_wrenches
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse.wrenches import refuse_unused
 from mbd_ros.jobs.simulate.run import Run
@@ -53,7 +53,9 @@ def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
     lacking += resting
     where = f"{name_of(run.origin)}: no velocity of"
     said = [f"{where} {listed(lacking)}: at rest there"] if lacking else []
-    return State(run.start, q, v), said
+    z = read_columns(run.origin, scene.internals.names)
+    states = scene.initial.z if z is None else z[row]
+    return State(run.start, q, v, states), said
 
 
 def _place_bodies(robot: Robot, motion: Motion, row: int, q: Array, v: Array) -> list[str]:

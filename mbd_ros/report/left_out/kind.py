@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.dynamics.extended import evaluation_at
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.projection.assembly import project
 from mbd_ros.errors import MbdError, ModelError
@@ -97,8 +98,7 @@ def costs(path: str, calls: int) -> Mapping[str, object]:
     model, data, zero = system.model, system.model.createData(), np.zeros(system.model.nv)
     found: dict[str, object] = {"formulation": tier_of(system)}
     found["aba"] = _best(lambda: pin.aba(model, data, x.q, x.v, zero), calls)
-    accelerate, a = system.accelerator(), np.zeros(system.nv)
-    found["evaluation"] = _best(lambda: accelerate(y.t, y.q, y.v, None, a), calls)
+    found["evaluation"] = _best(evaluation_at(system, y), calls)
     if not system.loads.is_empty:
         system.k.refresh(x.q, x.v)
         found["loads"] = _best(lambda: system.loads.total(system.k, x, None), calls)
