@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from mbd_ros.core.model.joints import BASE
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.names import type_name
 from mbd_ros.errors import ModelError, SceneError
@@ -86,7 +87,7 @@ def name_parts(site: "Site", entries: Sequence[NamedEntry], parts: Sequence[Any]
 
 
 def refuse_repeated(where: str, parts: Mapping[str, Any], robot: Robot | None) -> None:
-    """Refuse a name that two parts have, or a part and a joint.
+    """Refuse a name that two parts have, or a part and a joint or a free base.
 
     Args:
         where: The file, for the messages.
@@ -97,6 +98,8 @@ def refuse_repeated(where: str, parts: Mapping[str, Any], robot: Robot | None) -
         SceneError: Names it, and who has it.
     """
     owners = dict.fromkeys(_joints(robot), "a joint of the robot")
+    if robot is not None and any(base.name == BASE for base in robot.bases):
+        owners[BASE] = "the floating base"
     for key, name in _names(parts):
         if name in owners:
             raise SceneError(f"{where}: {key}: name '{name}' is that of {owners[name]}, too")

@@ -67,7 +67,7 @@ def _projected(system: System, x: State) -> State:
     if factor is None or len(held.rows) > len(system.rows):
         factor = held.factor_at(x.t, q)
     J, rate = held.jacobian(x.t, q), held.rate(x.t, q)
-    v, slow = x.v, ON_MANIFOLD * (1.0 + float(np.abs(x.v).max()))
+    v, slow = x.v, ON_MANIFOLD * (1.0 + _speed(system, J, x.v))
     for attempt in range(_VELOCITY_CORRECTIONS):
         if attempt == _VELOCITY_CORRECTIONS - 1:  # the rows have turned since they were factorised
             factor = held.factor_at(x.t, q)
@@ -124,10 +124,10 @@ def assemble(system: System, x: State) -> State:
     for _ in range(_VELOCITY_CORRECTIONS):  # redundant rows leave some of the first one's error
         v = _consistent_velocity(v, J, rate, factor)
         left = J.dot(v) + rate
-        if float(np.abs(left).max()) <= ON_MANIFOLD * (1.0 + float(np.abs(v).max())):
+        if float(np.abs(left).max()) <= ON_MANIFOLD * (1.0 + _speed(system, J, v)):
             break
     worst = int(np.argmax(np.abs(left)))
-    if not abs(left[worst]) <= ASSEMBLED * (1.0 + float(np.abs(x.v).max())):
+    if not abs(left[worst]) <= ASSEMBLED * (1.0 + _speed(system, J, x.v)):
         raise SolveError(
             f"no consistent velocity: row {held.rows[worst].name} keeps a rate of "
             f"{left[worst]:.3g} per second; it contradicts the other rows"
@@ -135,8 +135,16 @@ def assemble(system: System, x: State) -> State:
     return x._replace(q=q, v=v)
 
 
+def _speed(system: System, J: Array, v: Array) -> float:
+    """Largest velocity [m/s or rad/s]; free bodies that no row touches do not count."""
+    if system.robot.bases:
+        v = v[J.any(axis=0)]
+    return float(np.abs(v).max(initial=0.0))
+
+
 def _is_consistent(system: System, x: State) -> bool:
-    off, fastest = violation(system, x), float(np.abs(x.v).max(initial=0.0))
+    off = violation(system, x)
+    fastest = _speed(system, system.held.jacobian(x.t, x.q), x.v)
     return off.position <= ON_MANIFOLD and off.velocity <= ON_MANIFOLD * (1.0 + fastest)
 
 
