@@ -49,6 +49,14 @@ class SymbolicKinematics:
         return ca.vertcat(*values)
 
     @staticmethod
+    def either(condition, first, second):
+        """Both, since nobody knows which; of tuples entry by entry."""
+        pair = first(), second()
+        if not isinstance(pair[0], tuple):
+            return ca.if_else(condition, *pair)
+        return tuple(ca.if_else(condition, *both) for both in zip(*pair, strict=True))
+
+    @staticmethod
     def row(vector):
         return vector.T
 

@@ -23,6 +23,7 @@ from mbd_ros.scene.code_permission import permitting
 from mbd_ros.scene.docstrings import entries
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.part_lines import part_lines
+from mbd_ros.scene.path_entries import with_paths
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.registry import PARTS, resolve
 
@@ -131,7 +132,8 @@ def test_constructor_stores_and_derives_so_that_it_takes_symbols(section, name):
     without = ("prescribed_torque", "frame_anchor", "knife_edge", "loop_closure", "point_on_plane")
     assert bool(given) != (name in without)  # which have a table or places alone
     robot = scene_from(urdf="prosthetic_leg").robot
-    assert isinstance(part(robot, **{**arguments(section, name), **given}), Part)
+    entry = with_paths(part, arguments(section, name), name, robot, {})
+    assert isinstance(part(robot, **{**entry, **given}), Part)
 
 
 @every_part_with_symbols

@@ -25,6 +25,8 @@ robot:
 couplings:
   knee_slide_x: {parent: knee, factor: 1e-2, offset: 0.001}
   knee_slide_y: {parent: knee_slide_x, polynomial: [0.0, 0.1, -0.2]}
+paths:
+  strap: {points: [{frame: world}, {frame: shank}], joints: {hip: 0.03}}
 external_wrenches:
   foot: {frame: foot, expressed_in: world, topic: /plate, point: [0, 0, 0.1], threshold: 20}
   hand: {frame: shank}

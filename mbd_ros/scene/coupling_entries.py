@@ -26,7 +26,7 @@ def build_couplings(site: Site, entries: Any) -> Couplings:
     """
     entries = schema.value(entries, Mapping[str, Any], site.where)
     functions = {
-        name: schema.call(_coupling, entry, f"{site.where}.{name}", site, name)
+        name: schema.call(_coupling, entry, where := f"{site.where}.{name}", where, name)
         for name, entry in entries.items()
     }
     try:
@@ -53,7 +53,7 @@ def coupling_kinds(couplings: Couplings, entries: Mapping[str, Any]) -> dict[str
 
 
 def _coupling(
-    site: Site,
+    where: str,
     name: str,
     *,
     parent: str,
@@ -63,6 +63,41 @@ def _coupling(
     spline: Any = None,
     piecewise_polynomial: Any = None,
 ) -> Coupling:
+    if factor == 0:
+        raise ModelError(f"factor is 0: the joint never moves; use robot.locked.{name} instead")
+    function = one_function(
+        where,
+        factor=factor,
+        offset=offset,
+        polynomial=polynomial,
+        spline=spline,
+        piecewise_polynomial=piecewise_polynomial,
+    )
+    return Coupling(parent, function)
+
+
+def one_function(
+    where: str,
+    *,
+    factor: float | None = None,
+    offset: float | None = None,
+    polynomial: Sequence[float] | None = None,
+    spline: Any = None,
+    piecewise_polynomial: Any = None,
+) -> CouplingFunction:
+    """The function of an entry that has one of `FUNCTIONS` as its key.
+
+    Args:
+        where: File and key of the entry, for the messages.
+        factor: Of a linear function.
+        offset: Its value at 0, default 0.
+        polynomial: c0, c1, ..
+        spline: x and y of `natural_cubic_spline`.
+        piecewise_polynomial: Arguments of `PiecewisePolynomial`.
+
+    Raises:
+        ModelError: None or several are given, or the function refuses its numbers.
+    """
     values = (factor, polynomial, spline, piecewise_polynomial)
     functions: dict[str, Any] = dict(zip(FUNCTIONS, values, strict=True))
     given = [kind for kind, function in functions.items() if function is not None]
@@ -72,11 +107,8 @@ def _coupling(
         )
     if offset is not None and factor is None:
         raise ModelError("'offset' goes with 'factor' only")
-    if factor == 0:
-        raise ModelError(f"factor is 0: the joint never moves; use robot.locked.{name} instead")
     kind = given[0]
-    where = f"{site.where}.{name}.{kind}"
-    return Coupling(parent, _function(kind, functions[kind], offset or 0.0, where))
+    return _function(kind, functions[kind], offset or 0.0, f"{where}.{kind}")
 
 
 def _function(kind: str, entry: Any, offset: float, where: str) -> CouplingFunction:

@@ -2,12 +2,14 @@
 
 import inspect
 import re
+import typing
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from mbd_ros.core.dynamics.external_wrench import ExternalWrench
 from mbd_ros.core.dynamics.tiers import TIERS
+from mbd_ros.core.model.paths import Path
 from mbd_ros.core.optimization.qp_solvers import check_backend
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
@@ -77,6 +79,23 @@ def build_wrenches(site: Site, entries: Any) -> dict[str, MeasuredWrench]:
     return wrenches
 
 
+def build_paths(site: Site, entries: Any) -> dict[str, Path]:
+    """The `paths` section.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    from mbd_ros.scene.path_entries import path_of
+
+    paths = {}
+    for name, entry in _named(site, entries).items():
+        where = f"{site.where}.{name}"
+        path = path_of(site.robot, entry, where)
+        path.name = checked_name(name, where)
+        paths[name] = path
+    return paths
+
+
 def build_section(site: Site, given: Any) -> Any:
     """Parts of a robot by their `type`: one, a tuple of them, or a mapping by name.
 
@@ -142,15 +161,16 @@ def _named_parts(
     parts = tuple(
         site.kept[place]
         if place in site.kept
-        else _part(site.section, entry.given, entry.where, site.robot)
+        else _part(site.section, entry.given, entry.where, site)
         for place, entry in zip(places, entries, strict=True)
     )
     name_parts(site, entries, parts)
     return parts
 
 
-def _part(section: Section, given: Any, where: str, *context: Any) -> Any:
-    return _typed(types_of(section), section.offers, given, where, context)
+def _part(section: Section, given: Any, where: str, site: Site | None = None) -> Any:
+    context = () if site is None else (site.robot,)
+    return _typed(types_of(section), section.offers, given, where, context, site)
 
 
 def _typed(
@@ -159,6 +179,7 @@ def _typed(
     given: Any,
     where: str,
     context: Sequence[Any],
+    site: Site | None = None,
 ) -> Any:
     if isinstance(given, str) and given in types:
         raise SceneError(f"{where}: expected a mapping, got '{given}': write {{type: {given}}}")
@@ -170,7 +191,17 @@ def _typed(
     if not inspect.isclass(name):  # Python may name a class by itself
         name = schema.value(name, str, f"{where}.type")
     part = resolve_type(types, offers, name, f"{where}.type")
+    if site is not None and _takes_path(part):
+        from mbd_ros.scene.path_entries import with_paths
+
+        entry = with_paths(part, entry, where, site.robot, site.parts.get("paths", {}))
     return schema.call(part, entry, where, *context)
+
+
+def _takes_path(part: Any) -> bool:
+    """Whether a class has an argument that is a path; annotations in quotes may be one."""
+    hints = getattr(part.__init__, "__annotations__", {}).values()
+    return any(isinstance(h, str) or h is Path or Path in typing.get_args(h) for h in hints)
 
 
 def _named(site: Site, given: Any) -> Mapping[str, Any]:

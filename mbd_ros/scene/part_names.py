@@ -13,7 +13,14 @@ if TYPE_CHECKING:
     from mbd_ros.scene.building import Site
 
 _NAME, _OTHER = re.compile(r"[\w/-]{1,255}"), re.compile(r"[^\w/-]")
-_PLACES = ("joint", "joints", "frame", "frame_b", "frame_a")  # keys that say where a part is
+_PLACES = (
+    "joint",
+    "joints",
+    "frame",
+    "frame_b",
+    "frame_a",
+    "path",
+)  # keys that say where a part is
 
 
 class NamedEntry(NamedTuple):
@@ -121,7 +128,7 @@ def _joints(robot: Robot | None) -> set[str]:
 
 
 def _place(entry: Any, robot: Robot | None) -> str:
-    """Joint or frame of an entry that moves; empty where there is none, or several."""
+    """Joint, frame or path of an entry that moves; empty where there is none, or several."""
     for key in _PLACES:
         place = entry.get(key)
         if isinstance(place, list):

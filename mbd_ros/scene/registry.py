@@ -36,6 +36,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     },
     "forces": {
         "applied_wrench": "mbd_ros.forces.applied_wrench:AppliedWrench",
+        "cable": "mbd_ros.forces.cable:Cable",
         "gravity_compensation": "mbd_ros.forces.gravity_compensation:GravityCompensation",
         "joint_friction": "mbd_ros.forces.joint_friction:JointFriction",
         "joint_spring": "mbd_ros.forces.joint_spring:JointSpring",

@@ -103,6 +103,8 @@ def value(given: Any, hint: Any, where: str, accepted: Within = ANY_NUMBER) -> A
         return [value(v, inner[0], f"{where}[{i}]", accepted) for i, v in enumerate(given)]
     if hint is Any:
         return given
+    if inspect.isclass(hint) and hint not in _EXPECTED and isinstance(given, hint):
+        return given  # what the reader of a section has built already
     if hint is float and isinstance(given, int) and not isinstance(given, bool):
         given = float(given)
     if type(given) is not hint:

@@ -45,7 +45,7 @@ class Section(NamedTuple):
     key: str
     form: Form
     build: str = f"{_PARTS}:build_section"
-    after: tuple[str, ...] = ("robot", "couplings", "actuators")
+    after: tuple[str, ...] = ("robot", "couplings", "actuators", "paths")
     offers: tuple[str, ...] = ()
     check: str = ""
     parts: str = ""
@@ -80,6 +80,13 @@ SECTIONS = (
         absent=_NOTHING,
     ),
     Section(
+        "paths",
+        Form.NAMED,
+        f"{_PARTS}:build_paths",
+        ("robot",),
+        check="path: {name} over {part.over}",
+    ),
+    Section(
         "external_wrenches",
         Form.NAMED,
         f"{_PARTS}:build_wrenches",
@@ -90,7 +97,7 @@ SECTIONS = (
         "constraints",
         Form.LIST,
         f"{_PARTS}:build_constraints",
-        _EVERY_ROBOT,
+        (*_EVERY_ROBOT, "paths"),
         ("residual",),
         "constraint: {name}, {kind}, {law}: {rows}",
         "constraints",
@@ -98,7 +105,7 @@ SECTIONS = (
     Section(
         "forces",
         Form.LIST,
-        after=_EVERY_ROBOT,
+        after=(*_EVERY_ROBOT, "paths"),
         offers=("force",),
         check="force: {name}, {kind}{at}",
         parts="forces",
@@ -106,7 +113,7 @@ SECTIONS = (
     Section(
         "actuators",
         Form.LIST,
-        after=("robot",),
+        after=("robot", "paths"),
         offers=("command", "force"),
         check="actuator: {name}, {kind}{at}",
         parts="actuators",
