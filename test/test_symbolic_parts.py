@@ -11,10 +11,12 @@ from mbd_ros.constraints.distance import Distance
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import NONE, State
+from mbd_ros.forces.cable import Cable
 from mbd_ros.forces.joint_friction import JointFriction
 from mbd_ros.forces.joint_spring import JointSpring
 from mbd_ros.forces.joint_torque import JointTorque
 from mbd_ros.forces.point_spring import PointSpring
+from mbd_ros.scene.path_entries import path_of
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 LEG, ARM = (
@@ -24,11 +26,30 @@ LEG, ARM = (
 EXACT = 1e-14  # of the largest entry, or of 1 where that is a difference of larger ones
 SPRING = {"stiffness": 300.0, "damping": 4.0, "length": 0.2}
 FAR = {"point_a": (0.2, -0.1, 0.3), "point_b": (0.02, 0.05, -0.04)}
+CABLE = {"stiffness": 300.0, "damping": 40.0, "slack_length": 0.3}
+VIA = [
+    {"frame": "link1", "point": [0.1, 0.0, 0.05]},
+    {"frame": "link3", "point": [0.05, 0.1, 0.0]},
+    {"frame": "flange", "point": [0.02, 0.03, 0.0]},
+]
+CURVE = {"polynomial": [0.05, 0.03, -0.02]}
+SLIDING = [VIA[0], {**VIA[1], "moves": {"joint": ARM.joints[4].name, "x": CURVE}}, VIA[2]]
+SWITCHED = [VIA[0], {**VIA[1], "within": {"joint": ARM.joints[4].name, "upper": 0.1}}, VIA[2]]
+
+
+def through(robot, points):
+    pulleys = {robot.joints[1].name: 0.03, robot.joints[2].name: [0.1, 0.02, 0.01]}
+    return path_of(robot, {"points": points, "joints": pulleys}, "here")
+
+
 FORCES = {
     "joint_spring": (LEG, JointSpring, {"joint": "knee", "stiffness": 30.0, "damping": 0.7}),
     "joint_friction": (LEG, JointFriction, {"joint": "ankle", "coulomb": 0.4, "viscous": 0.05}),
     "joint_torque": (LEG, JointTorque, {"joint": "knee", "torque": 3.0}),
     "point_spring": (ARM, PointSpring, {"frame_a": "link2", "frame_b": "flange", **SPRING, **FAR}),
+    "cable over points of links": (ARM, Cable, {**CABLE, "path": through(ARM, VIA)}),
+    "cable over points that a joint moves": (ARM, Cable, {**CABLE, "path": through(ARM, SLIDING)}),
+    "cable over points that come and go": (ARM, Cable, {**CABLE, "path": through(ARM, SWITCHED)}),
     "point_spring to the world": (
         LEG,
         PointSpring,

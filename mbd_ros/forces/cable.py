@@ -2,10 +2,7 @@
 
 from typing import Annotated
 
-import numpy as np
-
 from mbd_ros.core.dynamics.path_load import PathLoad
-from mbd_ros.core.events.switching import DiscontinuousForce
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.paths import Path
 from mbd_ros.core.model.robot import Robot
@@ -13,13 +10,13 @@ from mbd_ros.core.ranges import NotNegative, Unit
 from mbd_ros.core.state import Array, State
 
 
-class Cable(PathLoad, DiscontinuousForce):
+class Cable(PathLoad):
     """Massless elastic cable without friction along a path of length l.
 
         F = max(0, stiffness s + damping s')  where the stretch s = l - slack_length > 0, else 0
 
-    It is slack at s <= 0. With damping F jumps where the cable becomes taut; `filippov` ends its
-    steps there. The damper never pushes: a cable that shortens fast enough carries no force.
+    It is slack at s <= 0, and the damper never pushes: a cable that shortens fast enough carries
+    no force. With damping F jumps where the cable becomes taut.
 
     Args:
         robot: Robot of the scene.
@@ -44,7 +41,6 @@ class Cable(PathLoad, DiscontinuousForce):
         "damping": 10.0,
         "slack_length": 0.3,
     }
-    surfaces = ("slack",)
 
     def __init__(
         self,
@@ -60,28 +56,11 @@ class Cable(PathLoad, DiscontinuousForce):
 
     def tension(self, k: Kinematics, x: State, u: Array, length: float, speed: float) -> float:
         """The F [N]."""
-        return k.where(length > self._slack, self._taut(k, length, speed), 0.0)
+        stretch = length - self._slack
+        pull = k.maximum(self._stiffness * stretch + self._damping * speed, 0.0)
+        return k.where(stretch > 0.0, pull, 0.0)
 
     def potential(self, k: Kinematics, x: State) -> float:
         """Energy of the stretch, zero while it is slack [J]."""
         stretch = k.maximum(self.path.length(k, x) - self._slack, 0.0)
         return 0.5 * self._stiffness * stretch * stretch
-
-    def heights(self, k: Kinematics, x: State) -> Array:
-        """The stretch s [m], shape (1,)."""
-        return np.array([self.path.length(k, x) - self._slack])
-
-    def rates(self, k: Kinematics, x: State, a: Array) -> Array:
-        """The s' [m/s], shape (1,)."""
-        return np.array([k.dot(self.path.measured(k, x)[1], x.v)])
-
-    def blend(self, k: Kinematics, x: State, signs: Array) -> Array:
-        """The (1 + s) / 2 of the force of a taut cable, shape (nv,)."""
-        length, slope = self.path.measured(k, x)
-        share = 0.5 * (1.0 + signs.item(0))
-        tau: Array = slope * (-share * self._taut(k, length, k.dot(slope, x.v)))
-        return tau
-
-    def _taut(self, k: Kinematics, length: float, speed: float) -> float:
-        pull = self._stiffness * (length - self._slack) + self._damping * speed
-        return k.maximum(pull, 0.0)

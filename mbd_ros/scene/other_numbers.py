@@ -43,8 +43,11 @@ def with_numbers(scene: Scene, numbers: Mapping[str, Any]) -> Scene:
     touched = [
         section for section in scene.sections if section.key in {p.section for p in changed}
     ]
-    made = Kept(parts={section.key: _others(scene, section, changed) for section in touched})
+    made = (
+        Kept()
+    )  # what is no part of its own, such as a path, may be what other parts are made of
     if all(section.has_types for section in touched):
+        made = Kept(parts={section.key: _others(scene, section, changed) for section in touched})
         found = rebuilt(scene, origin, entries, keys(touched), made, keys(SECTIONS))
         if np.array_equal(found.robot.model.armature, scene.robot.model.armature):
             return found  # of other parts, ours depend on the inertia of drives only
