@@ -19,23 +19,18 @@ Unilateral Contacts, 1996, ch. 8.
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import eigenpy
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.optimization.active_set import least_norm
-from mbd_ros.core.optimization.box_qp import BoxQp, exchanged
+from mbd_ros.core.optimization.bounded_impulses import BoundedImpulses
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.thresholds import CONTRADICTION, HELD_BY_ROWS, NEARLY_SINGULAR, TINY
-from mbd_ros.errors import SolveError
 
-_FACTORISED = eigenpy.ComputationInfo.Success
-_CLOSED = 1.0e-12  # g' of rows that do not open, of the largest velocity
 Slots = NDArray[np.intp]
 
 
@@ -84,110 +79,35 @@ class VelocityLevel:
         """
         slots, J, rate = self._touched(x, touching)
         M = np.array(self._mechanism.mass(x.q))
-        response = eigenpy.LLT(M).solve(J.T).reshape(J.T.shape)  # eigenpy flattens one column
-        free = np.concatenate((x.v[:, None], response), axis=1)
-        moved, held = self._holding(x, M, free)
-        v, response = moved[:, 0], moved[:, 1:]
-        speed = float(v.dot(M).dot(v)) ** 0.5
-        loose = np.einsum("ij,ji->i", J, free[:, 1:])
-        impulse = self._impulses(slots, J.dot(response), J.dot(v) + rate, loose, speed)
+        hold, goal = self._nothing
+        factor = None
+        if len(self._bilateral):
+            hold, goal = self._rigid.jacobian(x.t, x.q), -self._rigid.rate(x.t, x.q)
+            factor = self._rigid.factorise(M, hold)
+        response = ImpulseResponse(M, J, hold, factor)
+        v, held = response.kept(x.v, goal)
+        bounded = BoundedImpulses(response.A, response.loose, [self._rows[i].name for i in slots])
+        approach, speed = J.dot(v) + rate, float(v.dot(M).dot(v)) ** 0.5
+        impulse = bounded.pushing(approach, speed)
+        given_back = self._restitution[slots] * impulse
+        if given_back.any():
+            impulse = impulse + given_back
+            impulse += bounded.pushing(approach + response.A.dot(impulse), speed)
         p = np.zeros(len(self._rows))
-        p[slots], p[self._bilateral] = impulse, held[:, 0] + held[:, 1:].dot(impulse)
-        return Impact(v + response.dot(impulse), p)
+        p[slots], p[self._bilateral] = impulse, held + response.bilateral(impulse)
+        return Impact(v + response.X.dot(impulse), p)
 
     def _touched(self, x: State, touching: Sequence[int]) -> tuple[Slots, Array, Array]:
         """Slots of rows that push, their J and the part of g' without the velocity."""
-        wanted = set(touching)
-        slots, (no_J, no_rate) = [], self._nothing
-        J, rates = [no_J], [no_rate]
+        wanted, k = set(touching), self._mechanism.k
+        slots: list[int] = []
+        J, rates = ([nothing] for nothing in self._nothing)
         for block in self._pushing:
             here = [i for i in range(block.slots.start, block.slots.stop) if i in wanted]
             if here:
                 part, own = block.part, np.array(here) - block.slots.start
-                self._mechanism.k.refresh(x.q, x.v, part.reads)
-                J.append(part.jacobian(self._mechanism.k, x)[own])
-                rates.append(part.rate(self._mechanism.k, x)[own])
+                k.refresh(x.q, x.v, part.reads)
+                J.append(part.jacobian(k, x)[own])
+                rates.append(part.rate(k, x)[own])
                 slots += here
         return np.array(slots, dtype=np.intp), np.concatenate(J), np.concatenate(rates)
-
-    def _holding(self, x: State, M: Array, free: Array) -> tuple[Array, Array]:
-        """Velocities that bilateral rows leave, and their impulses.
-
-        Args:
-            x: State of all joints.
-            M: Their mass matrix.
-            free: A velocity, then changes of it, one a column.
-        """
-        if not len(self._bilateral):
-            return free, np.zeros((0, free.shape[1]))
-        J = self._rigid.jacobian(x.t, x.q)
-        factor = self._rigid.factorise(M, J)
-        left = -J.dot(free)
-        left[:, 0] -= self._rigid.rate(x.t, x.q)
-        p = factor.solve(left)
-        return free + factor.X.dot(p), p
-
-    def _impulses(
-        self, slots: Slots, A: Array, approach: Array, loose: Array, speed: float
-    ) -> Array:
-        """Impulses of compression and expansion together, one a touching row.
-
-        Args:
-            slots: Where they stand.
-            A: g' that impulses add, shape (k, k).
-            approach: g' before, shape (k,).
-            loose: Diagonal of A without bilateral rows, shape (k,).
-            speed: Velocity in the mass metric.
-        """
-        mobile = A.diagonal() > HELD_BY_ROWS * loose
-        size = np.sqrt(np.where(loose > 0.0, loose, 1.0))
-        blocked = ~mobile & (approach < -CONTRADICTION * size * speed)
-        if blocked.any():
-            name = self._rows[slots[blocked.argmax()]].name
-            raise SolveError(f"nothing can keep constraint row {name} from closing")
-        p = np.zeros(len(slots))
-        unit = 1.0 / np.sqrt(A.diagonal()[mobile])
-        A = unit[:, None] * A[np.ix_(mobile, mobile)] * unit
-        b = unit * approach[mobile]
-        fastest = max(float(np.abs(b).max(initial=0.0)), speed, TINY)
-        scaled = _impacts(A, b / fastest, self._restitution[slots[mobile]])
-        p[mobile] = fastest * unit * scaled
-        return p
-
-
-def _impacts(A: Array, b: Array, e: Array) -> Array:
-    """Impulses of compression and expansion, for rows scaled to A_ii = 1 and |b| <= 1."""
-    A = 0.5 * (A + A.T)
-    compression = _pushing(A, b)
-    given_back = e * compression
-    if not given_back.any():
-        return compression
-    p = compression + given_back
-    return p + _pushing(A, b + A.dot(p))
-
-
-def _pushing(A: Array, b: Array) -> Array:
-    """The p >= 0 with A p + b >= 0 that push only where that is 0."""
-    none = np.zeros(len(b))
-    if (b >= 0.0).all():
-        return none
-    most = np.full(len(b), np.inf)
-    p = exchanged(A, b, none, most)
-    if p is None:
-        p = BoxQp(len(b), rungs=("cold", "damped")).solve(A, b, none, most)
-    return _shared(A, b, p)
-
-
-def _shared(A: Array, b: Array, p: Array) -> Array:
-    """The same impulses, shared among rows that depend on one another: their norm is least."""
-    closed = A.dot(p) + b <= _CLOSED
-    closing = A[np.ix_(closed, closed)]
-    factor = eigenpy.LLT(closing)
-    if factor.info() == _FACTORISED and factor.rcond() > NEARLY_SINGULAR:
-        return p
-    least = least_norm(closing, -b[closed])
-    if not (least >= 0.0).all():
-        return p
-    shared = np.zeros(len(p))
-    shared[closed] = least
-    return shared

@@ -1,0 +1,54 @@
+"""How impulses of some rows move joints that bilateral rows hold."""
+
+import eigenpy
+import numpy as np
+
+from mbd_ros.core.rows.row_factor import RowFactor
+from mbd_ros.core.state import Array
+
+
+class ImpulseResponse:
+    """Changes of the velocity M^-1 J' p, without what bilateral rows J_b v = goal forbid.
+
+    Args:
+        M: Mass matrix, or what stands for it, symmetric, shape (nv, nv).
+        J: Rows with impulses, shape (m, nv).
+        hold: Bilateral rows, shape (m_b, nv).
+        factor: Their factor in the metric of M; None without any.
+
+    Attributes:
+        X: Changes of the velocity by each impulse, shape (nv, m).
+        A: Changes of the rates of the rows, shape (m, m).
+        loose: Diagonal of A without the bilateral rows, shape (m,).
+    """
+
+    def __init__(self, M: Array, J: Array, hold: Array, factor: RowFactor | None) -> None:
+        self._mass, self._hold, self._factor = eigenpy.LLT(M), hold, factor
+        self.X = self.free(J.T)
+        self.loose = np.einsum("ij,ji->i", J, self.X)
+        self._held = np.zeros((len(hold), len(J)))
+        if factor is not None:
+            self._held = factor.solve(hold.dot(self.X))
+            self.X = self.X - factor.X.dot(self._held)
+        self.A = J.dot(self.X)
+
+    @property
+    def is_regular(self) -> bool:
+        """Whether M is positive definite."""
+        return bool(self._mass.info() == eigenpy.ComputationInfo.Success)
+
+    def free(self, impulse: Array) -> Array:
+        """Changes of the velocity by impulses on joints that nothing holds, shape as given."""
+        v: Array = self._mass.solve(impulse).reshape(impulse.shape)  # eigenpy flattens one column
+        return v
+
+    def kept(self, v: Array, goal: Array) -> tuple[Array, Array]:
+        """The nearest velocity with J_b v = goal, and the bilateral impulses for it."""
+        if self._factor is None:
+            return v, goal
+        p = self._factor.solve(goal - self._hold.dot(v))
+        return v + self._factor.X.dot(p), p
+
+    def bilateral(self, p: Array) -> Array:
+        """Bilateral impulses that answer those of the rows, shape (m_b,)."""
+        return -self._held.dot(p)
