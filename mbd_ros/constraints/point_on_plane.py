@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 from typing import Annotated
 
-import numpy as np
-
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unit, Vector
 from mbd_ros.core.rows.constraint import Row
-from mbd_ros.core.rows.pair_rows import PairRows
+from mbd_ros.core.rows.pair_rows import PairRows, plane_of
 from mbd_ros.errors import ModelError
 
 
@@ -42,10 +40,7 @@ class PointOnPlane(PairRows):
         point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
         plane_point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
     ) -> None:
-        along = np.array(normal, dtype=np.float64)
-        along = along / np.abs(along).max()  # so that its square neither vanishes nor overflows
-        plane = robot.point(plane_frame, plane_point)
-        plane = robot.turned(plane, _turned(along / np.linalg.norm(along)))
+        plane = plane_of(robot, plane_frame, plane_point, normal)
         pair = robot.pair(plane, robot.point(frame, point))
         super().__init__(pair, "z")
         self.rows = (Row("force", "N", plane_frame),)
@@ -59,13 +54,3 @@ class PointOnPlane(PairRows):
         """
         if not any(normal):
             raise ModelError(f"normal {normal} must have a direction")
-
-
-def _turned(normal: np.ndarray) -> np.ndarray:
-    """A rotation whose z axis is the normal."""
-    x = np.eye(3)[int(np.argmin(np.abs(normal)))]
-    x = x - normal * normal.dot(x)
-    x /= np.linalg.norm(x)
-    a, b, c = normal.tolist()
-    across = np.array(((0.0, -c, b), (c, 0.0, -a), (-b, a, 0.0)))
-    return np.column_stack((x, across.dot(x), normal))

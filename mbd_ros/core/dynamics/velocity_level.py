@@ -11,7 +11,8 @@ and in its expansion a row gives back at least its share e of them,
     p_e >= e p_c,   g'+ >= 0,   (p_e - e p_c) g'+ = 0       at v+ = v_c + M^-1 J' p_e
 
 So the expansion leaves the least kinetic energy that impulses p_e >= e p_c can. p_e = p_c is one
-of them and gives back what v- had: no impact gains energy, whatever the e of its rows. Bilateral
+of them and gives back what v- had: no impact gains energy, whatever the e of its rows. Friction
+of a contact keeps Coulomb's law in both, with v_c and then with v+, without restitution. Bilateral
 rows and couplings hold in both. Source: F. Pfeiffer, C. Glocker, Multibody Dynamics with
 Unilateral Contacts, 1996, ch. 8.
 """
@@ -27,6 +28,7 @@ from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.optimization.bounded_impulses import BoundedImpulses
+from mbd_ros.core.optimization.contact_impulses import Cone, ContactImpulses
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array, State
@@ -60,10 +62,11 @@ class VelocityLevel:
         self._mechanism = Mechanism(system.robot, system.loads)
         self._rigid = RigidRows(self._mechanism, ConstraintRows(layout.rigid, nv))
         self._bilateral = self._rigid.constraints.slots
-        self._rows, self._pushing = layout.rows, layout.having(Kind.UNILATERAL)
+        self._rows, self._pushing = layout.rows, layout.having(Kind.UNILATERAL, Kind.CONE)
         self._restitution = np.zeros(len(layout.rows))
         for block in self._pushing:
-            self._restitution[block.slots] = block.law.restitution
+            normals = block.slots.start if block.law.kind is Kind.CONE else block.slots
+            self._restitution[normals] = block.law.restitution
         self._nothing = np.zeros((0, nv)), np.zeros(0)
 
     def impact(self, x: State, touching: Sequence[int]) -> Impact:
@@ -77,7 +80,7 @@ class VelocityLevel:
         Raises:
             SolveError: Nothing can keep a row from closing further; names it.
         """
-        slots, J, rate = self._touched(x, touching)
+        slots, J, rate, cone = self._touched(x, touching)
         M = np.array(self._mechanism.mass(x.q))
         hold, goal = self._nothing
         factor = None
@@ -86,28 +89,54 @@ class VelocityLevel:
             factor = self._rigid.factorise(M, hold)
         response = ImpulseResponse(M, J, hold, factor)
         v, held = response.kept(x.v, goal)
-        bounded = BoundedImpulses(response.A, response.loose, [self._rows[i].name for i in slots])
         approach, speed = J.dot(v) + rate, float(v.dot(M).dot(v)) ** 0.5
-        impulse = bounded.pushing(approach, speed)
-        given_back = self._restitution[slots] * impulse
-        if given_back.any():
-            impulse = impulse + given_back
-            impulse += bounded.pushing(approach + response.A.dot(impulse), speed)
+        impulse = self._impulses(slots, response, cone, approach, speed)
         p = np.zeros(len(self._rows))
         p[slots], p[self._bilateral] = impulse, held + response.bilateral(impulse)
         return Impact(v + response.X.dot(impulse), p)
 
-    def _touched(self, x: State, touching: Sequence[int]) -> tuple[Slots, Array, Array]:
-        """Slots of rows that push, their J and the part of g' without the velocity."""
+    def _impulses(
+        self,
+        slots: Slots,
+        response: ImpulseResponse,
+        cone: Cone | None,
+        approach: Array,
+        speed: float,
+    ) -> Array:
+        """Impulses of compression and expansion together, one a touching row."""
+        names, e = [self._rows[i].name for i in slots], self._restitution[slots]
+        if cone is not None:
+            contacts = ContactImpulses(response.A, response.loose, names, cone)
+            impulse = contacts.pushing(approach, speed)
+            if (given_back := e * impulse).any():
+                after = approach + response.A.dot(impulse)
+                impulse += contacts.pushing(after, speed, given_back)
+            return impulse
+        bounded = BoundedImpulses(response.A, response.loose, names)
+        impulse = bounded.pushing(approach, speed)
+        given_back = e * impulse
+        if given_back.any():
+            impulse = impulse + given_back
+            impulse += bounded.pushing(approach + response.A.dot(impulse), speed)
+        return impulse
+
+    def _touched(
+        self, x: State, touching: Sequence[int]
+    ) -> tuple[Slots, Array, Array, Cone | None]:
+        """Slots of rows that push, J and the part of g' without the velocity, and a contact."""
         wanted, k = set(touching), self._mechanism.k
         slots: list[int] = []
         J, rates = ([nothing] for nothing in self._nothing)
+        cone: Cone | None = None
         for block in self._pushing:
             here = [i for i in range(block.slots.start, block.slots.stop) if i in wanted]
+            if block.law.kind is Kind.CONE and here:  # its normal and its tangents are one contact
+                here = list(range(block.slots.start, block.slots.stop))
+                cone = Cone(slice(len(slots), len(slots) + 3), block.law.mu)
             if here:
                 part, own = block.part, np.array(here) - block.slots.start
                 k.refresh(x.q, x.v, part.reads)
                 J.append(part.jacobian(k, x)[own])
                 rates.append(part.rate(k, x)[own])
                 slots += here
-        return np.array(slots, dtype=np.intp), np.concatenate(J), np.concatenate(rates)
+        return np.array(slots, dtype=np.intp), np.concatenate(J), np.concatenate(rates), cone

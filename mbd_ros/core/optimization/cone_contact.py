@@ -24,7 +24,7 @@ _CORRECTIONS = 50
 _CORRECT = 1.0e-16  # relative step after which nothing changes
 
 
-def cone_contact(A: Array, b: Array, mu: float, least: float = 0.0) -> Array:
+def cone_contact(A: Array, b: Array, mu: float, least: float = 0.0, slack: float = 0.0) -> Array:
     """The p of the problem above, shape (3,); 0 along tangents that nothing moves.
 
     Where friction couples so strongly that there are several answers, a contact that opens comes
@@ -32,13 +32,18 @@ def cone_contact(A: Array, b: Array, mu: float, least: float = 0.0) -> Array:
 
     Args:
         A: Mobility, symmetric, positive semidefinite, with A_nn > 0, shape (3, 3).
-        b: w without p, shape (3,).
+        b: w without p, shape (3,); what A does not move of it is rounding.
         mu: Coefficient of friction, >= 0.
         least: Smallest normal p, >= 0; what an expansion gives back at any rate.
+        slack: Rounding of b, where that is known to be a difference of large terms.
 
     Raises:
         SolveError: No answer passes the check.
     """
+    values, directions = np.linalg.eigh(A)
+    if values[0] <= redundant(3) * values[2]:
+        moved = directions[:, values > redundant(3) * values[2]]
+        b = moved.dot(moved.T.dot(b))
     size, found, smallest = _size(A, b, least), np.zeros(3), math.inf
     for p in _answers(A, b, mu, least):
         left = _residual(A, b, p, mu, least)
@@ -46,7 +51,7 @@ def cone_contact(A: Array, b: Array, mu: float, least: float = 0.0) -> Array:
             return p
         if left < smallest:
             found, smallest = p, left
-    if smallest <= _ACCEPTED * size:
+    if smallest <= _ACCEPTED * size + slack / float(A[0, 0]):
         return found
     raise SolveError(f"no impulse of a contact with friction {mu:g} answers {b.tolist()}")
 

@@ -7,14 +7,15 @@ import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.pair_motion import PairMotion, Placed
-from mbd_ros.core.model.points import Pair
+from mbd_ros.core.model.points import Pair, Point
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.outputs import Now, Value, exerted_on
 from mbd_ros.core.parts import Wrench
 from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.rows.rotation_residual import RotationResidual
 from mbd_ros.core.state import Array, State
 
-DIRECTIONS = {
+DIRECTIONS: dict[str, Any] = {
     "x": slice(0, 1),
     "y": slice(1, 2),
     "z": slice(2, 3),
@@ -22,6 +23,7 @@ DIRECTIONS = {
     "xz": slice(0, 3, 2),
     "yz": slice(1, 3),
     "xyz": slice(0, 3),
+    "zxy": [2, 0, 1],
 }
 _ROTATIONS, _ALL = slice(3, 6), slice(0, 6)
 
@@ -111,3 +113,20 @@ class PairRows(Constraint):
             slope = self._rotation.slope(k.motion(self._pair).rotation())
             torque = axes.dot(slope.T.dot(lam[self._count :]))
         return Wrench(a.frame, point, -force, -torque), Wrench(b.frame, point, force, torque)
+
+
+def plane_of(robot: Robot, frame: str, point: Sequence[float], normal: Sequence[float]) -> Point:
+    """A point of a plane, with z along its normal."""
+    along = np.array(normal, dtype=np.float64)
+    along = along / np.abs(along).max()  # so that its square neither vanishes nor overflows
+    return robot.turned(robot.point(frame, point), _turned(along / np.linalg.norm(along)))
+
+
+def _turned(normal: Array) -> Array:
+    """A rotation whose z axis is the normal."""
+    x = np.eye(3)[int(np.argmin(np.abs(normal)))]
+    x = x - normal * normal.dot(x)
+    x /= np.linalg.norm(x)
+    a, b, c = normal.tolist()
+    across = np.array(((0.0, -c, b), (c, 0.0, -a), (-b, a, 0.0)))
+    return np.column_stack((x, across.dot(x), normal))

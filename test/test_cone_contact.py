@@ -1,0 +1,195 @@
+"""A contact with friction: the exact solution of one cone, and impacts with it."""
+
+import mechanisms
+import numpy as np
+import pinocchio as pin
+import pytest
+from mechanisms import joint, link, urdf
+from scipy.optimize import root
+from test_velocity_level import consistent, inertia, keeps, robot_of, system_of
+
+from mbd_ros.constraints.joint_stop import JointStop
+from mbd_ros.constraints.point_contact import PointContact
+from mbd_ros.core.dynamics.velocity_level import VelocityLevel
+from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.optimization.cone_contact import cone_contact
+from mbd_ros.core.state import State
+from mbd_ros.errors import SolveError
+
+FRICTIONS = (0.0, 0.1, 0.5, 1.0, 3.0, 30.0)
+TIP = {"arm": "flange", "coupled": "flange", "free": "left", "loop": "coupler_link"}
+
+
+def keeps_its_laws(A, b, mu, p, least=0.0, rounding=1e-9):
+    """Signorini and Coulomb, condition by condition; sizes are those of b and of what ends it."""
+    w, rate, push = A @ p + b, np.abs(b).max(), np.abs(b).max() / A[0, 0] + least
+    normal, friction, slip = p[0], np.linalg.norm(p[1:]), np.linalg.norm(w[1:])
+    assert normal >= least - rounding * push and w[0] >= -rounding * rate
+    assert min((normal - least) / push, w[0] / rate) <= rounding
+    assert friction <= mu * normal + rounding * push
+    if slip > rounding * rate:
+        assert friction == pytest.approx(mu * normal, abs=rounding * push)
+        assert p[1:] == pytest.approx(-friction * w[1:] / slip, abs=1e-6 * push)
+
+
+@pytest.mark.parametrize("mu", FRICTIONS)
+@pytest.mark.parametrize("bodies", [2, 3, 6])
+def test_random_contacts_keep_the_laws(mu, bodies):
+    """Also where two coordinates alone move the point, so that A is singular."""
+    rng = np.random.default_rng(bodies)
+    for i in range(150):
+        B = rng.normal(size=(3, bodies))
+        A, b = B @ B.T, B @ rng.normal(size=bodies)
+        least = 0.0 if i % 2 else float(rng.uniform(0.0, 2.0) / A[0, 0])
+        keeps_its_laws(A, b, mu, cone_contact(A, b, mu, least), least)
+
+
+def test_answers_are_those_of_a_root_search():
+    """De Saxcé's equation by scipy, from many starts; among coupling that has one answer."""
+    rng, slips = np.random.default_rng(1), 0
+    for _ in range(60):
+        B = rng.normal(size=(3, 8))
+        A, b, mu = B @ B.T, rng.normal(size=3), float(rng.uniform(0.1, 0.6))
+        found = cone_contact(A, b, mu)
+        size = np.abs(b).max() / A[0, 0]
+
+        def natural_map(p, A=A, b=b, mu=mu):
+            w = A @ p + b
+            normal = max(p[0] - w[0] / A[0, 0], 0.0)
+            pushed, most = p[1:] - w[1:] / A.diagonal().max(), mu * max(p[0], 0.0)
+            length = np.linalg.norm(pushed)
+            return p - np.array((normal, *(pushed * min(1.0, most / max(length, 1e-300)))))
+
+        tries = [root(natural_map, size * rng.normal(size=3), tol=1e-14) for _ in range(12)]
+        ends = [one.x for one in tries if np.abs(natural_map(one.x)).max() <= 1e-11 * size]
+        assert ends and min(np.abs(found - end).max() for end in ends) <= 1e-8 * size
+        slips += bool(found[0] > 0.0 and np.linalg.norm(A[1:] @ found + b[1:]) > 1e-9)
+    assert slips >= 10
+
+
+def test_units_of_mass_and_time_change_nothing():
+    rng = np.random.default_rng(2)
+    for _ in range(50):
+        B = rng.normal(size=(3, 5))
+        A, b, mu = B @ B.T, rng.normal(size=3), float(rng.uniform(0.0, 2.0))
+        once = cone_contact(A, b, mu)
+        for mass, speed in ((1e-12, 1.0), (1e12, 1e-3), (1.0, 1e6)):
+            again = cone_contact(A / mass, speed * b, mu) / (mass * speed)
+            assert again == pytest.approx(once, abs=1e-9 * max(np.abs(once).max(), 1e-9))
+
+
+POINT = read_robot(
+    urdf(
+        *(link("world"), link("a"), link("b"), link("bob", 2.5)),
+        joint("x", "prismatic", "world", "a", (1, 0, 0)),
+        joint("y", "prismatic", "a", "b", (0, 1, 0)),
+        joint("z", "prismatic", "b", "bob", (0, 0, 1)),
+    )
+)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.4, 1.0])
+@pytest.mark.parametrize("mu", [0.0, 0.2, 0.9])
+@pytest.mark.parametrize("slide", [(0.5, -0.3), (0.0, 0.0), (3.0, 4.0)])
+def test_a_point_mass_bounces_as_by_hand(e, mu, slide):
+    """Normal -e v_n; friction takes mu (1 + e) v_n off the slip, or all of it."""
+    part = PointContact(
+        POINT,
+        frame="bob",
+        plane_frame="universe",
+        normal=(0, 0, 2.0),
+        friction=mu,
+        restitution=e,
+    )
+    v = np.array((*slide, -1.5))
+    found = VelocityLevel(system_of(POINT, [part])).impact(State(0.0, np.zeros(3), v), [0])
+    speed = np.hypot(*slide)
+    left = max(1.0 - mu * (1.0 + e) * 1.5 / speed, 0.0) if speed else 0.0
+    assert found.v == pytest.approx([*(left * v[:2]), 1.5 * e], abs=1e-14)
+    tangents = 2.5 * (found.v - v)[:2]
+    assert found.p[0] == pytest.approx(2.5 * 1.5 * (1.0 + e), abs=1e-13)
+    assert np.linalg.norm(found.p[1:]) == pytest.approx(np.linalg.norm(tangents), abs=1e-13)
+
+
+def impacts(count, seed, *, stops=False):
+    """Random impacts of robots of all kinds: what each is made of, and its answer."""
+    rng = np.random.default_rng(seed)
+    for i in range(count):
+        kind = tuple(TIP)[i % 4]
+        robot, coupled, parts = robot_of(kind)
+        normal = rng.normal(size=3)
+        if kind == "loop":
+            normal[2] = 0.0
+        part = PointContact(
+            robot,
+            frame=TIP[kind],
+            plane_frame="universe",
+            normal=normal,
+            friction=float(rng.choice(FRICTIONS[:-1])),
+            restitution=float(rng.uniform()),
+            point=0.2 * rng.normal(size=3),
+        )
+        parts = [*parts, part]
+        if stops and kind != "loop":
+            parts.append(JointStop(robot, joint=robot.joints[-1].name, lower=-9.0, upper=9.0))
+        system = system_of(robot, parts, coupled)
+        level, hold = VelocityLevel(system), keeps(system)
+        contact = next(b for b in system.layout.blocks if b.part is part).slots
+        for _ in range(4):
+            q = pin.integrate(robot.model, robot.neutral(), rng.uniform(-1, 1, robot.model.nv))
+            M = inertia(robot, q)
+            v = consistent(M, hold(q), rng.normal(size=robot.model.nv))
+            touching = [contact.start, *range(contact.stop, len(system.layout.rows))]
+            yield system, part, contact, M, q, v, level.impact(State(0.0, q, v), touching)
+
+
+def rows_at(system, q, v):
+    """J of all rows, in the order of their multipliers."""
+    k, x = Kinematics(system.robot), State(0.0, q, v)
+    k.refresh(x.q, x.v)
+    return np.concatenate([block.part.jacobian(k, x) for block in system.layout.blocks])
+
+
+def check_impacts(count, seed, *, stops=False):
+    struck = 0
+    for system, part, contact, M, q, v, found in impacts(count, seed, stops=stops):
+        J, p = rows_at(system, q, v), found.p
+        size = np.abs(M @ (found.v - v)).max() + np.abs(M @ v).max()
+        assert M @ (found.v - v) == pytest.approx(J.T @ p, abs=1e-12 * size)
+        before, after = v @ M @ v, found.v @ M @ found.v
+        assert after - before <= 1e-13 * before
+        w, normal = J[contact] @ found.v, p[contact][0]
+        fast = np.abs(J[contact]).sum(axis=1).max() * np.abs(v).max()
+        assert normal >= 0.0 and w[0] >= -1e-9 * fast
+        assert np.linalg.norm(p[contact][1:]) <= part.law.mu * normal * (1.0 + 1e-12)
+        struck += bool(normal > 0.0)
+    return struck
+
+
+def test_impacts_with_friction_gain_no_energy_and_keep_their_balance():
+    """Arms, couplings, a free body and a loop, each with a restitution and friction of its own."""
+    assert check_impacts(120, 7) >= 100
+
+
+def test_impacts_of_a_contact_beside_a_stop_gain_none_either():
+    assert check_impacts(60, 8, stops=True) >= 40
+
+
+@pytest.mark.soak
+def test_ten_thousand_impacts_with_friction_gain_no_energy():
+    assert check_impacts(2500, 9) >= 3000
+
+
+def test_a_point_that_nothing_moves_is_no_contact():
+    """A pendulum whose tip can not move along the normal: approach by rate alone is refused."""
+    robot = read_robot(mechanisms.chain(1))
+    part = PointContact(
+        robot, frame="rod_1", plane_frame="universe", normal=(0, 0, 1), friction=0.3
+    )
+    level = VelocityLevel(system_of(robot, [part]))
+    x = State(0.0, np.zeros(1), np.ones(1))
+    assert level.impact(x, [0]).v == pytest.approx([1.0])
+    part.rate = lambda k, x: np.array((-1.0, 0.0, 0.0))
+    with pytest.raises(SolveError, match=r"nothing can keep .*normal from closing"):
+        level.impact(x, [0])
