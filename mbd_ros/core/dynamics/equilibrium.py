@@ -12,6 +12,7 @@ from mbd_ros.core.thresholds import redundant
 from mbd_ros.errors import SolveError
 
 _CORRECTIONS, _SHORTEST = 60, 1.0e-6  # Newton's steps, and their least share
+_FIRST, _FOLLOWED = 1.0e-2, 200  # of z in a first implicit step, and how many there are
 _STEP = 1.5e-8  # square root of the rounding unit
 _AT_REST, _ROUNDING = 1.0e-9, 1.0e-15  # of z: corrections that may be, and that must be the last
 _LEFT = 1.0e-6  # of a rate: what a correction may leave of it
@@ -21,7 +22,8 @@ def settled(system: System, y: State, u: Array | None) -> State:
     """A state whose internal states are as given, and else at their first values.
 
     Those whose equilibrium is asked for are where their rates are 0, or at a bound beyond which
-    these would take them, by Newton's method with shorter steps where one does not help.
+    these would take them, by Newton's method with shorter steps where one does not help, and else
+    where they come to rest by themselves.
 
     Args:
         system: The system.
@@ -47,6 +49,8 @@ def settled(system: System, y: State, u: Array | None) -> State:
 
     bounds = internals.lower[free], internals.upper[free]
     found = _at_rest(rates, z[free], bounds)
+    if found is None:
+        found = _at_rest(rates, _followed(rates, z[free], bounds), bounds)
     if found is None:
         names = ", ".join(internals.names[i] for i in free)
         raise SolveError(
@@ -89,6 +93,28 @@ def _at_rest(
                 return None
         z, r = nearer, there
     return None
+
+
+def _followed(rates: Callable[[Array], Array], z: Array, bounds: tuple[Array, Array]) -> Array:
+    """Where the states go by themselves, in implicit steps of growing length.
+
+    Source: C. T. Kelley, D. E. Keyes, SIAM J. Numer. Anal. 35, 1998, 508-523.
+    """
+    lower, upper = bounds
+    r = rates(z)
+    length = _FIRST / max(_size(r, z), _FIRST)
+    for _ in range(_FOLLOWED):
+        if not np.isfinite(r).all():
+            break
+        held = ((z <= lower) & (r < 0.0)) | ((z >= upper) & (r > 0.0))
+        J = _slopes(rates, z, r, upper) - np.eye(len(z)) / length
+        step, _ = _correction(J, r, held)
+        if _size(step, z) > 1.0:
+            length *= 0.25
+            continue
+        z = np.minimum(np.maximum(z + step, lower), upper)
+        r, length = rates(z), 2.0 * length
+    return z
 
 
 def _slopes(rates: Callable[[Array], Array], z: Array, r: Array, upper: Array) -> Array:

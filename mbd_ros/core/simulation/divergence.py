@@ -8,6 +8,7 @@ from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, SolveError
 
 _SHOWN = 8  # joints in a message
+_COUNTED = 1.0e150  # whose squares are numbers
 _IN_REACH = 1.0e6  # rad or m: where a mass matrix still says something of the robot
 
 
@@ -32,10 +33,10 @@ def _lost(system: System, after: State) -> str:
     lost = int(np.count_nonzero(~np.isfinite(after.v)))
     if lost:
         return f"{lost} of {len(after.v)} velocities are not finite"
-    states = zip(system.internals.names, np.isfinite(after.z).tolist(), strict=True)
-    names = [name for name, is_finite in states if not is_finite]
+    states = zip(system.internals.names, (np.abs(after.z) < _COUNTED).tolist(), strict=True)
+    names = [name for name, is_counted in states if not is_counted]
     if names:
-        return f"{', '.join(names[:_SHOWN])} not finite"
+        return f"{', '.join(names[:_SHOWN])} beyond all numbers"
     return "positions or velocities are beyond all numbers"
 
 
