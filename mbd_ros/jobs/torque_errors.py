@@ -1,7 +1,7 @@
 """Estimated torques against a reference, joint by joint."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +89,7 @@ def compare(
     joints: Sequence[str],
     skip: float,
     say: Callable[[str], None],
+    members: Collection[str] = (),
 ) -> Result:
     """Compare two topics.
 
@@ -98,6 +99,8 @@ def compare(
         joints: Joints to compare.
         skip: Time left out at the start [s].
         say: Is told the table of errors, a line each.
+        members: Names of robots in front of those of their joints, each of which has a topic of
+            true ones beside the reference.
 
     Returns:
         Tables of `TorqueErrors`; metadata `overall`, and `overall_whole` without skipping.
@@ -105,7 +108,9 @@ def compare(
     if not 0 <= skip < math.inf:
         raise DataError(f"skip {skip:g} s must be finite and >= 0")
     judged = read_motion(estimate[0], joints, topic=estimate[1], required=()).motion
-    known = read_motion(reference[0], joints, topic=reference[1], required=()).motion
+    known = read_motion(
+        reference[0], joints, topic=reference[1], required=(), members=members
+    ).motion
     if known.effort is None:
         say(f"{reference[0]}: no effort on {reference[1]}: nothing to compare with")
     settled, whole = TorqueErrors(judged, known, skip), TorqueErrors(judged, known, 0.0)

@@ -8,6 +8,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
+from nav_msgs.msg import Odometry
 from rclpy.experimental import EventsExecutor
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
@@ -23,7 +24,8 @@ from msg_adapters.time import read_time, write_time
 NODE = "/inverse_dynamics"
 TORQUES, CONSTRAINT_FORCES = f"{NODE}/joint_torques", f"{NODE}/constraint_forces"
 JOINT_STATE, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
-CLASSES = {JOINT_STATE: JointState, WRENCH: WrenchStamped}
+ODOMETRY = "nav_msgs/msg/Odometry"
+CLASSES = {JOINT_STATE: JointState, WRENCH: WrenchStamped, ODOMETRY: Odometry}
 _START_TIMEOUT, _ANSWER_TIMEOUT = 30.0, 2.0  # s
 _IN_FLIGHT = 100  # joint states; the node's queue is deeper
 _PATIENCE = 0.05  # [s] that a signal waits at most: an executor does not wake up for one

@@ -16,6 +16,7 @@ from rclpy.serialization import deserialize_message
 from mbd_ros.errors import DataError
 from mbd_ros.files.bags import BagWriter, RawMessage, raw_messages
 from mbd_ros.files.table import Result
+from mbd_ros.files.topics import beside, by_member, joint_state_topic, odometry_topic
 from mbd_ros.jobs.columns import metadata_of
 from mbd_ros.jobs.isolated_domain import isolated_domain
 from mbd_ros.jobs.replay.bag_player import (
@@ -23,12 +24,14 @@ from mbd_ros.jobs.replay.bag_player import (
     CONSTRAINT_FORCES,
     JOINT_STATE,
     NODE,
+    ODOMETRY,
     TORQUES,
     WRENCH,
     BagPlayer,
     ReplayError,
 )
 from mbd_ros.jobs.torque_errors import compare
+from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.code_permission import is_permitted
 from mbd_ros.scene.reader import load_scene
 
@@ -79,7 +82,8 @@ def replay(
     played, answered = play(asked)
     say(f"{played} joint states played, {answered} answered, {played - answered} lost")
     known = asked.bag, reference or asked.topic
-    found = compare((asked.out, TORQUES), known, scene.couplings.independent, skip, say)
+    joints, members = scene.couplings.independent, scene.robot.members
+    found = compare((asked.out, TORQUES), known, joints, skip, say, members)
     inputs = {"bag": asked.bag, "rate": asked.rate, "cutoff": asked.cutoff, "skip": skip}
     metadata = metadata_of("replay", scene, {**inputs, "reference": known[1]}, {})
     counts = {"played": played, "answered": answered}
@@ -100,7 +104,7 @@ def play(replay: Replay) -> tuple[int, int]:
     """
     _check(replay)
     scene = load_scene(replay.scene)
-    topics = {replay.topic: JOINT_STATE}
+    topics, remapped = _motion_topics(scene, replay.topic)
     for name, wrench in scene.wrenches.items():
         topics[wrench.topic or f"{NODE}/wrench/{name}"] = WRENCH
     messages = [
@@ -111,12 +115,32 @@ def play(replay: Replay) -> tuple[int, int]:
     with (
         isolated_domain() as environment,
         BagWriter(replay.out) as bag,
-        _node_process(replay, environment) as process,
+        _node_process(replay, environment, remapped) as process,
     ):
         player = BagPlayer(topics, answers, bag, process)
         player.wait_for_node()
-        player.play(messages, replay.topic, replay.rate)
+        player.play(messages, next(iter(topics)), replay.rate)
         return player.played, player.answered
+
+
+def _motion_topics(scene: Scene, topic: str) -> tuple[dict[str, str], dict[str, str]]:
+    """Topics of the bag that carry the motion, with their types, and the node's names of them.
+
+    Args:
+        scene: The scene.
+        topic: Joint states of the only robot; the others are beside it.
+    """
+    topics, remapped = {}, {}
+    named = by_member([joint.name for joint in scene.robot.joints], scene.robot.members)
+    bodies = [base.name for base in scene.robot.bases]
+    for member in named or ([] if bodies else [""]):
+        own = joint_state_topic(member)
+        there = beside(topic, own) if member else topic
+        topics[there], remapped[own] = JOINT_STATE, there
+    for body in bodies:
+        own = odometry_topic(body)
+        topics[beside(topic, own)], remapped[own] = ODOMETRY, beside(topic, own)
+    return topics, remapped
 
 
 def _check(replay: Replay) -> None:
@@ -135,7 +159,7 @@ def _message(bag: Path, raw: RawMessage) -> Any:
 
 @contextmanager
 def _node_process(
-    replay: Replay, environment: dict[str, str]
+    replay: Replay, environment: dict[str, str], remapped: dict[str, str]
 ) -> Iterator["subprocess.Popen[bytes]"]:
     parameters = {
         "scene": str(replay.scene.resolve()),
@@ -147,7 +171,8 @@ def _node_process(
     }
     words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
     command = [sys.executable, "-m", "mbd_ros.nodes", "inverse_dynamics", "--ros-args", *words]
-    command += ["-r", f"joint_states:={replay.topic}"]
+    for own, there in remapped.items():
+        command += ["-r", f"{own}:={there}"]
     process = subprocess.Popen(command, env=environment)
     try:
         yield process

@@ -1,6 +1,7 @@
 """Node `inverse_dynamics`: joint states and wrenches in, torques and coupling forces out."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
@@ -11,11 +12,14 @@ from mbd_ros.core.estimation.torque_estimator import Observation
 from mbd_ros.errors import SolveError
 from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS, tuning
 from mbd_ros.nodes.inverse_dynamics.pipeline import Pipeline
+from mbd_ros.nodes.inverse_dynamics.whole_samples import Part
 from mbd_ros.nodes.shell.joint_state_node import SENSOR, JointStateNode
+from mbd_ros.nodes.shell.serialized import require_size
 from mbd_ros.nodes.shell.wrenches import read_load
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample
+from msg_adapters.odometry import read_odometry
 
 
 class InverseDynamicsNode(JointStateNode):
@@ -38,8 +42,29 @@ class InverseDynamicsNode(JointStateNode):
         wrenches = self._pipeline.scene.wrenches
         for name, wrench in wrenches.items():
             self.subscribe(WrenchStamped, wrench.heard_on, self._on_wrench(name), SENSOR)
+        self._residuals = [
+            self.publish_to(WrenchStamped, f"~/residual/{base.name}", 10)
+            for base in self._pipeline.scene.robot.bases
+        ]
         if wrenches:
             self.every(max(self.parameters.wrench_wait / 2.0, 1e-3), self._flush)
+
+    def listen(self) -> None:
+        """Subscribe to joint states, and to what belongs to them on other topics."""
+        whole = self._pipeline.whole
+        if whole is None:
+            super().listen()
+            return
+        for topic in whole.joint_topics:
+            take = self._on_part(topic, partial(self._read_joints, topic))
+            self.subscribe(JointState, topic, take, SENSOR, single_publisher=True, raw=True)
+        if not whole.body_topics:
+            return
+        from nav_msgs.msg import Odometry  # only where something flies
+
+        for topic in whole.body_topics:
+            take = self._on_part(topic, read_odometry)
+            self.subscribe(Odometry, topic, take, SENSOR, single_publisher=True)
 
     def forget(self) -> None:
         """Empty filters, wrench buffers and the queue."""
@@ -63,8 +88,10 @@ class InverseDynamicsNode(JointStateNode):
 
     def answer(self, stamp: int, sample: JointSample) -> SampleStatus | None:
         """Publish the torques of one joint state, or let it wait for its wrenches."""
+        return self._answer(self._pipeline.observe(stamp, sample))
+
+    def _answer(self, x: Observation | SampleStatus) -> SampleStatus | None:
         pipeline = self._pipeline
-        x = pipeline.observe(stamp, sample)
         if isinstance(x, SampleStatus):
             return x
         if pipeline.scene.wrenches:
@@ -73,6 +100,34 @@ class InverseDynamicsNode(JointStateNode):
         else:
             self._solve(x, ())
         return None
+
+    def _read_joints(self, topic: str, cdr: bytes) -> JointSample:
+        require_size(cdr, JointState)
+        assert self._pipeline.whole is not None
+        return self._pipeline.whole.read(topic, cdr)
+
+    def _on_part(self, topic: str, read: Callable[[Any], Part]) -> Callable[[Any], None]:
+        """What takes a part of samples that come on several topics."""
+
+        def take(message: Any) -> None:
+            pipeline = self._pipeline
+            assert pipeline.whole is not None
+            try:
+                part = read(message)
+                stamp = self.stamp_of(part.stamp) if part.stamp else 0
+                if stamp is None:
+                    return
+                sample, lost = pipeline.whole.add(topic, stamp, part)
+            except MessageError as error:
+                self.drop_state("malformed", f"{topic}: {error}")
+                return
+            for _ in range(lost):
+                self.drop_state("no_partner", "messages of one stamp did not come on all topics")
+            if sample is not None:
+                observed = partial(pipeline.observe_whole, sample)
+                self.judge(lambda: self._answer(observed()), pipeline.whole)
+
+        return take
 
     def _on_wrench(self, name: str) -> Callable[[Any], None]:
         def take(msg: Any) -> None:
@@ -107,8 +162,10 @@ class InverseDynamicsNode(JointStateNode):
         if messages is None:
             self.drop_state("result", "the torques of a joint state are not finite")
             return
-        torques, constraint_forces = messages
+        torques, constraint_forces, residuals = messages
         self._torques.publish(torques)
         if constraint_forces is not None:
             self._constraint_forces.publish(constraint_forces)
+        for publisher, residual in zip(self._residuals, residuals, strict=True):
+            publisher.publish(residual)
         self.note_answer(x.stamp)

@@ -4,12 +4,15 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import WrenchStamped
 
 from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator
-from mbd_ros.core.state import NANOSECOND
-from mbd_ros.errors import ModelError
+from mbd_ros.core.model.base_motion import IndependentCoordinates
+from mbd_ros.core.model.poses import TWIST
+from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.nodes.inverse_dynamics.parameters import tuning
+from mbd_ros.nodes.inverse_dynamics.whole_samples import WholeSample, WholeSamples
 from mbd_ros.nodes.inverse_dynamics.wrench_queue import WrenchQueue
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.scene.check import tier
@@ -17,6 +20,7 @@ from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
+from msg_adapters.wrench import write_wrench
 
 
 class Pipeline:
@@ -31,20 +35,24 @@ class Pipeline:
         estimator: Samples to torques.
         joints: Which joints the newest joint state carried.
         reader: Serialized joint states to samples.
+        whole: Samples that come on several topics; None where one has all.
         queue: Observations that wait for their wrenches; unused without wrenches.
     """
 
     def __init__(self, values: Any, description: str | None) -> None:
         self.scene = load_scene(values.scene, description)
-        if self.scene.robot.floating:
-            raise ModelError(
-                "joint states do not carry the pose of a floating base; use base: fixed"
-            )
-        couplings = self.scene.couplings
+        couplings, robot = self.scene.couplings, self.scene.robot
         self._solver = self.scene.inverse_dynamics()
         self.estimator = TorqueEstimator(self.scene.robot, self._solver, tuning(values))
         self.joints = JointStateReader(self.estimator.names, with_effort=False)
         self.reader = JointStateCdrReader(self.joints, joint_state)
+        bodies = [base.name for base in robot.bases]
+        self.whole: WholeSamples | None = None
+        if bodies or robot.members:
+            names = self.estimator.names
+            self.whole = WholeSamples(names, robot.members, bodies, joint_state)
+        self._at = IndependentCoordinates(robot, couplings) if bodies else None
+        self._residuals = [WrenchStamped() for _ in bodies]
         self._torques = JointStateCdrWriter(couplings.independent)
         rows = self._solver.rows
         self._forces = JointStateCdrWriter(rows, ("position", "effort"))
@@ -57,8 +65,10 @@ class Pipeline:
         """Forget the past."""
         self.estimator.reset()
         self.queue.clear()
+        if self.whole is not None:
+            self.whole.clear()
 
-    def answer(self, x: Observation, wrenches: Sequence[Any]) -> tuple[Any, Any] | None:
+    def answer(self, x: Observation, wrenches: Sequence[Any]) -> tuple[Any, Any, list[Any]] | None:
         """Messages for an observation; None if the torques are not finite.
 
         Args:
@@ -66,21 +76,33 @@ class Pipeline:
             wrenches: One (6,) array for every load of the scene.
 
         Returns:
-            Kept messages: joint torques, and constraint forces (position = violation of the
-            coupling or loop, effort = multiplier) or None without any.
+            Kept messages: joint torques, constraint forces (position = violation of the
+            coupling or loop, effort = multiplier) or None without any, and what nothing carries
+            of each free body.
         """
         torques = self.estimator.solve(x, wrenches)
         if torques is None:
             return None
-        answer = self._torques.write(
-            x.stamp, position=x.position, velocity=x.velocity, effort=torques.tau
-        )
+        position, velocity, effort, at = x.position, x.velocity, torques.tau, self._at
+        if at is not None:
+            position, velocity = position[at.joint_y], velocity[at.joint_w]
+            effort = effort[at.joint_w]
+        answer = self._torques.write(x.stamp, position=position, velocity=velocity, effort=effort)
+        residuals = self._carried(x.stamp, torques.residual)
         if not self._has_rows:
-            return answer, None
+            return answer, None, residuals
         self._violation = off = self.estimator.violation(x)
         if self._has_loops:
             off = np.concatenate([off, self._solver.gap[len(off) :]])
-        return answer, self._forces.write(x.stamp, position=off, effort=torques.multipliers)
+        forces = self._forces.write(x.stamp, position=off, effort=torques.multipliers)
+        return answer, forces, residuals
+
+    def _carried(self, stamp: int, residual: Array) -> list[Any]:
+        """WrenchStamped of each free body, in axes of its link."""
+        rows = zip(
+            self._residuals, self.scene.robot.bases, residual.reshape(-1, TWIST), strict=True
+        )
+        return [write_wrench(msg, stamp, base.frame, row) for msg, base, row in rows]
 
     def health(self, tolerance: float) -> tuple[int, str]:
         """WARN where a measured joint is off its coupling, or off the loops.
@@ -104,14 +126,21 @@ class Pipeline:
         present = self.joints.present
         return self.estimator.observe(stamp, sample.position, sample.velocity, present)
 
+    def observe_whole(self, whole: WholeSample) -> Observation | SampleStatus:
+        """A sample of several topics with its derivatives, or why it cannot be used."""
+        stamp, position, velocity, _ = whole.joints
+        bodies = whole.bodies if self._residuals else None
+        return self.estimator.observe(stamp, position, velocity, whole.present, bodies)
+
     def held(self) -> list[str]:
         """Independent joints that the newest joint state lacked."""
-        return [name for name in self.joints.missing if name not in self._dependent]
+        return [name for name in self._missing if name not in self._dependent]
 
     def details(self) -> dict[str, str]:
         """Contents and origin of the numbers, for diagnostics."""
         robot, filters = self.scene.robot, self.estimator.differentiator
-        reconstructed = [name for name in self.joints.missing if name in self._dependent]
+        reconstructed = [name for name in self._missing if name in self._dependent]
+        several = self.whole is not None
         return {
             "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
             "joints dropped": ", ".join(robot.locked) or "none",
@@ -122,7 +151,17 @@ class Pipeline:
             f"settled after {filters.settling_time:.4f} s",
             "largest coupling violation": f"{np.abs(self._violation).max(initial=0.0):.6g}",
             "solver tier": tier(self.scene),
-        } | ({"off the loops": f"{self._solver.moved:.6g}"} if self._has_loops else {})
+            **({"off the loops": f"{self._solver.moved:.6g}"} if self._has_loops else {}),
+            **({"topics not heard": self._unheard} if several else {}),
+        }
+
+    @property
+    def _missing(self) -> tuple[str, ...]:
+        return self.joints.missing if self.whole is None else self.whole.missing
+
+    @property
+    def _unheard(self) -> str:
+        return ", ".join(sorted(self.whole.unheard)) or "none" if self.whole else ""
 
     @property
     def _dependent(self) -> tuple[str, ...]:

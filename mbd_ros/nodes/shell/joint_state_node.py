@@ -1,6 +1,7 @@
 """Common part of nodes that answer joint states: stamps, clocks, reset."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from time import perf_counter
 from typing import Any, Protocol
 
@@ -29,6 +30,15 @@ _STANDING = 0.5  # [s] for which one joint state may come again and again, or al
 _DROPPED = 0.05  # share of the joint states of a second that may be dropped without a word
 _LATELY = 1.5  # s, a bit more than the time between two diagnostics
 MOST_IGNORED = 100  # joints whose names are kept to be listed once
+
+
+class Heard(Protocol):
+    """What the newest messages carried."""
+
+    @property
+    def extra(self) -> tuple[str, ...]:
+        """Joints that were not asked for."""
+        ...
 
 
 class JointStatePipeline(Protocol):
@@ -78,6 +88,10 @@ class JointStateNode(SceneNode):
     def configure_core(self) -> None:
         """Build, and listen."""
         super().configure_core()
+        self.listen()
+
+    def listen(self) -> None:
+        """Subscribe to joint states."""
         self.subscribe(
             JointState, "joint_states", self._take, SENSOR, single_publisher=True, raw=True
         )
@@ -175,21 +189,30 @@ class JointStateNode(SceneNode):
         except MessageError as error:
             self.drop_state("malformed", f"joint_states: {error}")
             return
-        stamp = self._stamp_of(sample.stamp)
-        if stamp is None:
-            return
+        stamp = self.stamp_of(sample.stamp)
+        if stamp is not None:
+            self.judge(partial(self.answer, stamp, sample), pipeline.joints)
+
+    def judge(self, answer: Callable[[], SampleStatus | None], joints: Heard) -> None:
+        """Answer a sample, or drop it and say why.
+
+        Args:
+            answer: Answers; why the sample cannot be used, if so.
+            joints: What its messages carried.
+        """
         try:
-            refused = self.answer(stamp, sample)
+            refused = answer()
         except MessageError as error:
             self.drop_state("result", f"joint_states: what would answer is dropped: {error}")
             return
         if refused is None:
-            self._note_extra(pipeline.joints.extra)
+            self._note_extra(joints.extra)
             return
-        lacking = f" ({', '.join(pipeline.held())})" if refused is SampleStatus.INCOMPLETE else ""
+        held = ", ".join(self._pipeline.held())
+        lacking = f" ({held})" if refused is SampleStatus.INCOMPLETE else ""
         self.drop_state(refused.name.lower(), f"joint_states: {refused.value}{lacking}")
 
-    def _stamp_of(self, stamp: int) -> int | None:
+    def stamp_of(self, stamp: int) -> int | None:
         """The stamp [ns], receive time instead of 0; None if it is of another clock."""
         stamp = stamp or self.receive_time()
         return stamp if self._same_clock(stamp) else None

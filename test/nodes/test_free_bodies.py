@@ -1,0 +1,119 @@
+"""A free-flying arm over DDS: the simulator publishes odometry, inverse dynamics reads it."""
+
+import sys
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import WrenchStamped
+from mechanisms import floating_body
+from nav_msgs.msg import Odometry
+from nodes.conftest import NodeProcess
+from nodes.joint_stream import ACTIVE, parameter_file
+from nodes.simulation_client import DEEP, simulated
+from sensor_msgs.msg import JointState
+
+from mbd_ros.files.body_columns import POSE, TWIST, names_of
+from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.jobs.inverse.job import inverse
+from mbd_ros.jobs.simulate.job import simulate
+from mbd_ros.scene.reader import load_scene
+from msg_adapters.joint_state import read_joint_state
+from msg_adapters.odometry import read_odometry
+from msg_adapters.time import read_time
+from msg_adapters.wrench import read_wrench
+
+TARGET = ("-m", "mbd_ros.nodes", "inverse_dynamics")
+JOINTS = ("left_swing", "right_slide")
+TICK, TICKS, CUTOFF = 1e-3, 60, 20.0
+MORE = f"""robot: {{base: floating, urdf: %s}}
+dt: 0.001
+integrator: {{type: rk4}}
+actuators: [{{type: ideal, joints: [{", ".join(JOINTS)}]}}]
+initial: {{velocity: {{left_swing: 2.0}}}}
+"""
+
+
+def commands(k):
+    return np.array([2.0 * np.sin(20.0 * k * TICK), np.cos(30.0 * k * TICK)])
+
+
+class Answers:
+    """What both nodes publish, by stamp."""
+
+    def __init__(self, probe):
+        self.poses, self.torques, self.wrenches = {}, {}, {}
+        create, node = probe.node.create_subscription, "/inverse_dynamics"
+        self._kept = [
+            create(Odometry, "/odometry", self._pose, DEEP),
+            create(JointState, f"{node}/joint_torques", self._torque, DEEP),
+            create(WrenchStamped, f"{node}/residual/base", self._wrench, DEEP),
+        ]
+        probe.spin_until(lambda: all(one.get_publisher_count() for one in self._kept))
+
+    def clear(self):
+        for each in (self.poses, self.torques, self.wrenches):
+            each.clear()
+
+    def _pose(self, message):
+        assert (message.header.frame_id, message.child_frame_id) == ("world", "trunk")
+        sample = read_odometry(message)
+        self.poses[sample.stamp] = np.concatenate((sample.pose, sample.twist))
+
+    def _torque(self, message):
+        assert tuple(message.name) == JOINTS
+        self.torques[read_time(message.header.stamp)] = read_joint_state(message)
+
+    def _wrench(self, message):
+        sample = read_wrench(message)
+        assert sample.frame_id == "trunk"
+        self.wrenches[sample.stamp] = sample.wrench
+
+
+def live(domain, folder, text):
+    """Poses of the simulator and answers of inverse dynamics, under commands in lock step."""
+    options = {"lock_step": "true", "publish_clock": "true"}
+    with simulated(domain, folder, text, **options) as client:
+        (own := folder / "inverse").mkdir()
+        tuned = {"use_sim_time": "true", "cutoff": CUTOFF, "timeout": 5.0}
+        file = parameter_file(own, {"scene": folder / "local.yaml", **tuned})
+        words = [*TARGET, "--ros-args", "--params-file", str(file)]
+        node = NodeProcess([sys.executable, *words], domain)
+        try:
+            node.wait_for(ACTIVE)
+            answers = Answers(client.probe)
+            client.repeat(client.reset, lambda: answers.wrenches)
+            client.settle()
+            answers.clear()
+            for k in range(TICKS):
+                client.command(commands(k))
+                client.probe.spin_until(lambda k=k: len(answers.wrenches) > k)
+            told = client.probe.wait_health(lambda h: "topics not heard" in h.values)
+            assert told.values["topics not heard"] == "none"
+            assert node.stop() == 0
+        finally:
+            if node.process.poll() is None:
+                node.process.kill()
+                node.wait()
+    return answers
+
+
+def test_live_is_offline_to_the_bit_and_inverse_dynamics_hears_the_base(domain, tmp_path):
+    (tmp_path / "robot.urdf").write_text(floating_body(), encoding="utf-8")
+    text = MORE % (tmp_path / "robot.urdf")
+    (tmp_path / "local.yaml").write_text(text, encoding="utf-8")
+    answers = live(domain, tmp_path, text)
+    scene, times = load_scene(tmp_path / "local.yaml"), np.arange(TICKS) * TICK
+    told = zip(JOINTS, np.array([commands(k) for k in range(TICKS)]).T, strict=True)
+    columns = [Column("time", times), *(Column(f"{name}.command", u) for name, u in told)]
+    run = simulate(scene, TICKS * TICK, efforts=Result({"samples": Table(columns)}))
+    names = [*names_of("base", POSE), *names_of("base", TWIST)]
+    offline = np.column_stack([run["samples"][name] for name in names])
+    stamps = [(k + 1) * 1_000_000 for k in range(TICKS)]
+    np.testing.assert_array_equal([answers.poses[stamp] for stamp in stamps], offline[1:])
+    run.to(tmp_path / "bag")
+    found = inverse(scene, tmp_path / "bag", derivatives="causal", cutoff=CUTOFF)["samples"]
+    for stamp, row in zip(stamps, range(1, TICKS + 1), strict=True):
+        torque = [found[f"{name}.effort"][row] for name in JOINTS]
+        root = [found[f"base.residual.{w}_{x}"][row] for w in ("force", "torque") for x in "xyz"]
+        assert answers.torques[stamp].effort == pytest.approx(torque, abs=1e-9)
+        assert answers.wrenches[stamp] == pytest.approx(root, abs=1e-9)
