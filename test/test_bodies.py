@@ -1,11 +1,13 @@
 """Several robots and free bodies in one model: rigid-body motion, momentum, names."""
 
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from mbd_ros import scene_from
+from mbd_ros import load_scene, scene_from
 from mbd_ros.errors import SceneError, SolveError
 
 SATELLITE = """<robot name="satellite">
@@ -297,6 +299,26 @@ def test_names_of_robots_and_bodies(files):
     assert robot.point("brick") == robot.point("brick/clay")._replace(frame="brick")
     np.testing.assert_array_equal(scene.initial.q[10:13], TILT["xyz"])
     assert "body" in scene.check() and "free: base, box, brick" in repr(scene)
+
+
+ARM = """<robot name="arm"><link name="foot"/><link name="hand"><inertial><mass value="1.0"/>
+  <origin xyz="0 0 0.2"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>
+  </inertial></link>
+  <joint name="elbow" type="revolute"><parent link="foot"/><child link="hand"/><axis xyz="1 0 0"/>
+    <limit lower="-3" upper="3" effort="10" velocity="10"/></joint></robot>"""
+
+
+def test_the_example_of_the_page_runs(tmp_path):
+    page = (Path(__file__).parents[1] / "docs/scene.md").read_text(encoding="utf-8")
+    _, _, text = page.partition("## Several robots and bodies\n```yaml\n")
+    for name, description in (("scene.yaml", text.partition("```")[0]), ("arm.urdf", ARM)):
+        (tmp_path / name).write_text(description, encoding="utf-8")
+    (tmp_path / "tool.urdf").write_text(BRICK, encoding="utf-8")
+    scene = load_scene(tmp_path / "scene.yaml")
+    x = states(scene, 0.01)[-1]
+    left, right = (scene.robot.joint(f"{side}/elbow").q for side in ("left", "right"))
+    assert x.q[right] == pytest.approx(x.q[left]) and np.isfinite(x.q).all()
+    assert len(scene.robot.bases) == 6 and "box from" in scene.check()
 
 
 def test_poses_and_velocities_at_the_start():

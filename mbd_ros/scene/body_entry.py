@@ -45,11 +45,12 @@ def shaped(
     arguments = sizes if kind in _BY_KEYS else {"size": sizes}
     moments = schema.call(_SHAPES[kind], arguments, key)
     text = f"<robot name={quoteattr(name)}><link name={quoteattr(name)}/></robot>"
+    source = f"bodies.{name}.shape"
     if mass is None:
-        return Recipe(text, f"{where}.shape", name=name)
+        return Recipe(text, source, name=name)
     tensor = np.diag(moments) * mass if inertia is None else _tensor(inertia, where)
     inertias = {name: (mass, np.zeros(3), tensor)}
-    return Recipe(text, f"{where}.shape", inertias=inertias, name=name)
+    return Recipe(text, source, inertias=inertias, name=name)
 
 
 def _tensor(inertia: Sequence[Any], where: str) -> Array:

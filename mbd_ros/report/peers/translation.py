@@ -88,6 +88,8 @@ def task_of(ground: Ground, states: Sequence[State] = ()) -> Task:
         SceneError: It has parts that they cannot express, named.
     """
     scene = ground.scene
+    if others := [base.name for base in scene.robot.bases if base.joint > 1]:
+        raise SceneError(f"bodies: peers take one free body, the first, not {', '.join(others)}")
     simulation = scene.simulation()
     x = simulation.system.expand(simulation.start(scene.initial))
     rows = _Rows(scene, [x, *states])
