@@ -53,6 +53,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "filippov": "mbd_ros.integrators.filippov:Filippov",
         "gauss_legendre": "mbd_ros.integrators.gauss_legendre:GaussLegendre",
         "generalized_alpha": "mbd_ros.integrators.generalized_alpha:GeneralizedAlpha",
+        "moreau_jean": "mbd_ros.integrators.moreau_jean:MoreauJean",
         "rattle": "mbd_ros.integrators.rattle:Rattle",
         "rk4": "mbd_ros.integrators.rk4:Rk4",
         "semi_implicit_euler": "mbd_ros.integrators.semi_implicit_euler:SemiImplicitEuler",

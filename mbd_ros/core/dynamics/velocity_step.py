@@ -1,0 +1,243 @@
+"""A step in which velocities jump: impacts, stick and gaps hold at its end.
+
+    M (v+ - v) = h f + J' p,   q+ = q (+) h ((1 - theta) v + theta v+)
+
+M and f are those of an intermediate state, at the time theta h with (1 - theta) v + theta v+. One
+step of Newton's method and a correction solve for v+, with the matrix
+
+    K = M - theta h f_v - theta^2 h^2 f_q
+
+of the loads, so that stiff ones do not limit h. All rows are in one complementarity problem, with
+their rates at the end of the step: bilateral rows hold, one-sided rows that would close push, and
+bounded forces act with h times their bounds at most. Where rows close faster than the forces of
+one step make them, their impact comes first, at the time at which the first of them closes. What
+is beyond a one-sided row nevertheless is moved out of it, in the mass metric.
+
+Sources: J. J. Moreau, in Nonsmooth Mechanics and Applications, 1988; M. Jean, Comput. Methods
+Appl. Mech. Eng. 177 (1999); V. Acary, Comput. Methods Appl. Mech. Eng. 256 (2013), on positions.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
+from mbd_ros.core.dynamics.load_slopes import LoadSlopes, mass_with
+from mbd_ros.core.dynamics.mechanism import Mechanism
+from mbd_ros.core.dynamics.rigid_rows import RigidRows
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.velocity_level import VelocityLevel
+from mbd_ros.core.model.kinematics import Reads
+from mbd_ros.core.optimization.bounded_impulses import BoundedImpulses
+from mbd_ros.core.row_laws import Kind
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.rows.row_factor import RowFactor
+from mbd_ros.core.rows.row_layout import RowBlock
+from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import LANDED
+from mbd_ros.errors import DivergedError
+
+Which = NDArray[np.bool_]
+_SLIGHT = 1.0e-12  # a rate that is none, of the largest velocity
+_MOVES = 4  # out of rows; each leaves the square of what the last one left
+
+
+class _Problem(NamedTuple):
+    """The linear problem of a step.
+
+    Attributes:
+        x: State of all joints at the intermediate time, with the velocity of the start.
+        M: Their mass matrix there.
+        response: To impulses of the rows that give way.
+        J: Their Jacobian, shape (m, nv).
+        gap: Their g, shape (m,).
+        rate: Their g' with the velocity of the start, shape (m,).
+        offset: Their g' at the end of the step, without J v, shape (m,).
+        goal: J v of the bilateral rows at the end of the step.
+        free: Velocity at the end without rows that give way, shape (nv,).
+    """
+
+    x: State
+    M: Array
+    response: ImpulseResponse
+    J: Array
+    gap: Array
+    rate: Array
+    offset: Array
+    goal: Array
+    free: Array
+
+
+class VelocityStep:
+    """Steps of one system; has a `Data` of its own.
+
+    Args:
+        system: The system, under any tier.
+        theta: From 1/2, of second order where motion is smooth, to 1, which damps most.
+    """
+
+    def __init__(self, system: System, theta: float) -> None:
+        nv, layout = int(system.model.nv), system.layout
+        self._system, self._theta, self._level = system, theta, VelocityLevel(system)
+        self._mechanism = mechanism = Mechanism(system.robot, system.loads)
+        self._slopes = LoadSlopes(mechanism)
+        gains = system.constraints.gains
+        self._rigid = RigidRows(mechanism, ConstraintRows(layout.rigid, nv, gains))
+        self._rows = ConstraintRows(layout.yielding, nv)
+        self._names = [row.name for row in self._rows.rows]
+        kinds = [block.law.kind for block in layout.yielding for _ in block.rows]
+        self._pushes: Which = np.array([kind is Kind.UNILATERAL for kind in kinds], dtype=np.bool_)
+        self._return = _return(layout.rigid, gains), _return(layout.yielding)
+        self._nothing = np.zeros((0, nv)), np.zeros(0)
+
+    def step(self, y: State, u: Array | None, h: float, t: float) -> State:
+        """The state of what is integrated at a time t, after a step of length h [s].
+
+        Raises:
+            SolveError: Rows contradict one another.
+            DivergedError: Forces are not finite.
+        """
+        problem = self._problem(y, u, h)
+        closed = self._closed(problem, h)
+        hits = self._hits(problem, closed)
+        way = np.zeros(len(problem.free))
+        if hits.any():
+            v = self._level.impact(problem.x, self._rows.slots[closed].tolist()).v
+            way = self._share(problem, hits, h) * h * (problem.x.v - v)
+            y = self._moved(y, way, v, y.t)
+            problem = self._problem(y, u, h)
+            closed = self._closed(problem, h)
+        end = self._pushed(problem, closed, problem.free, h)
+        end = self._pushed(problem, closed, self._corrected(problem, y, u, end, h), h)
+        mean = (1.0 - self._theta) * problem.x.v + self._theta * end
+        return self._outside(self._moved(y, h * mean, end, t))
+
+    def _problem(self, y: State, u: Array | None, h: float) -> _Problem:
+        """The linear problem of a step from a state of what is integrated."""
+        mechanism, rows, k = self._mechanism, self._rows, self._mechanism.k
+        late = (1.0 - self._theta) * h
+        x = self._between(y, y.v, h)
+        M = np.array(mechanism.mass(x.q))
+        force, added = self._force(x, u), self._slopes.added(x, u, self._theta * h)
+        if not np.isfinite(added).all() or not np.isfinite(force).all():
+            raise DivergedError(f"forces at t = {x.t:.9g} s are not finite")
+        K = mass_with(M, added) if added.any() else M
+        hold, goal, factor = self._bilateral(x, K, late, h)
+        k.refresh(x.q, x.v, rows.reads)
+        if rows.varies:
+            rows.limit(k, x)
+        J, drift = (each.copy() for each in rows.accelerations(k, x))
+        gap, own = rows.residual(k, x), rows.rate(k, x)
+        response = ImpulseResponse(K, J, hold, factor)
+        free, _ = response.kept(x.v + response.free(h * force), goal)
+        with np.errstate(invalid="ignore"):  # an end that is infinitely far, times 0
+            back = np.where(self._pushes, 0.0, np.minimum(self._return[1], 1.0 / h) * gap)
+        offset = own + late * drift + back
+        return _Problem(x, M, response, J, gap, J.dot(x.v) + own, offset, goal, free)
+
+    def _bilateral(
+        self, x: State, K: Array, late: float, h: float
+    ) -> tuple[Array, Array, RowFactor | None]:
+        """Bilateral rows, their J v at the end of a step, and their factor in the metric of K."""
+        k, rows = self._mechanism.k, self._rigid.constraints
+        if not self._rigid.rows:
+            return *self._nothing, None
+        k.refresh(x.q, x.v, rows.reads)
+        J, drift = (each.copy() for each in rows.accelerations(k, x))
+        back = np.minimum(self._return[0], 1.0 / h)
+        goal = -(rows.rate(k, x) + late * drift + back * rows.residual(k, x))
+        return J, goal, RowFactor(K, J)
+
+    def _closed(self, problem: _Problem, h: float) -> Which:
+        """One-sided rows that would be closed at the end of the step."""
+        rate, at_end = problem.rate, problem.J.dot(problem.free) + problem.offset
+        passed = h * ((1.0 - 2.0 * self._theta) * rate + self._theta * at_end)
+        return self._pushes & (problem.gap + passed <= 0.0)
+
+    def _hits(self, problem: _Problem, closed: Which) -> Which:
+        """Closed rows that approach faster than the forces of one step make them."""
+        rate, v = problem.rate, problem.x.v
+        if not (closed & (rate < 0.0)).any():
+            return np.zeros(len(closed), dtype=np.bool_)
+        gained = np.abs(problem.J.dot(problem.free) + problem.offset - rate)
+        speed = float(v.dot(problem.M).dot(v)) ** 0.5
+        none = _SLIGHT * speed * np.sqrt(np.maximum(problem.response.loose, 0.0))
+        return closed & (-rate > np.maximum(gained, none))
+
+    def _share(self, problem: _Problem, hits: Which, h: float) -> float:
+        """Share of the step after which the first of the rows is closed."""
+        shares = self._theta - problem.gap[hits] / (h * problem.rate[hits])
+        return min(max(float(shares.min()), 0.0), 1.0)
+
+    def _pushed(self, problem: _Problem, closed: Which, free: Array, h: float) -> Array:
+        """Velocity at the end of the step, from that without rows that give way."""
+        on = np.flatnonzero(closed | ~self._pushes)
+        if not len(on):
+            return free
+        response, rows = problem.response, self._rows
+        names = [self._names[i] for i in on]
+        bounded = BoundedImpulses(response.A[np.ix_(on, on)], response.loose[on], names)
+        speed = float(free.dot(problem.M).dot(free)) ** 0.5
+        b = problem.J[on].dot(free) + problem.offset[on]
+        p = bounded.solve(b, h * rows.lower[on], h * rows.upper[on], speed)
+        return free + response.X[:, on].dot(p)
+
+    def _corrected(
+        self, problem: _Problem, y: State, u: Array | None, end: Array, h: float
+    ) -> Array:
+        """Velocity at the end without rows that give way, with forces on the way to `end`."""
+        v, system = problem.x.v, self._system
+        mean = (1.0 - self._theta) * v + self._theta * end
+        force = self._force(self._between(y, system.integrated(mean), h), u)
+        left = h * force - problem.M.dot(end - v)
+        response = problem.response
+        return response.kept(end + response.free(left), problem.goal)[0]
+
+    def _outside(self, y: State) -> State:
+        """The state with no one-sided row beyond 0, moved the least in the mass metric."""
+        if not self._pushes.any():
+            return y
+        mechanism, rows = self._mechanism, self._rows
+        reads = min(rows.reads, Reads.JACOBIAN)
+        for _ in range(_MOVES):
+            x = self._system.expand(y)
+            mechanism.k.refresh(x.q, x.v, reads)
+            beyond = np.flatnonzero(self._pushes & (rows.residual(mechanism.k, x) < -LANDED))
+            if not len(beyond):
+                break
+            gap = rows.residual(mechanism.k, x)[beyond]
+            J = rows.jacobian(mechanism.k, x)[beyond]
+            M = np.array(mechanism.mass(x.q))
+            hold = self._rigid.jacobian(x.t, x.q) if self._rigid.rows else self._nothing[0]
+            factor = self._rigid.factorise(M, hold) if self._rigid.rows else None
+            response = ImpulseResponse(M, J, hold, factor)
+            names = [self._names[i] for i in beyond]
+            p = BoundedImpulses(response.A, response.loose, names).pushing(gap, 0.0)
+            y = self._moved(y, response.X.dot(p), x.v, y.t)
+        return y
+
+    def _force(self, x: State, u: Array | None) -> Array:
+        return self._mechanism.tau(x.t, x.q, x.v, u) - self._mechanism.bias(x.q, x.v)
+
+    def _between(self, y: State, v: Array, h: float) -> State:
+        """State of all joints at the intermediate time, of a step with that mean velocity of y."""
+        share = self._theta * h
+        q = self._system.chart.integrate(y.q, share * v)
+        return self._system.expand(State(y.t + share, q, v))
+
+    def _moved(self, y: State, way: Array, v: Array, t: float) -> State:
+        """A state of what is integrated, after a way and with a velocity of all joints."""
+        system = self._system
+        q = system.chart.integrate(y.q, system.integrated(way))
+        return State(t, q, np.array(system.integrated(v)), y.z, y.mode)
+
+
+def _return(blocks: Sequence[RowBlock], gains: tuple[float, float] | None = None) -> Array:
+    """Rates [1/s] with which rows come back to 0, kp / kd, one a row; 0 without gains."""
+    found = [np.zeros(0)]
+    for block in blocks:
+        kp, kd = (np.broadcast_to(gain, len(block.rows)) for gain in gains or block.gains)
+        found.append(np.divide(kp, kd, out=np.zeros(len(kp)), where=kd > 0.0))
+    return np.concatenate(found)

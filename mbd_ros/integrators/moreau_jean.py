@@ -1,0 +1,50 @@
+"""The method of Moreau and Jean: time-stepping with impacts, stick and stiff loads."""
+
+import math
+from typing import Annotated, Any, ClassVar
+
+from mbd_ros.core.dynamics.velocity_step import VelocityStep
+from mbd_ros.core.integration.step_length import clip
+from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.ranges import Within
+from mbd_ros.core.state import Array, State
+
+
+class MoreauJean(Integrator):
+    """Velocities jump within steps of one length, however many impacts fall into one.
+
+        M (v+ - v) = dt f + J' p,   q+ = q (+) dt ((1 - theta) v + theta v+)
+
+    Joint stops, dry friction, limited drives and bilateral rows are one complementarity problem a
+    step, with rates at its end; no time constant of theirs is read, but a limited drive comes back
+    to its motion with its own. Impacts have Poisson's restitution. Loads are implicit: stiff ones
+    do not limit the step. Second order where motion is smooth, if theta is 1/2; of first order in
+    the times of impacts and of the ends of stick. Internal states are refused.
+
+    Args:
+        theta: 1/2 keeps the energy of linear oscillations, 1 damps what a step does not resolve.
+
+    Source: J. J. Moreau, in Nonsmooth Mechanics and Applications, CISM 302, 1988; M. Jean, Comput.
+        Methods Appl. Mech. Eng. 177, 1999, 235-257.
+    """
+
+    keeps_internal: ClassVar[bool] = False
+    is_explicit: ClassVar[bool] = False
+    example: ClassVar[dict[str, Any]] = {"theta": 0.5}
+
+    def __init__(self, *, theta: Annotated[float, Within(0.5, 1.0)] = 0.5) -> None:
+        self.theta, self.order = theta, 2 if theta == 0.5 else 1
+
+    def prepare(self, system: Any, dt: float) -> Stepper:
+        """The stepper for one system and one step size [s]."""
+        return _Steps(system, self.theta, dt)
+
+
+class _Steps(Stepper):
+    def __init__(self, system: Any, theta: float, dt: float) -> None:
+        self._at, self._dt = VelocityStep(system, theta), dt
+
+    def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
+        """Advance by dt, or to `end` if that is nearer; x itself at or after `end`."""
+        h, t = clip(x.t, self._dt, end)
+        return x if h <= 0.0 else self._at.step(x, u, h, t)
