@@ -10,23 +10,22 @@ step of Newton's method and a correction solve for v+, with the matrix
 of the loads, so that stiff ones do not limit h. All rows are in one complementarity problem, with
 their rates at the end of the step: bilateral rows hold, one-sided rows that would close push, and
 bounded forces act with h times their bounds at most. Where rows close faster than the forces of
-one step make them, their impact comes first, at the time at which the first of them closes. What
-is beyond a one-sided row nevertheless is moved out of it, in the mass metric.
+one step make them, an impact divides the step where the first of them closes. What is beyond a
+one-sided row nevertheless is moved out of it, in the mass metric.
 
 Sources: J. J. Moreau, in Nonsmooth Mechanics and Applications, 1988; M. Jean, Comput. Methods
 Appl. Mech. Eng. 177 (1999); V. Acary, Comput. Methods Appl. Mech. Eng. 256 (2013), on positions.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
 from mbd_ros.core.dynamics.load_slopes import LoadSlopes, mass_with
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
+from mbd_ros.core.dynamics.step_problem import StepProblem, Which, first_closing
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.velocity_level import VelocityLevel
 from mbd_ros.core.model.kinematics import Reads
@@ -39,35 +38,10 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import LANDED
 from mbd_ros.errors import DivergedError
 
-Which = NDArray[np.bool_]
-_SLIGHT = 1.0e-12  # a rate that is none, of the largest velocity
+_IMPACTS = 4  # of one step; what closes after them comes to rest
+_WHOLE = 1.0 - 1.0e-6  # of a step, so that something is left of it
+_TOGETHER = 1.0e-6  # of the way of the fastest row in a step: gaps that close at one time
 _MOVES = 4  # out of rows; each leaves the square of what the last one left
-
-
-class _Problem(NamedTuple):
-    """The linear problem of a step.
-
-    Attributes:
-        x: State of all joints at the intermediate time, with the velocity of the start.
-        M: Their mass matrix there.
-        response: To impulses of the rows that give way.
-        J: Their Jacobian, shape (m, nv).
-        gap: Their g, shape (m,).
-        rate: Their g' with the velocity of the start, shape (m,).
-        offset: Their g' at the end of the step, without J v, shape (m,).
-        goal: J v of the bilateral rows at the end of the step.
-        free: Velocity at the end without rows that give way, shape (nv,).
-    """
-
-    x: State
-    M: Array
-    response: ImpulseResponse
-    J: Array
-    gap: Array
-    rate: Array
-    offset: Array
-    goal: Array
-    free: Array
 
 
 class VelocityStep:
@@ -100,21 +74,20 @@ class VelocityStep:
             DivergedError: Forces are not finite.
         """
         problem = self._problem(y, u, h)
-        closed = self._closed(problem, h)
-        hits = self._hits(problem, closed)
-        way = np.zeros(len(problem.free))
-        if hits.any():
-            v = self._level.impact(problem.x, self._rows.slots[closed].tolist()).v
-            way = self._share(problem, hits, h) * h * (problem.x.v - v)
-            y = self._moved(y, way, v, y.t)
+        closed = problem.closed()
+        for _ in range(_IMPACTS):
+            hits = problem.hits(closed)
+            if not hits.any():
+                break
+            y, h = self._after_impact(problem, closed, hits, y)
             problem = self._problem(y, u, h)
-            closed = self._closed(problem, h)
-        end = self._pushed(problem, closed, problem.free, h)
-        end = self._pushed(problem, closed, self._corrected(problem, y, u, end, h), h)
+            closed = problem.closed()
+        end = self._pushed(problem, closed, problem.free)
+        end = self._pushed(problem, closed, self._corrected(problem, y, u, end))
         mean = (1.0 - self._theta) * problem.x.v + self._theta * end
         return self._outside(self._moved(y, h * mean, end, t))
 
-    def _problem(self, y: State, u: Array | None, h: float) -> _Problem:
+    def _problem(self, y: State, u: Array | None, h: float) -> StepProblem:
         """The linear problem of a step from a state of what is integrated."""
         mechanism, rows, k = self._mechanism, self._rows, self._mechanism.k
         late = (1.0 - self._theta) * h
@@ -135,7 +108,12 @@ class VelocityStep:
         with np.errstate(invalid="ignore"):  # an end that is infinitely far, times 0
             back = np.where(self._pushes, 0.0, np.minimum(self._return[1], 1.0 / h) * gap)
         offset = own + late * drift + back
-        return _Problem(x, M, response, J, gap, J.dot(x.v) + own, offset, goal, free)
+        rate = J.dot(x.v) + own
+        gap = gap - self._theta * h * rate
+        return StepProblem(
+            *(x, M, response, self._pushes, J, gap, rate, offset, goal, free),
+            *(h, self._theta),
+        )
 
     def _bilateral(
         self, x: State, K: Array, late: float, h: float
@@ -150,45 +128,37 @@ class VelocityStep:
         goal = -(rows.rate(k, x) + late * drift + back * rows.residual(k, x))
         return J, goal, RowFactor(K, J)
 
-    def _closed(self, problem: _Problem, h: float) -> Which:
-        """One-sided rows that would be closed at the end of the step."""
-        rate, at_end = problem.rate, problem.J.dot(problem.free) + problem.offset
-        passed = h * ((1.0 - 2.0 * self._theta) * rate + self._theta * at_end)
-        return self._pushes & (problem.gap + passed <= 0.0)
+    def _after_impact(
+        self, problem: StepProblem, closed: Which, hits: Which, y: State
+    ) -> tuple[State, float]:
+        """State after the first impact of a step, and what is left of the step [s]."""
+        v, gap, rate, h = problem.x.v, problem.gap, problem.rate, problem.h
+        gained = (self._pushed(problem, closed & ~hits, problem.free) - v) / h
+        bent = problem.J.dot(gained)
+        wait = min(first_closing(gap[hits], rate[hits], bent[hits]), _WHOLE * h)
+        at = gap + wait * rate + 0.5 * wait**2 * bent
+        touching = closed & (at <= _TOGETHER * h * np.abs(rate[hits]).max())
+        before = v + wait * gained
+        y = self._moved(y, 0.5 * wait * (v + before), before, y.t + wait)
+        v = self._level.impact(self._system.expand(y), self._rows.slots[touching].tolist()).v
+        return y._replace(v=np.array(self._system.integrated(v))), h - wait
 
-    def _hits(self, problem: _Problem, closed: Which) -> Which:
-        """Closed rows that approach faster than the forces of one step make them."""
-        rate, v = problem.rate, problem.x.v
-        if not (closed & (rate < 0.0)).any():
-            return np.zeros(len(closed), dtype=np.bool_)
-        gained = np.abs(problem.J.dot(problem.free) + problem.offset - rate)
-        speed = float(v.dot(problem.M).dot(v)) ** 0.5
-        none = _SLIGHT * speed * np.sqrt(np.maximum(problem.response.loose, 0.0))
-        return closed & (-rate > np.maximum(gained, none))
-
-    def _share(self, problem: _Problem, hits: Which, h: float) -> float:
-        """Share of the step after which the first of the rows is closed."""
-        shares = self._theta - problem.gap[hits] / (h * problem.rate[hits])
-        return min(max(float(shares.min()), 0.0), 1.0)
-
-    def _pushed(self, problem: _Problem, closed: Which, free: Array, h: float) -> Array:
+    def _pushed(self, problem: StepProblem, closed: Which, free: Array) -> Array:
         """Velocity at the end of the step, from that without rows that give way."""
         on = np.flatnonzero(closed | ~self._pushes)
         if not len(on):
             return free
-        response, rows = problem.response, self._rows
+        response, rows, h = problem.response, self._rows, problem.h
         names = [self._names[i] for i in on]
         bounded = BoundedImpulses(response.A[np.ix_(on, on)], response.loose[on], names)
         speed = float(free.dot(problem.M).dot(free)) ** 0.5
-        b = problem.J[on].dot(free) + problem.offset[on]
+        b = problem.J[on].dot(free) + problem.offset[on] + problem.rates_left(on)
         p = bounded.solve(b, h * rows.lower[on], h * rows.upper[on], speed)
         return free + response.X[:, on].dot(p)
 
-    def _corrected(
-        self, problem: _Problem, y: State, u: Array | None, end: Array, h: float
-    ) -> Array:
+    def _corrected(self, problem: StepProblem, y: State, u: Array | None, end: Array) -> Array:
         """Velocity at the end without rows that give way, with forces on the way to `end`."""
-        v, system = problem.x.v, self._system
+        v, h, system = problem.x.v, problem.h, self._system
         mean = (1.0 - self._theta) * v + self._theta * end
         force = self._force(self._between(y, system.integrated(mean), h), u)
         left = h * force - problem.M.dot(end - v)

@@ -1,0 +1,81 @@
+"""What a step of velocities has to solve, and which of its rows close on the way.
+
+With constant accelerations a gap goes gap + rate t + bent t^2 / 2.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
+from mbd_ros.core.state import Array, State
+
+Which = NDArray[np.bool_]
+_SLIGHT = 1.0e-12  # a rate that is none, of the largest velocity
+
+
+class StepProblem(NamedTuple):
+    """The linear problem of a step.
+
+    Attributes:
+        x: State of all joints at its intermediate time, with the velocity of the start.
+        M: Their mass matrix there.
+        response: To impulses of the rows that give way.
+        pushes: Which of these are one-sided, shape (m,).
+        J: Their Jacobian, shape (m, nv).
+        gap: Their g at the start of the step, shape (m,).
+        rate: Their g' with the velocity of the start, shape (m,).
+        offset: Their g' at the end of the step, without J v, shape (m,).
+        goal: J v of the bilateral rows at the end of the step.
+        free: Velocity at the end without rows that give way, shape (nv,).
+        h: Length of the step [s].
+        theta: Share of the velocity at its end in the mean one.
+    """
+
+    x: State
+    M: Array
+    response: ImpulseResponse
+    pushes: Which
+    J: Array
+    gap: Array
+    rate: Array
+    offset: Array
+    goal: Array
+    free: Array
+    h: float
+    theta: float
+
+    @property
+    def left(self) -> Array:
+        """Gaps at the end of the step if the rates became 0 by then, shape (m,)."""
+        return self.gap + self.h * (1.0 - self.theta) * self.rate
+
+    @property
+    def at_end(self) -> Array:
+        """The g' at the end of the step without rows that give way, shape (m,)."""
+        return self.J.dot(self.free) + self.offset
+
+    def closed(self) -> Which:
+        """One-sided rows that would be closed at the end of the step."""
+        return self.pushes & (self.left + self.h * self.theta * self.at_end <= 0.0)
+
+    def hits(self, closed: Which) -> Which:
+        """Closed rows that approach faster than the forces of one step make them."""
+        if not (closed & (self.rate < 0.0)).any():
+            return np.zeros(len(closed), dtype=np.bool_)
+        gained, v = np.abs(self.at_end - self.rate), self.x.v
+        speed = float(v.dot(self.M).dot(v)) ** 0.5
+        none = _SLIGHT * speed * np.sqrt(np.maximum(self.response.loose, 0.0))
+        return closed & (-self.rate > np.maximum(gained, none))
+
+    def rates_left(self, on: NDArray[np.intp]) -> Array:
+        """The g' that rows may keep, since gaps are left at the end, shape (len(on),)."""
+        room = np.maximum(self.left[on], 0.0) / (self.h * self.theta)
+        return np.where(self.pushes[on], room, 0.0)
+
+
+def first_closing(gap: Array, rate: Array, bent: Array) -> float:
+    """The first time at which a gap is 0 [s], rates negative; 0 where one has no room left."""
+    root = np.sqrt(np.maximum(rate * rate - 2.0 * bent * gap, 0.0))
+    return max(float((2.0 * gap / (root - rate)).min()), 0.0)
