@@ -65,3 +65,10 @@ def test_smoothed_dry_friction_has_the_order_that_check_names():
     steps = np.array([0.02, 0.01, 0.005, 0.0025])
     slope = np.polyfit(np.log(steps), np.log([error(dt) for dt in steps]), 1)[0]
     assert 1.5 < slope < 2.7
+
+
+def test_check_says_that_time_stepping_solves_for_rows_once_a_step():
+    moreau_jean = {"type": "moreau_jean"}
+    (line,) = lines("stepped", constraints=[FRICTION], integrator=moreau_jean)
+    assert "hinge_dry_friction; solved for once a step of MoreauJean" in line
+    assert not lines("smoothed", constraints=[FRICTION], integrator=moreau_jean)

@@ -17,9 +17,9 @@ class MoreauJean(Integrator):
 
     Joint stops, dry friction, limited drives and bilateral rows are one complementarity problem a
     step, with rates at its end; no time constant of theirs is read, but a limited drive comes back
-    to its motion with its own. Impacts have Poisson's restitution. Loads are implicit: stiff ones
-    do not limit the step. Second order where motion is smooth, if theta is 1/2; of first order in
-    the times of impacts and of the ends of stick. Internal states are refused.
+    to its motion with its own. Impacts have Poisson's restitution and divide a step. Loads are
+    implicit: stiff ones do not limit the step. Second order where motion is smooth, if theta is
+    1/2, and first order where rows begin or cease to act. Internal states are refused.
 
     Args:
         theta: 1/2 keeps the energy of linear oscillations, 1 damps what a step does not resolve.
@@ -30,6 +30,7 @@ class MoreauJean(Integrator):
 
     keeps_internal: ClassVar[bool] = False
     is_explicit: ClassVar[bool] = False
+    at_velocity_level: ClassVar[bool] = True
     example: ClassVar[dict[str, Any]] = {"theta": 0.5}
 
     def __init__(self, *, theta: Annotated[float, Within(0.5, 1.0)] = 0.5) -> None:

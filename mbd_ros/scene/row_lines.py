@@ -14,6 +14,8 @@ SMOOTHED_ORDER = 2  # across a kink of the accelerations, of any method
 def row_lines(scene: Scene, layout: RowLayout) -> Iterator[str]:
     """A line for exact rows and one for smoothed ones, where there are any.
 
+    Methods at the velocity level solve for both alike.
+
     Source: E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, 1993,
     II.6, on the order of steps across discontinuities.
 
@@ -25,6 +27,10 @@ def row_lines(scene: Scene, layout: RowLayout) -> Iterator[str]:
         return
     method = scene.integrator or build_part("integrators", DEFAULT_INTEGRATOR, "default")
     name, order = type_name(method), method.order
+    if method.at_velocity_level:
+        names = listed([block.part.name for block in layout.yielding])
+        yield line("stepped", f"{names}; solved for once a step of {name}, impacts included")
+        return
     exact, smoothed = (
         [block.part.name for block in layout.yielding if block.smoothed is is_smoothed]
         for is_smoothed in (False, True)

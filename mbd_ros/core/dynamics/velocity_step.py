@@ -41,6 +41,7 @@ from mbd_ros.errors import DivergedError
 _IMPACTS = 4  # of one step; what closes after them comes to rest
 _WHOLE = 1.0 - 1.0e-6  # of a step, so that something is left of it
 _TOGETHER = 1.0e-6  # of the way of the fastest row in a step: gaps that close at one time
+_NEAR = 10.0  # gaps that count while others are closed, of how far one of these is beyond 0
 _MOVES = 4  # out of rows; each leaves the square of what the last one left
 
 
@@ -174,17 +175,17 @@ class VelocityStep:
         for _ in range(_MOVES):
             x = self._system.expand(y)
             mechanism.k.refresh(x.q, x.v, reads)
-            beyond = np.flatnonzero(self._pushes & (rows.residual(mechanism.k, x) < -LANDED))
-            if not len(beyond):
+            gap = np.where(self._pushes, rows.residual(mechanism.k, x), np.inf)
+            if gap.min() >= -LANDED:
                 break
-            gap = rows.residual(mechanism.k, x)[beyond]
-            J = rows.jacobian(mechanism.k, x)[beyond]
+            near = np.flatnonzero(gap <= -_NEAR * gap.min())
+            J = rows.jacobian(mechanism.k, x)[near]
             M = np.array(mechanism.mass(x.q))
             hold = self._rigid.jacobian(x.t, x.q) if self._rigid.rows else self._nothing[0]
             factor = self._rigid.factorise(M, hold) if self._rigid.rows else None
             response = ImpulseResponse(M, J, hold, factor)
-            names = [self._names[i] for i in beyond]
-            p = BoundedImpulses(response.A, response.loose, names).pushing(gap, 0.0)
+            names = [self._names[i] for i in near]
+            p = BoundedImpulses(response.A, response.loose, names).pushing(gap[near], 0.0)
             y = self._moved(y, response.X.dot(p), x.v, y.t)
         return y
 

@@ -101,6 +101,8 @@ class Integrator:
         is_explicit: Whether stiff forces limit the step.
         event_driven: Whether its steps can be taken again with another length, so that they end
             at events; other methods refuse exact rows that give way, and guards.
+        at_velocity_level: Whether its steps solve for rows that give way with their rates at the
+            end of the step, impacts included, exact or smoothed.
         stable: Largest rate times dt, with the rate of `linear_motion.fastest_rate`, at which no
             oscillation and no decay grows, however it is damped; beyond it `growth` decides. inf
             where the method chooses its steps.
@@ -112,6 +114,7 @@ class Integrator:
     keeps_internal: ClassVar[bool] = True
     is_explicit: ClassVar[bool] = True
     event_driven: ClassVar[bool] = False
+    at_velocity_level: ClassVar[bool] = False
     stable: float = 2.5
 
     def growth(self, motion: Any, dt: float) -> float:
