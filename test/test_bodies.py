@@ -428,6 +428,10 @@ def test_a_body_without_mass_is_named(files):
             "link 'box': inertia violates the triangle inequality",
         ),
         ({"bodies": {"my box": BOX}}, "bodies.my box: is no ROS name"),
+        (
+            {"bodies": dict.fromkeys([f"box_{i}" for i in range(50)], BOX)},
+            "302 joints that move, a free body counts as six; accepted are 300 in all",
+        ),
         ({"bodies": {"base": BOX}}, "name 'base' stands for something else"),
         ({"bodies": {"sat": BOX}}, "name 'sat' is given twice"),
         (

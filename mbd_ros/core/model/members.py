@@ -142,9 +142,11 @@ def _check(members: Sequence[_Member]) -> None:
         if name in _RESERVED or names.count(name) > 1:
             reason = "stands for something else" if name in _RESERVED else "is given twice"
             raise ModelError(f"name '{name}' {reason}; give robots and bodies names of their own")
-    joints = sum(int(member.robot.model.njoints) - 1 for member in members)
-    if joints > MAX_JOINTS:
-        raise ModelError(f"{joints} joints and free bodies, accepted are {MAX_JOINTS} in all")
+    nv = sum(int(member.robot.model.nv) for member in members)
+    if nv > MAX_JOINTS:
+        raise ModelError(
+            f"{nv} joints that move, a free body counts as six; accepted are {MAX_JOINTS} in all"
+        )
     taken = set[str]()
     for member in members:
         own = {_frame_name(member, frame) for frame in list(member.robot.model.frames)[1:]}

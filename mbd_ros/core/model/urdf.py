@@ -12,7 +12,7 @@ from mbd_ros.errors import ModelError
 
 MAX_CHARACTERS = 16 * 1024 * 1024
 MAX_NAME = 255
-MAX_JOINTS = 300  # that move: a Data of Pinocchio takes 32 bytes times their number cubed, 0.9 GB
+MAX_JOINTS = 300  # that move: a Data of Pinocchio takes 32 bytes times the cube of nv, 0.9 GB
 MAX_LINKS = 1000  # Pinocchio's URDF reader overflows the stack on chains of a few thousand
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
