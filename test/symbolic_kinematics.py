@@ -16,9 +16,9 @@ class SymbolicKinematics:
     sqrt, tanh, hypot = map(staticmethod, (ca.sqrt, ca.tanh, ca.norm_2))
     maximum, where, zeros = map(staticmethod, (ca.fmax, ca.if_else, ca.SX.zeros))
 
-    def __init__(self, robot):
+    def __init__(self, robot, nz=0):
         nv = robot.model.nv
-        self.x = State(0.0, ca.SX.sym("q", nv), ca.SX.sym("v", nv))
+        self.x = State(0.0, ca.SX.sym("q", nv), ca.SX.sym("v", nv), ca.SX.sym("z", nz))
         self._places, self._joints = robot.places, _placements(robot.model, self.x.q)
 
     def position(self, point):
@@ -62,8 +62,8 @@ class SymbolicKinematics:
 
     def number(self, expression, x):
         """What an expression is at a state in numbers."""
-        f = ca.Function("f", [self.x.q, self.x.v], [ca.densify(ca.SX(expression))])
-        return np.array(f(x.q, x.v))
+        f = ca.Function("f", self.x[1:4], [ca.densify(ca.SX(expression))])
+        return np.array(f(*x[1:4]))
 
 
 def _placements(model, q):

@@ -7,23 +7,33 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.integrate import simpson, solve_ivp
+from symbolic_kinematics import SymbolicKinematics
 
 from mbd_ros.actuators.series_elastic_drive import SeriesElasticDrive
+from mbd_ros.constraints.dry_friction import DryFriction
 from mbd_ros.core.dynamics.sources import HeldTable
 from mbd_ros.core.integration.nystrom_stages import NystromStages
 from mbd_ros.core.integration.runge_kutta import RungeKutta
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.parts import Actuator, Channel, Internal, Load
+from mbd_ros.core.row_laws import box
+from mbd_ros.core.simulation.command_watch import CommandWatch
+from mbd_ros.core.simulation.live_simulation import LiveSimulation
+from mbd_ros.core.simulation.simulation import Simulation
+from mbd_ros.core.simulation.stall import WINDOW, StallWatch
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, ModelError, SceneError, SolveError
 from mbd_ros.integrators.adams import Adams
 from mbd_ros.integrators.rk4 import Rk4
 from mbd_ros.jobs.simulate.job import simulate
 from mbd_ros.scene.from_python import scene_from
+from mbd_ros.stabilization.none import NoStabilization
 
 DRIVE = {
     **{"type": "series_elastic_drive", "joint": "hinge", "name": "drive", "stiffness": 40.0},
     **{"rotor_inertia": 2e-3, "ratio": 5.0, "damping": 0.3, "viscous": 1e-3, "limit": 2.0},
 }
+NOT_ITS_OWN = ("type", "name")
 INERTIA, WEIGHT = 0.0833583 + 0.25, 9.81 * 0.5  # of the rod about its hinge
 METHODS = {  # dt of the tests of order
     "adams": 2e-3,
@@ -558,3 +568,118 @@ def test_parts_nobody_has_bound_do_not_share_a_state():
     assert Internals(drives[:1]).nz == 2
     with pytest.raises(ModelError, match="share an internal state; bind their slots"):
         Internals(drives)
+
+
+class Refusing(Rk4):
+    """A method that moves no internal states."""
+
+    keeps_internal = False
+
+
+def test_a_method_that_cannot_move_them_is_refused_by_name():
+    system, stabilization = pendulum().system(), NoStabilization()
+    with pytest.raises(ModelError, match=r"Refusing does not move internal .* drive.angle, drive"):
+        Simulation(system, Refusing(), stabilization, 1e-3)
+    Simulation(pendulum(actuators=None, initial=None).system(), Refusing(), stabilization, 1e-3)
+
+
+def test_sliding_friction_beside_a_drive():
+    """Filippov's solution: the rod sticks while spring and weight are below 3 N·m, by hand."""
+    friction = {"type": "switching_force", "velocity": {"hinge": [0.0, 1.0]}}
+    friction |= {"above": {"hinge": -3.0}, "below": {"hinge": 3.0}}
+    scene = pendulum(forces=[friction], integrator={"type": "filippov", "tolerance": 1e-12})
+    states = list(driven(scene, 0.6).run(scene.initial, 0.4))
+
+    def pull(y):
+        return rates_by_hand(y, 0.6)[1] * INERTIA
+
+    y, t, ways = np.array([0.7, 0.0, 3.0, 8.0]), 0.0, [0.0]
+    while t < 0.4:
+        is_free = abs(pull(y)) > 3.0 or (len(ways) > 1 and not ways[-1])  # a rod that stuck
+        way = math.copysign(1.0, pull(y)) if is_free else 0.0
+        ways.append(way)
+
+        def rates(_, y, way=way):
+            v, a, omega, speed, *_ = rates_by_hand(y, 0.6)
+            return [v, a - 3.0 * way / INERTIA, omega, speed] if way else [0.0, 0.0, omega, speed]
+
+        def leaves(_, y, way=way):
+            return y[1] if way else 3.0 - abs(pull(y))
+
+        leaves.terminal, leaves.direction = True, -way if way else -1.0
+        options = {"rtol": 1e-13, "atol": 1e-13, "events": leaves}
+        found = solve_ivp(rates, (t, 0.4), y, "DOP853", **options)
+        t, y = found.t[-1], found.y[:, -1]
+        y[1] = 0.0 if found.status else y[1]
+    assert 0.0 in ways[1:] and len(set(ways[1:])) > 1 and len(ways) < 40
+    assert np.abs(numbers(states[-1]) - y).max() < 1e-9
+
+
+class Worn(DryFriction):
+    """Friction whose largest force is an internal state: limit' = -3 limit."""
+
+    internal = (Internal("limit", "N·m", 0.0, 9.0, 4.0),)
+
+    def __init__(self, robot):
+        super().__init__(robot, joint="hinge", limit=4.0, time_constant=0.01)
+        self.law = box(lambda k, x: -x.z[self.z], lambda k, x: x.z[self.z])
+
+    def rates(self, k, x, u):
+        return -3.0 * x.z[self.z]
+
+
+def test_rows_see_the_states_of_their_part():
+    """The rod starts to fall when its friction has worn down to the weight."""
+    scene = scene_from({"dt": 1e-3, "initial": {"position": {"hinge": 0.7}}}, urdf="pendulum")
+    part = Worn(scene.robot)
+    part.name = "worn"
+    scene = scene.holding(constraints=(part,))
+    states = list(scene.simulation(integrator={"type": "rk4"}).run(scene.initial, 0.5))
+    begin = math.log(4.0 / (WEIGHT * math.sin(0.7))) / 3.0
+    assert states[-1].z[0] == pytest.approx(4.0 * math.exp(-1.5), rel=1e-9)
+    speeds = {x.t: abs(x.v[0]) for x in states}
+    assert max(v for t, v in speeds.items() if t < begin - 2e-3) < 1e-9
+    assert min(v for t, v in speeds.items() if t > begin + 0.02) > 1e-4
+
+
+def test_ticks_are_the_run_to_the_bit_and_a_reset_leaves_nothing_behind():
+    scene = pendulum(integrator={"type": "adams"}, dt=1e-3)
+    torques = 0.5 * np.sin(np.arange(100))[:, None]
+    held = HeldTable(1e-3 * np.arange(100), torques)
+    states = list(scene.simulation(sources={"drive": held}).run(scene.initial, 0.1))
+    live = LiveSimulation(
+        *(scene.simulation, scene.initial, 1e-3, CommandWatch(0.1, 0.1), scene.safe)
+    )
+    names = [output.name for output in live.showing.numbers]
+    assert names[:2] == ["drive.angle", "drive.speed"]
+    for _ in range(2):
+        for torque, x in zip(torques, states[1:], strict=True):
+            live.watch.take(torque)
+            now = live.tick()
+            assert now.position.tobytes() == x.q.tobytes()
+            assert now.shown[:2].tobytes() == x.z.tobytes()
+        live.reset()
+
+
+def test_a_motor_that_asks_for_short_steps_is_named():
+    scene = pendulum(actuators=[{**DRIVE, "rotor_inertia": 1e-9}], initial=None)
+    said, system = [], scene.system()
+    x = scene.simulation().start(scene.initial)
+    watch = StallWatch(system, 1e3, said.append)
+    watch.begin(x.t - 1e-6 * WINDOW)
+    watch.look(x, None, 1e5)
+    assert "drive.speed is stiff with a rate of" in said[0]
+
+
+def test_the_drive_takes_symbols():
+    robot = pendulum().robot
+    symbols, u = SymbolicKinematics(robot, nz=2), np.array([0.4])
+    part = SeriesElasticDrive(robot, **{k: v for k, v in DRIVE.items() if k not in NOT_ITS_OWN})
+    traced = [method(symbols, symbols.x, u) for method in (part.force, part.rates)]
+    energy = part.potential(symbols, symbols.x)
+    k = Kinematics(robot)
+    for values in np.random.default_rng(4).normal(size=(5, 4)):
+        x = State(0.0, values[:1], values[1:2], values[2:])
+        for expression, method in zip(traced, (part.force, part.rates), strict=True):
+            assert symbols.number(expression, x).ravel() == pytest.approx(method(k, x, u))
+        assert symbols.number(energy, x).item() == pytest.approx(part.potential(k, x))

@@ -1,4 +1,4 @@
-"""Force, constraint and actuator of other packages in a simulator: those that the pages show."""
+"""Force, constraint and actuators of other packages in a simulator: those that the pages show."""
 
 import sys
 
@@ -17,7 +17,10 @@ forces: [{{type: "hard_spring:HardSpring", joint: ankle, stiffness: 30.0, cubic:
 constraints: [{{type: "level_tool:LevelTool", first: hip_flexion, second: knee, angle: 0.1}}]
 actuators:
 - {{type: "voltage_motor:VoltageMotor", joint: knee, constant: 1.2, resistance: 0.8}}
-initial: {{position: {{hip_flexion: 0.4, knee: -0.3}}}}
+- {{type: "wound_motor:WoundMotor", joint: ankle, constant: 1.2, resistance: 0.8, inductance: 0.1}}
+initial:
+  position: {{hip_flexion: 0.4, knee: -0.3}}
+  internal: {{ankle_wound_motor.current: 0.0}}
 """
 
 
@@ -39,15 +42,20 @@ def test_a_node_moves_them_as_a_run_does(domain, tmp_path, modules):
     (tmp_path / "scene.yaml").write_text(LEG, encoding="utf-8")
     with permitting(True):
         scene = load_scene(tmp_path / "scene.yaml")
-    held = HeldTable(scene.dt * np.arange(5), np.reshape(volts, (5, 1)))
-    simulation = scene.simulation(sources={"knee_voltage_motor": held})
+    times, other = scene.dt * np.arange(5), 0.3 * np.array(volts)
+    simulation = scene.simulation(
+        sources={
+            "knee_voltage_motor": HeldTable(times, np.reshape(volts, (5, 1))),
+            "ankle_wound_motor": HeldTable(times, other[:, None]),
+        }
+    )
     states = simulation.run(scene.initial, 5 * scene.dt)
     expected = [[x.q[joint.q] for joint in scene.robot.joints] for x in states]
     with simulated(domain, tmp_path, LEG, allow_code="true", paused="true") as client:
         client.pause(True)
         found = [client.newest.position]
-        for volt in volts:
-            client.command([volt])
+        for volt, more in zip(volts, other, strict=True):
+            client.command([volt, more])
             found.append(client.step().position)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
     assert np.abs(np.diff(np.array(expected), axis=0)).max() > 1e-6
