@@ -21,6 +21,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mbd_ros.core.dynamics.giving_way import GivingWay
 from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
 from mbd_ros.core.dynamics.load_slopes import LoadSlopes, mass_with
 from mbd_ros.core.dynamics.mechanism import Mechanism
@@ -30,7 +31,6 @@ from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.velocity_level import VelocityLevel
 from mbd_ros.core.model.kinematics import Reads
 from mbd_ros.core.optimization.bounded_impulses import BoundedImpulses
-from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.rows.row_layout import RowBlock
@@ -61,9 +61,8 @@ class VelocityStep:
         gains = system.constraints.gains
         self._rigid = RigidRows(mechanism, ConstraintRows(layout.rigid, nv, gains))
         self._rows = ConstraintRows(layout.yielding, nv)
-        self._names = [row.name for row in self._rows.rows]
-        kinds = [block.law.kind for block in layout.yielding for _ in block.rows]
-        self._pushes: Which = np.array([kind is Kind.UNILATERAL for kind in kinds], dtype=np.bool_)
+        self._giving_way = GivingWay(self._rows, theta)
+        self._pushes = self._giving_way.pushes
         self._return = _return(layout.rigid, gains), _return(layout.yielding)
         self._nothing = np.zeros((0, nv)), np.zeros(0)
 
@@ -83,8 +82,8 @@ class VelocityStep:
             y, h = self._after_impact(problem, closed, hits, y)
             problem = self._problem(y, u, h)
             closed = problem.closed()
-        end = self._pushed(problem, closed, problem.free)
-        end = self._pushed(problem, closed, self._corrected(problem, y, u, end))
+        end = self._giving_way.end(problem, closed, problem.free)
+        end = self._giving_way.end(problem, closed, self._corrected(problem, y, u, end), end)
         mean = (1.0 - self._theta) * problem.x.v + self._theta * end
         return self._outside(self._moved(y, h * mean, end, t))
 
@@ -134,7 +133,7 @@ class VelocityStep:
     ) -> tuple[State, float]:
         """State after the first impact of a step, and what is left of the step [s]."""
         v, gap, rate, h = problem.x.v, problem.gap, problem.rate, problem.h
-        gained = (self._pushed(problem, closed & ~hits, problem.free) - v) / h
+        gained = (self._giving_way.end(problem, closed & ~hits, problem.free) - v) / h
         bent = problem.J.dot(gained)
         wait = min(first_closing(gap[hits], rate[hits], bent[hits]), _WHOLE * h)
         at = gap + wait * rate + 0.5 * wait**2 * bent
@@ -143,19 +142,6 @@ class VelocityStep:
         y = self._moved(y, 0.5 * wait * (v + before), before, y.t + wait)
         v = self._level.impact(self._system.expand(y), self._rows.slots[touching].tolist()).v
         return y._replace(v=np.array(self._system.integrated(v))), h - wait
-
-    def _pushed(self, problem: StepProblem, closed: Which, free: Array) -> Array:
-        """Velocity at the end of the step, from that without rows that give way."""
-        on = np.flatnonzero(closed | ~self._pushes)
-        if not len(on):
-            return free
-        response, rows, h = problem.response, self._rows, problem.h
-        names = [self._names[i] for i in on]
-        bounded = BoundedImpulses(response.A[np.ix_(on, on)], response.loose[on], names)
-        speed = float(free.dot(problem.M).dot(free)) ** 0.5
-        b = problem.J[on].dot(free) + problem.offset[on] + problem.rates_left(on)
-        p = bounded.solve(b, h * rows.lower[on], h * rows.upper[on], speed)
-        return free + response.X[:, on].dot(p)
 
     def _corrected(self, problem: StepProblem, y: State, u: Array | None, end: Array) -> Array:
         """Velocity at the end without rows that give way, with forces on the way to `end`."""
@@ -184,7 +170,7 @@ class VelocityStep:
             hold = self._rigid.jacobian(x.t, x.q) if self._rigid.rows else self._nothing[0]
             factor = self._rigid.factorise(M, hold) if self._rigid.rows else None
             response = ImpulseResponse(M, J, hold, factor)
-            names = [self._names[i] for i in near]
+            names = [rows.rows[i].name for i in near]
             p = BoundedImpulses(response.A, response.loose, names).pushing(gap[near], 0.0)
             y = self._moved(y, response.X.dot(p), x.v, y.t)
         return y
