@@ -94,8 +94,12 @@ def _members(scene: Scene) -> Iterator[str]:
         yield line("robot", f"{robot.name} from {scene.source}, {robot.base_text}")
         return
     for recipe in robot.recipes:
-        label = "body" if recipe.name in bodies else "robot"
-        yield line(label, f"{recipe.name or 'robot'} from {recipe.source}, {recipe.base} base")
+        if recipe.name in bodies:
+            how = "free" if recipe.base == "floating" else "placed"
+            yield line("body", f"{recipe.name} from {recipe.source}, {how}")
+        else:
+            name = recipe.name or "robot"
+            yield line("robot", f"{name} from {recipe.source}, {recipe.base} base")
 
 
 def _rubbing(scene: Scene) -> Iterator[str]:
