@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 from mbd_ros import load_scene, scene_from
+from mbd_ros.core.model.base_motion import world_pose
 from mbd_ros.errors import SceneError, SolveError
 
 SATELLITE = """<robot name="satellite">
@@ -258,6 +259,28 @@ def test_two_robots_move_as_one_description_of_both(extra, away, files):
     atol = 1e-12 if away == 0.0 else 1e-7  # poses so far away have 1e-10 m themselves
     np.testing.assert_allclose(found.q, expected.q[order], atol=atol)
     np.testing.assert_allclose(found.v, expected.v[order], atol=10 * atol)
+
+
+def test_far_from_the_origin_a_body_beside_a_robot_moves_as_near_it(files):
+    """All of it moved by 10^6 m: the same motion, and poses in the world."""
+    found = []
+    for away in (0.0, 1.0e6):
+        robot = {"urdf": files["satellite"], "pose": {"xyz": [away, 0.5, 1.0]}}
+        bodies = {name: {**BOX, "pose": {"xyz": [away, 1.0, 0.0]}} for name in ("box", "other")}
+        spring = {**SPRING, "frame_a": "left/lower", "frame_b": "box"}
+        initial = {
+            "position": {"left/swing": 0.4},
+            "pose": {"box": {"xyz": [away + 0.25, 0.5, 0.0]}},
+            "twist": {"box": SPINNING},
+        }
+        scene = scene_from(
+            {"robots": {"left": robot}, "bodies": bodies, "forces": [spring], "initial": initial}
+        )
+        x = states(scene, 0.2, integrator={"type": "rk4"})[-1]
+        box = world_pose(scene.robot, x.q[scene.robot.bases[0].q])
+        found.append(np.concatenate((x.q[:2], x.v, box - [away, 0, 0, 0, 0, 0, 0])))
+    np.testing.assert_allclose(found[1][:-7], found[0][:-7], atol=1e-12)
+    np.testing.assert_allclose(found[1][-7:], found[0][-7:], atol=1e-9)
 
 
 def prefixed(text, name):

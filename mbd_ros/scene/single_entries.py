@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.base_motion import configuration_of
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unlimited
@@ -89,6 +90,6 @@ def _place_bases(robot: Robot, initial: _Initial, where: str, q: Array, v: Array
                 raise SceneError(f"{place}: is no free body; {free} moves freely")
             base = bases[name]
             if key == "pose":
-                q[base.q] = read_pose(entry, place)
+                q[base.q] = configuration_of(robot, read_pose(entry, place))
             else:
                 v[base.v] = read_twist(entry, place, pin.XYZQUATToSE3(q[base.q]).rotation)

@@ -11,7 +11,8 @@ class Base(NamedTuple):
 
     Attributes:
         name: `base` for the base of the only robot, else the name of its robot or body.
-        q: Its coordinates in a configuration: position [m], then the quaternion (x, y, z, w).
+        q: Its coordinates in a configuration: position less `Robot.origin` [m], then the
+            quaternion (x, y, z, w).
         v: Its coordinates in a velocity: linear [m/s], then angular [rad/s], in its own axes.
         joint: Index of its joint in the model.
         frame: Name of the link.

@@ -59,8 +59,7 @@ def read_robots(recipes: Sequence[Recipe], gravity: Sequence[float] = EARTH_GRAV
     """
     if len(recipes) == 1 and not recipes[0].name and recipes[0].pose is None:
         return read_recipe(recipes[0], gravity)
-    is_free = any(recipe.base == "floating" for recipe in recipes)
-    members = _members(recipes, gravity, not is_free)
+    members = _members(recipes, gravity)
     _check(members)
     origin = _origin(members)
     model = _model(members, origin)
@@ -71,7 +70,7 @@ def read_robots(recipes: Sequence[Recipe], gravity: Sequence[float] = EARTH_GRAV
         model=model,
         joints=tuple(_joint(m, joint) for m in members for joint in m.robot.joints),
         mimics=tuple(_mimic(m.recipe, mimic) for m in members for mimic in m.robot.mimics),
-        bases=tuple(_base(m, base, model) for m in members for base in m.robot.bases),
+        bases=tuple(_base(m, b, model, origin) for m in members for b in m.robot.bases),
         locked=_scoped(members, [robot.locked for robot in robots]),
         fixed=frozenset(m.recipe.scoped(name) for m in members for name in m.robot.fixed),
         doubts=tuple(_told(m.recipe, doubt) for m in members for doubt in m.robot.doubts),
@@ -120,13 +119,11 @@ def with_inertias(recipes: Iterable[Recipe], inertias: Mapping[str, Any]) -> lis
     return [next(c for c in changed if c.name == recipe.name) for recipe in recipes]
 
 
-def _members(
-    recipes: Iterable[Recipe], gravity: Sequence[float], is_centred: bool
-) -> list[_Member]:
+def _members(recipes: Iterable[Recipe], gravity: Sequence[float]) -> list[_Member]:
     members, q, v = list[_Member](), 0, 0
     for recipe in recipes:
         try:
-            robot = read_recipe(recipe, gravity, is_centred=is_centred)
+            robot = read_recipe(recipe, gravity)
         except ModelError as error:
             raise ModelError(_told(recipe, str(error))) from error
         root = root_link(parse_urdf(recipe.text, recipe.source))
@@ -162,9 +159,9 @@ def _frame_name(member: _Member, frame: Any) -> str:
 
 
 def _origin(members: Sequence[_Member]) -> Array:
-    """Place of the first joint in the world [m] where all are fixed and it is far away, else 0."""
-    first = next((m for m in members if m.robot.model.njoints > 1), None)
-    if first is None or any(member.robot.bases for member in members):
+    """Place of the first joint that stands in the world [m], 0 where it is near."""
+    first = next((m for m in members if m.robot.joints and not m.robot.bases), None)
+    if first is None:
         return np.zeros(3)
     place: Array = first.robot.model.jointPlacements[1].translation + first.robot.origin
     if first.recipe.pose is not None:
@@ -216,15 +213,16 @@ def _mimic(recipe: Recipe, mimic: Mimic) -> Mimic:
     return replace(mimic, joint=recipe.scoped(mimic.joint), parent=recipe.scoped(mimic.parent))
 
 
-def _base(member: _Member, base: Base, model: Any) -> Base:
+def _base(member: _Member, base: Base, model: Any, origin: Array) -> Base:
     recipe, joint = member.recipe, member.robot.model.names[base.joint]
+    start = base.start if recipe.pose is None else pin.SE3ToXYZQUAT(recipe.pose)
     return Base(
         name=recipe.name or base.name,
         q=slice(base.q.start + member.q, base.q.stop + member.q),
         v=slice(base.v.start + member.v, base.v.stop + member.v),
         joint=int(model.getJointId(recipe.scoped(joint))),
         frame=member.link(base.frame),
-        start=base.start if recipe.pose is None else pin.SE3ToXYZQUAT(recipe.pose),
+        start=np.concatenate((start[:3] - origin, start[3:])),
     )
 
 

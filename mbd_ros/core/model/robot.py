@@ -33,8 +33,9 @@ class Robot:
         doubts: Inertias that no body has and that can be used nevertheless, a line a link.
         rubbing: The `<dynamics>` of joints; no force until a part of the scene brings it.
         ignored: Other contents of the description, which this package leaves out.
-        origin: Point from which positions in the model count, in the world of the description
-            [m], shape (3,): 0, or the first joint of a fixed base that is more than 2 m away.
+        origin: Point from which positions in the model count, those of free bodies too, in the
+            world [m], shape (3,): 0, or the first joint of a fixed base that is more than 2 m
+            away.
         recipes: What its robots and bodies were read from.
         places: Points that parts have asked for.
     """

@@ -56,15 +56,12 @@ def read_robot(
     return read_recipe(Recipe(text, source, base, locked, rename, inertias), gravity)
 
 
-def read_recipe(
-    recipe: Recipe, gravity: Sequence[float] = EARTH_GRAVITY, *, is_centred: bool = True
-) -> Robot:
+def read_recipe(recipe: Recipe, gravity: Sequence[float] = EARTH_GRAVITY) -> Robot:
     """One robot or body by itself, its links and joints called as in its description.
 
     Args:
         recipe: What it is read from; its name and pose are those of a scene, and left aside.
         gravity: As for `read_robot`.
-        is_centred: Whether `origin` may be another point than the world's.
 
     Raises:
         ModelError: As `read_robot`.
@@ -84,8 +81,7 @@ def read_recipe(
         model = _build_model(tree, base == "floating", gravity, source)
         return _lock(model, locked, names, fixed, source)
 
-    is_centred = is_centred and base == "fixed"
-    model, origin = centred(build, tree) if is_centred else (build(tree), np.zeros(3))
+    model, origin = (build(tree), np.zeros(3)) if base == "floating" else centred(build, tree)
     return Robot(
         name=tree.get("name", ""),
         model=model,
