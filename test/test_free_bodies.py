@@ -1,18 +1,31 @@
 """Free bodies in simulations, recordings and inverse dynamics: poses, twists, root wrenches."""
 
+from functools import partial
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+import yaml
 from mechanisms import floating_body, four_bar, four_bar_closure, link, scene_of, urdf
+from nav_msgs.msg import Odometry
+from rclpy.serialization import deserialize_message
 from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import JointState
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.bags import BagWriter, messages
+from mbd_ros.files.bags import BagWriter, messages, topic_types
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.jobs.inverse.job import inverse
 from mbd_ros.jobs.simulate.job import simulate
-from msg_adapters.odometry import OdometryCdrWriter
+from mbd_ros.nodes.inverse_dynamics.whole_samples import MOST, WholeSamples
+from mbd_ros.nodes.simulator.plant import Plant
+from mbd_ros.scene.reader import load_scene
+from msg_adapters.errors import MessageError
+from msg_adapters.joint_state_cdr import JointStateCdrWriter
+from msg_adapters.odometry import OdometryCdrWriter, read_odometry
 
-ODOMETRY = "nav_msgs/msg/Odometry"
+ODOMETRY, JOINT_STATE = "nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"
+JOINTS = ("left_swing", "right_slide")
 MASS, COM = 3.0, np.array([0.1, -0.2, 0.05])
 MOMENTS = np.array([0.2, 0.3, 0.4])
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -228,3 +241,133 @@ def test_messages_without_a_partner_of_their_stamp_are_left_out_and_counted(tmp_
     assert found["samples"].rows == 101 - 25 < len(t)
     left_out = [line for line in lines if "no message of its stamp on the other topics" in line]
     assert [line.split(": ")[1].split()[0] for line in left_out] == ["25", "1"]
+
+
+# ---------------------------------------------------------------------- several robots
+
+
+@pytest.fixture
+def two_arms(tmp_path):
+    """A free-flying arm, one that stands far away, and a box, as a scene file."""
+    (tmp_path / "arm.urdf").write_text(floating_body(), encoding="utf-8")
+    arm = {"urdf": "arm.urdf"}
+    joints = [f"{robot}/{name}" for robot in ("left", "right") for name in JOINTS]
+    entries = {
+        "robots": {
+            "left": {**arm, "base": "floating", "pose": {"xyz": [1.0, 2.0, 3.0]}},
+            "right": {**arm, "pose": {"xyz": [-500.0, 0.0, 3.0], "rpy": [0.1, 0.2, 0.3]}},
+        },
+        "bodies": {"box": {"shape": {"box": [0.1, 0.3, 0.5]}, "mass": 2.0}},
+        "actuators": [{"type": "ideal", "joints": joints}],
+        "initial": {"twist": {"box": {"linear": [1.0, -2.0, 0.5], "angular": [3.0, 1.2, -0.4]}}},
+        "dt": 0.001,
+        "integrator": {"type": "rk4"},
+    }
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(entries), encoding="utf-8")
+    return tmp_path / "scene.yaml", joints
+
+
+def test_joints_of_several_robots_are_on_topics_of_their_own_without_prefix(two_arms, tmp_path):
+    path, joints = two_arms
+    scene, (tau, efforts) = load_scene(path), commands(joints, 0.3)
+    run = simulate(scene, 0.1, start=0.1, efforts=efforts)
+    assert run["samples"]["left.position.x"][0] == 1.0
+    run.to(tmp_path / "bag")
+    types = topic_types(tmp_path / "bag")
+    assert {topic for topic, kind in types.items() if kind == JOINT_STATE} == {
+        "/left/joint_states",
+        "/right/joint_states",
+    }
+    assert {t for t, kind in types.items() if kind == ODOMETRY} == {
+        "/left/odometry",
+        "/box/odometry",
+    }
+    (_, _, first), *_ = messages(tmp_path / "bag", {"/right/joint_states": JOINT_STATE})
+    assert tuple(first.name) == JOINTS
+    again = [
+        simulate(scene, 0.05, start=0.15, origin=o, efforts=e)["samples"]
+        for o, e in ((run, run), (tmp_path / "bag", tmp_path / "bag"))
+    ]
+    assert again[0] == again[1]
+    found = inverse(scene, run)["samples"]
+    for name, applied in tau.items():
+        assert found[f"{name}.effort"] == pytest.approx(applied[100:201], abs=1e-9)
+    roots = [
+        f"{b}.residual.{w}_{x}"
+        for b in ("left", "box")
+        for w in ("force", "torque")
+        for x in "xyz"
+    ]
+    assert max(np.abs(found[name]).max() for name in roots) < 1e-9
+
+
+def test_the_simulator_publishes_each_robot_by_itself(two_arms):
+    path, joints = two_arms
+    values = SimpleNamespace(
+        scene=str(path), joints=(), rate=1000.0, command_timeout=1.0, safe_ramp=0.1
+    )
+    plant = Plant(values, None)
+    plant.live.tick()
+    pairs = zip(plant.members, plant.joint_states(5), strict=True)
+    sent = {member: deserialize_message(cdr, JointState) for member, cdr in pairs}
+    assert {member: tuple(message.name) for member, message in sent.items()} == {
+        "left": JOINTS,
+        "right": JOINTS,
+    }
+    position = [*sent["left"].position, *sent["right"].position]
+    assert position == plant.live.now.position.tolist()
+    assert joints == [joint.name for joint in plant.scene.robot.joints]
+    assert plant.bodies == ["left", "box"]
+    assert [len(cdr) for cdr in plant.odometry(5)] == [len(cdr) for cdr in plant.odometry(6)]
+
+
+# ---------------------------------------------------------------------- parts of a sample, live
+
+
+def whole_samples():
+    deserialize = partial(deserialize_message, message_type=JointState)
+    names = ("left/a", "right/a", "b")
+    return WholeSamples(names, {"left", "right"}, ["base", "box"], deserialize)
+
+
+def part_of(whole, topic, stamp, velocity=1.0):
+    """A part as it comes on a topic."""
+    if topic in whole.joint_topics:
+        own = ["a"] if "/" in topic else ["b"]
+        cdr = JointStateCdrWriter(own).write(stamp, position=0.5, velocity=velocity, effort=0.0)
+        return whole.read(topic, cdr)
+    place = np.array([velocity, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    cdr = OdometryCdrWriter("world", "x").write(stamp, place, np.full(6, velocity))
+    return read_odometry(deserialize_message(cdr, Odometry))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_parts_of_a_stamp_make_a_sample_in_whatever_order_they_come(seed):
+    whole, rng = whole_samples(), np.random.default_rng(seed)
+    topics = [*whole.joint_topics, *whole.body_topics]
+    assert topics == [
+        *("left/joint_states", "right/joint_states", "joint_states"),
+        *("odometry", "box/odometry"),
+    ]
+    for stamp in range(1, 5):
+        for i, k in enumerate(rng.permutation(len(topics))):
+            sample, lost = whole.add(topics[k], stamp, part_of(whole, topics[k], stamp, 1.0 + k))
+            assert lost == 0 and (sample is None) == (i < len(topics) - 1)
+        assert sample.joints.velocity.tolist() == [1.0, 2.0, 3.0]
+        assert sample.bodies[0][:, 0].tolist() == sample.bodies[1][:, 5].tolist() == [4.0, 5.0]
+        assert sample.present is whole.present and sample.present.all()
+    assert not whole.unheard
+
+
+def test_parts_that_lost_their_partner_are_given_up_and_never_kept_for_ever():
+    whole = whole_samples()
+    topics = [*whole.joint_topics, *whole.body_topics]
+    for stamp in (1, 2):
+        for topic in topics[1:]:
+            assert whole.add(topic, stamp, part_of(whole, topic, stamp)) == (None, 0)
+    found = [whole.add(topic, 3, part_of(whole, topic, 3)) for topic in topics]
+    assert [lost for _, lost in found] == [0, 0, 0, 0, 2]
+    lost = [whole.add("odometry", s, part_of(whole, "odometry", s))[1] for s in range(10, 2000)]
+    assert sum(lost) == len(lost) - MOST
+    with pytest.raises(MessageError, match="stamp is 0, and parts of a sample are found by their"):
+        whole.add("odometry", 7, part_of(whole, "odometry", 0))
