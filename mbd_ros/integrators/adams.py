@@ -19,7 +19,7 @@ class Adams(Integrator):
         v+ = v + h sum_j b_j a_(n-j),   q+ = q + h v + h^2 sum_j d_j a_(n-j)
 
     Runge-Kutta steps start it, at first and after every discontinuity, a new command included:
-    it pays on smooth stretches. It refuses floating bases. With decay rates or frequencies r [1/s]
+    it pays on smooth stretches. It refuses free bodies. With decay rates or frequencies r [1/s]
     it is stable for r dt up to about 0.15 at order 4 and 0.043 at order 6, where critical
     damping is the worst case; undamped vibrations grow slowly from order 5 on. Hence 4 is the
     default; orders 6 to 8 are for accuracy at small dt.
@@ -56,8 +56,9 @@ class Adams(Integrator):
         """The stepper for one system and one step size [s].
 
         Raises:
-            ModelError: The base floats.
+            ModelError: A body moves freely; names it.
         """
         if not system.chart.is_flat:
-            raise ModelError("adams takes no floating base, use rk4, dopri5 or dop853")
+            free = ", ".join(base.title for base in system.robot.bases)
+            raise ModelError(f"adams takes no free bodies ({free}), use rk4, dopri5 or dop853")
         return AdamsSteps(system, self.order, dt)

@@ -95,14 +95,15 @@ class ControlledJoints:
         newest: The last result of `response`; None before the first.
 
     Raises:
-        ModelError: No joint, an unknown one, one twice, or a floating base.
+        ModelError: No joint, an unknown one, one twice, or a body that moves freely.
     """
 
     def __init__(self, system: System, names: Sequence[str]) -> None:
         if not names or len(set(names)) != len(names):
             raise ModelError(f"controlled joints {list(names)} must be one or more, each once")
         if system.robot.floating:
-            raise ModelError("a controller needs joints on a fixed base; use base: fixed")
+            free = ", ".join(base.title for base in system.robot.bases)
+            raise ModelError(f"a controller needs fixed bases: {free} must not move freely")
         self.names, self.system = tuple(names), system
         self.joints = tuple(system.robot.joint(name) for name in names)
         self._q = np.array([joint.q for joint in self.joints])

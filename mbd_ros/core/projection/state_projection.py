@@ -116,9 +116,8 @@ class StateProjector:
     ) -> None:
         joints, n = system.robot.joints, system.nv
         if system.robot.floating:
-            raise ModelError(
-                "joint states do not carry the pose of a floating base; use base: fixed"
-            )
+            free = ", ".join(base.title for base in system.robot.bases)
+            raise ModelError(f"the projector takes joint states alone, and no poses of {free}")
         if n != system.model.nv:
             raise ModelError(f"tier {system.tier} eliminates joints: tier kkt keeps all")
         self.system, self._amplification = system, amplification

@@ -190,7 +190,7 @@ class LiveSimulation:
         joints = x.q[self._q], x.v[self._v], a[self._v], effort[self._v]
         now = Snapshot(x.t, *joints, shown, *bodies)
         for name, values in zip(now._fields[1:], now[1:], strict=True):
-            if not np.isfinite(values).all():
+            if values.size and not np.isfinite(values).all():
                 raise _not_finite(self, name, values, y)
         self._poses = now.poses
         return x, evaluated, now

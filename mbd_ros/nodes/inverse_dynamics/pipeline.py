@@ -88,7 +88,7 @@ class Pipeline:
             position, velocity = position[at.joint_y], velocity[at.joint_w]
             effort = effort[at.joint_w]
         answer = self._torques.write(x.stamp, position=position, velocity=velocity, effort=effort)
-        residuals = self._carried(x.stamp, torques.residual)
+        residuals = self._carried(x.stamp, torques.residual) if self._residuals else []
         if not self._has_rows:
             return answer, None, residuals
         self._violation = off = self.estimator.violation(x)
