@@ -578,7 +578,9 @@ class Refusing(Rk4):
 
 def test_a_method_that_cannot_move_them_is_refused_by_name():
     system, stabilization = pendulum().system(), NoStabilization()
-    with pytest.raises(ModelError, match=r"Refusing does not move internal .* drive.angle, drive"):
+    with pytest.raises(
+        ModelError, match=r"integrator refusing does not move internal .* drive.angle, drive"
+    ):
         Simulation(system, Refusing(), stabilization, 1e-3)
     Simulation(pendulum(actuators=None, initial=None).system(), Refusing(), stabilization, 1e-3)
 

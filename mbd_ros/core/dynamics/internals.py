@@ -27,7 +27,8 @@ class Internals:
         reads: What the rates read of k.
 
     Raises:
-        ModelError: Two parts stand at the same place, since nobody has bound them.
+        ModelError: Two parts stand at the same place, since nobody has bound them, or two states
+            have one name.
     """
 
     def __init__(self, parts: Sequence[Part]) -> None:
@@ -42,6 +43,10 @@ class Internals:
                     )
                 found[i] = ".".join(filter(None, (part.name, one.name))), one
         self.nz = max(found, default=-1) + 1
+        names = [name for name, _ in found.values()]
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise ModelError(f"internal states must differ by name: {', '.join(repeated)} repeats")
         absent = "", Internal("", "", initial=0.0)
         every = [found.get(i, absent) for i in range(self.nz)]
         self.names = tuple(name for name, _ in every)

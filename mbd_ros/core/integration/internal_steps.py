@@ -8,6 +8,7 @@ import numpy as np
 from mbd_ros.core.dynamics.extended import Extended
 from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.core.memory import Memory, copied, recognised
+from mbd_ros.core.names import type_name
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import ModelError
 
@@ -23,7 +24,7 @@ def prepared(method: Integrator, system: Any, dt: float) -> Stepper:
     if not method.keeps_internal:
         names = ", ".join(filter(None, system.internals.names))
         raise ModelError(
-            f"integrator {type(method).__name__} does not move internal states, the scene has "
+            f"integrator {type_name(type(method))} does not move internal states, the scene has "
             f"{names}; accepted: any other, such as rk4"
         )
     return InternalSteps(method, system, dt)
