@@ -42,6 +42,7 @@ METHODS = {  # dt of the tests of order
     "filippov": 2.5e-2,
     "gauss_legendre": 1e-2,
     "generalized_alpha": 1e-3,
+    "moreau_jean": 1e-3,
     "rattle": 1e-3,
     "rk4": 5e-3,
     "semi_implicit_euler": 1e-4,

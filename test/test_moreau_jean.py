@@ -18,6 +18,7 @@ from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, SceneError
 from mbd_ros.integrators.moreau_jean import MoreauJean
+from mbd_ros.scene.from_python import scene_from
 
 GRAVITY = 9.81
 SLIDER = urdf(
@@ -291,3 +292,27 @@ def test_a_block_on_an_incline_sticks_and_slips(mu, speed):
     if not slides:
         rest = [x.q[0] for x in states if x.t > speed / up + dt]
         assert np.ptp(rest) <= 1e-15
+
+
+def test_a_stiff_series_elastic_drive_does_not_limit_the_step():
+    """A spring of 1e9 N·m/rad turns rotor and rod into one body; steps of 10 ms."""
+    swing = urdf(
+        link("world"),
+        link("rod", 1.0, (0.0, 0.0, -0.5), (1.0 / 12.0, 1.0 / 12.0, 1e-9)),
+        joint("hinge", "revolute", "world", "rod", (0, 1, 0)),
+    )
+    drive = {"type": "series_elastic_drive", "joint": "hinge", "name": "drive", "ratio": 5.0}
+    drive |= {"stiffness": 1e9, "rotor_inertia": 2e-3}
+    first = {"position": {"hinge": 0.7}, "internal": {"drive": {"angle": 3.5, "speed": 0.0}}}
+    integrator = {"type": "moreau_jean"}
+    scene = scene_from(
+        {"actuators": [drive], "initial": first, "integrator": integrator}, urdf=swing
+    )
+    inertia, weight = 1.0 / 3.0 + 25.0 * 2e-3, 0.5 * GRAVITY
+    angle, rate = solved(lambda t, x: [x[1], -weight * np.sin(x[0]) / inertia], [0.7, 0.0], 1.0)
+    errors = []
+    for dt in (0.02, 0.01):
+        x = list(scene.simulation(dt=dt).run(scene.initial, 1.0))[-1]
+        assert x.z == pytest.approx([5.0 * x.q[0], 5.0 * x.v[0]], abs=1e-3)
+        errors.append(max(abs(x.q[0] - angle), abs(x.v[0] - rate)))
+    assert errors[1] <= 1e-3 and observed_order(errors) == pytest.approx(2.0, abs=0.25)

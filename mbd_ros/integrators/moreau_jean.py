@@ -15,11 +15,11 @@ class MoreauJean(Integrator):
 
         M (v+ - v) = dt f + J' p,   q+ = q (+) dt ((1 - theta) v + theta v+)
 
-    Joint stops, dry friction, limited drives and bilateral rows are one complementarity problem a
-    step, with rates at its end; no time constant of theirs is read, but a limited drive comes back
-    to its motion with its own. Impacts have Poisson's restitution and divide a step. Loads are
-    implicit: stiff ones do not limit the step. Second order where motion is smooth, if theta is
-    1/2, and first order where rows begin or cease to act. Internal states are refused.
+    Joint stops, dry friction, limited drives, a contact and bilateral rows are one complementarity
+    problem a step, with rates at its end; no time constant of theirs is read, but a limited drive
+    comes back to its motion with its own. Impacts have Poisson's restitution and divide a step.
+    Loads and internal states are implicit: stiff ones do not limit the step. Second order where
+    motion is smooth, if theta is 1/2, and first order where rows begin or cease to act.
 
     Args:
         theta: 1/2 keeps the energy of linear oscillations, 1 damps what a step does not resolve.
@@ -28,7 +28,6 @@ class MoreauJean(Integrator):
         Methods Appl. Mech. Eng. 177, 1999, 235-257.
     """
 
-    keeps_internal: ClassVar[bool] = False
     is_explicit: ClassVar[bool] = False
     at_velocity_level: ClassVar[bool] = True
     example: ClassVar[dict[str, Any]] = {"theta": 0.5}

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.core.dynamics.implicit_loads import Slopes
 from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
 from mbd_ros.core.state import Array, State
 
@@ -31,6 +32,8 @@ class StepProblem(NamedTuple):
         free: Velocity at the end without rows that give way, shape (nv,).
         h: Length of the step [s].
         theta: Share of the velocity at its end in the mean one.
+        slopes: Of loads and internal states.
+        dz_still: Increment of internal states if the velocity at the end is 0, shape (nz,).
     """
 
     x: State
@@ -45,6 +48,13 @@ class StepProblem(NamedTuple):
     free: Array
     h: float
     theta: float
+    slopes: Slopes
+    dz_still: Array
+
+    def dz(self, end: Array) -> Array:
+        """Increment of internal states with a velocity at the end, shape (nz,)."""
+        increment: Array = self.dz_still + self.slopes.by_v.dot(end)
+        return increment
 
     @property
     def left(self) -> Array:

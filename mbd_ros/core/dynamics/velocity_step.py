@@ -22,8 +22,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbd_ros.core.dynamics.giving_way import GivingWay
+from mbd_ros.core.dynamics.implicit_loads import ImplicitLoads, mass_with
 from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
-from mbd_ros.core.dynamics.load_slopes import LoadSlopes, mass_with
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.step_problem import StepProblem, Which, first_closing
@@ -57,7 +57,7 @@ class VelocityStep:
         nv, layout = int(system.model.nv), system.layout
         self._system, self._theta, self._level = system, theta, VelocityLevel(system)
         self._mechanism = mechanism = Mechanism(system.robot, system.loads)
-        self._slopes = LoadSlopes(mechanism)
+        self._loads = ImplicitLoads(mechanism, system.internals)
         gains = system.constraints.gains
         self._rigid = RigidRows(mechanism, ConstraintRows(layout.rigid, nv, gains))
         self._rows = ConstraintRows(layout.yielding, nv)
@@ -83,20 +83,22 @@ class VelocityStep:
             problem = self._problem(y, u, h)
             closed = problem.closed()
         end = self._giving_way.end(problem, closed, problem.free)
-        end = self._giving_way.end(problem, closed, self._corrected(problem, y, u, end), end)
+        problem = self._corrected(problem, y, u, end)
+        end = self._giving_way.end(problem, closed, problem.free, end)
         mean = (1.0 - self._theta) * problem.x.v + self._theta * end
-        return self._outside(self._moved(y, h * mean, end, t))
+        return self._outside(self._moved(y, h * mean, end, problem.dz(end), t))
 
     def _problem(self, y: State, u: Array | None, h: float) -> StepProblem:
         """The linear problem of a step from a state of what is integrated."""
         mechanism, rows, k = self._mechanism, self._rows, self._mechanism.k
         late = (1.0 - self._theta) * h
-        x = self._between(y, y.v, h)
+        x = self._between(y, y.v, y.z, h)
         M = np.array(mechanism.mass(x.q))
-        force, added = self._force(x, u), self._slopes.added(x, u, self._theta * h)
-        if not np.isfinite(added).all() or not np.isfinite(force).all():
+        slopes, dz = self._loads.slopes(x, u, self._theta * h), h * self._loads.rates(x, u)
+        impulse = h * self._loads.force(x, u) + slopes.push.dot(dz)
+        if not np.isfinite(slopes.added).all() or not np.isfinite(impulse).all():
             raise DivergedError(f"forces at t = {x.t:.9g} s are not finite")
-        K = mass_with(M, added) if added.any() else M
+        K = mass_with(M, slopes.added) if slopes.added.any() else M
         hold, goal, factor = self._bilateral(x, K, late, h)
         k.refresh(x.q, x.v, rows.reads)
         if rows.varies:
@@ -104,7 +106,7 @@ class VelocityStep:
         J, drift = (each.copy() for each in rows.accelerations(k, x))
         gap, own = rows.residual(k, x), rows.rate(k, x)
         response = ImpulseResponse(K, J, hold, factor)
-        free, _ = response.kept(x.v + response.free(h * force), goal)
+        free, _ = response.kept(x.v + response.free(impulse), goal)
         with np.errstate(invalid="ignore"):  # an end that is infinitely far, times 0
             back = np.where(self._pushes, 0.0, np.minimum(self._return[1], 1.0 / h) * gap)
         offset = own + late * drift + back
@@ -112,7 +114,7 @@ class VelocityStep:
         gap = gap - self._theta * h * rate
         return StepProblem(
             *(x, M, response, self._pushes, J, gap, rate, offset, goal, free),
-            *(h, self._theta),
+            *(h, self._theta, slopes, slopes.gain.dot(dz) - slopes.by_v.dot(x.v)),
         )
 
     def _bilateral(
@@ -133,24 +135,31 @@ class VelocityStep:
     ) -> tuple[State, float]:
         """State after the first impact of a step, and what is left of the step [s]."""
         v, gap, rate, h = problem.x.v, problem.gap, problem.rate, problem.h
-        gained = (self._giving_way.end(problem, closed & ~hits, problem.free) - v) / h
+        end = self._giving_way.end(problem, closed & ~hits, problem.free)
+        gained = (end - v) / h
         bent = problem.J.dot(gained)
         wait = min(first_closing(gap[hits], rate[hits], bent[hits]), _WHOLE * h)
         at = gap + wait * rate + 0.5 * wait**2 * bent
         touching = closed & (at <= _TOGETHER * h * np.abs(rate[hits]).max())
         before = v + wait * gained
-        y = self._moved(y, 0.5 * wait * (v + before), before, y.t + wait)
+        way, dz = 0.5 * wait * (v + before), wait / h * problem.dz(end)
+        y = self._moved(y, way, before, dz, y.t + wait)
         v = self._level.impact(self._system.expand(y), self._rows.slots[touching].tolist()).v
         return y._replace(v=np.array(self._system.integrated(v))), h - wait
 
-    def _corrected(self, problem: StepProblem, y: State, u: Array | None, end: Array) -> Array:
-        """Velocity at the end without rows that give way, with forces on the way to `end`."""
-        v, h, system = problem.x.v, problem.h, self._system
-        mean = (1.0 - self._theta) * v + self._theta * end
-        force = self._force(self._between(y, system.integrated(mean), h), u)
-        left = h * force - problem.M.dot(end - v)
+    def _corrected(
+        self, problem: StepProblem, y: State, u: Array | None, end: Array
+    ) -> StepProblem:
+        """The problem with forces and rates on the way to a velocity at its end."""
+        v, h, slopes, loads = problem.x.v, problem.h, problem.slopes, self._loads
+        mean, dz = (1.0 - self._theta) * v + self._theta * end, problem.dz(end)
+        x = self._between(y, self._system.integrated(mean), y.z + self._theta * dz, h)
+        left_z = h * loads.rates(x, u) - dz
+        left = h * loads.force(x, u) - problem.M.dot(end - v) + slopes.push.dot(left_z)
         response = problem.response
-        return response.kept(end + response.free(left), problem.goal)[0]
+        free, _ = response.kept(end + response.free(left), problem.goal)
+        still = dz + slopes.gain.dot(left_z) - slopes.by_v.dot(end)
+        return problem._replace(free=free, dz_still=still)
 
     def _outside(self, y: State) -> State:
         """The state with no one-sided row beyond 0, moved the least in the mass metric."""
@@ -172,23 +181,21 @@ class VelocityStep:
             response = ImpulseResponse(M, J, hold, factor)
             names = [rows.rows[i].name for i in near]
             p = BoundedImpulses(response.A, response.loose, names).pushing(gap[near], 0.0)
-            y = self._moved(y, response.X.dot(p), x.v, y.t)
+            y = self._moved(y, response.X.dot(p), x.v, 0.0 * y.z, y.t)
         return y
 
-    def _force(self, x: State, u: Array | None) -> Array:
-        return self._mechanism.tau(x.t, x.q, x.v, u) - self._mechanism.bias(x.q, x.v)
-
-    def _between(self, y: State, v: Array, h: float) -> State:
+    def _between(self, y: State, v: Array, z: Array, h: float) -> State:
         """State of all joints at the intermediate time, of a step with that mean velocity of y."""
         share = self._theta * h
         q = self._system.chart.integrate(y.q, share * v)
-        return self._system.expand(State(y.t + share, q, v))
+        return self._system.expand(State(y.t + share, q, v, z))
 
-    def _moved(self, y: State, way: Array, v: Array, t: float) -> State:
+    def _moved(self, y: State, way: Array, v: Array, dz: Array, t: float) -> State:
         """A state of what is integrated, after a way and with a velocity of all joints."""
         system = self._system
         q = system.chart.integrate(y.q, system.integrated(way))
-        return State(t, q, np.array(system.integrated(v)), y.z, y.mode)
+        z = system.internals.inside(y.z + dz)
+        return State(t, q, np.array(system.integrated(v)), z, y.mode)
 
 
 def _return(blocks: Sequence[RowBlock], gains: tuple[float, float] | None = None) -> Array:

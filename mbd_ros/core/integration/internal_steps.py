@@ -19,7 +19,7 @@ def prepared(method: Integrator, system: Any, dt: float) -> Stepper:
     Raises:
         ModelError: The method cannot move them, or refuses the system.
     """
-    if not system.internals.nz:
+    if not system.internals.nz or method.at_velocity_level:
         return method.prepare(system, dt)
     if not method.keeps_internal:
         names = ", ".join(filter(None, system.internals.names))

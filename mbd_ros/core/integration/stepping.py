@@ -102,7 +102,7 @@ class Integrator:
         event_driven: Whether its steps can be taken again with another length, so that they end
             at events; other methods refuse exact rows that give way, and guards.
         at_velocity_level: Whether its steps solve for rows that give way with their rates at the
-            end of the step, impacts included, exact or smoothed.
+            end of the step, impacts included, exact or smoothed, and for internal states.
         stable: Largest rate times dt, with the rate of `linear_motion.fastest_rate`, at which no
             oscillation and no decay grows, however it is damped; beyond it `growth` decides. inf
             where the method chooses its steps.
