@@ -73,23 +73,26 @@ EMBEDDED = {  # file of the package -> seconds
 }
 PLANTED = {
     "stops": Planted(
-        f"{_ARM7}constraints:\n- {{type: joint_stop, joint: joint2, upper: 0.55}}\n{_THROWN}"
+        f"{_ARM7}constraints:\n- {{type: joint_stop, joint: joint2, upper: 0.55,\n"
+        f"   time_constant: 0.01}}\n{_THROWN}"
     ),
     "stop before loop": Planted(
         _FOUR_BAR.replace(
             "constraints:\n",
-            "constraints:\n- {type: joint_stop, joint: ankle, lower: -0.01, upper: 0.01}\n",
+            "constraints:\n- {type: joint_stop, joint: ankle, lower: -0.01, upper: 0.01,\n"
+            "   time_constant: 0.01}\n",
         )
         + _BENT
     ),
     "qp tier": Planted(f"{_FOUR_BAR}{_BENT}solver: {{type: qp}}\n", 0.05),
     "dry friction": Planted(
-        f"{_LEG}constraints:\n- {{type: dry_friction, joint: knee, limit: 2.0}}\n"
+        f"{_LEG}constraints:\n- {{type: dry_friction, joint: knee, limit: 2.0,\n"
+        "   time_constant: 0.002}\n"
         "initial: {position: {knee: -0.5}}\n"
     ),
     "limited drive": Planted(
         f"{_LEG}constraints:\n- {{type: prescribed_motion, joint: hip_flexion, limit: 30.0,\n"
-        "   harmonic: {amplitude: 0.3, angular_frequency: 6.0}}\n"
+        "   time_constant: 0.02, harmonic: {amplitude: 0.3, angular_frequency: 6.0}}\n"
     ),
     "exact drive": Planted(
         f"{_ARM7}constraints:\n"

@@ -10,6 +10,7 @@ from mechanisms import scene_of
 
 from mbd_ros.core.dynamics.aba import Aba
 from mbd_ros.core.dynamics.composed_system import ComposedSystem
+from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
@@ -30,7 +31,7 @@ from mbd_ros.stabilization.none import NoStabilization
 ROOT = Path(__file__).parents[1]
 ARM = (ROOT / "config/robots/arm7.urdf").read_text(encoding="utf-8")
 PENDULUM = (ROOT / "config/robots/pendulum.urdf").read_text(encoding="utf-8")
-STOPS = {"type": "joint_stop", "joints": ["all"]}
+STOPS = {"type": "joint_stop", "joints": ["all"], "smoothed": True}
 LOOP = {"type": "loop_closure", "frame_a": "base", "frame_b": "link7", "directions": "xz"}
 COUPLED = {"joint4": Coupling("joint2", Linear(0.5))}
 
@@ -93,6 +94,7 @@ def test_stops_agree_in_every_tier_below(options):
 @pytest.mark.parametrize("coupled", [False, True])
 def test_stop_that_is_out_of_reach_changes_no_bit(coupled):
     far = {"type": "joint_stop", "joints": ["all"], "lower": -50.0, "upper": 50.0}
+    far["smoothed"] = True
     without, with_stops = arm([], coupled=coupled), arm([far], coupled=coupled)
     assert tier_of(with_stops) == f"qp over {without.tier}"
     x = State(0.0, np.full(7, 0.2), np.ones(7))
@@ -172,7 +174,9 @@ def test_an_evaluation_does_not_depend_on_those_before(coupled):
     """Stops and stiction on the same joints, in 1000 random orders: the same bits."""
     rng = np.random.default_rng(5)
     torque, names = 40.0 * rng.normal(size=7), [f"joint{i}" for i in range(1, 8)]
-    stuck = [{"type": "dry_friction", "joint": name, "limit": 20.0} for name in names]
+    stuck = [
+        {"type": "dry_friction", "joint": name, "limit": 20.0, "smoothed": True} for name in names
+    ]
     system = arm([STOPS, *stuck], torque=torque, coupled=coupled)
     states = [near_the_stops(system.robot, rng) for _ in range(10)]
     states = [system.expand(system.reduce(x)) for x in states]
@@ -190,8 +194,7 @@ class AlwaysQp(BoundedRows):
 
     worst = 0.0
 
-    def _multipliers(self, A, w):
-        lower, upper = self.constraints.lower, self.constraints.upper
+    def _multipliers(self, A, w, lower, upper):
         begin = time.thread_time()
         lam = self.qp.solve(A, w, lower, upper)
         self.worst = max(self.worst, time.thread_time() - begin)
@@ -203,13 +206,18 @@ def swing_through_proxqp(duration):
     """A 7-joint arm that falls, with stiction in every joint and stops that it runs into."""
     robot = read_robot(ARM)
     names = [joint.name for joint in robot.joints]
-    entries = [{"type": "dry_friction", "joint": name, "limit": 2.0} for name in names]
+    entries = [
+        {"type": "dry_friction", "joint": name, "limit": 2.0, "smoothed": True} for name in names
+    ]
     stops = {"type": "joint_stop", "joints": names, "lower": -0.6, "upper": 0.6}
+    stops["smoothed"] = True
     parts = [build_part("constraints", entry, "test", robot) for entry in [*entries, stops]]
     layout, mechanism = RowLayout(parts), Mechanism(robot, Loads(7))
     bounded = AlwaysQp(ConstraintRows(layout.blocks, 7), 7)
     no_rows = RigidRows(mechanism, ConstraintRows((), 7))
-    system = ComposedSystem(Aba(mechanism), no_rows, no_rows, bounded, layout, build_system)
+    system = ComposedSystem(
+        Aba(mechanism), no_rows, no_rows, bounded, None, layout, Internals(()), build_system
+    )
     simulation = Simulation(system, Rk4(), NoStabilization(), 1e-3)
     x = State(0.0, np.full(7, 0.3), np.array([3.0, -2.0, 4.0, 2.0, -4.0, 3.0, -3.0]))
     gc.disable()  # a collection of what pytest holds takes 10 ms, wherever it happens

@@ -14,8 +14,8 @@ from mbd_ros.errors import SolveError
 from mbd_ros.report.stability.extreme_scenes import mechanism, rods
 from mbd_ros.report.stability.oracle import Oracle
 
-STOP = {"type": "joint_stop", "joint": "j0", "upper": 0.1}
-FRICTION = {"type": "dry_friction", "joint": "j1", "limit": 0.1}
+STOP = {"type": "joint_stop", "joint": "j0", "upper": 0.1, "smoothed": True}
+FRICTION = {"type": "dry_friction", "joint": "j1", "limit": 0.1, "smoothed": True}
 ONE = {"j1": {"parent": "j0", "factor": 0.5}}
 BOTH = {**ONE, "j2": {"parent": "j0", "polynomial": [0.1, 0.3, 0.2]}}
 
@@ -62,8 +62,8 @@ def test_rows_of_rounding_have_no_rank():
 def test_a_stop_that_rows_hold_still_is_left_alone_unless_it_must_act():
     def accelerate(upper):
         held = {"type": "prescribed_motion", "joint": "j0", "polynomial": [0.2]}
-        stop = {"type": "joint_stop", "joint": "j0", "upper": upper}
-        other = {"type": "joint_stop", "joint": "j1", "upper": 0.0}  # acts
+        stop = {"type": "joint_stop", "joint": "j0", "upper": upper, "smoothed": True}
+        other = {"type": "joint_stop", "joint": "j1", "upper": 0.0, "smoothed": True}  # acts
         sections = {"constraints": [held, stop, other], "initial": {"position": {"j0": 0.2}}}
         scene = mechanism(sections, *rods((1.0, 1.0)))().scene
         system = scene.system()

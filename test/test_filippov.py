@@ -63,8 +63,13 @@ def run(loaded, duration, integrator=EXACT, dt=0.01, commands=None):
 
 def modes(simulation):
     """When each mode began, and the modes."""
-    field = simulation.stepper.field
-    return np.array(field.times), field.modes
+    events = simulation.events
+    times, found = [0.0], [events[0].before.mode if events else simulation.stepper.field.mode]
+    for event in events:
+        if event.after.mode != found[-1]:
+            times.append(event.t)
+            found.append(event.after.mode)
+    return np.array(times), found
 
 
 def test_parabola_to_rounding_with_entry_and_exit():
@@ -332,7 +337,7 @@ initial: {{position: {{x: 1.0}}}}
 
 
 def test_bounded_rows_beside_it_are_refused(scene):
-    rows = "constraints: [{type: dry_friction, joint: y, limit: 1.0}]\n"
+    rows = "constraints: [{type: dry_friction, joint: y, limit: 1.0, smoothed: true}]\n"
     loaded = scene(f"{PLANE}{rows}forces: [{relay('x', 1.0)}]")
     with pytest.raises(SceneError, match=r"beside bounded rows \(y_dry_friction.force\)"):
         loaded.simulation(integrator=EXACT)

@@ -23,7 +23,7 @@ METHODS = {
 def scene_text(method, speed, *, start=0.0, upper=3.0, dt=1e-3):
     return (
         f"robot: {{urdf: {PENDULUM}}}\n"
-        f"constraints: [{{type: joint_stop, joint: hinge, upper: {upper}}}]\n"
+        f"constraints: [{{type: joint_stop, joint: hinge, upper: {upper}, smoothed: true}}]\n"
         f"initial: {{position: {{hinge: {start}}}, velocity: {{hinge: {speed}}}}}\n"
         f"integrator: {METHODS[method]}\ndt: {dt}\n"
     )

@@ -29,8 +29,8 @@ CHAIN = read_robot(mechanisms.chain(3))
 class Held(Constraint):
     """The first joints at 0, one row each, under any law."""
 
-    def __init__(self, law, level=Level.POSITION, gains=(0.0, 0.0), m=1):
-        self.law, self.level, self.gains = law, level, gains
+    def __init__(self, law, level=Level.POSITION, gains=(0.0, 0.0), m=1, smoothed=False):
+        self.law, self.level, self.gains, self.smoothed = law, level, gains, smoothed
         self.rows = tuple(Row(f"held_{i}", "N·m") for i in range(m))
 
     def residual(self, k, x):
@@ -119,13 +119,19 @@ def test_rows_of_velocities_are_never_asked_for_g(count):
     ("part", "message"),
     [
         (Held(cone(0.5), m=3), "row held.held_0 has the law cone, which no solver serves"),
-        (Held(unilateral(0.3)), "row held.held_0 has restitution 0.3, which no solver serves"),
+        (
+            Held(unilateral(0.3), smoothed=True),
+            "row held.held_0 has restitution 0.3 and is smoothed, which no solver serves",
+        ),
         (Latch(bilateral()), "row latch.held_0 comes and goes with the mode, which no solver"),
         (
             Sliding(bilateral()),
             "row sliding.held_0 pushes along another direction than it holds, which",
         ),
-        (Held(unilateral(), Level.VELOCITY), "held_0 has the law unilateral on velocities, which"),
+        (
+            Held(unilateral(), Level.VELOCITY, smoothed=True),
+            "held_0 has the law unilateral on velocities and is smoothed, which",
+        ),
     ],
 )
 def test_laws_that_no_solver_serves_are_refused_by_name(part, message):

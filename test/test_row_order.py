@@ -16,7 +16,9 @@ CONFIG = Path(__file__).parents[1] / "config"
 LEG = (CONFIG / "scenes/four_bar_leg.yaml").read_text(encoding="utf-8")
 HEAD, LOOP = LEG.replace("../robots", str(CONFIG / "robots")).split("constraints:\n")
 LOOP, TAIL = LOOP.split("dt:")
-STOP = "- {type: joint_stop, joint: hip_flexion, upper: 0.2}\n"  # the start is beyond it
+STOP = (
+    "- {type: joint_stop, joint: hip_flexion, upper: 0.2, smoothed: true}\n"  # passed at the start
+)
 FRICTION = "- {type: dry_friction, joint: ankle, limit: 0.7}\n"
 ARM = (CONFIG / "scenes/prosthetic_arm.yaml").read_text(encoding="utf-8")
 

@@ -9,7 +9,7 @@ import numpy as np
 from mbd_ros.core.model.joints import Joint
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.ranges import Duration, Unit
+from mbd_ros.core.ranges import OptionalDuration, Restitution, Unit
 from mbd_ros.core.row_laws import unilateral
 from mbd_ros.core.rows.constraint import Constraint, Row, Stop
 from mbd_ros.core.state import Array, State
@@ -19,14 +19,16 @@ _FAR = 1.0e200  # stands for no end where infinity times 0 would be NaN
 
 
 class JointStop(Constraint):
-    """Inelastic ends of the range of joints, one row a joint.
+    """Ends of the range of joints, one row a joint.
 
         g = q - lower (J = +e) or g = upper - q (J = -e),   0 <= multiplier
 
-    The row of a joint stands for the end that the joint heads for, the one with the smaller
-    g + 2 T g'; at rest that is the nearer one. A stop acts as soon as g'' + 2 g' / T + g / T^2
-    would be negative: the joint comes to the end exponentially and does not bounce. A positive
-    multiplier pushes the joint away from the end.
+    A joint moves freely up to its end, and hits it there: an impact with Poisson's restitution. A
+    positive multiplier pushes the joint away from the end. The row stands for the nearer end.
+
+    A smoothed stop acts as soon as g'' + 2 g' / T + g / T^2 would be negative: the joint comes to
+    the end exponentially and does not bounce. Its row stands for the end that the joint heads
+    for, the one with the smaller g + 2 T g'.
 
     Args:
         robot: Robot of the scene.
@@ -35,13 +37,16 @@ class JointStop(Constraint):
             one at all with `lower` or `upper`.
         lower: Lower end; that of the robot description by default.
         upper: Upper end; that of the robot description by default.
-        time_constant: T with which a joint comes to an end.
+        restitution: Share of the impulse of compression that an impact gives back.
+        smoothed: Whether the stop is solved for in every evaluation, which costs the order of the
+            method; that is so with a time constant, too.
+        time_constant: T of a smoothed stop, 0.01 s by default.
 
     Raises:
         ModelError: Unknown joint.
     """
 
-    example = {"joint": "ankle", "lower": -0.3, "upper": 0.35, "time_constant": 0.02}
+    example = {"joint": "ankle", "lower": -0.3, "upper": 0.35, "restitution": 0.2}
 
     def __init__(
         self,
@@ -51,19 +56,24 @@ class JointStop(Constraint):
         joints: Sequence[str] | None = None,
         lower: Annotated[float | None, Unit("rad or m")] = None,
         upper: Annotated[float | None, Unit("rad or m")] = None,
-        time_constant: Duration = 0.01,
+        restitution: Restitution = 0.0,
+        smoothed: bool = False,
+        time_constant: OptionalDuration = None,
     ) -> None:
         stopped = _stopped(robot, joint, joints, lower is None and upper is None)
         ends = [_ends(one, lower, upper) for one in stopped]
-        n, kp, kd = len(stopped), 1.0 / time_constant**2, 2.0 / time_constant
+        self.smoothed = smoothed or time_constant is not None
+        T = 0.01 if time_constant is None else time_constant
+        n, kp, kd = len(stopped), 1.0 / T**2, 2.0 / T
         self.joints = tuple(one.name for one in stopped)
         self.rows = tuple(Row(_quantity(one, n), one.effort_unit) for one in stopped)
-        self.law, self.gains = unilateral(), (kp, kd)
+        self.law, self.gains = unilateral(restitution), (kp, kd) if self.smoothed else (0.0, 0.0)
         self._lower, self._upper = np.array(ends).T
         self.stops = tuple(Stop(one, *end) for one, end in zip(stopped, ends, strict=True))
         self._q, self._v = _where([one.q for one in stopped]), _where([one.v for one in stopped])
         self._each, self._at = np.arange(n), np.array([one.v for one in stopped])
-        self._ahead, self._zero, self._nv = kd / kp, np.zeros(n), int(robot.model.nv)
+        self._ahead, self._zero = kd / kp if self.smoothed else 0.0, np.zeros(n)
+        self._nv = int(robot.model.nv)
         self._has_bases = robot.floating
         self._q_of = _where([one.q for one in robot.joints])
         self._v_of = _where([one.v for one in robot.joints])
@@ -81,12 +91,20 @@ class JointStop(Constraint):
         joints: Sequence[str] | None,
         lower: float | None,
         upper: float | None,
+        restitution: float,
+        smoothed: bool,
+        time_constant: float | None,
     ) -> None:
-        """Refuse joints without any end, and ends in the wrong order.
+        """Refuse joints without any end, ends in the wrong order, and smoothed bounces.
 
         Raises:
-            ModelError: Names the joint.
+            ModelError: Names the joint, or the restitution.
         """
+        if restitution > 0.0 and (smoothed or time_constant is not None):
+            raise ModelError(
+                f"restitution {restitution:g} needs an exact stop: leave out smoothed and "
+                "time_constant"
+            )
         for one in _stopped(robot, joint, joints, lower is None and upper is None):
             low, high = _ends(one, lower, upper)
             if math.isinf(low) and math.isinf(high):

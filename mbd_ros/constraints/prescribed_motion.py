@@ -9,7 +9,7 @@ import numpy as np
 from mbd_ros.core.model.coupling_functions import Polynomial, natural_cubic_spline
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.ranges import Duration, Positive, Unit, is_value
+from mbd_ros.core.ranges import OptionalDuration, Positive, Unit, is_value
 from mbd_ros.core.row_laws import drive
 from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.state import Array, State
@@ -35,7 +35,9 @@ class PrescribedMotion(Constraint):
         spline: Times x [s] and positions y [rad or m] of a natural cubic spline, which straight
             lines continue.
         limit: Largest effort of the drive; without it there is none.
-        time_constant: T of a drive with a finite limit.
+        smoothed: Whether a drive with a limit is solved for in every evaluation, which costs the
+            order of the method; that is so with a time constant, too.
+        time_constant: T of a drive with a finite limit, 0.02 s by default.
 
     Raises:
         ModelError: Unknown joint.
@@ -56,13 +58,16 @@ class PrescribedMotion(Constraint):
         harmonic: Annotated[Mapping[str, float] | None, Unit("as above")] = None,
         spline: Annotated[Mapping[str, Sequence[float]] | None, Unit("as above")] = None,
         limit: Annotated[Positive, Unit("N·m or N")] = math.inf,
-        time_constant: Duration = 0.02,
+        smoothed: bool = False,
+        time_constant: OptionalDuration = None,
     ) -> None:
         self.joint = robot.joint(joint)
         self._motion = _motion(polynomial, harmonic, spline)
         self.law = drive(limit)
         if not is_value(limit, math.inf):
-            self.gains = (1.0 / time_constant**2, 2.0 / time_constant)
+            self.smoothed = smoothed or time_constant is not None
+            T = 0.02 if time_constant is None else time_constant
+            self.gains = (1.0 / T**2, 2.0 / T)
         self.driven = (joint,)
         self.rows = (Row(self.joint.effort_name, self.joint.effort_unit),)
         self._jacobian = np.zeros((1, robot.model.nv))

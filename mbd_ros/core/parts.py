@@ -120,10 +120,12 @@ class Load(Part):
     """A generalized force that depends on a state and on inputs, never on accelerations.
 
     Attributes:
+        surfaces: Names of those at which it jumps, see `events.switching.DiscontinuousForce`.
         brings: Entries of the `<dynamics>` of its `joint` that it covers: friction, damping.
     """
 
     brings: tuple[str, ...] = ()
+    surfaces: tuple[str, ...] = ()
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force on the joints [N·m or N], shape (nv,)."""

@@ -44,9 +44,11 @@ class Length(int):
 
 
 Duration = Annotated[float, Within(1.0e-9, 1.0e9), Unit("s")]
+OptionalDuration = Annotated[float | None, Within(1.0e-9, 1.0e9), Unit("s")]
 Gain = Annotated[float | Sequence[float], Within(0.0, math.inf)]  # one for all joints, or one each
 Smoothing = Annotated[float, Within(1.0e-12, 1.0e12), Unit("m/s or rad/s")]
 Unlimited = Annotated[float, Within(-math.inf, math.inf)]  # what has a check of its own
+Restitution = Annotated[float, Within(0.0, 1.0)]
 Share = Annotated[float, Within(1.0e-6, 1.0)]
 NotNegative = Annotated[float, Within(0.0, LARGEST)]
 Positive = Annotated[float, Within(SMALLEST, LARGEST)]

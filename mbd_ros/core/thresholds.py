@@ -46,6 +46,11 @@ REACHED = 1.0e-9  # Distance from a limit that counts as reached.
 CLOSED_GAP = 1.0e-12  # Of the largest gap to a limit: what may be left of it, or reach beyond.
 BRANCH_STEP = 0.5  # Longest step of an iteration, so that it stays on the branch it is on.
 
+# Events.
+ON_SURFACE = 1.0e-12  # Of 1 + the largest position or velocity: a height over a surface, a gap or
+# a slip velocity that is none.
+TIE = 1.0e-10  # Of the terms of a rate: one that counts as zero where two modes begin.
+
 SAME_TIME = 1.0e-9  # Of a step: two times that are meant to be the same, after sums of steps.
 
 

@@ -3,14 +3,10 @@
 import math
 from typing import Any, ClassVar
 
-from mbd_ros.core.events.sliding_field import SlidingField
-from mbd_ros.core.events.switching import DiscontinuousForce
-from mbd_ros.core.events.switching_steps import SwitchingSteps
 from mbd_ros.core.integration.adaptive_runge_kutta import check_tolerance, runge_kutta
 from mbd_ros.core.integration.dop853_tableau import DOP853
 from mbd_ros.core.integration.linear_motion import LinearMotion, runge_kutta_growth
 from mbd_ros.core.integration.stepping import Integrator, Stepper
-from mbd_ros.errors import ModelError
 
 
 class Filippov(Integrator):
@@ -22,7 +18,7 @@ class Filippov(Integrator):
     it is DOP853.
 
     It refuses to choose where the solution is not unique (surfaces that repel), where none
-    continues, and where events accumulate, each by a SolveError; and, when built, bounded rows
+    continues, and where events accumulate, each by a SolveError; and, when built, smoothed rows
     beside switching forces. It does not slide where only the second derivative of a height jumps
     (heights of positions alone): it crosses such surfaces.
 
@@ -36,6 +32,8 @@ class Filippov(Integrator):
 
     order: ClassVar[int] = 8
     dense: ClassVar[bool] = True
+    event_driven: ClassVar[bool] = True
+    finds_surfaces: ClassVar[bool] = True
     stable = 5.5
     example = {"tolerance": 1e-9}
 
@@ -50,19 +48,5 @@ class Filippov(Integrator):
         return runge_kutta_growth(DOP853, motion, dt)
 
     def prepare(self, system: Any, dt: float) -> Stepper:
-        """The stepper for one system and one step size [s], or with a tolerance first guess.
-
-        Raises:
-            ModelError: Switching forces beside bounded rows.
-        """
-        switching = [f for f in system.loads.forces if isinstance(f, DiscontinuousForce)]
-        if not switching:
-            return runge_kutta(system, DOP853, dt, self.tolerance)
-        if system.bounded is not None:
-            rows = ", ".join(row.name for row in system.bounded.rows)
-            raise ModelError(
-                f"filippov: switching forces beside bounded rows ({rows}) are not solved for; use "
-                "a switching force for friction, or another integrator"
-            )
-        field = SlidingField(system)
-        return SwitchingSteps(field, runge_kutta(field, DOP853, dt, self.tolerance), dt)
+        """The stepper for one system and one step size [s], or with a tolerance first guess."""
+        return runge_kutta(system, DOP853, dt, self.tolerance)

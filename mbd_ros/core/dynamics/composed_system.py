@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from mbd_ros.core.dynamics.exact_rows import ExactRows
 from mbd_ros.core.dynamics.extended import Extended
 from mbd_ros.core.dynamics.free_motion import FreeMotion
 from mbd_ros.core.dynamics.internals import Internals
@@ -29,7 +30,9 @@ class ComposedSystem:
         motion: Accelerations without rows that give way.
         rigid: Rows of positions that an integrator may have to keep, whoever solves for them.
         held: The same with rows of velocities; the same object without any.
-        bounded: Rows with bounded multipliers, solved for by Gauss's principle.
+        bounded: Rows with bounded multipliers that are solved for in every evaluation, by Gauss's
+            principle.
+        exact: Rows with bounded multipliers that are on or off by the mode, beside those above.
         layout: All rows of the scene.
         internals: The internal states of all parts.
         build: Makes the same system for other loads and gains.
@@ -41,6 +44,7 @@ class ComposedSystem:
         rigid: RigidRows,
         held: RigidRows,
         bounded: BoundedRows | None,
+        exact: ExactRows | None,
         layout: RowLayout,
         internals: Internals,
         build: Build,
@@ -53,7 +57,8 @@ class ComposedSystem:
         self.robot, self.loads = self._mechanism.robot, self._mechanism.loads
         self.model, self.k = self._mechanism.model, self._mechanism.k
         self.nq, self.nv = self.chart.nq, self.chart.nv
-        self.bounded, self.layout, self.internals = bounded, layout, internals
+        self.bounded, self.exact = bounded, exact
+        self.layout, self.internals = layout, internals
         self.constraints, self.sizes = rigid.constraints, rigid.sizes
         self.residual, self.jacobian, self.rate = rigid.residual, rigid.jacobian, rigid.rate
         self.expand, self.reduce = coordinates.expand, coordinates.reduce
@@ -62,10 +67,10 @@ class ComposedSystem:
         self.rows: tuple[Row, ...] = rigid.rows
         self.multiplier_rows: tuple[Row, ...] = layout.rows
         solved = np.ones(len(layout.rows), dtype=np.bool_)
-        if bounded is not None:
-            solved[bounded.constraints.slots] = False
+        self._given = bounded if exact is None else exact.solver
+        if self._given is not None:
+            solved[self._given.constraints.slots] = False
         self._solved = np.flatnonzero(solved)
-        self._write = self._written()
         self._accelerators: dict[Mode, Accelerator] = {}
         self._whole = Extended(self) if internals.nz else None
         integrated = self if self._whole is None else self._whole
@@ -96,15 +101,18 @@ class ComposedSystem:
             mechanism.mode, mechanism.z = (), NONE
 
     def _evaluated(self, x: State, u: Array | None) -> Evaluation:
-        motion, bounded, y = self._motion, self.bounded, self._coordinates.reduce(x)
+        motion, given, y = self._motion, self._given, self._coordinates.reduce(x)
         a, force = motion.accelerate(y.t, y.q, y.v, u), None
-        if bounded is not None:
-            a = bounded.accelerate(motion, y.t, y.q, y.v, a)
-            force = bounded.force
+        if self.exact is not None:
+            a = self.exact.accelerate(y.t, y.q, y.v, a, x.mode)
+        elif given is not None:
+            a = given.accelerate(motion, y.t, y.q, y.v, a)
+        if given is not None:
+            force = given.force
         a, lam = motion.solution(y, u, a, force)
-        if bounded is not None:
+        if given is not None:
             free, lam = lam, np.empty(len(self.multiplier_rows))
-            lam[self._solved], lam[bounded.constraints.slots] = free, bounded.multipliers
+            lam[self._solved], lam[given.constraints.slots] = free, given.multipliers
         return Evaluation(x, a, NONE, lam, self._response(y))
 
     def accelerator(self, mode: Mode = ()) -> Accelerator:
@@ -178,10 +186,12 @@ class ComposedSystem:
         return internals.rates(k, x, loads.inputs(x, u))
 
     def _written_in(self, mode: Mode) -> Accelerator:
-        mechanism, write = self._mechanism, self._write
+        mechanism, write = self._mechanism, self._without_exact()
+        if self.exact is not None and not self.exact.is_idle(mode):
+            write = self._with_exact(self.exact, mode)
         if self.internals.nz:
-            return self._written_with_rates(mode)
-        if not mode:
+            return self._with_rates(write, mode)
+        if not mode or self.loads.is_empty:  # nobody reads the mode
             return write
 
         def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
@@ -193,8 +203,8 @@ class ComposedSystem:
 
         return accelerate
 
-    def _written_with_rates(self, mode: Mode) -> Accelerator:
-        mechanism, write, inside = self._mechanism, self._write, self.internals.inside
+    def _with_rates(self, write: Accelerator, mode: Mode) -> Accelerator:
+        mechanism, inside = self._mechanism, self.internals.inside
         expand = self._coordinates.expand
 
         def accelerate(
@@ -210,7 +220,16 @@ class ComposedSystem:
 
         return accelerate
 
-    def _written(self) -> Accelerator:
+    def _with_exact(self, exact: ExactRows, mode: Mode) -> Accelerator:
+        motion = self._motion
+
+        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+            a = motion.accelerate(t, q, v, u)
+            out[...] = exact.accelerate(t, q, v, a, mode)
+
+        return accelerate
+
+    def _without_exact(self) -> Accelerator:
         motion, bounded = self._motion, self.bounded
         if bounded is None:
             return motion.accelerator()

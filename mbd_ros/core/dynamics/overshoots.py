@@ -44,12 +44,12 @@ class Overshoots:
     Steps in which no bounded row acts cost nothing.
 
     Args:
-        system: The system, with bounded rows.
+        system: The system, with smoothed stops.
     """
 
     def __init__(self, system: Any) -> None:
         self._system = system
-        stops = [stop for block in system.layout.yielding for stop in block.part.stops]
+        stops = [stop for block in system.layout.smoothed for stop in block.part.stops]
         self._joints = [stop.joint for stop in stops] * 2
         self._q = np.array([joint.q for joint in self._joints], dtype=np.intp)
         self._v = np.array([joint.v for joint in self._joints], dtype=np.intp)

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from mbd_ros.core.dynamics.chart import Chart
+from mbd_ros.core.dynamics.exact_rows import ExactRows
 from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mass import Mass
@@ -71,7 +72,8 @@ class System(Protocol):
         constraints: The same, stacked.
         held: All bilateral rows, those of velocities included: what velocities and accelerations
             keep, and positions need not. `held.rows` is `rows` where no row states velocities.
-        bounded: Rows that give way, None without any.
+        bounded: Rows that give way and are solved for in every evaluation, None without any.
+        exact: Rows that give way at events only, None without any.
         layout: Which multipliers of an `Evaluation` are those of which rows.
         multiplier_rows: What they are, in the same order under every tier.
         sizes: What masses and these rows usually are; None without rows.
@@ -92,6 +94,7 @@ class System(Protocol):
     constraints: ConstraintRows
     held: RigidRows
     bounded: BoundedRows | None
+    exact: ExactRows | None
     layout: RowLayout
     multiplier_rows: tuple[Row, ...]
     sizes: UsualSizes | None

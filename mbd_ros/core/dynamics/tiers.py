@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from mbd_ros.core.dynamics.aba import Aba
 from mbd_ros.core.dynamics.composed_system import ComposedSystem
+from mbd_ros.core.dynamics.exact_rows import ExactRows
 from mbd_ros.core.dynamics.free_motion import FreeMotion
 from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.kkt import Kkt
@@ -56,7 +57,9 @@ def build_system(
     _refuse_unserved(layout.blocks)
     _check(tier, couplings, layout.rigid[len(coupled) :], layout.yielding)
     is_kept = tier in ("kkt", "qp") or len(layout.rigid) > len(coupled)
-    limited = layout.blocks if tier == "qp" else layout.yielding
+    limited = layout.smoothed
+    if tier == "qp":
+        limited = tuple(b for b in layout.blocks if b.law.is_rigid or b.smoothed)
     parts = (*loads.actuators, *loads.forces, *constraints)
     plan = _Plan(robot, couplings, layout, Internals(parts), is_kept, limited, backend)
     return plan.build(loads, (0.0, 0.0))
@@ -105,8 +108,17 @@ class _Plan:
         acting = ConstraintRows(blocks, nv, gains)
         bounded = BoundedRows(acting, nv, self._backend) if blocks else None
         motion = self._motion(mechanism, held)
-        parts = rigid, held, bounded, self._layout, self._internals
+        exact = self._exact(motion, gains)
+        parts = rigid, held, bounded, exact, self._layout, self._internals
         return ComposedSystem(motion, *parts, self.build)
+
+    def _exact(self, motion: FreeMotion, gains: tuple[float, float]) -> ExactRows | None:
+        exact, nv = self._layout.exact, self._robot.model.nv
+        if not exact:
+            return None
+        every = sorted((*self._limited, *exact), key=lambda block: block.slots.start)
+        solver = BoundedRows(ConstraintRows(every, nv, gains), nv, self._backend)
+        return ExactRows(motion, solver)
 
     def _motion(self, mechanism: Mechanism, held: RigidRows) -> FreeMotion:
         if self._mimics is not None:
@@ -122,13 +134,13 @@ class _Plan:
 def _refuse_unserved(blocks: Sequence[RowBlock]) -> None:
     """Refuse laws that exist and that no solver serves."""
     for block in blocks:
-        what = ""
+        what, smoothed = "", block.smoothed and not block.law.is_rigid
         if block.law.kind is Kind.CONE:
             what = "has the law cone"
-        elif block.law.restitution > 0.0:
-            what = f"has restitution {block.law.restitution:g}"
-        elif block.level is Level.VELOCITY and block.law.kind is Kind.UNILATERAL:
-            what = "has the law unilateral on velocities"
+        elif smoothed and block.law.restitution > 0.0:
+            what = f"has restitution {block.law.restitution:g} and is smoothed"
+        elif smoothed and block.level is Level.VELOCITY and block.law.kind is Kind.UNILATERAL:
+            what = "has the law unilateral on velocities and is smoothed"
         elif block.slips:
             what = "pushes along another direction than it holds"
         elif not block.part.acts(()):
@@ -136,7 +148,8 @@ def _refuse_unserved(blocks: Sequence[RowBlock]) -> None:
         if what:
             raise ModelError(
                 f"row {block.rows[0].name} {what}, which no solver serves; accepted: bilateral, "
-                "drive and box, and unilateral without restitution on positions"
+                "drive, unilateral (smoothed ones without restitution), and box, which serves "
+                "velocities too"
             )
 
 

@@ -76,25 +76,22 @@ class SlidingField:
     Source: A. F. Filippov, 1988, §4; L. Dieci, L. Lopez, SIAM J. Numer. Anal. 47, 2009, 2023-2051.
 
     Args:
-        system: The system, without bounded rows.
+        system: The system, without rows that are solved for in every evaluation.
 
     Attributes:
         system: The same one, built for loads that know the modes.
         mode: Mode of the accelerations, one entry a surface.
+        beside: Mode of the exact rows, one entry each; modes of states begin with it.
         names: Of the surfaces.
-        times: When modes began [s], for reports.
-        modes: Those modes.
     """
 
     def __init__(self, system: System) -> None:
         self._loads = SwitchedLoads(int(system.model.nv), system.loads, self._signs_of)
         self.system = system.with_loads(self._loads)
-        self._write = self.system.accelerator()
         self.names = tuple(name for f in self._loads.switching for name in f.surfaces)
-        self.nv, self.chart = system.nv, system.chart
+        self.nv, self._zdot = system.nv, np.zeros(system.internals.nz)
         self.mode: Mode = (1,) * len(self.names)
-        self.times: list[float] = []
-        self.modes: list[Mode] = []
+        self.beside: Mode = (1,) * (0 if system.exact is None else len(system.exact.names))
 
     @property
     def sliding(self) -> list[int]:
@@ -107,7 +104,13 @@ class SlidingField:
         def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
             out[...] = self._in_mode(State(t, q, v), u)
 
-        return accelerate
+        def with_rates(
+            t: float, q: Array, v: Array, z: Array, u: Array | None, a_out: Array, z_out: Array
+        ) -> None:
+            a_out[...] = self._in_mode(State(t, q, v, z), u)
+            z_out[...] = self._zdot
+
+        return with_rates if len(self._zdot) else accelerate
 
     def heights(self, x: State) -> Array:
         """The h of all surfaces, shape (m,)."""
@@ -174,7 +177,11 @@ class SlidingField:
         a: Array = np.empty(self.nv)
         self._loads.signs = signs
         try:
-            self._write(x.t, x.q, x.v, u, a)
+            write = self.system.accelerator(self.beside)
+            if len(self._zdot):
+                write(x.t, x.q, x.v, x.z, u, a, self._zdot)
+            else:
+                write(x.t, x.q, x.v, u, a)
         finally:
             self._loads.signs = None
         return a
@@ -194,15 +201,16 @@ class SlidingField:
 
     def _signs_of(self, full: State, u: Array | None) -> Array:
         """Signs at a state of all joints: those of its mode, without one those of its heights."""
-        x = self.system.reduce(full)
-        if len(full.mode) != len(self.names):
+        x, rows = self.system.reduce(full), len(self.beside)
+        mode = full.mode[rows:]
+        if len(mode) != len(self.names):
             return np.sign(self.heights(x))
-        now, self.mode = self.mode, full.mode
-        signs = np.array(full.mode, dtype=np.float64)
+        now, self.mode, self.beside = (self.mode, self.beside), mode, full.mode[:rows]
+        signs = np.array(mode, dtype=np.float64)
         try:
-            if 0 in full.mode:
+            if 0 in mode:
                 signs[self.sliding] = self.signs(x, u)
         finally:
-            self.mode = now
+            self.mode, self.beside = now
         self._placed(x)
         return signs

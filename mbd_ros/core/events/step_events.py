@@ -1,65 +1,52 @@
-"""The first switching event in a step of a Runge-Kutta method."""
+"""The first event in a step."""
 
 import math
 from collections.abc import Collection
-from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.dynamics.exact_rows import rounding
 from mbd_ros.core.events.event_location import sign_change
-from mbd_ros.core.events.sliding_field import SlidingField
-from mbd_ros.core.integration.runge_kutta import RungeKutta
+from mbd_ros.core.events.mode_field import Margin, ModeField
+from mbd_ros.core.integration.stepping import Stepper
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 
-_ON_SURFACE = 1.0e-12  # relative
 _SHRINK = 0.125  # of the step, when looking for a place off a surface that was just left
-
-
-class Event(NamedTuple):
-    """End of a mode.
-
-    Attributes:
-        surface: Index of the surface.
-        way: 0 where the surface is reached, 1 or -1 where the motion stops sliding on it.
-    """
-
-    surface: int
-    way: int
 
 
 class StepEvents:
     """Looks through steps that were taken in one mode.
 
-    The margins of a mode are positive in it: height times side of a surface beside which the
-    motion runs, 1 - s and 1 + s of one that it slides on. A step is searched by its end; by its
-    middle where it slides; and by the lowest point of its dense output between surfaces that it
-    first approaches and then leaves. The event is where the step itself, taken again with another
-    length, has a margin of zero: it has the order of the method.
+    The margins of a mode are positive in it: height times side of a switch that is off, what is
+    left of a multiplier to its bounds where one is on. A step is searched by its end; by its
+    middle where a switch is on; and by the lowest point of its dense output where it first
+    approaches a switch and then leaves it. The event is where the step itself, taken again with
+    another length, has a margin of zero: it has the order of the method.
 
     Source: L. Dieci, L. Lopez, J. Comp. Appl. Math. 236, 2012, 3967-3991.
 
     Args:
         field: The system in its modes.
-        inner: Runge-Kutta steps of that field; the last one is searched.
+        inner: Steps of that field; the last one is searched.
     """
 
-    def __init__(self, field: SlidingField, inner: RungeKutta) -> None:
+    def __init__(self, field: ModeField, inner: Stepper) -> None:
         self._field, self._inner = field, inner
 
     def first(
         self, x: State, u: Array | None, after: State, left: Collection[int]
-    ) -> tuple[State, Event | None]:
-        """State at the first event and the event, or the state after the step and None.
+    ) -> tuple[State, Margin | None]:
+        """State at the first event and its margin, or the state after the step and None.
 
         Args:
             x: Start of the step; what is returned for an event that is there already.
             u: Commands.
             after: End of the step.
-            left: Surfaces that the motion is just leaving: heights of rounding do not count there.
+            left: Switches that the motion is just leaving: heights of rounding do not count there.
 
         Raises:
-            SolveError: A surface is not left.
+            SolveError: A switch is not left.
         """
         whole = h = after.t - x.t
         late = self._late(after, u, left)
@@ -69,7 +56,7 @@ class StepEvents:
                 late = self._late(self._advanced(x, h), u, left)
             if late is None:
                 return (after if h == whole else self._advanced(x, whole, after.t)), None
-        done: set[Event] = set()
+        done: set[Margin] = set()
         while late is not None:
             event = late
             done.add(event)
@@ -79,44 +66,33 @@ class StepEvents:
             late = self._late(self._advanced(x, h), u, left, done)
         return self._advanced(x, h), event
 
-    def near(self, x: State) -> set[int]:
-        """Surfaces that a state is on to within rounding."""
-        return set(np.flatnonzero(np.abs(self._field.heights(x)) <= _rounding(x)).tolist())
-
     def _late(
-        self, x: State, u: Array | None, left: Collection[int], done: Collection[Event] = ()
-    ) -> Event | None:
-        """The event whose margin is the most negative one; None where none is negative."""
-        margins = self._margins(x, u)
+        self, x: State, u: Array | None, left: Collection[int], done: Collection[Margin] = ()
+    ) -> Margin | None:
+        """The most negative margin; None where none is negative."""
+        margins = self._field.margins(x, u)
         for i in left:
-            if margins.get(Event(i, 0), -math.inf) >= -_rounding(x):
-                del margins[Event(i, 0)]
+            if margins.get((i, 0), -math.inf) >= -rounding(x):
+                del margins[i, 0]
         negative = {e: m for e, m in margins.items() if m < 0.0 and e not in done}
         return min(negative, key=lambda event: negative[event], default=None)
 
-    def _margins(self, x: State, u: Array | None) -> dict[Event, float]:
-        field = self._field
-        h, on = field.heights(x).tolist(), field.sliding
-        margins = {Event(i, 0): way * h[i] for i, way in enumerate(field.mode) if way}
-        for i, s in zip(on, field.signs(x, u).tolist() if on else (), strict=True):
-            margins[Event(i, 1)], margins[Event(i, -1)] = 1.0 - s, 1.0 + s
-        return margins
-
     def _zero(
-        self, x: State, u: Array | None, event: Event, h: float, left: Collection[int]
+        self, x: State, u: Array | None, event: Margin, h: float, left: Collection[int]
     ) -> float:
         """Length of the step with which a margin is zero, 0 for one that is so at the start."""
 
         def margin(length: float) -> float:
-            return self._margins(self._advanced(x, length), u)[event]
+            return self._field.margin(self._advanced(x, length), u, event)
 
-        near, at_near = 0.0, self._margins(x, u)[event]
-        if not event.way and event.surface in left:
+        near, at_near = 0.0, self._field.margin(x, u, event)
+        switch, way = event
+        if not way and switch in left:
             near, at_near = h, -1.0
             while at_near <= 0.0:
                 near *= _SHRINK
                 if near <= 4.0 * math.ulp(x.t):
-                    name = self._field.names[event.surface]
+                    name = self._field.names[switch]
                     raise SolveError(
                         f"switching surface {name} is not left at t = {x.t:.9g} s: events "
                         "accumulate there (Zeno), or the motion only touches it"
@@ -129,7 +105,7 @@ class StepEvents:
     def _inside(self, x: State, u: Array | None, after: State, left: Collection[int]) -> float:
         """Length after which a margin may be negative, though none is at the end."""
         field, whole = self._field, after.t - x.t
-        if field.sliding:
+        if field.on or field.drives:
             middle = self._inner.interpolate(x.t + 0.5 * whole)
             if self._late(middle, u, left) is not None:
                 return 0.5 * whole
@@ -154,9 +130,4 @@ class StepEvents:
 
     def _advanced(self, x: State, h: float, t: float | None = None) -> State:
         """The step with another length."""
-        return self._inner.stages.advance(h, x.t + h if t is None else t)
-
-
-def _rounding(x: State) -> float:
-    """Height that counts as none."""
-    return _ON_SURFACE * float(1.0 + max(np.abs(x.q).max(), np.abs(x.v).max()))
+        return self._inner.again(h, x.t + h if t is None else t)

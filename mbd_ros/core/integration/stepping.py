@@ -103,6 +103,7 @@ class Integrator:
             at events; other methods refuse exact rows that give way, and guards.
         at_velocity_level: Whether its steps solve for rows that give way with their rates at the
             end of the step, impacts included, exact or smoothed, and for internal states.
+        finds_surfaces: Whether surfaces of switching forces are events, too.
         stable: Largest rate times dt, with the rate of `linear_motion.fastest_rate`, at which no
             oscillation and no decay grows, however it is damped; beyond it `growth` decides. inf
             where the method chooses its steps.
@@ -115,6 +116,7 @@ class Integrator:
     is_explicit: ClassVar[bool] = True
     event_driven: ClassVar[bool] = False
     at_velocity_level: ClassVar[bool] = False
+    finds_surfaces: ClassVar[bool] = False
     stable: float = 2.5
 
     def growth(self, motion: Any, dt: float) -> float:

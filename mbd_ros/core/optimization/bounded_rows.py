@@ -78,18 +78,40 @@ class BoundedRows:
         k.refresh(joint_q, joint_v, self.constraints.reads)
         if self.constraints.varies:
             self.constraints.limit(k, x)
-        J, b = self.constraints.conditions(k, x)
+        return self.held(motion, q, x, joint_a, self._lower, self._upper)[0]
+
+    def held(
+        self, motion: Any, q: Array, x: State, joint_a: Array, lower: Array, upper: Array
+    ) -> tuple[Array, Array, Array]:
+        """Accelerations of the integrated coordinates, w, and the size of its terms, (m,) each.
+
+        Args:
+            motion: As for `accelerate`.
+            q: Integrated configuration.
+            x: State of all joints, with k refreshed.
+            joint_a: Accelerations of all joints without the rows.
+            lower: Smallest multipliers, shape (m,).
+            upper: Largest multipliers, shape (m,).
+
+        Raises:
+            SolveError: As `accelerate`.
+        """
+        J, b = self.constraints.conditions(motion.mechanism.k, x)
         response = motion.respond(q, J.T)
-        A, w = self._without_silent(J, J.dot(response), J.dot(joint_a) + b)
-        lam = self._multipliers(A, w)
+        free = J.dot(joint_a) + b
+        A, w = self._without_silent(J, J.dot(response), free, (lower, upper))
+        lam = self._multipliers(A, w, lower, upper)
         self.multipliers, self.force = lam, J.T.dot(lam)
-        return motion.coordinates.integrated(joint_a + response.dot(lam))
+        a = motion.coordinates.integrated(joint_a + response.dot(lam))
+        return a, A.dot(lam) + w, np.abs(A).dot(np.abs(lam)) + np.abs(w)
 
-    def _multipliers(self, A: Array, w: Array) -> Array:
-        lam = exchanged(A, w, self._lower, self._upper)
-        return self.qp.solve(A, w, self._lower, self._upper) if lam is None else lam
+    def _multipliers(self, A: Array, w: Array, lower: Array, upper: Array) -> Array:
+        lam = exchanged(A, w, lower, upper)
+        return self.qp.solve(A, w, lower, upper) if lam is None else lam
 
-    def _without_silent(self, J: Array, A: Array, w: Array) -> tuple[Array, Array]:
+    def _without_silent(
+        self, J: Array, A: Array, w: Array, bounds: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
         """A and w without rows that nothing moves, whose multipliers are then 0.
 
         Raises:
@@ -102,9 +124,8 @@ class BoundedRows:
         silent = (size <= ZERO_ROW * largest) | is_rounding(J)
         if not silent.any():
             return A, w
-        left = np.maximum(
-            np.where(self._upper > 0.0, -w, 0.0), np.where(self._lower < 0.0, w, 0.0)
-        )
+        lower, upper = bounds
+        left = np.maximum(np.where(upper > 0.0, -w, 0.0), np.where(lower < 0.0, w, 0.0))
         left *= silent
         worst = int(np.argmax(left))
         if left[worst] > CONTRADICTION * (1.0 + float(np.abs(w).max())):

@@ -62,7 +62,7 @@ class Constraint(Part):
     level: Level = Level.POSITION
     law: Law = bilateral()
     gains: tuple[float | Array, float | Array] = (0.0, 0.0)
-    smoothed: bool = True
+    smoothed: bool = False
     driven: tuple[str, ...] = ()
     stops: tuple[Stop, ...] = ()
     slips: bool = False

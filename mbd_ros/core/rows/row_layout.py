@@ -51,6 +51,8 @@ class RowLayout:
         blocks: One entry a constraint.
         rigid: Blocks that hold whatever multipliers that takes.
         yielding: The other blocks.
+        exact: Those of them that give way at events only.
+        smoothed: Those that are solved for in every evaluation.
 
     Raises:
         ModelError: A law or gains that do not fit their rows; names them.
@@ -65,6 +67,8 @@ class RowLayout:
         )
         self.rigid = tuple(block for block in self.blocks if block.law.is_rigid)
         self.yielding = tuple(block for block in self.blocks if not block.law.is_rigid)
+        self.exact = tuple(block for block in self.yielding if not block.smoothed)
+        self.smoothed = tuple(block for block in self.yielding if block.smoothed)
 
     def of(self, level: Level) -> tuple[RowBlock, ...]:
         """Blocks of one level; a projection of positions asks for `Level.POSITION`."""

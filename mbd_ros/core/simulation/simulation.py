@@ -7,8 +7,9 @@ from mbd_ros.core.dynamics.equilibrium import settled
 from mbd_ros.core.dynamics.mass_check import check_mass
 from mbd_ros.core.dynamics.overshoots import Overshoots
 from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.events.event import Event
 from mbd_ros.core.integration.internal_steps import prepared
-from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.simulation.checkpoint import (
@@ -52,12 +53,12 @@ class Simulation:
         system = system.with_gains(*stabilization.gains(dt))
         self.integrator, self.dt = integrator, dt
         self.stabilization = stabilization
-        self.stepper = prepared(integrator, system, dt)
+        self.stepper = _stepper(integrator, system, dt)
         self.system: System = self.stepper.system or system
         self._stride = getattr(self.stepper, "stride", None)  # several steps at once, if it can
         self.steps = 0
         self.worst = (1.0, 0.0)
-        has_stops = any(block.part.stops for block in system.layout.yielding)
+        has_stops = any(block.part.stops for block in system.layout.smoothed)
         self.overshoots = Overshoots(system) if has_stops else None
         self._is_corrected = bool(system.held.rows) and not integrator.keeps_constraints
         self._nz = system.internals.nz
@@ -201,6 +202,11 @@ class Simulation:
         self._progress = self._progressed()._replace(y=y)
         return y
 
+    @property
+    def events(self) -> list[Event]:
+        """What happened since the start, in the order of time."""
+        return list(getattr(self.stepper, "events", ()))
+
     def passed_stops(self) -> list[str]:
         """Joints that went beyond stops since the start, one text each."""
         return [] if self.overshoots is None else [str(one) for one in self.overshoots.found()]
@@ -234,6 +240,27 @@ class Simulation:
                 self.overshoots.look(y, after)
             return after
         raise divergence(self.system, y, after)
+
+
+def _stepper(method: Integrator, system: System, dt: float) -> Stepper:
+    """The steps of a method, from event to event where something happens at one time.
+
+    Raises:
+        ModelError: The method cannot stop at events.
+    """
+    rows = () if system.exact is None else system.exact.names
+    surfaces = method.finds_surfaces and any(force.surfaces for force in system.loads.forces)
+    if not (rows or surfaces):
+        return prepared(method, system, dt)
+    if not method.event_driven:
+        raise ModelError(
+            f"integrator {type(method).__name__} does not stop at events, which exact rows need: "
+            f"{', '.join(rows)}; accepted: rk4, dopri5, dop853, gauss_legendre, adams, or "
+            "smoothed: true at these constraints"
+        )
+    from mbd_ros.core.events.event_steps import through_events
+
+    return through_events(method, system, dt)
 
 
 def _end(y: State, sample: int, times: SampleTimes, now: float, is_fixed: bool) -> float:

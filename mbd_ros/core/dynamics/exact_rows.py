@@ -1,0 +1,226 @@
+"""Rows that give way at events only: on, off or at a bound, by the mode.
+
+A row that is on is an equation, one at a bound is a force, one that is off is not there. The mode
+of a row is 0 while it is on; 1 where its multiplier is at the lower bound (a gap that is open,
+friction of a joint that slips forwards), -1 at the upper one.
+"""
+
+from collections.abc import Collection
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.optimization.bounded_rows import BoundedRows
+from mbd_ros.core.row_laws import Kind, Level
+from mbd_ros.core.rows.row_layout import RowBlock
+from mbd_ros.core.state import Array, Mode, State
+from mbd_ros.core.thresholds import ON_SURFACE, TIE
+
+_CORRECTIONS = 4
+
+
+class Reach(Enum):
+    """What has to be zero before a row may be on."""
+
+    GAP = "gap"  # g, and g': one-sided rows of positions
+    SLIP = "slip"  # g': rows of velocities
+    DEMAND = "demand"  # g'' + kd g' + kp g: drives, which follow within their limit
+
+
+def rounding(x: State) -> float:
+    """Height over a surface that counts as none."""
+    return ON_SURFACE * float(1.0 + max(np.abs(x.q).max(), np.abs(x.v).max()))
+
+
+class ExactRows:
+    """Rows that give way, in a mode.
+
+    Heights are positive in mode 1 and negative in mode -1: gaps, slip velocities. Rows that are
+    solved for in every evaluation stand beside them.
+
+    Args:
+        motion: The `FreeMotion` without rows that give way.
+        solver: Of all rows that give way, those of every evaluation among them.
+
+    Attributes:
+        names: As the multipliers, one a row.
+        slots: Of their multipliers among those of the scene, shape (n,).
+        reach: One entry a row.
+        restitution: Shape (n,).
+        solver: As given.
+        lam: Multipliers of the last solve, shape (n,).
+        left: Their w = g'' + kd g' + kp g there, shape (n,).
+        lower: Their lower bounds there, shape (n,).
+        upper: Their upper bounds there, shape (n,).
+    """
+
+    def __init__(self, motion: Any, solver: BoundedRows) -> None:
+        self._motion, self.solver = motion, solver
+        rows = self._rows = solver.constraints
+        exact = [(i, b) for i, b in _each(rows.blocks) if not (b.law.is_rigid or b.smoothed)]
+        self._at = np.array([i for i, _ in exact], dtype=np.intp)
+        self.names = tuple(rows.rows[i].name for i, _ in exact)
+        self.slots = rows.slots[self._at]
+        self.reach = tuple(_reach(block) for _, block in exact)
+        self.restitution = np.array([block.law.restitution for _, block in exact])
+        self._is_gap, self._is_slip = (
+            np.array([one is kind for one in self.reach]) for kind in (Reach.GAP, Reach.SLIP)
+        )
+        n = len(exact)
+        self.lam, self.left, self.lower, self.upper, self._slack = np.zeros((5, n))
+        self._none = np.zeros(len(rows.rows))
+
+    def is_idle(self, mode: Mode) -> bool:
+        """Whether no row acts in a mode, as far as that is known while building."""
+        return (
+            len(mode) > 0
+            and not self._rows.varies
+            and all(
+                way == 1 and self._rows.lower[i] == 0.0
+                for way, i in zip(mode, self._at, strict=False)
+            )
+        )
+
+    def accelerate(
+        self, t: float, q: Array, v: Array, a: Array, mode: Mode, free: Collection[int] = ()
+    ) -> Array:
+        """Accelerations of what is integrated, with the rows of a mode.
+
+        Args:
+            t: Time [s].
+            q: Integrated configuration.
+            v: Integrated velocity.
+            a: Acceleration without the rows, of the last `accelerate` of the motion.
+            mode: Begins with one entry a row; the state decides where it is empty.
+            free: Rows whose mode is looked for: their multipliers may be all that the law allows.
+
+        Raises:
+            SolveError: The rows that are on contradict one another.
+        """
+        motion, rows = self._motion, self._rows
+        joint_q, joint_v, joint_a = motion.joint_motion(q, v, a)
+        x = State(t, joint_q, joint_v)
+        motion.mechanism.k.refresh(joint_q, joint_v, rows.reads)
+        if rows.varies:
+            rows.limit(motion.mechanism.k, x)
+        if not mode:
+            mode, free = self._ways(x)
+        lower, upper = self._bounds(mode, free)
+        a, left, terms = self.solver.held(motion, q, x, joint_a, lower, upper)
+        self.lam, self.left = self.solver.multipliers[self._at], left[self._at]
+        self._slack = TIE * terms[self._at]
+        self.lower, self.upper = rows.lower[self._at], rows.upper[self._at]
+        return a
+
+    def solve(self, y: State, u: Array | None, mode: Mode, free: Collection[int] = ()) -> Array:
+        """As `accelerate`, at a state of what is integrated."""
+        mechanism = self._motion.mechanism
+        before = mechanism.mode, mechanism.z
+        mechanism.mode, mechanism.z = mode, y.z
+        try:
+            a = self._motion.accelerate(y.t, y.q, y.v, u)
+        finally:
+            mechanism.mode, mechanism.z = before
+        return self.accelerate(y.t, y.q, y.v, a, mode, free)
+
+    def found(self) -> Mode:
+        """The mode that the last `accelerate` found; a tie is on, and ends if it has to."""
+        above, below = self.left > self._slack, self.left < -self._slack
+        return tuple((above.astype(int) - below).tolist())
+
+    def heights(self, y: State) -> Array:
+        """Gaps, slip velocities, and 1 for rows without height, shape (n,)."""
+        return self._heights(self._placed(y))
+
+    def approach(self, y: State) -> Array:
+        """The g' of all rows, shape (n,)."""
+        return self._approach(self._placed(y))
+
+    def ways(self, y: State) -> tuple[Mode, list[int]]:
+        """Modes by the heights, and rows that may be on."""
+        return self._ways(self._placed(y))
+
+    def onto(self, y: State, mode: Mode, *, moves: bool = True) -> State:
+        """The state on the rows that are on, moved as their forces move it: g = 0, then g' = 0.
+
+        Args:
+            y: State of what is integrated.
+            mode: Begins with one entry a row.
+            moves: Whether its velocity changes, too.
+        """
+        on = np.array([not way for way in mode[: len(self.names)]], dtype=np.bool_)
+        gaps, slips = on & self._is_gap, on & (self._is_gap | self._is_slip)
+        for _ in range(_CORRECTIONS if gaps.any() else 0):
+            g = self._heights(self._placed(y))
+            if np.abs(g[gaps]).max() <= np.spacing(1.0 + np.abs(y.q).max()):
+                break
+            move = self._move(y, g, gaps)
+            y = y._replace(q=self._motion.coordinates.chart.integrate(y.q, move))
+        if moves and slips.any():
+            rate = self.approach(y)
+            if np.abs(rate[slips]).max() > np.spacing(np.abs(y.v).max()):
+                y = y._replace(v=y.v + self._move(y, rate, slips))
+        return y
+
+    def _move(self, y: State, size: Array, chosen: Array) -> Array:
+        """The smallest motion of what is integrated, in the mass metric, that ends a size."""
+        motion = self._motion
+        motion.accelerate(y.t, y.q, y.v, None)
+        x = self._placed(y)
+        J = self._rows.jacobian(motion.mechanism.k, x)[self._at[chosen]]
+        response = motion.respond(y.q, J.T)
+        share = np.linalg.lstsq(J.dot(response), -size[chosen], rcond=1.0e-13)[0]
+        return motion.coordinates.integrated(response.dot(share))
+
+    def _placed(self, y: State) -> State:
+        """State of all joints, with k as the rows need it."""
+        x = self._motion.coordinates.expand(y)
+        self._motion.mechanism.k.refresh(x.q, x.v, self._rows.reads)
+        return x
+
+    def _heights(self, x: State) -> Array:
+        k = self._motion.mechanism.k
+        heights = np.ones(len(self.names))
+        if self._is_gap.any():
+            heights[self._is_gap] = self._rows.residual(k, x)[self._at[self._is_gap]]
+        if self._is_slip.any():
+            heights[self._is_slip] = self._approach(x)[self._is_slip]
+        return heights
+
+    def _approach(self, x: State) -> Array:
+        k = self._motion.mechanism.k
+        rate: Array = self._rows.jacobian(k, x).dot(x.v) + self._rows.rate(k, x)
+        return rate[self._at]
+
+    def _ways(self, x: State) -> tuple[Mode, list[int]]:
+        heights, rate, slack = self._heights(x), self._approach(x), rounding(x)
+        on = np.where(self._is_gap, heights, np.abs(heights)) <= slack
+        on &= ~self._is_gap | (rate <= slack)
+        on |= ~(self._is_gap | self._is_slip)
+        ways = np.where((heights < 0.0) & ~self._is_gap, -1, 1)
+        return tuple(ways.tolist()), np.flatnonzero(on).tolist()
+
+    def _bounds(self, mode: Mode, free: Collection[int]) -> tuple[Array, Array]:
+        """Smallest and largest multipliers of all rows in a mode."""
+        lower, upper = self._rows.lower.copy(), self._rows.upper.copy()
+        for i, (at, way) in enumerate(zip(self._at, mode, strict=False)):
+            if i in free:
+                continue
+            if way == 0:
+                lower[at], upper[at] = -np.inf, np.inf
+            elif way == 1:
+                upper[at] = lower[at]
+            else:
+                lower[at] = upper[at]
+        return lower, upper
+
+
+def _each(blocks: tuple[RowBlock, ...]) -> list[tuple[int, RowBlock]]:
+    return list(enumerate(block for block in blocks for _ in block.rows))
+
+
+def _reach(block: RowBlock) -> Reach:
+    if block.level is Level.VELOCITY:
+        return Reach.SLIP
+    return Reach.GAP if block.law.kind is Kind.UNILATERAL else Reach.DEMAND

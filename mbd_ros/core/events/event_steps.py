@@ -1,0 +1,281 @@
+"""Steps of a smooth method from event to event."""
+
+import math
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from mbd_ros.core.dynamics.exact_rows import rounding
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.velocity_level import VelocityLevel
+from mbd_ros.core.events.event import Event
+from mbd_ros.core.events.mode_field import Margin, ModeField
+from mbd_ros.core.events.step_events import StepEvents
+from mbd_ros.core.integration.internal_steps import prepared
+from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.memory import Memory
+from mbd_ros.core.state import Array, Mode, State
+from mbd_ros.errors import SolveError
+
+_SHORT, _MOST = 1.0e-3, 16  # events this close, in dt, and how many of them may follow one another
+
+
+def through_events(method: Integrator, system: System, dt: float) -> "EventSteps":
+    """The stepper of a method that goes from event to event.
+
+    Raises:
+        ModelError: The method refuses the system, or surfaces stand beside smoothed rows.
+    """
+    has_surfaces = any(force.surfaces for force in system.loads.forces)
+    field = ModeField(system, method.finds_surfaces and has_surfaces)
+    return EventSteps(field, prepared(method, field.system, dt), dt)
+
+
+class EventSteps(Stepper):
+    """Steps that end where a switch of the system is reached or left.
+
+    Each step is taken in one mode. At an event come impacts, all in one solve, and then the mode
+    in which the motion goes on; the inner method follows it from the next step on, so that the
+    dense output of the finished step keeps its own mode.
+
+    Args:
+        field: The system in its modes.
+        inner: Steps of that system.
+        dt: Step of a fixed-step method, and interval of the output [s].
+
+    Attributes:
+        field: As given.
+        events: What happened so far.
+    """
+
+    kept = ("_last", "_u", "_left", "_rests", "_event_time", "_quick", "_followed", "events")
+
+    def __init__(self, field: ModeField, inner: Stepper, dt: float) -> None:
+        self.field, self._inner, self._short = field, inner, _SHORT * dt
+        self.system = field.system
+        self.is_fixed = inner.is_fixed
+        self._search = StepEvents(field, inner)
+        self._impacts = VelocityLevel(self.system) if field.gaps else None
+        self._last: State | None = None
+        self._u: Array | None = None
+        self._left: frozenset[int] = frozenset()
+        self._rests: tuple[tuple[float, int], ...] = ()
+        self._event_time, self._quick = -math.inf, 0
+        self._followed: Mode = ()
+        self.events: tuple[Event, ...] = ()
+
+    def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
+        """Advance by one step of the inner method, or to the next event.
+
+        Raises:
+            SolveError: The solution is not unique or ends, or events accumulate.
+            DivergedError: As the inner method.
+        """
+        if not x.t < end:
+            return x
+        x = self._settled(x, u)
+        while True:
+            rest = min(self._rests, default=(math.inf, 0))[0]
+            after = self._inner.step(x, u, min(end, rest))
+            if after is x:
+                return x
+            after, margin = self._search.first(x, u, after, self._left)
+            if after is not x:
+                break
+            assert margin is not None
+            x = self._follow(self._happened(x, u, margin))
+        after = self.field.onto(after, u)
+        self._left &= self.field.close(after)
+        if margin is not None:
+            after = self._happened(after, u, margin)
+        elif after.t >= rest:
+            after = self._rested(after)
+        self._last = after
+        return after
+
+    def settle(self, x: State, u: Array | None) -> State:
+        """The state with the mode in which it goes on."""
+        self._last = x = self._settled(x, u)
+        return x
+
+    def restart(self) -> None:
+        """Forget mode, events and earlier steps."""
+        self._inner.restart()
+        self._forget()
+
+    def memory(self) -> Memory:
+        """Mode, events and the last step."""
+        return {**super().memory(), "mode": self.field.mode, "inner": self._inner.memory()}
+
+    def recall(self, memory: Memory, x: State) -> None:
+        """As `Stepper.recall`."""
+        super().recall({name: memory[name] for name in self.kept}, x)
+        self.field.mode = self._followed
+        self._inner.follow(self.field.accelerator(), self._followed)
+        self._inner.recall(memory["inner"], x)
+        self.field.mode = memory["mode"]
+
+    def continue_from(self, x: State) -> None:
+        """Continue in the same mode from a corrected state."""
+        self._last = x
+        self._inner.continue_from(x)
+
+    def interpolate(self, t: float) -> State:
+        """State at a time inside the last step, on what was on in it."""
+        if self._last is not None and t == self._last.t:
+            return self._last
+        now, self.field.mode = self.field.mode, self._followed
+        try:
+            return self.field.onto(self._inner.interpolate(t), self._u)
+        finally:
+            self.field.mode = now
+
+    def _forget(self) -> None:
+        self._last = self._u = None
+        self._left = frozenset()
+        self._rests = ()
+        self._event_time, self._quick = -math.inf, 0
+        self._followed = ()
+        self.events = ()
+
+    def _settled(self, x: State, u: Array | None) -> State:
+        """The state with the mode of the next step, decided where anything has changed."""
+        field = self.field
+        is_new = self._last is None or x.t != self._last.t  # otherwise the last one, corrected
+        is_changed = not _same(u, self._u)
+        if is_changed:
+            self._u = None if u is None else u.copy()
+        if is_new:
+            x = self._begun(self.field.inside(x), u)
+            x = self._happened(x, u, None) if self._hits(x) else self.field.onto_rows(x)
+        elif is_changed and (field.on or field.drives):
+            self._change(self._decided(x, u, {*field.on, *field.near(x)}))
+            x = self._switched(x)
+        return self._follow(x)
+
+    def _switched(self, x: State) -> State:
+        """The state in another mode, which inputs that jump have begun."""
+        pairs = zip(self.field.names, x.mode, self.field.mode, strict=True)
+        names = tuple(name for name, one, other in pairs if one != other)
+        after = x._replace(mode=self.field.mode)
+        if names:
+            self._log(names, x, after, None)
+        return after
+
+    def _follow(self, x: State) -> State:
+        """Let the inner method follow the mode."""
+        field = self.field
+        if self._followed != field.mode:
+            self._followed = field.mode
+            self._inner.follow(field.accelerator(), field.mode)
+        return x if x.mode == field.mode else x._replace(mode=field.mode)
+
+    def _happened(self, x: State, u: Array | None, margin: Margin | None) -> State:
+        """The state after an event: impacts, then the mode that begins."""
+        field, before = self.field, x
+        switch, way = margin or (-1, 0)
+        hits, impulse = self._hits(x), None
+        if hits:
+            x, impulse = self._struck(x, u)
+        elif way:
+            self._change({switch: way})
+        elif margin:
+            self._change(self._decided(x, u, {*field.on, switch, *field.near(x)}))
+        x = field.onto_rows(x)._replace(mode=field.mode)
+        names = tuple(field.names[i] for i in sorted({switch, *hits} - {-1}))
+        if not self._rests:
+            self._count(x.t, names)
+        self._log(names, before, x, impulse)
+        return x
+
+    def _hits(self, x: State) -> list[int]:
+        """Gaps that are closed and close further."""
+        field, rows = self.field, self.field.rows
+        if rows is None or not field.gaps:
+            return []
+        slack, rate = rounding(x), rows.approach(x)
+        closed = rows.heights(x) <= slack
+        return [i for i in field.gaps if closed[i] and rate[i] < -slack]
+
+    def _struck(self, x: State, u: Array | None) -> tuple[State, Array]:
+        """The state after the impacts of all gaps that are closed, and all impulses."""
+        rows, mode = self.field.rows, self.field.mode
+        assert rows is not None and self._impacts is not None
+        touching = [i for i in self.field.gaps if rows.heights(x)[i] <= rounding(x)]
+        x = rows.onto(x, tuple(0 if i in touching else 1 for i in range(len(mode))), moves=False)
+        full = self.system.expand(x)
+        v, impulse = self._impacts.impact(full, rows.slots[touching].tolist())
+        x = x._replace(v=self.system.reduce(full._replace(v=v)).v)
+        return self._resting(self._begun(x, u), u, touching), impulse
+
+    def _resting(self, x: State, u: Array | None, touching: Sequence[int]) -> State:
+        """The state with gaps closed that would open by no more than rounding.
+
+        A gap that opens with v while its acceleration is -a bounces for 2 v / (a (1 - e)) more,
+        by v^2 / (2 a) at most; it is at rest after that time.
+        """
+        field, rows = self.field, self.field.rows
+        assert rows is not None
+        rate, mode = rows.approach(x), field.mode
+        rows.solve(x, u, mode)
+        for i in (i for i in touching if mode[i] and rate[i] > 0.0 > rows.left[i]):
+            v, a, e = float(rate[i]), -float(rows.left[i]), float(rows.restitution[i])
+            if e < 1.0 and v * v <= 2.0 * a * rounding(x):
+                self._rests = (*self._rests, (x.t + 2.0 * v / (a * (1.0 - e)), i))
+                self._change({i: 0})
+        return x if field.mode == mode else self._begun(rows.onto(x, field.mode), u)
+
+    def _rested(self, x: State) -> State:
+        """The state in which gaps are at rest whose bounces have ended."""
+        over = sorted({i for t, i in self._rests if t <= x.t})
+        self._rests = tuple((t, i) for t, i in self._rests if t > x.t)
+        self._log(tuple(self.field.names[i] for i in over), x, x, None)
+        return x
+
+    def _log(
+        self, names: tuple[str, ...], before: State, after: State, impulse: Array | None
+    ) -> None:
+        if impulse is None:
+            impulse = np.zeros(len(self.system.multiplier_rows))
+        expand = self.system.expand
+        event = Event(after.t, names, expand(before), expand(after), impulse)
+        self.events = (*self.events, event)
+
+    def _begun(self, x: State, u: Array | None) -> State:
+        """The state with the mode that heights and accelerations say."""
+        field = self.field
+        field.begin(x)
+        self._left = frozenset(field.close(x))
+        self._change(self._decided(x, u, field.near(x)))
+        return x._replace(mode=field.mode)
+
+    def _decided(self, x: State, u: Array | None, on: Collection[int]) -> dict[int, int]:
+        """Modes in which switches go on."""
+        try:
+            return self.field.decided(x, u, on)
+        except SolveError as error:
+            raise SolveError(f"t = {x.t:.9g} s: {error}") from error
+
+    def _change(self, ways: dict[int, int]) -> None:
+        """Switch to another mode."""
+        field = self.field
+        field.mode = tuple(ways.get(i, way) for i, way in enumerate(field.mode))
+        self._left |= frozenset(i for i, way in ways.items() if way)
+        self._left -= frozenset(i for i, way in ways.items() if not way)
+
+    def _count(self, t: float, names: Collection[str]) -> None:
+        """Refuse events that accumulate."""
+        self._quick = self._quick + 1 if t - self._event_time < self._short else 0
+        self._event_time = t
+        if self._quick > _MOST + 2 * len(self.field.names):
+            raise SolveError(
+                f"t = {t:.9g} s: {self._quick} switching events, each within {self._short:.2g} s "
+                f"of the last one, accumulate (Zeno) at {', '.join(names)}"
+            )
+
+
+def _same(one: Array | None, other: Array | None) -> bool:
+    """Whether commands are the same bits."""
+    if one is None or other is None:
+        return one is other
+    return one.tobytes() == other.tobytes()

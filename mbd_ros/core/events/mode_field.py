@@ -1,0 +1,213 @@
+"""A system in one mode at a time: exact rows, then surfaces of switching forces."""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from mbd_ros.core.dynamics.exact_rows import Reach, rounding
+from mbd_ros.core.dynamics.system import Accelerator, System
+from mbd_ros.core.events.sliding_field import SlidingField
+from mbd_ros.core.events.surface_modes import mode_on
+from mbd_ros.core.state import Array, Mode, State
+from mbd_ros.errors import ModelError
+
+Margin = tuple[int, int]
+"""A switch, and 0 where it is reached; 1 or -1 where it is left in that direction."""
+
+
+class ModeField:
+    """The switches of a system, one entry of a mode each.
+
+    A switch is off beside its surface or gap, in the direction 1 or -1 that its mode says, and on
+    at mode 0. It leaves in the direction 1 or -1 once its multiplier passes a bound.
+
+    Args:
+        system: The system.
+        with_surfaces: Whether surfaces of switching forces are switches, too; their forces go by
+            the signs of the heights otherwise.
+
+    Attributes:
+        system: The system in its modes.
+        names: Of the switches: rows as their multipliers, then surfaces.
+        mode: The present one.
+
+    Raises:
+        ModelError: Surfaces beside rows that are solved for in every evaluation.
+    """
+
+    def __init__(self, system: System, with_surfaces: bool) -> None:
+        self._surfaces = SlidingField(system) if with_surfaces else None
+        if self._surfaces is not None and system.bounded is not None:
+            rows = ", ".join(row.name for row in system.bounded.rows)
+            raise ModelError(
+                f"filippov: switching forces beside bounded rows ({rows}) are solved for where "
+                "these are exact; leave out smoothed and time_constant, or use another integrator"
+            )
+        self.system = system if self._surfaces is None else self._surfaces.system
+        self.rows = self.system.exact
+        names = () if self.rows is None else self.rows.names
+        self._count = len(names)
+        self.names = names if self._surfaces is None else (*names, *self._surfaces.names)
+        reach = () if self.rows is None else self.rows.reach
+        self._of_state = np.array([one is not Reach.DEMAND for one in reach], dtype=np.bool_)
+        self._demands = [i for i, one in enumerate(reach) if one is Reach.DEMAND]
+        self.gaps = [i for i, one in enumerate(reach) if one is Reach.GAP]
+        self._mode: Mode = (1,) * len(self.names)
+
+    @property
+    def mode(self) -> Mode:
+        """One entry a switch."""
+        return self._mode
+
+    @mode.setter
+    def mode(self, mode: Mode) -> None:
+        self._mode = mode
+        if self._surfaces is not None:
+            self._surfaces.beside = mode[: self._count]
+            self._surfaces.mode = mode[self._count :]
+
+    @property
+    def drives(self) -> list[int]:
+        """Drives at their limit, whose margins are accelerations."""
+        return [i for i in self._demands if self._mode[i]]
+
+    @property
+    def on(self) -> list[int]:
+        """Switches that are on."""
+        return [i for i, way in enumerate(self._mode) if way == 0]
+
+    def accelerator(self) -> Accelerator:
+        """That of the present mode."""
+        if self._surfaces is None:
+            return self.system.accelerator(self._mode)
+        return self._surfaces.accelerator()
+
+    def heights(self, y: State) -> Array:
+        """Gaps, slip velocities and heights; 1 for drives, which have none."""
+        return self._stacked(
+            None if self.rows is None else self.rows.heights(y),
+            None if self._surfaces is None else self._surfaces.heights(y),
+        )
+
+    def rates(self, y: State, u: Array | None) -> Array:
+        """The rates of the heights in the present mode; 0 for drives."""
+        rates = None
+        if self.rows is not None:
+            rates = self.rows.approach(y)
+            slips = [i for i, one in enumerate(self.rows.reach) if one is Reach.SLIP]
+            if any(self._mode[i] for i in slips):
+                self._solve(y, u)
+                rates[slips] = self.rows.left[slips]
+            rates[self._demands] = 0.0
+        surfaces = self._surfaces
+        return self._stacked(rates, None if surfaces is None else surfaces.rates(y, u))
+
+    def near(self, y: State) -> set[int]:
+        """Switches that may be on to within rounding; always the drives."""
+        found: set[int] = set()
+        if self.rows is not None:
+            found.update(self.rows.ways(y)[1])
+        if self._surfaces is not None:
+            at = np.flatnonzero(np.abs(self._surfaces.heights(y)) <= rounding(y))
+            found.update((at + self._count).tolist())
+        return found
+
+    def close(self, y: State) -> set[int]:
+        """Switches whose height is none to within rounding."""
+        at = np.abs(self.heights(y)) <= rounding(y)
+        return set(np.flatnonzero(at).tolist())
+
+    def begin(self, y: State) -> None:
+        """Take the mode that the heights of a state say."""
+        rows = () if self.rows is None else self.rows.ways(y)[0]
+        if self._surfaces is not None:
+            sides = np.where(self._surfaces.heights(y) < 0.0, -1, 1)
+            rows = (*rows, *sides.tolist())
+        self.mode = rows
+
+    def margin(self, y: State, u: Array | None, which: Margin) -> float:
+        """One of the margins; a height alone asks for no acceleration."""
+        switch, way = which
+        if way or switch in self._demands:
+            return self.margins(y, u)[which]
+        return float(self._mode[switch] * self.heights(y)[switch])
+
+    def margins(self, y: State, u: Array | None) -> dict[Margin, float]:
+        """What is positive while the present mode goes on."""
+        heights = self.heights(y).tolist()
+        margins = {
+            (i, 0): way * heights[i]
+            for i, way in enumerate(self._mode)
+            if way and i not in self._demands
+        }
+        n, rows = self._count, self.rows
+        on = [i for i in range(n) if not self._mode[i]]
+        if rows is not None and (on or self._demands):
+            self._solve(y, u)
+            for i in on:
+                if rows.lower[i] > -np.inf:
+                    margins[i, 1] = float(rows.lam[i] - rows.lower[i])
+                if rows.upper[i] < np.inf:
+                    margins[i, -1] = float(rows.upper[i] - rows.lam[i])
+            for i in self._demands:
+                if self._mode[i]:
+                    margins[i, 0] = float(self._mode[i] * rows.left[i])
+        surfaces = self._surfaces
+        if surfaces is not None and surfaces.sliding:
+            for i, s in zip(surfaces.sliding, surfaces.signs(y, u).tolist(), strict=True):
+                margins[n + i, 1], margins[n + i, -1] = 1.0 - s, 1.0 + s
+        return margins
+
+    def decided(self, y: State, u: Array | None, on: Collection[int]) -> dict[int, int]:
+        """The modes in which switches go on, by one complementarity problem.
+
+        Args:
+            y: State of what is integrated.
+            u: Inputs.
+            on: The switches; the others stay as they are.
+
+        Raises:
+            SolveError: There is none, or several.
+        """
+        rows = sorted(i for i in on if i < self._count)
+        surfaces = sorted(i - self._count for i in on if i >= self._count)
+        if not rows and self._surfaces is not None:
+            answer = self._surfaces.answer(y, u, surfaces)
+            names = [self._surfaces.names[i] for i in surfaces]
+            ways = mode_on(answer.r[surfaces], answer.D[surfaces], names)
+            return {i + self._count: way for i, way in zip(surfaces, ways, strict=True)}
+        assert self.rows is not None and not surfaces
+        self._solve(y, u, rows)
+        found = self.rows.found()
+        return {i: found[i] for i in rows}
+
+    def onto(self, y: State, u: Array | None) -> State:
+        """The state on what is on, moved only as the forces of that move it."""
+        y = self.onto_rows(y)
+        return y if self._surfaces is None else self._surfaces.onto(y, u)
+
+    def onto_rows(self, y: State) -> State:
+        """The state on the rows that are on."""
+        if self.rows is None or 0 not in self._mode[: self._count]:
+            return y
+        return self.rows.onto(y, self._mode)
+
+    def inside(self, y: State) -> State:
+        """The nearest state in which no gap is beyond its end."""
+        if self.rows is None or not self.gaps:
+            return y
+        heights = self.rows.heights(y)
+        beyond = [i for i in self.gaps if heights[i] < 0.0]
+        mode = tuple(0 if i in beyond else 1 for i in range(self._count))
+        return self.rows.onto(y, mode, moves=False) if beyond else y
+
+    def _solve(self, y: State, u: Array | None, free: Collection[int] = ()) -> None:
+        """Brings multipliers and w of the rows to a state."""
+        assert self.rows is not None
+        self.rows.solve(y, u, self._mode, free)
+
+    def _stacked(self, rows: Array | None, surfaces: Array | None) -> Array:
+        if rows is None or surfaces is None:
+            given = surfaces if rows is None else rows
+            return np.zeros(0) if given is None else given
+        return np.concatenate((rows, surfaces))
