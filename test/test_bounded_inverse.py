@@ -30,8 +30,8 @@ from mbd_ros.errors import ModelError, SolveError
 STOPPED = """
 robot: {gravity: [0.0, -9.81, 0.0]}
 constraints:
-  - {type: joint_stop, joint: joint_1, lower: -0.5, time_constant: 0.02}
-  - {type: dry_friction, joint: joint_2, limit: 0.3}
+  - {type: joint_stop, joint: joint_1, lower: -0.5, time_constant: 0.02, smoothed: true}
+  - {type: dry_friction, joint: joint_2, limit: 0.3, smoothed: true}
 integrator: {type: rk4}
 dt: 0.001
 """

@@ -234,7 +234,7 @@ def test_forces_that_are_not_finite_end_in_a_named_error(method):
 @pytest.mark.parametrize("method", [GeneralizedAlpha(), Rattle(), Shake()])
 def test_one_sided_rows_are_refused(method):
     body = robot(*BODY)
-    stop = JointStop(body, joint="swing", upper=1.0)
+    stop = JointStop(body, joint="swing", upper=1.0, smoothed=True)
     system = build_system(body, Couplings(body), [stop], Loads(1))
     with pytest.raises(ModelError, match="rows only, the scene bounds joint_stop.torque;"):
         method.prepare(system, 0.01)

@@ -187,18 +187,20 @@ def orders(steps, errors):
 def test_limit_slides_on_all_surfaces_to_rounding(limit, name):
     """Four at once for the arm; its wrist leaves its surface for a while, since K is too small."""
     simulation, states, law = limit(name)
-    field = simulation.stepper.field
-    assert field.modes[-1] == (0,) * len(law.joints)
-    heights = [Discontinuous(law).heights(None, x) for x in states if x.t > field.times[-1]]
+    found = [event.after.mode for event in simulation.events]
+    assert found[-1] == (0,) * len(law.joints)
+    heights = [
+        Discontinuous(law).heights(None, x) for x in states if x.t > simulation.events[-1].t
+    ]
     assert len(heights) > 50 and np.abs(heights).max() <= 1e-15
-    assert ((0, 0, 0, 1) in field.modes) == (name == "arm")
+    assert ((0, 0, 0, 1) in found) == (name == "arm")
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_limit_has_the_tracking_error_of_its_surface(limit, name):
     """On s = 0 the error decays by exp(-lambda t), whatever masses and disturbance are."""
     simulation, states, law = limit(name)
-    begin = simulation.stepper.field.times[-1]
+    begin = simulation.events[-1].t
     first, *_, last = (x for x in states if x.t > begin)
     e = [x.q[law.q] - law.reference(x.t).q for x in (first, last)]
     decay = math.exp(-BANDWIDTH * (last.t - first.t))

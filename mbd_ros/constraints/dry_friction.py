@@ -48,7 +48,7 @@ class DryFriction(Constraint):
         self.law = box(-limit, limit)
         self.smoothed = smoothed or time_constant is not None
         T = 0.002 if time_constant is None else time_constant
-        self.gains = (0.0, 1.0 / T if self.smoothed else 0.0)
+        self.gains = (0.0, 1.0 / T)
         self.brings = ("friction",)
         self.rows = (Row(self.joint.effort_name, self.joint.effort_unit),)
         self._zero, self._jacobian = np.zeros(1), np.zeros((1, robot.model.nv))

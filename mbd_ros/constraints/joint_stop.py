@@ -56,7 +56,7 @@ class JointStop(Constraint):
         joints: Sequence[str] | None = None,
         lower: Annotated[float | None, Unit("rad or m")] = None,
         upper: Annotated[float | None, Unit("rad or m")] = None,
-        restitution: Restitution = 0.0,
+        restitution: Annotated[Restitution, Unit("-")] = 0.0,
         smoothed: bool = False,
         time_constant: OptionalDuration = None,
     ) -> None:
@@ -67,7 +67,7 @@ class JointStop(Constraint):
         n, kp, kd = len(stopped), 1.0 / T**2, 2.0 / T
         self.joints = tuple(one.name for one in stopped)
         self.rows = tuple(Row(_quantity(one, n), one.effort_unit) for one in stopped)
-        self.law, self.gains = unilateral(restitution), (kp, kd) if self.smoothed else (0.0, 0.0)
+        self.law, self.gains = unilateral(restitution), (kp, kd)
         self._lower, self._upper = np.array(ends).T
         self.stops = tuple(Stop(one, *end) for one, end in zip(stopped, ends, strict=True))
         self._q, self._v = _where([one.q for one in stopped]), _where([one.v for one in stopped])

@@ -62,7 +62,7 @@ class ExactRows:
         self._at = np.array([i for i, _ in exact], dtype=np.intp)
         self.names = tuple(rows.rows[i].name for i, _ in exact)
         self.slots = rows.slots[self._at]
-        self.reach = tuple(_reach(block) for _, block in exact)
+        self.reach = tuple(reach_of(block) for _, block in exact)
         self.restitution = np.array([block.law.restitution for _, block in exact])
         self._is_gap, self._is_slip = (
             np.array([one is kind for one in self.reach]) for kind in (Reach.GAP, Reach.SLIP)
@@ -216,11 +216,20 @@ class ExactRows:
         return lower, upper
 
 
+def stiff(block: RowBlock) -> RowBlock:
+    """The block without gains, unless it is a drive: what is on is on exactly."""
+    if reach_of(block) is Reach.DEMAND:
+        return block
+    nothing = np.zeros(len(block.rows))
+    return block._replace(gains=(nothing, nothing))
+
+
 def _each(blocks: tuple[RowBlock, ...]) -> list[tuple[int, RowBlock]]:
     return list(enumerate(block for block in blocks for _ in block.rows))
 
 
-def _reach(block: RowBlock) -> Reach:
+def reach_of(block: RowBlock) -> Reach:
+    """What has to be zero before the rows of a block may be on."""
     if block.level is Level.VELOCITY:
         return Reach.SLIP
     return Reach.GAP if block.law.kind is Kind.UNILATERAL else Reach.DEMAND

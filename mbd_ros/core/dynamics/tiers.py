@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from mbd_ros.core.dynamics.aba import Aba
 from mbd_ros.core.dynamics.composed_system import ComposedSystem
-from mbd_ros.core.dynamics.exact_rows import ExactRows
+from mbd_ros.core.dynamics.exact_rows import ExactRows, stiff
 from mbd_ros.core.dynamics.free_motion import FreeMotion
 from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.kkt import Kkt
@@ -116,7 +116,7 @@ class _Plan:
         exact, nv = self._layout.exact, self._robot.model.nv
         if not exact:
             return None
-        every = sorted((*self._limited, *exact), key=lambda block: block.slots.start)
+        every = sorted((*self._limited, *map(stiff, exact)), key=lambda block: block.slots.start)
         solver = BoundedRows(ConstraintRows(every, nv, gains), nv, self._backend)
         return ExactRows(motion, solver)
 

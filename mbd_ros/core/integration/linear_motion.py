@@ -5,9 +5,11 @@ from functools import cached_property
 
 import numpy as np
 
+from mbd_ros.core.dynamics.exact_rows import Reach, reach_of
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.integration.tableau import Tableau
+from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Array, State
 
 _GROWTH = 1.0e-6  # of a step: what rounding adds, and methods that grow slowly
@@ -53,8 +55,9 @@ class LinearMotion:
 def linear_motion(system: System, x: State) -> LinearMotion:
     """The motion around a state.
 
-    Bounded rows count with their time constants, whether they act or not. A force that switches
-    counts with its side at the state: across the surface a difference quotient is no rate.
+    Smoothed rows and drives count with their time constants, whether they act or not. A force that
+    switches counts with its side at the state: across the surface a difference quotient is no
+    rate.
 
     Args:
         system: The system.
@@ -65,7 +68,7 @@ def linear_motion(system: System, x: State) -> LinearMotion:
     loads = system.loads.beside(system.k, full)
     smooth = system if loads is system.loads else system.with_loads(loads)
     linear = smooth.derivatives(x, inputs=False)
-    blocks = system.layout.yielding
+    blocks = [block for block in system.layout.yielding if _follows(block)]
     gains = [pair for block in blocks for pair in dict.fromkeys(zip(*block.gains, strict=True))]
     n = system.nv + system.internals.nz
     stiffness, damping = np.zeros((2, n + len(gains), n + len(gains)))
@@ -73,6 +76,10 @@ def linear_motion(system: System, x: State) -> LinearMotion:
     for i, (kp, kd) in enumerate(gains, n):
         stiffness[i, i], damping[i, i] = -kp, -kd
     return LinearMotion(stiffness, damping)
+
+
+def _follows(block: RowBlock) -> bool:
+    return block.smoothed or reach_of(block) is Reach.DEMAND
 
 
 def fastest_rate(system: System, x: State) -> float:

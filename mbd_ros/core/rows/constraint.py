@@ -51,7 +51,8 @@ class Constraint(Part):
         law: What the multipliers may be; a row that gives way holds g'' + kd g' + kp g = 0.
         gains: kp [1/s^2] and kd [1/s] of rows that give way, each one number or one a row.
         smoothed: Whether rows that give way are solved for in every evaluation, with these gains,
-            which costs the order of the method; otherwise they are exact, from event to event.
+            which costs the order of the method. Otherwise they are exact, from event to event:
+            only drives follow by their gains then, and inverse dynamics judges motions by them.
         driven: Joints that a law `drive` moves, one a row: inverse dynamics asks for these
             multipliers as for efforts, and they demand nothing of the motion.
         stops: Joints that it keeps within ends; a motion that passes one is reported.

@@ -250,13 +250,13 @@ def _stepper(method: Integrator, system: System, dt: float) -> Stepper:
     """
     rows = () if system.exact is None else system.exact.names
     surfaces = method.finds_surfaces and any(force.surfaces for force in system.loads.forces)
-    if not (rows or surfaces):
+    if method.at_velocity_level or not (rows or surfaces):
         return prepared(method, system, dt)
     if not method.event_driven:
         raise ModelError(
             f"integrator {type(method).__name__} does not stop at events, which exact rows need: "
-            f"{', '.join(rows)}; accepted: rk4, dopri5, dop853, gauss_legendre, adams, or "
-            "smoothed: true at these constraints"
+            f"{', '.join(rows)}; accepted: rk4, dopri5, dop853, gauss_legendre, adams and "
+            "moreau_jean, or smoothed: true at these constraints"
         )
     from mbd_ros.core.events.event_steps import through_events
 

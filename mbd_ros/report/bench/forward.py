@@ -53,9 +53,10 @@ def _tiers(arm: Robot, rounds: int) -> dict[str, float]:
     rng = np.random.default_rng(1)
     free, coupled = Couplings(arm), Couplings(arm, {"joint4": Coupling("joint2", Linear(0.5))})
     loop = {"type": "loop_closure", "frame_a": "base", "frame_b": "link7", "directions": "xz"}
-    stops = {"type": "joint_stop", "joints": ["all"]}
-    friction = {"type": "dry_friction", "joint": "joint3", "limit": 1e6}
+    stops = {"type": "joint_stop", "joints": ["all"], "smoothed": True}
+    friction = {"type": "dry_friction", "joint": "joint3", "limit": 1e6, "smoothed": True}
     open_stops = {"type": "joint_stop", "joints": ["all"], "lower": -50.0, "upper": 50.0}
+    open_stops["smoothed"] = True
     q, v = rng.uniform(-0.5, 0.5, (2, arm.model.nv))
     systems = {
         "aba": _system(arm, free, []),

@@ -151,10 +151,11 @@ def _bounded(rng: Random, scene: Scene, kinds: list[str]) -> list[Entry]:
             room = 0.05 * abs(float(scene.initial.v[one.v])) + size * rng.uniform(0.02, 1.0, 2)
             lower, upper = _rounded((q - room[0], q + room[1]))
             stop = {"joint": one.name, "lower": lower, "upper": upper, "time_constant": 0.02}
-            parts.append({"type": "joint_stop", **stop})
+            parts.append({"type": "joint_stop", **stop, "smoothed": True})
         if rng.random() < 0.04:
             limit = round(float(10.0 ** rng.uniform(-2.0, 1.0)), 4)
-            parts.append({"type": "dry_friction", "joint": one.name, "limit": limit})
+            entry = {"type": "dry_friction", "joint": one.name, "limit": limit}
+            parts.append({**entry, "smoothed": True})
     return parts
 
 
