@@ -6,11 +6,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import TIE
 from mbd_ros.errors import SolveError
 
 Mode = tuple[int, ...]  # one a surface: 1 above it, -1 below, 0 sliding on it
 MOST_SURFACES = 6  # on which a motion may be at once; 3^k cases are looked at
-_TIE = 1.0e-10  # relative: a rate that counts as zero at a tangency
 _SAME = 1.0e-6  # signs that give the same motion
 
 
@@ -73,11 +73,11 @@ def _signs(r: Array, D: Array, mode: Mode) -> Array | None:
     slides = s == 0.0
     if slides.any():
         held = _solve(D[np.ix_(slides, slides)], -(r + D.dot(s))[slides])
-        if held is None or np.abs(held).max() > 1.0 + _TIE:
+        if held is None or np.abs(held).max() > 1.0 + TIE:
             return None
         s[slides] = held
     h_rate = r + D.dot(s)
-    allowed = -_TIE * (np.abs(r) + np.abs(D).sum(axis=1))
+    allowed = -TIE * (np.abs(r) + np.abs(D).sum(axis=1))
     leaves = (np.array(mode) * h_rate)[~slides] >= allowed[~slides]
     return s if leaves.all() else None
 
@@ -85,10 +85,10 @@ def _signs(r: Array, D: Array, mode: Mode) -> Array | None:
 def _solve(D: Array, right: Array) -> Array | None:
     """Solution of a small system with rows of any size; None where it is singular."""
     size = np.abs(D).max(axis=1)
-    if not (size > _TIE * np.abs(right)).all():
+    if not (size > TIE * np.abs(right)).all():
         return None
     scaled = D / size[:, None]
-    if np.linalg.cond(scaled) > 1.0 / _TIE:
+    if np.linalg.cond(scaled) > 1.0 / TIE:
         return None
     return np.linalg.solve(scaled, right / size)
 
