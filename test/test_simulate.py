@@ -452,7 +452,7 @@ def test_check_refuses_what_simulate_refuses(capsys, tmp_path, integrator, more)
     scene.write_text(
         f"robot: {{urdf: {ROOT / 'config/robots/pendulum.urdf'}}}\n"
         f"integrator: {{type: {integrator}}}\n{more}"
-        "constraints: [{type: joint_stop, joint: hinge, lower: -1, upper: 1}]\n",
+        "constraints: [{type: joint_stop, joint: hinge, lower: -1, upper: 1, smoothed: true}]\n",
         encoding="utf-8",
     )
     code, _, checked = called(capsys, "check", scene)

@@ -45,13 +45,15 @@ def joint_columns(joints: Sequence[Joint], quantity: str, values: Array) -> list
     ]
 
 
-def body_columns(robot: Robot, motions: Sequence[tuple[Array, Array, Array]]) -> list[Column]:
+def body_columns(
+    robot: Robot, motions: Sequence[tuple[Array, Array, Array | None]]
+) -> list[Column]:
     """Columns of the free bodies.
 
     Args:
         robot: The robot.
         motions: Coordinates, velocity and acceleration of each body, in the order of time, shape
-            (n, 7) and twice (n, 6).
+            (n, 7) and twice (n, 6); None for accelerations that nobody knows.
     """
     columns = []
     for base, (q, v, a) in zip(robot.bases, motions, strict=True):
@@ -60,7 +62,9 @@ def body_columns(robot: Robot, motions: Sequence[tuple[Array, Array, Array]]) ->
     return columns
 
 
-def whole_bodies(robot: Robot, q: Array, v: Array, a: Array) -> list[tuple[Array, Array, Array]]:
+def whole_bodies(
+    robot: Robot, q: Array, v: Array, a: Array | None
+) -> list[tuple[Array, Array, Array | None]]:
     """The free bodies in motions of all coordinates, for `body_columns`.
 
     Args:
@@ -69,7 +73,9 @@ def whole_bodies(robot: Robot, q: Array, v: Array, a: Array) -> list[tuple[Array
         v: Shape (n, nv).
         a: Shape (n, nv).
     """
-    return [(q[:, base.q], v[:, base.v], a[:, base.v]) for base in robot.bases]
+    return [
+        (q[:, base.q], v[:, base.v], None if a is None else a[:, base.v]) for base in robot.bases
+    ]
 
 
 def carried_columns(robot: Robot, residual: Array) -> list[Column]:

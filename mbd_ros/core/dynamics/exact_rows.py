@@ -115,13 +115,7 @@ class ExactRows:
 
     def solve(self, y: State, u: Array | None, mode: Mode, free: Collection[int] = ()) -> Array:
         """As `accelerate`, at a state of what is integrated."""
-        mechanism = self._motion.mechanism
-        before = mechanism.mode, mechanism.z
-        mechanism.mode, mechanism.z = mode, y.z
-        try:
-            a = self._motion.accelerate(y.t, y.q, y.v, u)
-        finally:
-            mechanism.mode, mechanism.z = before
+        a = self._freely(y, u, mode)
         return self.accelerate(y.t, y.q, y.v, a, mode, free)
 
     def found(self) -> Mode:
@@ -166,12 +160,22 @@ class ExactRows:
     def _move(self, y: State, size: Array, chosen: Array) -> Array:
         """The smallest motion of what is integrated, in the mass metric, that ends a size."""
         motion = self._motion
-        motion.accelerate(y.t, y.q, y.v, None)
+        self._freely(y, None, y.mode)
         x = self._placed(y)
         J = self._rows.jacobian(motion.mechanism.k, x)[self._at[chosen]]
         response = motion.respond(y.q, J.T)
         share = np.linalg.lstsq(J.dot(response), -size[chosen], rcond=1.0e-13)[0]
         return motion.coordinates.integrated(response.dot(share))
+
+    def _freely(self, y: State, u: Array | None, mode: Mode) -> Array:
+        """Accelerations of what is integrated without the rows."""
+        mechanism = self._motion.mechanism
+        before = mechanism.mode, mechanism.z
+        mechanism.mode, mechanism.z = mode, y.z
+        try:
+            return self._motion.accelerate(y.t, y.q, y.v, u)
+        finally:
+            mechanism.mode, mechanism.z = before
 
     def _placed(self, y: State) -> State:
         """State of all joints, with k as the rows need it."""

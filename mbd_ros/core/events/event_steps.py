@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Collection, Sequence
+from typing import Any
 
 import numpy as np
 
 from mbd_ros.core.dynamics.exact_rows import rounding
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.velocity_level import VelocityLevel
+from mbd_ros.core.events.clearance import Clearance
 from mbd_ros.core.events.event import Event
 from mbd_ros.core.events.mode_field import Margin, ModeField
 from mbd_ros.core.events.step_events import StepEvents
@@ -51,11 +53,16 @@ class EventSteps(Stepper):
     kept = ("_last", "_u", "_left", "_rests", "_event_time", "_quick", "_followed", "events")
 
     def __init__(self, field: ModeField, inner: Stepper, dt: float) -> None:
-        self.field, self._inner, self._short = field, inner, _SHORT * dt
+        self.field, self._short = field, _SHORT * dt
+        self._inner: Any = inner
         self.system = field.system
-        self.is_fixed = inner.is_fixed
+        self.is_fixed, self.guards = inner.is_fixed, field.names
+        self.ends_at_samples = inner.is_fixed and field.rows is not None
         self._search = StepEvents(field, inner)
         self._impacts = VelocityLevel(self.system) if field.gaps else None
+        self._clearance = Clearance(self.system, dt)
+        if hasattr(inner, "stride") and self._clearance.is_whole:
+            self.stride = self._stride
         self._last: State | None = None
         self._u: Array | None = None
         self._left: frozenset[int] = frozenset()
@@ -71,26 +78,60 @@ class EventSteps(Stepper):
             SolveError: The solution is not unique or ends, or events accumulate.
             DivergedError: As the inner method.
         """
+        if self._clearance.room > 0.0 and x is self._last and (u is self._u or _same(u, self._u)):
+            after = self._inner.step(x, u, end)
+            if self._clearance.passes(x, after):
+                self._last = after
+                return after
+            return self._searched(x, u, end, after)
         if not x.t < end:
             return x
-        x = self._settled(x, u)
+        return self._searched(self._settled(x, u), u, end)
+
+    def _stride(self, x: State, u: Array | None, end: float, most: int) -> tuple[State, int]:
+        """Several steps at once while no stop is near; as `AdamsSteps.stride`."""
+        clearance = self._clearance
+        if not (clearance.room > 0.0 and x is self._last and _same(u, self._u)):
+            return self.step(x, u, end), 1
+        after, count = self._inner.stride(x, u, end, most, clearance.comes_near)
+        if clearance.is_clear(after):
+            self._last = after
+            return after, count
+        return self._searched(self._inner.began(), u, end, after), count
+
+    def _searched(
+        self, x: State, u: Array | None, end: float, after: State | None = None
+    ) -> State:
+        """The state after a step, or after the first event in it.
+
+        Args:
+            x: State to start from, in its mode.
+            u: Inputs.
+            end: As for `step`.
+            after: State after the step where it was taken already.
+        """
         while True:
             rest = min(self._rests, default=(math.inf, 0))[0]
-            after = self._inner.step(x, u, min(end, rest))
+            if after is None:
+                after = self._inner.step(x, u, min(end, rest))
             if after is x:
                 return x
             after, margin = self._search.first(x, u, after, self._left)
             if after is not x:
                 break
             assert margin is not None
-            x = self._follow(self._happened(x, u, margin))
+            x, after = self._follow(self._happened(x, u, margin)), None
         after = self.field.onto(after, u)
-        self._left &= self.field.close(after)
+        if self._left:
+            self._left &= self.field.close(after)
         if margin is not None:
             after = self._happened(after, u, margin)
         elif after.t >= rest:
             after = self._rested(after)
         self._last = after
+        self._clearance.room = 0.0
+        if self._clearance.serves and not (self._left or self._rests or self.field.on):
+            self._clearance.measure(after)
         return after
 
     def settle(self, x: State, u: Array | None) -> State:
@@ -105,7 +146,8 @@ class EventSteps(Stepper):
 
     def memory(self) -> Memory:
         """Mode, events and the last step."""
-        return {**super().memory(), "mode": self.field.mode, "inner": self._inner.memory()}
+        more = {"room": self._clearance.known, "inner": self._inner.memory()}
+        return {**super().memory(), "mode": self.field.mode, **more}
 
     def recall(self, memory: Memory, x: State) -> None:
         """As `Stepper.recall`."""
@@ -113,10 +155,13 @@ class EventSteps(Stepper):
         self.field.mode = self._followed
         self._inner.follow(self.field.accelerator(), self._followed)
         self._inner.recall(memory["inner"], x)
+        self._clearance.known = memory["room"]
         self.field.mode = memory["mode"]
 
     def continue_from(self, x: State) -> None:
         """Continue in the same mode from a corrected state."""
+        if self._last is not None:
+            self._clearance.moved(self._last, x)
         self._last = x
         self._inner.continue_from(x)
 
@@ -132,6 +177,7 @@ class EventSteps(Stepper):
 
     def _forget(self) -> None:
         self._last = self._u = None
+        self._clearance.room = 0.0
         self._left = frozenset()
         self._rests = ()
         self._event_time, self._quick = -math.inf, 0

@@ -1,6 +1,7 @@
 """Steps of the explicit Adams methods."""
 
 import math
+from collections.abc import Callable
 from itertools import cycle, islice
 from typing import Any
 
@@ -69,7 +70,14 @@ class AdamsSteps(Stepper):
         self._ready = x = new_state(State, after_x)
         return x
 
-    def stride(self, x: State, u: Array | None, end: float, most: int) -> tuple[State, int]:
+    def stride(
+        self,
+        x: State,
+        u: Array | None,
+        end: float,
+        most: int,
+        watch: Callable[[Array], bool] | None = None,
+    ) -> tuple[State, int]:
         """Advance by several full steps, without the states in between.
 
         Args:
@@ -77,6 +85,7 @@ class AdamsSteps(Stepper):
             u: As for `step`.
             end: As for `step`.
             most: How many steps are taken at most.
+            watch: Is told the velocity after each step, and says whether to stop there.
 
         Returns:
             The last state, and how many steps were taken.
@@ -85,13 +94,19 @@ class AdamsSteps(Stepper):
         count = min(most, int((end - t) / self._dt - _LAST))
         held = None if u is None else u.tobytes()
         if x is not self._ready or held != self._held or count < 1:
-            return self.step(x, u, end), 1
+            after_x = self.step(x, u, end)
+            if watch is not None:
+                watch(after_x.v)
+            return after_x, 1
         accelerate, dt = self._accelerate, self._dt
         self._start = None
         for row, product, before, after, after_q, after_v in islice(self._slots, count):
             accelerate(t, q, v, u, row)
             product(before, after)
             t, q, v = t + dt, after_q, after_v
+            if watch is not None and watch(v):
+                count = round((t - x.t) / dt)
+                break
         self._head, self._row = after, row
         self._ready = x = State(t, q.copy(), v.copy(), mode=self._mode)
         return x, count
@@ -103,8 +118,8 @@ class AdamsSteps(Stepper):
 
     def again(self, h: float, t: float) -> State:
         """As `Stepper.again`, by the starter; the method starts anew after it."""
+        start, stages = self.began(), self._starter.stages
         self._known, self._last, self._ready = 0, None, None
-        start, stages = self._began(), self._starter.stages
         if stages.before is not start:
             self._starter.restart()
             stages.start(start, None if self._held is None else np.frombuffer(self._held))
@@ -122,7 +137,7 @@ class AdamsSteps(Stepper):
         Raises:
             ModelError: t [s] is outside the last step.
         """
-        start = self._began()
+        start = self.began()
         if self._starter.stages.before is start:
             return self._starter.interpolate(t)
         after, dt = self._ready, self._dt
@@ -164,9 +179,18 @@ class AdamsSteps(Stepper):
         turns = [row is self._row and head is self._head for row, head in heads]
         return 1 + turns.index(True) if True in turns else 0
 
-    def _began(self) -> State:
+    def began(self) -> State:
+        """The state from which the last step began, one of several at once too.
+
+        Raises:
+            ModelError: No step was taken.
+        """
         if self._start is None:
-            raise ModelError("no single step was taken")
+            after, done = self._ready, self._done()
+            if after is None or not done:
+                raise ModelError("no step was taken yet")
+            q, v = self._B[:2] if done % 2 else self._B[-2:]
+            self._start = State(after.t - self._dt, q.copy(), v.copy(), mode=self._mode)
         return self._start
 
     def _accelerations(self) -> Array:

@@ -14,11 +14,18 @@ class Stepper:
         kept: Names of the attributes that later steps depend on beside their arguments.
         system: The system that the steps follow, where it is not the one they were prepared for.
         is_fixed: Whether steps are as long as dt, those apart that end early.
+        ends_at_samples: Whether a step that follows one which ended early ends at the next sample,
+            as ticks of a live simulation have it; otherwise samples are interpolated until then.
+        guards: Names of what may happen at one time.
+        events: What has happened so far, each an `Event`.
     """
 
     system: Any = None
     kept: ClassVar[tuple[str, ...]] = ()
     is_fixed: bool = True
+    ends_at_samples: bool = False
+    guards: tuple[str, ...] = ()
+    events: tuple[Any, ...] = ()
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step.

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.dynamics.showing import Showing
+from mbd_ros.core.events.event import Event
 from mbd_ros.core.model.base_motion import world_pose
 from mbd_ros.core.model.joints import Base, Joint
 from mbd_ros.core.model.poses import POSE, TWIST, with_sign_of
@@ -66,6 +67,7 @@ class LiveSimulation:
         watch: As given.
         showing: What `Snapshot.shown` holds, and the arrows.
         now: The newest state; after a divergence the last finite one.
+        events: What happened in the last tick.
         fault: Why it diverged; empty before.
 
     Raises:
@@ -110,6 +112,7 @@ class LiveSimulation:
         for watch in self.watches:
             watch.restart()
         self._poses = np.zeros((len(robot.bases), POSE))
+        self.events: tuple[Event, ...] = ()
         self._y = simulation.start(self._initial)
         self._x, self._evaluated, self.now = self._observe(self._y, None)
 
@@ -137,6 +140,7 @@ class LiveSimulation:
             raise
         self._y, self._x, self._evaluated, self.now = y, x, evaluated, now
         self._steps += self._count
+        self.events = self.simulation.take_events()
         return now
 
     @property

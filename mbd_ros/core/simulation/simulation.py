@@ -127,7 +127,9 @@ class Simulation:
         while k < times.end:
             due = times.due(k + 1)
             if not is_within:
-                end = _end(y, k, times, inputs.now, self.stepper.is_fixed)
+                end = times.due(k + 1)
+                if not self.stepper.ends_at_samples:
+                    end = _end(y, k, times, inputs.now, self.stepper.is_fixed)
                 y = self._step(y, inputs.u, min(end, inputs.end))
                 if self.steps >= look_at:
                     watch.look(y, inputs.u, times.last)
@@ -204,8 +206,18 @@ class Simulation:
 
     @property
     def events(self) -> list[Event]:
-        """What happened since the start, in the order of time."""
-        return list(getattr(self.stepper, "events", ()))
+        """What happened since the start or the last `take_events`, in the order of time."""
+        return list(self.stepper.events)
+
+    def take_events(self) -> tuple[Event, ...]:
+        """The same, and forget it: a simulation without end has no list without end."""
+        taken, self.stepper.events = self.stepper.events, ()
+        return taken
+
+    @property
+    def guards(self) -> tuple[str, ...]:
+        """Names of what may happen at one time, in the order of the scene."""
+        return self.stepper.guards
 
     def passed_stops(self) -> list[str]:
         """Joints that went beyond stops since the start, one text each."""

@@ -50,6 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--wrenches", type=path_word, help="CSV or bag of the external loads")
     parser.add_argument(
+        "--events", type=path_word, help="the same kinds of file, for the table of events alone"
+    )
+    parser.add_argument(
         "--task",
         type=path_word,
         help="YAML whose section simulate says the same; options come before it",
@@ -62,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     from mbd_ros.scene.reader import load_scene
 
     scene = load_scene(arguments.scene)
-    simulate_to(scene, _asked(scene, arguments), arguments.out, say)
+    simulate_to(scene, _asked(scene, arguments), arguments.out, say, arguments.events)
     return OK
 
 

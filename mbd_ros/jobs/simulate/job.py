@@ -20,6 +20,7 @@ from mbd_ros.jobs.columns import metadata_of
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.progress import Watch, watching
 from mbd_ros.jobs.progress import progress as shown
+from mbd_ros.jobs.simulate.events import EVENTS, event_table
 from mbd_ros.jobs.simulate.inputs import drives, initial_state
 from mbd_ros.jobs.simulate.run import Run, check_words, options_of
 from mbd_ros.jobs.simulate.step_check import step_warnings
@@ -84,7 +85,8 @@ def simulate(
     Returns:
         Table `samples`: `time`, `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,
         `<joint>.multiplier`, `<part>.<quantity>`, `energy`, `drift.position`, `drift.velocity`,
-        perhaps `<joint>.command`; of free bodies `<body>.position.x` and so on.
+        perhaps `<joint>.command`; of free bodies `<body>.position.x` and so on. Table `events`,
+        where something may happen at one time: see `event_table`.
 
     Raises:
         Interrupted: The state diverged, equations have no solution, or steps became too short;
@@ -119,7 +121,10 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     evaluations = simulation.system.evaluations
     table, lost = table_of(simulation.system, states)
     topics = topics_of(simulation.system)
-    result = Result({MAIN: table}, metadata_of("simulate", scene, run.inputs, topics))
+    tables = {MAIN: table}
+    if simulation.guards:
+        tables[EVENTS] = event_table(simulation.system, simulation.guards, simulation.events)
+    result = Result(tables, metadata_of("simulate", scene, run.inputs, topics))
     failure = lost or failure
     if failure is not None:
         return _ended(scene, result, failure)

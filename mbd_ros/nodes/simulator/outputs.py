@@ -37,11 +37,13 @@ class SimulatorOutputs:
         ]
         self._odometry = _odometry(node, plant.bodies)
         self._motion = node.publish_to(JointTrajectory, "~/motion", STATES)
-        self._forces = self._shown = self._markers = None
+        self._forces = self._shown = self._markers = self._events = None
         if plant.rows:
             self._forces = node.publish_to(JointState, "~/constraint_forces", STATES)
         if plant.shown:
             self._shown = node.publish_to(Float64MultiArray, "~/outputs", STATES)
+        if plant.live.simulation.guards:
+            self._events = node.publish_to(Float64MultiArray, "~/events", STATES)
         if plant.live.showing.arrows:
             self._markers, self._marked = node.publish_to(MarkerArray, "~/markers", 10), 0.0
 
@@ -71,6 +73,9 @@ class SimulatorOutputs:
             self._forces.publish(plant.constraint_forces(stamp))
         if self._shown is not None:
             self._shown.publish(plant.outputs())
+        if self._events is not None:
+            for event in plant.events():
+                self._events.publish(event)
         if self._motion.get_subscription_count():
             self._motion.publish(plant.motion(stamp))
         rate, now = values.marker_rate, perf_counter()

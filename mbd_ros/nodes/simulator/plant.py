@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import Point
 from pinocchio import FrameType
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -13,6 +14,7 @@ from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.files.topics import WORLD, by_member
+from mbd_ros.jobs.simulate.events import event_table
 from mbd_ros.nodes.shell.wrenches import read_load
 from mbd_ros.nodes.simulator.commands import command_reader
 from mbd_ros.scene.built_scene import Scene
@@ -130,6 +132,16 @@ class Plant:
     def outputs(self) -> bytes:
         """Serialized Float64MultiArray of what parts show besides, with names as labels."""
         return self._shown.write(self.live.now.shown[len(self.rows) :].tolist())
+
+    def events(self) -> list[bytes]:
+        """Serialized Float64MultiArray of each event of the last tick, given once."""
+        simulation, events = self.live.simulation, self.live.events
+        if not events:
+            return []
+        self.live.events = ()
+        table = event_table(simulation.system, simulation.guards, events)
+        writer = MultiArrayCdrWriter(len(table), list(table))
+        return [writer.write(row.tolist()) for row in np.column_stack(list(table.values()))]
 
     def motion(self, stamp: int) -> Any:
         """JointTrajectory whose point is the newest state with accelerations."""

@@ -1,0 +1,96 @@
+"""How far a motion is from every stop, so that steps far from all of them need no search."""
+
+import math
+
+import numpy as np
+
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.state import Array, State
+
+_AHEAD = 4.0  # paths of the last step that several steps at once stay away from a search
+
+
+class Clearance:
+    """The room that joints have before they may be at a stop.
+
+    The gap of a stop changes by no more than its joint moves. So no step meets a stop whose path
+    is shorter than the smallest gap at one of its ends:
+
+        path = h (|v0| + |v1|)
+
+    twice the mean of the speeds at both ends, for those in between. Lengths and angles are added
+    as they are: that makes the path longer.
+
+    Args:
+        system: The system.
+        dt: Length of a full step [s].
+
+    Attributes:
+        serves: Whether stops of joints are all that may happen.
+        is_whole: Whether every joint is integrated.
+        room: How far all joints together may move before the next look [rad or m]; 0 where every
+            step must be searched.
+    """
+
+    def __init__(self, system: System, dt: float) -> None:
+        blocks = system.layout.exact
+        stops = [stop for block in blocks for stop in block.part.stops]
+        self.serves = bool(stops) and all(block.part.stops for block in blocks)
+        self.is_whole = system.nv == system.model.nv
+        self._expand, self._dt = system.expand, dt
+        self._q = np.array([stop.joint.q for stop in stops], dtype=np.intp)
+        self._lower = np.array([stop.lower for stop in stops])
+        self._upper = np.array([stop.upper for stop in stops])
+        self.room, self._speed = 0.0, 0.0
+
+    @property
+    def known(self) -> tuple[float, float]:
+        """What the next steps depend on: room, and the speed of all joints together."""
+        return self.room, self._speed
+
+    @known.setter
+    def known(self, known: tuple[float, float]) -> None:
+        self.room, self._speed = known
+
+    def measure(self, y: State) -> None:
+        """Find the room at a state."""
+        v = y.v if self.is_whole else self._expand(y).v
+        self.room, self._speed = 0.5 * self._gap(y), math.sqrt(v.dot(v))
+
+    def passes(self, y: State, after: State) -> bool:
+        """Whether a step meets no stop; it needs a search otherwise."""
+        v = after[2] if self.is_whole else self._expand(after).v
+        speed = math.sqrt(v.dot(v))
+        path = (after[0] - y[0]) * (self._speed + speed)
+        self.room, self._speed = self.room - path, speed
+        return self.room > 0.0 or self._is_clear(after, path)
+
+    def comes_near(self, v: Array) -> bool:
+        """Account for one of several full steps; whether the next ones must be taken singly.
+
+        Args:
+            v: Velocity after it, of all joints.
+        """
+        speed = math.sqrt(v.dot(v))
+        path = self._dt * (self._speed + speed)
+        self.room, self._speed = self.room - path, speed
+        return self.room <= _AHEAD * path
+
+    def moved(self, y0: State, y1: State) -> None:
+        """Account for a correction of a state."""
+        if self.room > 0.0:
+            self.room -= float(np.linalg.norm(self._expand(y1).q - self._expand(y0).q))
+
+    def is_clear(self, y: State) -> bool:
+        """Whether the last of several full steps met no stop."""
+        return self.room > 0.0 or self._is_clear(y, 2.0 * self._dt * self._speed)
+
+    def _is_clear(self, y: State, path: float) -> bool:
+        gap = self._gap(y)
+        self.room = 0.5 * gap if gap > path else 0.0
+        return self.room > 0.0
+
+    def _gap(self, y: State) -> float:
+        """The smallest gap [rad or m]."""
+        q: Array = self._expand(y).q[self._q]
+        return float(min((q - self._lower).min(), (self._upper - q).min()))

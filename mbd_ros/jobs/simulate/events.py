@@ -1,0 +1,67 @@
+"""Events of a simulation as a table: when, which, impulses, energy, and both sides of each."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.events.event import Event
+from mbd_ros.core.names import without_multiplier
+from mbd_ros.core.state import Array, State
+from mbd_ros.files.table import Column, Table
+from mbd_ros.files.times import TIME
+from mbd_ros.jobs.columns import body_columns, joint_columns, whole_bodies
+
+EVENTS = "events"  # the table, and the last word of the topic
+SIDES = ("before", "after")
+
+
+def event_table(system: System, guards: Sequence[str], events: Sequence[Event]) -> Table:
+    """A row an event.
+
+    Args:
+        system: The system that was simulated.
+        guards: Names of all its guards.
+        events: What happened.
+
+    Returns:
+        `time`; `<guard>.event`, whether that guard was zero; `<row>.impulse`; `energy.before`,
+        `energy.after`; `<joint>.position.before` and so on.
+    """
+    rows = system.multiplier_rows
+    impulses = np.array([event.impulse for event in events]).reshape(len(events), len(rows))
+    columns = [
+        Column(TIME, np.array([event.t for event in events], dtype=np.float64), "s"),
+        *(Column(f"{name}.event", _hit(events, name)) for name in guards),
+        *(
+            Column(f"{without_multiplier(row.name)}.impulse", values, f"{row.unit}·s")
+            for row, values in zip(rows, impulses.T, strict=True)
+        ),
+    ]
+    sides = [[getattr(event, side) for event in events] for side in SIDES]
+    for side, states in zip(SIDES, sides, strict=True):
+        energy = [system.energy(system.reduce(x)) for x in states]
+        columns.append(Column(f"energy.{side}", np.array(energy, dtype=np.float64), "J"))
+    for side, states in zip(SIDES, sides, strict=True):
+        named = (c._replace(name=f"{c.name}.{side}") for c in _state_columns(system, states))
+        columns.extend(named)
+    return Table(columns)
+
+
+def _hit(events: Sequence[Event], guard: str) -> Array:
+    return np.array([guard in event.guards for event in events], dtype=np.float64)
+
+
+def _state_columns(system: System, states: Sequence[State]) -> list[Column]:
+    """Motion of joints and free bodies, and internal states."""
+    joints, model = system.robot.joints, system.model
+    q = np.array([x.q for x in states]).reshape(len(states), model.nq)
+    v = np.array([x.v for x in states]).reshape(len(states), model.nv)
+    z = np.array([x.z for x in states]).reshape(len(states), system.internals.nz)
+    internals = zip(system.internals.names, z.T, system.internals.units, strict=True)
+    return [
+        *joint_columns(joints, "position", q[:, [joint.q for joint in joints]]),
+        *joint_columns(joints, "velocity", v[:, [joint.v for joint in joints]]),
+        *body_columns(system.robot, whole_bodies(system.robot, q, v, None)),
+        *(Column(*internal) for internal in internals),
+    ]
