@@ -23,8 +23,10 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "joint_stop": "mbd_ros.constraints.joint_stop:JointStop",
         "knife_edge": "mbd_ros.constraints.knife_edge:KnifeEdge",
         "loop_closure": "mbd_ros.constraints.loop_closure:LoopClosure",
+        "path_length": "mbd_ros.constraints.path_length:PathLength",
         "point_on_plane": "mbd_ros.constraints.point_on_plane:PointOnPlane",
         "prescribed_motion": "mbd_ros.constraints.prescribed_motion:PrescribedMotion",
+        "rope": "mbd_ros.constraints.rope:Rope",
         "screw": "mbd_ros.constraints.screw:Screw",
     },
     "controllers": {  # in the order in which a node offers them

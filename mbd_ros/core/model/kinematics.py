@@ -47,7 +47,7 @@ class Kinematics:
     zeros = staticmethod(np.zeros)
     item = staticmethod(np.ndarray.item)
     dot: Callable[..., Any] = staticmethod(np.ndarray.dot)
-    array = staticmethod(np.array)
+    array: Callable[..., Any] = staticmethod(np.array)
     sqrt = staticmethod(math.sqrt)
     tanh = staticmethod(math.tanh)
     maximum = staticmethod(max)

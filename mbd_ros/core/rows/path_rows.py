@@ -1,0 +1,52 @@
+"""The row of a path: its length is held, or not exceeded."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.model.paths import Path
+from mbd_ros.core.outputs import Now, Output, Value
+from mbd_ros.core.parts import Wrench
+from mbd_ros.core.rows.constraint import Constraint, Row
+from mbd_ros.core.state import Array, State
+
+
+class PathRow(Constraint):
+    """What a path of length l(q) lacks of a given length: g = length - l.
+
+    The multiplier is the tension [N].
+
+    Args:
+        path: The path.
+        length: The given length [m].
+    """
+
+    rows = (Row("tension", "N"),)
+    outputs = (Output("length", "m"),)
+
+    def __init__(self, path: Path, length: float) -> None:
+        self.path, self._length = path, length
+        self.reads = Reads.DRIFT if path.reads else Reads.NOTHING
+
+    def residual(self, k: Kinematics, x: State) -> Array:
+        """The g [m], shape (1,)."""
+        return k.array((self._length - self.path.length(k, x),))
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """-dl/dq, shape (1, nv)."""
+        return k.row(-self.path.measured(k, x)[1])
+
+    def drift(self, k: Kinematics, x: State) -> Array:
+        """The -l'' at zero joint acceleration, shape (1,)."""
+        return k.array((-self.path.drift(k, x),))
+
+    def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
+        """The l [m]."""
+        return (self.path.length(k, x),)
+
+    def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
+        """Forces at the points that the path goes through."""
+        free = np.zeros(3)
+        pulls = self.path.pulls(k, x)
+        return tuple(Wrench(p.frame, p.point, p.force * lam[0], free) for p in pulls)

@@ -1,0 +1,99 @@
+"""Rows of paths: against closed forms, another constraint, and impacts by hand."""
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from mechanisms import floating_body, joint, link, urdf
+
+from mbd_ros.core.dynamics.velocity_level import VelocityLevel
+from mbd_ros.core.state import State
+from mbd_ros.scene.from_python import scene_from
+
+ROBOTS = Path(__file__).parents[1] / "config/robots"
+GRAVITY = 9.81
+MASSES = 2.0, 3.0
+ATWOOD = urdf(
+    *(link("world"), link("one", MASSES[0]), link("other", MASSES[1])),
+    joint("first", "prismatic", "world", "one", (0, 0, 1), (-0.1, 0.0, 0.0)),
+    joint("second", "prismatic", "world", "other", (0, 0, 1), (0.1, 0.0, 0.0)),
+)
+OVER_THE_WHEEL = [
+    {"frame": "one"},
+    {"frame": "world", "point": [-0.1, 0.0, 5.0]},
+    {"frame": "world", "point": [0.1, 0.0, 5.0]},
+    {"frame": "other"},
+]
+LENGTH = 8.2  # 4 m to either mass, 0.2 m over the wheel
+
+
+@pytest.mark.parametrize("kind", ["path_length", "rope"])
+@pytest.mark.parametrize(
+    "path", [{"points": OVER_THE_WHEEL}, {"joints": {"first": [10.2, -1.0], "second": -1.0}}]
+)
+def test_two_masses_on_a_rope_are_the_machine_of_atwood(path, kind):
+    smooth = {"time_constant": 0.01} if kind == "rope" else {}
+    row = {"type": kind, "path": path, "length": LENGTH, **smooth}
+    start = {"position": {"first": 1.0, "second": 1.0}}
+    scene = scene_from({"constraints": [row], "initial": start}, urdf=ATWOOD)
+    now = scene.simulation().system.evaluate(scene.initial)
+    a = GRAVITY * (MASSES[1] - MASSES[0]) / sum(MASSES)
+    assert now.a == pytest.approx([a, -a], rel=1e-12)
+    assert now.lam == pytest.approx([2.0 * GRAVITY * np.prod(MASSES) / sum(MASSES)], rel=1e-12)
+
+
+def test_a_slack_rope_does_not_pull():
+    row = {
+        "type": "rope",
+        "path": {"points": OVER_THE_WHEEL},
+        "length": 9.0,
+        "time_constant": 0.01,
+    }
+    start = {"position": {"first": 1.0, "second": 1.0}}
+    scene = scene_from({"constraints": [row], "initial": start}, urdf=ATWOOD)
+    now = scene.simulation().system.evaluate(scene.initial)
+    assert now.a == pytest.approx([-GRAVITY, -GRAVITY])
+    assert now.lam.tolist() == [0.0]
+
+
+BARS = {
+    "fixed": ("prosthetic_leg", ("femoral_pylon", [0.05, 0.0, 0.1]), ("foot", [0.1, 0.02, 0.0])),
+    "floating": (floating_body(), ("left", [0.0, 0.1, -0.3]), ("right", [0.1, 0.1, -0.2])),
+}
+
+
+@pytest.mark.parametrize("base", BARS)
+def test_a_straight_path_that_keeps_its_length_is_a_bar(base):
+    """Same accelerations and reactions as `distance`, whose multiplier pushes."""
+    description, *ends = BARS[base]
+    a, b = ({"frame": frame, "point": point} for frame, point in ends)
+    bar = {"type": "distance", "frame_a": a["frame"], "point_a": a["point"], "distance": 0.6}
+    bar |= {"frame_b": b["frame"], "point_b": b["point"]}
+    held = {"type": "path_length", "path": {"points": [a, b]}, "length": 0.6}
+    one, other = (
+        scene_from({"robot": {"base": base}, "constraints": [row]}, urdf=description)
+        for row in (bar, held)
+    )
+    model, rng = one.robot.model, np.random.default_rng(1)
+    for _ in range(5):
+        q = pin.integrate(model, one.robot.neutral(), rng.uniform(-0.5, 0.5, model.nv))
+        x = State(0.0, q, rng.normal(size=model.nv))
+        expected, found = (scene.simulation().system.evaluate(x) for scene in (one, other))
+        size = np.abs(expected.a).max()
+        np.testing.assert_allclose(found.a, expected.a, atol=1e-11 * size)
+        np.testing.assert_allclose(found.lam, -expected.lam, rtol=1e-10)
+
+
+@pytest.mark.parametrize("restitution", [0.0])
+def test_a_rope_that_becomes_taut_takes_the_radial_velocity(restitution):
+    """A point at 0.6, -0.8 on a rope of 1 m to the origin: v+ = v - (1 + e) (n . v) n."""
+    path = {"points": [{"frame": "world"}, {"frame": "particle"}]}
+    row = {"type": "rope", "path": path, "length": 1.0, "restitution": restitution}
+    scene = scene_from({"constraints": [row]}, urdf=ROBOTS / "benchmark/point_in_plane.urdf")
+    n, v = np.array([0.6, -0.8]), np.array([0.3, -2.0])
+    x = State(0.0, n, v)
+    found = VelocityLevel(scene.system()).impact(x, [0])
+    mass = pin.computeTotalMass(scene.robot.model)
+    assert found.v == pytest.approx(v - (1.0 + restitution) * (n @ v) * n, abs=1e-12)
+    assert found.p == pytest.approx([(1.0 + restitution) * mass * (n @ v)], abs=1e-12)
