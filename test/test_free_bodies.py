@@ -243,6 +243,63 @@ def test_messages_without_a_partner_of_their_stamp_are_left_out_and_counted(tmp_
     assert [line.split(": ")[1].split()[0] for line in left_out] == ["25", "1"]
 
 
+def test_a_wrench_from_outside_explains_the_motion_of_a_free_flying_arm():
+    """Through a geared motor and a spring, beside a load on a link; with bounds too."""
+    scene = scene_of(ARM, floating_body()).with_(
+        actuators=[
+            {"type": "geared_motor", "joint": "left_swing", "ratio": 50.0, "rotor_inertia": 1e-4},
+            {"type": "series_elastic", "joint": "right_slide", "stiffness": 50.0},
+        ],
+        external_wrenches={"push": {"frame": "right"}},
+    )
+    t = np.arange(0.0, 0.3, 1e-3)
+    told = {"left_swing": 0.02 * np.sin(9.0 * t), "right_slide": 0.1 * np.cos(4.0 * t)}
+    load = np.column_stack([3.0 * np.sin(5 * t), np.cos(t), 2.0 + 0.0 * t, t, -t, np.sin(3 * t)])
+    names = [f"push.{word}.{axis}" for word in ("force", "torque") for axis in "xyz"]
+    commanded = [Column(f"{name}.command", u) for name, u in told.items()]
+    loads = [Column(name, column) for name, column in zip(names, load.T, strict=True)]
+    time = Column("time", t)
+    efforts, wrenches = (Result({"samples": Table([time, *c])}) for c in (commanded, loads))
+    run = simulate(scene, 0.25, efforts=efforts, wrenches=wrenches)
+    for bounds in (False, True):
+        found = inverse(scene, run, wrenches=wrenches, bounds=bounds)
+        assert np.abs(values(found, ROOT)).max() < 1e-9
+        for name, u in told.items():
+            assert found["samples"][f"{name}.command"] == pytest.approx(u[:251], abs=1e-9)
+
+
+def test_a_body_without_any_joint_goes_everywhere(tmp_path):
+    """Simulated, in a bag, started from there, through inverse dynamics and in the simulator."""
+    twist = {"linear": [1.0, -2.0, 0.5], "angular": [3.0, 1.2, -0.4]}
+    (tmp_path / "scene.yaml").write_text(
+        "bodies: {box: {shape: {box: [0.1, 0.3, 0.5]}, mass: 2.0}}\n"
+        "dt: 0.001\nintegrator: {type: rk4}\n"
+        + yaml.safe_dump({"initial": {"twist": {"box": twist}}}),
+        encoding="utf-8",
+    )
+    scene = load_scene(tmp_path / "scene.yaml")
+    run = simulate(scene, 0.2, start=0.1)
+    run.to(tmp_path / "bag")
+    later = simulate(scene, 0.1, start=0.2, origin=tmp_path / "bag")
+    for name, column in later["samples"].items():
+        if name.startswith("box."):
+            assert np.array_equal(column, run["samples"][name][100:]), name
+    found = inverse(scene, tmp_path / "bag", derivatives="zero-phase")
+    roots = [f"box.residual.{word}_{axis}" for word in ("force", "torque") for axis in "xyz"]
+    assert np.abs(values(found, roots)[20:-20]).max() < 1e-6
+    plant = Plant(plant_values(tmp_path / "scene.yaml"), None)
+    plant.live.tick()
+    assert plant.joint_states(1) == []
+    (sent,) = (read_odometry(deserialize_message(c, Odometry)) for c in plant.odometry(1))
+    assert sent.pose[0] == run["samples"]["box.position.x"][1]
+
+
+def plant_values(path):
+    """Parameters of a simulator."""
+    times = {"rate": 1000.0, "command_timeout": 1.0, "safe_ramp": 0.1}
+    return SimpleNamespace(scene=str(path), joints=(), **times)
+
+
 # ---------------------------------------------------------------------- several robots
 
 
@@ -303,10 +360,7 @@ def test_joints_of_several_robots_are_on_topics_of_their_own_without_prefix(two_
 
 def test_the_simulator_publishes_each_robot_by_itself(two_arms):
     path, joints = two_arms
-    values = SimpleNamespace(
-        scene=str(path), joints=(), rate=1000.0, command_timeout=1.0, safe_ramp=0.1
-    )
-    plant = Plant(values, None)
+    plant = Plant(plant_values(path), None)
     plant.live.tick()
     pairs = zip(plant.members, plant.joint_states(5), strict=True)
     sent = {member: deserialize_message(cdr, JointState) for member, cdr in pairs}

@@ -83,7 +83,7 @@ class InverseDynamics:
         self._no_multipliers = np.empty(0)
         self._rank = len(couplings.v_index) + len(couplings.dependent)
         self._base = np.flatnonzero(np.isin(couplings.v_index, robot.base_v))
-        self._is_free = not (couplings.dependent or wrenches or forces or len(self._base))
+        self._is_free = not (couplings.dependent or wrenches or forces)
         self._loads = BodyLoads(robot, self.wrenches)
 
     def solve(
@@ -92,7 +92,9 @@ class InverseDynamics:
         """Torques of one sample, fresh arrays; see `SampleSolver.solve`."""
         if self._is_free and len(wrenches) == 0:
             tau = pin.rnea(self._model, self._data, position, velocity, acceleration)
-            return Torques(tau, self._no_multipliers, self._rank)
+            if not len(self._base):
+                return Torques(tau, self._no_multipliers, self._rank)
+            return self._torques(tau, self._no_multipliers)
         self._expand(position, velocity, acceleration)
         return self._torques(*self.couplings.reduce(self._full(wrenches), self._slopes))
 

@@ -99,8 +99,8 @@ class LiveSimulation:
                 f"a tick of {self._period:g} s is no whole number of steps of dt {dt:g} s; "
                 "choose another rate or dt"
             )
-        self._q = np.array([joint.q for joint in robot.joints])
-        self._v = np.array([joint.v for joint in robot.joints])
+        self._q = np.array([joint.q for joint in robot.joints], dtype=np.intp)
+        self._v = np.array([joint.v for joint in robot.joints], dtype=np.intp)
         commands = simulation.system.loads.commands
         driven = [robot.joint(name).v for name in commands]
         self._driven = np.array(driven, dtype=np.intp)

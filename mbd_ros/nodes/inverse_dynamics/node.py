@@ -79,6 +79,9 @@ class InverseDynamicsNode(JointStateNode):
         """State of the stream, then contents of the numbers."""
         details = {**self._pipeline.details(), **self.stream_details()}
         level, text = self.stream_health()
+        whole = self._pipeline.whole
+        if level != OK and whole is not None and whole.unheard:
+            text = f"{text}; nothing heard on {', '.join(sorted(whole.unheard))}"
         if level == OK:
             level, text = self._pipeline.health(self.parameters.coupling_tolerance)
         doubts = self._pipeline.scene.robot.doubts

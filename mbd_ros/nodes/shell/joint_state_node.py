@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Any
 
 from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -14,12 +14,12 @@ from std_srvs.srv import Trigger
 from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.state import NANOSECOND
 from mbd_ros.nodes.shell.clock_watch import LOOK, ClockWatch
+from mbd_ros.nodes.shell.joint_state_pipeline import Heard, JointStatePipeline
 from mbd_ros.nodes.shell.scene_node import SceneNode
 from mbd_ros.nodes.shell.serialized import require_size
 from msg_adapters.diagnostics import OK, STALE, WARN
 from msg_adapters.errors import MessageError, listed
-from msg_adapters.joint_state import JointSample, JointStateReader
-from msg_adapters.joint_state_cdr import JointStateCdrReader
+from msg_adapters.joint_state import JointSample
 
 # Best effort also hears reliable publishers; the depth bridges a pause of 0.5 s at 1 kHz,
 # beyond which the transport itself keeps no more.
@@ -30,31 +30,6 @@ _STANDING = 0.5  # [s] for which one joint state may come again and again, or al
 _DROPPED = 0.05  # share of the joint states of a second that may be dropped without a word
 _LATELY = 1.5  # s, a bit more than the time between two diagnostics
 MOST_IGNORED = 100  # joints whose names are kept to be listed once
-
-
-class Heard(Protocol):
-    """What the newest messages carried."""
-
-    @property
-    def extra(self) -> tuple[str, ...]:
-        """Joints that were not asked for."""
-        ...
-
-
-class JointStatePipeline(Protocol):
-    """Contract of what such a node builds when it is configured.
-
-    Attributes:
-        reader: Serialized joint states to samples.
-        joints: Which joints the newest joint state carried.
-    """
-
-    reader: JointStateCdrReader
-    joints: JointStateReader
-
-    def held(self) -> Sequence[str]:
-        """Joints that the newest joint state lacked, and that nothing else gives."""
-        ...
 
 
 class JointStateNode(SceneNode):
