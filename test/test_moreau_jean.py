@@ -13,7 +13,6 @@ from mechanisms import (
 from scipy.integrate import solve_ivp
 
 from mbd_ros.constraints.point_contact import PointContact
-from mbd_ros.core.row_laws import unilateral
 from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, SceneError
@@ -33,19 +32,11 @@ TWO = urdf(
 """Two boxes on one line."""
 
 
-def run(text, description, start, duration, dt, *, theta=0.5, bounce=None):
-    """States of all joints every dt; `bounce` is the restitution of the stops."""
+def run(text, description, start, duration, dt, theta=0.5):
+    """States of all joints every dt."""
     scene = scene_of(f"integrator: {{type: moreau_jean, theta: {theta}}}\n{text}", description)
-    simulation = scene.simulation(dt=dt)
-    if bounce is not None:
-        layout = simulation.system.layout
-        for block in layout.yielding:
-            if block.part.stops:
-                block.part.law = unilateral(bounce)
-        simulation.system.layout = RowLayout([block.part for block in layout.blocks])
-        simulation.stepper = MoreauJean(theta=theta).prepare(simulation.system, dt)
     x = State(0.0, *(np.array(each, dtype=float) for each in start))
-    return list(simulation.run(x, duration))
+    return list(scene.simulation(dt=dt).run(x, duration))
 
 
 def observed_order(errors):
@@ -131,8 +122,8 @@ def test_rows_that_hold_have_order_2():
 
 def test_a_ball_bounces_to_its_heights_and_comes_to_rest():
     """Heights of e = 0.8 are those of e^2; the bounces add up to a finite time."""
-    stop = "constraints: [{type: joint_stop, joint: fall, lower: 0.0}]"
-    states = run(stop, BALL, ([1.0], [0.0]), 4.2, 2e-3, bounce=0.8)
+    stop = "constraints: [{type: joint_stop, joint: fall, lower: 0.0, restitution: 0.8}]"
+    states = run(stop, BALL, ([1.0], [0.0]), 4.2, 2e-3)
     z, v = np.array([(x.q[0], x.v[0]) for x in states]).T
     tops = np.flatnonzero((v[:-1] > 0.0) & (v[1:] <= 0.0))
     resolution = GRAVITY * 2e-3**2
@@ -169,11 +160,11 @@ def test_a_pendulum_on_a_stop_converges_to_the_solution_from_event_to_event():
         link("rod", 1.0, (0.5, 0.0, 0.0), (1e-9, 1.0 / 12.0, 1.0 / 12.0)),
         joint("hinge", "revolute", "world", "rod", (0, 1, 0)),
     )
-    stop = "constraints: [{type: joint_stop, joint: hinge, upper: 1.0}]"
+    stop = "constraints: [{type: joint_stop, joint: hinge, upper: 1.0, restitution: 0.6}]"
     expected = bouncing_pendulum([-0.2, 0.0], 1.5, 1.0, 0.6)
     errors = []
     for dt in (4e-3, 2e-3, 1e-3):
-        states = run(stop, swing, ([-0.2], [0.0]), 1.5, dt, bounce=0.6)
+        states = run(stop, swing, ([-0.2], [0.0]), 1.5, dt)
         assert max(x.q[0] for x in states) <= 1.0 + 1e-12
         errors.append(np.abs(np.concatenate((states[-1].q, states[-1].v)) - expected).max())
     assert errors[-1] < errors[0] / 3.0 and errors[-1] <= 1e-3
@@ -214,7 +205,7 @@ def test_a_stiff_spring_does_not_limit_the_step(stiffness, theta):
         " length: 1.0}\n- {type: joint_torque, joint: first, torque: 10.0}\n"
     )
     start, dt = ([0.0, 1.001], [0.0, 0.0]), 2e-2
-    states = run(text, TWO, start, 1.0, dt, theta=theta)
+    states = run(text, TWO, start, 1.0, dt, theta)
     centre = (2.0 * states[-1].q[0] + 3.0 * states[-1].q[1]) / 5.0
     expected = 3.0 * 1.001 / 5.0 + 0.5 * 2.0 * (1.0 if theta == 0.5 else 1.0 + dt)
     assert centre == pytest.approx(expected, rel=1e-6)
@@ -230,9 +221,12 @@ def test_a_stiff_spring_does_not_limit_the_step(stiffness, theta):
 
 def test_a_fast_joint_stays_inside_its_stop():
     """1 000 rad/s, of which a step would take it 1 rad beyond."""
-    stop = "constraints: [{type: joint_stop, joints: [joint_1, joint_2], lower: -0.5, upper: 0.5}]"
     for bounce in (0.0, 0.7):
-        states = run(stop, chain(2), ([0.0, 0.1], [1000.0, -900.0]), 0.05, 1e-3, bounce=bounce)
+        stop = (
+            "constraints: [{type: joint_stop, joints: [joint_1, joint_2], lower: -0.5, "
+            f"upper: 0.5, restitution: {bounce}}}]"
+        )
+        states = run(stop, chain(2), ([0.0, 0.1], [1000.0, -900.0]), 0.05, 1e-3)
         assert max(np.abs(x.q).max() for x in states) <= 0.5 + 1e-9
 
 
