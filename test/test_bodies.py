@@ -139,6 +139,13 @@ def test_arm_and_bodies_that_pull_on_each_other_keep_momentum_and_energy(files):
     assert np.abs(pulls - pulls[0]).max() < 1e-11 * np.abs(pulls).max()
 
 
+def test_the_embedded_scene_keeps_its_momentum():
+    scene = load_scene("free_flyer")
+    before = momenta(scene.robot, scene.initial)
+    after = momenta(scene.robot, states(scene, 1.0, integrator=EXACT, dt=5e-3)[-1])
+    np.testing.assert_allclose(after, before, atol=1e-10)
+
+
 SPRING = {"type": "point_spring", "stiffness": 15.0, "length": 0.3}
 STOPS = {
     "type": "joint_stop",
@@ -342,6 +349,27 @@ def test_the_example_of_the_page_runs(tmp_path):
     left, right = (scene.robot.joint(f"{side}/elbow").q for side in ("left", "right"))
     assert x.q[right] == pytest.approx(x.q[left]) and np.isfinite(x.q).all()
     assert len(scene.robot.bases) == 6 and "box from" in scene.check()
+
+
+def test_what_a_description_says_besides_goes_by_the_name_of_its_robot(tmp_path):
+    """Mimic joints, friction and damping, doubts, names for topics."""
+    said = ARM.partition("</robot>")[0] + (
+        '<link name="thumb"/><joint name="grip" type="revolute"><parent link="hand"/>'
+        '<child link="thumb"/><axis xyz="1 0 0"/><dynamics damping="0.5"/>'
+        '<mimic joint="elbow" multiplier="2" offset="0.1"/>'
+        '<limit lower="-3" upper="3" effort="10" velocity="10"/></joint></robot>'
+    )
+    (tmp_path / "arm.urdf").write_text(said, encoding="utf-8")
+    entry = {"urdf": str(tmp_path / "arm.urdf"), "rename": {"elbow": "bend"}}
+    scene = scene_from({"robots": {"left": entry, "right": entry}})
+    assert scene.couplings.parents == {"left/grip": "left/bend", "right/grip": "right/bend"}
+    assert scene.robot.joint("right/bend").urdf_name == "right/elbow"
+    assert {name: rub.damping for name, rub in scene.robot.rubbing.items()} == {
+        "left/grip": 0.5,
+        "right/grip": 0.5,
+    }
+    assert [line.partition(":")[0] for line in scene.robot.doubts] == ["left", "right"]
+    assert "damping of left/grip, right/grip" in scene.check()
 
 
 def test_poses_and_velocities_at_the_start():

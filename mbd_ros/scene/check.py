@@ -98,8 +98,8 @@ def _members(scene: Scene) -> Iterator[str]:
             how = "free" if recipe.base == "floating" else "placed"
             yield line("body", f"{recipe.name} from {recipe.source}, {how}")
         else:
-            name = recipe.name or "robot"
-            yield line("robot", f"{name} from {recipe.source}, {recipe.base} base")
+            name = f"{recipe.name} from" if recipe.name else "from"
+            yield line("robot", f"{name} {recipe.source}, {recipe.base} base")
 
 
 def _rubbing(scene: Scene) -> Iterator[str]:
