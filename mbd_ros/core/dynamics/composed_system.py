@@ -221,11 +221,14 @@ class ComposedSystem:
         return accelerate
 
     def _with_exact(self, exact: ExactRows, mode: Mode) -> Accelerator:
-        motion = self._motion
+        motion, pushed = self._motion, exact.pushing(mode)
 
         def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
             a = motion.accelerate(t, q, v, u)
-            out[...] = exact.accelerate(t, q, v, a, mode)
+            if pushed is None:
+                out[...] = exact.accelerate(t, q, v, a, mode)
+            else:
+                out[...] = pushed(t, q, v, a)
 
         return accelerate
 

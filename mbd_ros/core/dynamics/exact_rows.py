@@ -5,12 +5,13 @@ of a row is 0 while it is on; 1 where its multiplier is at the lower bound (a ga
 friction of a joint that slips forwards), -1 at the upper one.
 """
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from enum import Enum
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
+from mbd_ros.core.model.kinematics import Reads
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.row_laws import Kind, Level
 from mbd_ros.core.rows.row_layout import RowBlock
@@ -82,6 +83,38 @@ class ExactRows:
             )
         )
 
+    def pushing(self, mode: Mode) -> Callable[[float, Array, Array, Array], Array] | None:
+        """What adds the forces of rows at their bounds; None where one has to be solved for.
+
+        Args:
+            mode: Begins with one entry a row.
+
+        Returns:
+            A function of t, q, v and the acceleration without the rows.
+        """
+        motion, rows, n = self._motion, self._rows, len(self.names)
+        if len(rows.rows) > n or len(mode) < n or not all(mode[:n]):
+            return None
+        k, at_lower = motion.mechanism.k, np.array(mode[:n]) == 1
+        pairs = zip(rows.parts, rows.slices, strict=True)
+        known = np.where(at_lower, rows.lower, rows.upper)
+        acting = [(part, mine) for part, mine in pairs if rows.varies or known[mine].any()]
+        reads = max((part.reads for part, _ in acting), default=Reads.NOTHING)
+
+        def pushed(t: float, q: Array, v: Array, a: Array) -> Array:
+            joint_q, joint_v, joint_a = motion.joint_motion(q, v, a)
+            x = State(t, joint_q, joint_v, motion.mechanism.z)
+            k.refresh(joint_q, joint_v, reads)
+            lam = known
+            if rows.varies:
+                rows.limit(k, x)
+                lam = np.where(at_lower, rows.lower, rows.upper)
+            force = sum(lam[mine].dot(part.jacobian(k, x)) for part, mine in acting)
+            response = motion.respond(q, np.reshape(force, (-1, 1)))[:, 0]
+            return cast(Array, motion.coordinates.integrated(joint_a + response))
+
+        return pushed
+
     def accelerate(
         self, t: float, q: Array, v: Array, a: Array, mode: Mode, free: Collection[int] = ()
     ) -> Array:
@@ -100,7 +133,7 @@ class ExactRows:
         """
         motion, rows = self._motion, self._rows
         joint_q, joint_v, joint_a = motion.joint_motion(q, v, a)
-        x = State(t, joint_q, joint_v)
+        x = State(t, joint_q, joint_v, motion.mechanism.z)
         motion.mechanism.k.refresh(joint_q, joint_v, rows.reads)
         if rows.varies:
             rows.limit(motion.mechanism.k, x)
