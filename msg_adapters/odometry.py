@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msg_adapters.errors import MessageError
+from msg_adapters.errors import MessageError, listed
 from msg_adapters.finite import require_finite
 from msg_adapters.time import read_time, seconds_of
 
@@ -44,16 +44,21 @@ class OdometrySample(NamedTuple):
     twist: NDArray[np.float64]
 
 
-def read_odometry(msg: Any) -> OdometrySample:
+def read_odometry(msg: Any, link: str = "") -> OdometrySample:
     """Arrays of one message.
 
     Args:
         msg: Odometry of rclpy, rosbags, or anything with the same fields.
+        link: Its `child_frame_id` must be this one, with or without the name of the robot in
+            front, or empty; any without it.
 
     Raises:
-        MessageError: A pose that is not finite, a quaternion far from length 1, or a stamp that
-            no message can carry back.
+        MessageError: Another link, a pose that is not finite, a quaternion far from length 1, or a
+            stamp that no message can carry back.
     """
+    child = msg.child_frame_id
+    if link and child not in ("", link, link.rpartition("/")[2]):
+        raise MessageError(f"child_frame_id is {listed([child])}, expected {link}")
     at, turn = msg.pose.pose.position, msg.pose.pose.orientation
     pose = np.array([at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w], dtype=np.float64)
     if not np.isfinite(pose).all():
@@ -66,7 +71,7 @@ def read_odometry(msg: Any) -> OdometrySample:
         [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z], dtype=np.float64
     )
     twist[~np.isfinite(twist)] = np.nan
-    frames = msg.header.frame_id, msg.child_frame_id
+    frames = msg.header.frame_id, child
     return OdometrySample(read_time(msg.header.stamp), *frames, pose, twist)
 
 

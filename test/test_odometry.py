@@ -43,6 +43,13 @@ def test_a_pose_that_is_none_is_refused(change, reason):
         read_odometry(message)
 
 
+def test_another_link_is_refused_by_name():
+    message = from_cdr(OdometryCdrWriter("odom", "foot").write(1, POSE, TWIST), TYPE)
+    assert read_odometry(message, "left/foot").frame_id == "odom"
+    with pytest.raises(MessageError, match="child_frame_id is foot, expected left/trunk"):
+        read_odometry(message, "left/trunk")
+
+
 def test_a_twist_that_is_not_measured_is_absent_and_never_sent():
     message = from_cdr(OdometryCdrWriter("", "").write(1, POSE, TWIST), TYPE)
     message.twist.twist.angular.y = np.inf

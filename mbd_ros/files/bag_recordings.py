@@ -13,7 +13,7 @@ from mbd_ros.core.model.poses import with_steady_signs
 from mbd_ros.core.state import Array, BodyMotion, Motion, WrenchSamples
 from mbd_ros.errors import DataError
 from mbd_ros.files.bags import messages, topic_types
-from mbd_ros.files.recording import Recording
+from mbd_ros.files.recording import NO_BODIES, Recording
 from mbd_ros.files.topics import beside, by_member, joint_state_topic, odometry_topic
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
@@ -33,13 +33,13 @@ class Wanted(NamedTuple):
     Attributes:
         joints: Names, in the order of the columns.
         needed: Those that must have a finite position.
-        bodies: Names of free bodies, which must have a pose.
+        bodies: Free bodies, which must have a pose, and the link that stands for each.
         members: Names of robots and bodies in front of those of their joints, see `topics`.
     """
 
     joints: tuple[str, ...]
     needed: tuple[str, ...] = ()
-    bodies: tuple[str, ...] = ()
+    bodies: Mapping[str, str] = NO_BODIES
     members: frozenset[str] = frozenset()
 
 
@@ -58,9 +58,9 @@ def bag_motion(path: Path, topic: str, wanted: Wanted) -> Recording:
         needed = [own for own, name in joints.items() if name in wanted.needed]
         if needed or its in topic_types(path) or not (member or wanted.bodies):
             streams[its] = _joint_samples(path, list(joints), its, needed, dropped)
-    for body in wanted.bodies:
+    for body, link in wanted.bodies.items():
         its = beside(topic, odometry_topic(body))
-        streams[its] = _body_samples(path, its, dropped)
+        streams[its] = _body_samples(path, its, link, dropped)
     stamps, kept, by_log_time = _paired(path, streams, dropped)
     return Recording(_motion(topic, wanted, stamps, kept), dropped, by_log_time)
 
@@ -117,12 +117,12 @@ def _paired(
     return common, kept, by_log_time
 
 
-def _body_samples(path: Path, topic: str, dropped: Counter[str]) -> list[_Timed]:
+def _body_samples(path: Path, topic: str, link: str, dropped: Counter[str]) -> list[_Timed]:
     """Log time [ns] and sample of each Odometry that can be used."""
     samples: list[_Timed] = []
     for _, log_time, msg in messages(path, {topic: ODOMETRY}):
         try:
-            samples.append((log_time, read_odometry(msg)))
+            samples.append((log_time, read_odometry(msg, link)))
         except MessageError as error:
             dropped[f"{topic}: {str(error).partition(':')[0]}"] += 1
     _check_any(path, topic, samples, dropped)

@@ -1,9 +1,13 @@
 """A motion as it was recorded."""
 
 from collections import Counter
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 from mbd_ros.core.state import Motion
+
+NO_BODIES: Mapping[str, str] = MappingProxyType({})
 
 
 class Recording(NamedTuple):

@@ -11,7 +11,7 @@ from mbd_ros.core.state import Array, BodyMotion, Motion, WrenchSamples
 from mbd_ros.errors import DataError
 from mbd_ros.files.body_columns import ACCELERATION, POSE, TWIST, names_of
 from mbd_ros.files.formats import format_of, is_bag
-from mbd_ros.files.recording import Recording
+from mbd_ros.files.recording import NO_BODIES, Recording
 from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.files.times import TIME, motion_stamps
 
@@ -27,7 +27,7 @@ def read_motion(
     *,
     topic: str = "/joint_states",
     required: Collection[str] | None = None,
-    bodies: Sequence[str] = (),
+    bodies: Mapping[str, str] = NO_BODIES,
     members: Collection[str] = (),
 ) -> Recording:
     """Samples of the joints and free bodies asked for; others in the file are ignored.
@@ -45,7 +45,7 @@ def read_motion(
         joints: Names, in the order of the columns of the motion.
         topic: JointState topic of a bag.
         required: Joints whose position must be there; all without it. The others may be NaN.
-        bodies: Names of free bodies, whose pose must be there.
+        bodies: Free bodies, whose pose must be there, and the link that stands for each.
         members: Names of robots and bodies in front of those of their joints, see `topics`.
 
     Raises:
@@ -56,7 +56,7 @@ def read_motion(
     if not isinstance(source, Result) and is_bag(source):
         from mbd_ros.files.bag_recordings import Wanted, bag_motion
 
-        wanted = Wanted(tuple(joints), tuple(needed), tuple(bodies), frozenset(members))
+        wanted = Wanted(tuple(joints), tuple(needed), bodies, frozenset(members))
         return bag_motion(Path(source), topic, wanted)
     table, where = _samples(source, ())
     poses = [name for body in bodies for name in names_of(body, POSE)]

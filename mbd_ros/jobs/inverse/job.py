@@ -203,7 +203,7 @@ def _motion(
 ) -> Motion:
     """The motion, with what loops give of it."""
     where = name_of(task.motion)
-    bodies = [base.name for base in scene.robot.bases]
+    bodies = {base.name: base.frame for base in scene.robot.bases}
     recording = read_motion(
         task.motion,
         names,

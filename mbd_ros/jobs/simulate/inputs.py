@@ -27,7 +27,8 @@ def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
     if run.origin is None:
         return scene.initial._replace(t=run.start), []
     names = [joint.name for joint in scene.robot.joints]
-    bodies, members = [base.name for base in scene.robot.bases], scene.robot.members
+    bodies = {base.name: base.frame for base in scene.robot.bases}
+    members = scene.robot.members
     required = scene.couplings.independent
     motion = read_motion(
         run.origin, names, required=required, bodies=bodies, members=members

@@ -62,8 +62,8 @@ class InverseDynamicsNode(JointStateNode):
             return
         from nav_msgs.msg import Odometry  # only where something flies
 
-        for topic in whole.body_topics:
-            take = self._on_part(topic, read_odometry)
+        for topic, base in zip(whole.body_topics, self._pipeline.scene.robot.bases, strict=True):
+            take = self._on_part(topic, partial(read_odometry, link=base.frame))
             self.subscribe(Odometry, topic, take, SENSOR, single_publisher=True)
 
     def forget(self) -> None:
