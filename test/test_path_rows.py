@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from mechanisms import floating_body, joint, link, urdf
+from scipy.integrate import solve_ivp
 
 from mbd_ros.core.dynamics.velocity_level import VelocityLevel
 from mbd_ros.core.state import State
@@ -85,7 +86,7 @@ def test_a_straight_path_that_keeps_its_length_is_a_bar(base):
         np.testing.assert_allclose(found.lam, -expected.lam, rtol=1e-10)
 
 
-@pytest.mark.parametrize("restitution", [0.0])
+@pytest.mark.parametrize("restitution", [0.0, 0.7])
 def test_a_rope_that_becomes_taut_takes_the_radial_velocity(restitution):
     """A point at 0.6, -0.8 on a rope of 1 m to the origin: v+ = v - (1 + e) (n . v) n."""
     path = {"points": [{"frame": "world"}, {"frame": "particle"}]}
@@ -97,3 +98,47 @@ def test_a_rope_that_becomes_taut_takes_the_radial_velocity(restitution):
     mass = pin.computeTotalMass(scene.robot.model)
     assert found.v == pytest.approx(v - (1.0 + restitution) * (n @ v) * n, abs=1e-12)
     assert found.p == pytest.approx([(1.0 + restitution) * mass * (n @ v)], abs=1e-12)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.7])
+@pytest.mark.parametrize("method", [{"type": "dop853", "tolerance": 1e-12}, {"type": "adams"}])
+def test_a_mass_that_falls_into_its_rope_swings_on_as_by_hand(method, restitution):
+    """1.2 s of a point on a rope of 1 m, in Cartesian coordinates by scipy between impacts."""
+    path = {"points": [{"frame": "world"}, {"frame": "particle"}]}
+    row = {"type": "rope", "path": path, "length": 1.0, "restitution": restitution}
+    start = {"position": {"x": 0.6}}
+    entries = {"constraints": [row], "gravity": [0.0, -GRAVITY, 0.0], "initial": start}
+    given = {**entries, "integrator": method, "dt": 1e-3}
+    simulation = scene_from(given, urdf=ROBOTS / "benchmark/point_in_plane.urdf").simulation()
+    *_, end = simulation.run(State(0.0, np.array([0.6, 0.0]), np.zeros(2)), 1.2)
+    y, hits = fallen(restitution, 1.2)
+    assert hits[0] == pytest.approx(np.sqrt(1.6 / GRAVITY), rel=1e-12)
+    assert [event.t for event in simulation.events] == pytest.approx(hits, abs=1e-9)
+    assert np.concatenate((end.q, end.v)) == pytest.approx(y, abs=1e-9)
+
+
+def fallen(e, duration):
+    """Position and velocity at the end, and the times of impacts."""
+    t, y, hits, taut = 0.0, np.array([0.6, 0.0, 0.0, 0.0]), [], False
+
+    def swing(t, y):
+        """The tension v.v - g y on a unit circle keeps the point there."""
+        pull = (y[2:] @ y[2:] - GRAVITY * y[1]) / (y[:2] @ y[:2]) if taut else 0.0
+        return np.concatenate((y[2:], -pull * y[:2] - [0.0, GRAVITY]))
+
+    def reach(t, y):
+        return y[:2] @ y[:2] - 1.0
+
+    reach.terminal, reach.direction = True, 1.0
+    while t < duration:
+        events = None if taut else reach
+        solved = solve_ivp(
+            swing, (t, duration), y, "DOP853", rtol=1e-13, atol=1e-14, events=events
+        )
+        t, y = solved.t[-1], solved.y[:, -1]
+        if t < duration:
+            n = y[:2] / np.linalg.norm(y[:2])
+            y = np.concatenate(((1.0 - 1e-15) * n, y[2:] - (1.0 + e) * (n @ y[2:]) * n))
+            taut = e == 0.0
+            hits.append(t)
+    return y, hits
