@@ -170,6 +170,22 @@ def test_a_pendulum_on_a_stop_converges_to_the_solution_from_event_to_event():
     assert errors[-1] < errors[0] / 3.0 and errors[-1] <= 1e-3
 
 
+def test_an_arm_between_stops_converges_to_the_motion_from_event_to_event():
+    """Seven joints with stops, three of them with dry friction: two formulations of one motion."""
+    rubbing = [{"type": "dry_friction", "joint": f"joint{i}", "limit": 1.0} for i in (1, 3, 5)]
+    stops = {"type": "joint_stop", "joints": ["all"], "restitution": 0.5}
+    scene = scene_from({"constraints": [stops, *rubbing]}, urdf="arm7")
+    x = State(0.0, np.full(7, 0.3), np.array([3.0, -2.0, 4.0, 2.0, -4.0, 3.0, -3.0]))
+    exact = scene.simulation(integrator={"type": "dop853", "tolerance": 1e-9}, dt=0.1)
+    expected = list(exact.run(x, 0.4))[-1]
+    assert len(exact.events) >= 5
+    errors = []
+    for dt in (8e-3, 1e-3):
+        stepped = scene.simulation(integrator={"type": "moreau_jean"}, dt=dt)
+        errors.append(np.abs(list(stepped.run(x, 0.4))[-1].q - expected.q).max())
+    assert errors[1] <= min(3e-3, errors[0] / 3.0)
+
+
 def test_dry_friction_stops_a_box_and_holds_it_without_creep():
     """v^2 / 2 a of way; then a force below the limit moves it by nothing."""
     friction = "constraints: [{type: dry_friction, joint: slide, limit: 3.0}]\n"
