@@ -17,6 +17,7 @@ import pinocchio as pin
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.events.event_steps import through_events
 from mbd_ros.core.model.coupling_functions import Linear
 from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot import Robot
@@ -88,6 +89,12 @@ def _steps(arm: Robot, rounds: int) -> dict[str, float]:
         system = _system(arm, Couplings(arm), [])
         method = build_part("integrators", {"type": name}, "benchmark")
         calls[name] = _step(method.prepare(system, 1e-4), State(0.0, q, v))
+    stops = {"type": "joint_stop", "joints": ["all"], "lower": -50.0, "upper": 50.0}
+    for name in ("adams", "rk4"):
+        method = build_part("integrators", {"type": name}, "benchmark")
+        stepper = through_events(method, _system(arm, Couplings(arm), [stops]), 1e-4)
+        x = stepper.settle(State(0.0, q, v), None)
+        calls[f"{name}_stops_idle"] = _step(stepper, x)
     return _ratios(arm, q, v, calls, rounds)
 
 
