@@ -623,26 +623,30 @@ class Worn(DryFriction):
 
     internal = (Internal("limit", "N·m", 0.0, 9.0, 4.0),)
 
-    def __init__(self, robot):
-        super().__init__(robot, joint="hinge", limit=4.0, time_constant=0.01)
+    def __init__(self, robot, smoothed):
+        super().__init__(robot, joint="hinge", limit=4.0, smoothed=smoothed)
         self.law = box(lambda k, x: -x.z[self.z], lambda k, x: x.z[self.z])
 
     def rates(self, k, x, u):
         return -3.0 * x.z[self.z]
 
 
-def test_rows_see_the_states_of_their_part():
+@pytest.mark.parametrize("smoothed", [True, False])
+def test_rows_see_the_states_of_their_part(smoothed):
     """The rod starts to fall when its friction has worn down to the weight."""
     scene = scene_from({"dt": 1e-3, "initial": {"position": {"hinge": 0.7}}}, urdf="pendulum")
-    part = Worn(scene.robot)
+    part = Worn(scene.robot, smoothed)
     part.name = "worn"
     scene = scene.holding(constraints=(part,))
-    states = list(scene.simulation(integrator={"type": "rk4"}).run(scene.initial, 0.5))
+    simulation = scene.simulation(integrator={"type": "rk4"})
+    states = list(simulation.run(scene.initial, 0.5))
     begin = math.log(4.0 / (WEIGHT * math.sin(0.7))) / 3.0
     assert states[-1].z[0] == pytest.approx(4.0 * math.exp(-1.5), rel=1e-9)
     speeds = {x.t: abs(x.v[0]) for x in states}
     assert max(v for t, v in speeds.items() if t < begin - 2e-3) < 1e-9
     assert min(v for t, v in speeds.items() if t > begin + 0.02) > 1e-4
+    if not smoothed:
+        assert simulation.events[0].t == pytest.approx(begin, abs=1e-9)
 
 
 def test_ticks_are_the_run_to_the_bit_and_a_reset_leaves_nothing_behind():

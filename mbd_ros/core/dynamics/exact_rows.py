@@ -148,8 +148,12 @@ class ExactRows:
 
     def solve(self, y: State, u: Array | None, mode: Mode, free: Collection[int] = ()) -> Array:
         """As `accelerate`, at a state of what is integrated."""
-        a = self._freely(y, u, mode)
-        return self.accelerate(y.t, y.q, y.v, a, mode, free)
+        a, mechanism = self._freely(y, u, mode), self._motion.mechanism
+        before, mechanism.z = mechanism.z, y.z
+        try:
+            return self.accelerate(y.t, y.q, y.v, a, mode, free)
+        finally:
+            mechanism.z = before
 
     def found(self) -> Mode:
         """The mode that the last `accelerate` found; a tie is on, and ends if it has to."""
