@@ -358,6 +358,35 @@ def test_joints_of_several_robots_are_on_topics_of_their_own_without_prefix(two_
     assert max(np.abs(found[name]).max() for name in roots) < 1e-9
 
 
+def test_a_second_free_body_first_or_last_changes_no_digit_of_inverse_dynamics(tmp_path):
+    """Nor of a table, nor of the causal estimate; couplings included."""
+    for name, text in (("arm", floating_body()), ("box", BOX)):
+        (tmp_path / f"{name}.urdf").write_text(text, encoding="utf-8")
+    arm, box = ({"urdf": f"{name}.urdf", "base": "floating"} for name in ("arm", "box"))
+    _, efforts = commands(["arm/left_swing"], 0.3)
+    found = []
+    for i, robots in enumerate(({"arm": arm}, {"arm": arm, "box": box}, {"box": box, "arm": arm})):
+        entries = {
+            "robots": robots,
+            "couplings": {"arm/right_slide": {"parent": "arm/left_swing", "factor": 0.3}},
+            "actuators": [{"type": "ideal", "joints": ["arm/left_swing"]}],
+            "initial": {"twist": {"arm": {"linear": [0.0, 0.0, 1.0], "angular": [1.0, 4.0, 0.3]}}},
+            "dt": 0.001,
+            "integrator": {"type": "rk4"},
+        }
+        (path := tmp_path / f"scene_{i}.yaml").write_text(yaml.safe_dump(entries), "utf-8")
+        scene = load_scene(path)
+        run = simulate(scene, 0.25, efforts=efforts)
+        results = run, inverse(scene, run), inverse(scene, run, derivatives="causal")
+        names = [name for name in results[1]["samples"] if name.startswith("arm")]
+        found.append(
+            [values(result, [n for n in names if n in result["samples"]]) for result in results]
+        )
+    for others in found[1:]:
+        for one, other in zip(found[0], others, strict=True):
+            assert other == pytest.approx(one, rel=1e-12, abs=1e-12)
+
+
 def test_the_simulator_publishes_each_robot_by_itself(two_arms):
     path, joints = two_arms
     plant = Plant(plant_values(path), None)

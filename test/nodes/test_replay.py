@@ -11,9 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mechanisms import floating_body
 from nodes.conftest import ROOT
 
 from mbd_ros.files.bags import BagWriter, messages, new_message, topic_types
+from mbd_ros.jobs.simulate.job import simulate
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import write_joint_state
 from msg_adapters.time import read_time
@@ -281,6 +283,22 @@ def test_bad_input_gives_exit_code_2_its_reason_and_leaves_nothing(
     assert reason in last
     left = [path for path in sorted(tmp_path.rglob("*")) if "__pycache__" not in path.parts]
     assert left == before
+
+
+def test_a_free_flying_robot_and_one_that_stands_are_played_topic_by_topic(tmp_path):
+    """Joint states of each robot and odometry, put together by their stamps."""
+    (tmp_path / "arm.urdf").write_text(floating_body(), encoding="utf-8")
+    (tmp_path / "scene.yaml").write_text(
+        "robots: {left: {urdf: arm.urdf, base: floating}, right: {urdf: arm.urdf}}\n"
+        "bodies: {box: {shape: {sphere: 0.1}, mass: 1.0}}\ndt: 0.001\n"
+        "initial: {velocity: {left/left_swing: 2.0}}\n"
+    )
+    simulate(load_scene(tmp_path / "scene.yaml"), 0.1, start=1.0).to(tmp_path / "bag")
+    words = tmp_path / "bag", tmp_path / "scene.yaml", "-o", tmp_path / "out", "--rate", 0
+    assert "101 joint states played, 101 answered, 0 lost" in mbd_ros("replay", *words)
+    stamps, torques = recorded(tmp_path / "out", TORQUES)
+    assert len(stamps) == 101
+    assert torques.shape == (101, 4)
 
 
 @pytest.mark.parametrize("how", ["interrupt", "terminate", "terminal"])

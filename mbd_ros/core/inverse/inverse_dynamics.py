@@ -83,6 +83,7 @@ class InverseDynamics:
         self._no_multipliers = np.empty(0)
         self._rank = len(couplings.v_index) + len(couplings.dependent)
         self._base = np.flatnonzero(np.isin(couplings.v_index, robot.base_v))
+        self._floats = robot.floating
         self._is_free = not (couplings.dependent or wrenches or forces)
         self._loads = BodyLoads(robot, self.wrenches)
 
@@ -92,9 +93,8 @@ class InverseDynamics:
         """Torques of one sample, fresh arrays; see `SampleSolver.solve`."""
         if self._is_free and len(wrenches) == 0:
             tau = pin.rnea(self._model, self._data, position, velocity, acceleration)
-            if not len(self._base):
-                return Torques(tau, self._no_multipliers, self._rank)
-            return self._torques(tau, self._no_multipliers)
+            residual = tau[self._base] if self._floats else NONE
+            return Torques(tau, self._no_multipliers, self._rank, residual)
         self._expand(position, velocity, acceleration)
         return self._torques(*self.couplings.reduce(self._full(wrenches), self._slopes))
 
@@ -149,7 +149,7 @@ class InverseDynamics:
 
     def _torques(self, tau: Array, multipliers: Array) -> Torques:
         """The result; of a free base it needs all, since nothing carries it."""
-        residual = tau[..., self._base] if len(self._base) else NONE
+        residual = tau[..., self._base] if self._floats else NONE
         return Torques(tau, multipliers, self._rank, residual)
 
     def _chunk(
