@@ -68,6 +68,7 @@ def test_the_table_shows_both_sides_of_every_impact(method):
     assert events["energy.before"] == pytest.approx(0.5 * MASS * speeds**2, abs=1e-8)
     assert events["energy.after"] == pytest.approx(0.5 * MASS * (E * speeds) ** 2, abs=1e-8)
     assert events["slide_joint_stop.force.event"].tolist() == [1.0, 1.0, 1.0]
+    assert events["slide_joint_stop.force.mode.after"].tolist() == [1.0, 1.0, 1.0]  # open
 
 
 def test_samples_between_impacts_follow_the_parabolas():
@@ -87,7 +88,9 @@ def test_a_scene_without_events_has_no_such_table():
     assert "events" not in falling(constraints=[]).simulate(0.1)
     smoothed = {**STOP, "restitution": 0.0, "time_constant": 0.01}
     assert "events" not in falling(constraints=[smoothed]).simulate(0.1)
-    assert falling().simulate(0.1)["events"].rows == 0
+    none, some = (falling().simulate(t)["events"] for t in (0.1, 0.5))
+    assert none.rows == 0
+    assert list(none) == list(some)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".mcap"])

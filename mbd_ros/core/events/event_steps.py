@@ -56,7 +56,8 @@ class EventSteps(Stepper):
         self.field, self._short = field, _SHORT * dt
         self._inner: Any = inner
         self.system = field.system
-        self.is_fixed, self.guards = inner.is_fixed, field.names
+        self.is_fixed = inner.is_fixed
+        self.guards = self.switches = field.names
         self.ends_at_samples = inner.is_fixed and field.rows is not None
         self._search = StepEvents(field, inner)
         self._impacts = VelocityLevel(self.system) if field.gaps else None

@@ -17,6 +17,7 @@ class Stepper:
         ends_at_samples: Whether a step that follows one which ended early ends at the next sample,
             as ticks of a live simulation have it; otherwise samples are interpolated until then.
         guards: Names of what may happen at one time.
+        switches: Names of those that a mode has an entry for, in that order.
         events: What has happened so far, each an `Event`.
     """
 
@@ -25,6 +26,7 @@ class Stepper:
     is_fixed: bool = True
     ends_at_samples: bool = False
     guards: tuple[str, ...] = ()
+    switches: tuple[str, ...] = ()
     events: tuple[Any, ...] = ()
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:

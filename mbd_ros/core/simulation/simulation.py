@@ -219,6 +219,11 @@ class Simulation:
         """Names of what may happen at one time, in the order of the scene."""
         return self.stepper.guards
 
+    @property
+    def switches(self) -> tuple[str, ...]:
+        """Names of what a mode has an entry for, in that order."""
+        return self.stepper.switches
+
     def passed_stops(self) -> list[str]:
         """Joints that went beyond stops since the start, one text each."""
         return [] if self.overshoots is None else [str(one) for one in self.overshoots.found()]

@@ -7,6 +7,7 @@ import numpy as np
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.events.event import Event
 from mbd_ros.core.names import without_multiplier
+from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.files.table import Column, Table
 from mbd_ros.files.times import TIME
@@ -16,23 +17,23 @@ EVENTS = "events"  # the table, and the last word of the topic
 SIDES = ("before", "after")
 
 
-def event_table(system: System, guards: Sequence[str], events: Sequence[Event]) -> Table:
+def event_table(simulation: Simulation, events: Sequence[Event]) -> Table:
     """A row an event.
 
     Args:
-        system: The system that was simulated.
-        guards: Names of all its guards.
+        simulation: What was simulated.
         events: What happened.
 
     Returns:
         `time`; `<guard>.event`, whether that guard was zero; `<row>.impulse`; `energy.before`,
-        `energy.after`; `<joint>.position.before` and so on.
+        `energy.after`; `<joint>.position.before` and so on; `<switch>.mode.before` and after: 0
+        while a row or surface is on, 1 or -1 beside it.
     """
-    rows = system.multiplier_rows
+    system, rows = simulation.system, simulation.system.multiplier_rows
     impulses = np.array([event.impulse for event in events]).reshape(len(events), len(rows))
     columns = [
         Column(TIME, np.array([event.t for event in events], dtype=np.float64), "s"),
-        *(Column(f"{name}.event", _hit(events, name)) for name in guards),
+        *(Column(f"{name}.event", _hit(events, name)) for name in simulation.guards),
         *(
             Column(f"{without_multiplier(row.name)}.impulse", values, f"{row.unit}·s")
             for row, values in zip(rows, impulses.T, strict=True)
@@ -45,6 +46,11 @@ def event_table(system: System, guards: Sequence[str], events: Sequence[Event]) 
     for side, states in zip(SIDES, sides, strict=True):
         named = (c._replace(name=f"{c.name}.{side}") for c in _state_columns(system, states))
         columns.extend(named)
+    for side, states in zip(SIDES, sides, strict=True):
+        modes = np.array([x.mode for x in states], dtype=np.float64)
+        modes = modes.reshape(len(events), len(simulation.switches))
+        pairs = zip(simulation.switches, modes.T, strict=True)
+        columns.extend(Column(f"{name}.mode.{side}", values) for name, values in pairs)
     return Table(columns)
 
 

@@ -123,7 +123,7 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     topics = topics_of(simulation.system)
     tables = {MAIN: table}
     if simulation.guards:
-        tables[EVENTS] = event_table(simulation.system, simulation.guards, simulation.events)
+        tables[EVENTS] = event_table(simulation, simulation.events)
     result = Result(tables, metadata_of("simulate", scene, run.inputs, topics))
     failure = lost or failure
     if failure is not None:

@@ -139,7 +139,7 @@ class Plant:
         if not events:
             return []
         self.live.events = ()
-        table = event_table(simulation.system, simulation.guards, events)
+        table = event_table(simulation, events)
         writer = MultiArrayCdrWriter(len(table), list(table))
         return [writer.write(row.tolist()) for row in np.column_stack(list(table.values()))]
 
