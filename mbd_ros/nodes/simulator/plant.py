@@ -1,6 +1,5 @@
 """A built scene between commands and the messages that show its motion."""
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -66,12 +65,15 @@ class Plant:
         members = by_member(names, scene.robot.members)
         if not members and not self.bodies:
             members[""] = {}  # a scene where nothing moves says so
-        self.members = {member: _places(names, own) for member, own in members.items()}
+        self.members = {
+            member: [names.index(name) for name in own.values()] for member, own in members.items()
+        }
         numbers = [output.name for output in self.live.showing.numbers]
         count = len(self.live.simulation.system.multiplier_rows)
         self.rows = [without_multiplier(name) for name in numbers[:count]]
         self.shown = numbers[count:]
         self._states = [JointStateCdrWriter(list(own)) for own in members.values()]
+        self._only = self._states[0] if len(self._states) == 1 else None
         self._odometry = [OdometryCdrWriter(WORLD, base.frame) for base in scene.robot.bases]
         self._forces = JointStateCdrWriter(self.rows, ("effort",))
         self._shown = MultiArrayCdrWriter(len(self.shown), self.shown)
@@ -111,12 +113,13 @@ class Plant:
 
     def joint_states(self, stamp: int) -> list[bytes]:
         """Serialized JointState of the newest state, one for each of `members`."""
-        now, pairs = self.live.now, zip(self._states, self.members.values(), strict=True)
+        now = self.live.now
+        position, velocity, effort = now.position, now.velocity, now.effort
+        if self._only is not None:
+            return [self._only.write(stamp, position=position, velocity=velocity, effort=effort)]
         return [
-            writer.write(
-                stamp, position=now.position[at], velocity=now.velocity[at], effort=now.effort[at]
-            )
-            for writer, at in pairs
+            writer.write(stamp, position=position[at], velocity=velocity[at], effort=effort[at])
+            for writer, at in zip(self._states, self.members.values(), strict=True)
         ]
 
     def odometry(self, stamp: int) -> list[bytes]:
@@ -182,13 +185,6 @@ class Plant:
                 f"{s.solves} solves, {s.cold} cold, {s.damped} damped, {s.failed} failed"
             )
         return details
-
-
-def _places(names: Sequence[str], joints: Mapping[str, str]) -> slice | list[int]:
-    """Where joints stand among all."""
-    if len(joints) == len(names):
-        return slice(None)
-    return [names.index(name) for name in joints.values()]
 
 
 def _root_link(scene: Scene) -> str:
