@@ -101,7 +101,7 @@ def test_a_rope_that_becomes_taut_takes_the_radial_velocity(restitution):
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.7])
-@pytest.mark.parametrize("method", [{"type": "dop853", "tolerance": 1e-12}, {"type": "adams"}])
+@pytest.mark.parametrize("method", [{"type": "dop853", "tolerance": 1e-12}, {"type": "rk4"}])
 def test_a_mass_that_falls_into_its_rope_swings_on_as_by_hand(method, restitution):
     """1.2 s of a point on a rope of 1 m, in Cartesian coordinates by scipy between impacts."""
     path = {"points": [{"frame": "world"}, {"frame": "particle"}]}

@@ -8,6 +8,7 @@ import pytest
 from symbolic_kinematics import SymbolicKinematics
 
 from mbd_ros.constraints.distance import Distance
+from mbd_ros.constraints.path_length import PathLength
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import NONE, State
@@ -98,6 +99,20 @@ def test_rows_of_symbols_have_the_numbers_of_the_rows(robot, ends):
     slope = ca.jacobian(traced[0], symbols.x.q)
     for x in states(robot):
         k = at(robot, x)
+        for expression, method in zip(traced, asked, strict=True):
+            assert_same(symbols.number(expression, x), method(k, x))
+        assert_same(symbols.number(slope, x), part.jacobian(k, x))
+
+
+@pytest.mark.parametrize("points", [VIA, SLIDING, SWITCHED], ids=["held", "moved", "switched"])
+def test_the_row_of_a_path_of_symbols_has_the_numbers_of_the_row(points):
+    part = PathLength(ARM, path=through(ARM, points), length=0.7)
+    symbols = SymbolicKinematics(ARM)
+    asked = part.residual, part.jacobian, part.drift
+    traced = [method(symbols, symbols.x) for method in asked]
+    slope = ca.jacobian(traced[0], symbols.x.q)
+    for x in states(ARM):
+        k = at(ARM, x)
         for expression, method in zip(traced, asked, strict=True):
             assert_same(symbols.number(expression, x), method(k, x))
         assert_same(symbols.number(slope, x), part.jacobian(k, x))
