@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
+from mbd_ros.core.memory import is_same
 from mbd_ros.core.state import State
 
 WIDE = {"type": "joint_stop", "joints": ["all"], "lower": -50.0, "upper": 50.0}
@@ -101,3 +102,42 @@ def test_no_stop_is_missed(method, limit):
     assert np.abs(states[-1].q - y.q).max() < 1e-4
     for one, other in zip(simulation.events, single.events, strict=True):
         assert one.guards == other.guards and one.t == pytest.approx(other.t, abs=1e-5)
+
+
+KINDS = {
+    "open": ("arm7", {}, 1.0),
+    "coupled": ("arm7", {"couplings": {"joint4": {"parent": "joint2", "factor": 0.5}}}, 0.9),
+    "curved": (
+        "arm7",
+        {"couplings": {"joint4": {"parent": "joint2", "polynomial": [0, 0, 3]}}},
+        2.0,
+    ),
+    "loop": ("four_bar_leg", {}, None),
+    "sliding": ("prosthetic_leg", {}, None),
+}
+
+
+@pytest.mark.parametrize("method", ["rk4", "adams"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_steps_without_a_search_find_what_a_search_finds(method, kind):
+    """Every bit and every event, in every tier."""
+    name, sections, limit = KINDS[kind]
+    scene = mbd.load_scene(name)
+    free = list(scene.couplings.independent)[:2]
+    joints = ["all"] if limit else free
+    low, high = (-limit, limit) if limit else (-0.6, 0.6)
+    stops = {"type": "joint_stop", "joints": joints, "lower": low, "upper": high}
+    more = {"constraints": [*scene.entries.get("constraints", ()), {**stops, "restitution": 0.4}]}
+    if kind != "loop":  # which would not close
+        more["initial"] = {"velocity": dict(zip(free, (4.0, -5.0), strict=True))}
+    scene = scene.with_(**sections, **more, integrator={"type": method}, dt=1e-3)
+    ends = []
+    for is_searched in (False, True):
+        simulation = scene.simulation()
+        simulation.stepper._clearance.serves = not is_searched
+        states = list(simulation.run(scene.initial, 0.25))
+        ends.append((states, simulation.events))
+    (states, events), (searched, found) = ends
+    assert [event[:2] for event in events] == [event[:2] for event in found]
+    assert len(events) > 0
+    assert all(is_same(one, other) for one, other in zip(states, searched, strict=True))
