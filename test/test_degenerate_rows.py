@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from systems import acceleration
 
+from mbd_ros import scene_from
 from mbd_ros.core.integration.linear_motion import fastest_rate
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.optimization.box_qp import complementarity_residual
@@ -124,3 +125,40 @@ def test_coupling_rows_overflow_to_infinity():
     fast = State(0.0, scene.initial.q, np.full(3, 1e200))
     with np.errstate(over="ignore"):
         assert np.isinf(part.drift(None, fast)[1])
+
+
+def test_friction_of_a_rocker_goes_on_where_the_rocker_turns():
+    """There no force moves it: its friction changes sides, and takes limit times way in all."""
+    scene = scene_from(
+        {
+            "robot": {"urdf": "package://mbd_ros/config/robots/four_bar_leg.urdf"},
+            "constraints": [
+                {"type": "dry_friction", "joint": "knee_tibial", "limit": 1.0},
+                {
+                    "type": "loop_closure",
+                    "kind": "point",
+                    "directions": "xz",
+                    "frame_a": "posterior_bar",
+                    "point_a": [-0.007, 0.0, -0.051],
+                    "frame_b": "shank",
+                    "point_b": [-0.059, 0.0, 0.002],
+                },
+            ],
+            "initial": {
+                "position": {
+                    "hip_flexion": 0.3,
+                    "knee_anterior": -0.8844343782453666,
+                    "knee_tibial": 0.18630267744763485,
+                    "knee_posterior": -1.1433094128214365,
+                }
+            },
+        }
+    )
+    result = scene.simulate(0.6)
+    samples, events = result.tables["samples"], result.tables["events"]
+    position = samples["knee_tibial.position"]
+    turns = [position[0], *events["knee_tibial.position.before"], position[-1]]
+    assert len(turns) == 4
+    way = float(np.abs(np.diff(turns)).sum())
+    energy = samples["energy"]
+    assert energy[0] - energy[-1] == pytest.approx(1.0 * way, rel=1e-8)

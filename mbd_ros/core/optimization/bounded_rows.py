@@ -10,6 +10,7 @@ in the mass metric. Source: P. Lötstedt, SIAM J. Appl. Math. 42 (1982), doi:10.
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.optimization.box_qp import BoxQp, exchanged
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
@@ -99,11 +100,14 @@ class BoundedRows:
         J, b = self.constraints.conditions(motion.mechanism.k, x)
         response = motion.respond(q, J.T)
         free = J.dot(joint_a) + b
-        A, w = self._without_silent(J, J.dot(response), free, (lower, upper))
+        A, w, silent = self._without_silent(J, J.dot(response), free, (lower, upper))
         lam = self._multipliers(A, w, lower, upper)
         self.multipliers, self.force = lam, J.T.dot(lam)
         a = motion.coordinates.integrated(joint_a + response.dot(lam))
-        return a, A.dot(lam) + w, np.abs(A).dot(np.abs(lam)) + np.abs(w)
+        left = A.dot(lam) + w
+        if silent is not None:
+            left = np.where(silent, free, left)
+        return a, left, np.abs(A).dot(np.abs(lam)) + np.abs(w)
 
     def _multipliers(self, A: Array, w: Array, lower: Array, upper: Array) -> Array:
         lam = exchanged(A, w, lower, upper)
@@ -111,24 +115,28 @@ class BoundedRows:
 
     def _without_silent(
         self, J: Array, A: Array, w: Array, bounds: tuple[Array, Array]
-    ) -> tuple[Array, Array]:
-        """A and w without rows that nothing moves, whose multipliers are then 0.
+    ) -> tuple[Array, Array, NDArray[np.bool_] | None]:
+        """A and w without rows that nothing moves, and which these are.
+
+        Their multipliers are then 0, or where they demand a motion at the bound that it leads to:
+        friction of a rocker that turns.
 
         Raises:
-            SolveError: Such a row demands a motion.
+            SolveError: No bound limits what such a row would take.
         """
         size = A.diagonal()
         if size.min() > SMALL_ROW:
-            return A, w
+            return A, w, None
         largest = size.max(initial=0.0) or 1.0
         silent = (size <= ZERO_ROW * largest) | is_rounding(J)
         if not silent.any():
-            return A, w
+            return A, w, None
         lower, upper = bounds
-        left = np.maximum(np.where(upper > 0.0, -w, 0.0), np.where(lower < 0.0, w, 0.0))
-        left *= silent
-        worst = int(np.argmax(left))
-        if left[worst] > CONTRADICTION * (1.0 + float(np.abs(w).max())):
+        demands = silent & (np.abs(w) > CONTRADICTION * (1.0 + float(np.abs(w).max())))
+        pushed = np.where(demands, np.where(w > 0.0, lower, upper), 0.0)
+        if np.isinf(pushed).any():
+            worst = int(np.argmax(np.where(np.isinf(pushed), np.abs(w), 0.0)))
             raise SolveError(f"nothing moves constraint row {self.rows[worst].name} as it demands")
         kept = np.outer(~silent, ~silent)
-        return np.where(kept, A, np.diag(largest * silent)), np.where(silent, 0.0, w)
+        apart = np.where(silent, -largest * pushed, w)
+        return np.where(kept, A, np.diag(largest * silent)), apart, silent
