@@ -22,7 +22,7 @@ from msg_adapters.time import read_time, seconds_of
 _HEAD = bytes([0, 1, 0, 0])  # little endian
 _STAMP = struct.Struct("<iI")
 _DOUBLES = struct.Struct("<7d288x6d288x")
-_OFF = 0.1  # by which a quaternion may miss its length of 1
+OFF_UNIT = 0.1  # by which a quaternion may miss its length of 1
 
 
 class OdometrySample(NamedTuple):
@@ -64,7 +64,7 @@ def read_odometry(msg: Any, link: str = "") -> OdometrySample:
     if not np.isfinite(pose).all():
         raise MessageError(f"pose is not finite: {pose.tolist()}")
     length = float(np.linalg.norm(pose[3:]))
-    if not abs(length - 1.0) <= _OFF:
+    if not abs(length - 1.0) <= OFF_UNIT:
         raise MessageError(f"orientation has the length {length:.3g}, a quaternion has 1")
     linear, angular = msg.twist.twist.linear, msg.twist.twist.angular
     twist = np.array(

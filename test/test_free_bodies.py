@@ -195,8 +195,11 @@ def test_what_is_not_given_is_asked_for():
     with pytest.raises(DataError, match=r"no column base\.orientation\.w; there are: time"):
         inverse(scene_of(FREE, BOX), Result({"samples": Table(table[:-1])}))
     still = [c if "orientation" not in c.name else c._replace(values=0.0 * t) for c in table]
-    with pytest.raises(DataError, match=r"base\.orientation at 0 s is no quaternion"):
+    with pytest.raises(DataError, match=r"base\.orientation at 0 s has the length 0, a qua"):
         inverse(scene_of(FREE, BOX), Result({"samples": Table(still)}))
+    huge = [c if "orientation" not in c.name else c._replace(values=1e200 + t) for c in table]
+    with pytest.raises(DataError, match=r"base\.orientation at 0 s has the length inf"):
+        inverse(scene_of(FREE, BOX), Result({"samples": Table(huge)}))
 
 
 # ---------------------------------------------------------------------- files

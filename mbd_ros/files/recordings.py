@@ -14,11 +14,11 @@ from mbd_ros.files.formats import format_of, is_bag
 from mbd_ros.files.recording import NO_BODIES, Recording
 from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.files.times import TIME, motion_stamps
+from msg_adapters.odometry import OFF_UNIT
 
 Source = str | Path | Result  # of a motion
 CSV = (".csv", ".csv.gz")  # strict: nan stands only where it has a meaning
 _IN_MEMORY = "the result"
-_NO_TURN = 1.0e-3  # length of a quaternion that says nothing
 
 
 def read_motion(
@@ -79,11 +79,13 @@ def _body(table: Table, where: str, name: str) -> BodyMotion:
         _columns(table, names_of(name, words)) for words in (POSE, TWIST, ACCELERATION)
     )
     assert pose is not None
-    lost = np.flatnonzero(~(np.linalg.norm(pose[:, 3:], axis=1) > _NO_TURN))
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(pose[:, 3:], axis=1)
+    lost = np.flatnonzero(~(np.abs(length - 1.0) <= OFF_UNIT))
     if len(lost):
         raise DataError(
-            f"{where}: {name}.orientation at {table[TIME][lost[0]]:.9g} s is no quaternion: all "
-            "of its numbers are 0 or one is nan"
+            f"{where}: {name}.orientation at {table[TIME][lost[0]]:.9g} s has the length "
+            f"{length[lost[0]]:.3g}, a quaternion has 1"
         )
     return BodyMotion(name, with_steady_signs(pose), twist, acceleration)
 
