@@ -24,6 +24,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "knife_edge": "mbd_ros.constraints.knife_edge:KnifeEdge",
         "loop_closure": "mbd_ros.constraints.loop_closure:LoopClosure",
         "path_length": "mbd_ros.constraints.path_length:PathLength",
+        "point_contact": "mbd_ros.constraints.point_contact:PointContact",
         "point_on_plane": "mbd_ros.constraints.point_on_plane:PointOnPlane",
         "prescribed_motion": "mbd_ros.constraints.prescribed_motion:PrescribedMotion",
         "rope": "mbd_ros.constraints.rope:Rope",

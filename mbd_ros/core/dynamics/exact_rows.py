@@ -11,6 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from mbd_ros.core.dynamics.exact_contact import OPEN, ExactContact, side
 from mbd_ros.core.model.kinematics import Reads
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.row_laws import Kind, Level
@@ -27,6 +28,7 @@ class Reach(Enum):
     GAP = "gap"  # g, and g': one-sided rows of positions
     SLIP = "slip"  # g': rows of velocities
     DEMAND = "demand"  # g'' + kd g' + kp g: drives, which follow within their limit
+    FRICTION = "friction"  # the slip, where the normal before it is on
 
 
 def rounding(x: State) -> float:
@@ -54,21 +56,27 @@ class ExactRows:
         left: Their w = g'' + kd g' + kp g there, shape (n,).
         lower: Their lower bounds there, shape (n,).
         upper: Their upper bounds there, shape (n,).
+        contact: Where a normal and its two tangents stand among them; None without a contact.
     """
 
     def __init__(self, motion: Any, solver: BoundedRows) -> None:
         self._motion, self.solver = motion, solver
         rows = self._rows = solver.constraints
-        exact = [(i, b) for i, b in _each(rows.blocks) if not (b.law.is_rigid or b.smoothed)]
-        self._at = np.array([i for i, _ in exact], dtype=np.intp)
-        self.names = tuple(rows.rows[i].name for i, _ in exact)
+        exact = [each for each in _each(rows.blocks) if _is_exact(each[2])]
+        self._at = np.array([i for i, *_ in exact], dtype=np.intp)
+        self.names = tuple(rows.rows[i].name for i, *_ in exact)
         self.slots = rows.slots[self._at]
-        self.reach = tuple(reach_of(block) for _, block in exact)
-        self.restitution = np.array([block.law.restitution for _, block in exact])
-        self._is_gap, self._is_slip = (
-            np.array([one is kind for one in self.reach]) for kind in (Reach.GAP, Reach.SLIP)
+        self.reach = tuple(reach_of(block, own) for _, own, block in exact)
+        self.restitution = np.array([block.law.restitution for *_, block in exact])
+        self._is_gap, self._is_slip, self._is_friction = (
+            np.array([one is kind for one in self.reach])
+            for kind in (Reach.GAP, Reach.SLIP, Reach.FRICTION)
         )
-        n = len(exact)
+        n, kinds = len(exact), [block.law.kind for *_, block in exact]
+        self.contact, self._contact = None, None
+        if Kind.CONE in kinds:
+            first = kinds.index(Kind.CONE)
+            self.contact, self._contact = slice(first, first + 3), ExactContact(rows)
         self.lam, self.left, self.lower, self.upper, self._slack = np.zeros((5, n))
         self._none = np.zeros(len(rows.rows))
 
@@ -140,11 +148,37 @@ class ExactRows:
         if not mode:
             mode, free = self._ways(x)
         lower, upper = self._bounds(mode, free)
-        a, left, terms = self.solver.held(motion, q, x, joint_a, lower, upper)
+        if self._contact is not None:
+            a, left, terms = self._with_contact(
+                *(self._contact, q, x, joint_a, (lower, upper), mode, free)
+            )
+        else:
+            a, left, terms = self.solver.held(motion, q, x, joint_a, lower, upper)
         self.lam, self.left = self.solver.multipliers[self._at], left[self._at]
         self._slack = TIE * terms[self._at]
         self.lower, self.upper = rows.lower[self._at], rows.upper[self._at]
         return a
+
+    def _with_contact(
+        self,
+        contact: ExactContact,
+        q: Array,
+        x: State,
+        a: Array,
+        bounds: tuple[Array, Array],
+        mode: Mode,
+        free: Collection[int],
+    ) -> tuple[Array, Array, Array]:
+        """As `BoundedRows.held`, with a contact."""
+        at = self.contact
+        assert at is not None
+        is_free = at.start in free
+        found = contact.solve(
+            *(self._motion, q, x, a, bounds, () if is_free else mode[at]),
+            is_open=not is_free and mode[at.start] != 0,
+        )
+        self.solver.multipliers, self.solver.force = found.lam, found.force
+        return self._motion.coordinates.integrated(a + found.added), found.left, found.terms
 
     def solve(self, y: State, u: Array | None, mode: Mode, free: Collection[int] = ()) -> Array:
         """As `accelerate`, at a state of what is integrated."""
@@ -158,7 +192,38 @@ class ExactRows:
     def found(self) -> Mode:
         """The mode that the last `accelerate` found; a tie is on, and ends if it has to."""
         above, below = self.left > self._slack, self.left < -self._slack
-        return tuple((above.astype(int) - below).tolist())
+        ways = (above.astype(int) - below).tolist()
+        if self._contact is not None:
+            at = self.contact
+            ways[at] = self._contact.found(self.left[at], self._slack[at])
+        return tuple(ways)
+
+    def friction(self, y: State, mode: Mode) -> dict[tuple[int, int], float]:
+        """Margins of the tangents of a contact in a mode, by the multipliers of the last solve."""
+        at, contact = self.contact, self._contact
+        if at is None or contact is None or mode[at.start]:
+            return {}
+        first, named = at.start + 1, mode[at][1:]
+        if not any(named):
+            return {(first, 1): contact.margin(self.lam[at])}
+        slip = contact.slip(self._motion.mechanism.k, self._placed(y))
+        return {(first, 0): float(slip.dot(named)) / float(np.linalg.norm(named))}
+
+    def leaving(self, switch: int, way: int) -> dict[int, int]:
+        """The modes with which a switch is left in a direction, after a solve."""
+        at = self.contact
+        if at is None or not at.start <= switch < at.stop:
+            return {switch: way}
+        after = OPEN if switch == at.start else (0, *side(-self.lam[at][1:]))
+        return dict(zip(range(at.start, at.stop), after, strict=True))
+
+    def turned(self, y: State, mode: Mode) -> dict[int, int]:
+        """Modes of a contact whose slip has turned; empty where it has not, or does not slip."""
+        at, contact = self.contact, self._contact
+        if at is None or contact is None or mode[at.start] or not any(mode[at]):
+            return {}
+        after = contact.turned(mode[at], contact.slip(self._motion.mechanism.k, self._placed(y)))
+        return dict(zip(range(at.start, at.stop), after, strict=True)) if after != mode[at] else {}
 
     def heights(self, y: State) -> Array:
         """Gaps, slip velocities, and 1 for rows without height, shape (n,)."""
@@ -181,7 +246,7 @@ class ExactRows:
             moves: Whether its velocity changes, too.
         """
         on = np.array([not way for way in mode[: len(self.names)]], dtype=np.bool_)
-        gaps, slips = on & self._is_gap, on & (self._is_gap | self._is_slip)
+        gaps, slips = on & self._is_gap, on & (self._is_gap | self._is_slip | self._is_friction)
         for _ in range(_CORRECTIONS if gaps.any() else 0):
             g = self._heights(self._placed(y))
             if np.abs(g[gaps]).max() <= np.spacing(1.0 + np.abs(y.q).max()):
@@ -227,6 +292,8 @@ class ExactRows:
             heights[self._is_gap] = self._rows.residual(k, x)[self._at[self._is_gap]]
         if self._is_slip.any():
             heights[self._is_slip] = self._approach(x)[self._is_slip]
+        if self._contact is not None and self.contact is not None:
+            heights[self.contact.start + 1] = np.linalg.norm(self._contact.slip(k, x))
         return heights
 
     def _approach(self, x: State) -> Array:
@@ -239,6 +306,8 @@ class ExactRows:
         on = np.where(self._is_gap, heights, np.abs(heights)) <= slack
         on &= ~self._is_gap | (rate <= slack)
         on |= ~(self._is_gap | self._is_slip)
+        if self.contact is not None:
+            on[self.contact] = on[self.contact.start]
         ways = np.where((heights < 0.0) & ~self._is_gap, -1, 1)
         return tuple(ways.tolist()), np.flatnonzero(on).tolist()
 
@@ -265,12 +334,25 @@ def stiff(block: RowBlock) -> RowBlock:
     return block._replace(gains=(nothing, nothing))
 
 
-def _each(blocks: tuple[RowBlock, ...]) -> list[tuple[int, RowBlock]]:
-    return list(enumerate(block for block in blocks for _ in block.rows))
+def _each(blocks: tuple[RowBlock, ...]) -> list[tuple[int, int, RowBlock]]:
+    """Number of every row, its number in its block, and the block."""
+    own = [(number, block) for block in blocks for number in range(len(block.rows))]
+    return [(i, number, block) for i, (number, block) in enumerate(own)]
 
 
-def reach_of(block: RowBlock) -> Reach:
-    """What has to be zero before the rows of a block may be on."""
+def _is_exact(block: RowBlock) -> bool:
+    return not (block.law.is_rigid or block.smoothed)
+
+
+def reach_of(block: RowBlock, own: int = 0) -> Reach:
+    """What has to be zero before a row of a block may be on.
+
+    Args:
+        block: The block.
+        own: Number of the row in it.
+    """
+    if block.law.kind is Kind.CONE:
+        return Reach.FRICTION if own else Reach.GAP
     if block.level is Level.VELOCITY:
         return Reach.SLIP
     return Reach.GAP if block.law.kind is Kind.UNILATERAL else Reach.DEMAND

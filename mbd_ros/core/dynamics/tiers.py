@@ -135,8 +135,8 @@ def _refuse_unserved(blocks: Sequence[RowBlock]) -> None:
     """Refuse laws that exist and that no solver serves."""
     for block in blocks:
         what, smoothed = "", block.smoothed and not block.law.is_rigid
-        if block.law.kind is Kind.CONE:
-            what = "has the law cone"
+        if smoothed and block.law.kind is Kind.CONE:
+            what = "has the law cone and is smoothed"
         elif smoothed and block.law.restitution > 0.0:
             what = f"has restitution {block.law.restitution:g} and is smoothed"
         elif smoothed and block.level is Level.VELOCITY and block.law.kind is Kind.UNILATERAL:
@@ -148,8 +148,8 @@ def _refuse_unserved(blocks: Sequence[RowBlock]) -> None:
         if what:
             raise ModelError(
                 f"row {block.rows[0].name} {what}, which no solver serves; accepted: bilateral, "
-                "drive, unilateral (smoothed ones without restitution), and box, which serves "
-                "velocities too"
+                "drive, cone, unilateral (smoothed ones without restitution), and box, which "
+                "serves velocities too"
             )
 
 

@@ -198,6 +198,8 @@ class EventSteps(Stepper):
         elif is_changed and (field.on or field.drives):
             self._change(self._decided(x, u, {*field.on, *field.near(x)}))
             x = self._switched(x)
+        elif ways := field.turned(x):
+            self._change(ways)
         return self._follow(x)
 
     def _switched(self, x: State) -> State:
@@ -225,7 +227,7 @@ class EventSteps(Stepper):
         if hits:
             x, impulse = self._struck(x, u)
         elif way:
-            self._change({switch: way})
+            self._change(field.leaving(x, u, (switch, way)))
         elif margin:
             self._change(self._decided(x, u, {*field.on, switch, *field.near(x)}))
         x = field.onto_rows(x)._replace(mode=field.mode)

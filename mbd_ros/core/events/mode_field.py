@@ -51,6 +51,8 @@ class ModeField:
         reach = () if self.rows is None else self.rows.reach
         self._of_state = np.array([one is not Reach.DEMAND for one in reach], dtype=np.bool_)
         self._demands = [i for i, one in enumerate(reach) if one is Reach.DEMAND]
+        self._frictions = [i for i, one in enumerate(reach) if one is Reach.FRICTION]
+        self._no_height = {*self._demands, *self._frictions}
         self.gaps = [i for i, one in enumerate(reach) if one is Reach.GAP]
         self._mode: Mode = (1,) * len(self.names)
 
@@ -98,7 +100,7 @@ class ModeField:
             if any(self._mode[i] for i in slips):
                 self._solve(y, u)
                 rates[slips] = self.rows.left[slips]
-            rates[self._demands] = 0.0
+            rates[list(self._no_height)] = 0.0
         surfaces = self._surfaces
         return self._stacked(rates, None if surfaces is None else surfaces.rates(y, u))
 
@@ -128,7 +130,7 @@ class ModeField:
     def margin(self, y: State, u: Array | None, which: Margin) -> float:
         """One of the margins; a height alone asks for no acceleration."""
         switch, way = which
-        if way or switch in self._demands:
+        if way or switch in self._no_height:
             return self.margins(y, u)[which]
         return float(self._mode[switch] * self.heights(y)[switch])
 
@@ -138,13 +140,13 @@ class ModeField:
         margins = {
             (i, 0): way * heights[i]
             for i, way in enumerate(self._mode)
-            if way and i not in self._demands
+            if way and i not in self._no_height
         }
         n, rows = self._count, self.rows
         on = [i for i in range(n) if not self._mode[i]]
         if rows is not None and (on or self._demands):
             self._solve(y, u)
-            for i in on:
+            for i in (i for i in on if i not in self._frictions):
                 if rows.lower[i] > -np.inf:
                     margins[i, 1] = float(rows.lam[i] - rows.lower[i])
                 if rows.upper[i] < np.inf:
@@ -152,6 +154,7 @@ class ModeField:
             for i in self._demands:
                 if self._mode[i]:
                     margins[i, 0] = float(self._mode[i] * rows.left[i])
+            margins.update(rows.friction(y, self._mode))
         surfaces = self._surfaces
         if surfaces is not None and surfaces.sliding:
             for i, s in zip(surfaces.sliding, surfaces.signs(y, u).tolist(), strict=True):
@@ -180,6 +183,18 @@ class ModeField:
         self._solve(y, u, rows)
         found = self.rows.found()
         return {i: found[i] for i in rows}
+
+    def leaving(self, y: State, u: Array | None, which: Margin) -> dict[int, int]:
+        """The modes with which a switch is left where its margin is zero."""
+        switch, way = which
+        if self.rows is None or switch >= self._count:
+            return {switch: way}
+        self._solve(y, u)
+        return self.rows.leaving(switch, way)
+
+    def turned(self, y: State) -> dict[int, int]:
+        """Modes that name the same motion anew."""
+        return {} if self.rows is None else self.rows.turned(y, self._mode)
 
     def onto(self, y: State, u: Array | None) -> State:
         """The state on what is on, moved only as the forces of that move it."""

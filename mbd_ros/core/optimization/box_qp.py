@@ -8,12 +8,12 @@ Gauss's principle asks it of the multipliers of joint stops, dry friction and li
 (1984); M. Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13 (2002), on the exchange of rows.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.optimization.active_set import least_norm, on_active_set
+from mbd_ros.core.optimization.active_set import factored, least_norm, on_active_set
 from mbd_ros.core.optimization.qp_solvers import KeptProxQp, OtherSolver, counted
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
@@ -98,8 +98,21 @@ class BoxQp:
         raise SolveError(f"QP not solved: complementarity residual {residual:.1e}")
 
 
-def exchanged(A: Array, b: Array, lower: Array, upper: Array) -> Array | None:
+def exchanged(
+    A: Array,
+    b: Array,
+    lower: Array,
+    upper: Array,
+    solve: Callable[[Array, Array], Array] = factored,
+) -> Array | None:
     """The multipliers by exchange of rows, from those on that each row by itself asks for.
+
+    Args:
+        A: Shape (n, n).
+        b: Shape (n,).
+        lower: Smallest multipliers, shape (n,).
+        upper: Largest multipliers, shape (n,).
+        solve: What solves with a part of A; the default takes it to be symmetric.
 
     Returns:
         Shape (n,), fresh; None where that does not end soon, and a `BoxQp` has to serve.
@@ -108,7 +121,7 @@ def exchanged(A: Array, b: Array, lower: Array, upper: Array) -> Array | None:
     step = -b / diagonal
     for _ in range(_EXCHANGES):
         stepped = np.minimum(np.maximum(step, lower), upper)
-        lam = on_active_set(A, b, stepped, (stepped > lower) & (stepped < upper))
+        lam = on_active_set(A, b, stepped, (stepped > lower) & (stepped < upper), solve)
         kept: Array = np.minimum(np.maximum(lam, lower), upper)
         if complementarity_residual(A, b, lower, upper, lam) <= _EXACT:
             return kept

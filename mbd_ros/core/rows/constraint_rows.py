@@ -7,7 +7,7 @@ import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.parts import Wrench
-from mbd_ros.core.row_laws import Level
+from mbd_ros.core.row_laws import Kind, Level
 from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
@@ -56,7 +56,10 @@ class ConstraintRows:
         for block, mine in zip(self.blocks, self.slices, strict=True):
             self._kp[mine], self._kd[mine] = gains if block.law.is_rigid else block.gains
             self.is_rate[mine] = block.level is Level.VELOCITY
-            if not block.law.varies:
+            if block.law.kind is Kind.CONE:  # what friction may be depends on the normal
+                self.lower[mine], self.upper[mine] = 0.0, (np.inf, 0.0, 0.0)
+                self.is_rate[mine] = False, True, True
+            elif not block.law.varies:
                 self.lower[mine], self.upper[mine] = block.law.lower, block.law.upper
         self.varies = any(block.law.varies for block in self.blocks)
         self.is_corrected = bool(self._kp.any() or self._kd.any())
