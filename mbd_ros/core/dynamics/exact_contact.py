@@ -130,10 +130,13 @@ class ExactContact:
         """How far friction is from its largest, for the multipliers of the contact."""
         return self._mu * float(lam[0]) - math.hypot(*lam[1:])
 
-    def turned(self, mode: Mode, slip: Array) -> Mode:
+    def turned(self, k: Kinematics, x: State, mode: Mode) -> Mode:
         """The mode of a slip, named anew where its direction has turned far."""
-        size = math.hypot(*slip) * math.hypot(*mode[1:])
-        return mode if slip.dot(mode[1:]) >= _TURNED * size else (0, *side(slip))
+        slip = self.slip(k, x)
+        size = math.hypot(*slip)
+        if size <= slowest(x) or slip.dot(mode[1:]) >= _TURNED * size * math.hypot(*mode[1:]):
+            return mode
+        return 0, *side(slip)
 
     def _along(self, slip: Array, mode: Mode) -> Array:
         """Direction of a slip, on the side that the mode names."""

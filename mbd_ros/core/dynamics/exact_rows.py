@@ -222,7 +222,7 @@ class ExactRows:
         at, contact = self.contact, self._contact
         if at is None or contact is None or mode[at.start] or not any(mode[at]):
             return {}
-        after = contact.turned(mode[at], contact.slip(self._motion.mechanism.k, self._placed(y)))
+        after = contact.turned(self._motion.mechanism.k, self._placed(y), mode[at])
         return dict(zip(range(at.start, at.stop), after, strict=True)) if after != mode[at] else {}
 
     def heights(self, y: State) -> Array:
