@@ -118,7 +118,10 @@ def test_rows_of_velocities_are_never_asked_for_g(count):
 @pytest.mark.parametrize(
     ("part", "message"),
     [
-        (Held(cone(0.5), m=3), "row held.held_0 has the law cone, which no solver serves"),
+        (
+            Held(cone(0.5), m=3, smoothed=True),
+            "row held.held_0 has the law cone and is smoothed, which no solver serves",
+        ),
         (
             Held(unilateral(0.3), smoothed=True),
             "row held.held_0 has restitution 0.3 and is smoothed, which no solver serves",
