@@ -11,11 +11,12 @@ from symbolic_kinematics import SymbolicKinematics
 
 from mbd_ros.actuators.series_elastic_drive import SeriesElasticDrive
 from mbd_ros.constraints.dry_friction import DryFriction
+from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.sources import HeldTable
 from mbd_ros.core.integration.nystrom_stages import NystromStages
 from mbd_ros.core.integration.runge_kutta import RungeKutta
 from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.parts import Actuator, Channel, Internal, Load
+from mbd_ros.core.parts import Actuator, Channel, Internal, Load, Part
 from mbd_ros.core.row_laws import box
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
@@ -23,6 +24,7 @@ from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.simulation.stall import WINDOW, StallWatch
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, ModelError, SceneError, SolveError
+from mbd_ros.files.table import Result, Table
 from mbd_ros.integrators.adams import Adams
 from mbd_ros.integrators.rk4 import Rk4
 from mbd_ros.jobs.simulate.job import simulate
@@ -518,6 +520,13 @@ def test_a_table_holds_them_and_a_run_goes_on_from_it():
     later = simulate(scene, 0.1, origin=result, start=0.1)["samples"]
     for name in ("drive.angle", "drive.speed", "hinge.position", "drive.torque", "energy"):
         np.testing.assert_allclose(later[name], table[name][100:], rtol=1e-13, atol=1e-13)
+    kept = [column for column in table.columns if column.name != "drive.speed"]
+    said = []
+    without = Result({"samples": Table(kept)})
+    fresh = simulate(scene, 0.1, origin=without, start=0.1, say=said.append)["samples"]
+    assert said[0] == "the result: no column drive.speed: as the scene starts"
+    assert fresh["drive.angle"][0] == table["drive.angle"][100]
+    assert fresh["drive.speed"][0] == 8.0
 
 
 def test_check_says_where_each_state_starts():
@@ -559,8 +568,6 @@ def test_a_state_of_another_scene_is_refused_by_number():
 
 
 def test_parts_nobody_has_bound_do_not_share_a_state():
-    from mbd_ros.core.dynamics.internals import Internals
-
     robot = pendulum().robot
     drives = [
         SeriesElasticDrive(robot, joint="hinge", stiffness=1.0, rotor_inertia=1.0)
@@ -690,3 +697,18 @@ def test_the_drive_takes_symbols():
         for expression, method in zip(traced, (part.force, part.rates), strict=True):
             assert symbols.number(expression, x).ravel() == pytest.approx(method(k, x, u))
         assert symbols.number(energy, x).item() == pytest.approx(part.potential(k, x))
+
+
+@pytest.mark.parametrize(
+    ("states", "message"),
+    [
+        ((Internal("a", "", 0.0, 1.0, 2.0),), "many.a starts at 2, outside 0 .. 1"),
+        ((Internal("a", "", 1.0, 0.0),), "many.a starts at 1, outside 1 .. 0"),
+        ((Internal("a", ""), Internal("a", "")), "must differ by name: many.a repeats"),
+    ],
+)
+def test_states_that_contradict_themselves_are_refused(states, message):
+    part = Part()
+    part.name, part.internal = "many", states
+    with pytest.raises(ModelError, match=message):
+        Internals([part])

@@ -27,8 +27,8 @@ class Internals:
         reads: What the rates read of k.
 
     Raises:
-        ModelError: Two parts stand at the same place, since nobody has bound them, or two states
-            have one name.
+        ModelError: Two parts stand at the same place, since nobody has bound them; two states
+            have one name; or a state starts outside its bounds.
     """
 
     def __init__(self, parts: Sequence[Part]) -> None:
@@ -53,6 +53,12 @@ class Internals:
         self.units = tuple(one.unit for _, one in every)
         self.lower = np.array([one.lower for _, one in every], dtype=np.float64)
         self.upper = np.array([one.upper for _, one in every], dtype=np.float64)
+        for name, one in every:
+            first = one.lower if one.initial is None else one.initial
+            if not one.lower <= first <= one.upper:
+                raise ModelError(
+                    f"{name} starts at {first:g}, outside {one.lower:g} .. {one.upper:g}"
+                )
         given = (one.initial for _, one in every)
         self.initial = np.array([math.nan if v is None else v for v in given], dtype=np.float64)
         self._is_bounded = bool(np.isfinite([self.lower, self.upper]).any())

@@ -10,6 +10,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State
 from mbd_ros.errors import DataError
+from mbd_ros.files.recordings import Source as Recorded
 from mbd_ros.files.recordings import name_of, read_columns, read_motion, read_wrenches
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse.wrenches import refuse_unused
@@ -54,9 +55,18 @@ def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
     lacking += resting
     where = f"{name_of(run.origin)}: no velocity of"
     said = [f"{where} {listed(lacking)}: at rest there"] if lacking else []
-    z = read_columns(run.origin, scene.internals.names)
-    states = scene.initial.z if z is None else z[row]
-    return State(run.start, q, v, states), said
+    z, more = _internal_states(scene, run.origin, row)
+    return State(run.start, q, v, z), said + more
+
+
+def _internal_states(scene: Scene, origin: Recorded, row: int) -> tuple[Array, list[str]]:
+    """Internal states of a sample, those of the scene where there are none, and remarks."""
+    first, names = scene.initial.z, scene.internals.names
+    columns = read_columns(origin, names)
+    z = first if columns is None else np.where(np.isnan(columns[row]), first, columns[row])
+    lacking = names if columns is None else np.array(names)[np.isnan(columns[row])].tolist()
+    where = f"{name_of(origin)}: no column {listed(lacking)}"
+    return z, [f"{where}: as the scene starts"] if lacking else []
 
 
 def _place_bodies(robot: Robot, motion: Motion, row: int, q: Array, v: Array) -> list[str]:
