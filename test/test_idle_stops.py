@@ -125,7 +125,7 @@ def test_steps_without_a_search_find_what_a_search_finds(method, kind):
     scene = mbd.load_scene(name)
     free = list(scene.couplings.independent)[:2]
     joints = ["all"] if limit else free
-    low, high = (-limit, limit) if limit else (-0.6, 0.6)
+    low, high = (-limit, limit) if limit else (-0.4, 0.4)
     stops = {"type": "joint_stop", "joints": joints, "lower": low, "upper": high}
     more = {"constraints": [*scene.entries.get("constraints", ()), {**stops, "restitution": 0.4}]}
     if kind != "loop":  # which would not close
