@@ -69,6 +69,8 @@ def _fill(
             key: {joint: _number(rng, nastiness) for joint in robot.joints if rng.random() < 0.5}
             for key in ("position", "velocity")
         }
+    if rng.random() < 0.2:
+        _add_bodies(rng, given, nastiness)
     if rng.random() < 0.25 and len(robot.joints) > 1:
         parent, child = rng.sample(robot.joints, 2)
         given["couplings"] = {child: {"parent": parent, **_law(rng, nastiness)}}
@@ -82,6 +84,37 @@ def _fill(
         }
     if rng.random() < 0.1:
         given["safe"] = {"type": "damping", "gain": _number(rng, nastiness)}
+
+
+def _add_bodies(rng: random.Random, given: dict[str, Any], nastiness: float) -> None:
+    """Robots and bodies beside the robot, or in its place, and where they start."""
+
+    def some(count: int) -> list[Any]:
+        return [_number(rng, nastiness) for _ in range(count)]
+
+    def pose() -> dict[str, Any]:
+        turn = {"rpy": some(3)} if rng.random() < 0.5 else {"quaternion": some(4)}
+        return {"xyz": some(3), **turn}
+
+    round_ = {"radius": _number(rng, nastiness), "length": _number(rng, nastiness)}
+    shapes = {"box": some(3), "sphere": _number(rng, nastiness)} | dict.fromkeys(
+        ("cylinder", "capsule"), round_
+    )
+    kind = rng.choice(tuple(shapes))
+    box = {"shape": {kind: shapes[kind]}, "mass": _number(rng, nastiness), "pose": pose()}
+    if rng.random() < 0.3:
+        box["inertia"] = some(rng.choice((3, 3, 2)))
+    given["bodies"] = {"box": box, "table": {**box, "free": False}}
+    given["robots"] = {
+        name: {"urdf": "r.urdf", "base": rng.choice(("fixed", "floating")), "pose": pose()}
+        for name in rng.sample(("left", "right", "base"), rng.randint(0, 2))
+    }
+    if rng.random() < 0.2:
+        given.pop("robot")
+    initial = given.setdefault("initial", {})
+    frame = rng.choice(("body", "world"))
+    twist = {"linear": some(3), "angular": some(3), "expressed_in": frame}
+    initial.update(pose={"box": pose()}, twist={rng.choice(("box", "left")): twist})
 
 
 def _law(rng: random.Random, nastiness: float) -> dict[str, Any]:
