@@ -154,6 +154,8 @@ STOPS = {
     "upper": 0.4,
     "time_constant": 0.02,
 }
+STOP = {"type": "joint_stop", "joint": "sat/swing", "upper": 0.6, "restitution": 0.5}
+FRICTION = {"type": "dry_friction", "joint": "sat/twist", "limit": 0.5}
 DISTANCE = {
     "type": "distance",
     "frame_a": "world",
@@ -169,6 +171,7 @@ KINDS = {
     "rows": {"constraints": [DISTANCE]},
     "stops": {"constraints": [STOPS]},
     "rows and stops": {"constraints": [DISTANCE, STOPS]},
+    "impacts": {"constraints": [STOP, {**STOP, "joint": "sat/twist", "lower": -0.05}, FRICTION]},
 }
 
 
