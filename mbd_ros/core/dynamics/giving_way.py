@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.dynamics.step_problem import StepProblem, Which
 from mbd_ros.core.optimization.bounded_impulses import BoundedImpulses
 from mbd_ros.core.optimization.contact_impulses import Cone, ContactImpulses
+from mbd_ros.core.optimization.push_impulses import PushImpulses
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array
@@ -85,11 +86,13 @@ class GivingWay:
             return np.zeros(len(free))
         response, h = problem.response, problem.h
         of = response.A[np.ix_(on, on)], response.loose[on], [self._names[i] for i in on]
-        speed = float(free.dot(problem.M).dot(free)) ** 0.5
+        speed = max(float(free.dot(problem.M).dot(free)), 0.0) ** 0.5
         b = problem.J[on].dot(free) + problem.offset[on] + problem.rates_left(on)
         lower = np.where(self.pushes, 0.0, h * self._rows.lower)[on]
         upper = h * self._rows.upper[on]
-        if cone is None:
+        if cone is None and self.pushes[on].all():
+            p = PushImpulses(response.G[:, on], *of[1:]).solve(b, speed)
+        elif cone is None:
             p = BoundedImpulses(*of).solve(b, lower, upper, speed)
         else:
             if late is not None:

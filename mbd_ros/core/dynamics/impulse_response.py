@@ -6,6 +6,8 @@ import numpy as np
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import Array
 
+_PROJECTIONS = 2  # the second one takes what rounding leaves where rows hold most of a motion
+
 
 class ImpulseResponse:
     """Changes of the velocity M^-1 J' p, without what bilateral rows J_b v = goal forbid.
@@ -27,15 +29,17 @@ class ImpulseResponse:
         self.X = self.free(J.T)
         self.loose = np.einsum("ij,ji->i", J, self.X)
         self._held = np.zeros((len(hold), len(J)))
-        if factor is not None:
-            self._held = factor.solve(hold.dot(self.X))
-            self.X = self.X - factor.X.dot(self._held)
+        for _ in range(_PROJECTIONS if factor is not None else 0):
+            assert factor is not None
+            held = factor.solve(hold.dot(self.X))
+            self._held, self.X = self._held + held, self.X - factor.X.dot(held)
         self.A = J.dot(self.X)
 
     @property
-    def is_regular(self) -> bool:
-        """Whether M is positive definite."""
-        return bool(self._mass.info() == eigenpy.ComputationInfo.Success)
+    def G(self) -> Array:
+        """The X in the metric of M, A = G' G, shape (nv, m)."""
+        upper: Array = self._mass.matrixU()
+        return upper.dot(self.X)
 
     def free(self, impulse: Array) -> Array:
         """Changes of the velocity by impulses on joints that nothing holds, shape as given."""

@@ -75,7 +75,7 @@ class StepProblem(NamedTuple):
         if not (closed & (self.rate < 0.0)).any():
             return np.zeros(len(closed), dtype=np.bool_)
         gained, v = np.abs(self.at_end - self.rate), self.x.v
-        speed = float(v.dot(self.M).dot(v)) ** 0.5
+        speed = max(float(v.dot(self.M).dot(v)), 0.0) ** 0.5
         none = _SLIGHT * speed * np.sqrt(np.maximum(self.response.loose, 0.0))
         return closed & (-self.rate > np.maximum(gained, none))
 

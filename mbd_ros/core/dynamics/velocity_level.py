@@ -27,8 +27,8 @@ from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.optimization.bounded_impulses import BoundedImpulses
 from mbd_ros.core.optimization.contact_impulses import Cone, ContactImpulses
+from mbd_ros.core.optimization.push_impulses import PushImpulses
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array, State
@@ -89,11 +89,12 @@ class VelocityLevel:
             factor = self._rigid.factorise(M, hold)
         response = ImpulseResponse(M, J, hold, factor)
         v, held = response.kept(x.v, goal)
-        approach, speed = J.dot(v) + rate, float(v.dot(M).dot(v)) ** 0.5
+        approach, speed = J.dot(v) + rate, max(float(v.dot(M).dot(v)), 0.0) ** 0.5
         impulse = self._impulses(slots, response, cone, approach, speed)
+        held = held + response.bilateral(impulse)
         p = np.zeros(len(self._rows))
-        p[slots], p[self._bilateral] = impulse, held + response.bilateral(impulse)
-        return Impact(v + response.X.dot(impulse), p)
+        p[slots], p[self._bilateral] = impulse, held
+        return Impact(x.v + response.free(impulse.dot(J) + held.dot(hold)), p)
 
     def _impulses(
         self,
@@ -112,12 +113,12 @@ class VelocityLevel:
                 after = approach + response.A.dot(impulse)
                 impulse += contacts.pushing(after, speed, given_back)
             return impulse
-        bounded = BoundedImpulses(response.A, response.loose, names)
-        impulse = bounded.pushing(approach, speed)
-        given_back = e * impulse
-        if given_back.any():
+        G = response.G
+        pushing = PushImpulses(G, response.loose, names)
+        impulse = pushing.solve(approach, speed)
+        if (given_back := e * impulse).any():
             impulse = impulse + given_back
-            impulse += bounded.pushing(approach + response.A.dot(impulse), speed)
+            impulse += pushing.solve(approach + G.T.dot(G.dot(impulse)), speed)
         return impulse
 
     def _touched(

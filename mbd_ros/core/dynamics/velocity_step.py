@@ -30,7 +30,7 @@ from mbd_ros.core.dynamics.step_problem import StepProblem, Which, first_closing
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.velocity_level import VelocityLevel
 from mbd_ros.core.model.kinematics import Reads
-from mbd_ros.core.optimization.bounded_impulses import BoundedImpulses
+from mbd_ros.core.optimization.push_impulses import PushImpulses
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.rows.row_layout import RowBlock
@@ -180,7 +180,7 @@ class VelocityStep:
             factor = self._rigid.factorise(M, hold) if self._rigid.rows else None
             response = ImpulseResponse(M, J, hold, factor)
             names = [rows.rows[i].name for i in near]
-            p = BoundedImpulses(response.A, response.loose, names).pushing(gap[near], 0.0)
+            p = PushImpulses(response.G, response.loose, names).solve(gap[near], 0.0)
             y = self._moved(y, response.X.dot(p), x.v, 0.0 * y.z, y.t)
         return y
 

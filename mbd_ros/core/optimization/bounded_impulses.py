@@ -3,23 +3,17 @@
     w = A p + b,   lower <= p <= upper,
     w = 0 inside the bounds, w >= 0 at the lower one, w <= 0 at the upper one
 
-w are rates of the rows after the impulses. `BoxQp` solves the same of accelerations, where rows
-are never redundant for long; impacts of several stops often are.
+w are rates of the rows after the impulses. `push_impulses` solves for rows that only push.
 """
 
 from collections.abc import Sequence
 
-import eigenpy
 import numpy as np
 
-from mbd_ros.core.optimization.active_set import least_norm
 from mbd_ros.core.optimization.box_qp import BoxQp, exchanged
 from mbd_ros.core.state import Array
-from mbd_ros.core.thresholds import CONTRADICTION, HELD_BY_ROWS, NEARLY_SINGULAR, TINY
+from mbd_ros.core.thresholds import CONTRADICTION, HELD_BY_ROWS, TINY
 from mbd_ros.errors import SolveError
-
-_FACTORISED = eigenpy.ComputationInfo.Success
-_CLOSED = 1.0e-12  # a rate that is none, of the largest velocity
 
 
 class BoundedImpulses:
@@ -61,42 +55,11 @@ class BoundedImpulses:
         p[mobile] = unit * self._scaled(b / size, *bounds)
         return p
 
-    def pushing(self, b: Array, speed: float) -> Array:
-        """The impulses of rows that only push; rows that depend on one another share them.
-
-        Args:
-            b: As for `solve`.
-            speed: As for `solve`.
-
-        Raises:
-            SolveError: As for `solve`.
-        """
-        if (b >= 0.0).all():
-            return np.zeros(len(b))
-        p = self.solve(b, np.zeros(len(b)), np.full(len(b), np.inf), speed)
-        mobile, unit = self._mobile, self._unit
-        p[mobile] = unit * self._shared(unit * b[mobile], p[mobile] / unit, speed)
-        return p
-
     def _scaled(self, b: Array, lower: Array, upper: Array) -> Array:
         p = exchanged(self._A, b, lower, upper)
         if p is None:
             p = BoxQp(len(b), rungs=("cold", "damped")).solve(self._A, b, lower, upper)
         return p
-
-    def _shared(self, b: Array, p: Array, speed: float) -> Array:
-        """Impulses of least norm that do the same, where they push too."""
-        closed = self._A.dot(p) + b <= _CLOSED * speed
-        A = self._A[np.ix_(closed, closed)]
-        factor = eigenpy.LLT(A)
-        if factor.info() == _FACTORISED and factor.rcond() > NEARLY_SINGULAR:
-            return p
-        least = least_norm(A, -b[closed])
-        if not (least >= 0.0).all():
-            return p
-        shared = np.zeros(len(p))
-        shared[closed] = least
-        return shared
 
     def _unmoved(self, b: Array, lower: Array, upper: Array, speed: float) -> Array:
         """Impulses of rows that nothing moves; 0 for the others."""

@@ -1,0 +1,107 @@
+"""Impulses of rows that only push, as a least-squares problem in the mass metric.
+
+    min 1/2 |c + G p|^2   subject to   p >= 0
+
+c is a velocity in that metric, G what impulses add to it, and G' (c + G p) are the rates of the
+rows: at the least kinetic energy they are >= 0, and 0 where a row pushes. The columns may depend
+on one another. Source: C. Lawson and R. Hanson, Solving Least Squares Problems, 1974, ch. 23.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import CONTRADICTION, FIXED_BY_OTHERS, HELD_BY_ROWS
+from mbd_ros.errors import SolveError
+
+_ROUNDING = 1.0e-14  # a rate that is none, of the velocity
+_CLOSED = 1.0e-12  # the same of rows among which impulses are shared
+_ROUNDS = 10  # of exchanges, per row
+
+
+class PushImpulses:
+    """Solves the problem above for one configuration.
+
+    Args:
+        G: Velocities that impulses add, shape (nv, m).
+        loose: Their squares while no bilateral row holds, shape (m,).
+        names: Of the rows, for messages.
+    """
+
+    def __init__(self, G: Array, loose: Array, names: Sequence[str]) -> None:
+        self._names, square = names, np.einsum("ij,ij->j", G, G)
+        self._mobile = square > HELD_BY_ROWS * loose
+        self._unit = 1.0 / np.sqrt(square[self._mobile])
+        self._length = np.sqrt(np.where(loose > 0.0, loose, 1.0))
+        self._G = G[:, self._mobile] * self._unit
+
+    def solve(self, b: Array, speed: float) -> Array:
+        """The impulses, shape (m,), fresh; rows that depend on one another share them.
+
+        Args:
+            b: Rates without them, shape (m,).
+            speed: Velocity in the mass metric.
+
+        Raises:
+            SolveError: Nothing keeps a row from closing; names it.
+        """
+        left = np.where(self._mobile, 0.0, b) < -CONTRADICTION * self._length * speed
+        if left.any():
+            self._refuse(int(left.argmax()))
+        p = np.zeros(len(b))
+        own = self._unit * b[self._mobile]
+        if (own >= 0.0).all():
+            return p
+        G = self._G
+        c = np.asarray(np.linalg.lstsq(G.T, own, rcond=FIXED_BY_OTHERS)[0], dtype=np.float64)
+        size = max(speed, float(np.abs(own).max()))
+        worst = int(np.abs(G.T.dot(c) - own).argmax())
+        if abs(float(G[:, worst].dot(c)) - float(own[worst])) > CONTRADICTION * size:
+            self._refuse(int(np.flatnonzero(self._mobile)[worst]))
+        p[self._mobile] = self._unit * self._shared(c, self._least(c, size), size)
+        return p
+
+    def _least(self, c: Array, size: float) -> Array:
+        """Some p of the problem."""
+        G, m = self._G, self._G.shape[1]
+        p, pushes = np.zeros(m), np.zeros(m, dtype=np.bool_)
+        tried = np.zeros(m, dtype=np.bool_)
+        for _ in range(_ROUNDS * m):
+            rate = np.where(pushes | tried, 0.0, G.T.dot(c + G.dot(p)))
+            new = int(rate.argmin())
+            if rate[new] >= -_ROUNDING * size:
+                return p
+            pushes[new] = True
+            target = _fitted(G, c, pushes)
+            if target[new] <= 0.0:  # it depends on the others, and its rate is rounding
+                pushes[new], tried[new] = False, True
+                continue
+            tried[:] = False
+            while (pulls := pushes & (target <= 0.0)).any():
+                share = p[pulls] / (p[pulls] - target[pulls])
+                p = p + share.min() * (target - p)
+                pushes &= ~(pulls & (p <= _ROUNDING * np.abs(p).max()))
+                pushes[np.flatnonzero(pulls)[share.argmin()]] = False
+                p = np.where(pushes, p, 0.0)
+                target = _fitted(G, c, pushes)
+            p = target
+        return p
+
+    def _shared(self, c: Array, p: Array, size: float) -> Array:
+        """Impulses of least norm that do the same, where they push too."""
+        G, none = self._G, _CLOSED * size
+        rate = G.T.dot(c + G.dot(p))
+        least = _fitted(G, c, (rate <= none) | (p > 0.0))
+        does_the_same = np.abs(G.T.dot(c + G.dot(least)) - rate).max() <= none
+        return least if does_the_same and (least >= 0.0).all() else p
+
+    def _refuse(self, row: int) -> None:
+        raise SolveError(f"nothing can keep constraint row {self._names[row]} from closing")
+
+
+def _fitted(G: Array, c: Array, on: Array) -> Array:
+    """The p of least norm with c + G p the shortest, 0 where a row is off."""
+    p = np.zeros(G.shape[1])
+    p[on] = np.linalg.lstsq(G[:, on], -c, rcond=FIXED_BY_OTHERS)[0]
+    return p
