@@ -260,7 +260,7 @@ def test_constraint_forces_and_markers(domain, tmp_path, solver):
     (tmp_path / "leg.urdf").write_text(leg, encoding="utf-8")
     text = (ROOT / "config/scenes/four_bar_leg.yaml").read_text(encoding="utf-8")
     text = text.replace("../robots/four_bar_leg.urdf", str(tmp_path / "leg.urdf"))
-    stop = "- {type: joint_stop, joint: hip_flexion, upper: 0.2}"
+    stop = "- {type: joint_stop, joint: hip_flexion, upper: 0.2, time_constant: 0.01}"
     text = text.replace("constraints:", f"solver: {{type: {solver}}}\nconstraints:\n{stop}")
     with simulated(
         domain,
