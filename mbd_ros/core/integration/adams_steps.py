@@ -108,7 +108,7 @@ class AdamsSteps(Stepper):
                 count = round((t - x.t) / dt)
                 break
         self._head, self._row = after, row
-        self._ready = x = State(t, q.copy(), v.copy(), mode=self._mode)
+        self._ready = x = new_state(State, (t, q.copy(), v.copy(), NONE, self._mode))
         return x, count
 
     def restart(self) -> None:
