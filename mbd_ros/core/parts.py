@@ -6,7 +6,7 @@ never changes its inputs, and keeps no memory of earlier states. Positions are c
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.names import type_name
 from mbd_ros.core.outputs import Now, Output, Value
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, Mode, State
 
 
 class Channel(NamedTuple):
@@ -53,6 +53,20 @@ class Internal(NamedTuple):
     initial: float | None = None
 
 
+class Guard(NamedTuple):
+    """A number whose zero is an event.
+
+    Attributes:
+        name: Unique in the part; empty where the part has only one.
+        direction: 1 where it acts on the way up, -1 on the way down, 0 both ways.
+        armed: Whether it acts in a mode, in all by default. It acts only after it has left zero.
+    """
+
+    name: str
+    direction: int = 0
+    armed: Callable[[Mode], bool] | None = None
+
+
 class Slots(NamedTuple):
     """Where the numbers of a part stand.
 
@@ -73,6 +87,7 @@ class Part:
         reads: What its methods read of k at most.
         inputs: What it takes from outside while it runs.
         internal: Its states besides q and v, which `rates` moves.
+        guards: Numbers whose zeros are events, see `guard_values`.
         outputs: What it shows besides the multipliers of its rows.
         u: Its inputs in the u of the scene; all of u until it is bound.
         z: Its internal states in the z of a state; all of z until it is bound.
@@ -82,6 +97,7 @@ class Part:
     reads: Reads = Reads.NOTHING
     inputs: tuple[Channel, ...] = ()
     internal: tuple[Internal, ...] = ()
+    guards: tuple[Guard, ...] = ()
     outputs: tuple[Output, ...] = ()
     u: slice = slice(None)
     z: slice = slice(None)
@@ -103,6 +119,20 @@ class Part:
             u: All inputs.
         """
         raise NotImplementedError
+
+    def guard_values(self, k: Kinematics, x: State, u: Array, now: Now) -> Array:
+        """Values of `guards`, in their order, shape (len(guards),); arguments as for `show`."""
+        raise NotImplementedError
+
+    def reset(self, k: Kinematics, x: State, u: Array) -> State:
+        """The state of all joints after a guard of the part was zero; the same one by default.
+
+        Args:
+            k: Kinematics at the state, refreshed as far as `reads` says.
+            x: State of all joints.
+            u: All inputs.
+        """
+        return x
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
         """Values of `outputs`, in their order; asked for at samples only.

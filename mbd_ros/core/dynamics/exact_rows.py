@@ -5,7 +5,7 @@ of a row is 0 while it is on; 1 where its multiplier is at the lower bound (a ga
 friction of a joint that slips forwards), -1 at the upper one.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from enum import Enum
 from typing import Any, cast
 
@@ -188,6 +188,16 @@ class ExactRows:
             return self.accelerate(y.t, y.q, y.v, a, mode, free)
         finally:
             mechanism.z = before
+
+    def answer(
+        self, y: State, u: Array | None, chosen: Sequence[int]
+    ) -> tuple[Array, Array, Array]:
+        """J and b with w = J a + b of some rows, and the accelerations that they add, (nv, k)."""
+        self.solve(y, u, (1,) * len(self.names))
+        x, at = self._placed(y), self._at[list(chosen)]
+        J, b = self._rows.conditions(self._motion.mechanism.k, x)
+        J, b = J[at].copy(), b[at].copy()
+        return J, b, self._motion.respond(y.q, J.T)
 
     def found(self) -> Mode:
         """The mode that the last `accelerate` found; a tie is on, and ends if it has to."""

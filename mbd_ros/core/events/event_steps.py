@@ -1,36 +1,24 @@
 """Steps of a smooth method from event to event."""
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.dynamics.exact_rows import rounding
-from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.dynamics.velocity_level import VelocityLevel
 from mbd_ros.core.events.clearance import Clearance
+from mbd_ros.core.events.decision import decided
 from mbd_ros.core.events.event import Event
+from mbd_ros.core.events.impacts import Impacts, Rest
 from mbd_ros.core.events.mode_field import Margin, ModeField
+from mbd_ros.core.events.pace import Pace
 from mbd_ros.core.events.step_events import StepEvents
-from mbd_ros.core.integration.internal_steps import prepared
-from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.integration.stepping import Stepper
 from mbd_ros.core.memory import Memory
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import SolveError
 
-_SHORT, _MOST = 1.0e-3, 16  # events this close, in dt, and how many of them may follow one another
-
-
-def through_events(method: Integrator, system: System, dt: float) -> "EventSteps":
-    """The stepper of a method that goes from event to event.
-
-    Raises:
-        ModelError: The method refuses the system, or surfaces stand beside smoothed rows.
-    """
-    has_surfaces = any(force.surfaces for force in system.loads.forces)
-    field = ModeField(system, method.finds_surfaces and has_surfaces)
-    return EventSteps(field, prepared(method, field.system, dt), dt)
+_SHORT = 1.0e-3  # of dt: events this close to one another are counted
 
 
 class EventSteps(Stepper):
@@ -50,25 +38,28 @@ class EventSteps(Stepper):
         events: What happened so far.
     """
 
-    kept = ("_last", "_u", "_left", "_rests", "_event_time", "_quick", "_followed", "events")
+    kept = ("_last", "_u", "_left", "_rests", "_pace", "_followed", "events")
 
     def __init__(self, field: ModeField, inner: Stepper, dt: float) -> None:
         self.field, self._short = field, _SHORT * dt
         self._inner: Any = inner
         self.system = field.system
         self.is_fixed = inner.is_fixed
-        self.guards = self.switches = field.names
+        self.guards, self.switches = field.names, field.names[: len(field.mode)]
         self.ends_at_samples = inner.is_fixed and field.rows is not None
         self._search = StepEvents(field, inner)
-        self._impacts = VelocityLevel(self.system) if field.gaps else None
+        self._impacts: Impacts | None = None
+        if field.rows is not None and field.gaps:
+            self._impacts = Impacts(self.system, field.rows, field.gaps)
         self._clearance = Clearance(self.system, dt)
-        if hasattr(inner, "stride") and self._clearance.is_whole:
+        self._has_clearance = self._clearance.serves and not (field.surfaces or field.guards.names)
+        if hasattr(inner, "stride") and self._has_clearance and self._clearance.is_whole:
             self.stride = self._stride
         self._last: State | None = None
         self._u: Array | None = None
         self._left: frozenset[int] = frozenset()
-        self._rests: tuple[tuple[float, int], ...] = ()
-        self._event_time, self._quick = -math.inf, 0
+        self._rests: tuple[Rest, ...] = ()
+        self._pace = Pace()
         self._followed: Mode = ()
         self.events: tuple[Event, ...] = ()
 
@@ -112,7 +103,8 @@ class EventSteps(Stepper):
             after: State after the step where it was taken already.
         """
         while True:
-            rest = min(self._rests, default=(math.inf, 0))[0]
+            rest = min((rest.t for rest in self._rests), default=math.inf)
+            self.field.watch(x, u, self._left)
             if after is None:
                 after = self._inner.step(x, u, min(end, rest))
             if after is x:
@@ -124,14 +116,14 @@ class EventSteps(Stepper):
             x, after = self._follow(self._happened(x, u, margin)), None
         after = self.field.onto(after, u)
         if self._left:
-            self._left &= self.field.close(after)
+            self._left &= self.field.close(after, u)
         if margin is not None:
             after = self._happened(after, u, margin)
         elif after.t >= rest:
             after = self._rested(after)
         self._last = after
         self._clearance.room = 0.0
-        if self._clearance.serves and not (self._left or self._rests or self.field.on):
+        if self._has_clearance and not (self._left or self._rests or self.field.on):
             self._clearance.measure(after)
         return after
 
@@ -181,7 +173,7 @@ class EventSteps(Stepper):
         self._clearance.room = 0.0
         self._left = frozenset()
         self._rests = ()
-        self._event_time, self._quick = -math.inf, 0
+        self._pace = Pace()
         self._followed = ()
         self.events = ()
 
@@ -223,61 +215,45 @@ class EventSteps(Stepper):
         """The state after an event: impacts, then the mode that begins."""
         field, before = self.field, x
         switch, way = margin or (-1, 0)
-        hits, impulse = self._hits(x), None
+        fired, impulse = field.fired(x, u, switch), None
+        if fired:
+            x = self._begun(field.inside(field.reset(x, u, fired)), u)
+            self._left |= frozenset(fired)
+        hits = self._hits(x)
         if hits:
             x, impulse = self._struck(x, u)
-        elif way:
+            self._left |= frozenset(fired)
+        elif way and not fired:
             self._change(field.leaving(x, u, (switch, way)))
-        elif margin:
+        elif margin and not fired:
             self._change(self._decided(x, u, {*field.on, switch, *field.near(x)}))
         x = field.onto_rows(x)._replace(mode=field.mode)
-        names = tuple(field.names[i] for i in sorted({switch, *hits} - {-1}))
+        names = tuple(field.names[i] for i in sorted({switch, *hits, *fired} - {-1}))
         if not self._rests:
-            self._count(x.t, names)
+            self._pace = self._pace.after(x.t, self._short, len(field.names), names)
         self._log(names, before, x, impulse)
         return x
 
     def _hits(self, x: State) -> list[int]:
-        """Gaps that are closed and close further."""
-        field, rows = self.field, self.field.rows
-        if rows is None or not field.gaps:
-            return []
-        slack, rate = rounding(x), rows.approach(x)
-        closed = rows.heights(x) <= slack
-        return [i for i in field.gaps if closed[i] and rate[i] < -slack]
+        return [] if self._impacts is None else self._impacts.hits(x)
 
     def _struck(self, x: State, u: Array | None) -> tuple[State, Array]:
-        """The state after the impacts of all gaps that are closed, and all impulses."""
-        rows, mode = self.field.rows, self.field.mode
-        assert rows is not None and self._impacts is not None
-        touching = [i for i in self.field.gaps if rows.heights(x)[i] <= rounding(x)]
-        x = rows.onto(x, tuple(0 if i in touching else 1 for i in range(len(mode))), moves=False)
-        full = self.system.expand(x)
-        v, impulse = self._impacts.impact(full, rows.slots[touching].tolist())
-        x = x._replace(v=self.system.reduce(full._replace(v=v)).v)
-        return self._resting(self._begun(x, u), u, touching), impulse
-
-    def _resting(self, x: State, u: Array | None, touching: Sequence[int]) -> State:
-        """The state with gaps closed that would open by no more than rounding.
-
-        A gap that opens with v while its acceleration is -a bounces for 2 v / (a (1 - e)) more,
-        by v^2 / (2 a) at most; it is at rest after that time.
-        """
-        field, rows = self.field, self.field.rows
-        assert rows is not None
-        rate, mode = rows.approach(x), field.mode
-        rows.solve(x, u, mode)
-        for i in (i for i in touching if mode[i] and rate[i] > 0.0 > rows.left[i]):
-            v, a, e = float(rate[i]), -float(rows.left[i]), float(rows.restitution[i])
-            if e < 1.0 and v * v <= 2.0 * a * rounding(x):
-                self._rests = (*self._rests, (x.t + 2.0 * v / (a * (1.0 - e)), i))
-                self._change({i: 0})
-        return x if field.mode == mode else self._begun(rows.onto(x, field.mode), u)
+        """The state after impacts, in its mode, and all impulses."""
+        impacts, field = self._impacts, self.field
+        assert impacts is not None
+        x, impulse = impacts.after(x)
+        x = self._begun(x, u)
+        rests = impacts.rests(x, u, field.mode)
+        if rests:
+            self._rests = (*self._rests, *rests)
+            self._change({rest.row: 0 for rest in rests})
+            x = self._begun(field.onto_rows(x), u)
+        return x, impulse
 
     def _rested(self, x: State) -> State:
         """The state in which gaps are at rest whose bounces have ended."""
-        over = sorted({i for t, i in self._rests if t <= x.t})
-        self._rests = tuple((t, i) for t, i in self._rests if t > x.t)
+        over = sorted({rest.row for rest in self._rests if rest.t <= x.t})
+        self._rests = tuple(rest for rest in self._rests if rest.t > x.t)
         self._log(tuple(self.field.names[i] for i in over), x, x, None)
         return x
 
@@ -294,14 +270,14 @@ class EventSteps(Stepper):
         """The state with the mode that heights and accelerations say."""
         field = self.field
         field.begin(x)
-        self._left = frozenset(field.close(x))
+        self._left = frozenset(field.close(x, u))
         self._change(self._decided(x, u, field.near(x)))
         return x._replace(mode=field.mode)
 
     def _decided(self, x: State, u: Array | None, on: Collection[int]) -> dict[int, int]:
         """Modes in which switches go on."""
         try:
-            return self.field.decided(x, u, on)
+            return decided(self.field, x, u, on)
         except SolveError as error:
             raise SolveError(f"t = {x.t:.9g} s: {error}") from error
 
@@ -311,16 +287,6 @@ class EventSteps(Stepper):
         field.mode = tuple(ways.get(i, way) for i, way in enumerate(field.mode))
         self._left |= frozenset(i for i, way in ways.items() if way)
         self._left -= frozenset(i for i, way in ways.items() if not way)
-
-    def _count(self, t: float, names: Collection[str]) -> None:
-        """Refuse events that accumulate."""
-        self._quick = self._quick + 1 if t - self._event_time < self._short else 0
-        self._event_time = t
-        if self._quick > _MOST + 2 * len(self.field.names):
-            raise SolveError(
-                f"t = {t:.9g} s: {self._quick} switching events, each within {self._short:.2g} s "
-                f"of the last one, accumulate (Zeno) at {', '.join(names)}"
-            )
 
 
 def _same(one: Array | None, other: Array | None) -> bool:

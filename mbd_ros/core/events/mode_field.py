@@ -6,8 +6,8 @@ import numpy as np
 
 from mbd_ros.core.dynamics.exact_rows import Reach, rounding
 from mbd_ros.core.dynamics.system import Accelerator, System
+from mbd_ros.core.events.part_guards import PartGuards
 from mbd_ros.core.events.sliding_field import SlidingField
-from mbd_ros.core.events.surface_modes import mode_on
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import ModelError
 
@@ -28,7 +28,11 @@ class ModeField:
 
     Attributes:
         system: The system in its modes.
-        names: Of the switches: rows as their multipliers, then surfaces.
+        names: Of the switches: rows as their multipliers, then surfaces; then of guards of parts.
+        guards: Those of parts; their numbers follow those of the switches.
+        rows: The exact rows; None without any.
+        surfaces: The surfaces in their modes; None without any.
+        count: Number of the exact rows.
         mode: The present one.
 
     Raises:
@@ -36,18 +40,18 @@ class ModeField:
     """
 
     def __init__(self, system: System, with_surfaces: bool) -> None:
-        self._surfaces = SlidingField(system) if with_surfaces else None
-        if self._surfaces is not None and system.bounded is not None:
+        self.surfaces = SlidingField(system) if with_surfaces else None
+        if self.surfaces is not None and system.bounded is not None:
             rows = ", ".join(row.name for row in system.bounded.rows)
             raise ModelError(
                 f"filippov: switching forces beside bounded rows ({rows}) are solved for where "
                 "these are exact; leave out smoothed and time_constant, or use another integrator"
             )
-        self.system = system if self._surfaces is None else self._surfaces.system
+        self.system = system if self.surfaces is None else self.surfaces.system
         self.rows = self.system.exact
         names = () if self.rows is None else self.rows.names
-        self._count = len(names)
-        self.names = names if self._surfaces is None else (*names, *self._surfaces.names)
+        self.count = len(names)
+        self.names = names if self.surfaces is None else (*names, *self.surfaces.names)
         reach = () if self.rows is None else self.rows.reach
         self._of_state = np.array([one is not Reach.DEMAND for one in reach], dtype=np.bool_)
         self._demands = [i for i, one in enumerate(reach) if one is Reach.DEMAND]
@@ -55,6 +59,9 @@ class ModeField:
         self._no_height = {*self._demands, *self._frictions}
         self.gaps = [i for i, one in enumerate(reach) if one is Reach.GAP]
         self._mode: Mode = (1,) * len(self.names)
+        self.guards = PartGuards(self.system)
+        self._first, self._sides = len(self.names), [0] * len(self.guards.names)
+        self.names = (*self.names, *self.guards.names)
 
     @property
     def mode(self) -> Mode:
@@ -64,9 +71,9 @@ class ModeField:
     @mode.setter
     def mode(self, mode: Mode) -> None:
         self._mode = mode
-        if self._surfaces is not None:
-            self._surfaces.beside = mode[: self._count]
-            self._surfaces.mode = mode[self._count :]
+        if self.surfaces is not None:
+            self.surfaces.beside = mode[: self.count]
+            self.surfaces.mode = mode[self.count :]
 
     @property
     def drives(self) -> list[int]:
@@ -80,15 +87,15 @@ class ModeField:
 
     def accelerator(self) -> Accelerator:
         """That of the present mode."""
-        if self._surfaces is None:
+        if self.surfaces is None:
             return self.system.accelerator(self._mode)
-        return self._surfaces.accelerator()
+        return self.surfaces.accelerator()
 
     def heights(self, y: State) -> Array:
         """Gaps, slip velocities and heights; 1 for drives, which have none."""
         return self._stacked(
             None if self.rows is None else self.rows.heights(y),
-            None if self._surfaces is None else self._surfaces.heights(y),
+            None if self.surfaces is None else self.surfaces.heights(y),
         )
 
     def rates(self, y: State, u: Array | None) -> Array:
@@ -101,7 +108,7 @@ class ModeField:
                 self._solve(y, u)
                 rates[slips] = self.rows.left[slips]
             rates[list(self._no_height)] = 0.0
-        surfaces = self._surfaces
+        surfaces = self.surfaces
         return self._stacked(rates, None if surfaces is None else surfaces.rates(y, u))
 
     def near(self, y: State) -> set[int]:
@@ -109,28 +116,57 @@ class ModeField:
         found: set[int] = set()
         if self.rows is not None:
             found.update(self.rows.ways(y)[1])
-        if self._surfaces is not None:
-            at = np.flatnonzero(np.abs(self._surfaces.heights(y)) <= rounding(y))
-            found.update((at + self._count).tolist())
+        if self.surfaces is not None:
+            at = np.flatnonzero(np.abs(self.surfaces.heights(y)) <= rounding(y))
+            found.update((at + self.count).tolist())
         return found
 
-    def close(self, y: State) -> set[int]:
-        """Switches whose height is none to within rounding."""
-        at = np.abs(self.heights(y)) <= rounding(y)
-        return set(np.flatnonzero(at).tolist())
+    def close(self, y: State, u: Array | None) -> set[int]:
+        """Switches whose height is none to within rounding, and guards that are zero."""
+        sizes = np.concatenate((self.heights(y), self.guards.values(y, u, self._mode)))
+        return set(np.flatnonzero(np.abs(sizes) <= rounding(y)).tolist())
+
+    def watch(self, y: State, u: Array | None, left: Collection[int]) -> None:
+        """Find out on which sides guards of parts act in the step from a state on.
+
+        Args:
+            y: State from which it starts.
+            u: Inputs.
+            left: Numbers that were zero just now.
+        """
+        if self.guards.names:
+            values = self.guards.values(y, u, self._mode)
+            own = {i - self._first for i in left}
+            self._sides = self.guards.sides(values, rounding(y), self._mode, own)
+
+    def unwatch(self, guard: int) -> None:
+        """Let a guard not act in this step; by its number."""
+        self._sides[guard - self._first] = 0
+
+    @property
+    def watched(self) -> list[int]:
+        """Numbers of the guards that act in this step."""
+        return [self._first + i for i, side in enumerate(self._sides) if side]
+
+    def fired(self, y: State, u: Array | None, guard: int) -> list[int]:
+        """Guards that act and are zero together with one of them."""
+        if guard < self._first and not self.watched:
+            return []
+        values = np.abs(self.guards.values(y, u, self._mode)) <= rounding(y)
+        return [i for i in self.watched if i == guard or values[i - self._first]]
 
     def begin(self, y: State) -> None:
         """Take the mode that the heights of a state say."""
         rows = () if self.rows is None else self.rows.ways(y)[0]
-        if self._surfaces is not None:
-            sides = np.where(self._surfaces.heights(y) < 0.0, -1, 1)
+        if self.surfaces is not None:
+            sides = np.where(self.surfaces.heights(y) < 0.0, -1, 1)
             rows = (*rows, *sides.tolist())
         self.mode = rows
 
     def margin(self, y: State, u: Array | None, which: Margin) -> float:
         """One of the margins; a height alone asks for no acceleration."""
         switch, way = which
-        if way or switch in self._no_height:
+        if way or switch in self._no_height or switch >= self._first:
             return self.margins(y, u)[which]
         return float(self._mode[switch] * self.heights(y)[switch])
 
@@ -142,7 +178,7 @@ class ModeField:
             for i, way in enumerate(self._mode)
             if way and i not in self._no_height
         }
-        n, rows = self._count, self.rows
+        n, rows = self.count, self.rows
         on = [i for i in range(n) if not self._mode[i]]
         if rows is not None and (on or self._demands):
             self._solve(y, u)
@@ -155,39 +191,24 @@ class ModeField:
                 if self._mode[i]:
                     margins[i, 0] = float(self._mode[i] * rows.left[i])
             margins.update(rows.friction(y, self._mode))
-        surfaces = self._surfaces
+        surfaces = self.surfaces
         if surfaces is not None and surfaces.sliding:
             for i, s in zip(surfaces.sliding, surfaces.signs(y, u).tolist(), strict=True):
                 margins[n + i, 1], margins[n + i, -1] = 1.0 - s, 1.0 + s
+        if self.watched:
+            values = self.guards.values(y, u, self._mode).tolist()
+            for i in self.watched:
+                margins[i, 0] = self._sides[i - self._first] * values[i - self._first]
         return margins
 
-    def decided(self, y: State, u: Array | None, on: Collection[int]) -> dict[int, int]:
-        """The modes in which switches go on, by one complementarity problem.
-
-        Args:
-            y: State of what is integrated.
-            u: Inputs.
-            on: The switches; the others stay as they are.
-
-        Raises:
-            SolveError: There is none, or several.
-        """
-        rows = sorted(i for i in on if i < self._count)
-        surfaces = sorted(i - self._count for i in on if i >= self._count)
-        if not rows and self._surfaces is not None:
-            answer = self._surfaces.answer(y, u, surfaces)
-            names = [self._surfaces.names[i] for i in surfaces]
-            ways = mode_on(answer.r[surfaces], answer.D[surfaces], names)
-            return {i + self._count: way for i, way in zip(surfaces, ways, strict=True)}
-        assert self.rows is not None and not surfaces
-        self._solve(y, u, rows)
-        found = self.rows.found()
-        return {i: found[i] for i in rows}
+    def reset(self, y: State, u: Array | None, fired: Collection[int]) -> State:
+        """The state after the resets of guards, by their numbers."""
+        return self.guards.reset(y, u, [i - self._first for i in fired])
 
     def leaving(self, y: State, u: Array | None, which: Margin) -> dict[int, int]:
         """The modes with which a switch is left where its margin is zero."""
         switch, way = which
-        if self.rows is None or switch >= self._count:
+        if self.rows is None or switch >= self.count:
             return {switch: way}
         self._solve(y, u)
         return self.rows.leaving(switch, way)
@@ -199,11 +220,11 @@ class ModeField:
     def onto(self, y: State, u: Array | None) -> State:
         """The state on what is on, moved only as the forces of that move it."""
         y = self.onto_rows(y)
-        return y if self._surfaces is None else self._surfaces.onto(y, u)
+        return y if self.surfaces is None else self.surfaces.onto(y, u)
 
     def onto_rows(self, y: State) -> State:
         """The state on the rows that are on."""
-        if self.rows is None or 0 not in self._mode[: self._count]:
+        if self.rows is None or 0 not in self._mode[: self.count]:
             return y
         return self.rows.onto(y, self._mode)
 
@@ -213,7 +234,7 @@ class ModeField:
             return y
         heights = self.rows.heights(y)
         beyond = [i for i in self.gaps if heights[i] < 0.0]
-        mode = tuple(0 if i in beyond else 1 for i in range(self._count))
+        mode = tuple(0 if i in beyond else 1 for i in range(self.count))
         return self.rows.onto(y, mode, moves=False) if beyond else y
 
     def _solve(self, y: State, u: Array | None, free: Collection[int] = ()) -> None:

@@ -120,7 +120,7 @@ class SlidingField:
 
     def rates(self, x: State, u: Array | None) -> Array:
         """The h' of all surfaces in this mode, shape (m,)."""
-        return self._rates(x, self._in_mode(x, u))
+        return self.rates_at(x, self._in_mode(x, u))
 
     def signs(self, x: State, u: Array | None) -> Array:
         """Signs that keep the motion on the surfaces that it slides on, shape (k,)."""
@@ -131,12 +131,12 @@ class SlidingField:
         signs = np.array(self.mode, dtype=np.float64)
         signs[list(chosen)] = 0.0
         a = self._accelerate(x, u, signs)
-        r = self._rates(x, a)
+        r = self.rates_at(x, a)
         B, D = np.zeros((self.nv, len(chosen))), np.zeros((len(r), len(chosen)))
         for column, i in enumerate(chosen):
             signs[i] = 1.0
             moved = self._accelerate(x, u, signs)
-            B[:, column], D[:, column] = moved - a, self._rates(x, moved) - r
+            B[:, column], D[:, column] = moved - a, self.rates_at(x, moved) - r
             signs[i] = 0.0
         return SignResponse(a, B, r, D)
 
@@ -186,7 +186,7 @@ class SlidingField:
             self._loads.signs = None
         return a
 
-    def _rates(self, x: State, a: Array) -> Array:
+    def rates_at(self, x: State, a: Array) -> Array:
         """The h' under an acceleration that was just evaluated at x."""
         full_a = self.system.lift(x, a)
         full = self._placed(x)

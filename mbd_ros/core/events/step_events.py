@@ -12,6 +12,7 @@ from mbd_ros.core.integration.stepping import Stepper
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 
+_LEFT = 1.0e-7  # of a step, in which a guard of a part has left zero
 _SHRINK = 0.125  # of the step, when looking for a place off a surface that was just left
 
 
@@ -49,6 +50,7 @@ class StepEvents:
             SolveError: A switch is not left.
         """
         whole = h = after.t - x.t
+        self._pass_over(x, u, after, left)
         late = self._late(after, u, left)
         if late is None:
             h = self._inside(x, u, after, left)
@@ -88,27 +90,51 @@ class StepEvents:
         near, at_near = 0.0, self._field.margin(x, u, event)
         switch, way = event
         if not way and switch in left:
-            near, at_near = h, -1.0
-            while at_near <= 0.0:
-                near *= _SHRINK
-                if near <= 4.0 * math.ulp(x.t):
-                    name = self._field.names[switch]
-                    raise SolveError(
-                        f"switching surface {name} is not left at t = {x.t:.9g} s: events "
-                        "accumulate there (Zeno), or the motion only touches it"
-                    )
-                at_near = margin(near)
+            near = self._beyond(x, u, event, h, 4.0 * math.ulp(x.t))
+            if near == 0.0:
+                name = self._field.names[switch]
+                raise SolveError(
+                    f"switching surface {name} is not left at t = {x.t:.9g} s: events "
+                    "accumulate there (Zeno), or the motion only touches it"
+                )
+            at_near = margin(near)
         if at_near <= 0.0:
             return 0.0
         return sign_change(margin, (near, at_near), (h, margin(h)))
 
+    def _beyond(
+        self, x: State, u: Array | None, event: Margin, h: float, shortest: float
+    ) -> float:
+        """A length below h with which a margin is positive that was none at the start, or 0."""
+        near = _SHRINK * h
+        while near > shortest:
+            if self._field.margin(self._advanced(x, near), u, event) > 0.0:
+                return near
+            near *= _SHRINK
+        return 0.0
+
+    def _pass_over(self, x: State, u: Array | None, after: State, left: Collection[int]) -> None:
+        """Guards of parts that were zero and go on to the other side do not act in this step."""
+        field, whole = self._field, after.t - x.t
+        for i in [i for i in field.watched if i in left]:
+            margin = field.margin(after, u, (i, 0))
+            if margin < -rounding(after) and not self._beyond(x, u, (i, 0), whole, _LEFT * whole):
+                field.unwatch(i)
+        if field.watched:
+            self._advanced(x, whole, after.t)
+
     def _inside(self, x: State, u: Array | None, after: State, left: Collection[int]) -> float:
         """Length after which a margin may be negative, though none is at the end."""
         field, whole = self._field, after.t - x.t
-        if field.on or field.drives:
+        if field.on or field.drives or field.watched:
             middle = self._inner.interpolate(x.t + 0.5 * whole)
             if self._late(middle, u, left) is not None:
                 return 0.5 * whole
+            for i in field.watched:
+                ends = (field.margin(end, u, (i, 0)) for end in (x, middle, after))
+                lowest = whole * _vertex(*ends)
+                if lowest and field.margin(self._inner.interpolate(x.t + lowest), u, (i, 0)) < 0.0:
+                    return lowest
         beside = [i for i, way in enumerate(field.mode) if way and i not in left]
         if not beside:
             return whole
@@ -131,3 +157,10 @@ class StepEvents:
     def _advanced(self, x: State, h: float, t: float | None = None) -> State:
         """The step with another length."""
         return self._inner.again(h, x.t + h if t is None else t)
+
+
+def _vertex(start: float, middle: float, end: float) -> float:
+    """Where the parabola through values at 0, 1/2 and 1 is lowest, 0 where that is at an end."""
+    bend = start - 2.0 * middle + end
+    at = 0.5 - (end - start) / (4.0 * bend) if bend > 0.0 else 0.0
+    return at if 0.0 < at < 1.0 else 0.0

@@ -8,8 +8,7 @@ from mbd_ros.core.dynamics.mass_check import check_mass
 from mbd_ros.core.dynamics.overshoots import Overshoots
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.events.event import Event
-from mbd_ros.core.integration.internal_steps import prepared
-from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.simulation.checkpoint import (
@@ -22,6 +21,7 @@ from mbd_ros.core.simulation.checkpoint import (
 from mbd_ros.core.simulation.divergence import divergence, last_finite
 from mbd_ros.core.simulation.held_inputs import HeldInputs
 from mbd_ros.core.simulation.stall import PATIENCE, WINDOW, Notice, StallWatch, refuse_crawl
+from mbd_ros.core.simulation.stepper_of import stepper_of
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SAME_TIME
 from mbd_ros.errors import DivergedError, ModelError, SolveError
@@ -53,11 +53,10 @@ class Simulation:
         system = system.with_gains(*stabilization.gains(dt))
         self.integrator, self.dt = integrator, dt
         self.stabilization = stabilization
-        self.stepper = _stepper(integrator, system, dt)
+        self.stepper = stepper_of(integrator, system, dt)
         self.system: System = self.stepper.system or system
         self._stride = getattr(self.stepper, "stride", None)  # several steps at once, if it can
-        self.steps = 0
-        self.worst = (1.0, 0.0)
+        self.steps, self.worst = 0, (1.0, 0.0)
         has_stops = any(block.part.stops for block in system.layout.smoothed)
         self.overshoots = Overshoots(system) if has_stops else None
         self._is_corrected = bool(system.held.rows) and not integrator.keeps_constraints
@@ -158,8 +157,8 @@ class Simulation:
             ModelError: Nothing was started yet.
         """
         stops = {} if self.overshoots is None else self.overshoots.memory()
-        progress, memory = self._progressed(), self.stepper.memory()
-        return Checkpoint(self._made_by, progress, self.steps, self.worst, stops, memory)
+        memory = self._progressed(), self.steps, self.worst, stops, self.stepper.memory()
+        return Checkpoint(self._made_by, *memory)
 
     def resume(self, checkpoint: Checkpoint) -> State:
         """Go back to a checkpoint; returns the state of the integrated coordinates there.
@@ -257,27 +256,6 @@ class Simulation:
                 self.overshoots.look(y, after)
             return after
         raise divergence(self.system, y, after)
-
-
-def _stepper(method: Integrator, system: System, dt: float) -> Stepper:
-    """The steps of a method, from event to event where something happens at one time.
-
-    Raises:
-        ModelError: The method cannot stop at events.
-    """
-    rows = () if system.exact is None else system.exact.names
-    surfaces = method.finds_surfaces and any(force.surfaces for force in system.loads.forces)
-    if method.at_velocity_level or not (rows or surfaces):
-        return prepared(method, system, dt)
-    if not method.event_driven:
-        raise ModelError(
-            f"integrator {type(method).__name__} does not stop at events, which exact rows need: "
-            f"{', '.join(rows)}; accepted: rk4, dopri5, dop853, gauss_legendre, adams and "
-            "moreau_jean, or smoothed: true at these constraints"
-        )
-    from mbd_ros.core.events.event_steps import through_events
-
-    return through_events(method, system, dt)
 
 
 def _end(y: State, sample: int, times: SampleTimes, now: float, is_fixed: bool) -> float:

@@ -17,11 +17,11 @@ import pinocchio as pin
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.events.event_steps import through_events
 from mbd_ros.core.model.coupling_functions import Linear
 from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.simulation.stepper_of import stepper_of
 from mbd_ros.core.state import State
 from mbd_ros.scene.locate import find_file
 from mbd_ros.scene.part_entries import build_part
@@ -92,7 +92,7 @@ def _steps(arm: Robot, rounds: int) -> dict[str, float]:
     stops = {"type": "joint_stop", "joints": ["all"], "lower": -50.0, "upper": 50.0}
     for name in ("adams", "rk4"):
         method = build_part("integrators", {"type": name}, "benchmark")
-        stepper = through_events(method, _system(arm, Couplings(arm), [stops]), 1e-4)
+        stepper = stepper_of(method, _system(arm, Couplings(arm), [stops]), 1e-4)
         x = stepper.settle(State(0.0, q, v), None)
         calls[f"{name}_stops_idle"] = _step(stepper, x)
     return _ratios(arm, q, v, calls, rounds)

@@ -1,0 +1,46 @@
+"""The stepper of a simulation: plain steps, or steps from event to event."""
+
+from collections.abc import Iterator
+
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.integration.internal_steps import prepared
+from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.parts import Part
+from mbd_ros.errors import ModelError
+
+
+def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
+    """The steps of a method, from event to event where a scene has any.
+
+    Args:
+        method: The method.
+        system: What it integrates.
+        dt: Length of a step, or first guess [s].
+
+    Raises:
+        ModelError: The method cannot stop at events, or surfaces stand beside smoothed rows; names
+            them.
+    """
+    rows = () if system.exact is None else system.exact.names
+    guards = [part.name for part in _parts(system) if part.guards]
+    surfaces = method.finds_surfaces and any(force.surfaces for force in system.loads.forces)
+    if not (guards or surfaces) and (method.at_velocity_level or not rows):
+        return prepared(method, system, dt)
+    if not method.event_driven:
+        way_out = "; or smoothed: true at these constraints" if rows and not guards else ""
+        raise ModelError(
+            f"integrator {type(method).__name__} does not stop at events, which exact rows and "
+            f"guards need: {', '.join((*rows, *guards))}; accepted: rk4, dopri5, dop853, "
+            f"gauss_legendre, adams, and moreau_jean without guards{way_out}"
+        )
+    from mbd_ros.core.events.event_steps import EventSteps
+    from mbd_ros.core.events.mode_field import ModeField
+
+    field = ModeField(system, surfaces)
+    return EventSteps(field, prepared(method, field.system, dt), dt)
+
+
+def _parts(system: System) -> Iterator[Part]:
+    yield from system.loads.actuators
+    yield from system.loads.forces
+    yield from (block.part for block in system.layout.blocks)
