@@ -17,13 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.optimization.active_set import least_norm
+from mbd_ros.core.optimization.active_set import least_norm, on_active_set
 from mbd_ros.core.optimization.box_qp import exchanged
 from mbd_ros.core.optimization.contact_impulses import Cone, ContactImpulses
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array, Mode, State
-from mbd_ros.core.thresholds import ON_SURFACE, ZERO_ROW
+from mbd_ros.core.thresholds import CONTRADICTION, ON_SURFACE, ZERO_ROW
 from mbd_ros.errors import SolveError
 
 OPEN: Mode = (1, 1, 1)
@@ -179,7 +179,16 @@ def _answer(A: Array, w: Array, lower: Array, upper: Array) -> Array:
     unmoved = diagonal <= ZERO_ROW * float(np.abs(diagonal).max())
     unit = 1.0 / np.sqrt(np.where(unmoved, 1.0, diagonal))
     scaled = unit[:, None] * A * unit + np.diag(np.where(unmoved, 1.0, 0.0))
-    lam = exchanged(scaled, unit * w, lower / unit, upper / unit, solve=least_norm)
-    if lam is None:
+    w, lower, upper = unit * w, lower / unit, upper / unit
+    on = np.isinf(lower) & np.isinf(upper)
+    if (on | (lower == upper)).all():  # equations alone, which may depend on one another
+        lam = on_active_set(scaled, w, np.where(on, 0.0, lower), on, least_norm)
+        left = np.abs(scaled.dot(lam) + w)[on].max(initial=0.0)
+        terms = np.abs(scaled).dot(np.abs(lam)) + np.abs(w)
+        if left <= CONTRADICTION * terms.max():
+            return unit * lam
+        raise SolveError("rows of a contact and those beside it contradict one another")
+    found = exchanged(scaled, w, lower, upper, solve=least_norm)
+    if found is None:
         raise SolveError("no forces are found for a contact that slips and the rows beside it")
-    return unit * lam
+    return unit * found
