@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -22,7 +21,7 @@ def shaped(
     """A body of one link, its origin in the centre of its shape, which its mass fills evenly.
 
     Args:
-        name: Of the body and its link.
+        name: Of the body and its link, a ROS name.
         where: File and key, for the messages.
         given: `{box: [x, y, z]}`, `{sphere: r}`, `{cylinder: {radius, length}}` or
             `{capsule: {radius, length}}`, the last two along z; a capsule is longer than `length`
@@ -44,7 +43,7 @@ def shaped(
     key = f"{where}.shape.{kind}"
     arguments = sizes if kind in _BY_KEYS else {"size": sizes}
     moments = schema.call(_SHAPES[kind], arguments, key)
-    text = f"<robot name={quoteattr(name)}><link name={quoteattr(name)}/></robot>"
+    text = f'<robot name="{name}"><link name="{name}"/></robot>'
     source = f"bodies.{name}.shape"
     if mass is None:
         return Recipe(text, source, name=name)

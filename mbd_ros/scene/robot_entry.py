@@ -15,7 +15,6 @@ from mbd_ros.core.model.urdf import MAX_CHARACTERS
 from mbd_ros.core.ranges import Positive, Vector
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
-from mbd_ros.scene.body_entry import shaped
 from mbd_ros.scene.building import Site
 from mbd_ros.scene.locate import find_file
 from mbd_ros.scene.pose_entry import read_pose
@@ -159,6 +158,8 @@ def _body(
     elif mass is None and (free or inertia is not None):
         raise SceneError(f"{where}: key 'mass' is missing")
     else:
+        from mbd_ros.scene.body_entry import shaped
+
         recipe = shaped(name, where, shape, mass, inertia)
     return recipe._replace(base="floating" if free else "fixed", pose=_placed(pose, where))
 
