@@ -246,6 +246,19 @@ def test_a_fast_joint_stays_inside_its_stop():
         assert max(np.abs(x.q).max() for x in states) <= 0.5 + 1e-9
 
 
+def test_stops_of_coupled_joints_act_together():
+    """The second joint turns half as far: its stop is closed earlier, or at the same time."""
+    coupled = "couplings: {joint_2: {parent: joint_1, factor: 0.5}}\n"
+    for end in (0.25, 0.2):
+        stops = (
+            "constraints:\n- {type: joint_stop, joint: joint_1, upper: 0.5}\n"
+            f"- {{type: joint_stop, joint: joint_2, upper: {end}}}\n"
+        )
+        states = run(coupled + stops, chain(2), ([0.0, 0.0], [3.0, 1.5]), 0.4, 5e-3)
+        assert states[-1].q == pytest.approx([2.0 * end, end], abs=1e-9)
+        assert max(x.q[1] for x in states) <= end + 1e-9
+
+
 def test_what_it_cannot_do_is_refused():
     for theta in (0.49, 1.01):
         with pytest.raises(SceneError, match="integrator.theta"):

@@ -203,6 +203,16 @@ def test_stops_that_depend_on_one_another_share():
     assert three.p == pytest.approx(np.full(3, one.p[0] / 3.0), rel=1e-10)
 
 
+def test_of_two_stops_of_one_joint_the_faster_one_pushes():
+    """They depend on one another and move differently."""
+    robot = read_robot(mechanisms.double_pendulum())
+    walls = [Wall([1.0, 0.0], rate=-0.5), Wall([1.0, 0.0], rate=-2.0)]
+    x = State(0.0, np.array([0.4, 1.0]), np.array([-1.0, 0.5]))
+    after, p = VelocityLevel(system_of(robot, walls)).impact(x, [0, 1])
+    assert after[0] == pytest.approx(2.0, rel=1e-9)
+    assert p[0] == pytest.approx(0.0, abs=1e-9) and p[1] > 1.0
+
+
 def test_bounded_forces_exert_no_impulse():
     """Dry friction of the same joint is not seen, nor rows that do not touch."""
     robot = read_robot(mechanisms.double_pendulum())

@@ -10,6 +10,7 @@ on one another. Source: C. Lawson and R. Hanson, Solving Least Squares Problems,
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import CONTRADICTION, FIXED_BY_OTHERS, HELD_BY_ROWS
@@ -17,6 +18,8 @@ from mbd_ros.errors import SolveError
 
 _ROUNDING = 1.0e-14  # a rate that is none, of the velocity
 _CLOSED = 1.0e-12  # the same of rows among which impulses are shared
+_SAME = 1.0e-10  # by which the rates of dependent rows may differ and count as the same
+_GIVES = 1.0e-5  # root of how much rows give way that depend on one another and move apart
 _ROUNDS = 10  # of exchanges, per row
 
 
@@ -53,54 +56,61 @@ class PushImpulses:
         own = self._unit * b[self._mobile]
         if (own >= 0.0).all():
             return p
-        G = self._G
+        G, size = self._G, max(speed, float(np.abs(own).max()))
+        own = own / size  # c is of the order of 1, however slow the motion is
         c = np.asarray(np.linalg.lstsq(G.T, own, rcond=FIXED_BY_OTHERS)[0], dtype=np.float64)
-        size = max(speed, float(np.abs(own).max()))
-        worst = int(np.abs(G.T.dot(c) - own).argmax())
-        if abs(float(G[:, worst].dot(c)) - float(own[worst])) > CONTRADICTION * size:
-            self._refuse(int(np.flatnonzero(self._mobile)[worst]))
-        p[self._mobile] = self._unit * self._shared(c, self._least(c, size), size)
+        off = own - G.T.dot(c)
+        if np.abs(off).max() <= _SAME:
+            p[self._mobile] = size * self._unit * _shared(G, c, _least(G, c))
+            return p
+        yielding = np.concatenate((G, _GIVES * np.eye(len(own))))
+        push = _least(yielding, np.concatenate((c, off / _GIVES)))
+        rate = own + G.T.dot(G.dot(push))
+        if rate.min() < -CONTRADICTION:
+            self._refuse(int(np.flatnonzero(self._mobile)[rate.argmin()]))
+        p[self._mobile] = size * self._unit * push
         return p
-
-    def _least(self, c: Array, size: float) -> Array:
-        """Some p of the problem."""
-        G, m = self._G, self._G.shape[1]
-        p, pushes = np.zeros(m), np.zeros(m, dtype=np.bool_)
-        tried = np.zeros(m, dtype=np.bool_)
-        for _ in range(_ROUNDS * m):
-            rate = np.where(pushes | tried, 0.0, G.T.dot(c + G.dot(p)))
-            new = int(rate.argmin())
-            if rate[new] >= -_ROUNDING * size:
-                return p
-            pushes[new] = True
-            target = _fitted(G, c, pushes)
-            if target[new] <= 0.0:  # it depends on the others, and its rate is rounding
-                pushes[new], tried[new] = False, True
-                continue
-            tried[:] = False
-            while (pulls := pushes & (target <= 0.0)).any():
-                share = p[pulls] / (p[pulls] - target[pulls])
-                p = p + share.min() * (target - p)
-                pushes &= ~(pulls & (p <= _ROUNDING * np.abs(p).max()))
-                pushes[np.flatnonzero(pulls)[share.argmin()]] = False
-                p = np.where(pushes, p, 0.0)
-                target = _fitted(G, c, pushes)
-            p = target
-        return p
-
-    def _shared(self, c: Array, p: Array, size: float) -> Array:
-        """Impulses of least norm that do the same, where they push too."""
-        G, none = self._G, _CLOSED * size
-        rate = G.T.dot(c + G.dot(p))
-        least = _fitted(G, c, (rate <= none) | (p > 0.0))
-        does_the_same = np.abs(G.T.dot(c + G.dot(least)) - rate).max() <= none
-        return least if does_the_same and (least >= 0.0).all() else p
 
     def _refuse(self, row: int) -> None:
         raise SolveError(f"nothing can keep constraint row {self._names[row]} from closing")
 
 
-def _fitted(G: Array, c: Array, on: Array) -> Array:
+def _least(G: Array, c: Array) -> Array:
+    """Some p of the problem."""
+    m = G.shape[1]
+    p, pushes = np.zeros(m), np.zeros(m, dtype=np.bool_)
+    tried = np.zeros(m, dtype=np.bool_)
+    for _ in range(_ROUNDS * m):
+        rate = np.where(pushes | tried, 0.0, G.T.dot(c + G.dot(p)))
+        new = int(rate.argmin())
+        if rate[new] >= -_ROUNDING:
+            return p
+        pushes[new] = True
+        target = _fitted(G, c, pushes)
+        if target[new] <= 0.0:  # it depends on the others, and its rate is rounding
+            pushes[new], tried[new] = False, True
+            continue
+        tried[:] = False
+        while (pulls := pushes & (target <= 0.0)).any():
+            share = p[pulls] / (p[pulls] - target[pulls])
+            p = p + share.min() * (target - p)
+            pushes &= ~(pulls & (p <= _ROUNDING * np.abs(p).max()))
+            pushes[np.flatnonzero(pulls)[share.argmin()]] = False
+            p = np.where(pushes, p, 0.0)
+            target = _fitted(G, c, pushes)
+        p = target
+    return p
+
+
+def _shared(G: Array, c: Array, p: Array) -> Array:
+    """Impulses of least norm that do the same, where they push too."""
+    rate = G.T.dot(c + G.dot(p))
+    least = _fitted(G, c, (rate <= _CLOSED) | (p > 0.0))
+    does_the_same = np.abs(G.T.dot(c + G.dot(least)) - rate).max() <= _CLOSED
+    return least if does_the_same and (least >= 0.0).all() else p
+
+
+def _fitted(G: Array, c: Array, on: NDArray[np.bool_]) -> Array:
     """The p of least norm with c + G p the shortest, 0 where a row is off."""
     p = np.zeros(G.shape[1])
     p[on] = np.linalg.lstsq(G[:, on], -c, rcond=FIXED_BY_OTHERS)[0]
