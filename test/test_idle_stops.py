@@ -134,7 +134,7 @@ def test_steps_without_a_search_find_what_a_search_finds(method, kind):
     ends = []
     for is_searched in (False, True):
         simulation = scene.simulation()
-        simulation.stepper._clearance.serves = not is_searched
+        simulation.stepper._has_clearance = not is_searched
         states = list(simulation.run(scene.initial, 0.35))
         ends.append((states, simulation.events))
     (states, events), (searched, found) = ends
