@@ -1,6 +1,8 @@
 """Exact rows and guards: closed forms, orders through events, and equations by hand."""
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -214,3 +216,47 @@ def test_adaptive_steps_reach_the_reference(reference):
 def test_methods_without_events_refuse_exact_rows_by_name():
     with pytest.raises(SceneError, match=r"Rattle .*events.*height_joint_stop.*smoothed: true"):
         ball(0.5).simulation(integrator={"type": "rattle"})
+
+
+def test_a_guard_and_a_reset_of_ones_own():
+    """The escapement of the page: 1 kg on 4 N/m passes the middle upwards once in a period."""
+    page = (Path(__file__).parents[1] / "docs/extend.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"^```python\n# escapement.py\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    exec(code, found := {})
+    loaded = scene_of(
+        "robot: {urdf: package://mbd_ros/config/robots/benchmark/point_in_plane.urdf,"
+        " gravity: [0.0, 0.0, 0.0]}\n"
+        "forces: [{type: joint_spring, joint: x, stiffness: 4.0}]\n"
+        "initial: {position: {x: 0.5}}\n"
+    )
+    clock = found["Escapement"](loaded.robot, joint="x", speed=0.1)
+    simulation = loaded.simulation(integrator=EXACT, dt=0.05, forces=(clock,))
+    states = list(simulation.run(loaded.initial, 10.0))
+    upwards = np.array([event.t for event in simulation.events])
+    assert upwards == pytest.approx([(0.75 + n) * math.pi for n in range(3)], abs=1e-9)
+    speeds = [(event.before.v[0], event.after.v[0]) for event in simulation.events]
+    assert np.array(speeds) == pytest.approx(
+        np.array([(1.0 + 0.1 * n, 1.1 + 0.1 * n) for n in range(3)]), abs=1e-9
+    )
+    x, since = states[-1], 10.0 - 2.75 * math.pi
+    assert x.q[0] == pytest.approx(1.3 * math.sin(2.0 * since) / 2.0, abs=1e-9)
+    with pytest.raises(SceneError, match=r"Rattle does not stop at events.*: escapement"):
+        loaded.simulation(integrator={"type": "rattle"}, forces=(clock,))
+
+
+def test_surfaces_and_rows_that_begin_together_move_as_surfaces_alone():
+    """Friction in y as a row, and as a second relay; the relay in x pushes y, too."""
+    head = (
+        "robot: {urdf: package://mbd_ros/config/robots/benchmark/point_in_plane.urdf,"
+        " gravity: [0.0, 0.0, 0.0]}\n"
+        "initial: {velocity: {x: 1.0, y: 0.5}}\nintegrator: {type: filippov}\n"
+    )
+    relay = "- {{type: switching_force, velocity: {{{0}: [0.0, 1.0]}}, above: {1}, below: {2}}}\n"
+    pushing = relay.format("x", "{x: -2.0, y: 0.5}", "{x: 2.0, y: -0.5}")
+    friction = relay.format("y", "{y: -1.0}", "{y: 1.0}")
+    row = "constraints:\n- {type: dry_friction, joint: y, limit: 1.0}\n"
+    one = run(scene_of(f"{head}forces:\n{pushing}{friction}"), 2.0, None, 0.05)
+    other = run(scene_of(f"{head}{row}forces:\n{pushing}"), 2.0, None, 0.05)
+    assert one[0].events[-1].after.mode == other[0].events[-1].after.mode == (0, 0)
+    for x, y in zip(one[1], other[1], strict=True):
+        assert [*x.q, *x.v] == pytest.approx([*y.q, *y.v], abs=1e-12)

@@ -100,7 +100,8 @@ class StepEvents:
             at_near = margin(near)
         if at_near <= 0.0:
             return 0.0
-        return sign_change(margin, (near, at_near), (h, margin(h)))
+        at_far = margin(h)  # the step by another sum of times: rounding may have changed the sign
+        return h if at_far >= 0.0 else sign_change(margin, (near, at_near), (h, at_far))
 
     def _beyond(
         self, x: State, u: Array | None, event: Margin, h: float, shortest: float
@@ -116,11 +117,12 @@ class StepEvents:
     def _pass_over(self, x: State, u: Array | None, after: State, left: Collection[int]) -> None:
         """Guards of parts that were zero and go on to the other side do not act in this step."""
         field, whole = self._field, after.t - x.t
-        for i in [i for i in field.watched if i in left]:
+        close = [i for i in field.watched if i in left]
+        for i in close:
             margin = field.margin(after, u, (i, 0))
             if margin < -rounding(after) and not self._beyond(x, u, (i, 0), whole, _LEFT * whole):
                 field.unwatch(i)
-        if field.watched:
+        if close:
             self._advanced(x, whole, after.t)
 
     def _inside(self, x: State, u: Array | None, after: State, left: Collection[int]) -> float:
