@@ -34,6 +34,16 @@ def test_check_says_what_smoothed_rows_cost_in_order(method, cost):
     assert not lines("exact", constraints=[FRICTION], **chosen)
 
 
+def test_check_says_which_rows_are_exact():
+    stop = {"type": "joint_stop", "joint": "hinge", "lower": -1.0}
+    both = [stop, FRICTION]
+    (line,) = lines("exact", constraints=both, integrator={"type": "gauss_legendre"})
+    assert "hinge_joint_stop; steps end where rows begin and cease to act" in line
+    assert "GaussLegendre keeps its order 4" in line
+    (line,) = lines("smoothed", constraints=both)
+    assert "hinge_dry_friction" in line and "joint_stop" not in line
+
+
 def test_rows_that_never_give_way_have_no_such_line():
     anchored = {"type": "prescribed_motion", "joint": "hinge", "polynomial": [0.1]}
     assert not lines("smoothed") + lines("exact")
