@@ -12,11 +12,8 @@ from mechanisms import (
 )
 from scipy.integrate import solve_ivp
 
-from mbd_ros.constraints.point_contact import PointContact
-from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, SceneError
-from mbd_ros.integrators.moreau_jean import MoreauJean
 from mbd_ros.scene.from_python import scene_from
 
 GRAVITY = 9.81
@@ -273,21 +270,16 @@ POINT = urdf(
 )
 
 
-def on_an_incline(degrees, friction, start, duration, dt, e=0.0):
+def on_an_incline(degrees, friction, start, duration, dt):
     """A point on a plane that falls towards -x."""
     tilt = np.deg2rad(degrees)
     down = [-GRAVITY * np.sin(tilt), 0.0, -GRAVITY * np.cos(tilt)]
-    scene = scene_of(f"robot: {{gravity: {[float(g) for g in down]}}}", POINT)
-    simulation = scene.simulation(dt=dt)
-    contact = PointContact(
-        scene.robot,
-        **{"frame": "bob", "plane_frame": "world", "normal": [0.0, 0.0, 1.0]},
-        **{"friction": friction, "restitution": e},
+    text = (
+        f"robot: {{gravity: {[float(g) for g in down]}}}\n"
+        "constraints: [{type: point_contact, frame: bob, plane_frame: world, "
+        f"normal: [0, 0, 1], friction: {friction}}}]"
     )
-    simulation.system.layout = RowLayout([contact])
-    simulation.stepper = MoreauJean().prepare(simulation.system, dt)
-    x = State(0.0, *(np.array(each, dtype=float) for each in start))
-    return list(simulation.run(x, duration))
+    return run(text, POINT, start, duration, dt)
 
 
 def test_a_point_that_turns_downhill_slides_with_order_2():
