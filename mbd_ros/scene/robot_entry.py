@@ -17,7 +17,6 @@ from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
 from mbd_ros.scene.locate import find_file
-from mbd_ros.scene.pose_entry import read_pose
 from mbd_ros.scene.strict_yaml import read_text
 
 _NAME = re.compile("[A-Za-z_][A-Za-z0-9_]{0,99}")  # topics are named after robots and bodies
@@ -165,7 +164,11 @@ def _body(
 
 
 def _placed(pose: Mapping[str, Any] | None, where: str) -> Any:
-    return None if pose is None else pin.XYZQUATToSE3(read_pose(pose, f"{where}.pose"))
+    if pose is None:
+        return None
+    from mbd_ros.scene.pose_entry import read_pose
+
+    return pin.XYZQUATToSE3(read_pose(pose, f"{where}.pose"))
 
 
 def _recipe(site: Site, entry: RobotEntry) -> Recipe:

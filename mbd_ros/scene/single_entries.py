@@ -18,7 +18,6 @@ from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
 from mbd_ros.scene.built_scene import refuse_dt
 from mbd_ros.scene.part_entries import Solver
-from mbd_ros.scene.pose_entry import read_pose, read_twist
 
 
 @dataclass(frozen=True)
@@ -81,6 +80,10 @@ def build_initial(site: Site, given: Any) -> State:
 
 def _place_bases(robot: Robot, initial: _Initial, where: str, q: Array, v: Array) -> None:
     """Write poses and velocities of free bodies into a configuration and a velocity."""
+    if not (initial.pose or initial.twist):
+        return
+    from mbd_ros.scene.pose_entry import read_pose, read_twist
+
     bases = {base.name: base for base in robot.bases}
     for key, given in (("pose", initial.pose or {}), ("twist", initial.twist or {})):
         for name, entry in given.items():

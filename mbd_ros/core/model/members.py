@@ -9,7 +9,6 @@ import pinocchio as pin
 
 from mbd_ros.core.model.far_base import FAR, root_link
 from mbd_ros.core.model.joints import BASE, Base, Joint, Mimic
-from mbd_ros.core.model.other_inertias import inertias_of
 from mbd_ros.core.model.points import Places
 from mbd_ros.core.model.recipe import Recipe
 from mbd_ros.core.model.robot import WORLD, Robot
@@ -84,6 +83,8 @@ def read_robots(recipes: Sequence[Recipe], gravity: Sequence[float] = EARTH_GRAV
 
 def inertias_of_links(recipes: Iterable[Recipe]) -> dict[str, Any]:
     """Link -> `pinocchio.Inertia` in the axes of the link, 0 where it has none."""
+    from mbd_ros.core.model.other_inertias import inertias_of
+
     found = {}
     for recipe in recipes:
         tree = parse_urdf(recipe.text, recipe.source, recipe.inertias)
