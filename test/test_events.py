@@ -260,3 +260,22 @@ def test_surfaces_and_rows_that_begin_together_move_as_surfaces_alone():
     assert one[0].events[-1].after.mode == other[0].events[-1].after.mode == (0, 0)
     for x, y in zip(one[1], other[1], strict=True):
         assert [*x.q, *x.v] == pytest.approx([*y.q, *y.v], abs=1e-12)
+
+
+def test_a_gap_that_opens_by_less_than_rounding_closes_again():
+    """A coupled arm on two stops that come to rest one on the other's bounces."""
+    robots = "package://mbd_ros/config/robots"
+    loaded = scene_of(
+        f"""robot: {{urdf: {robots}/arm7.urdf}}
+couplings: {{joint4: {{parent: joint2, factor: 0.5}}}}
+constraints:
+- {{type: joint_stop, joint: joint2, upper: 0.55, restitution: 0.3}}
+- {{type: joint_stop, joint: joint6, upper: 0.2}}
+- {{type: dry_friction, joint: joint1, limit: 2.0}}
+initial: {{position: {{joint2: 0.5}}, velocity: {{joint1: 1.0, joint3: -2.0}}}}
+"""
+    )
+    simulation, states = run(loaded, 0.4, {"type": "dop853", "tolerance": 1e-11}, 0.02)
+    assert max(x.q[1] for x in states) <= 0.55 + 1e-12
+    assert min(x.q[5] for x in states) >= loaded.robot.joint("joint6").lower - 1e-12
+    assert len(simulation.events) > 20
