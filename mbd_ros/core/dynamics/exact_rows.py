@@ -6,41 +6,25 @@ friction of a joint that slips forwards), -1 at the upper one.
 """
 
 from collections.abc import Callable, Collection, Sequence
-from enum import Enum
 from typing import Any, cast
 
 import numpy as np
 
 from mbd_ros.core.dynamics.exact_contact import OPEN, ExactContact, side
+from mbd_ros.core.dynamics.row_heights import RowHeights, reach_of
 from mbd_ros.core.model.kinematics import Reads
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
-from mbd_ros.core.row_laws import Kind, Level
+from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Array, Mode, State
-from mbd_ros.core.thresholds import ON_SURFACE, TIE
-
-_CORRECTIONS = 4
-
-
-class Reach(Enum):
-    """What has to be zero before a row may be on."""
-
-    GAP = "gap"  # g, and g': one-sided rows of positions
-    SLIP = "slip"  # g': rows of velocities
-    DEMAND = "demand"  # g'' + kd g' + kp g: drives, which follow within their limit
-    FRICTION = "friction"  # the slip, where the normal before it is on
-
-
-def rounding(x: State) -> float:
-    """Height over a surface that counts as none."""
-    return ON_SURFACE * float(1.0 + max(np.abs(x.q).max(), np.abs(x.v).max()))
+from mbd_ros.core.thresholds import TIE
 
 
 class ExactRows:
     """Rows that give way, in a mode.
 
-    Heights are positive in mode 1 and negative in mode -1: gaps, slip velocities. Rows that are
-    solved for in every evaluation stand beside them.
+    Rows that are solved for in every evaluation stand beside them. Their heights, g', ways and the
+    nearest state on them are those of `RowHeights`.
 
     Args:
         motion: The `FreeMotion` without rows that give way.
@@ -68,15 +52,14 @@ class ExactRows:
         self.slots = rows.slots[self._at]
         self.reach = tuple(reach_of(block, own) for _, own, block in exact)
         self.restitution = np.array([block.law.restitution for *_, block in exact])
-        self._is_gap, self._is_slip, self._is_friction = (
-            np.array([one is kind for one in self.reach])
-            for kind in (Reach.GAP, Reach.SLIP, Reach.FRICTION)
-        )
         n, kinds = len(exact), [block.law.kind for *_, block in exact]
         self.contact, self._contact = None, None
         if Kind.CONE in kinds:
             first = kinds.index(Kind.CONE)
             self.contact, self._contact = slice(first, first + 3), ExactContact(rows)
+        self._over = RowHeights(motion, rows, self._at, self.reach, self._contact, self.contact)
+        self.heights, self.approach = self._over.heights, self._over.approach
+        self.ways, self.onto = self._over.ways, self._over.onto
         self.lam, self.left, self.lower, self.upper, self._slack = np.zeros((5, n))
         self._none = np.zeros(len(rows.rows))
 
@@ -146,7 +129,7 @@ class ExactRows:
         if rows.varies:
             rows.limit(motion.mechanism.k, x)
         if not mode:
-            mode, free = self._ways(x)
+            mode, free = self._over.ways_at(x)
         lower, upper = self._bounds(mode, free)
         if self._contact is not None:
             a, left, terms = self._with_contact(
@@ -182,7 +165,7 @@ class ExactRows:
 
     def solve(self, y: State, u: Array | None, mode: Mode, free: Collection[int] = ()) -> Array:
         """As `accelerate`, at a state of what is integrated."""
-        a, mechanism = self._freely(y, u, mode), self._motion.mechanism
+        a, mechanism = self._over.freely(y, u, mode), self._motion.mechanism
         before, mechanism.z = mechanism.z, y.z
         try:
             return self.accelerate(y.t, y.q, y.v, a, mode, free)
@@ -194,7 +177,7 @@ class ExactRows:
     ) -> tuple[Array, Array, Array]:
         """J and b with w = J a + b of some rows, and the accelerations that they add, (nv, k)."""
         self.solve(y, u, (1,) * len(self.names))
-        x, at = self._placed(y), self._at[list(chosen)]
+        x, at = self._over.placed(y), self._at[list(chosen)]
         J, b = self._rows.conditions(self._motion.mechanism.k, x)
         J, b = J[at].copy(), b[at].copy()
         return J, b, self._motion.respond(y.q, J.T)
@@ -216,7 +199,7 @@ class ExactRows:
         first, named = at.start + 1, mode[at][1:]
         if not any(named):
             return {(first, 1): contact.margin(self.lam[at])}
-        slip = contact.slip(self._motion.mechanism.k, self._placed(y))
+        slip = contact.slip(self._motion.mechanism.k, self._over.placed(y))
         return {(first, 0): float(slip.dot(named)) / float(np.linalg.norm(named))}
 
     def leaving(self, switch: int, way: int) -> dict[int, int]:
@@ -232,94 +215,8 @@ class ExactRows:
         at, contact = self.contact, self._contact
         if at is None or contact is None or mode[at.start] or not any(mode[at]):
             return {}
-        after = contact.turned(self._motion.mechanism.k, self._placed(y), mode[at])
+        after = contact.turned(self._motion.mechanism.k, self._over.placed(y), mode[at])
         return dict(zip(range(at.start, at.stop), after, strict=True)) if after != mode[at] else {}
-
-    def heights(self, y: State) -> Array:
-        """Gaps, slip velocities, and 1 for rows without height, shape (n,)."""
-        return self._heights(self._placed(y))
-
-    def approach(self, y: State) -> Array:
-        """The g' of all rows, shape (n,)."""
-        return self._approach(self._placed(y))
-
-    def ways(self, y: State) -> tuple[Mode, list[int]]:
-        """Modes by the heights, and rows that may be on."""
-        return self._ways(self._placed(y))
-
-    def onto(self, y: State, mode: Mode, *, moves: bool = True) -> State:
-        """The state on the rows that are on, moved as their forces move it: g = 0, then g' = 0.
-
-        Args:
-            y: State of what is integrated.
-            mode: Begins with one entry a row.
-            moves: Whether its velocity changes, too.
-        """
-        on = np.array([not way for way in mode[: len(self.names)]], dtype=np.bool_)
-        gaps, slips = on & self._is_gap, on & (self._is_gap | self._is_slip | self._is_friction)
-        for _ in range(_CORRECTIONS if gaps.any() else 0):
-            g = self._heights(self._placed(y))
-            if np.abs(g[gaps]).max() <= np.spacing(1.0 + np.abs(y.q).max()):
-                break
-            move = self._move(y, g, gaps)
-            y = y._replace(q=self._motion.coordinates.chart.integrate(y.q, move))
-        if moves and slips.any():
-            rate = self.approach(y)
-            if np.abs(rate[slips]).max() > np.spacing(np.abs(y.v).max()):
-                y = y._replace(v=y.v + self._move(y, rate, slips))
-        return y
-
-    def _move(self, y: State, size: Array, chosen: Array) -> Array:
-        """The smallest motion of what is integrated, in the mass metric, that ends a size."""
-        motion = self._motion
-        self._freely(y, None, y.mode)
-        x = self._placed(y)
-        J = self._rows.jacobian(motion.mechanism.k, x)[self._at[chosen]]
-        response = motion.respond(y.q, J.T)
-        share = np.linalg.lstsq(J.dot(response), -size[chosen], rcond=1.0e-13)[0]
-        return motion.coordinates.integrated(response.dot(share))
-
-    def _freely(self, y: State, u: Array | None, mode: Mode) -> Array:
-        """Accelerations of what is integrated without the rows."""
-        mechanism = self._motion.mechanism
-        before = mechanism.mode, mechanism.z
-        mechanism.mode, mechanism.z = mode, y.z
-        try:
-            return self._motion.accelerate(y.t, y.q, y.v, u)
-        finally:
-            mechanism.mode, mechanism.z = before
-
-    def _placed(self, y: State) -> State:
-        """State of all joints, with k as the rows need it."""
-        x = self._motion.coordinates.expand(y)
-        self._motion.mechanism.k.refresh(x.q, x.v, self._rows.reads)
-        return x
-
-    def _heights(self, x: State) -> Array:
-        k = self._motion.mechanism.k
-        heights = np.ones(len(self.names))
-        if self._is_gap.any():
-            heights[self._is_gap] = self._rows.residual(k, x)[self._at[self._is_gap]]
-        if self._is_slip.any():
-            heights[self._is_slip] = self._approach(x)[self._is_slip]
-        if self._contact is not None and self.contact is not None:
-            heights[self.contact.start + 1] = np.linalg.norm(self._contact.slip(k, x))
-        return heights
-
-    def _approach(self, x: State) -> Array:
-        k = self._motion.mechanism.k
-        rate: Array = self._rows.jacobian(k, x).dot(x.v) + self._rows.rate(k, x)
-        return rate[self._at]
-
-    def _ways(self, x: State) -> tuple[Mode, list[int]]:
-        heights, rate, slack = self._heights(x), self._approach(x), rounding(x)
-        on = np.where(self._is_gap, heights, np.abs(heights)) <= slack
-        on &= ~self._is_gap | (rate <= slack)
-        on |= ~(self._is_gap | self._is_slip)
-        if self.contact is not None:
-            on[self.contact] = on[self.contact.start]
-        ways = np.where((heights < 0.0) & ~self._is_gap, -1, 1)
-        return tuple(ways.tolist()), np.flatnonzero(on).tolist()
 
     def _bounds(self, mode: Mode, free: Collection[int]) -> tuple[Array, Array]:
         """Smallest and largest multipliers of all rows in a mode."""
@@ -336,14 +233,6 @@ class ExactRows:
         return lower, upper
 
 
-def stiff(block: RowBlock) -> RowBlock:
-    """The block without gains, unless it is a drive: what is on is on exactly."""
-    if reach_of(block) is Reach.DEMAND:
-        return block
-    nothing = np.zeros(len(block.rows))
-    return block._replace(gains=(nothing, nothing))
-
-
 def _each(blocks: tuple[RowBlock, ...]) -> list[tuple[int, int, RowBlock]]:
     """Number of every row, its number in its block, and the block."""
     own = [(number, block) for block in blocks for number in range(len(block.rows))]
@@ -352,17 +241,3 @@ def _each(blocks: tuple[RowBlock, ...]) -> list[tuple[int, int, RowBlock]]:
 
 def _is_exact(block: RowBlock) -> bool:
     return not (block.law.is_rigid or block.smoothed)
-
-
-def reach_of(block: RowBlock, own: int = 0) -> Reach:
-    """What has to be zero before a row of a block may be on.
-
-    Args:
-        block: The block.
-        own: Number of the row in it.
-    """
-    if block.law.kind is Kind.CONE:
-        return Reach.FRICTION if own else Reach.GAP
-    if block.level is Level.VELOCITY:
-        return Reach.SLIP
-    return Reach.GAP if block.law.kind is Kind.UNILATERAL else Reach.DEMAND

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from mbd_ros.core.dynamics.aba import Aba
 from mbd_ros.core.dynamics.composed_system import ComposedSystem
-from mbd_ros.core.dynamics.exact_rows import ExactRows, stiff
+from mbd_ros.core.dynamics.exact_rows import ExactRows
 from mbd_ros.core.dynamics.free_motion import FreeMotion
 from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.kkt import Kkt
@@ -13,6 +13,7 @@ from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.mimic import Mimic, mimic_model
 from mbd_ros.core.dynamics.reduced import Reduced
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
+from mbd_ros.core.dynamics.row_heights import stiff
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot

@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from mbd_ros.core.dynamics.exact_rows import ExactRows, rounding
+from mbd_ros.core.dynamics.exact_rows import ExactRows
+from mbd_ros.core.dynamics.row_heights import rounding
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.velocity_level import VelocityLevel
 from mbd_ros.core.state import Array, Mode, State

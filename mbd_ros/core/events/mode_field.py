@@ -4,7 +4,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from mbd_ros.core.dynamics.exact_rows import Reach, rounding
+from mbd_ros.core.dynamics.row_heights import Reach, rounding
 from mbd_ros.core.dynamics.system import Accelerator, System
 from mbd_ros.core.events.part_guards import PartGuards
 from mbd_ros.core.events.sliding_field import SlidingField

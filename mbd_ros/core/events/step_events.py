@@ -5,7 +5,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from mbd_ros.core.dynamics.exact_rows import rounding
+from mbd_ros.core.dynamics.row_heights import rounding
 from mbd_ros.core.events.event_location import sign_change
 from mbd_ros.core.events.mode_field import Margin, ModeField
 from mbd_ros.core.integration.stepping import Stepper

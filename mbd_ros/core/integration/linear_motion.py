@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mbd_ros.core.dynamics.exact_rows import Reach, reach_of
+from mbd_ros.core.dynamics.row_heights import Reach, reach_of
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.integration.tableau import Tableau

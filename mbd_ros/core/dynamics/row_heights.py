@@ -1,0 +1,170 @@
+"""How far a state is from what rows that give way reach: gaps, slip velocities."""
+
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.dynamics.exact_contact import ExactContact
+from mbd_ros.core.row_laws import Kind, Level
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.rows.row_layout import RowBlock
+from mbd_ros.core.state import Array, Mode, State
+from mbd_ros.core.thresholds import ON_SURFACE
+
+_CORRECTIONS = 4
+
+
+class Reach(Enum):
+    """What has to be zero before a row may be on."""
+
+    GAP = "gap"  # g, and g': one-sided rows of positions
+    SLIP = "slip"  # g': rows of velocities
+    DEMAND = "demand"  # g'' + kd g' + kp g: drives, which follow within their limit
+    FRICTION = "friction"  # the slip, where the normal before it is on
+
+
+def rounding(x: State) -> float:
+    """Height over a surface that counts as none."""
+    return ON_SURFACE * float(1.0 + max(np.abs(x.q).max(), np.abs(x.v).max()))
+
+
+class RowHeights:
+    """Heights are positive in mode 1 and negative in mode -1: gaps, slip velocities.
+
+    Args:
+        motion: The `FreeMotion` without rows that give way.
+        rows: Rows that give way.
+        at: Which of them go from event to event, shape (n,).
+        reach: One entry each of these.
+        contact: The contact among them; None without one.
+        contact_at: Where it stands among these.
+    """
+
+    def __init__(
+        self,
+        motion: Any,
+        rows: ConstraintRows,
+        at: NDArray[np.intp],
+        reach: tuple[Reach, ...],
+        contact: ExactContact | None,
+        contact_at: slice | None,
+    ) -> None:
+        self._motion, self._rows, self._at = motion, rows, at
+        self._contact, self._contact_at = contact, contact_at
+        self._is_gap, self._is_slip, self._is_friction = (
+            np.array([one is kind for one in reach], dtype=np.bool_)
+            for kind in (Reach.GAP, Reach.SLIP, Reach.FRICTION)
+        )
+
+    def heights(self, y: State) -> Array:
+        """Gaps, slip velocities, and 1 for rows without height, shape (n,)."""
+        return self._heights(self.placed(y))
+
+    def approach(self, y: State) -> Array:
+        """The g' of all rows, shape (n,)."""
+        return self._approach(self.placed(y))
+
+    def ways(self, y: State) -> tuple[Mode, list[int]]:
+        """Modes by the heights, and rows that may be on."""
+        return self.ways_at(self.placed(y))
+
+    def onto(self, y: State, mode: Mode, *, moves: bool = True) -> State:
+        """The state on the rows that are on, moved as their forces move it: g = 0, then g' = 0.
+
+        Args:
+            y: State of what is integrated.
+            mode: Begins with one entry a row.
+            moves: Whether its velocity changes, too.
+        """
+        on = np.array([not way for way in mode[: len(self._at)]], dtype=np.bool_)
+        gaps, slips = on & self._is_gap, on & (self._is_gap | self._is_slip | self._is_friction)
+        for _ in range(_CORRECTIONS if gaps.any() else 0):
+            g = self._heights(self.placed(y))
+            if np.abs(g[gaps]).max() <= np.spacing(1.0 + np.abs(y.q).max()):
+                break
+            move = self._move(y, g, gaps)
+            y = y._replace(q=self._motion.coordinates.chart.integrate(y.q, move))
+        if moves and slips.any():
+            rate = self.approach(y)
+            if np.abs(rate[slips]).max() > np.spacing(np.abs(y.v).max()):
+                y = y._replace(v=y.v + self._move(y, rate, slips))
+        return y
+
+    def freely(self, y: State, u: Array | None, mode: Mode) -> Array:
+        """Accelerations of what is integrated without the rows."""
+        mechanism = self._motion.mechanism
+        before = mechanism.mode, mechanism.z
+        mechanism.mode, mechanism.z = mode, y.z
+        try:
+            a: Array = self._motion.accelerate(y.t, y.q, y.v, u)
+            return a
+        finally:
+            mechanism.mode, mechanism.z = before
+
+    def placed(self, y: State) -> State:
+        """State of all joints, with k as the rows need it."""
+        x = self._motion.coordinates.expand(y)
+        self._motion.mechanism.k.refresh(x.q, x.v, self._rows.reads)
+        return x
+
+    def _move(self, y: State, size: Array, chosen: NDArray[np.bool_]) -> Array:
+        """The smallest motion of what is integrated, in the mass metric, that ends a size."""
+        motion = self._motion
+        self.freely(y, None, y.mode)
+        x = self.placed(y)
+        J = self._rows.jacobian(motion.mechanism.k, x)[self._at[chosen]]
+        response = motion.respond(y.q, J.T)
+        share = np.linalg.lstsq(J.dot(response), -size[chosen], rcond=1.0e-13)[0]
+        move: Array = motion.coordinates.integrated(response.dot(share))
+        return move
+
+    def _heights(self, x: State) -> Array:
+        k = self._motion.mechanism.k
+        heights = np.ones(len(self._at))
+        if self._is_gap.any():
+            heights[self._is_gap] = self._rows.residual(k, x)[self._at[self._is_gap]]
+        if self._is_slip.any():
+            heights[self._is_slip] = self._approach(x)[self._is_slip]
+        if self._contact is not None and self._contact_at is not None:
+            heights[self._contact_at.start + 1] = np.linalg.norm(self._contact.slip(k, x))
+        return heights
+
+    def _approach(self, x: State) -> Array:
+        k = self._motion.mechanism.k
+        rate: Array = self._rows.jacobian(k, x).dot(x.v) + self._rows.rate(k, x)
+        return rate[self._at]
+
+    def ways_at(self, x: State) -> tuple[Mode, list[int]]:
+        """The same at a state of all joints, with k as the rows need it."""
+        heights, rate, slack = self._heights(x), self._approach(x), rounding(x)
+        on = np.where(self._is_gap, heights, np.abs(heights)) <= slack
+        on &= ~self._is_gap | (rate <= slack)
+        on |= ~(self._is_gap | self._is_slip)
+        if self._contact_at is not None:
+            on[self._contact_at] = on[self._contact_at.start]
+        ways = np.where((heights < 0.0) & ~self._is_gap, -1, 1)
+        return tuple(ways.tolist()), np.flatnonzero(on).tolist()
+
+
+def stiff(block: RowBlock) -> RowBlock:
+    """The block without gains, unless it is a drive: what is on is on exactly."""
+    if reach_of(block) is Reach.DEMAND:
+        return block
+    nothing = np.zeros(len(block.rows))
+    return block._replace(gains=(nothing, nothing))
+
+
+def reach_of(block: RowBlock, own: int = 0) -> Reach:
+    """What has to be zero before a row of a block may be on.
+
+    Args:
+        block: The block.
+        own: Number of the row in it.
+    """
+    if block.law.kind is Kind.CONE:
+        return Reach.FRICTION if own else Reach.GAP
+    if block.level is Level.VELOCITY:
+        return Reach.SLIP
+    return Reach.GAP if block.law.kind is Kind.UNILATERAL else Reach.DEMAND
