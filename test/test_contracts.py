@@ -21,6 +21,7 @@ from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.code_permission import permitting
+from mbd_ros.scene.path_entries import with_paths
 from mbd_ros.scene.registry import METHODS, PARTS, resolve
 
 LEG = (Path(__file__).parents[1] / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
@@ -69,7 +70,14 @@ def controlled(robot):
 
 def built(section, name, robot):
     part = resolve(section, name, "here")
-    return schema.call(part, dict(part.example), f"{section}.{name}", *context(section, robot))
+    return called(section, part, part.example, f"{section}.{name}", robot)
+
+
+def called(section, part, entry, where, robot):
+    """A part as a scene calls it, which builds the paths of its entry first."""
+    if section in OF_A_ROBOT:
+        entry = with_paths(part, entry, where, robot, {})
+    return schema.call(part, dict(entry), where, *context(section, robot))
 
 
 def with_states(part, x):
@@ -108,11 +116,11 @@ def test_constructor_takes_documented_keywords_only(section, name):
 @every_part
 def test_example_builds_and_a_typo_in_it_is_named(section, name, robot):
     assert built(section, name, robot)
-    part, given = resolve(section, name, "here"), context(section, robot)
+    part = resolve(section, name, "here")
     for key in (*part.example, "nosuch"):
         typo = {**part.example, f"{key}_": 1.0}
         with pytest.raises(SceneError, match=rf"here: unknown key '{key}_', accepted: "):
-            schema.call(part, typo, "here", *given)
+            called(section, part, typo, "here", robot)
 
 
 @every_part
@@ -121,7 +129,7 @@ def test_a_value_of_a_wrong_kind_is_named(section, name, robot):
     for key in part.example:
         wrong = {**part.example, key: [{"x": "y"}]}
         with pytest.raises(SceneError, match=rf"here\.{key}(\[0\])?: expected .*, got .*"):
-            schema.call(part, wrong, "here", *context(section, robot))
+            called(section, part, wrong, "here", robot)
 
 
 @every_part_of_a_robot
@@ -131,11 +139,11 @@ def test_unknown_names_are_answered_with_those_that_exist(section, name, robot):
         if key in ("joint", "joints", "parent"):
             wrong = {**part.example, key: "nose" if isinstance(value, str) else ["nose"]}
             with pytest.raises(SceneError, match="here: no joint 'nose'; the robot has hip_flex"):
-                schema.call(part, wrong, "here", robot)
+                called(section, part, wrong, "here", robot)
         elif key in ("frame", "frame_a", "frame_b", "plane_frame"):
             wrong = {**part.example, key: "nose"}
             with pytest.raises(SceneError, match="here: no frame 'nose'; the links are"):
-                schema.call(part, wrong, "here", robot)
+                called(section, part, wrong, "here", robot)
 
 
 @pytest.mark.parametrize("name", PARTS["forces"])
@@ -207,7 +215,7 @@ def check_value(call, shape, x):
     [
         (
             "joint_sprong",
-            "here: unknown type 'joint_sprong', accepted: applied_wrench, gravity_co",
+            "here: unknown type 'joint_sprong', accepted: applied_wrench, cable, grav",
         ),
         ("", "here: unknown type ''"),
         (":Spring", "here: unknown type ':Spring'"),

@@ -40,7 +40,7 @@ class KnifeEdge(Constraint):
 
     reads = Reads.DRIFT
     level = Level.VELOCITY
-    example = {"frame": "foot", "direction": [0.0, 1.0, 0.0]}
+    example = {"frame": "foot", "direction": [1.0, 0.0, 0.0]}
 
     def __init__(
         self,
