@@ -16,13 +16,17 @@ OUTSIDE = {  # section -> type -> arguments on the prosthetic leg
         "level_tool:LevelTool": {"first": "hip_flexion", "second": "knee", "angle": 0.3},
     },
     "controllers": {"soft_spring:SoftSpring": {"kp": 60.0, "reach": 0.2}},
-    "forces": {"hard_spring:HardSpring": {"joint": "ankle", "stiffness": 3.0, "cubic": 40.0}},
+    "forces": {
+        "hard_spring:HardSpring": {"joint": "ankle", "stiffness": 3.0, "cubic": 40.0},
+        "escapement:Escapement": {"joint": "ankle", "speed": 0.2},
+    },
 }
 MODULES = {
     "voltage_motor": "extend.md",
     "wound_motor": "extend.md",
     "level_tool": "extend.md",
     "hard_spring": "extend.md",
+    "escapement": "extend.md",
     "soft_spring": "control.md",
 }
 

@@ -125,9 +125,14 @@ def test_check_says_redundancy_toggle_bounds_and_missing_authority(capsys, tmp_p
     scene.write_text(MANY.format(robots=robots, more=twice), encoding="utf-8")
     rank = labelled(called(capsys, "check", scene)[1])["rank"]
     assert rank == "rank 2 of 4 rows: redundant, multipliers of smallest norm"
-    stop = "- {type: joint_stop, joint: crank, lower: -9, upper: 9}"
-    scene.write_text(MANY.format(robots=robots, more=stop), encoding="utf-8")
-    assert labelled(called(capsys, "check", scene)[1])["forward"].startswith("qp over kkt: ")
+    stop = "- {{type: joint_stop, joint: crank, lower: -9, upper: 9, smoothed: {}}}"
+    for smoothed, tier in (("true", "qp over kkt: "), ("false", "kkt: ")):
+        more = stop.format(smoothed)
+        scene.write_text(MANY.format(robots=robots, more=more), encoding="utf-8")
+        said = labelled(called(capsys, "check", scene)[1])
+        assert said["forward"].startswith(tier)
+        kind = "smoothed" if smoothed == "true" else "exact"
+        assert said[kind].startswith("crank_joint_stop; ")
     urdf = (robots / "pendulum.urdf").read_text(encoding="utf-8")
     (tmp_path / "weak.urdf").write_text(re.sub(r'effort="[^"]*"', 'effort="0"', urdf))
     actuator = "actuators: [{type: ideal, joints: [hinge]}]\n"
