@@ -1,4 +1,4 @@
-"""Force, constraint and actuators of other packages in a simulator: those that the pages show."""
+"""Forces, constraint and actuators of other packages in a simulator: those that the pages show."""
 
 import sys
 
@@ -6,20 +6,24 @@ import numpy as np
 import parts_of_pages
 import pytest
 from nodes.conftest import ROOT
-from nodes.simulation_client import simulated
+from nodes.simulation_client import DEEP, NAME, simulated
+from std_msgs.msg import Float64MultiArray
 
 from mbd_ros.core.dynamics.sources import HeldTable
 from mbd_ros.scene.code_permission import permitting
 from mbd_ros.scene.reader import load_scene
 
 LEG = f"""robot: {{urdf: {ROOT / "config/robots/prosthetic_leg.urdf"}}}
-forces: [{{type: "hard_spring:HardSpring", joint: ankle, stiffness: 30.0, cubic: 40.0}}]
+forces:
+- {{type: "hard_spring:HardSpring", joint: ankle, stiffness: 30.0, cubic: 40.0}}
+- {{type: "escapement:Escapement", joint: ankle, speed: 0.2}}
 constraints: [{{type: "level_tool:LevelTool", first: hip_flexion, second: knee, angle: 0.1}}]
 actuators:
 - {{type: "voltage_motor:VoltageMotor", joint: knee, constant: 1.2, resistance: 0.8}}
 - {{type: "wound_motor:WoundMotor", joint: ankle, constant: 1.2, resistance: 0.8, inductance: 0.1}}
 initial:
-  position: {{hip_flexion: 0.4, knee: -0.3}}
+  position: {{hip_flexion: 0.4, knee: -0.3, ankle: -0.001}}
+  velocity: {{ankle: 0.5}}
   internal: {{ankle_wound_motor.current: 0.0}}
 """
 
@@ -53,9 +57,20 @@ def test_a_node_moves_them_as_a_run_does(domain, tmp_path, modules):
     expected = [[x.q[joint.q] for joint in scene.robot.joints] for x in states]
     with simulated(domain, tmp_path, LEG, allow_code="true", paused="true") as client:
         client.pause(True)
+        events = []
+        subscribe = client.probe.node.create_subscription
+        subscription = subscribe(Float64MultiArray, f"{NAME}/events", events.append, DEEP)
+        client.probe.spin_until(subscription.get_publisher_count)
         found = [client.newest.position]
         for volt, more in zip(volts, other, strict=True):
             client.command([volt, more])
             found.append(client.step().position)
+        client.probe.spin_until(lambda: events)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
     assert np.abs(np.diff(np.array(expected), axis=0)).max() > 1e-6
+    ((offline,), (event,)) = simulation.events, events
+    row = dict(zip((one.label for one in event.layout.dim), event.data, strict=True))
+    assert offline.guards == ("ankle_escapement.middle",)
+    assert row["time"] == pytest.approx(offline.t, abs=1e-14)
+    gained = row["ankle.velocity.after"] - row["ankle.velocity.before"]
+    assert gained == pytest.approx(0.2, abs=1e-12)
