@@ -481,6 +481,10 @@ def test_equilibria_are_found_at_ends_too_and_else_refused_by_name():
     scene = with_part(Winding, integrator=rk4)
     with pytest.raises(SolveError, match=r"no equilibrium of winding.bend at t = 0 s"):
         scene.simulation().start(scene.initial)
+    free = {**DRIVE, "damping": 0.0, "viscous": 0.0}  # no speed stops what the spring pulls at
+    given = {"position": {"hinge": 0.3}, "internal": {"drive": {"angle": 0.2}}}
+    with pytest.raises(SolveError, match=r"no equilibrium of drive.speed at t = 0 s"):
+        simulate(pendulum(initial=given, actuators=[free]), 0.1)
 
 
 @pytest.mark.parametrize(
@@ -533,6 +537,17 @@ def test_check_says_where_each_state_starts():
     lines = pendulum(initial=None, actuators=[{**DRIVE, "speed": 10.0}]).check().splitlines()
     assert "state       drive.angle [rad], starts at equilibrium" in lines
     assert "state       drive.speed [rad/s], starts at equilibrium, in -10 .. 10" in lines
+
+
+def test_check_of_a_scene_with_loops_takes_first_values():
+    first = {"internal": {"drive": {"angle": 1.0}, "drive.speed": 9.0}}
+    drive = {**DRIVE, "joint": "ankle"}
+    leg = {"urdf": str(ROBOTS / "prosthetic_leg.urdf")}
+    said = scene_from(
+        {"robot": leg, "constraints": [BAR], "initial": first, "actuators": [drive]}
+    ).check()
+    assert "drive.angle [rad], starts at 1\n" in said
+    assert "one inverse-dynamics call" in said
 
 
 class Runaway(Lag):

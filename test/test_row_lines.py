@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
+from mbd_ros.core.integration.linear_motion import fastest_rate
 from mbd_ros.core.state import State
 from mbd_ros.integrators.rk4 import Rk4
 
@@ -48,6 +49,22 @@ def test_rows_that_never_give_way_have_no_such_line():
     anchored = {"type": "prescribed_motion", "joint": "hinge", "polynomial": [0.1]}
     assert not lines("smoothed") + lines("exact")
     assert not lines("smoothed", constraints=[anchored])
+
+
+def test_friction_that_sticks_is_not_stiff():
+    """What moves it is a difference quotient across its slip otherwise."""
+    stuck = {"type": "dry_friction", "joint": "hinge", "limit": 50.0}
+    start = {"position": {"hinge": 0.5}}
+    assert not lines("warning", constraints=[stuck], initial=start)
+    scene = mbd.scene_from({"robot": {"urdf": str(PENDULUM)}, "constraints": [stuck]})
+    system = scene.system()
+    assert fastest_rate(system, State(0.0, np.array([0.5]), np.zeros(1))) < 1e-2  # of rounding
+    slipping = fastest_rate(system, State(0.0, np.array([0.0]), np.ones(1)))
+    assert slipping == pytest.approx(fastest_rate(without(), scene.initial), rel=1e-6)
+
+
+def without():
+    return mbd.scene_from({"robot": {"urdf": str(PENDULUM)}}).system()
 
 
 def test_smoothed_dry_friction_has_the_order_that_check_names():

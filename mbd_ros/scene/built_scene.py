@@ -21,6 +21,7 @@ from mbd_ros.core.rows.row_layout import rigid
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.errors import MbdError, ModelError, SceneError, SolveError
 from mbd_ros.scene import schema
+from mbd_ros.scene.building import parts_in
 from mbd_ros.scene.part_entries import Solver, build_part
 from mbd_ros.scene.scene_parts import SceneParts
 
@@ -97,8 +98,17 @@ class Scene(SceneParts):
         return replace(self, parts={**self.parts, **parts})
 
     def without(self, keys: Iterable[str]) -> "Scene":
-        """A copy without what some sections built."""
-        return replace(self, parts={k: part for k, part in self.parts.items() if k not in keys})
+        """A copy without what some sections built, and without first values of its states."""
+        keys = [key for key in keys if key in self.parts]
+        parts = {key: part for key, part in self.parts.items() if key not in keys}
+        initial = self.entries.get("initial") or {}
+        if not initial.get("internal"):
+            return replace(self, parts=parts)
+        built = [(s, self.parts[s.key]) for s in self.sections if s.key in keys]
+        gone = {part.name for section, given in built for part in parts_in(section, given)}
+        values = {n: z for n, z in initial["internal"].items() if n.partition(".")[0] not in gone}
+        entries = {**self.entries, "initial": {**initial, "internal": values}}
+        return replace(self, parts=parts, entries=entries)
 
     def inverse_dynamics(self, *, with_bounds: bool = False) -> SampleSolver:
         """A solver with its own Pinocchio data, for the independent joints.

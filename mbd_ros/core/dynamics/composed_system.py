@@ -8,7 +8,7 @@ from mbd_ros.core.dynamics.exact_rows import ExactRows
 from mbd_ros.core.dynamics.extended import Extended
 from mbd_ros.core.dynamics.free_motion import FreeMotion
 from mbd_ros.core.dynamics.internals import Internals
-from mbd_ros.core.dynamics.linearization import Linearization
+from mbd_ros.core.dynamics.linearization import Linearization, mode_at
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mass import Mass
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
@@ -73,8 +73,7 @@ class ComposedSystem:
         self._solved = np.flatnonzero(solved)
         self._accelerators: dict[Mode, Accelerator] = {}
         self._whole = Extended(self) if internals.nz else None
-        integrated = self if self._whole is None else self._whole
-        self._linearization = Linearization(integrated, integrated.accelerator())
+        self._integrated = self if self._whole is None else self._whole
 
     @property
     def condition(self) -> float:
@@ -137,10 +136,12 @@ class ComposedSystem:
 
     def derivatives(self, y: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
         """Derivatives of y'' by differences, to about 1e-6; as `System.derivatives`."""
+        field = self._integrated.accelerator(mode_at(self, y, u))
+        linear = Linearization(self._integrated, field)
         if self._whole is None:
-            return self._linearization.derivatives(y, u, inputs=inputs)
+            return linear.derivatives(y, u, inputs=inputs)
         n, x = self.nv, self._whole.joined(y)
-        by_q, by_v, _, by_u, _ = self._linearization.derivatives(x, u, inputs=inputs)
+        by_q, by_v, _, by_u, _ = linear.derivatives(x, u, inputs=inputs)
         rates = Derivatives(by_q[n:, :n], by_v[n:, :n], by_v[n:, n:], by_u[n:])
         return Derivatives(by_q[:n, :n], by_v[:n, :n], by_v[:n, n:], by_u[:n], rates)
 

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.dynamics.system import Accelerator, Derivatives
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.dynamics.system import Accelerator, Derivatives, System
+from mbd_ros.core.state import Array, Mode, State
 
 _STEP = 1.5e-8  # square root of the rounding unit: truncation and rounding are alike
 _SPACINGS = 4.0  # of the numbers around a position: a shorter step of it is rounding
@@ -84,3 +84,20 @@ class Linearization:
         if not system.chart.is_flat:
             return lengths
         return np.maximum(lengths, _SPACINGS * np.spacing(np.abs(q)))
+
+
+def mode_at(system: System, y: State, u: Array | None) -> Mode:
+    """The mode of the exact rows at a state: across an event a difference quotient is no slope.
+
+    Args:
+        system: The system.
+        y: State of what it integrates; its own mode, if it has one.
+        u: Inputs.
+    """
+    exact = system.exact
+    if exact is None or y.mode:
+        return () if exact is None else y.mode
+    ways, near = exact.ways(y)
+    exact.solve(y, u, ways, near)
+    found = exact.found()
+    return tuple(found[i] if i in near else way for i, way in enumerate(ways))

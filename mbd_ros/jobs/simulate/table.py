@@ -103,7 +103,8 @@ def _commands(system: System, times: Array) -> list[Column]:
     chosen = [(a, names) for a, names in named if a.takes or names != a.joints]
     if not chosen:
         return []
-    u = np.array([system.loads.sources.at(t) for t in times]).reshape(len(times), -1)
+    u = np.array([system.loads.sources.at(t) for t in times])
+    u = u.reshape(len(times), len(system.loads.idle))
     every = [name for _, names in chosen for name in names]
     return command_columns(every, np.column_stack([u[:, a.u] for a, _ in chosen]))
 
