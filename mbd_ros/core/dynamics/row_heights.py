@@ -57,6 +57,9 @@ class RowHeights:
             np.array([one is kind for one in reach], dtype=np.bool_)
             for kind in (Reach.GAP, Reach.SLIP, Reach.FRICTION)
         )
+        rigid = [(block.law.is_rigid, block.level) for block in rows.blocks for _ in block.rows]
+        self._held = np.flatnonzero([is_held for is_held, _ in rigid])
+        self._closed = np.flatnonzero([one == (True, Level.POSITION) for one in rigid])
 
     def heights(self, y: State) -> Array:
         """Gaps, slip velocities, and 1 for rows without height, shape (n,)."""
@@ -84,12 +87,12 @@ class RowHeights:
             g = self._heights(self.placed(y))
             if np.abs(g[gaps]).max() <= np.spacing(1.0 + np.abs(y.q).max()):
                 break
-            move = self._move(y, g, gaps)
+            move = self._move(y, g, gaps, self._closed)
             y = y._replace(q=self._motion.coordinates.chart.integrate(y.q, move))
         if moves and slips.any():
             rate = self.approach(y)
             if np.abs(rate[slips]).max() > np.spacing(np.abs(y.v).max()):
-                y = y._replace(v=y.v + self._move(y, rate, slips))
+                y = y._replace(v=y.v + self._move(y, rate, slips, self._held))
         return y
 
     def freely(self, y: State, u: Array | None, mode: Mode) -> Array:
@@ -109,14 +112,20 @@ class RowHeights:
         self._motion.mechanism.k.refresh(x.q, x.v, self._rows.reads)
         return x
 
-    def _move(self, y: State, size: Array, chosen: NDArray[np.bool_]) -> Array:
-        """The smallest motion of what is integrated, in the mass metric, that ends a size."""
+    def _move(
+        self, y: State, size: Array, chosen: NDArray[np.bool_], held: NDArray[np.intp]
+    ) -> Array:
+        """The smallest motion of what is integrated, in the mass metric, that ends a size.
+
+        Rows beside them that hold whatever it takes do not move.
+        """
         motion = self._motion
         self.freely(y, None, y.mode)
         x = self.placed(y)
-        J = self._rows.jacobian(motion.mechanism.k, x)[self._at[chosen]]
+        J = self._rows.jacobian(motion.mechanism.k, x)[np.append(self._at[chosen], held)]
         response = motion.respond(y.q, J.T)
-        share = np.linalg.lstsq(J.dot(response), -size[chosen], rcond=1.0e-13)[0]
+        change = np.append(-size[chosen], np.zeros(len(held)))
+        share = np.linalg.lstsq(J.dot(response), change, rcond=1.0e-13)[0]
         move: Array = motion.coordinates.integrated(response.dot(share))
         return move
 

@@ -9,6 +9,7 @@ import numpy as np
 from mbd_ros.core.events.clearance import Clearance
 from mbd_ros.core.events.decision import decided
 from mbd_ros.core.events.event import Event
+from mbd_ros.core.events.event_log import EventLog
 from mbd_ros.core.events.impacts import Impacts, Rest
 from mbd_ros.core.events.mode_field import Margin, ModeField
 from mbd_ros.core.events.pace import Pace
@@ -61,7 +62,7 @@ class EventSteps(Stepper):
         self._rests: tuple[Rest, ...] = ()
         self._pace = Pace()
         self._followed: Mode = ()
-        self.events: tuple[Event, ...] = ()
+        self.events = EventLog()
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step of the inner method, or to the next event.
@@ -137,6 +138,11 @@ class EventSteps(Stepper):
         self._inner.restart()
         self._forget()
 
+    def take_events(self) -> EventLog:
+        """As `Stepper.take_events`."""
+        taken, self.events = self.events, EventLog()
+        return taken
+
     def memory(self) -> Memory:
         """Mode, events and the last step."""
         more = {"room": self._clearance.known, "inner": self._inner.memory()}
@@ -175,7 +181,7 @@ class EventSteps(Stepper):
         self._rests = ()
         self._pace = Pace()
         self._followed = ()
-        self.events = ()
+        self.events = EventLog()
 
     def _settled(self, x: State, u: Array | None) -> State:
         """The state with the mode of the next step, decided where anything has changed."""
@@ -264,7 +270,7 @@ class EventSteps(Stepper):
             impulse = np.zeros(len(self.system.multiplier_rows))
         expand = self.system.expand
         event = Event(after.t, names, expand(before), expand(after), impulse)
-        self.events = (*self.events, event)
+        self.events = self.events.after(event)
 
     def _begun(self, x: State, u: Array | None) -> State:
         """The state with the mode that heights and accelerations say."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from mbd_ros.core.dynamics.row_heights import Reach, rounding
 from mbd_ros.core.dynamics.system import Accelerator, System
+from mbd_ros.core.events.gaps import inside
 from mbd_ros.core.events.part_guards import PartGuards
 from mbd_ros.core.events.sliding_field import SlidingField
 from mbd_ros.core.state import Array, Mode, State
@@ -229,13 +230,8 @@ class ModeField:
         return self.rows.onto(y, self._mode)
 
     def inside(self, y: State) -> State:
-        """The nearest state in which no gap is beyond its end."""
-        if self.rows is None or not self.gaps:
-            return y
-        heights = self.rows.heights(y)
-        beyond = [i for i in self.gaps if heights[i] < 0.0]
-        mode = tuple(0 if i in beyond else 1 for i in range(self.count))
-        return self.rows.onto(y, mode, moves=False) if beyond else y
+        """A state near by in which no gap is beyond its end; `inside`."""
+        return y if self.rows is None else inside(self.system, self.rows, self.gaps, y)
 
     def _solve(self, y: State, u: Array | None, free: Collection[int] = ()) -> None:
         """Brings multipliers and w of the rows to a state."""

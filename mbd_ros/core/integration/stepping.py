@@ -1,6 +1,7 @@
 """Contract of integrators: a method is a value, its stepper owns the workspace."""
 
 import math
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from mbd_ros.core.memory import Memory, copied, recognised
@@ -27,7 +28,7 @@ class Stepper:
     ends_at_samples: bool = False
     guards: tuple[str, ...] = ()
     switches: tuple[str, ...] = ()
-    events: tuple[Any, ...] = ()
+    events: Sequence[Any] = ()
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step.
@@ -53,6 +54,10 @@ class Stepper:
 
     def restart(self) -> None:
         """Forget everything that was kept from earlier steps."""
+
+    def take_events(self) -> Sequence[Any]:
+        """What has happened since the start or the last call; it is forgotten."""
+        return ()
 
     def memory(self) -> Memory:
         """What later steps depend on beside their arguments, as a value of its own."""

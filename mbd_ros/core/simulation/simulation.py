@@ -210,8 +210,7 @@ class Simulation:
 
     def take_events(self) -> tuple[Event, ...]:
         """The same, and forget it: a simulation without end has no list without end."""
-        taken, self.stepper.events = self.stepper.events, ()
-        return taken
+        return tuple(self.stepper.take_events())
 
     @property
     def guards(self) -> tuple[str, ...]:

@@ -1,0 +1,63 @@
+"""Events of a run."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, overload
+
+from mbd_ros.core.events.event import Event
+from mbd_ros.core.state import Array, State
+
+
+class EventLog(Sequence[Event]):
+    """Events in the order of time, a value: one more event makes another log.
+
+    Logs that follow one another share one list, and each knows how far its own part of it goes. So
+    one more event, and a log that is kept as part of a checkpoint, cost the same however many
+    there are.
+
+    Args:
+        events: The first ones.
+    """
+
+    def __init__(self, events: Iterable[Event] = ()) -> None:
+        self._shared = list(events)
+        self._count = len(self._shared)
+
+    def after(self, event: Event) -> "EventLog":
+        """The log with one more event."""
+        longer = EventLog.__new__(EventLog)
+        is_newest = len(self._shared) == self._count
+        longer._shared = self._shared if is_newest else self._shared[: self._count]
+        longer._shared.append(_locked(event))
+        longer._count = self._count + 1
+        return longer
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[Event]:
+        return (self._shared[i] for i in range(self._count))
+
+    @overload
+    def __getitem__(self, at: int) -> Event: ...
+    @overload
+    def __getitem__(self, at: slice) -> list[Event]: ...
+    def __getitem__(self, at: int | slice) -> Event | list[Event]:
+        numbers = range(self._count)[at]
+        if isinstance(numbers, range):
+            return [self._shared[i] for i in numbers]
+        return self._shared[numbers]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return EventLog, (list(self),)
+
+
+def _locked(event: Event) -> Event:
+    """The event with arrays of its own that nobody can change, since several logs hold them."""
+    before, after = (State(x.t, *map(_own, x[1:4]), mode=x.mode) for x in event[2:4])
+    return event._replace(before=before, after=after, impulse=_own(event.impulse))
+
+
+def _own(array: Array) -> Array:
+    array = array.copy()
+    array.flags.writeable = False
+    return array
