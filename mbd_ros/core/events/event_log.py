@@ -53,8 +53,13 @@ class EventLog(Sequence[Event]):
 
 def _locked(event: Event) -> Event:
     """The event with arrays of its own that nobody can change, since several logs hold them."""
-    before, after = (State(x.t, *map(_own, x[1:4]), mode=x.mode) for x in event[2:4])
-    return event._replace(before=before, after=after, impulse=_own(event.impulse))
+    return event._replace(
+        before=_kept(event.before), after=_kept(event.after), impulse=_own(event.impulse)
+    )
+
+
+def _kept(x: State) -> State:
+    return State(x.t, _own(x.q), _own(x.v), _own(x.z), x.mode)
 
 
 def _own(array: Array) -> Array:

@@ -39,6 +39,7 @@ class EventSteps(Stepper):
         events: What happened so far.
     """
 
+    events: EventLog
     kept = ("_last", "_u", "_left", "_rests", "_pace", "_followed", "events")
 
     def __init__(self, field: ModeField, inner: Stepper, dt: float) -> None:
