@@ -1,9 +1,6 @@
-"""Columns of joints and rows, and what a result says of where it comes from."""
+"""Columns of joints, free bodies and rows, and topics of a bag that hold them."""
 
-import platform
-from collections.abc import Mapping, Sequence
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,10 +14,8 @@ from mbd_ros.core.outputs import Output
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.state import Array, BodyMotion
 from mbd_ros.files.body_columns import motion_columns, residual_columns
-from mbd_ros.files.recordings import name_of
-from mbd_ros.files.table import Column, Result
+from mbd_ros.files.table import Column
 from mbd_ros.files.topics import by_member, joint_state_topic, odometry_topic
-from mbd_ros.scene.built_scene import Scene
 
 _UNITS = {  # quantity -> of a joint that turns, of one that slides
     "position": ("rad", "m"),
@@ -141,41 +136,3 @@ def command_columns(names: Sequence[str], commands: Array) -> list[Column]:
     """
     pairs = zip(names, commands.T, strict=True)
     return [Column(f"{name}.command", column) for name, column in pairs]
-
-
-def metadata_of(
-    job: str, scene: Scene, inputs: Mapping[str, Any], topics: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Metadata of a result.
-
-    Args:
-        job: Name of the command.
-        scene: The scene.
-        inputs: What the job was asked for; files by their names, None is left out.
-        topics: Topics of a bag, see `bag_streams`.
-    """
-    given = {key: _plain(value) for key, value in inputs.items() if value is not None}
-    return {
-        "job": job,
-        "scene": scene.name,
-        "inputs": given,
-        "versions": dict(_versions()),
-        "topics": dict(topics),
-    }
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Result):
-        return {"job": value.metadata.get("job", ""), "inputs": value.metadata.get("inputs", {})}
-    return value if isinstance(value, int | float | str | list | dict) else name_of(value)
-
-
-@cache
-def _versions() -> tuple[tuple[str, str], ...]:
-    found = [("python", platform.python_version())]
-    for package, name in (("mbd_ros", "mbd_ros"), ("pinocchio", "pin"), ("numpy", "numpy")):
-        try:
-            found.append((package, version(name)))
-        except PackageNotFoundError:  # colcon and conda install without what pip knows
-            found.append((package, "unknown"))
-    return tuple(found)

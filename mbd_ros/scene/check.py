@@ -9,10 +9,8 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.dynamics.equilibrium import settled
-from mbd_ros.core.dynamics.extended import evaluation_at
 from mbd_ros.core.dynamics.mass_check import check_mass
-from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.system import System, evaluation_at
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.integration.linear_motion import LinearMotion, linear_motion, longest_step
 from mbd_ros.core.inverse.reach import listed
@@ -23,8 +21,7 @@ from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.errors import SolveError
 from mbd_ros.scene.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE, Scene
 from mbd_ros.scene.part_entries import build_part
-from mbd_ros.scene.part_lines import line, part_lines, type_name
-from mbd_ros.scene.row_lines import row_lines
+from mbd_ros.scene.part_lines import line, member_lines, part_lines, type_name, unused_rubbing
 from mbd_ros.scene.start_check import start_warnings
 
 _CALLS, _REPEATS = 2000, 5
@@ -53,7 +50,7 @@ def _lines(scene: Scene) -> Iterator[str]:
     robot, couplings = scene.robot, scene.couplings
     gravity = np.array2string(robot.model.gravity.linear, separator=", ")
     yield line("scene", scene.name)
-    yield from _members(scene)
+    yield from member_lines(scene)
     yield line("gravity", f"{gravity} m/s^2, included in every torque")
     system = scene.system()
     fault = _mass_fault(scene, system)
@@ -69,7 +66,7 @@ def _lines(scene: Scene) -> Iterator[str]:
         locked = ", ".join(f"{name} at {value:g}" for name, value in robot.locked.items())
         yield line("locked", locked)
     yield from part_lines(scene)
-    yield from row_lines(scene, system.layout)
+    yield from _row_lines(scene, system)
     for key, name in scene.code.items():
         file = sys.modules[name.partition(":")[0]].__file__
         yield line("code", f"{key}: {name} from {file}")
@@ -81,38 +78,17 @@ def _lines(scene: Scene) -> Iterator[str]:
     yield from _warnings(scene, system, start, factor)
     if not fault:
         yield from _stiffness(scene, linear_motion(system, start))
-    left_out = (*scene.absent, *_rubbing(scene), *robot.ignored)
+    left_out = (*scene.absent, *unused_rubbing(scene), *robot.ignored)
     yield line("left out", "; ".join(left_out) or "nothing")
     cost = _loop_cost(scene, system.expand(start)) if scene.has_loops else _cost(scene)
     yield line("cost", cost if fault else f"{cost}; {_forward_cost(scene, system, start)}")
 
 
-def _members(scene: Scene) -> Iterator[str]:
-    """The robots and the other bodies."""
-    robot, bodies = scene.robot, scene.parts.get("bodies", {})
-    if len(robot.recipes) == 1 and not robot.recipes[0].name:
-        yield line("robot", f"{robot.name} from {scene.source}, {robot.base_text}")
-        return
-    for recipe in robot.recipes:
-        if recipe.name in bodies:
-            how = "free" if recipe.base == "floating" else "placed"
-            yield line("body", f"{recipe.name} from {recipe.source}, {how}")
-        else:
-            name = f"{recipe.name} from" if recipe.name else "from"
-            yield line("robot", f"{name} {recipe.source}, {recipe.base} base")
+def _row_lines(scene: Scene, system: System) -> Iterator[str]:
+    if system.layout.yielding:
+        from mbd_ros.scene.row_lines import row_lines
 
-
-def _rubbing(scene: Scene) -> Iterator[str]:
-    """Friction and damping of the description that no part of the scene brings in."""
-    covered: set[tuple[str, str]] = set()
-    for part in (*scene.forces, *scene.constraints):
-        joint = getattr(getattr(part, "joint", None), "name", None)
-        covered.update((key, joint) for key in getattr(part, "brings", ()) if joint)
-    for key in ("friction", "damping"):
-        names = [n for n, rub in scene.robot.rubbing.items() if getattr(rub, key)]
-        lacking = [name for name in names if (key, name) not in covered]
-        if lacking:
-            yield f"URDF <dynamics> {key} of {', '.join(lacking)}"
+        yield from row_lines(scene, system.layout)
 
 
 def _forward(scene: Scene, system: System) -> str:
@@ -182,7 +158,7 @@ def _held_start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
 def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
     """The assembled start and its rows; a mechanism that cannot be assembled is an error."""
     try:
-        x = settled(system, assemble(system, system.reduce(scene.initial)), None)
+        x = _settled(system, assemble(system, system.reduce(scene.initial)))
     except SolveError as error:
         raise SolveError(f"{scene.name}: {error}") from error
     a = system.evaluate(system.expand(x)).a
@@ -191,6 +167,14 @@ def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
     if not system.held.rows:
         return x, None
     return x, system.held.factor_at(x.t, x.q)
+
+
+def _settled(system: System, y: State) -> State:
+    if not system.internals.nz:
+        return y
+    from mbd_ros.core.dynamics.equilibrium import settled
+
+    return settled(system, y, None)
 
 
 def _rank_lines(factor: RowFactor) -> Iterator[str]:

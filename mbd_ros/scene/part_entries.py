@@ -2,14 +2,12 @@
 
 import inspect
 import re
-import typing
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mbd_ros.core.dynamics.external_wrench import ExternalWrench
 from mbd_ros.core.dynamics.tiers import TIERS
-from mbd_ros.core.model.paths import Path
 from mbd_ros.core.optimization.qp_solvers import check_backend
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
@@ -17,6 +15,9 @@ from mbd_ros.scene.building import Site
 from mbd_ros.scene.part_names import NamedEntry, checked_name, name_parts, named_entry
 from mbd_ros.scene.registry import METHODS, PARTS, resolve_type, types_of
 from mbd_ros.scene.sections import Form, Section
+
+if TYPE_CHECKING:
+    from mbd_ros.core.model.paths import Path
 
 MAX_PARTS = 1000  # in one section
 MAX_ROWS = 600  # of all constraints: a solve costs their number cubed
@@ -79,7 +80,7 @@ def build_wrenches(site: Site, entries: Any) -> dict[str, MeasuredWrench]:
     return wrenches
 
 
-def build_paths(site: Site, entries: Any) -> dict[str, Path]:
+def build_paths(site: Site, entries: Any) -> "dict[str, Path]":
     """The `paths` section.
 
     Raises:
@@ -199,9 +200,9 @@ def _typed(
 
 
 def _takes_path(part: Any) -> bool:
-    """Whether a class has an argument that is a path; annotations in quotes may be one."""
+    """Whether a class may have an argument that is a path, as the texts of its hints say."""
     hints = getattr(part.__init__, "__annotations__", {}).values()
-    return any(isinstance(h, str) or h is Path or Path in typing.get_args(h) for h in hints)
+    return any(isinstance(hint, str) or "Path" in str(hint) for hint in hints)
 
 
 def _named(site: Site, given: Any) -> Mapping[str, Any]:

@@ -1,4 +1,4 @@
-"""Lines of `mbd-ros check` about the parts of a scene, by the texts of their sections."""
+"""Lines of `mbd-ros check` about robots, bodies and parts, these by texts of their sections."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -14,6 +14,21 @@ from mbd_ros.scene.building import parts_in
 from mbd_ros.scene.built_scene import Scene
 
 
+def member_lines(scene: Scene) -> Iterator[str]:
+    """The robots and the other bodies."""
+    robot, bodies = scene.robot, scene.parts.get("bodies", {})
+    if len(robot.recipes) == 1 and not robot.recipes[0].name:
+        yield line("robot", f"{robot.name} from {scene.source}, {robot.base_text}")
+        return
+    for recipe in robot.recipes:
+        if recipe.name in bodies:
+            how = "free" if recipe.base == "floating" else "placed"
+            yield line("body", f"{recipe.name} from {recipe.source}, {how}")
+        else:
+            name = f"{recipe.name} from" if recipe.name else "from"
+            yield line("robot", f"{name} {recipe.source}, {recipe.base} base")
+
+
 def part_lines(scene: Scene) -> Iterator[str]:
     """A line for every part whose section has a text: loads, then rows; then their states."""
     for section in sorted(scene.sections, key=lambda section: "residual" in section.offers):
@@ -25,6 +40,19 @@ def part_lines(scene: Scene) -> Iterator[str]:
                 words = {"name": key, **_words(part)}
                 yield line(label, text.strip().format(part=part, **words))
     yield from _state_lines(scene.internals, scene.initial.z)
+
+
+def unused_rubbing(scene: Scene) -> Iterator[str]:
+    """Friction and damping of the description that no part of the scene brings in."""
+    covered: set[tuple[str, str]] = set()
+    for part in (*scene.forces, *scene.constraints):
+        joint = getattr(getattr(part, "joint", None), "name", None)
+        covered.update((key, joint) for key in getattr(part, "brings", ()) if joint)
+    for key in ("friction", "damping"):
+        names = [n for n, rub in scene.robot.rubbing.items() if getattr(rub, key)]
+        lacking = [name for name in names if (key, name) not in covered]
+        if lacking:
+            yield f"URDF <dynamics> {key} of {', '.join(lacking)}"
 
 
 def _state_lines(internals: Internals, z: Array) -> Iterator[str]:

@@ -7,10 +7,9 @@ from typing import Any
 
 import pinocchio as pin
 
-from mbd_ros.core.model.members import read_robots
 from mbd_ros.core.model.recipe import Recipe
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.model.robot_reader import EARTH_GRAVITY
+from mbd_ros.core.model.robot_reader import EARTH_GRAVITY, read_robots
 from mbd_ros.core.model.urdf import MAX_CHARACTERS
 from mbd_ros.core.ranges import Positive, Vector
 from mbd_ros.errors import ModelError, SceneError

@@ -21,10 +21,8 @@ def row_lines(scene: Scene, layout: RowLayout) -> Iterator[str]:
 
     Args:
         scene: The scene.
-        layout: Its rows.
+        layout: Its rows, some of which give way.
     """
-    if not layout.yielding:
-        return
     method = scene.integrator or build_part("integrators", DEFAULT_INTEGRATOR, "default")
     name, order = type_name(method), method.order
     if method.at_velocity_level:

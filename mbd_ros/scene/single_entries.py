@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.model.base_motion import configuration_of
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unlimited
@@ -82,6 +81,7 @@ def _place_bases(robot: Robot, initial: _Initial, where: str, q: Array, v: Array
     """Write poses and velocities of free bodies into a configuration and a velocity."""
     if not (initial.pose or initial.twist):
         return
+    from mbd_ros.core.model.base_motion import configuration_of
     from mbd_ros.scene.pose_entry import read_pose, read_twist
 
     bases = {base.name: base for base in robot.bases}

@@ -1,11 +1,10 @@
 """A system composed of a free motion and of rows that give way."""
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbd_ros.core.dynamics.exact_rows import ExactRows
-from mbd_ros.core.dynamics.extended import Extended
 from mbd_ros.core.dynamics.free_motion import FreeMotion
 from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.linearization import Linearization, mode_at
@@ -19,6 +18,10 @@ from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import NONE, Array, Evaluation, Mode, State
 from mbd_ros.errors import SolveError
+
+if TYPE_CHECKING:
+    from mbd_ros.core.dynamics.exact_rows import ExactRows
+    from mbd_ros.core.dynamics.extended import Extended
 
 Build = Callable[[Loads, tuple[float, float]], System]
 
@@ -44,21 +47,19 @@ class ComposedSystem:
         rigid: RigidRows,
         held: RigidRows,
         bounded: BoundedRows | None,
-        exact: ExactRows | None,
+        exact: "ExactRows | None",
         layout: RowLayout,
         internals: Internals,
         build: Build,
     ) -> None:
         self._motion, self._rigid, self._build = motion, rigid, build
-        self.held = held
         self._mechanism, coordinates = motion.mechanism, motion.coordinates
-        self._coordinates = coordinates
+        self.held, self._coordinates = held, coordinates
         self.tier, self.chart = motion.tier, coordinates.chart
         self.robot, self.loads = self._mechanism.robot, self._mechanism.loads
         self.model, self.k = self._mechanism.model, self._mechanism.k
         self.nq, self.nv = self.chart.nq, self.chart.nv
-        self.bounded, self.exact = bounded, exact
-        self.layout, self.internals = layout, internals
+        self.bounded, self.exact, self.layout, self.internals = bounded, exact, layout, internals
         self.constraints, self.sizes = rigid.constraints, rigid.sizes
         self.residual, self.jacobian, self.rate = rigid.residual, rigid.jacobian, rigid.rate
         self.expand, self.reduce = coordinates.expand, coordinates.reduce
@@ -72,7 +73,11 @@ class ComposedSystem:
             solved[self._given.constraints.slots] = False
         self._solved = np.flatnonzero(solved)
         self._accelerators: dict[Mode, Accelerator] = {}
-        self._whole = Extended(self) if internals.nz else None
+        self._whole: Extended | None = None
+        if internals.nz:
+            from mbd_ros.core.dynamics import extended
+
+            self._whole = extended.Extended(self)
         self._integrated = self if self._whole is None else self._whole
 
     @property
@@ -221,7 +226,7 @@ class ComposedSystem:
 
         return accelerate
 
-    def _with_exact(self, exact: ExactRows, mode: Mode) -> Accelerator:
+    def _with_exact(self, exact: "ExactRows", mode: Mode) -> Accelerator:
         motion, pushed = self._motion, exact.pushing(mode)
 
         def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:

@@ -126,6 +126,10 @@ class ExactContact:
             return STICKS
         return 0, *side(left[1:])
 
+    def left(self, lam: Array, *, opens: bool) -> Mode:
+        """Mode after it opens or begins to slip, for the multipliers of the contact."""
+        return OPEN if opens else (0, *side(-lam[1:]))
+
     def margin(self, lam: Array) -> float:
         """How far friction is from its largest, for the multipliers of the contact."""
         return self._mu * float(lam[0]) - math.hypot(*lam[1:])

@@ -6,11 +6,10 @@ friction of a joint that slips forwards), -1 at the upper one.
 """
 
 from collections.abc import Callable, Collection, Sequence
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from mbd_ros.core.dynamics.exact_contact import OPEN, ExactContact, side
 from mbd_ros.core.dynamics.row_heights import RowHeights, reach_of
 from mbd_ros.core.model.kinematics import Reads
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
@@ -18,6 +17,9 @@ from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.core.thresholds import TIE
+
+if TYPE_CHECKING:
+    from mbd_ros.core.dynamics.exact_contact import ExactContact
 
 
 class ExactRows:
@@ -55,6 +57,8 @@ class ExactRows:
         n, kinds = len(exact), [block.law.kind for *_, block in exact]
         self.contact, self._contact = None, None
         if Kind.CONE in kinds:
+            from mbd_ros.core.dynamics.exact_contact import ExactContact
+
             first = kinds.index(Kind.CONE)
             self.contact, self._contact = slice(first, first + 3), ExactContact(rows)
         self._over = RowHeights(motion, rows, self._at, self.reach, self._contact, self.contact)
@@ -144,7 +148,7 @@ class ExactRows:
 
     def _with_contact(
         self,
-        contact: ExactContact,
+        contact: "ExactContact",
         q: Array,
         x: State,
         a: Array,
@@ -204,10 +208,10 @@ class ExactRows:
 
     def leaving(self, switch: int, way: int) -> dict[int, int]:
         """The modes with which a switch is left in a direction, after a solve."""
-        at = self.contact
-        if at is None or not at.start <= switch < at.stop:
+        at, contact = self.contact, self._contact
+        if at is None or contact is None or not at.start <= switch < at.stop:
             return {switch: way}
-        after = OPEN if switch == at.start else (0, *side(-self.lam[at][1:]))
+        after = contact.left(self.lam[at], opens=switch == at.start)
         return dict(zip(range(at.start, at.stop), after, strict=True))
 
     def turned(self, y: State, mode: Mode) -> dict[int, int]:

@@ -5,7 +5,6 @@ are the velocities, the integral of z the position that belongs to z. Methods st
 scenes without internal states pay nothing.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -185,17 +184,3 @@ class Extended:
         """Generalized force tau - h beside the rates."""
         y = self.parted(State(t, q, v))
         return np.concatenate((self.system.applied_with(y, u), self.system.rates(y, u)))
-
-
-def evaluation_at(system: System, y: State) -> Callable[[], None]:
-    """An evaluation of accelerations and rates at a state, for clocks.
-
-    Args:
-        system: The system.
-        y: State of what it integrates.
-    """
-    has_states = system.internals.nz > 0
-    whole: System | Extended = Extended(system) if has_states else system
-    t, q, v, _, _ = whole.joined(y) if isinstance(whole, Extended) else y
-    accelerate, out = whole.accelerator(), np.zeros(whole.nv)
-    return lambda: accelerate(t, q, v, None, out)

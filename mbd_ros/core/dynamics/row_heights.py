@@ -1,17 +1,19 @@
 """How far a state is from what rows that give way reach: gaps, slip velocities."""
 
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.dynamics.exact_contact import ExactContact
 from mbd_ros.core.row_laws import Kind, Level
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.core.thresholds import ON_SURFACE
+
+if TYPE_CHECKING:
+    from mbd_ros.core.dynamics.exact_contact import ExactContact
 
 _CORRECTIONS = 4
 
@@ -48,7 +50,7 @@ class RowHeights:
         rows: ConstraintRows,
         at: NDArray[np.intp],
         reach: tuple[Reach, ...],
-        contact: ExactContact | None,
+        contact: "ExactContact | None",
         contact_at: slice | None,
     ) -> None:
         self._motion, self._rows, self._at = motion, rows, at

@@ -1,12 +1,11 @@
 """What integrators, controllers and jobs ask of the equations of motion of a scene."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from mbd_ros.core.dynamics.chart import Chart
-from mbd_ros.core.dynamics.exact_rows import ExactRows
 from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mass import Mass
@@ -20,6 +19,9 @@ from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.rows.usual_sizes import UsualSizes
 from mbd_ros.core.state import Array, Evaluation, Mode, State
+
+if TYPE_CHECKING:
+    from mbd_ros.core.dynamics.exact_rows import ExactRows
 
 # t, q, v, u and what is written; with internal states t, q, v, z, u and what is written, a and z'
 Accelerator = Callable[..., None]
@@ -94,7 +96,7 @@ class System(Protocol):
     constraints: ConstraintRows
     held: RigidRows
     bounded: BoundedRows | None
-    exact: ExactRows | None
+    exact: "ExactRows | None"
     layout: RowLayout
     multiplier_rows: tuple[Row, ...]
     sizes: UsualSizes | None
@@ -177,3 +179,17 @@ class System(Protocol):
 
     def energy(self, y: State) -> float:
         """Kinetic and potential energy [J]; heights are counted from `Robot.origin`."""
+
+
+def evaluation_at(system: System, y: State) -> Callable[[], None]:
+    """An evaluation of accelerations and rates at a state, for clocks.
+
+    Args:
+        system: The system.
+        y: State of what it integrates.
+    """
+    t, q, v, z, _ = y
+    accelerate, out = system.accelerator(), (np.zeros(system.nv), np.zeros(len(z)))
+    if not system.internals.nz:
+        return lambda: accelerate(t, q, v, None, out[0])
+    return lambda: accelerate(t, q, v, z, None, *out)

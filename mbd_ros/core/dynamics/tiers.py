@@ -1,10 +1,10 @@
 """The tier of a scene: how it is solved, chosen once, while building."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from mbd_ros.core.dynamics.aba import Aba
 from mbd_ros.core.dynamics.composed_system import ComposedSystem
-from mbd_ros.core.dynamics.exact_rows import ExactRows
 from mbd_ros.core.dynamics.free_motion import FreeMotion
 from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.kkt import Kkt
@@ -13,7 +13,6 @@ from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.mimic import Mimic, mimic_model
 from mbd_ros.core.dynamics.reduced import Reduced
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
-from mbd_ros.core.dynamics.row_heights import stiff
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
@@ -25,6 +24,9 @@ from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.rows.row_layout import RowBlock, RowLayout
 from mbd_ros.core.rows.usual_sizes import UsualSizes
 from mbd_ros.errors import ModelError
+
+if TYPE_CHECKING:
+    from mbd_ros.core.dynamics.exact_rows import ExactRows
 
 TIERS = ("auto", "aba", "reduced", "kkt", "qp")
 
@@ -113,10 +115,13 @@ class _Plan:
         parts = rigid, held, bounded, exact, self._layout, self._internals
         return ComposedSystem(motion, *parts, self.build)
 
-    def _exact(self, motion: FreeMotion, gains: tuple[float, float]) -> ExactRows | None:
+    def _exact(self, motion: FreeMotion, gains: tuple[float, float]) -> "ExactRows | None":
         exact, nv = self._layout.exact, self._robot.model.nv
         if not exact:
             return None
+        from mbd_ros.core.dynamics.exact_rows import ExactRows
+        from mbd_ros.core.dynamics.row_heights import stiff
+
         every = sorted((*self._limited, *map(stiff, exact)), key=lambda block: block.slots.start)
         solver = BoundedRows(ConstraintRows(every, nv, gains), nv, self._backend)
         return ExactRows(motion, solver)

@@ -27,7 +27,6 @@ from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.optimization.contact_impulses import Cone, ContactImpulses
 from mbd_ros.core.optimization.push_impulses import PushImpulses
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
@@ -80,7 +79,7 @@ class VelocityLevel:
         Raises:
             SolveError: Nothing can keep a row from closing further; names it.
         """
-        slots, J, rate, cone = self._touched(x, touching)
+        slots, J, rate, contact = self._touched(x, touching)
         M = np.array(self._mechanism.mass(x.q))
         hold, goal = self._nothing
         factor = None
@@ -90,7 +89,7 @@ class VelocityLevel:
         response = ImpulseResponse(M, J, hold, factor)
         v, held = response.kept(x.v, goal)
         approach, speed = J.dot(v) + rate, max(float(v.dot(M).dot(v)), 0.0) ** 0.5
-        impulse = self._impulses(slots, response, cone, approach, speed)
+        impulse = self._impulses(slots, response, contact, approach, speed)
         held = held + response.bilateral(impulse)
         p = np.zeros(len(self._rows))
         p[slots], p[self._bilateral] = impulse, held
@@ -100,14 +99,16 @@ class VelocityLevel:
         self,
         slots: Slots,
         response: ImpulseResponse,
-        cone: Cone | None,
+        contact: tuple[slice, float] | None,
         approach: Array,
         speed: float,
     ) -> Array:
         """Impulses of compression and expansion together, one a touching row."""
         names, e = [self._rows[i].name for i in slots], self._restitution[slots]
-        if cone is not None:
-            contacts = ContactImpulses(response.A, response.loose, names, cone)
+        if contact is not None:
+            from mbd_ros.core.optimization.contact_impulses import Cone, ContactImpulses
+
+            contacts = ContactImpulses(response.A, response.loose, names, Cone(*contact))
             impulse = contacts.pushing(approach, speed)
             if (given_back := e * impulse).any():
                 after = approach + response.A.dot(impulse)
@@ -123,21 +124,21 @@ class VelocityLevel:
 
     def _touched(
         self, x: State, touching: Sequence[int]
-    ) -> tuple[Slots, Array, Array, Cone | None]:
+    ) -> tuple[Slots, Array, Array, tuple[slice, float] | None]:
         """Slots of rows that push, J and the part of g' without the velocity, and a contact."""
         wanted, k = set(touching), self._mechanism.k
         slots: list[int] = []
         J, rates = ([nothing] for nothing in self._nothing)
-        cone: Cone | None = None
+        contact: tuple[slice, float] | None = None
         for block in self._pushing:
             here = [i for i in range(block.slots.start, block.slots.stop) if i in wanted]
             if block.law.kind is Kind.CONE and here:  # its normal and its tangents are one contact
                 here = list(range(block.slots.start, block.slots.stop))
-                cone = Cone(slice(len(slots), len(slots) + 3), block.law.mu)
+                contact = slice(len(slots), len(slots) + 3), block.law.mu
             if here:
                 part, own = block.part, np.array(here) - block.slots.start
                 k.refresh(x.q, x.v, part.reads)
                 J.append(part.jacobian(k, x)[own])
                 rates.append(part.rate(k, x)[own])
                 slots += here
-        return np.array(slots, dtype=np.intp), np.concatenate(J), np.concatenate(rates), cone
+        return np.array(slots, dtype=np.intp), np.concatenate(J), np.concatenate(rates), contact

@@ -8,26 +8,7 @@ import numpy as np
 from mbd_ros.core.dynamics.extended import Extended
 from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.core.memory import Memory, copied, recognised
-from mbd_ros.core.names import type_name
 from mbd_ros.core.state import Array, Mode, State
-from mbd_ros.errors import ModelError
-
-
-def prepared(method: Integrator, system: Any, dt: float) -> Stepper:
-    """The stepper of a method for one system and one step size [s], internal states included.
-
-    Raises:
-        ModelError: The method cannot move them, or refuses the system.
-    """
-    if not system.internals.nz or method.at_velocity_level:
-        return method.prepare(system, dt)
-    if not method.keeps_internal:
-        names = ", ".join(filter(None, system.internals.names))
-        raise ModelError(
-            f"integrator {type_name(type(method))} does not move internal states, the scene has "
-            f"{names}; accepted: any other, such as rk4"
-        )
-    return InternalSteps(method, system, dt)
 
 
 class InternalSteps(Stepper):

@@ -5,7 +5,6 @@ from functools import cached_property
 
 import numpy as np
 
-from mbd_ros.core.dynamics.row_heights import Reach, reach_of
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.integration.tableau import Tableau
@@ -79,6 +78,8 @@ def linear_motion(system: System, x: State) -> LinearMotion:
 
 
 def _follows(block: RowBlock) -> bool:
+    from mbd_ros.core.dynamics.row_heights import Reach, reach_of  # only where rows give way
+
     return block.smoothed or reach_of(block) is Reach.DEMAND
 
 

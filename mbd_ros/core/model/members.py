@@ -43,7 +43,7 @@ class _Member(NamedTuple):
         return name if name == self.root == recipe.name else recipe.scoped(name)
 
 
-def read_robots(recipes: Sequence[Recipe], gravity: Sequence[float] = EARTH_GRAVITY) -> Robot:
+def merged(recipes: Sequence[Recipe], gravity: Sequence[float] = EARTH_GRAVITY) -> Robot:
     """All robots and bodies of a scene as one `Robot`.
 
     Joints and links of a member with a name are called `<name>/<joint>`. Its own name is that of
@@ -56,8 +56,6 @@ def read_robots(recipes: Sequence[Recipe], gravity: Sequence[float] = EARTH_GRAV
     Raises:
         ModelError: A description cannot be trusted, or a name stands for two things.
     """
-    if len(recipes) == 1 and not recipes[0].name and recipes[0].pose is None:
-        return read_recipe(recipes[0], gravity)
     members = _members(recipes, gravity)
     _check(members)
     origin = _origin(members)

@@ -187,7 +187,8 @@ class Robot:
         Raises:
             ModelError: Names link, value and condition.
         """
-        from mbd_ros.core.model.members import read_robots, with_inertias
+        from mbd_ros.core.model.members import with_inertias
+        from mbd_ros.core.model.robot_reader import read_robots
 
         recipes = with_inertias(self.recipes, inertias)
         robot = read_robots(recipes, self.model.gravity.linear.tolist())

@@ -20,7 +20,7 @@ from mbd_ros.core.model.recipe import Recipe
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.urdf import parse_urdf
 from mbd_ros.core.model.urdf_inertias import check_inertias
-from mbd_ros.core.model.urdf_reading import numbers
+from mbd_ros.core.model.urdf_reading import has_effort_limit, joint_kinds, numbers
 from mbd_ros.errors import ModelError
 
 EARTH_GRAVITY = (0.0, 0.0, -9.81)
@@ -73,7 +73,7 @@ def read_recipe(recipe: Recipe, gravity: Sequence[float] = EARTH_GRAVITY) -> Rob
     doubts = check_inertias(tree, source)
     names = _topic_names(tree, recipe.rename or {}, source)
     locked = dict(recipe.locked or {})
-    kinds = _kinds(tree)
+    kinds = joint_kinds(tree)
     fixed = frozenset(names[joint] for joint, kind in kinds.items() if kind == "fixed")
     mimics = _mimics(tree, names, source)
 
@@ -97,6 +97,23 @@ def read_recipe(recipe: Recipe, gravity: Sequence[float] = EARTH_GRAVITY) -> Rob
         recipes=(recipe,),
         places=Places(model),
     )
+
+
+def read_robots(recipes: Sequence[Recipe], gravity: Sequence[float] = EARTH_GRAVITY) -> Robot:
+    """The only robot of a scene, or all robots and bodies as one.
+
+    Args:
+        recipes: The robots and bodies, in the order of their coordinates.
+        gravity: As for `read_robot`.
+
+    Raises:
+        ModelError: As `read_robot`, or a name stands for two things.
+    """
+    if len(recipes) == 1 and not recipes[0].name and recipes[0].pose is None:
+        return read_recipe(recipes[0], gravity)
+    from mbd_ros.core.model.members import merged
+
+    return merged(recipes, gravity)
 
 
 def _topic_names(
@@ -199,8 +216,8 @@ def _bases(model: Any, link: str) -> tuple[Base, ...]:
 
 
 def _joints(model: Any, tree: ElementTree.Element, names: Mapping[str, str]) -> tuple[Joint, ...]:
-    joints, kinds = [], _kinds(tree)
-    limited = {e.get("name", "") for e in tree.iterfind("joint") if _has_effort_limit(e)}
+    joints, kinds = [], joint_kinds(tree)
+    limited = {e.get("name", "") for e in tree.iterfind("joint") if has_effort_limit(e)}
     pairs = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)  # but the universe
     for urdf_name, joint in pairs:
         if joint.nv == _BASE_V:
@@ -221,15 +238,6 @@ def _joints(model: Any, tree: ElementTree.Element, names: Mapping[str, str]) -> 
             )
         )
     return tuple(sorted(joints, key=lambda joint: joint.v))
-
-
-def _kinds(tree: ElementTree.Element) -> dict[str, str]:
-    return {e.get("name", ""): e.get("type", "") for e in tree.findall("joint")}
-
-
-def _has_effort_limit(joint: ElementTree.Element) -> bool:
-    limit = joint.find("limit")
-    return limit is not None and "effort" in limit.attrib
 
 
 def _rubbing(tree: ElementTree.Element, names: Mapping[str, str]) -> dict[str, Rubbing]:

@@ -14,3 +14,14 @@ def link_name(joint: ElementTree.Element, role: str) -> str:
     element = joint.find(role)
     assert element is not None
     return element.get("link", "")
+
+
+def joint_kinds(tree: ElementTree.Element) -> dict[str, str]:
+    """Joint -> its type."""
+    return {e.get("name", ""): e.get("type", "") for e in tree.findall("joint")}
+
+
+def has_effort_limit(joint: ElementTree.Element) -> bool:
+    """Whether the description limits the effort of a joint."""
+    limit = joint.find("limit")
+    return limit is not None and "effort" in limit.attrib

@@ -2,12 +2,11 @@
 
 import math
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from mbd_ros.core.dynamics.equilibrium import settled
 from mbd_ros.core.dynamics.mass_check import check_mass
 from mbd_ros.core.dynamics.overshoots import Overshoots
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.events.event import Event
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.projection.stabilizing import Stabilization
@@ -25,6 +24,9 @@ from mbd_ros.core.simulation.stepper_of import stepper_of
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SAME_TIME
 from mbd_ros.errors import DivergedError, ModelError, SolveError
+
+if TYPE_CHECKING:
+    from mbd_ros.core.events.event import Event
 
 _STRIDE = 16  # steps after which a state must be finite
 
@@ -85,6 +87,8 @@ class Simulation:
         if self.overshoots is not None:
             self.overshoots.begin(y)
         if self._nz:
+            from mbd_ros.core.dynamics.equilibrium import settled
+
             y = settled(self.system, y, u)
         y = self.stepper.settle(y, u)
         self._progress = Progress(y.t, 0, y, False, y.t)
@@ -204,11 +208,11 @@ class Simulation:
         return y
 
     @property
-    def events(self) -> list[Event]:
+    def events(self) -> "list[Event]":
         """What happened since the start or the last `take_events`, in the order of time."""
         return list(self.stepper.events)
 
-    def take_events(self) -> tuple[Event, ...]:
+    def take_events(self) -> "tuple[Event, ...]":
         """The same, and forget it: a simulation without end has no list without end."""
         return tuple(self.stepper.take_events())
 

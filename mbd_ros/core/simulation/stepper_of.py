@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.integration.internal_steps import prepared
 from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.names import type_name
 from mbd_ros.core.parts import Part
 from mbd_ros.errors import ModelError
 
@@ -18,14 +18,14 @@ def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
         dt: Length of a step, or first guess [s].
 
     Raises:
-        ModelError: The method cannot stop at events, or surfaces stand beside smoothed rows; names
-            them.
+        ModelError: The method cannot stop at events, or surfaces stand beside smoothed rows; or it
+            cannot move internal states; names them.
     """
     rows = () if system.exact is None else system.exact.names
     guards = [part.name for part in _parts(system) if part.guards]
     surfaces = method.finds_surfaces and any(force.surfaces for force in system.loads.forces)
     if not (guards or surfaces) and (method.at_velocity_level or not rows):
-        return prepared(method, system, dt)
+        return _prepared(method, system, dt)
     if not method.event_driven:
         way_out = "; or smoothed: true at these constraints" if rows and not guards else ""
         raise ModelError(
@@ -37,7 +37,22 @@ def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
     from mbd_ros.core.events.mode_field import ModeField
 
     field = ModeField(system, surfaces)
-    return EventSteps(field, prepared(method, field.system, dt), dt)
+    return EventSteps(field, _prepared(method, field.system, dt), dt)
+
+
+def _prepared(method: Integrator, system: System, dt: float) -> Stepper:
+    """The steps of a method, internal states included."""
+    if not system.internals.nz or method.at_velocity_level:
+        return method.prepare(system, dt)
+    if not method.keeps_internal:
+        names = ", ".join(filter(None, system.internals.names))
+        raise ModelError(
+            f"integrator {type_name(type(method))} does not move internal states, the scene has "
+            f"{names}; accepted: any other, such as rk4"
+        )
+    from mbd_ros.core.integration.internal_steps import InternalSteps
+
+    return InternalSteps(method, system, dt)
 
 
 def _parts(system: System) -> Iterator[Part]:

@@ -15,7 +15,6 @@ from mbd_ros.files.recordings import Source, name_of, read_motion
 from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.files.times import TIME, time_columns
-from mbd_ros.jobs.columns import metadata_of
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse import loops, open_chains
 from mbd_ros.jobs.inverse.commands import commands_of
@@ -28,6 +27,7 @@ from mbd_ros.jobs.inverse.derivatives import (
 )
 from mbd_ros.jobs.inverse.open_chains import violations
 from mbd_ros.jobs.inverse.wrenches import read_loads, wrench_at
+from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.jobs.progress import Watch, watching
 from mbd_ros.scene.built_scene import Scene
 

@@ -17,8 +17,8 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.bags import BagWriter, RawMessage, raw_messages
 from mbd_ros.files.table import Result
 from mbd_ros.files.topics import beside, by_member, joint_state_topic, odometry_topic
-from mbd_ros.jobs.columns import metadata_of
 from mbd_ros.jobs.isolated_domain import isolated_domain
+from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.jobs.replay.bag_player import (
     CLASSES,
     CONSTRAINT_FORCES,

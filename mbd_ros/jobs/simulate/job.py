@@ -16,8 +16,8 @@ from mbd_ros.errors import FAILED, DataError, DivergedError, MbdError, SolveErro
 from mbd_ros.files.recordings import Source
 from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.files.times import TIME
-from mbd_ros.jobs.columns import metadata_of
 from mbd_ros.jobs.error_source import about
+from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.jobs.progress import Watch, watching
 from mbd_ros.jobs.progress import progress as shown
 from mbd_ros.jobs.simulate.events import EVENTS, event_table

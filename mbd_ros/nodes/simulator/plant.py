@@ -1,6 +1,7 @@
 """A built scene between commands and the messages that show its motion."""
 
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from geometry_msgs.msg import Point
@@ -13,7 +14,6 @@ from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.files.topics import WORLD, by_member
-from mbd_ros.jobs.simulate.events import event_table
 from mbd_ros.nodes.shell.wrenches import read_load
 from mbd_ros.nodes.simulator.commands import command_reader
 from mbd_ros.scene.built_scene import Scene
@@ -22,8 +22,12 @@ from msg_adapters.joint_motion import JointMotionWriter
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
 from msg_adapters.markers import Arrow, ArrowWriter
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
-from msg_adapters.odometry import OdometryCdrWriter
 from msg_adapters.time import NANOSECONDS
+
+if TYPE_CHECKING:
+    from mbd_ros.core.events.event import Event
+    from mbd_ros.core.simulation.simulation import Simulation
+    from mbd_ros.files.table import Table
 
 
 class Plant:
@@ -74,11 +78,12 @@ class Plant:
         self.shown = numbers[count:]
         self._states = [JointStateCdrWriter(list(own)) for own in members.values()]
         self._only = self._states[0] if len(self._states) == 1 else None
-        self._odometry = [OdometryCdrWriter(WORLD, base.frame) for base in scene.robot.bases]
+        self._odometry = _odometry(scene)
         self._forces = JointStateCdrWriter(self.rows, ("effort",))
         self._shown = MultiArrayCdrWriter(len(self.shown), self.shown)
         self._motion = JointMotionWriter(JointTrajectory(), JointTrajectoryPoint(), names)
         self._arrows = ArrowWriter(MarkerArray(), Marker, Point, _root_link(scene))
+        self._event_table = _event_table() if self.live.simulation.guards else None
 
     @property
     def time(self) -> int:
@@ -139,10 +144,10 @@ class Plant:
     def events(self) -> list[bytes]:
         """Serialized Float64MultiArray of each event of the last tick, given once."""
         simulation, events = self.live.simulation, self.live.events
-        if not events:
+        if not events or self._event_table is None:
             return []
         self.live.events = ()
-        table = event_table(simulation, events)
+        table = self._event_table(simulation, events)
         writer = MultiArrayCdrWriter(len(table), list(table))
         return [writer.write(row.tolist()) for row in np.column_stack(list(table.values()))]
 
@@ -185,6 +190,22 @@ class Plant:
                 f"{s.solves} solves, {s.cold} cold, {s.damped} damped, {s.failed} failed"
             )
         return details
+
+
+def _odometry(scene: Scene) -> list[Any]:
+    """Writers of the free bodies."""
+    if not scene.robot.bases:
+        return []
+    from msg_adapters.odometry import OdometryCdrWriter  # only where something flies
+
+    return [OdometryCdrWriter(WORLD, base.frame) for base in scene.robot.bases]
+
+
+def _event_table() -> Callable[["Simulation", Sequence["Event"]], "Table"]:
+    """What makes a table of events."""
+    from mbd_ros.jobs.simulate.events import event_table  # only where something may happen
+
+    return event_table
 
 
 def _root_link(scene: Scene) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.dynamics.extended import evaluation_at
+from mbd_ros.core.dynamics.system import evaluation_at
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.projection.assembly import project
 from mbd_ros.errors import MbdError, ModelError
