@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import simpson
 
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
@@ -305,3 +306,25 @@ def test_an_actuator_of_ones_own(follow, capsys):
     assert np.diff(braked["energy"]).max() < 1e-9
     assert np.abs(voltages["hinge.command"]).max() < 1e-6
     assert np.abs(voltages["hinge.effort"]).max() > 0.1
+
+
+def test_an_actuator_with_a_state_of_ones_own(follow, capsys):
+    """The law of its winding without a voltage, L i' = -R i - c q', as an integral."""
+    follow("An actuator with a state of its own")
+    assert "motor.current [A], starts at -2, in -100 .. 100" in capsys.readouterr().out
+    found = table("current.csv")
+    current, q = found["motor.current"], found["hinge.position"]
+    lost = 0.8 * simpson(current, x=found["time"]) + 1.2 * (q[-1] - q[0])
+    assert 0.02 * (current[-1] - current[0]) == pytest.approx(-lost, abs=1e-9)
+
+
+def test_a_guard_of_ones_own(follow):
+    """Energy of a rod that swings down from 0.3 rad and gets faster by 0.2 rad/s in the middle."""
+    follow("A guard with a reset")
+    energy, inertia, weight = table("clock.csv")["energy"], 0.0833583 + 0.25, 9.81 * 0.5
+    speed, expected = np.sqrt(2.0 * weight * (1.0 - np.cos(0.3)) / inertia), [energy[0]]
+    for _ in range(3):
+        expected.append(energy[0] + inertia * (speed + 0.2) ** 2 / 2 - weight * (1 - np.cos(0.3)))
+        speed += 0.2
+    kept = energy[np.abs(np.diff(energy, prepend=energy[0])) < 1e-9]
+    np.testing.assert_allclose(np.unique(kept.round(7)), expected, rtol=0, atol=1e-6)

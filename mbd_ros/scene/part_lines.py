@@ -25,8 +25,8 @@ def member_lines(scene: Scene) -> Iterator[str]:
             how = "free" if recipe.base == "floating" else "placed"
             yield line("body", f"{recipe.name} from {recipe.source}, {how}")
         else:
-            name = f"{recipe.name} from" if recipe.name else "from"
-            yield line("robot", f"{name} {recipe.source}, {recipe.base} base")
+            name = f"{recipe.name} from " if recipe.name else ""
+            yield line("robot", f"{name}{recipe.source}, {recipe.base} base")
 
 
 def part_lines(scene: Scene) -> Iterator[str]:

@@ -31,7 +31,7 @@ def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
         raise ModelError(
             f"integrator {type(method).__name__} does not stop at events, which exact rows and "
             f"guards need: {', '.join((*rows, *guards))}; accepted: rk4, dopri5, dop853, "
-            f"gauss_legendre, adams, and moreau_jean without guards{way_out}"
+            f"filippov, gauss_legendre, adams, and moreau_jean without guards{way_out}"
         )
     from mbd_ros.core.events.event_steps import EventSteps
     from mbd_ros.core.events.mode_field import ModeField
