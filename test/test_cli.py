@@ -126,6 +126,7 @@ def test_check_says_redundancy_toggle_bounds_and_missing_authority(capsys, tmp_p
     rank = labelled(called(capsys, "check", scene)[1])["rank"]
     assert rank == "rank 2 of 4 rows: redundant, multipliers of smallest norm"
     stop = "- {{type: joint_stop, joint: crank, lower: -9, upper: 9, smoothed: {}}}"
+    costs = []
     for smoothed, tier in (("true", "qp over kkt: "), ("false", "kkt: ")):
         more = stop.format(smoothed)
         scene.write_text(MANY.format(robots=robots, more=more), encoding="utf-8")
@@ -133,6 +134,8 @@ def test_check_says_redundancy_toggle_bounds_and_missing_authority(capsys, tmp_p
         assert said["forward"].startswith(tier)
         kind = "smoothed" if smoothed == "true" else "exact"
         assert said[kind].startswith("crank_joint_stop; ")
+        costs.append(float(re.search(r"one acceleration (\S+) us", said["cost"])[1]))
+    assert costs[1] < 5.0 * costs[0]  # in its mode, which took 18 times as long to decide
     urdf = (robots / "pendulum.urdf").read_text(encoding="utf-8")
     (tmp_path / "weak.urdf").write_text(re.sub(r'effort="[^"]*"', 'effort="0"', urdf))
     actuator = "actuators: [{type: ideal, joints: [hinge]}]\n"

@@ -182,14 +182,14 @@ class System(Protocol):
 
 
 def evaluation_at(system: System, y: State) -> Callable[[], None]:
-    """An evaluation of accelerations and rates at a state, for clocks.
+    """An evaluation of accelerations and rates in the mode of a state, for clocks.
 
     Args:
         system: The system.
         y: State of what it integrates.
     """
-    t, q, v, z, _ = y
-    accelerate, out = system.accelerator(), (np.zeros(system.nv), np.zeros(len(z)))
+    t, q, v, z, mode = y
+    accelerate, out = system.accelerator(mode), (np.zeros(system.nv), np.zeros(len(z)))
     if not system.internals.nz:
         return lambda: accelerate(t, q, v, None, out[0])
     return lambda: accelerate(t, q, v, z, None, *out)
