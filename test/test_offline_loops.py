@@ -14,7 +14,7 @@ from mbd_ros.errors import DataError, SolveError
 from mbd_ros.files.bags import messages
 from mbd_ros.files.csv import read_table, write_table
 from mbd_ros.files.recording import Recording
-from mbd_ros.jobs.inverse.loops import close_loops
+from mbd_ros.jobs.inverse.loop_closing import close_loops
 from mbd_ros.scene.reader import load_scene
 
 SCENES = Path(__file__).parents[1] / "config/scenes"

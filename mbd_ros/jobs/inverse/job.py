@@ -25,6 +25,7 @@ from mbd_ros.jobs.inverse.derivatives import (
     observe,
     unexplained,
 )
+from mbd_ros.jobs.inverse.loop_closing import close_loops
 from mbd_ros.jobs.inverse.open_chains import violations
 from mbd_ros.jobs.inverse.wrenches import read_loads, wrench_at
 from mbd_ros.jobs.metadata import metadata_of
@@ -212,7 +213,7 @@ def _motion(
         bodies=bodies,
         members=scene.robot.members,
     )
-    recording, remarks = loops.close_loops(scene, where, recording)
+    recording, remarks = close_loops(scene, where, recording)
     for text in remarks:
         say(text)
     for reason, count in recording.dropped.items():

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
@@ -12,14 +12,15 @@ from mbd_ros.core.estimation.torque_estimator import Observation
 from mbd_ros.errors import SolveError
 from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS, tuning
 from mbd_ros.nodes.inverse_dynamics.pipeline import Pipeline
-from mbd_ros.nodes.inverse_dynamics.whole_samples import Part
 from mbd_ros.nodes.shell.joint_state_node import SENSOR, JointStateNode
 from mbd_ros.nodes.shell.serialized import require_size
 from mbd_ros.nodes.shell.wrenches import read_load
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample
-from msg_adapters.odometry import read_odometry
+
+if TYPE_CHECKING:
+    from mbd_ros.nodes.inverse_dynamics.whole_samples import Part
 
 
 class InverseDynamicsNode(JointStateNode):
@@ -61,6 +62,8 @@ class InverseDynamicsNode(JointStateNode):
         if not whole.body_topics:
             return
         from nav_msgs.msg import Odometry  # only where something flies
+
+        from msg_adapters.odometry import read_odometry
 
         for topic, base in zip(whole.body_topics, self._pipeline.scene.robot.bases, strict=True):
             take = self._on_part(topic, partial(read_odometry, link=base.frame))
@@ -109,7 +112,7 @@ class InverseDynamicsNode(JointStateNode):
         assert self._pipeline.whole is not None
         return self._pipeline.whole.read(topic, cdr)
 
-    def _on_part(self, topic: str, read: Callable[[Any], Part]) -> Callable[[Any], None]:
+    def _on_part(self, topic: str, read: Callable[[Any], "Part"]) -> Callable[[Any], None]:
         """What takes a part of samples that come on several topics."""
 
         def take(message: Any) -> None:

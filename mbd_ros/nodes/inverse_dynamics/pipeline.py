@@ -1,7 +1,7 @@
 """A built scene between messages: from a serialized joint state to its answers."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -12,7 +12,6 @@ from mbd_ros.core.model.base_motion import IndependentCoordinates
 from mbd_ros.core.model.poses import TWIST
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.nodes.inverse_dynamics.parameters import tuning
-from mbd_ros.nodes.inverse_dynamics.whole_samples import WholeSample, WholeSamples
 from mbd_ros.nodes.inverse_dynamics.wrench_queue import WrenchQueue
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.scene.check import tier
@@ -21,6 +20,9 @@ from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
 from msg_adapters.wrench import write_wrench
+
+if TYPE_CHECKING:
+    from mbd_ros.nodes.inverse_dynamics.whole_samples import WholeSample, WholeSamples
 
 
 class Pipeline:
@@ -49,8 +51,10 @@ class Pipeline:
         bodies = [base.name for base in robot.bases]
         self.whole: WholeSamples | None = None
         if bodies or robot.members:
+            from mbd_ros.nodes.inverse_dynamics import whole_samples  # only for several topics
+
             names = self.estimator.names
-            self.whole = WholeSamples(names, robot.members, bodies, joint_state)
+            self.whole = whole_samples.WholeSamples(names, robot.members, bodies, joint_state)
         self._at = IndependentCoordinates(robot, couplings) if bodies else None
         self._residuals = [WrenchStamped() for _ in bodies]
         self._torques = JointStateCdrWriter(couplings.independent)
@@ -126,7 +130,7 @@ class Pipeline:
         present = self.joints.present
         return self.estimator.observe(stamp, sample.position, sample.velocity, present)
 
-    def observe_whole(self, whole: WholeSample) -> Observation | SampleStatus:
+    def observe_whole(self, whole: "WholeSample") -> Observation | SampleStatus:
         """A sample of several topics with its derivatives, or why it cannot be used."""
         stamp, position, velocity, _ = whole.joints
         bodies = whole.bodies if self._residuals else None

@@ -3,6 +3,13 @@
 from time import perf_counter
 from typing import Any
 
+from rclpy.clock import Clock as RosClock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+
+CLOCK = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 LOOK = 0.01  # s between looks
 _FLOOR = 0.2  # s, some beats of a clock that stands
 _SLACK = 4.0  # of the longest of the last waits
@@ -54,3 +61,47 @@ class ClockWatch:
     def _forget(self) -> None:
         self._news, self._longest, self._quiet = 0, 0.0, 0.0
         self._has_died, self._looked = False, perf_counter()
+
+
+class SimulatedClock:
+    """The clock of a simulation that a node lives by, if it lives by one.
+
+    Args:
+        node: The node.
+        steady: A clock that never stands.
+    """
+
+    def __init__(self, node: Node, steady: RosClock) -> None:
+        self._node, self._steady = node, steady
+        self._watch, self._hears = ClockWatch(), False
+
+    @property
+    def is_used(self) -> bool:
+        """Whether the node has the time of a simulation."""
+        clock = self._node.get_clock()
+        return clock.clock_type == ClockType.ROS_TIME and clock.ros_time_is_active
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether the node has its time, and nobody publishes it."""
+        return self.is_used and not self._node.count_publishers("/clock")
+
+    def hear(self) -> None:
+        """Watch /clock from the first time on that it counts."""
+        if self.is_used and not self._hears:
+            self._hears = True
+            self._node.create_subscription(Clock, "/clock", self._watch.hear, CLOCK, raw=True)
+            self._node.create_timer(LOOK, self._watch.look, clock=self._steady)
+
+    def silence(self, timeout: float) -> float:
+        """As that of `ClockWatch`."""
+        return self._watch.silence(timeout)
+
+    def fault(self, timeout: float) -> str:
+        """What is wrong with it, to follow other words; empty where nothing is."""
+        if not self.is_used:
+            return ""
+        if self.is_gone:
+            return "; nobody publishes /clock any more"
+        silence = self.silence(timeout)
+        return f"; /clock is silent for {silence:.2f} s, a pause is not" if silence else ""

@@ -3,28 +3,27 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.state import NANOSECOND
-from mbd_ros.nodes.shell.clock_watch import LOOK, ClockWatch
-from mbd_ros.nodes.shell.joint_state_pipeline import Heard, JointStatePipeline
+from mbd_ros.nodes.shell.clock_watch import SimulatedClock
 from mbd_ros.nodes.shell.scene_node import SceneNode
 from mbd_ros.nodes.shell.serialized import require_size
 from msg_adapters.diagnostics import OK, STALE, WARN
 from msg_adapters.errors import MessageError, listed
 from msg_adapters.joint_state import JointSample
 
+if TYPE_CHECKING:
+    from mbd_ros.nodes.shell.joint_state_pipeline import Heard, JointStatePipeline
+
 # Best effort also hears reliable publishers; the depth bridges a pause of 0.5 s at 1 kHz,
 # beyond which the transport itself keeps no more.
 SENSOR = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
-CLOCK = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _NEVER = -(2**62)  # ns
 _STANDING = 0.5  # [s] for which one joint state may come again and again, or all be dropped
 _DROPPED = 0.05  # share of the joint states of a second that may be dropped without a word
@@ -40,7 +39,7 @@ class JointStateNode(SceneNode):
     """
 
     STAMPED = "joint states"  # whose stamps count
-    _pipeline: JointStatePipeline
+    _pipeline: "JointStatePipeline"
 
     def __init__(self, argv: Sequence[str] = ()) -> None:
         super().__init__(argv)
@@ -50,7 +49,7 @@ class JointStateNode(SceneNode):
         self._moved = self._heard
         self._two_clocks = self._last_drop = ""
         self._extra: set[str] = set()
-        self._clock_watch, self._hears_clock = ClockWatch(), False
+        self._simulated = SimulatedClock(self, self._steady)
         self.create_service(Trigger, "~/reset", self._on_reset)
 
     def forget(self) -> None:
@@ -81,7 +80,7 @@ class JointStateNode(SceneNode):
 
     def begin_anew(self) -> None:
         """Empty filters, forget all answers."""
-        self._hear_clock()
+        self._simulated.hear()
         self._newest, self._answered, self._agreed = 0, 0, _NEVER
         self._two_clocks = self._last_drop = ""
         self._mark()
@@ -115,7 +114,7 @@ class JointStateNode(SceneNode):
         if self._age() > self.parameters.timeout:
             return STALE, f"newest answered joint state is {self._age():.2f} s old{dropped}"
         if self.silence() > self.parameters.timeout:
-            why = self._clock_fault() or dropped
+            why = self._simulated.fault(self.parameters.timeout) or dropped
             return STALE, f"no joint state answered for {self.silence():.2f} s{why}"
         return self._standing_health()
 
@@ -134,26 +133,10 @@ class JointStateNode(SceneNode):
 
         Where the clock of a simulation is silent or has no publisher any more, steady time counts.
         """
-        if self._is_simulated() and not self._is_clock_gone():
+        if self._simulated.is_used and not self._simulated.is_gone:
             stood = (self.get_clock().now().nanoseconds - self._heard_ros) * NANOSECOND
-            return max(stood, self._clock_watch.silence(self.parameters.timeout))
+            return max(stood, self._simulated.silence(self.parameters.timeout))
         return perf_counter() - self._heard
-
-    def _clock_fault(self) -> str:
-        """Fault of the clock of a simulation; empty without one."""
-        if not self._is_simulated():
-            return ""
-        if self._is_clock_gone():
-            return "; nobody publishes /clock any more"
-        silence = self._clock_watch.silence(self.parameters.timeout)
-        return f"; /clock is silent for {silence:.2f} s, a pause is not" if silence else ""
-
-    def _hear_clock(self) -> None:
-        """Watch /clock from the first time on that it counts."""
-        if self._is_simulated() and not self._hears_clock:
-            self._hears_clock = True
-            self.create_subscription(Clock, "/clock", self._clock_watch.hear, CLOCK, raw=True)
-            self.create_timer(LOOK, self._clock_watch.look, clock=self._steady)
 
     def _take(self, cdr: bytes) -> None:
         """Read, judge and answer a serialized joint state."""
@@ -168,7 +151,7 @@ class JointStateNode(SceneNode):
         if stamp is not None:
             self.judge(partial(self.answer, stamp, sample), pipeline.joints)
 
-    def judge(self, answer: Callable[[], SampleStatus | None], joints: Heard) -> None:
+    def judge(self, answer: Callable[[], SampleStatus | None], joints: "Heard") -> None:
         """Answer a sample, or drop it and say why.
 
         Args:
@@ -227,13 +210,6 @@ class JointStateNode(SceneNode):
     def _mark(self) -> None:
         """Silence begins now."""
         self._heard, self._heard_ros = perf_counter(), self.get_clock().now().nanoseconds
-
-    def _is_simulated(self) -> bool:
-        clock = self.get_clock()
-        return clock.clock_type == ClockType.ROS_TIME and clock.ros_time_is_active
-
-    def _is_clock_gone(self) -> bool:
-        return self._is_simulated() and not self.count_publishers("/clock")
 
     def _same_clock(self, stamp: int) -> bool:
         """Whether stamp and node clock are one clock; asked again whenever the stamps moved on."""
