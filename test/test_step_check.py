@@ -6,6 +6,7 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
+import mbd_ros as mbd
 from mbd_ros.core.integration.linear_motion import fastest_rate, linear_motion, longest_step
 from mbd_ros.errors import DivergedError, MbdError, SolveError
 from mbd_ros.forces.joint_spring import JointSpring
@@ -157,3 +158,21 @@ def test_the_rate_of_a_steep_coupling_is_seen_in_every_tier(law):
         said.append(list(step_warnings(simulation.system, simulation.integrator, 4e-3, full)))
     assert rates[0] == pytest.approx(rates[1], rel=0.01) and rates[1] > 500.0
     assert all("stiff: fastest rate" in texts[0] for texts in said)
+
+
+@pytest.mark.parametrize("method", ["rk4", "moreau_jean"])
+def test_an_impact_is_no_doubt_of_the_step(method):
+    """A rod hits a stop and bounces: its velocity jumps by 1.5 times the largest one."""
+    scene = mbd.scene_from(
+        {
+            "robot": {"urdf": "package://mbd_ros/config/robots/pendulum.urdf"},
+            "constraints": [
+                {"type": "joint_stop", "joint": "hinge", "lower": 0.3, "restitution": 0.5}
+            ],
+            "initial": {"position": {"hinge": 1.0}},
+        }
+    )
+    result = scene.simulate(0.6, dt=5e-3, integrator=method)
+    v = result["samples"]["hinge.velocity"]
+    assert np.abs(np.diff(v)).max() > 1.4 * np.abs(v).max()
+    assert not [text for text in result.metadata["remarks"] if "warning" in text]

@@ -130,7 +130,9 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
         return _ended(scene, result, failure)
     with about(scene.name):
         said = list(_summary(simulation, table, wall, evaluations))
-        found = step_warnings(simulation.system, simulation.integrator, simulation.dt, states)
+        found = step_warnings(
+            simulation.system, simulation.integrator, simulation.dt, states, simulation.events
+        )
         said += [f"warning: {text}" for text in found]
         said += [f"warning: {text}" for text in simulation.passed_stops()]
     if scene.wrenches and run.wrenches is None:

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.events.event import Event
 from mbd_ros.core.integration.linear_motion import LinearMotion, linear_motion, longest_step
 from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.state import State
+from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import TINY, TOGGLE_RISE
 from mbd_ros.errors import SolveError
 
@@ -18,7 +19,11 @@ _TURN = 0.5  # change of velocity in a step, of the largest one in the motion
 
 
 def step_warnings(
-    system: System, method: Integrator, dt: float, states: Sequence[State]
+    system: System,
+    method: Integrator,
+    dt: float,
+    states: Sequence[State],
+    events: Sequence[Event] = (),
 ) -> Iterator[str]:
     """Warnings of the step; none for methods that choose their steps.
 
@@ -27,6 +32,7 @@ def step_warnings(
         method: Its integrator.
         dt: Step [s].
         states: States of all joints, one a step.
+        events: What happened on the way: a velocity that jumps there is no doubt of the step.
     """
     if method.stable == math.inf or not states:
         return
@@ -36,6 +42,7 @@ def step_warnings(
         speeds = np.array([x.v for x in states])
         turns = np.abs(np.diff(speeds, axis=0)).max(axis=1, initial=0.0)
         turns = turns / max(float(np.abs(speeds).max()), TINY)
+        turns[_with_jumps(system, method, states, events)] = 0.0
         k = int(np.argmax(turns)) if len(turns) else 0
         if len(turns) and not turns[k] <= _TURN:
             yield (
@@ -43,6 +50,20 @@ def step_warnings(
                 f"{states[k + 1].t:.6g} s: the step does not resolve the motion"
             )
         yield from _folds(system, states)
+
+
+def _with_jumps(
+    system: System, method: Integrator, states: Sequence[State], events: Sequence[Event]
+) -> Array:
+    """Steps in which velocities jump, or may, shape (len(states) - 1,)."""
+    times = np.array([x.t for x in states])
+    if method.at_velocity_level and system.layout.yielding:
+        return np.ones(len(times) - 1, dtype=np.bool_)
+    jumps = [event.t for event in events if (event.before.v != event.after.v).any()]
+    found = np.zeros(len(times) + 1, dtype=np.bool_)
+    for side in ("left", "right"):  # an event at a sample belongs to both of its steps
+        found[np.searchsorted(times, jumps, side)] = True  # type: ignore[call-overload]
+    return found[1:-1]
 
 
 def _stiffness(
