@@ -1,6 +1,5 @@
 """A point that may touch a plane, with friction."""
 
-from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -10,9 +9,8 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import NotNegative, Unit, Vector, Within
 from mbd_ros.core.row_laws import cone
 from mbd_ros.core.rows.constraint import Row
-from mbd_ros.core.rows.pair_rows import PairRows, plane_of
+from mbd_ros.core.rows.pair_rows import PairRows, check_normal, plane_of
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import ModelError
 
 
 class PointContact(PairRows):
@@ -43,6 +41,7 @@ class PointContact(PairRows):
         **{"frame": "heel", "plane_frame": "world", "normal": [0.0, 0.0, 1.0]},
         **{"plane_point": [0.0, 0.0, -9.0], "friction": 0.5},
     }
+    check = staticmethod(check_normal)
 
     def __init__(
         self,
@@ -61,16 +60,6 @@ class PointContact(PairRows):
         names = ("normal", "friction_x", "friction_y")
         self.rows = tuple(Row(name, "N", plane_frame) for name in names)
         self.law = cone(friction, restitution)
-
-    @staticmethod
-    def check(normal: Sequence[float]) -> None:
-        """Refuse a normal that points nowhere.
-
-        Raises:
-            ModelError: Names it.
-        """
-        if not any(normal):
-            raise ModelError(f"normal {normal} must have a direction")
 
     def residual(self, k: Kinematics, x: State) -> Array:
         """The gap [m]; 0 along the tangents, where any place will do, shape (3,)."""

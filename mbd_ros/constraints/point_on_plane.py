@@ -1,13 +1,11 @@
 """A point that stays on a plane."""
 
-from collections.abc import Sequence
 from typing import Annotated
 
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unit, Vector
 from mbd_ros.core.rows.constraint import Row
-from mbd_ros.core.rows.pair_rows import PairRows, plane_of
-from mbd_ros.errors import ModelError
+from mbd_ros.core.rows.pair_rows import PairRows, check_normal, plane_of
 
 
 class PointOnPlane(PairRows):
@@ -29,6 +27,7 @@ class PointOnPlane(PairRows):
     """
 
     example = {"frame": "heel", "plane_frame": "world", "normal": [0.1, 0.0, 1.0]}
+    check = staticmethod(check_normal)
 
     def __init__(
         self,
@@ -44,13 +43,3 @@ class PointOnPlane(PairRows):
         pair = robot.pair(plane, robot.point(frame, point))
         super().__init__(pair, "z")
         self.rows = (Row("force", "N", plane_frame),)
-
-    @staticmethod
-    def check(normal: Sequence[float]) -> None:
-        """Refuse a normal that points nowhere.
-
-        Raises:
-            ModelError: Names it.
-        """
-        if not any(normal):
-            raise ModelError(f"normal {normal} must have a direction")

@@ -8,7 +8,7 @@ takes are in a Float64MultiArray on `/<table>`, whose layout labels are their na
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -132,13 +132,21 @@ def _joint_states(
             columns[field] = [found[name] for name in names]
     if not columns:
         return None
-    values = {f: np.column_stack([table[c] for c in named]) for f, named in columns.items()}
-    where = {
-        column: {"topic": topic, "field": field, "at": i}
-        for field, named in columns.items()
-        for i, column in enumerate(named)
-    }
+    values, where = _fields(topic, columns, table)
     return Stream(topic, JOINT_STATE, names, values), where
+
+
+def _fields(
+    topic: str, columns: Mapping[str, Sequence[str]], table: Table
+) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
+    """Values of each field from its columns, and where each column stands."""
+    values = {f: np.column_stack([table[name] for name in named]) for f, named in columns.items()}
+    where = {
+        name: {"topic": topic, "field": field, "at": i}
+        for field, named in columns.items()
+        for i, name in enumerate(named)
+    }
+    return values, where
 
 
 def _columns(quantity: str | Mapping[str, str], table: Table) -> Mapping[str, str]:
@@ -166,12 +174,7 @@ def _odometry(
     columns = {field: names_of(body, words) for field, words in BODY_FIELDS.items()}
     if not all(_is_plain(table, name) for names in columns.values() for name in names):
         return None
-    values = {f: np.column_stack([table[name] for name in named]) for f, named in columns.items()}
-    where = {
-        name: {"topic": topic, "field": field, "at": i}
-        for field, named in columns.items()
-        for i, name in enumerate(named)
-    }
+    values, where = _fields(topic, columns, table)
     frames = tuple(table.column(names[0]).frame for names in columns.values())
     return Stream(topic, ODOMETRY, frames, values), where
 

@@ -14,6 +14,7 @@ from mbd_ros.core.parts import Wrench
 from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.rows.rotation_residual import RotationResidual
 from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
 
 DIRECTIONS: dict[str, Any] = {
     "x": slice(0, 1),
@@ -113,6 +114,16 @@ class PairRows(Constraint):
             slope = self._rotation.slope(k.motion(self._pair).rotation())
             torque = axes.dot(slope.T.dot(lam[self._count :]))
         return Wrench(a.frame, point, -force, -torque), Wrench(b.frame, point, force, torque)
+
+
+def check_normal(normal: Sequence[float]) -> None:
+    """Refuse a normal that points nowhere.
+
+    Raises:
+        ModelError: Names it.
+    """
+    if not any(normal):
+        raise ModelError(f"normal {normal} must have a direction")
 
 
 def plane_of(robot: Robot, frame: str, point: Sequence[float], normal: Sequence[float]) -> Point:

@@ -1,11 +1,14 @@
 """Efforts of joints to commands: `.effort` is joint torque, `.command` what an actuator takes."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mbd_ros.core.dynamics.inputs import command_names
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.model.base_motion import configuration_of
 from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.parts import Actuator
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import DataError
 from mbd_ros.files.body_columns import POSE, TWIST, names_of
@@ -30,8 +33,7 @@ def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
     Raises:
         DataError: A command beyond the finite numbers.
     """
-    states, loads = _states(scene, table), Loads(scene.robot.model.nv, (), scene.actuators)
-    k = Kinematics(scene.robot)
+    states = _states(scene, table)
     names: list[str] = []
     commands: list[Array] = []
     remarks = []
@@ -52,13 +54,7 @@ def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
                 f"{inputs[i]}.command at {table[TIME][row]:.9g} s is not "
                 f"finite: no command of its actuator gives the effort {listed}"
             )
-        at = [scene.robot.joint(name).v for name in actuator.joints]
-        given = np.empty_like(wanted)
-        for row, (one, x) in enumerate(zip(u, states, strict=True)):
-            every = loads.idle.copy()
-            every[actuator.u] = one
-            k.refresh(x.q, x.v, actuator.reads)
-            given[row] = actuator.force(k, x, every)[at]
+        given = _given(scene, actuator, u, states)
         short = np.abs(given - wanted) > _SAME * np.abs(wanted).max(initial=1.0)
         for name, lacking in zip(actuator.joints, short.T, strict=True):
             if lacking.any():
@@ -71,6 +67,19 @@ def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
             names += inputs
             commands.append(u)
     return command_columns(names, np.column_stack(commands)) if names else [], remarks
+
+
+def _given(scene: Scene, actuator: Actuator, commands: Array, states: Sequence[State]) -> Array:
+    """Efforts of the joints of an actuator under its commands, a row a state."""
+    k, idle = Kinematics(scene.robot), Loads(scene.robot.model.nv, (), scene.actuators).idle
+    at = [scene.robot.joint(name).v for name in actuator.joints]
+    given = np.empty((len(states), len(at)))
+    for row, (u, x) in enumerate(zip(commands, states, strict=True)):
+        every = idle.copy()
+        every[actuator.u] = u
+        k.refresh(x.q, x.v, actuator.reads)
+        given[row] = actuator.force(k, x, every)[at]
+    return given
 
 
 def _states(scene: Scene, table: Table) -> list[State]:
