@@ -5,13 +5,13 @@ of a row is 0 while it is on; 1 where its multiplier is at the lower bound (a ga
 friction of a joint that slips forwards), -1 at the upper one.
 """
 
-from collections.abc import Callable, Collection, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mbd_ros.core.dynamics.row_heights import RowHeights, reach_of
-from mbd_ros.core.model.kinematics import Reads
+from mbd_ros.core.dynamics.rows_at_bounds import Pushing, is_idle, pushing
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.row_layout import RowBlock
@@ -65,50 +65,17 @@ class ExactRows:
         self.heights, self.approach = self._over.heights, self._over.approach
         self.ways, self.onto = self._over.ways, self._over.onto
         self.lam, self.left, self.lower, self.upper, self._slack = np.zeros((5, n))
-        self._none = np.zeros(len(rows.rows))
+        self._pushing: tuple[Mode, Pushing | None] = ((), None)
 
     def is_idle(self, mode: Mode) -> bool:
-        """Whether no row acts in a mode, as far as that is known while building."""
-        return (
-            len(mode) > 0
-            and not self._rows.varies
-            and all(
-                way == 1 and self._rows.lower[i] == 0.0
-                for way, i in zip(mode, self._at, strict=False)
-            )
-        )
+        """As `rows_at_bounds.is_idle`."""
+        return is_idle(self._rows, self._at, mode)
 
-    def pushing(self, mode: Mode) -> Callable[[float, Array, Array, Array], Array] | None:
-        """What adds the forces of rows at their bounds; None where one has to be solved for.
-
-        Args:
-            mode: Begins with one entry a row.
-
-        Returns:
-            A function of t, q, v and the acceleration without the rows.
-        """
-        motion, rows, n = self._motion, self._rows, len(self.names)
-        if len(rows.rows) > n or len(mode) < n or not all(mode[:n]):
-            return None
-        k, at_lower = motion.mechanism.k, np.array(mode[:n]) == 1
-        pairs = zip(rows.parts, rows.slices, strict=True)
-        known = np.where(at_lower, rows.lower, rows.upper)
-        acting = [(part, mine) for part, mine in pairs if rows.varies or known[mine].any()]
-        reads = max((part.reads for part, _ in acting), default=Reads.NOTHING)
-
-        def pushed(t: float, q: Array, v: Array, a: Array) -> Array:
-            joint_q, joint_v, joint_a = motion.joint_motion(q, v, a)
-            x = State(t, joint_q, joint_v, motion.mechanism.z)
-            k.refresh(joint_q, joint_v, reads)
-            lam = known
-            if rows.varies:
-                rows.limit(k, x)
-                lam = np.where(at_lower, rows.lower, rows.upper)
-            force = sum(lam[mine].dot(part.jacobian(k, x)) for part, mine in acting)
-            response = motion.respond(q, np.reshape(force, (-1, 1)))[:, 0]
-            return cast(Array, motion.coordinates.integrated(joint_a + response))
-
-        return pushed
+    def pushing(self, mode: Mode) -> Pushing | None:
+        """As `rows_at_bounds.pushing`."""
+        if mode != self._pushing[0]:
+            self._pushing = mode, pushing(self._motion, self._rows, self._at, mode)
+        return self._pushing[1]
 
     def accelerate(
         self, t: float, q: Array, v: Array, a: Array, mode: Mode, free: Collection[int] = ()
@@ -175,6 +142,23 @@ class ExactRows:
             return self.accelerate(y.t, y.q, y.v, a, mode, free)
         finally:
             mechanism.z = before
+
+    def rates_left(self, y: State, u: Array | None, mode: Mode) -> Array:
+        """The w = g'' of all rows in a mode; without a solve where none is on."""
+        pushed = self.pushing(mode)
+        if pushed is None:
+            self.solve(y, u, mode)
+            return self.left
+        a, motion = self._over.freely(y, u, mode), self._motion
+        before, motion.mechanism.z = motion.mechanism.z, y.z
+        try:
+            a = pushed(y.t, y.q, y.v, a)
+            joint_a = motion.joint_motion(y.q, y.v, a)[2]
+            J, b = self._rows.conditions(motion.mechanism.k, self._over.placed(y))
+            left: Array = (J.dot(joint_a) + b)[self._at]
+            return left
+        finally:
+            motion.mechanism.z = before
 
     def answer(
         self, y: State, u: Array | None, chosen: Sequence[int]

@@ -59,6 +59,7 @@ class RowHeights:
             np.array([one is kind for one in reach], dtype=np.bool_)
             for kind in (Reach.GAP, Reach.SLIP, Reach.FRICTION)
         )
+        self._has_gaps, self._has_slips = bool(self._is_gap.any()), bool(self._is_slip.any())
         rigid = [(block.law.is_rigid, block.level) for block in rows.blocks for _ in block.rows]
         self._held = np.flatnonzero([is_held for is_held, _ in rigid])
         self._closed = np.flatnonzero([one == (True, Level.POSITION) for one in rigid])
@@ -134,9 +135,9 @@ class RowHeights:
     def _heights(self, x: State) -> Array:
         k = self._motion.mechanism.k
         heights = np.ones(len(self._at))
-        if self._is_gap.any():
+        if self._has_gaps:
             heights[self._is_gap] = self._rows.residual(k, x)[self._at[self._is_gap]]
-        if self._is_slip.any():
+        if self._has_slips:
             heights[self._is_slip] = self._approach(x)[self._is_slip]
         if self._contact is not None and self._contact_at is not None:
             heights[self._contact_at.start + 1] = np.linalg.norm(self._contact.slip(k, x))

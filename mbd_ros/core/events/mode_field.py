@@ -57,6 +57,7 @@ class ModeField:
         self._of_state = np.array([one is not Reach.DEMAND for one in reach], dtype=np.bool_)
         self._demands = [i for i, one in enumerate(reach) if one is Reach.DEMAND]
         self._frictions = [i for i, one in enumerate(reach) if one is Reach.FRICTION]
+        self._slips = [i for i, one in enumerate(reach) if one is Reach.SLIP]
         self._no_height = {*self._demands, *self._frictions}
         self.gaps = [i for i, one in enumerate(reach) if one is Reach.GAP]
         self._mode: Mode = (1,) * len(self.names)
@@ -104,10 +105,8 @@ class ModeField:
         rates = None
         if self.rows is not None:
             rates = self.rows.approach(y)
-            slips = [i for i, one in enumerate(self.rows.reach) if one is Reach.SLIP]
-            if any(self._mode[i] for i in slips):
-                self._solve(y, u)
-                rates[slips] = self.rows.left[slips]
+            if any(self._mode[i] for i in self._slips):
+                rates[self._slips] = self.rows.rates_left(y, u, self._mode)[self._slips]
             rates[list(self._no_height)] = 0.0
         surfaces = self.surfaces
         return self._stacked(rates, None if surfaces is None else surfaces.rates(y, u))

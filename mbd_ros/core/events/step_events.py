@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Collection
+from typing import Any
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from mbd_ros.core.dynamics.row_heights import rounding
 from mbd_ros.core.events.event_location import sign_change
 from mbd_ros.core.events.mode_field import Margin, ModeField
 from mbd_ros.core.integration.stepping import Stepper
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.errors import SolveError
 
 _LEFT = 1.0e-7  # of a step, in which a guard of a part has left zero
@@ -34,6 +35,7 @@ class StepEvents:
 
     def __init__(self, field: ModeField, inner: Stepper) -> None:
         self._field, self._inner = field, inner
+        self._known: tuple[Any, Any, Array] = (None, None, NONE)
 
     def first(
         self, x: State, u: Array | None, after: State, left: Collection[int]
@@ -143,10 +145,10 @@ class StepEvents:
         if not beside:
             return whole
         way = np.array(field.mode)
-        first = way * field.rates(x, u)
+        first = way * self._rates(x, u)
         if not (first[beside] < 0.0).any():
             return whole
-        last = way * field.rates(after, u)
+        last = way * self._rates(after, u)
         for i in (i for i in beside if first[i] < 0.0 < last[i]):
 
             def rate(length: float, i: int = i) -> float:
@@ -157,6 +159,15 @@ class StepEvents:
             if way[i] * field.heights(self._inner.interpolate(x.t + lowest))[i] < 0.0:
                 return lowest
         return whole
+
+    def _rates(self, x: State, u: Array | None) -> Array:
+        """The rates of the heights; those of the end of a step serve the next one, too."""
+        asked = (self._field.mode, None if u is None else u.tobytes())
+        known, known_asked, rates = self._known
+        if x is not known or asked != known_asked:
+            rates = self._field.rates(x, u)
+            self._known = x, asked, rates
+        return rates
 
     def _advanced(self, x: State, h: float, t: float | None = None) -> State:
         """The step with another length."""
