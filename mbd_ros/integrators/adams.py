@@ -4,7 +4,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mbd_ros.core.integration.adams_steps import AdamsSteps, adams_weights
+from mbd_ros.core.integration.adams_steps import AdamsSteps
+from mbd_ros.core.integration.adams_turns import adams_weights
 from mbd_ros.core.integration.linear_motion import LinearMotion, spectral_radius
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.errors import ModelError

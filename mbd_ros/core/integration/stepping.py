@@ -19,7 +19,6 @@ class Stepper:
             as ticks of a live simulation have it; otherwise samples are interpolated until then.
         guards: Names of what may happen at one time.
         switches: Names of those that a mode has an entry for, in that order.
-        events: What has happened so far, each an `Event`.
     """
 
     system: Any = None
@@ -28,7 +27,6 @@ class Stepper:
     ends_at_samples: bool = False
     guards: tuple[str, ...] = ()
     switches: tuple[str, ...] = ()
-    events: Sequence[Any] = ()
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step.
@@ -54,6 +52,11 @@ class Stepper:
 
     def restart(self) -> None:
         """Forget everything that was kept from earlier steps."""
+
+    @property
+    def events(self) -> Sequence[Any]:
+        """What has happened so far, each an `Event`."""
+        return ()
 
     def take_events(self) -> Sequence[Any]:
         """What has happened since the start or the last call; it is forgotten."""

@@ -1,11 +1,10 @@
 """What a run remembers at a sample, as a value."""
 
-import math
 from typing import NamedTuple
 
 from mbd_ros.core.memory import Memory
 from mbd_ros.core.state import State
-from mbd_ros.core.thresholds import SAME_TIME
+from mbd_ros.errors import ModelError
 
 
 class Progress(NamedTuple):
@@ -48,38 +47,18 @@ class Checkpoint(NamedTuple):
     memory: Memory
 
 
-class SampleTimes(NamedTuple):
-    """When the samples of a run are due.
+def refuse_other(checkpoint: Checkpoint, made_by: tuple[str, float, int, int, int]) -> None:
+    """Refuse a checkpoint of something else.
 
-    Attributes:
-        origin: Time of the first one [s].
-        dt: Interval [s].
-        last: Time of the last one [s].
-        end: Number of the last one; the first is 0.
-        resolution: How finely times are told apart this late [s].
-        slack: Times that are as near as this are the same [s].
+    Raises:
+        ModelError: It is one of another method or dt, or of other sizes.
     """
-
-    origin: float
-    dt: float
-    last: float
-    end: int
-    resolution: float
-    slack: float
-
-    def due(self, sample: int) -> float:
-        """Time of a sample [s]."""
-        return min(self.origin + sample * self.dt, self.last)
+    if checkpoint.made_by != made_by:
+        texts = (_words(*made) for made in (checkpoint.made_by, made_by))
+        raise ModelError("a checkpoint of {} cannot be continued by {}".format(*texts))
 
 
-def sample_times(origin: float, duration: float, dt: float) -> SampleTimes:
-    """Those of a run from `origin` on; a last shorter interval ends exactly at its end."""
-    last, end = origin + duration, math.ceil(duration / dt - SAME_TIME)
-    resolution = 2.0 * math.ulp(max(abs(origin), abs(last)))
-    return SampleTimes(origin, dt, last, end, resolution, max(SAME_TIME * dt, resolution))
-
-
-def words(method: str, dt: float, nq: int, nv: int, nz: int) -> str:
+def _words(method: str, dt: float, nq: int, nv: int, nz: int) -> str:
     """What made a checkpoint, for messages; arguments are `Checkpoint.made_by`."""
     states = f", {nv} velocities and {nz} internal states" if nz else f" and {nv} velocities"
     return f"{method} with dt {dt:g} s, {nq} positions{states}"

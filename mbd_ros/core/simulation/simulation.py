@@ -10,15 +10,10 @@ from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.projection.stabilizing import Stabilization
-from mbd_ros.core.simulation.checkpoint import (
-    Checkpoint,
-    Progress,
-    SampleTimes,
-    sample_times,
-    words,
-)
+from mbd_ros.core.simulation.checkpoint import Checkpoint, Progress, refuse_other
 from mbd_ros.core.simulation.divergence import divergence, last_finite
 from mbd_ros.core.simulation.held_inputs import HeldInputs
+from mbd_ros.core.simulation.sample_times import sample_times, step_end
 from mbd_ros.core.simulation.stall import PATIENCE, WINDOW, Notice, StallWatch, refuse_crawl
 from mbd_ros.core.simulation.stepper_of import stepper_of
 from mbd_ros.core.state import Array, State
@@ -132,7 +127,7 @@ class Simulation:
             if not is_within:
                 end = times.due(k + 1)
                 if not self.stepper.ends_at_samples:
-                    end = _end(y, k, times, inputs.now, self.stepper.is_fixed)
+                    end = step_end(y, k, times, inputs.now, self.stepper.is_fixed)
                 y = self._step(y, inputs.u, min(end, inputs.end))
                 if self.steps >= look_at:
                     watch.look(y, inputs.u, times.last)
@@ -170,9 +165,7 @@ class Simulation:
         Raises:
             ModelError: It is one of another scene, method or dt.
         """
-        if checkpoint.made_by != self._made_by:
-            texts = (words(*made) for made in (checkpoint.made_by, self._made_by))
-            raise ModelError("a checkpoint of {} cannot be continued by {}".format(*texts))
+        refuse_other(checkpoint, self._made_by)
         self._progress, self.steps, self.worst = checkpoint[1:4]
         y = checkpoint.progress.y
         self.stepper.restart()
@@ -259,13 +252,3 @@ class Simulation:
                 self.overshoots.look(y, after)
             return after
         raise divergence(self.system, y, after)
-
-
-def _end(y: State, sample: int, times: SampleTimes, now: float, is_fixed: bool) -> float:
-    """Time that the step after a sample should not pass, so that samples are n dt apart."""
-    here = times.origin + sample * times.dt
-    late = abs(here - y.t)
-    is_rounded = late > 0.2 * times.slack or is_fixed  # a sum of steps, to be put right
-    is_off = now > here + times.slack  # back to the samples
-    is_next = (is_rounded and late < 1.0e3 * times.slack) or is_off
-    return times.due(sample + 1) if is_next else times.last
