@@ -69,6 +69,16 @@ def test_a_ball_bounces_as_high_as_restitution_says_and_comes_to_rest_in_time(ki
     assert simulation.system.evaluate(states[-1]).lam == pytest.approx([2.0 * G])
 
 
+@pytest.mark.parametrize(("e", "dt"), [(0.8, 0.2), (0.9, 0.05), (0.95, 0.01)])
+def test_a_long_row_of_short_bounces_comes_to_rest(e, dt):
+    """More of them than other events may follow one another within a thousandth of dt."""
+    fall = math.sqrt(2.0 / G) * (1.0 + e) / (1.0 - e)
+    simulation, states = run(ball(e), fall + 0.2, {"type": "rk4"}, dt)
+    assert simulation.events[-1].t == pytest.approx(fall, abs=1e-9)
+    assert simulation.events[-1].after.mode == (0,)
+    assert abs(states[-1].q[0]) <= 1e-15 and abs(states[-1].v[0]) <= 1e-15
+
+
 def test_a_thousand_radians_a_second_into_a_stop_stay_inside():
     stop = "{type: joint_stop, joint: elbow, upper: 0.5, restitution: 0.9}"
     start = "initial: {velocity: {elbow: 1000.0}}\n"

@@ -70,7 +70,8 @@ class Transitions:
         x = field.onto_rows(x)._replace(mode=field.mode)
         names = tuple(field.names[i] for i in sorted({switch, *hits, *fired} - {-1}))
         if not self.rests:
-            self._pace = self._pace.after(x.t, self._short, len(field.names), names)
+            given = (x.t, self._short, len(field.names), names)
+            self._pace = self._pace.after(*given, hits=bool(hits))
         self._log(names, before, x, impulse)
         return x
 
