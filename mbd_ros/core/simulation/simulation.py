@@ -40,6 +40,8 @@ class Simulation:
         worst: Largest condition number of the rows after a step, inf where they are redundant,
             and its time [s]. Beyond some 1e6, near a toggle, multipliers are unreliable.
         overshoots: How far joints went beyond their stops; None without any.
+        guards: Names of what may happen at one time, in the order of the scene.
+        switches: Names of what a mode has an entry for, in that order.
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class Simulation:
         self.stabilization = stabilization
         self.stepper = stepper_of(integrator, system, dt)
         self.system: System = self.stepper.system or system
+        self.guards, self.switches = self.stepper.guards, self.stepper.switches
         self._stride = getattr(self.stepper, "stride", None)  # several steps at once, if it can
         self.steps, self.worst = 0, (1.0, 0.0)
         has_stops = any(block.part.stops for block in system.layout.smoothed)
@@ -208,16 +211,6 @@ class Simulation:
     def take_events(self) -> "tuple[Event, ...]":
         """The same, and forget it: a simulation without end has no list without end."""
         return tuple(self.stepper.take_events())
-
-    @property
-    def guards(self) -> tuple[str, ...]:
-        """Names of what may happen at one time, in the order of the scene."""
-        return self.stepper.guards
-
-    @property
-    def switches(self) -> tuple[str, ...]:
-        """Names of what a mode has an entry for, in that order."""
-        return self.stepper.switches
 
     def passed_stops(self) -> list[str]:
         """Joints that went beyond stops since the start, one text each."""
