@@ -2,12 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from mbd_ros.core.dynamics.showing import Showing
-from mbd_ros.core.events.event import Event
 from mbd_ros.core.model.base_motion import world_pose
 from mbd_ros.core.model.joints import Base, Joint
 from mbd_ros.core.model.poses import POSE, TWIST, with_sign_of
@@ -22,6 +21,9 @@ from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SAME_TIME
 from mbd_ros.errors import DivergedError, MbdError, ModelError, SolveError
+
+if TYPE_CHECKING:
+    from mbd_ros.core.events.event import Event
 
 _NO_TWISTS: Array = np.zeros((0, TWIST))
 
