@@ -439,6 +439,18 @@ def test_a_state_that_nobody_gives_starts_at_its_equilibrium():
     assert np.abs(simulation.system.rates(x, np.array([0.6]))).max() < 1e-6
 
 
+@pytest.mark.parametrize("given", [{"angle": 9.0}, {"speed": 8.0}])
+def test_a_drive_starts_at_what_is_given_and_else_without_torque_on_its_rotor(given):
+    """An angle alone: the motor stands, however far its spring is from rest. A speed alone: the
+    angle at which the spring and the friction of the motor hold the rotor at that speed."""
+    first = {"position": {"hinge": 0.7}, "internal": {"drive": given}}
+    scene = pendulum(initial=first)
+    friction, damper = -5.0 * 1e-3 * 8.0, 0.3 * 8.0 / 5.0  # on the side of the joint
+    at_speed = 5.0 * (0.7 + (friction - damper) / 40.0)
+    expected = [given.get("angle", at_speed), given.get("speed", 0.0)]
+    assert scene.simulation().start(scene.initial).z == pytest.approx(expected, abs=1e-9)
+
+
 class Bristle(Load):
     """An equilibrium that is not linear: z' = 2 - exp(z) - z^3, at 0.3866 and nowhere else."""
 
@@ -536,7 +548,7 @@ def test_a_table_holds_them_and_a_run_goes_on_from_it():
 def test_check_says_where_each_state_starts():
     lines = pendulum(initial=None, actuators=[{**DRIVE, "speed": 10.0}]).check().splitlines()
     assert "state       drive.angle [rad], starts at equilibrium" in lines
-    assert "state       drive.speed [rad/s], starts at equilibrium, in -10 .. 10" in lines
+    assert "state       drive.speed [rad/s], starts at 0, in -10 .. 10" in lines
 
 
 def test_check_of_a_scene_with_loops_takes_first_values():

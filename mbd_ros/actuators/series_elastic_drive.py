@@ -62,7 +62,8 @@ class SeriesElasticDrive(Actuator):
     ) -> None:
         self.joint, self.joints = robot.joint(joint), (joint,)
         self.inputs = (Channel("", "N·m", -limit, limit),)
-        self.internal = (Internal("angle", "rad"), Internal("speed", "rad/s", -speed, speed))
+        turning = Internal("speed", "rad/s", -speed, speed, 0.0)
+        self.internal = (Internal("angle", "rad"), turning)
         unit = "N" if self.joint.kind == "prismatic" else "N·m"
         self.outputs = (self.outputs[0]._replace(unit=unit), *self.outputs[1:])
         self._stiffness, self._damping, self._ratio = stiffness, damping, ratio

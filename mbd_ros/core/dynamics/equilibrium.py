@@ -41,10 +41,16 @@ def settled(system: System, y: State, u: Array | None) -> State:
     if not len(free):
         return y._replace(z=z)
 
-    def rates(values: Array) -> Array:
+    def all_rates(values: Array) -> Array:
         moved = z.copy()
         moved[free] = values
-        found: Array = system.rates(y._replace(z=moved), u)[free]
+        found: Array = system.rates(y._replace(z=moved), u)
+        return found
+
+    rows = _determining(all_rates, z[free], free, internals.upper[free])
+
+    def rates(values: Array) -> Array:
+        found: Array = all_rates(values)[rows]
         return found
 
     bounds = internals.lower[free], internals.upper[free]
@@ -59,6 +65,25 @@ def settled(system: System, y: State, u: Array | None) -> State:
         )
     z[free] = found
     return y._replace(z=z)
+
+
+def _determining(
+    rates: Callable[[Array], Array], z: Array, free: NDArray[np.intp], upper: Array
+) -> NDArray[np.intp]:
+    """The rate that each state is found from, shape (n,): its own, as a rule.
+
+    A state that none of these rates depends on, such as the angle of a motor whose speed is given,
+    is found from the first rate that it changes, such as that of the speed.
+    """
+    r = rates(z)
+    if len(free) == len(r) or not np.isfinite(r).all():
+        return free
+    J = _slopes(rates, z, r, upper)
+    rows = free.copy()
+    for i in np.flatnonzero(~J[free].any(axis=0)):
+        others = [j for j in np.flatnonzero(J[:, i]) if j not in rows]
+        rows[i] = others[0] if others else free[i]
+    return rows
 
 
 def _at_rest(
@@ -118,8 +143,8 @@ def _followed(rates: Callable[[Array], Array], z: Array, bounds: tuple[Array, Ar
 
 
 def _slopes(rates: Callable[[Array], Array], z: Array, r: Array, upper: Array) -> Array:
-    """Differences of the rates, shape (n, n)."""
-    J = np.empty((len(z), len(z)))
+    """Differences of m rates, shape (m, n)."""
+    J = np.empty((len(r), len(z)))
     for i in range(len(z)):
         moved = z.copy()
         step = _STEP * max(1.0, abs(float(z[i])))

@@ -100,7 +100,7 @@ class Robot:
             raise ModelError(f"joint '{name}' is locked at {self.locked[name]:g}")
         if name in self.fixed:
             raise ModelError(f"joint '{name}' is fixed")
-        existing = ", ".join(joint.name for joint in self.joints)
+        existing = ", ".join(joint.name for joint in self.joints) or "none"
         raise ModelError(f"no joint '{name}'; the robot has {existing}")
 
     def neutral(self) -> Array:
