@@ -165,6 +165,22 @@ def test_energy_changes_by_the_work_of_the_motor_less_what_is_lost():
     assert lost > 0.1 and abs(done) > 0.1
 
 
+def test_at_its_largest_speed_the_motor_gives_what_keeps_it_there():
+    first = {"position": {"hinge": 0.7}, "internal": {"drive": {"angle": 3.5, "speed": 8.0}}}
+    scene = pendulum(
+        actuators=[{**DRIVE, "speed": 9.0}], initial=first, integrator={"type": "rk4"}, dt=1e-4
+    )
+    samples = list(driven(scene, 1.8).run(scene.initial, 0.05))
+    at_limit = [x for x in samples if x.z[1] == 9.0]
+    assert len(at_limit) > 100 and at_limit == samples[-len(at_limit) :]
+    system, drive, u = driven(scene, 1.8).system, scene.actuators[0], np.array([1.8])
+    power, loss = np.array([drive.show(system.k, x, u, None)[1:] for x in at_limit]).T
+    work = simpson(power - loss, dx=1e-4)
+    gained = system.energy(at_limit[-1]) - system.energy(at_limit[0])
+    assert gained == pytest.approx(work, rel=1e-9)
+    assert power.max() < 0.9 * 1.8 * 9.0
+
+
 LEG = {
     "actuators": [
         {**DRIVE, "joint": "ankle", "name": "drive"},

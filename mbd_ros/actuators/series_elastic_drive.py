@@ -68,6 +68,7 @@ class SeriesElasticDrive(Actuator):
         self.outputs = (self.outputs[0]._replace(unit=unit), *self.outputs[1:])
         self._stiffness, self._damping, self._ratio = stiffness, damping, ratio
         self._inertia, self._viscous, self._limit = rotor_inertia, viscous, limit
+        self._speed = speed
         self._nv = int(robot.model.nv)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
@@ -94,11 +95,17 @@ class SeriesElasticDrive(Actuator):
         return 0.5 * (self._stiffness * stretch * stretch + self._inertia * speed * speed)
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> tuple[float, ...]:
-        """Torque of the joint, power of the motor, and what both dampers take."""
+        """Torque of the joint, power of the motor, and what both dampers take.
+
+        At its largest speed the motor gives no more than what keeps it there.
+        """
         stretch, rate, speed = self._stretched(k, x)
         torque = self._stiffness * stretch + self._damping * rate
         loss = self._damping * rate * rate + self._viscous * speed * speed
-        return torque, self._driving(k, u) * speed, loss
+        power = self._driving(k, u) * speed
+        if abs(speed) >= self._speed:
+            power = min(power, (self._viscous * speed + torque / self._ratio) * speed)
+        return torque, power, loss
 
     def command(self, torque: Array, x: State) -> Array:
         """Motor torque that a torque of the joint takes in the long run [N·m], shape (1,)."""
