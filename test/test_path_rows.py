@@ -22,8 +22,8 @@ ATWOOD = urdf(
 )
 OVER_THE_WHEEL = [
     {"frame": "one"},
-    {"frame": "world", "point": [-0.1, 0.0, 5.0]},
-    {"frame": "world", "point": [0.1, 0.0, 5.0]},
+    {"frame": "world", "xyz": [-0.1, 0.0, 5.0]},
+    {"frame": "world", "xyz": [0.1, 0.0, 5.0]},
     {"frame": "other"},
 ]
 LENGTH = 8.2  # 4 m to either mass, 0.2 m over the wheel
@@ -68,9 +68,9 @@ BARS = {
 def test_a_straight_path_that_keeps_its_length_is_a_bar(base):
     """Same accelerations and reactions as `distance`, whose multiplier pushes."""
     description, *ends = BARS[base]
-    a, b = ({"frame": frame, "point": point} for frame, point in ends)
-    bar = {"type": "distance", "frame_a": a["frame"], "point_a": a["point"], "distance": 0.6}
-    bar |= {"frame_b": b["frame"], "point_b": b["point"]}
+    a, b = ({"frame": frame, "xyz": point} for frame, point in ends)
+    bar = {"type": "distance", "frame_a": a["frame"], "point_a": a["xyz"], "distance": 0.6}
+    bar |= {"frame_b": b["frame"], "point_b": b["xyz"]}
     held = {"type": "path_length", "path": {"points": [a, b]}, "length": 0.6}
     one, other = (
         scene_from({"robot": {"base": base}, "constraints": [row]}, urdf=description)

@@ -25,17 +25,17 @@ ARM, FREE_ARM = read_robot(ARM_TEXT), read_robot(ARM_TEXT, base="floating")
 every_base = pytest.mark.parametrize("robot", [ARM, FREE_ARM], ids=["fixed", "floating"])
 MOVED = ARM.joints[3].name
 STRAIGHT = [
-    {"frame": "link1", "point": [0.1, 0.0, 0.05]},
-    {"frame": "link3", "point": [0.05, 0.1, 0.0]},
-    {"frame": "link3", "point": [0.05, 0.1, 0.1]},
-    {"frame": "link5", "point": [0.0, -0.1, 0.05]},
-    {"frame": "flange", "point": [0.02, 0.03, 0.0]},
+    {"frame": "link1", "xyz": [0.1, 0.0, 0.05]},
+    {"frame": "link3", "xyz": [0.05, 0.1, 0.0]},
+    {"frame": "link3", "xyz": [0.05, 0.1, 0.1]},
+    {"frame": "link5", "xyz": [0.0, -0.1, 0.05]},
+    {"frame": "flange", "xyz": [0.02, 0.03, 0.0]},
 ]
 SLIDING = [
     STRAIGHT[0],
     {
         "frame": "link4",
-        "point": [9.0, 0.08, 9.0],
+        "xyz": [9.0, 0.08, 9.0],
         "moves": {
             "joint": MOVED,
             "x": {"polynomial": [0.05, 0.03, -0.02]},
@@ -64,7 +64,7 @@ def length_by_hand(robot, entry, q):
     joint = {one.name: q[one.q] for one in robot.joints}
     places = []
     for via in entry.get("points", ()):
-        point, angle = np.array(via.get("point", (0.0, 0.0, 0.0))), joint[MOVED]
+        point, angle = np.array(via.get("xyz", (0.0, 0.0, 0.0))), joint[MOVED]
         if "moves" in via:
             point[0] = 0.05 + 0.03 * angle - 0.02 * angle**2
             point[2] = natural_spline(angle)
@@ -181,9 +181,9 @@ MASS, INERTIA, CENTRE, GRAVITY = 1.0, 0.0833583 + 0.25, 0.5, 9.81  # of pendulum
 def pendulum_cable(**more):
     """A cable from the world through an eye at rest to the tip of the rod, over its hinge."""
     through = [
-        {"frame": "world", "point": HOOK.tolist()},
-        {"frame": "world", "point": EYE.tolist()},
-        {"frame": "rod", "point": TIP.tolist()},
+        {"frame": "world", "xyz": HOOK.tolist()},
+        {"frame": "world", "xyz": EYE.tolist()},
+        {"frame": "rod", "xyz": TIP.tolist()},
     ]
     cable = {"type": "cable", "stiffness": STIFFNESS, "damping": DAMPING, "slack_length": SLACK}
     entries = {"forces": [{**cable, **more, "path": {"points": through}}], "dt": 0.01}
@@ -241,9 +241,9 @@ def stepped(rates, t, y, h=1e-7):
 def test_a_damped_cable_on_a_floating_body_takes_what_the_energy_loses():
     """E(0) - E(1 s) is the integral of (F - stiffness s) l', and there is no net load."""
     points = [
-        {"frame": "left", "point": [0.0, 0.1, -0.3]},
-        {"frame": "trunk", "point": [0.1, 0.0, 0.3]},
-        {"frame": "right", "point": [0.1, 0.1, -0.2]},
+        {"frame": "left", "xyz": [0.0, 0.1, -0.3]},
+        {"frame": "trunk", "xyz": [0.1, 0.0, 0.3]},
+        {"frame": "right", "xyz": [0.1, 0.1, -0.2]},
     ]
     cable = {"path": {"points": points}, "stiffness": 40.0, "damping": 2.0, "slack_length": 0.2}
     entries = {
@@ -279,9 +279,9 @@ def test_a_cable_over_a_coupled_joint_acts_through_its_slope():
                 "type": "cable",
                 "path": {
                     "points": [
-                        {"frame": "world", "point": [0.0, 0.3, 0.0]},
-                        {"frame": "rod_1", "point": [0.5, 0.1, 0.0]},
-                        {"frame": "rod_2", "point": [0.6, 0.0, 0.0]},
+                        {"frame": "world", "xyz": [0.0, 0.3, 0.0]},
+                        {"frame": "rod_1", "xyz": [0.5, 0.1, 0.0]},
+                        {"frame": "rod_2", "xyz": [0.6, 0.0, 0.0]},
                     ]
                 },
                 "stiffness": 300.0,
@@ -318,9 +318,9 @@ def test_a_cable_in_a_closed_loop_keeps_the_energy():
         "type": "cable",
         "path": {
             "points": [
-                {"frame": "crank_link", "point": [0.5, 0.1, 0.0]},
-                {"frame": "world", "point": [1.0, -0.4, 0.0]},
-                {"frame": "rocker_link", "point": [0.8, 0.0, 0.0]},
+                {"frame": "crank_link", "xyz": [0.5, 0.1, 0.0]},
+                {"frame": "world", "xyz": [1.0, -0.4, 0.0]},
+                {"frame": "rocker_link", "xyz": [0.8, 0.0, 0.0]},
             ]
         },
         "stiffness": 80.0,

@@ -29,9 +29,9 @@ SPRING = {"stiffness": 300.0, "damping": 4.0, "length": 0.2}
 FAR = {"point_a": (0.2, -0.1, 0.3), "point_b": (0.02, 0.05, -0.04)}
 CABLE = {"stiffness": 300.0, "damping": 40.0, "slack_length": 0.3}
 VIA = [
-    {"frame": "link1", "point": [0.1, 0.0, 0.05]},
-    {"frame": "link3", "point": [0.05, 0.1, 0.0]},
-    {"frame": "flange", "point": [0.02, 0.03, 0.0]},
+    {"frame": "link1", "xyz": [0.1, 0.0, 0.05]},
+    {"frame": "link3", "xyz": [0.05, 0.1, 0.0]},
+    {"frame": "flange", "xyz": [0.02, 0.03, 0.0]},
 ]
 CURVE = {"polynomial": [0.05, 0.03, -0.02]}
 SLIDING = [VIA[0], {**VIA[1], "moves": {"joint": ARM.joints[4].name, "x": CURVE}}, VIA[2]]

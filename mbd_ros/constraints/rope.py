@@ -31,7 +31,7 @@ class Rope(PathRow):
     """
 
     example = {
-        "path": {"points": [{"frame": "world", "point": [0.1, 0.0, 1.0]}, {"frame": "foot"}]},
+        "path": {"points": [{"frame": "world", "xyz": [0.1, 0.0, 1.0]}, {"frame": "foot"}]},
         "length": 1.5,
         "restitution": 0.2,
     }

@@ -32,8 +32,8 @@ class Cable(PathLoad):
     example = {
         "path": {
             "points": [
-                {"frame": "world", "point": [0.1, 0.0, 1.0]},
-                {"frame": "femoral_pylon", "point": [0.05, 0.0, -0.2]},
+                {"frame": "world", "xyz": [0.1, 0.0, 1.0]},
+                {"frame": "femoral_pylon", "xyz": [0.05, 0.0, -0.2]},
                 {"frame": "foot"},
             ]
         },

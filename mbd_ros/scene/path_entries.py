@@ -95,15 +95,15 @@ def _via(
     where: str,
     *,
     frame: str,
-    point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
+    xyz: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
     moves: Any = None,
     within: Any = None,
 ) -> ViaPoint:
     interval = None if within is None else schema.call(_interval, within, f"{where}.within", robot)
     if moves is None:
-        return ViaPoint(robot, frame, point, interval)
+        return ViaPoint(robot, frame, xyz, interval)
     joint, functions = schema.call(_moves, moves, f"{where}.moves", f"{where}.moves")
-    return MovingViaPoint(robot, frame, point, joint, functions, interval)
+    return MovingViaPoint(robot, frame, xyz, joint, functions, interval)
 
 
 def _moves(
