@@ -10,6 +10,7 @@ from mbd_ros.scene.registry import PARTS, resolve
 
 SPRING = {"type": "joint_spring", "joint": "ankle", "stiffness": 30.0}
 BAR = {"type": "distance", "frame_a": "world", "frame_b": "foot", "distance": 0.9}
+FAR = {"lower": -9.0, "upper": 9.0}  # of what the bar makes of the leg
 LEG = "prosthetic_leg"
 
 
@@ -23,8 +24,8 @@ def test_a_part_goes_by_its_place_and_type_numbered_where_that_repeats():
             "constraints": [
                 BAR,
                 {**BAR, "frame_a": "foot", "frame_b": "world"},
-                {"type": "joint_stop", "joints": ["all"]},
-                {"type": "joint_stop", "joints": ["knee"]},
+                {"type": "joint_stop", "joints": ["all"], **FAR},
+                {"type": "joint_stop", "joints": ["knee"], **FAR},
             ],
             "forces": [SPRING, SPRING, {**SPRING, "name": "cushion"}],
             "actuators": [{"type": "ideal", "joints": ["hip_flexion", "ankle"]}],
