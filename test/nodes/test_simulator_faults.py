@@ -176,8 +176,19 @@ def test_17_a_pause_is_no_loss_of_commands(domain, tmp_path):
 # ---------------------------------------------------------------------- stops
 
 
+def test_a_joint_at_a_thousand_radians_a_second_stays_inside_an_exact_stop(domain, tmp_path):
+    stop = "constraints: [{type: joint_stop, joint: hinge, upper: 3.0, restitution: 0.5}]\n"
+    fast = PENDULUM.replace("hinge: 0.3}", "hinge: 0.3}, velocity: {hinge: 1000.0}")
+    with simulated(domain, tmp_path, fast + stop, paused="true") as client:
+        for _ in range(20):
+            assert client.step().position[0] <= 3.0 + 1e-9
+        assert 10.0 < abs(client.newest.velocity[0]) < 510.0
+        health = client.probe.wait_health(lambda h: True)
+        assert health.values["stops passed"] == "none"
+
+
 def test_a_stop_that_is_passed_is_named_in_the_diagnostics(domain, tmp_path):
-    stop = "constraints: [{type: joint_stop, joint: hinge, upper: 3.0}]\n"
+    stop = "constraints: [{type: joint_stop, joint: hinge, upper: 3.0, time_constant: 0.01}]\n"
     fast = PENDULUM.replace("hinge: 0.3}", "hinge: 0.3}, velocity: {hinge: 1000.0}")
     with simulated(domain, tmp_path, fast + stop, paused="true") as client:
         health = client.probe.wait_health(lambda h: True)

@@ -182,7 +182,7 @@ class Plant:
             "share of the safe command": "1" if watch.held is None else f"{watch.weight:.6g}",
             "safe command": str(self.scene.safe),
         }
-        if live.simulation.overshoots is not None:
+        if any(block.part.stops for block in system.layout.yielding):
             details["stops passed"] = "; ".join(live.simulation.passed_stops()) or "none"
         if system.bounded is not None:
             s = system.bounded.qp.statistics
