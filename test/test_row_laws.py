@@ -98,6 +98,21 @@ def test_slots_are_the_same_in_every_mode_and_cover_all_rows():
     assert layout.rows[4].name == "latch.held_0" and layout.blocks[2].rows == layout.rows[4:5]
 
 
+def test_every_three_rows_of_a_cone_are_a_contact():
+    parts = [Held(bilateral(), m=2), Held(cone([0.5, 0.7], 0.3), m=6), Held(cone(0.2), m=6)]
+    layout = RowLayout(parts)
+    assert layout.cones == (
+        ("held.held_0#2", slice(2, 5), 0.5, 0.3),
+        ("held.held_3", slice(5, 8), 0.7, 0.3),
+        ("held.held_0#3", slice(8, 11), 0.2, 0.0),
+        ("held.held_3#2", slice(11, 14), 0.2, 0.0),
+    )
+    rows = ConstraintRows(layout.yielding, 3)
+    assert [cone.slots.start for cone in rows.cones] == [0, 3, 6, 9]
+    assert rows.upper.tolist() == 4 * [np.inf, 0.0, 0.0] and not rows.lower.any()
+    assert rows.is_rate.tolist() == 4 * [False, True, True]
+
+
 def test_gains_are_one_number_or_one_a_row():
     block = RowLayout([Held(box(-1.0, [1.0, 2.0]), gains=(4.0, np.array((1.0, 3.0))), m=2)]).blocks
     kp, kd = block[0].gains
@@ -145,9 +160,12 @@ def test_laws_that_no_solver_serves_are_refused_by_name(part, message):
 @pytest.mark.parametrize(
     ("part", "message"),
     [
-        (Held(cone(0.5)), "a cone has 3 rows, a normal and two tangents; this has 1"),
-        (Held(cone(-0.5), m=3), "friction -0.5 must be >= 0"),
-        (Held(unilateral(1.5)), "restitution 1.5 within 0 .. 1"),
+        (Held(cone(0.5)), "a cone has 3 rows a contact, a normal and two tangents; this has 1"),
+        (Held(cone(0.5), m=4), "a cone has 3 rows a contact, a normal and two tangents; this has"),
+        (Held(cone(-0.5), m=3), "friction -0.5 must be >= 0 and finite"),
+        (Held(cone([0.5, math.nan]), m=6), "friction nan must be >= 0 and finite"),
+        (Held(cone([0.5, 0.6]), m=9), "friction is one number or 3, one a contact"),
+        (Held(unilateral(1.5)), "restitution 1.5 must be within 0 .. 1"),
         (Held(box(2.0, 1.0)), "the lower bound of a multiplier is above the upper one"),
         (Held(box(math.nan, 1.0)), "the lower bound of a multiplier is above the upper one"),
         (Held(box(0.0, [1.0, 2.0, 3.0]), m=2), "bounds and gains are one number or 2, one a row"),

@@ -37,14 +37,14 @@ class Law(NamedTuple):
         kind: What exerts them.
         lower: Smallest multiplier [N or N·m].
         upper: Largest multiplier [N or N·m].
-        mu: Coefficient of friction of a cone.
+        mu: Coefficient of friction of cones: one number, or one a contact.
         restitution: Share of the impulse of compression that an impact gives back (Poisson).
     """
 
     kind: Kind
     lower: Bound = -math.inf
     upper: Bound = math.inf
-    mu: float = 0.0
+    mu: float | Sequence[float] = 0.0
     restitution: float = 0.0
 
     @property
@@ -83,11 +83,11 @@ def unilateral(e: float = 0.0) -> Law:
     return Law(Kind.UNILATERAL, lower=0.0, restitution=e)
 
 
-def cone(mu: float, e: float = 0.0) -> Law:
-    """Three rows, a normal and two tangents: lam_n >= 0, |lam_t| <= mu lam_n.
+def cone(mu: float | Sequence[float], e: float = 0.0) -> Law:
+    """Three rows a contact, a normal and two tangents: lam_n >= 0, |lam_t| <= mu lam_n.
 
     Args:
-        mu: Coefficient of friction, >= 0.
+        mu: Coefficient of friction, >= 0: one number, or one a contact.
         e: Restitution along the normal, 0 .. 1.
     """
     return Law(Kind.CONE, mu=mu, restitution=e)

@@ -19,7 +19,7 @@ import numpy as np
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.optimization.active_set import least_norm, on_active_set
 from mbd_ros.core.optimization.box_qp import exchanged
-from mbd_ros.core.optimization.contact_impulses import Cone, ContactImpulses
+from mbd_ros.core.optimization.contact_impulses import ContactImpulses
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array, Mode, State
@@ -63,9 +63,9 @@ class ExactContact:
 
     def __init__(self, rows: ConstraintRows) -> None:
         self.slipping: Array | None = None
-        blocks = zip(rows.slices, rows.blocks, strict=True)
-        (found,) = ((mine, block) for mine, block in blocks if block.law.kind is Kind.CONE)
-        self.rows, self._part, self._mu = found[0], found[1].part, found[1].law.mu
+        (self._part,) = (block.part for block in rows.blocks if block.law.kind is Kind.CONE)
+        (cone,) = rows.cones
+        self._cone, self.rows, self._mu = cone, cone.slots, cone.mu
         self._constraints, self._names = rows, [row.name for row in rows.rows]
         self._tangents = slice(self.rows.start + 1, self.rows.stop)
 
@@ -158,7 +158,7 @@ class ExactContact:
         diagonal = A.diagonal()
         size = np.where(diagonal > 0.0, diagonal, 1.0)
         speed = float((np.abs(w) / np.sqrt(size)).max())
-        contacts = ContactImpulses(A, diagonal, self._names, Cone(self.rows, self._mu))
+        contacts = ContactImpulses(A, diagonal, self._names, self._cone)
         lower, upper = bounds
         at_least = lower.copy()
         at_least[self.rows] = 0.0

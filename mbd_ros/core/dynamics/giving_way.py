@@ -5,10 +5,11 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.step_problem import StepProblem, Which
 from mbd_ros.core.optimization.bounded_impulses import BoundedImpulses
-from mbd_ros.core.optimization.contact_impulses import Cone, ContactImpulses
+from mbd_ros.core.optimization.contact_impulses import ContactImpulses
 from mbd_ros.core.optimization.push_impulses import PushImpulses
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.rows.row_layout import Cone
 from mbd_ros.core.state import Array
 
 _SLIPS = 1.0e-12  # of the square of a slip: it neither ends in the step nor turns round
@@ -43,12 +44,12 @@ class GivingWay:
                 mean slip of the step, which is of second order where slip turns.
         """
         acts = closed | ~(self.pushes | self._is_friction)
-        if self._cone is None or not closed[self._cone.rows.start]:
+        if self._cone is None or not closed[self._cone.slots.start]:
             return free + self._impulses(problem, np.flatnonzero(acts), free, None)
-        acts[self._cone.rows] = True
+        acts[self._cone.slots] = True
         on = np.flatnonzero(acts)
-        first = int(np.searchsorted(on, self._cone.rows.start))
-        cone = Cone(slice(first, first + 3), self._cone.mu)
+        first = int(np.searchsorted(on, self._cone.slots.start))
+        cone = self._cone._replace(slots=slice(first, first + 3))
         if near is not None:
             slip, before = (self._slip(problem, v) for v in (near, problem.x.v))
             late = (1.0 - self._theta) / self._theta * before
@@ -61,7 +62,7 @@ class GivingWay:
     def _slip(self, problem: StepProblem, v: Array) -> Array:
         """Velocity of the contact along its plane at the end of the step, shape (2,)."""
         assert self._cone is not None
-        at = slice(self._cone.rows.start + 1, self._cone.rows.stop)
+        at = slice(self._cone.slots.start + 1, self._cone.slots.stop)
         slip: Array = problem.J[at].dot(v) + problem.offset[at]
         return slip
 
@@ -96,7 +97,7 @@ class GivingWay:
             p = BoundedImpulses(*of).solve(b, lower, upper, speed)
         else:
             if late is not None:
-                b[cone.rows.start + 1 : cone.rows.stop] += late
+                b[cone.slots.start + 1 : cone.slots.stop] += late
             p = ContactImpulses(*of, cone).solve(b, lower, upper, speed)
         change: Array = response.X[:, on].dot(p)
         return change
@@ -105,11 +106,11 @@ class GivingWay:
 def _one_sided(rows: ConstraintRows) -> tuple[Which, Which, Cone | None]:
     """Rows that only push, those of friction at a contact, and the contact."""
     pushes, is_friction = np.zeros((2, len(rows.rows)), dtype=np.bool_)
-    cone = None
     for block, mine in zip(rows.blocks, rows.slices, strict=True):
         if block.law.kind is Kind.UNILATERAL:
             pushes[mine] = True
         elif block.law.kind is Kind.CONE:
-            cone = Cone(mine, block.law.mu)
-            pushes[mine.start], is_friction[mine.start + 1 : mine.stop] = True, True
-    return pushes, is_friction, cone
+            is_friction[mine] = True
+            normals = slice(mine.start, mine.stop, 3)
+            pushes[normals], is_friction[normals] = True, False
+    return pushes, is_friction, next(iter(rows.cones), None)

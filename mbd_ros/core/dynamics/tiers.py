@@ -139,7 +139,7 @@ class _Plan:
 
 def _refuse_unserved(blocks: Sequence[RowBlock]) -> None:
     """Refuse laws that exist and that no solver serves."""
-    cones = [block.rows[0].name for block in blocks if block.law.kind is Kind.CONE]
+    cones = [cone.name for block in blocks for cone in block.cones()]
     if len(cones) > 1:
         raise ModelError(f"one contact with friction goes, the scene has {', '.join(cones)}")
     for block in blocks:

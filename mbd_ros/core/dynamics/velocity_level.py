@@ -30,6 +30,7 @@ from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.optimization.push_impulses import PushImpulses
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.rows.row_layout import Cone
 from mbd_ros.core.state import Array, State
 
 Slots = NDArray[np.intp]
@@ -64,7 +65,7 @@ class VelocityLevel:
         self._rows, self._pushing = layout.rows, layout.having(Kind.UNILATERAL, Kind.CONE)
         self._restitution = np.zeros(len(layout.rows))
         for block in self._pushing:
-            normals = block.slots.start if block.law.kind is Kind.CONE else block.slots
+            normals = slice(block.slots.start, block.slots.stop, 3 if block.cones() else 1)
             self._restitution[normals] = block.law.restitution
         self._nothing = np.zeros((0, nv)), np.zeros(0)
 
@@ -99,16 +100,16 @@ class VelocityLevel:
         self,
         slots: Slots,
         response: ImpulseResponse,
-        contact: tuple[slice, float] | None,
+        contact: Cone | None,
         approach: Array,
         speed: float,
     ) -> Array:
         """Impulses of compression and expansion together, one a touching row."""
         names, e = [self._rows[i].name for i in slots], self._restitution[slots]
         if contact is not None:
-            from mbd_ros.core.optimization.contact_impulses import Cone, ContactImpulses
+            from mbd_ros.core.optimization.contact_impulses import ContactImpulses
 
-            contacts = ContactImpulses(response.A, response.loose, names, Cone(*contact))
+            contacts = ContactImpulses(response.A, response.loose, names, contact)
             impulse = contacts.pushing(approach, speed)
             if (given_back := e * impulse).any():
                 after = approach + response.A.dot(impulse)
@@ -124,17 +125,17 @@ class VelocityLevel:
 
     def _touched(
         self, x: State, touching: Sequence[int]
-    ) -> tuple[Slots, Array, Array, tuple[slice, float] | None]:
+    ) -> tuple[Slots, Array, Array, Cone | None]:
         """Slots of rows that push, J and the part of g' without the velocity, and a contact."""
         wanted, k = set(touching), self._mechanism.k
         slots: list[int] = []
         J, rates = ([nothing] for nothing in self._nothing)
-        contact: tuple[slice, float] | None = None
+        contact: Cone | None = None
         for block in self._pushing:
             here = [i for i in range(block.slots.start, block.slots.stop) if i in wanted]
             if block.law.kind is Kind.CONE and here:  # its normal and its tangents are one contact
                 here = list(range(block.slots.start, block.slots.stop))
-                contact = slice(len(slots), len(slots) + 3), block.law.mu
+                (contact,) = block.cones(len(slots))
             if here:
                 part, own = block.part, np.array(here) - block.slots.start
                 k.refresh(x.q, x.v, part.reads)

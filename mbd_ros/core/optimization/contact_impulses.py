@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.optimization.active_set import least_norm
 from mbd_ros.core.optimization.bounded_impulses import BoundedImpulses
 from mbd_ros.core.optimization.cone_contact import cone_contact
+from mbd_ros.core.rows.row_layout import Cone
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import CONTRADICTION, HELD_BY_ROWS, TINY
 from mbd_ros.errors import SolveError
@@ -25,18 +26,6 @@ _FITS = 1.0e-10  # of a rate or an impulse, relative: what may be left of a law
 _ROUNDING = 1.0e-11  # of a rate, relative to those that the velocity can mean
 Slots = NDArray[np.intp]
 Sides = NDArray[np.int8]  # -1 at the lower bound, 1 at the upper one, 0 where w = 0
-
-
-class Cone(NamedTuple):
-    """A contact among the rows of a problem.
-
-    Attributes:
-        rows: Its normal and two tangents.
-        mu: Coefficient of friction.
-    """
-
-    rows: slice
-    mu: float
 
 
 class _Asked(NamedTuple):
@@ -61,7 +50,7 @@ class ContactImpulses:
     def __init__(self, A: Array, loose: Array, names: Sequence[str], cone: Cone) -> None:
         self._A, self._loose, self._names, self._cone = 0.5 * (A + A.T), loose, names, cone
         is_other = np.ones(len(A), dtype=np.bool_)
-        is_other[cone.rows] = False
+        is_other[cone.slots] = False
         self._at, self._others = np.flatnonzero(~is_other), np.flatnonzero(is_other)
         self._moves = (A.diagonal() > HELD_BY_ROWS * loose)[self._others]
         chosen = [names[i] for i in self._others.tolist()]
@@ -98,7 +87,7 @@ class ContactImpulses:
             p = self._with(choice, asked)
             if self._fits(p, self._A.dot(p) + b, asked):
                 return p
-        name = self._names[self._cone.rows.start]
+        name = self._names[self._cone.slots.start]
         raise SolveError(f"no impulses are found for contact {name} and the rows beside it")
 
     def pushing(self, b: Array, speed: float, least: Array | None = None) -> Array:

@@ -26,6 +26,7 @@ class ConstraintRows:
     Attributes:
         blocks: As given.
         gains: As given.
+        cones: Contacts with friction among these rows, their slots counted here.
         parts: Their constraints.
         rows: One entry a row.
         slots: Where their multipliers stand among those of the scene, shape (m,).
@@ -48,6 +49,8 @@ class ConstraintRows:
         self.slots = np.concatenate([np.zeros(0, dtype=np.intp), *every])
         ends = np.cumsum([0, *(len(block.rows) for block in blocks)]).tolist()
         self.slices = [slice(*pair) for pair in itertools.pairwise(ends)]
+        each = zip(self.blocks, self.slices, strict=True)
+        self.cones = tuple(cone for block, mine in each for cone in block.cones(mine.start))
         self.reads = max((part.reads for part in self.parts), default=Reads.NOTHING)
         m = len(self.rows)
         self.lower, self.upper = np.full(m, -np.inf), np.full(m, np.inf)
@@ -57,8 +60,9 @@ class ConstraintRows:
             self._kp[mine], self._kd[mine] = gains if block.law.is_rigid else block.gains
             self.is_rate[mine] = block.level is Level.VELOCITY
             if block.law.kind is Kind.CONE:  # what friction may be depends on the normal
-                self.lower[mine], self.upper[mine] = 0.0, (np.inf, 0.0, 0.0)
-                self.is_rate[mine] = False, True, True
+                self.lower[mine], self.upper[mine], self.is_rate[mine] = 0.0, 0.0, True
+                normals = slice(mine.start, mine.stop, 3)
+                self.upper[normals], self.is_rate[normals] = np.inf, False
             elif not block.law.varies:
                 self.lower[mine], self.upper[mine] = block.law.lower, block.law.upper
         self.varies = any(block.law.varies for block in self.blocks)

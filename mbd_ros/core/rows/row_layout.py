@@ -14,6 +14,22 @@ from mbd_ros.core.state import Array, Mode
 from mbd_ros.errors import ModelError
 
 
+class Cone(NamedTuple):
+    """One contact with friction: the rows of its normal and two tangents.
+
+    Attributes:
+        name: That of the row of its normal.
+        slots: Its three rows, among those of the scene or of who asks.
+        mu: Coefficient of friction.
+        e: Restitution along the normal.
+    """
+
+    name: str
+    slots: slice
+    mu: float
+    e: float
+
+
 class RowBlock(NamedTuple):
     """The rows of one constraint, as solvers see them.
 
@@ -37,6 +53,23 @@ class RowBlock(NamedTuple):
     smoothed: bool
     slips: bool
 
+    def cones(self, first: int | None = None) -> list[Cone]:
+        """One entry a contact with friction.
+
+        Args:
+            first: Where the rows of the block begin; its place among those of the scene is the
+                default.
+        """
+        if self.law.kind is not Kind.CONE:
+            return []
+        first = self.slots.start if first is None else first
+        starts = range(first, first + len(self.rows), 3)
+        mu: list[float] = np.broadcast_to(self.law.mu, len(starts)).tolist()
+        return [
+            Cone(row.name, slice(start, start + 3), friction, self.law.restitution)
+            for row, start, friction in zip(self.rows[::3], starts, mu, strict=True)
+        ]
+
 
 class RowLayout:
     """Couplings first, then constraints as the scene lists them.
@@ -53,6 +86,7 @@ class RowLayout:
         yielding: The other blocks.
         exact: Those of them that give way at events only.
         smoothed: Those that are solved for in every evaluation.
+        cones: One entry a contact with friction.
 
     Raises:
         ModelError: A law or gains that do not fit their rows; names them.
@@ -69,6 +103,7 @@ class RowLayout:
         self.yielding = tuple(block for block in self.blocks if not block.law.is_rigid)
         self.exact = tuple(block for block in self.yielding if not block.smoothed)
         self.smoothed = tuple(block for block in self.yielding if block.smoothed)
+        self.cones = tuple(cone for block in self.blocks for cone in block.cones())
 
     def of(self, level: Level) -> tuple[RowBlock, ...]:
         """Blocks of one level; a projection of positions asks for `Level.POSITION`."""
@@ -120,11 +155,23 @@ def _block(part: Constraint, rows: tuple[Row, ...], slots: slice) -> RowBlock:
         raise ModelError(f"{where}: bounds and gains are one number or {m}, one a row") from error
     if not np.all(lower <= upper):
         raise ModelError(f"{where}: the lower bound of a multiplier is above the upper one")
-    if not (law.mu >= 0.0 and 0.0 <= law.restitution <= 1.0):
+    if not 0.0 <= law.restitution <= 1.0:
+        raise ModelError(f"{where}: restitution {law.restitution:g} must be within 0 .. 1")
+    block = RowBlock(part, rows, slots, part.level, law, (kp, kd), part.smoothed, part.slips)
+    _check_cones(block, where)
+    return block
+
+
+def _check_cones(block: RowBlock, where: str) -> None:
+    """Refuse cones that do not fit their rows."""
+    if block.law.kind is not Kind.CONE:
+        return
+    m, mu = len(block.rows), np.atleast_1d(np.asarray(block.law.mu, dtype=float))
+    if m == 0 or m % 3:
         raise ModelError(
-            f"{where}: friction {law.mu:g} must be >= 0, "
-            f"restitution {law.restitution:g} within 0 .. 1"
+            f"{where}: a cone has 3 rows a contact, a normal and two tangents; this has {m}"
         )
-    if law.kind is Kind.CONE and m != 3:
-        raise ModelError(f"{where}: a cone has 3 rows, a normal and two tangents; this has {m}")
-    return RowBlock(part, rows, slots, part.level, law, (kp, kd), part.smoothed, part.slips)
+    if mu.ndim != 1 or len(mu) not in (1, m // 3):
+        raise ModelError(f"{where}: friction is one number or {m // 3}, one a contact")
+    for each in mu[~((mu >= 0.0) & (mu < np.inf))].tolist():
+        raise ModelError(f"{where}: friction {each:g} must be >= 0 and finite")
