@@ -35,10 +35,9 @@ class Linearization:
 
     def update(self, t: float, q: Array, v: Array, u: Array | None) -> None:
         """Differentiate at a state."""
-        field, step, base, there = self._field, self._step, self._base, self._moved
-        chart = self._system.chart
-        field(t, q, v, u, base)
-        self.stiffness, self.damping = np.empty((2, len(step), len(step)))
+        field, step, there = self._field, self._step, self._moved
+        chart, (base, self.damping) = self._system.chart, self.by_velocity(t, q, v, u)
+        self.stiffness = np.empty((len(step), len(step)))
         lengths = self._lengths(t, q)
         for i in range(len(step)):
             step[i] = lengths[i]
@@ -46,13 +45,22 @@ class Linearization:
             length = moved[i] - q[i] if chart.is_flat else step[i]
             field(t, moved, v, u, there)
             self.stiffness[:, i] = (there - base) / length
+            step[i] = 0.0
+
+    def by_velocity(self, t: float, q: Array, v: Array, u: Array | None) -> tuple[Array, Array]:
+        """The f at a state, not to be written to, shape (nv,), and df/dv, shape (nv, nv)."""
+        field, step, base, there = self._field, self._step, self._base, self._moved
+        field(t, q, v, u, base)
+        damping = np.empty((len(step), len(step)))
+        for i in range(len(step)):
             step[i] = _STEP * max(1.0, abs(float(v[i])))
             if self._upper is not None and v[i] + step[i] > self._upper[i]:
                 step[i] = -step[i]  # internal states stay inside their bounds
             moved = v + step
             field(t, q, moved, u, there)
-            self.damping[:, i] = (there - base) / (moved[i] - v[i])
+            damping[:, i] = (there - base) / (moved[i] - v[i])
             step[i] = 0.0
+        return base, damping
 
     def derivatives(self, y: State, u: Array | None, *, inputs: bool) -> Derivatives:
         """Derivatives at a state; those by u cost an evaluation each where they are wanted."""
