@@ -326,13 +326,24 @@ def test_feet_that_cannot_pull_leave_a_residual_to_the_base():
     assert found.multipliers == pytest.approx(least.x, abs=1e-8)
 
 
-def test_cones_are_refused_by_name():
+class Slipping(Gripping):
+    """A row that pushes along another direction than its own."""
+
+    law, slips = box(-1.0, 1.0), True
+
+
+def test_contacts_are_no_unknowns_and_rows_that_slip_are_refused_by_name():
     robot = read_robot(floating_body(), base="floating")
-    grip = Gripping(robot, frame="trunk", position=(0.0,) * 3, kind="point")
-    parts = robot, Couplings(robot), [grip], joint_efforts(robot, ())
-    ClosedLoopInverseDynamics(*parts)
-    with pytest.raises(ModelError, match=r"row gripping.* takes neither cones nor"):
-        ClosedLoopInverseDynamics(*parts, with_bounds=True)
+    where = {"frame": "trunk", "position": (0.0,) * 3, "kind": "point"}
+    efforts = joint_efforts(robot, ())
+    for kind, m in ((Gripping, 0), (Slipping, None)):
+        parts = robot, Couplings(robot), [kind(robot, **where)], efforts
+        assert not ClosedLoopInverseDynamics(*parts).constraints.rows
+        if m is None:
+            with pytest.raises(ModelError, match=r"row slipping.* takes no rows that slip"):
+                ClosedLoopInverseDynamics(*parts, with_bounds=True)
+        else:
+            assert not ClosedLoopInverseDynamics(*parts, with_bounds=True).constraints.rows
 
 
 def test_a_recorded_motion_shows_what_a_stop_and_friction_did():

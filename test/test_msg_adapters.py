@@ -20,7 +20,7 @@ from msg_adapters.joint_state import (
     write_joint_state,
 )
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
-from msg_adapters.markers import Arrow, ArrowWriter
+from msg_adapters.markers import Arrow, Cone, MarkerWriter
 from msg_adapters.multi_array import read_multi_array, write_multi_array
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 from msg_adapters.time import read_time, write_time
@@ -272,8 +272,12 @@ def test_every_writer_of_a_node_refuses_what_is_not_finite(new, bad):
     with refused:
         motion.write(1, good, good, lost, good)
     classes = partial(new, "visualization_msgs/msg/Marker"), partial(new, POINT)
-    arrows = ArrowWriter(new("visualization_msgs/msg/MarkerArray"), *classes, "world")
+    arrows = MarkerWriter(new("visualization_msgs/msg/MarkerArray"), *classes, "world")
     with refused:
         arrows.write(1, [Arrow("bar", np.zeros(3), lost)], 0.01)
     with refused:
         arrows.write(1, [Arrow("bar", lost, np.zeros(3))], 0.01)
+    cones = MarkerWriter(new("visualization_msgs/msg/MarkerArray"), *classes, "world")
+    for place, normal in ((lost, good), (good, lost)):
+        with refused:
+            cones.write(1, [], 0.01, [Cone("foot", place[:3], normal[:3], 0.5)])

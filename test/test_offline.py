@@ -11,7 +11,8 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.bags import BagWriter, new_message
 from mbd_ros.files.csv import read_table, write_table
 from mbd_ros.jobs.inverse.derivatives import Derivatives
-from mbd_ros.jobs.inverse.job import Task, inverse_to
+from mbd_ros.jobs.inverse.job import inverse_to
+from mbd_ros.jobs.inverse.observed import Task
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import write_joint_state

@@ -12,7 +12,7 @@ from msg_adapters.commands import CommandReader
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_motion import JointMotionWriter, read_joint_motion
 from msg_adapters.joint_state import write_joint_state
-from msg_adapters.markers import Arrow, ArrowWriter
+from msg_adapters.markers import Arrow, Cone, MarkerWriter
 from msg_adapters.multi_array import write_multi_array
 from msg_adapters.time import read_time
 
@@ -154,7 +154,7 @@ def test_a_trajectory_that_is_no_motion_is_refused(new):
 
 
 def test_arrows_begin_at_the_point_and_grow_with_the_force(new):
-    writer = ArrowWriter(
+    writer = MarkerWriter(
         new("visualization_msgs/msg/MarkerArray"),
         lambda: new("visualization_msgs/msg/Marker"),
         lambda: new("geometry_msgs/msg/Point"),
@@ -173,6 +173,42 @@ def test_arrows_begin_at_the_point_and_grow_with_the_force(new):
         tail, head = shank.points
         assert [tail.x, tail.y, tail.z] == [1.0, 2.0, 3.0]
         assert [head.x, head.y, head.z] == pytest.approx([1.0, 2.0, 3.0 + 0.01 * force])
+
+
+def turned(orientation, vector):
+    """A vector turned by a quaternion, by Rodrigues' formula."""
+    axis, w = np.array((orientation.x, orientation.y, orientation.z)), orientation.w
+    return vector + 2.0 * np.cross(axis, np.cross(axis, vector) + w * vector)
+
+
+@pytest.mark.parametrize(
+    "normal", [(0, 0, 40.0), (0, 0, -40.0), (3.0, -4.0, 0), (-1.0, 2.0, -2.0), (1e-9, 0, -3.0)]
+)
+def test_cones_open_around_the_normal_force(new, normal):
+    """The height is that of the arrow of the normal force, the width mu times that."""
+    writer = MarkerWriter(
+        new("visualization_msgs/msg/MarkerArray"),
+        lambda: new("visualization_msgs/msg/Marker"),
+        lambda: new("geometry_msgs/msg/Point"),
+        "world",
+    )
+    normal, place = np.array(normal, dtype=float), np.array((1.0, 2.0, 3.0))
+    arrow = Arrow("foot", place, normal)
+    for mu in (0.5, 0.0, 2.0):
+        writer.write(STAMP, [arrow], 0.01, [Cone("foot.cone", place, normal, mu)])
+        drawn, cone = writer.msg.markers
+        assert (drawn.ns, cone.ns, drawn.id, cone.id) == ("foot", "foot.cone", 0, 1)
+        assert (cone.type, cone.action) == (11, 0 if mu else 2)  # without width it is deleted
+        if mu:
+            points = np.array([(p.x, p.y, p.z) for p in cone.points])
+            assert np.hypot(*points[1:3, :2].T) == pytest.approx(1.0) and len(points) % 3 == 0
+            scaled = points * (cone.scale.x, cone.scale.y, cone.scale.z)
+            ends = np.array([turned(cone.pose.orientation, point) for point in scaled[1:3]])
+            height = 0.01 * np.linalg.norm(normal)
+            along = ends @ normal / np.linalg.norm(normal)
+            assert along == pytest.approx([height, height])
+            assert np.linalg.norm(ends, axis=1) == pytest.approx(height * np.hypot(1.0, mu))
+            assert (cone.pose.position.x, cone.pose.position.z) == (1.0, 3.0)
 
 
 @pytest.mark.parametrize("name", ["clock", "commands", "joint_motion", "markers"])

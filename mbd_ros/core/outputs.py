@@ -10,12 +10,17 @@ Value = float | Array
 
 
 class Kind(Enum):
-    """What a quantity is made of: the words for its numbers, empty where it is one."""
+    """What a quantity is made of: the words for its numbers, empty where it is one.
+
+    Wrenches and cones are drawn: what they are made of are numbers of the part already.
+    """
 
     SCALAR = ("",)
     VECTOR = ("x", "y", "z")
     WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")  # force, then torque about `at`
     POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+    PLACED_WRENCH = ("x", "y", "z", *WRENCH)  # where it acts, less `Robot.origin`; torque there
+    FRICTION_CONE = ("x", "y", "z", "fx", "fy", "fz", "mu")  # tip, the normal force, coefficient
 
 
 class Output(NamedTuple):
@@ -28,7 +33,7 @@ class Output(NamedTuple):
         kind: A number, or how many.
         frame: In whose axes it stands, empty for scalars and for axes of the world; of a wrench
             the link on which it acts, itself in axes of the world.
-        at: Where a wrench acts.
+        at: Where a wrench of `Kind.WRENCH` acts.
     """
 
     name: str
@@ -36,6 +41,14 @@ class Output(NamedTuple):
     kind: Kind = Kind.SCALAR
     frame: str = ""
     at: Point | None = None
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether it has no columns, but an arrow or a cone."""
+        return self.kind in _DRAWN
+
+
+_DRAWN = (Kind.WRENCH, Kind.PLACED_WRENCH, Kind.FRICTION_CONE)
 
 
 class Now(NamedTuple):
@@ -50,12 +63,27 @@ class Now(NamedTuple):
     lam: Array
 
 
-def exerted_on(link: Point, at: Point) -> Output:
+class FrictionCone(NamedTuple):
+    """The forces that a contact can exert, as far as its normal force.
+
+    Attributes:
+        point: Its tip, in the world less `Robot.origin` [m], shape (3,).
+        normal: The normal force: axis and height, in world axes [N], shape (3,).
+        mu: Coefficient of friction: its radius is mu times its height.
+    """
+
+    point: Array
+    normal: Array
+    mu: float
+
+
+def exerted_on(link: Point, at: Point | None) -> Output:
     """A wrench on a link.
 
     Args:
         link: Any point of it.
-        at: Where the wrench acts.
+        at: Where the wrench acts; None where the part says that with every value.
     """
     name = f"on_{link.frame.replace('.', '_')}"
-    return Output(name, "N, N·m", Kind.WRENCH, link.frame, at)
+    kind = Kind.PLACED_WRENCH if at is None else Kind.WRENCH
+    return Output(name, "N, N·m", kind, link.frame, at)

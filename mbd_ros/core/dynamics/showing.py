@@ -7,7 +7,7 @@ import numpy as np
 from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.names import label
-from mbd_ros.core.outputs import Kind, Now, Output, Value
+from mbd_ros.core.outputs import FrictionCone, Kind, Now, Output, Value
 from mbd_ros.core.parts import Part, Wrench
 from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import Array, State
@@ -27,6 +27,7 @@ class Showing:
     Attributes:
         numbers: What `at` gives: scalars, and the components of vectors and poses.
         arrows: What `wrenches` gives.
+        cones: Names of what `cones_at` gives.
 
     Raises:
         ModelError: A part shows a wrench and does not say where it acts.
@@ -37,7 +38,8 @@ class Showing:
         every: list[tuple[Part, slice]] = [(block.part, block.slots) for block in layout.blocks]
         every += [(part, _NO_ROWS) for part in loads]
         self._counted = [pair for pair in every if any(map(_is_number, pair[0].outputs))]
-        self._drawn = [pair for pair in every if not all(map(_is_number, pair[0].outputs))]
+        self._drawn = [pair for pair in every if any(map(_is_arrow, pair[0].outputs))]
+        self._coned = [pair for pair in every if any(map(_is_cone, pair[0].outputs))]
         self._internals = Internals([part for part, _ in every])
         states = zip(self._internals.names, self._internals.units, strict=True)
         internals = (Output(name, unit) for name, unit in states)
@@ -45,6 +47,10 @@ class Showing:
         shown = (number for part, _ in self._counted for number in _numbers(part))
         self.numbers = (*multipliers, *internals, *shown)
         self.arrows = tuple(arrow for part, _ in self._drawn for arrow in _arrows(part))
+        coned = (part for part, _ in self._coned)
+        self.cones = tuple(
+            label(part, one.name) for part in coned for one in filter(_is_cone, part.outputs)
+        )
 
     def at(self, x: State, u: Array, a: Array, multipliers: Array) -> Array:
         """Values of `numbers`, shape (len(numbers),), not to be written to.
@@ -68,11 +74,21 @@ class Showing:
     def wrenches(self, x: State, u: Array, a: Array, multipliers: Array) -> list[Wrench]:
         """Values of `arrows`, with where each begins; arguments and errors are those of `at`."""
         shown = self._asked(self._drawn, x, u, a, multipliers)
+        return [self._wrench(*each) for each in shown if _is_arrow(each[0])]
+
+    def cones_at(self, x: State, u: Array, a: Array, multipliers: Array) -> list[FrictionCone]:
+        """Values of `cones`; arguments and errors are those of `at`."""
+        shown = self._asked(self._coned, x, u, a, multipliers)
         return [
-            Wrench(output.frame, self._k.position(output.at), value[:3], value[3:])
+            FrictionCone(value[:3], value[3:6], float(value[6]))
             for output, value in shown
-            if output.at is not None and not _is_number(output)
+            if _is_cone(output)
         ]
+
+    def _wrench(self, output: Output, value: Array) -> Wrench:
+        if output.at is None:
+            return Wrench(output.frame, value[:3], value[3:6], value[6:])
+        return Wrench(output.frame, self._k.position(output.at), value[:3], value[3:])
 
     def _asked(
         self,
@@ -108,8 +124,16 @@ def _checked(part: Part, output: Output, value: Value) -> Array:
 
 
 def _is_number(output: Output) -> bool:
-    """Whether it has columns; what wrenches are made of are numbers already."""
-    return output.kind is not Kind.WRENCH
+    """Whether it has columns."""
+    return not output.is_drawn
+
+
+def _is_arrow(output: Output) -> bool:
+    return output.kind in (Kind.WRENCH, Kind.PLACED_WRENCH)
+
+
+def _is_cone(output: Output) -> bool:
+    return output.kind is Kind.FRICTION_CONE
 
 
 def _numbers(part: Part) -> Iterator[Output]:
@@ -121,8 +145,7 @@ def _numbers(part: Part) -> Iterator[Output]:
 
 
 def _arrows(part: Part) -> Iterator[Output]:
-    for output in part.outputs:
-        if output.kind is Kind.WRENCH:
-            if output.at is None:
-                raise ModelError(f"{label(part, output.name)}: a wrench needs `at`, a point")
-            yield output._replace(name=label(part, output.name))
+    for output in filter(_is_arrow, part.outputs):
+        if output.at is None and output.kind is Kind.WRENCH:
+            raise ModelError(f"{label(part, output.name)}: a wrench needs `at`, a point")
+        yield output._replace(name=label(part, output.name))

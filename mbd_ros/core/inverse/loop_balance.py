@@ -50,7 +50,8 @@ class LoopBalance:
         couplings: Its dependent joints; they become rows.
         constraints: Constraints of the scene.
         efforts: The unknown inputs.
-        with_bounds: Whether rows that give way are among the unknowns; drives always are.
+        with_bounds: Whether rows that give way are among the unknowns; drives always are, the
+            cones of contacts never.
         wrenches: External loads.
         forces: Force terms.
 
@@ -75,8 +76,10 @@ class LoopBalance:
         with_bounds: bool = False,
     ) -> None:
         coupled: list[Constraint] = [CouplingRows(robot, couplings)] if couplings.dependent else []
-        layout = RowLayout([*coupled, *constraints])
-        known = layout.blocks if with_bounds else layout.having(Kind.BILATERAL, Kind.DRIVE)
+        layout, kinds = RowLayout([*coupled, *constraints]), {Kind.BILATERAL, Kind.DRIVE}
+        if with_bounds:
+            kinds = {*Kind} - {Kind.CONE}  # forces of contacts are loads, where they are known
+        known = layout.having(*kinds)
         _check_bounds(known)
         self.constraints = ConstraintRows(known, robot.model.nv)
         self.is_drive = _of_kind(self.constraints, Kind.DRIVE)
@@ -148,8 +151,8 @@ def _of_kind(constraints: ConstraintRows, kind: Kind) -> NDArray[np.bool_]:
 
 def _check_bounds(blocks: Sequence[RowBlock]) -> None:
     for block in blocks:
-        if block.law.kind is Kind.CONE or block.slips:
+        if block.slips:
             raise ModelError(
-                f"row {block.rows[0].name}: inverse dynamics takes neither cones nor rows that "
-                "slip; accepted laws: bilateral, box, unilateral, drive"
+                f"row {block.rows[0].name}: inverse dynamics takes no rows that slip; accepted "
+                "laws: bilateral, box, unilateral, drive"
             )

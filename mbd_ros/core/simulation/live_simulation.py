@@ -11,7 +11,7 @@ from mbd_ros.core.model.base_motion import world_pose
 from mbd_ros.core.model.joints import Base, Joint
 from mbd_ros.core.model.poses import POSE, TWIST, with_sign_of
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.outputs import Output
+from mbd_ros.core.outputs import FrictionCone, Output
 from mbd_ros.core.parts import Wrench
 from mbd_ros.core.projection.assembly import Violation, violation
 from mbd_ros.core.simulation.command_watch import CommandWatch
@@ -157,6 +157,10 @@ class LiveSimulation:
     def wrenches(self) -> list[Wrench]:
         """The arrows of `showing` at the newest state."""
         return self.showing.wrenches(self._x, *self._evaluated)
+
+    def cones(self) -> list[FrictionCone]:
+        """The friction cones of `showing` at the newest state."""
+        return self.showing.cones_at(self._x, *self._evaluated)
 
     def _inputs(self) -> Array:
         """Inputs of this tick, shape (nu,); those of actuators come first."""

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.files.replacing import refuse_overwriting
 from mbd_ros.jobs.inverse.derivatives import Derivatives
-from mbd_ros.jobs.inverse.job import Say, Task, inverse_to
+from mbd_ros.jobs.inverse.job import inverse_to
+from mbd_ros.jobs.inverse.observed import Say, Task
 from mbd_ros.jobs.inverse.wrenches import refuse_unused
 from mbd_ros.scene.code_permission import is_permitted, permitting
 from mbd_ros.scene.reader import load_scene

@@ -10,7 +10,6 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
-from visualization_msgs.msg import MarkerArray
 
 from mbd_ros.files.topics import joint_state_topic, odometry_topic
 from mbd_ros.nodes.shell.shell import Shell
@@ -45,6 +44,8 @@ class SimulatorOutputs:
         if plant.live.simulation.guards:
             self._events = node.publish_to(Float64MultiArray, "~/events", STATES)
         if plant.live.showing.arrows:
+            from visualization_msgs.msg import MarkerArray  # only where something is drawn
+
             self._markers, self._marked = node.publish_to(MarkerArray, "~/markers", 10), 0.0
 
     @property
@@ -81,7 +82,8 @@ class SimulatorOutputs:
         rate, now = values.marker_rate, perf_counter()
         if self._markers is not None and rate > 0.0 and now >= self._marked + 1.0 / rate:
             self._marked = now
-            self._markers.publish(plant.markers(stamp, values.marker_scale))
+            if self._markers.get_subscription_count():
+                self._markers.publish(plant.markers(stamp, values.marker_scale))
 
 
 def _odometry(node: Shell, bodies: Sequence[str]) -> list[Publisher]:

@@ -4,10 +4,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from geometry_msgs.msg import Point
 from pinocchio import FrameType
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-from visualization_msgs.msg import Marker, MarkerArray
 
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.names import without_multiplier
@@ -20,7 +18,6 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_motion import JointMotionWriter
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
-from msg_adapters.markers import Arrow, ArrowWriter
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 from msg_adapters.time import NANOSECONDS
 
@@ -28,6 +25,7 @@ if TYPE_CHECKING:
     from mbd_ros.core.events.event import Event
     from mbd_ros.core.simulation.simulation import Simulation
     from mbd_ros.files.table import Table
+    from mbd_ros.nodes.simulator.drawing import Drawing
 
 
 class Plant:
@@ -82,7 +80,7 @@ class Plant:
         self._forces = JointStateCdrWriter(self.rows, ("effort",))
         self._shown = MultiArrayCdrWriter(len(self.shown), self.shown)
         self._motion = JointMotionWriter(JointTrajectory(), JointTrajectoryPoint(), names)
-        self._arrows = ArrowWriter(MarkerArray(), Marker, Point, _root_link(scene))
+        self._drawing = _drawing(scene) if self.live.showing.arrows else None
         self._event_table = _event_table() if self.live.simulation.guards else None
 
     @property
@@ -157,11 +155,9 @@ class Plant:
         return self._motion.write(stamp, now.position, now.velocity, now.acceleration, now.effort)
 
     def markers(self, stamp: int, length: float) -> Any:
-        """MarkerArray of the forces that parts show, by their names; `length` is [m/N]."""
-        origin = self.scene.robot.origin
-        pairs = zip(self.live.showing.arrows, self.live.wrenches(), strict=True)
-        arrows = [Arrow(one.name, w.point + origin, w.force) for one, w in pairs]
-        return self._arrows.write(stamp, arrows, length)
+        """MarkerArray of what parts exert, by the names of arrows; `length` is [m/N]."""
+        assert self._drawing is not None
+        return self._drawing.write(self.live, stamp, length)
 
     def details(self) -> dict[str, str]:
         """Contents and origin of the motion, for diagnostics."""
@@ -208,7 +204,14 @@ def _event_table() -> Callable[["Simulation", Sequence["Event"]], "Table"]:
     return event_table
 
 
-def _root_link(scene: Scene) -> str:
+def _drawing(scene: Scene) -> "Drawing":
+    """What draws arrows and cones."""
+    from mbd_ros.nodes.simulator.drawing import Drawing  # only where something is drawn
+
+    return Drawing(scene.robot, root_link(scene))
+
+
+def root_link(scene: Scene) -> str:
     """Link that stands for the world."""
     frames = scene.robot.model.frames
     links = [f.name for f in frames if f.type == FrameType.BODY and f.parentJoint == 0]

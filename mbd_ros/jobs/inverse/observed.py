@@ -1,0 +1,109 @@
+"""What inverse dynamics is asked for, and the samples that it is asked at."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
+from mbd_ros.core.state import Array, Motion
+from mbd_ros.errors import DataError
+from mbd_ros.files.recordings import Source, name_of, read_motion
+from mbd_ros.jobs.error_source import about
+from mbd_ros.jobs.inverse.derivatives import Derivatives, causal_line, differentiate, observe
+from mbd_ros.jobs.inverse.loop_closing import close_loops
+from mbd_ros.jobs.inverse.wrenches import read_loads, wrench_at
+from mbd_ros.scene.built_scene import Scene
+
+Say = Callable[[str], None]
+
+
+class Task(NamedTuple):
+    """What is asked for.
+
+    Attributes:
+        motion: Result, file or bag.
+        derivatives: Where velocity and acceleration come from.
+        wrenches: Result, file or bag of the external loads; a bag motion carries its own.
+        topic: JointState topic of a bag.
+        parts: Also give the torques by cause; not for scenes with loops, where a cause alone may
+            be out of reach of the actuators.
+        bounds: Keep the bounds of efforts and multipliers.
+    """
+
+    motion: Source
+    derivatives: Derivatives = Derivatives("given")
+    wrenches: Source | None = None
+    topic: str = "/joint_states"
+    parts: bool = False
+    bounds: bool = False
+
+
+class Observed(NamedTuple):
+    """What is solved.
+
+    Attributes:
+        motion: As it was read.
+        samples: Of the independent joints, with derivatives.
+        stamps: Theirs [ns], shape (n,).
+        wrenches: One (n, 6) array for every load of the scene.
+        cutoff: Of the low-pass of each joint [Hz]; None without one.
+    """
+
+    motion: Motion
+    samples: list[Observation]
+    stamps: NDArray[np.int64]
+    wrenches: list[Array]
+    cutoff: Array | None
+
+
+def observe_motion(scene: Scene, task: Task, say: Say) -> Observed:
+    """Read a motion and its loads, and give it derivatives."""
+    where, derivatives = name_of(task.motion), task.derivatives
+    with about("--cutoff"):
+        tuning = Tuning(cutoff=derivatives.causal_cutoff)
+        solver = scene.inverse_dynamics()
+        estimator = TorqueEstimator(scene.robot, solver, tuning)
+    motion = _motion(scene, task, estimator.names, solver.needed, say)
+    loads, dropped = read_loads(scene, task.motion, task.wrenches)
+    if derivatives.source == "causal":
+        with np.errstate(over="ignore", invalid="ignore"):  # the results are looked at
+            samples, cutoff = observe(estimator, motion, dropped), None
+        say(causal_line(estimator.differentiator, derivatives.causal_cutoff))
+    else:
+        with about(where), np.errstate(over="ignore", invalid="ignore"):
+            samples, cutoff, remarks = differentiate(scene, where, motion, derivatives)
+        for text in remarks:
+            say(text)
+    for reason, count in dropped.items():
+        say(f"{count} samples left out: {reason}")
+    if not samples:
+        raise DataError(f"{where}: no sample can be used")
+    stamps = np.array([x.stamp for x in samples], dtype=np.int64)
+    wrenches = [wrench_at(name, load, stamps) for name, load in loads.items()]
+    return Observed(motion, samples, stamps, wrenches, cutoff)
+
+
+def _motion(
+    scene: Scene, task: Task, names: Sequence[str], needed: Sequence[str], say: Say
+) -> Motion:
+    """The motion, with what loops give of it."""
+    where = name_of(task.motion)
+    bodies = {base.name: base.frame for base in scene.robot.bases}
+    recording = read_motion(
+        task.motion,
+        names,
+        topic=task.topic,
+        required=needed,
+        bodies=bodies,
+        members=scene.robot.members,
+    )
+    recording, remarks = close_loops(scene, where, recording)
+    for text in remarks:
+        say(text)
+    for reason, count in recording.dropped.items():
+        say(f"{where}: {count} messages left out: {reason}")
+    if recording.by_log_time:
+        say(f"{where}: stamps are 0, the times of the log are used")
+    return recording.motion
