@@ -81,8 +81,8 @@ def _multipliers(source: Source, names: list[str]) -> Array | None:
     lacking = [name for name, bad in zip(names, np.isnan(columns).any(axis=0), strict=True) if bad]
     if lacking:
         raise DataError(
-            f"{name_of(source)}: no column {', '.join(lacking)}, or it has gaps; accepted: all "
-            f"forces of a contact, or none: {', '.join(names)}"
+            f"{name_of(source)}: no column {listed(lacking)}, or it has gaps; accepted: all "
+            f"forces of a contact, or none: {listed(names)}"
         )
     return columns
 
@@ -90,7 +90,7 @@ def _multipliers(source: Source, names: list[str]) -> Array | None:
 def _unknown(scene: Scene, source: Source, part: Constraint, names: Sequence[str]) -> str:
     given = f"; the loads {', '.join(scene.wrenches)} act" if scene.wrenches else ""
     return (
-        f"warning: {name_of(source)}: no column {', '.join(names)}: the forces of contact "
+        f"warning: {name_of(source)}: no column {listed(names)}: the forces of contact "
         f"{part.name} are not known, 0 is taken{given}; simulate writes these columns, and "
         "external_wrenches of the scene take measured forces by --wrenches"
     )
