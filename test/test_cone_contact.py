@@ -9,11 +9,13 @@ from scipy.optimize import root
 from test_velocity_level import consistent, inertia, keeps, robot_of, system_of
 
 from mbd_ros.constraints.joint_stop import JointStop
-from mbd_ros.constraints.point_contact import PointContact
+from mbd_ros.contacts.rigid import Rigid
 from mbd_ros.core.dynamics.velocity_level import VelocityLevel
+from mbd_ros.core.geometry.shapes import Between, HalfSpace, Side, Sphere
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.optimization.cone_contact import cone_contact
+from mbd_ros.core.rows.pair_rows import plane_of
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
 
@@ -79,6 +81,13 @@ def test_units_of_mass_and_time_change_nothing():
             assert again == pytest.approx(once, abs=1e-9 * max(np.abs(once).max(), 1e-9))
 
 
+def touch_down(robot, frame, normal, tip=(0, 0, 0), **laws):
+    """Contact of a point of a link with a plane through the origin of the world."""
+    plane = HalfSpace(plane_of(robot, robot.point("universe"), normal))
+    sides = Side(frame, (Sphere(robot.point(frame, tip), 0.0),)), Side("universe", (plane,))
+    return Rigid(robot, between=Between(*sides), **laws)
+
+
 POINT = read_robot(
     urdf(
         *(link("world"), link("a"), link("b"), link("bob", 2.5)),
@@ -94,14 +103,7 @@ POINT = read_robot(
 @pytest.mark.parametrize("slide", [(0.5, -0.3), (0.0, 0.0), (3.0, 4.0)])
 def test_a_point_mass_bounces_as_by_hand(e, mu, slide):
     """Normal -e v_n; friction takes mu (1 + e) v_n off the slip, or all of it."""
-    part = PointContact(
-        POINT,
-        frame="bob",
-        plane_frame="universe",
-        normal=(0, 0, 2.0),
-        friction=mu,
-        restitution=e,
-    )
+    part = touch_down(POINT, "bob", (0, 0, 2.0), friction=mu, restitution=e)
     v = np.array((*slide, -1.5))
     found = VelocityLevel(system_of(POINT, [part])).impact(State(0.0, np.zeros(3), v), [0])
     speed = np.hypot(*slide)
@@ -121,15 +123,9 @@ def impacts(count, seed, *, stops=False):
         normal = rng.normal(size=3)
         if kind == "loop":
             normal[2] = 0.0
-        part = PointContact(
-            robot,
-            frame=TIP[kind],
-            plane_frame="universe",
-            normal=normal,
-            friction=float(rng.choice(FRICTIONS[:-1])),
-            restitution=float(rng.uniform()),
-            point=0.2 * rng.normal(size=3),
-        )
+        friction, e = float(rng.choice(FRICTIONS[:-1])), float(rng.uniform())
+        tip = 0.2 * rng.normal(size=3)
+        part = touch_down(robot, TIP[kind], normal, tip, friction=friction, restitution=e)
         parts = [*parts, part]
         if stops and kind != "loop":
             parts.append(JointStop(robot, joint=robot.joints[-1].name, lower=-9.0, upper=9.0))
@@ -184,9 +180,7 @@ def test_ten_thousand_impacts_with_friction_gain_no_energy():
 def test_a_point_that_nothing_moves_is_no_contact():
     """A pendulum whose tip can not move along the normal: approach by rate alone is refused."""
     robot = read_robot(mechanisms.chain(1))
-    part = PointContact(
-        robot, frame="rod_1", plane_frame="universe", normal=(0, 0, 1), friction=0.3
-    )
+    part = touch_down(robot, "rod_1", (0, 0, 1), friction=0.3)
     level = VelocityLevel(system_of(robot, [part]))
     x = State(0.0, np.zeros(1), np.ones(1))
     assert level.impact(x, [0]).v == pytest.approx([1.0])

@@ -13,14 +13,16 @@ from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.parts import Actuator, Load
+from mbd_ros.core.parts import Actuator, Load, Part
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.row_laws import Level
 from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
+from mbd_ros.scene.building import Origin, Site
 from mbd_ros.scene.code_permission import permitting
+from mbd_ros.scene.contact_entries import with_shapes
 from mbd_ros.scene.path_entries import with_paths
 from mbd_ros.scene.registry import METHODS, PARTS, resolve
 
@@ -29,12 +31,13 @@ NAMES = [(section, name) for section, names in PARTS.items() for name in names]
 CONTRACTS = {
     "actuators": Actuator,
     "constraints": Constraint,
+    "contacts": Part,
     "controllers": Controller,
     "forces": Load,
     "integrators": Integrator,
     "stabilization": Stabilization,
 }
-OF_A_ROBOT = ("actuators", "constraints", "forces")
+OF_A_ROBOT = ("actuators", "constraints", "contacts", "forces")
 FIRST = {**dict.fromkeys(OF_A_ROBOT, "robot"), "controllers": "joints"}
 every_part = pytest.mark.parametrize(("section", "name"), NAMES)
 every_part_of_a_robot = pytest.mark.parametrize(
@@ -77,6 +80,8 @@ def called(section, part, entry, where, robot):
     """A part as a scene calls it, which builds the paths of its entry first."""
     if section in OF_A_ROBOT:
         entry = with_paths(part, entry, where, robot, {})
+    if section == "contacts":
+        entry = with_shapes(Site(None, Origin(), robot, {}), entry, where)
     return schema.call(part, dict(entry), where, *context(section, robot))
 
 

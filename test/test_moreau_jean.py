@@ -276,8 +276,8 @@ def on_an_incline(degrees, friction, start, duration, dt):
     down = [-GRAVITY * np.sin(tilt), 0.0, -GRAVITY * np.cos(tilt)]
     text = (
         f"robot: {{gravity: {[float(g) for g in down]}}}\n"
-        "constraints: [{type: point_contact, frame: bob, plane_frame: world, "
-        f"normal: [0, 0, 1], friction: {friction}}}]"
+        "contacts: [{type: rigid, between: [{frame: bob, sphere: 0}, ground], "
+        f"friction: {friction}}}]"
     )
     return run(text, POINT, start, duration, dt)
 

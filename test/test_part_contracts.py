@@ -19,7 +19,9 @@ from mbd_ros.core.row_laws import Kind, Level
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
+from mbd_ros.scene.building import Origin, Site
 from mbd_ros.scene.code_permission import permitting
+from mbd_ros.scene.contact_entries import with_shapes
 from mbd_ros.scene.docstrings import entries
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.part_lines import part_lines
@@ -28,7 +30,13 @@ from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.registry import PARTS, resolve
 
 OUTSIDE = parts_of_pages.OUTSIDE
-OF_A_ROBOT = ("actuators", "constraints", "forces")
+OF_A_ROBOT = ("actuators", "constraints", "contacts", "forces")
+
+
+def has_rows(section, name):
+    return section == "constraints" or (section, name) == ("contacts", "rigid")
+
+
 EVERY = [(section, name) for section in PARTS for name in PARTS[section]]
 EVERY += [(section, name) for section in OUTSIDE for name in OUTSIDE[section]]
 every_part = pytest.mark.parametrize(("section", "name"), EVERY)
@@ -36,7 +44,7 @@ every_load = pytest.mark.parametrize(
     ("section", "name"), [pair for pair in EVERY if pair[0] in ("actuators", "forces")]
 )
 every_constraint = pytest.mark.parametrize(
-    "name", [name for section, name in EVERY if section == "constraints"]
+    ("section", "name"), [pair for pair in EVERY if has_rows(*pair)]
 )
 every_part_with_symbols = pytest.mark.parametrize(
     ("section", "name"), [pair for pair in EVERY if pair[0] in OF_A_ROBOT]
@@ -133,6 +141,8 @@ def test_constructor_stores_and_derives_so_that_it_takes_symbols(section, name):
     assert bool(given) != (name in without)  # which have a table or places alone
     robot = scene_from(urdf="prosthetic_leg").robot
     entry = with_paths(part, arguments(section, name), name, robot, {})
+    if section == "contacts":
+        entry = with_shapes(Site(None, Origin(), robot, {}), entry, name)
     assert isinstance(part(robot, **{**entry, **given}), Part)
 
 
@@ -214,9 +224,9 @@ def test_force_does_the_work_that_its_potential_loses(name, base):
 
 @pytest.mark.parametrize("base", ["fixed", "floating"])
 @every_constraint
-def test_rows_are_the_derivatives_of_one_another(name, base):
+def test_rows_are_the_derivatives_of_one_another(section, name, base):
     """J v + rate = dg/dt and drift = dg'/dt along motions without joint acceleration."""
-    scene, h = scene_with("constraints", name, base), 1e-6
+    scene, h = scene_with(section, name, base), 1e-6
     part, model = part_in(scene), scene.robot.model
 
     def at(k, x, shift):
@@ -299,11 +309,12 @@ def ran(scene):
 
 
 def test_check_finds_the_parts_of_others_once_code_is_allowed(modules, tmp_path, capsys):
-    lists = {key: [{"type": t, **a} for t, a in OUTSIDE[key].items()] for key in OF_A_ROBOT}
+    of_a_robot = [key for key in OF_A_ROBOT if key in OUTSIDE]
+    lists = {key: [{"type": t, **a} for t, a in OUTSIDE[key].items()] for key in of_a_robot}
     robot = {"urdf": "package://mbd_ros/config/robots/prosthetic_leg.urdf"}
     path = tmp_path / "scene.yaml"
     path.write_text(str({"robot": robot, **lists}).replace("'", '"'), encoding="utf-8")
-    names = [name for key in OF_A_ROBOT for name in OUTSIDE[key]]
+    names = [name for key in of_a_robot for name in OUTSIDE[key]]
     with permitting(False), pytest.raises(SceneError, match="code of others") as caught:
         load_scene(path)
     assert all(name in str(caught.value) for name in names)

@@ -23,8 +23,9 @@ POINT = urdf(
 
 
 def contact(frame, mu, e=0.0, **more):
-    values = {"frame": frame, "plane_frame": "universe", "normal": [0, 0, 1], **more}
-    entry = {"type": "point_contact", **values, "friction": mu, "restitution": e}
+    at = {"frame": frame, "points": [more.get("point", [0, 0, 0])]}
+    plane = {"half_space": more.get("normal", [0, 0, 1]), "xyz": more.get("xyz", [0, 0, 0])}
+    entry = {"type": "rigid", "between": [at, plane], "friction": mu, "restitution": e}
     return str(entry).replace("'", "")
 
 
@@ -32,7 +33,7 @@ def on_an_incline(degrees, mu, v, duration, *, method="dopri5", dt=0.1):
     """Times, way uphill and across, and their rates, of a point on a plane."""
     s, c = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
     entry = contact("bob", mu, normal=[float(-s), 0, float(c)])
-    scene = scene_of(f"constraints: [{entry}]\ndt: {dt}\nintegrator: {{type: {method}}}\n", POINT)
+    scene = scene_of(f"contacts: [{entry}]\ndt: {dt}\nintegrator: {{type: {method}}}\n", POINT)
     axes = np.array(((c, 0.0, s), (0.0, 1.0, 0.0)))
     simulation = scene.simulation()
     states = list(simulation.run(State(0.0, np.zeros(3), v @ axes), duration))
@@ -96,7 +97,7 @@ def test_methods_keep_their_order_while_the_slip_turns():
 def test_a_point_bounces_off_the_ground_with_friction(mu):
     """Flights in closed form; every impact takes mu (1 + e) v_n off the speed along the ground."""
     e, height, along = 0.6, 0.8, 2.0
-    scene = scene_of(f"constraints: [{contact('bob', mu, e)}]\ndt: 0.05\n", POINT)
+    scene = scene_of(f"contacts: [{contact('bob', mu, e)}]\ndt: 0.05\n", POINT)
     simulation = scene.simulation()
     *_, x = simulation.run(
         State(0.0, np.array((0.0, 0.0, height)), np.array((along, 0.0, 0.0))), 1.5
@@ -184,7 +185,7 @@ def test_the_tip_of_a_falling_pole_sticks_and_then_slips(method, dt):
     """Against equations by hand: the normal force depends on the friction and the other way."""
     mu, duration = 0.35, 0.55
     turns, expected = falling_pole(0.4, mu, duration)
-    scene = scene_of(f"constraints: [{contact('pole', mu)}]\ndt: {dt}\n", LEANING)
+    scene = scene_of(f"contacts: [{contact('pole', mu)}]\ndt: {dt}\n", LEANING)
     simulation = scene.simulation(integrator={"type": method})
     start = State(0.0, np.array((0.0, 0.0, 0.4)), np.zeros(3))
     *_, x = simulation.run(start, duration)
@@ -196,7 +197,7 @@ def test_the_tip_of_a_falling_pole_sticks_and_then_slips(method, dt):
 
 def test_the_multipliers_of_the_pole_are_the_forces_by_hand():
     mu, scene = 0.35, None
-    scene = scene_of(f"constraints: [{contact('pole', mu)}]\n", LEANING)
+    scene = scene_of(f"contacts: [{contact('pole', mu)}]\n", LEANING)
     system = scene.system()
     for slip, angle, rate in ((0.0, 0.2, 0.1), (0.3, 0.9, 1.0), (-0.3, 0.9, 1.0)):
         now = system.evaluate(State(0.0, np.array((0.0, 0.0, angle)), np.array((slip, 0.0, rate))))
@@ -222,8 +223,8 @@ def test_laws_hold_along_the_motion_of_a_robot_that_strikes_the_ground(kind):
     text, base, frame, ground, q = ROBOTS[kind]
     mu, e = 0.4, 0.3
     at = f"[0, 0, {ground}]"
-    entry = contact(frame, mu, e, plane_point=at, point="[0, 0, -0.1]")
-    scene = scene_of(f"robot: {{base: {base}}}\nconstraints: [{entry}]\ndt: 0.01\n", text)
+    entry = contact(frame, mu, e, xyz=at, point="[0, 0, -0.1]")
+    scene = scene_of(f"robot: {{base: {base}}}\ncontacts: [{entry}]\ndt: 0.01\n", text)
     simulation = scene.simulation(integrator={"type": "dop853"})
     start = scene.initial if q is None else scene.initial._replace(q=q)
     system, (part,) = simulation.system, scene.constraints
@@ -246,12 +247,13 @@ def test_laws_hold_along_the_motion_of_a_robot_that_strikes_the_ground(kind):
 
 def test_a_contact_beside_a_stop_and_dry_friction_comes_to_rest_on_all_of_them():
     """Bounces of both accumulate; at rest more rows hold than coordinates are left to hold."""
+    touching = contact("bob", 0.3, 0.8, normal=[0.2, 0, 1])
     rows = [
-        contact("bob", 0.3, 0.8, normal=[0.2, 0, 1]),
         "{type: joint_stop, joint: x, lower: -5.0, upper: 0.5}",
         "{type: dry_friction, joint: y, limit: 1.0}",
     ]
-    scene = scene_of(f"constraints: [{', '.join(rows)}]\ndt: 0.05\n", POINT)
+    rows = f"constraints: [{', '.join(rows)}]\ncontacts: [{touching}]\n"
+    scene = scene_of(f"{rows}dt: 0.05\n", POINT)
     simulation = scene.simulation()
     start = State(0.0, np.array((0.0, 0.0, 1.0)), np.array((1.0, 2.0, 0.0)))
     *_, x = simulation.run(start, 5.0)
@@ -259,21 +261,22 @@ def test_a_contact_beside_a_stop_and_dry_friction_comes_to_rest_on_all_of_them()
     assert np.abs(x.v).max() <= 1e-12
     lam = simulation.system.evaluate(x).lam
     n = np.array((0.2, 0.0, 1.0)) / np.hypot(0.2, 1.0)
-    (part, *_), k = scene.constraints, Kinematics(scene.robot)
+    (*_, part), k = scene.constraints, Kinematics(scene.robot)
     k.refresh(x.q, x.v)
-    push = part.jacobian(k, x)[:3].T @ lam[:3] + np.array((-lam[3], lam[4], -2.5 * GRAVITY))
-    assert push == pytest.approx(np.zeros(3), abs=1e-9) and lam[0] > 0.0 and lam[3] >= 0.0
-    assert np.linalg.norm(lam[1:3]) <= 0.3 * lam[0] and abs(n @ x.q) <= 1e-9
+    stop, dry, *touch = lam
+    push = part.jacobian(k, x).T @ touch + np.array((-stop, dry, -2.5 * GRAVITY))
+    assert push == pytest.approx(np.zeros(3), abs=1e-9) and touch[0] > 0.0 and stop >= 0.0
+    assert np.linalg.norm(touch[1:]) <= 0.3 * touch[0] and abs(n @ x.q) <= 1e-9
 
 
 def test_what_a_contact_cannot_do_is_refused_by_name():
-    two = f"constraints: [{contact('bob', 0.1)}, {contact('b', 0.1)}]"
-    with pytest.raises((SceneError, ModelError), match=r"bob_point_contact.*b_point_contact"):
+    two = f"contacts: [{contact('bob', 0.1)}, {contact('b', 0.1)}]"
+    with pytest.raises((SceneError, ModelError), match=r"bob_contact.*b_contact"):
         scene_of(two, POINT).system()
-    one = scene_of(f"constraints: [{contact('bob', 0.1)}]", POINT)
+    one = scene_of(f"contacts: [{contact('bob', 0.1)}]", POINT)
     with pytest.raises((SceneError, ModelError), match="semi_implicit_euler|SemiImplicitEuler"):
         one.simulation(integrator={"type": "semi_implicit_euler"})
     with pytest.raises(SceneError, match="normal"):
-        scene_of(f"constraints: [{contact('bob', 0.1, normal=[0, 0, 0])}]", POINT)
+        scene_of(f"contacts: [{contact('bob', 0.1, normal=[0, 0, 0])}]", POINT)
     with pytest.raises(SceneError, match="restitution"):
-        scene_of(f"constraints: [{contact('bob', 0.1, 1.5)}]", POINT)
+        scene_of(f"contacts: [{contact('bob', 0.1, 1.5)}]", POINT)

@@ -39,7 +39,7 @@ class PointOnPlane(PairRows):
         point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
         plane_point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
     ) -> None:
-        plane = plane_of(robot, plane_frame, plane_point, normal)
+        plane = plane_of(robot, robot.point(plane_frame, plane_point), normal)
         pair = robot.pair(plane, robot.point(frame, point))
         super().__init__(pair, "z")
         self.rows = (Row("force", "N", plane_frame),)

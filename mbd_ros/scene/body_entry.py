@@ -46,10 +46,10 @@ def shaped(
     text = f'<robot name="{name}"><link name="{name}"/></robot>'
     source = f"bodies.{name}.shape"
     if mass is None:
-        return Recipe(text, source, name=name)
+        return Recipe(text, source, name=name, shape=(kind, sizes))
     tensor = np.diag(moments) * mass if inertia is None else _tensor(inertia, where)
     inertias = {name: (mass, np.zeros(3), tensor)}
-    return Recipe(text, source, inertias=inertias, name=name)
+    return Recipe(text, source, inertias=inertias, name=name, shape=(kind, sizes))
 
 
 def _tensor(inertia: Sequence[Any], where: str) -> Array:

@@ -75,7 +75,7 @@ def _words(part: Any) -> dict[str, str]:
     where = getattr(part, "joints", None) or [getattr(part, "joint", None)]
     names = ", ".join(str(getattr(joint, "name", joint)) for joint in where if joint)
     words = {"kind": type_name(part), "at": f" at {names}" if names else ""}
-    words |= {"rows": "", "law": ""}
+    words |= {"rows": "", "law": "", "features": ", ".join(getattr(part, "features", ()))}
     if isinstance(part, Part):
         words["name"] = part.name
     if hasattr(part, "rows"):

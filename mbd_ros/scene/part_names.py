@@ -85,7 +85,8 @@ def name_parts(site: "Site", entries: Sequence[NamedEntry], parts: Sequence[Any]
         name = entry.name
         if name is None:
             words = (_place(entry.given, robot), type_name(type(part)))
-            plain = _OTHER.sub("_", "_".join(filter(None, words)))
+            default = getattr(part, "default_name", "_".join(filter(None, words)))
+            plain = _OTHER.sub("_", default)
             name, number = plain, 2
             while name in taken:
                 name, number = f"{plain}_{number}", number + 1

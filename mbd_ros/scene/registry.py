@@ -24,11 +24,13 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "knife_edge": "mbd_ros.constraints.knife_edge:KnifeEdge",
         "loop_closure": "mbd_ros.constraints.loop_closure:LoopClosure",
         "path_length": "mbd_ros.constraints.path_length:PathLength",
-        "point_contact": "mbd_ros.constraints.point_contact:PointContact",
         "point_on_plane": "mbd_ros.constraints.point_on_plane:PointOnPlane",
         "prescribed_motion": "mbd_ros.constraints.prescribed_motion:PrescribedMotion",
         "rope": "mbd_ros.constraints.rope:Rope",
         "screw": "mbd_ros.constraints.screw:Screw",
+    },
+    "contacts": {
+        "rigid": "mbd_ros.contacts.rigid:Rigid",
     },
     "controllers": {  # in the order in which a node offers them
         "sliding_mode": "mbd_ros.controllers.sliding_mode:SlidingMode",
@@ -114,7 +116,7 @@ def resolve_type(
         SceneError: There is none, with what exists; or nobody permitted code of others.
     """
     part = name if isinstance(name, type) else _named(types, name, where)
-    lacking = [method for method in offers if not hasattr(part, method)]
+    lacking = [one for one in offers if not any(hasattr(part, m) for m in one.split(" or "))]
     shown = name.__name__ if isinstance(name, type) else name
     if not inspect.isclass(part) or lacking:
         raise SceneError(

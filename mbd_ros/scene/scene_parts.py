@@ -156,8 +156,9 @@ class SceneParts:
         return tuple(
             part
             for section in self.sections
-            if method in section.offers and section.key in self.parts
+            if method in " or ".join(section.offers).split(" or ") and section.key in self.parts
             for part in parts_in(section, self.parts[section.key])
+            if hasattr(part, method)
         )
 
     @property

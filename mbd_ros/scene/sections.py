@@ -33,8 +33,9 @@ class Section(NamedTuple):
             `building.Site` and what the file holds, and returns what `Scene.parts` keeps under
             the key. The default builds parts by their `type`.
         after: Keys of sections that must be built before, where the file has them.
-        offers: Methods that a class named by `type` must have. Parts with `force` are forces of
-            the scene, with `residual` constraints and with `torque` actuators, in any section.
+        offers: Methods that a class named by `type` must have, or one of two: `a or b`. Parts with
+            `force` are forces of the scene, with `residual` constraints and with `command`
+            actuators, in any section.
         check: Line of `check` for every part: a label, a colon and a text with {kind}, {name},
             {at}, {law}, {rows} and {part.attribute}. Empty: `check` says it elsewhere.
         parts: Where `registry.PARTS` keeps its types; empty for entries without types.
@@ -101,6 +102,15 @@ SECTIONS = (
         ("residual",),
         "constraint: {name}, {kind}, {law}: {rows}",
         "constraints",
+    ),
+    Section(
+        "contacts",
+        Form.LIST,
+        "mbd_ros.scene.contact_entries:build_contacts",
+        (*_EVERY_ROBOT, "bodies"),
+        ("residual or force",),
+        "contact: {name}, {kind}: {features}",
+        "contacts",
     ),
     Section(
         "forces",

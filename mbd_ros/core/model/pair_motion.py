@@ -59,6 +59,10 @@ class PairMotion:
         offset: Array = (self._joint_a * self._place_a).actInv(self._joint_b.act(self._point_b))
         return offset
 
+    def pose(self) -> Any:
+        """The `pinocchio.SE3` of b in the axes of a."""
+        return (self._joint_a * self._place_a).actInv(self._joint_b * self._place_b)
+
     def rotation(self) -> Array:
         """From the axes of b to those of a, shape (3, 3)."""
         a, b = self._joint_a * self._place_a, self._joint_b * self._place_b
@@ -75,7 +79,7 @@ class PairMotion:
         axes.translation = self._joint_b.act(self._point_b)
         return Placed(self._joint_a, self._joint_b, axes)
 
-    def jacobian(self, placed: Placed | None, rows: slice) -> Array:
+    def jacobian(self, placed: Placed | None, rows: Any) -> Array:
         """From joint velocities to rows of the velocity, shape (m, nv)."""
         jacobian: Array
         if placed is None:
@@ -94,7 +98,12 @@ class PairMotion:
         return acceleration
 
     def motion(self, placed: Placed) -> tuple[Array, Array, Array]:
-        """Acceleration as above, angular velocity and its derivative, shape (3,) each.
+        """Acceleration as above, angular velocity and its derivative, shape (3,) each."""
+        velocity, rate = self.spatial(placed)
+        return pin.classicAcceleration(velocity, rate), velocity.angular, rate.angular
+
+    def spatial(self, placed: Placed) -> tuple[Any, Any]:
+        """Velocity and acceleration of b, at zero joint acceleration: two `pinocchio.Motion`.
 
         With spatial velocities V and accelerations A that of b relative to a, differentiated in
         the axes of a, is A_b - A_a + (V_b - V_a) x V_a.
@@ -111,4 +120,4 @@ class PairMotion:
             velocity -= carried
             rate -= pin.getFrameAcceleration(model, data, a, at_a, _LOCAL)
             rate += velocity.cross(carried)
-        return pin.classicAcceleration(velocity, rate), velocity.angular, rate.angular
+        return velocity, rate

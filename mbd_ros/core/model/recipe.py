@@ -17,6 +17,8 @@ class Recipe(NamedTuple):
         name: In the scene; empty for the only robot, whose links and joints keep their names.
         pose: `pinocchio.SE3` of the root link in the world, at the start if that moves freely;
             None where the description says.
+        shape: Kind and sizes, as a scene writes them, of a body that has only one link; None
+            where the description says.
     """
 
     text: str
@@ -27,6 +29,7 @@ class Recipe(NamedTuple):
     inertias: Mapping[str, Any] | None = None
     name: str = ""
     pose: Any = None
+    shape: tuple[str, Any] | None = None
 
     def scoped(self, name: str) -> str:
         """What a joint, or a link that is not the root, is called in the scene."""

@@ -153,6 +153,11 @@ class Robot:
         turn = pin.SE3(rotation, np.zeros(3))
         return self.places.point(point.frame, Place(joint, at * turn))
 
+    def shifted(self, point: Point, xyz: Array) -> Point:
+        """A point with the same axes, at a place in these axes [m], shape (3,)."""
+        joint, at = self.places.points[point.number]
+        return self.places.point(point.frame, Place(joint, at * pin.SE3(np.eye(3), xyz)))
+
     def carrier(self, frame: str) -> Point:
         """Origin and axes of the joint that carries a link.
 

@@ -126,11 +126,11 @@ def check_normal(normal: Sequence[float]) -> None:
         raise ModelError(f"normal {normal} must have a direction")
 
 
-def plane_of(robot: Robot, frame: str, point: Sequence[float], normal: Sequence[float]) -> Point:
-    """A point of a plane, with z along its normal."""
+def plane_of(robot: Robot, point: Point, normal: Sequence[float]) -> Point:
+    """The point of a plane, with z along a normal that stands in its axes."""
     along = np.array(normal, dtype=np.float64)
     along = along / np.abs(along).max()  # so that its square neither vanishes nor overflows
-    return robot.turned(robot.point(frame, point), _turned(along / np.linalg.norm(along)))
+    return robot.turned(point, _turned(along / np.linalg.norm(along)))
 
 
 def _turned(normal: Array) -> Array:

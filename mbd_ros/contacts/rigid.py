@@ -1,0 +1,108 @@
+"""Bodies that never overlap, with dry friction where they touch."""
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+
+from mbd_ros.core.geometry.contact_pair import contact_pair
+from mbd_ros.core.geometry.shapes import Between
+from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.outputs import Now, Value, exerted_on
+from mbd_ros.core.parts import Wrench
+from mbd_ros.core.ranges import NotNegative, Unit, Within
+from mbd_ros.core.row_laws import cone
+from mbd_ros.core.rows.constraint import Constraint, Row
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+
+class Rigid(Constraint):
+    """Contact of two bodies: Signorini and Coulomb, one cone a feature.
+
+        g >= 0,   normal >= 0,   |friction| <= mu normal, against the slip
+
+    Multipliers push a, along the normal out of b, then along two tangents of the contact frame.
+    Friction is isotropic, static and kinetic friction are the same. An impact gives back a share
+    of its compression. What bodies look like is the subject of `core/geometry`.
+
+    Args:
+        robot: Robot of the scene.
+        between: Shapes of a and of b.
+        friction: Coefficient mu, or one a feature.
+        restitution: Share of the impulse of a compression that its expansion gives back.
+        margin: Distance at which surfaces count as touching.
+
+    Attributes:
+        pair: Gaps, frames and their derivatives.
+        features: Names of its slots.
+        default_name: What it is called where nobody names it.
+
+    Raises:
+        ModelError: Bodies that do not move against each other, or friction of another number of
+            features.
+    """
+
+    smoothed = False
+    example = {
+        **{"between": [{"frame": "heel", "sphere": 0.02}, {"half_space": [0, 0, 1]}]},
+        **{"friction": 0.5, "margin": 0.001},
+    }
+    reads = Reads.DRIFT
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        between: Between,
+        friction: Annotated[NotNegative | Sequence[NotNegative], Unit("-")],
+        restitution: Annotated[float, Within(0.0, 1.0), Unit("-")] = 0.0,
+        margin: Annotated[NotNegative, Unit("m")] = 0.0,
+    ) -> None:
+        self.pair = contact_pair(robot, between, margin)
+        self.features = self.pair.features
+        self.rows = rows_of(self.features, between.b.frame)
+        if isinstance(friction, Sequence) and len(friction) != len(self.features):
+            known = ", ".join(self.features)
+            raise ModelError(f"friction: expected one number or {len(self.features)}: {known}")
+        self.law = cone(friction, restitution)
+        a, b = self._points = self.pair.points
+        self.default_name = f"{a.frame if a.moves else b.frame}_contact"
+        self.outputs = (exerted_on(a, a), exerted_on(b, b))
+
+    def residual(self, k: Kinematics, x: State) -> Array:
+        """Gaps [m], each before two zeros: along tangents any place will do, shape (3 n,)."""
+        residual = np.zeros(len(self.rows))
+        residual[::3] = self.pair.gaps(k)
+        return residual
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """From joint velocities to those of a past b in the contact frames, shape (3 n, nv)."""
+        return self.pair.jacobian(k)
+
+    def drift(self, k: Kinematics, x: State) -> Array:
+        """J' v, shape (3 n,)."""
+        return self.pair.drift(k, x)
+
+    def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
+        """The wrenches on a and on b."""
+        return [wrench.numbers for wrench in self.wrenches(k, x, now.lam)]
+
+    def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
+        """The wrenches on a and on b, each about a point of its body."""
+        places = self.pair.places(k)
+        forces = np.einsum("nij,nj->ni", places.axes, lam.reshape(-1, 3)[:, [1, 2, 0]])
+        force, found = forces.sum(axis=0), list[Wrench]()
+        for point, sign in zip(self._points, (1.0, -1.0), strict=True):
+            at = k.position(point)
+            torque = np.cross(places.point - at, forces).sum(axis=0)
+            found.append(Wrench(point.frame, at, sign * force, sign * torque))
+        return tuple(found)
+
+
+def rows_of(features: Sequence[str], frame: str) -> tuple[Row, ...]:
+    """Rows of a contact; with several features, each begins with the name of its own."""
+    parts = [""] if len(features) == 1 else [f"{feature}_" for feature in features]
+    words = ("normal", "friction_x", "friction_y")
+    return tuple(Row(f"{part}{word}", "N", frame) for part in parts for word in words)
