@@ -6,10 +6,11 @@ from typing import Annotated
 import numpy as np
 
 from mbd_ros.core.geometry.contact_pair import contact_pair
+from mbd_ros.core.geometry.contact_show import ContactShow
 from mbd_ros.core.geometry.shapes import Between
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.outputs import Now, Value, exerted_on
+from mbd_ros.core.outputs import Now, Value
 from mbd_ros.core.parts import Wrench
 from mbd_ros.core.ranges import NotNegative, Unit, Within
 from mbd_ros.core.row_laws import cone
@@ -67,9 +68,10 @@ class Rigid(Constraint):
             known = ", ".join(self.features)
             raise ModelError(f"friction: expected one number or {len(self.features)}: {known}")
         self.law = cone(friction, restitution)
-        a, b = self._points = self.pair.points
+        a, b = self.pair.points
         self.default_name = f"{a.frame if a.moves else b.frame}_contact"
-        self.outputs = (exerted_on(a, a), exerted_on(b, b))
+        self._show = ContactShow(robot, self.pair, friction)
+        self.outputs = self._show.outputs
 
     def residual(self, k: Kinematics, x: State) -> Array:
         """Gaps [m], each before two zeros: along tangents any place will do, shape (3 n,)."""
@@ -86,19 +88,12 @@ class Rigid(Constraint):
         return self.pair.drift(k, x)
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
-        """The wrenches on a and on b."""
-        return [wrench.numbers for wrench in self.wrenches(k, x, now.lam)]
+        """Gaps, states, what a feels, and where."""
+        return self._show.values(k, now.lam.reshape(-1, 3))
 
     def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
-        """The wrenches on a and on b, each about a point of its body."""
-        places = self.pair.places(k)
-        forces = np.einsum("nij,nj->ni", places.axes, lam.reshape(-1, 3)[:, [1, 2, 0]])
-        force, found = forces.sum(axis=0), list[Wrench]()
-        for point, sign in zip(self._points, (1.0, -1.0), strict=True):
-            at = k.position(point)
-            torque = np.cross(places.point - at, forces).sum(axis=0)
-            found.append(Wrench(point.frame, at, sign * force, sign * torque))
-        return tuple(found)
+        """The wrenches on a and on b, at the centre of pressure."""
+        return self._show.wrenches(k, lam.reshape(-1, 3))
 
 
 def rows_of(features: Sequence[str], frame: str) -> tuple[Row, ...]:

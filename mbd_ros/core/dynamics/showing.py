@@ -6,6 +6,7 @@ import numpy as np
 
 from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.names import label
 from mbd_ros.core.outputs import FrictionCone, Kind, Now, Output, Value
 from mbd_ros.core.parts import Part, Wrench
@@ -110,6 +111,20 @@ class Showing:
                 )
             for output, value in zip(part.outputs, shown, strict=True):
                 yield output, _checked(part, output, value)
+
+
+def in_link(k: Kinematics, robot: Robot, wrench: Wrench) -> Array:
+    """A wrench about the origin and in the axes of the link that it acts on, shape (6,).
+
+    Args:
+        k: Kinematics at positions.
+        robot: The robot.
+        wrench: In world axes, about its point.
+    """
+    link = robot.point(wrench.frame)
+    torque = wrench.torque + np.cross(wrench.point - k.position(link), wrench.force)
+    whole = np.concatenate((wrench.force, torque)).reshape(2, 3)
+    return whole.dot(k.rotation(link)).ravel()
 
 
 def _checked(part: Part, output: Output, value: Value) -> Array:

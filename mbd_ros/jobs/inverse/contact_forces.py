@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.dynamics.showing import in_link
 from mbd_ros.core.estimation.torque_estimator import Observation
 from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.model.kinematics import Kinematics, Reads
@@ -115,11 +116,7 @@ def _add(
         k.refresh(x.q, x.v, Reads.POSITION)
         for wrench in part.wrenches(k, x, forces):
             if robot.carrier(wrench.frame).moves:
-                link = robot.point(wrench.frame)
-                axes, lever = k.rotation(link), wrench.point - k.position(link)
-                torque = wrench.torque + np.cross(lever, wrench.force)
-                whole = np.concatenate((wrench.force, torque)).reshape(2, 3).dot(axes).ravel()
-                values.setdefault(wrench.frame, []).append(whole)
+                values.setdefault(wrench.frame, []).append(in_link(k, robot, wrench))
     for frame, rows in values.items():
         load = MeasuredWrench(robot, frame=frame)
         load.name = f"{part.name}_on_{frame}"

@@ -1,0 +1,102 @@
+"""What contacts show: gap, state, force and centre of pressure, by hand and in closed form."""
+
+import numpy as np
+import pytest
+
+import mbd_ros as mbd
+from mbd_ros.core.dynamics.showing import Showing
+from mbd_ros.core.geometry.contact_show import OPEN, SLIP, STICK
+from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.outputs import Kind
+from mbd_ros.core.rows.row_layout import RowLayout
+from mbd_ros.core.state import State
+
+G, MASS = 9.81, 3.0
+CORNERS = [[x, y, -0.1] for x in (-0.3, 0.2) for y in (-0.15, 0.15)]
+FEET = {"frame": "box", "points": CORNERS}
+BOX = {"box": {"shape": {"box": [0.6, 0.3, 0.2]}, "mass": MASS}}
+
+
+def resting(friction=0.6, slope=0.0, offset=(0.0, 0.0, 0.0), **more):
+    """A box on four points over a plane through `offset`, tilted about y by `slope`."""
+    s, c = np.sin(slope), np.cos(slope)
+    plane = {"half_space": [float(s), 0.0, float(c)], "xyz": list(map(float, offset))}
+    place = np.array(offset) + 0.1 * np.array((s, 0.0, c))
+    pose = {"xyz": place.tolist(), "rpy": [0.0, float(slope), 0.0]}
+    return mbd.scene_from(
+        {
+            "bodies": {"box": {**BOX["box"], "pose": pose}},
+            "contacts": [{"type": "rigid", "between": [FEET, plane], "friction": friction}],
+            "dt": 0.01,
+            **more,
+        }
+    )
+
+
+def rotation(rng):
+    """A random rotation and its quaternion (x, y, z, w)."""
+    quaternion = rng.normal(size=4)
+    x, y, z, w = quaternion / np.linalg.norm(quaternion)
+    cross = np.array(((0, -z, y), (z, 0, -x), (-y, x, 0)))
+    return np.eye(3) + 2.0 * cross @ (cross + w * np.eye(3)), (x, y, z, w)
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (100.0, -70.0, 30.0)])
+def test_the_wrench_at_the_centre_of_pressure_is_that_of_all_forces(offset):
+    """Sums over four points in an arbitrary pose, about the origin of the world."""
+    rng, scene = np.random.default_rng(4), resting(offset=offset)
+    (part,), robot = scene.constraints, scene.robot
+    k, base = Kinematics(robot), robot.bases[0]
+    for _ in range(5):
+        R, quaternion = rotation(rng)
+        place = np.array(offset) + rng.normal(size=3)
+        q = robot.neutral().copy()
+        q[base.q] = *(place - robot.origin), *quaternion
+        k.refresh(q, np.zeros(6), Reads.POSITION)
+        forces = rng.uniform(0.5, 9.0, (4, 3))
+        points = place + np.array(CORNERS) @ R.T
+        each = forces[:, [1, 2, 0]]  # tangents and normal of a level plane are the axes x, y, z
+        shown = dict(zip(part.outputs, part._show.values(k, forces), strict=True))
+        shown = {output.name: value for output, value in shown.items()}
+        centre = forces[:, 0] @ points / forces[:, 0].sum()
+        assert shown["centre_of_pressure"] == pytest.approx(centre, abs=1e-12)
+        assert shown["force"] == pytest.approx(each.sum(axis=0), rel=1e-12)
+        about_origin = np.cross(points, each).sum(axis=0)
+        moved = shown["torque"] + np.cross(shown["centre_of_pressure"], shown["force"])
+        assert moved == pytest.approx(about_origin, rel=1e-11, abs=1e-11)
+        gaps = points[:, 2] - offset[2]
+        assert shown["gap"] == pytest.approx(gaps.min(), abs=1e-12)
+        assert [shown[f"gap_point_{i}"] for i in range(4)] == pytest.approx(gaps, abs=1e-12)
+        on_box, on_ground = part.wrenches(k, State(0.0, q, np.zeros(6)), forces.ravel())
+        assert (on_box.frame, on_box.force.tolist()) == ("box", shown["force"].tolist())
+        assert on_ground.force.tolist() == (-on_box.force).tolist()
+        assert shown["on_box"].tolist() == [*on_box.point, *on_box.numbers]
+
+
+def test_states_tell_open_slip_and_stick_apart():
+    (part,) = resting(friction=[0.5, 0.5, 0.0, 0.5]).constraints
+    forces = np.array(((2.0, 0.6, -0.8), (2.0, 0.3, 0.1), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    assert part._show.states(forces).tolist() == [SLIP, STICK, SLIP, OPEN]
+    slips = np.array((False, True, False, True))
+    assert part._show.states(forces, slips).tolist() == [STICK, SLIP, STICK, OPEN]
+
+
+def test_arrows_and_cones_stand_where_the_contact_presses():
+    """At rest the cone is as high as the weight; without forces it has no height."""
+    scene = resting(0.6, offset=(5.0, 0.0, 1.0), integrator={"type": "moreau_jean"})
+    robot = scene.robot
+    showing = Showing(Kinematics(robot), RowLayout(scene.constraints))
+    assert [one.name for one in showing.arrows] == ["box_contact.on_box", "box_contact.on_world"]
+    assert {one.kind for one in showing.arrows} == {Kind.PLACED_WRENCH}
+    assert showing.cones == ("box_contact.cone",)
+    lam = np.zeros((4, 3))
+    lam[:, 0] = MASS * G / 4.0
+    for forces, height in ((lam.ravel(), MASS * G), (np.zeros(12), 0.0)):
+        asked = scene.initial, np.zeros(0), np.zeros(6), forces
+        (on_box, on_world), (cone,) = showing.wrenches(*asked), showing.cones_at(*asked)
+        assert on_box.point + robot.origin == pytest.approx(cone.point + robot.origin)
+        assert on_box.force == pytest.approx((0.0, 0.0, height))
+        assert on_world.force == pytest.approx((0.0, 0.0, -height))
+        assert cone.normal == pytest.approx((0.0, 0.0, height))
+        assert cone.mu == (0.6 if height else 0.0)
+    assert on_box.point + robot.origin == pytest.approx((4.7, -0.15, 1.0))  # the nearest of four
