@@ -90,7 +90,7 @@ UNNAMED = {  # by an empty scene: events, contacts, internal states, several rob
         "model.base_motion",
         "model.members",
         "model.paths",
-        "optimization.contact_impulses",
+        "optimization.contact_problem",
     )
 }
 UNWANTED = {"casadi", "proxsuite", "qpsolvers", "scipy", "matplotlib", "rosbags", "rclpy"}

@@ -19,7 +19,7 @@ import numpy as np
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.optimization.active_set import least_norm, on_active_set
 from mbd_ros.core.optimization.box_qp import exchanged
-from mbd_ros.core.optimization.contact_impulses import ContactImpulses
+from mbd_ros.core.optimization.contact_problem import ContactProblem
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array, Mode, State
@@ -158,7 +158,7 @@ class ExactContact:
         diagonal = A.diagonal()
         size = np.where(diagonal > 0.0, diagonal, 1.0)
         speed = float((np.abs(w) / np.sqrt(size)).max())
-        contacts = ContactImpulses(A, diagonal, self._names, self._cone)
+        contacts = ContactProblem(A, diagonal, self._names, [self._cone])
         lower, upper = bounds
         at_least = lower.copy()
         at_least[self.rows] = 0.0

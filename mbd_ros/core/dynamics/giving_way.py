@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.step_problem import StepProblem, Which
 from mbd_ros.core.optimization.bounded_impulses import BoundedImpulses
-from mbd_ros.core.optimization.contact_impulses import ContactImpulses
+from mbd_ros.core.optimization.contact_problem import ContactProblem
 from mbd_ros.core.optimization.push_impulses import PushImpulses
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
@@ -98,7 +98,7 @@ class GivingWay:
         else:
             if late is not None:
                 b[cone.slots.start + 1 : cone.slots.stop] += late
-            p = ContactImpulses(*of, cone).solve(b, lower, upper, speed)
+            p = ContactProblem(*of, [cone]).solve(b, lower, upper, speed)
         change: Array = response.X[:, on].dot(p)
         return change
 

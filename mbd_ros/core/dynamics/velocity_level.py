@@ -107,9 +107,9 @@ class VelocityLevel:
         """Impulses of compression and expansion together, one a touching row."""
         names, e = [self._rows[i].name for i in slots], self._restitution[slots]
         if contact is not None:
-            from mbd_ros.core.optimization.contact_impulses import ContactImpulses
+            from mbd_ros.core.optimization.contact_problem import ContactProblem
 
-            contacts = ContactImpulses(response.A, response.loose, names, contact)
+            contacts = ContactProblem(response.A, response.loose, names, [contact])
             impulse = contacts.pushing(approach, speed)
             if (given_back := e * impulse).any():
                 after = approach + response.A.dot(impulse)

@@ -1,0 +1,210 @@
+"""Newton's method for contacts with friction and rows between bounds, all at once.
+
+    w = A p + b
+    rows between bounds:  p = [p - w] kept within lower .. upper
+    normal of a contact:  p_n = max(p_n - w_n, least)
+    its tangents:         p_t = [p_t - w_t] kept within a disc of radius mu max(p_n - w_n, least)
+
+Roots of this natural map are the answers of the laws of Signorini and Coulomb, with round cones.
+A has a diagonal of about one. It may be singular: every step is the shortest one. Source:
+P. Alart, A. Curnier, Comput. Methods Appl. Mech. Eng. 92 (1991) 353.
+"""
+
+import math
+from typing import NamedTuple
+
+import eigenpy
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import redundant
+
+Slots = NDArray[np.intp]
+_EXACT = 1.0e-15  # of the terms in w: nothing is left of a residual
+_ENOUGH = 1.0e-4  # of the decrease that a step promises
+
+
+class Contacts(NamedTuple):
+    """Which rows of a problem are what.
+
+    Attributes:
+        others: Rows between bounds.
+        normal: Normals, shape (n,).
+        first: The first tangents, shape (n,).
+        second: The second ones.
+        mu: Coefficients of friction, shape (n,).
+    """
+
+    others: Slots
+    normal: Slots
+    first: Slots
+    second: Slots
+    mu: Array
+
+
+class Bounds(NamedTuple):
+    """What impulses may be.
+
+    Attributes:
+        lower: Smallest ones of rows between bounds, shape (k,).
+        upper: Their largest ones.
+        least: Smallest normal ones, >= 0, shape (n,).
+    """
+
+    lower: Array
+    upper: Array
+    least: Array
+
+
+class Seen(NamedTuple):
+    """The natural map at some impulses.
+
+    Attributes:
+        left: p less what the map makes of it, shape (m,).
+        w: Rates, shape (m,).
+        holds: Rows whose w has to be 0, those of the tangents that stick among them.
+        slips: Contacts whose friction is the largest.
+        pushes: Contacts with p_n - w_n above the least.
+        x: First component of the direction of friction of every contact.
+        y: Second one.
+        radius: Largest friction.
+        share: Radius over the length of p_t - w_t, at most 1.
+    """
+
+    left: Array
+    w: Array
+    holds: NDArray[np.bool_]
+    slips: NDArray[np.bool_]
+    pushes: NDArray[np.bool_]
+    x: Array
+    y: Array
+    radius: Array
+    share: Array
+
+
+class ConeNewton:
+    """Solves problems of one A.
+
+    Args:
+        A: Rates that impulses add, with a diagonal of about one, shape (m, m).
+        contacts: Its rows.
+    """
+
+    def __init__(self, A: Array, contacts: Contacts) -> None:
+        self.A, self.contacts = A, contacts
+
+    def damped(self, by: float) -> "ConeNewton":
+        """The same with a part of the identity added to A."""
+        return ConeNewton(self.A + by * np.eye(len(self.A)), self.contacts)
+
+    def solve(
+        self, b: Array, bounds: Bounds, p: Array, steps: int, halvings: int = 0
+    ) -> tuple[Array, float]:
+        """The best impulses on the way from some, and what is left of the map there.
+
+        Args:
+            b: Rates without impulses, shape (m,).
+            bounds: What impulses may be.
+            p: Where it begins, shape (m,).
+            steps: How many there may be.
+            halvings: How often a step is halved that does not bring the map nearer to 0.
+        """
+        seen = self.see(b, bounds, p)
+        best, smallest = p, math.inf
+        for _ in range(steps + 1):
+            left = float(np.abs(seen.left).max())
+            if left < smallest:
+                best, smallest = p, left
+            if left <= _EXACT * (1.0 + float(np.abs(p).max())) or not left < math.inf:
+                break
+            step = self._step(seen, bounds, p)
+            if not np.isfinite(step).all():
+                break
+            p, seen = self._along(b, bounds, p, step, seen, halvings)
+        return best, smallest
+
+    def see(self, b: Array, bounds: Bounds, p: Array) -> Seen:
+        """The map at some impulses."""
+        others, normal, first, second, mu = self.contacts
+        w = self.A.dot(p) + b
+        z, left, holds = p - w, np.empty(len(p)), np.empty(len(p), dtype=np.bool_)
+        own = z[others]
+        kept = np.minimum(np.maximum(own, bounds.lower), bounds.upper)
+        left[others], holds[others] = p[others] - kept, kept == own
+        push = z[normal]
+        pushes, push = push > bounds.least, np.maximum(push, bounds.least)
+        left[normal], holds[normal] = p[normal] - push, pushes
+        x, y, radius = z[first], z[second], mu * push
+        length = np.hypot(x, y)
+        slips = length > radius
+        share = np.divide(radius, length, out=np.ones(len(mu)), where=slips)
+        left[first], left[second] = p[first] - share * x, p[second] - share * y
+        holds[first] = holds[second] = ~slips
+        length = np.where(slips, length, 1.0)
+        return Seen(left, w, holds, slips, pushes, x / length, y / length, radius, share)
+
+    def _along(
+        self, b: Array, bounds: Bounds, p: Array, step: Array, seen: Seen, halvings: int
+    ) -> tuple[Array, Seen]:
+        """Impulses after a step or a part of it, and the map there."""
+        after = p + step
+        found = self.see(b, bounds, after)
+        size, share = float(seen.left.dot(seen.left)), 1.0
+        best, smallest = (after, found), float(found.left.dot(found.left))
+        for _ in range(halvings):
+            if smallest <= (1.0 - _ENOUGH) * size:
+                break
+            share *= 0.5
+            after = p + share * step
+            found = self.see(b, bounds, after)
+            now = float(found.left.dot(found.left))
+            if not now >= smallest:
+                best, smallest = (after, found), now
+        return best
+
+    def _step(self, seen: Seen, bounds: Bounds, p: Array) -> Array:
+        """The shortest step that Newton's method asks for, shape (m,)."""
+        K = np.where(seen.holds[:, None], self.A, np.eye(len(p)))
+        r = np.where(seen.holds, seen.w, seen.left)
+        at = seen.slips.nonzero()[0]
+        if len(at):
+            self._slide(K, r, seen, bounds, p, at)
+        return -shortest(K, r)
+
+    def _slide(self, K: Array, r: Array, seen: Seen, bounds: Bounds, p: Array, at: Slots) -> None:
+        """Rows of contacts that slip: along their friction, then across it."""
+        contacts, A = self.contacts, self.A
+        n, first, second = (each[at] for each in contacts[1:4])
+        mu, x, y, share = contacts.mu[at], seen.x[at], seen.y[at], seen.share[at]
+        pushes = seen.pushes[at]
+        K[first, first], K[first, second] = x, y
+        K[first, n] = np.where(pushes, -mu, 0.0)
+        most = mu * np.where(pushes, p[n], bounds.least[at])
+        r[first] = x * p[first] + y * p[second] - most
+        K[second] = (share * x)[:, None] * A[second] - (share * y)[:, None] * A[first]
+        K[second, first] -= (1.0 - share) * y
+        K[second, second] += (1.0 - share) * x
+        r[second] = x * p[second] - y * p[first]
+
+
+def shortest(K: Array, r: Array) -> Array:
+    """The x of smallest norm with K x nearest to r, K square."""
+    n = len(r)
+    factor = eigenpy.CompleteOrthogonalDecomposition(n, n)
+    factor.setThreshold(redundant(n))
+    factor.compute(K)
+    x: Array = factor.solve(r)
+    return x.reshape(n)
+
+
+def kept(contacts: Contacts, bounds: Bounds, p: Array) -> Array:
+    """Impulses within their bounds and cones, fresh."""
+    others, normal, first, second, mu = contacts
+    p = p.copy()
+    p[others] = np.minimum(np.maximum(p[others], bounds.lower), bounds.upper)
+    p[normal] = np.maximum(p[normal], bounds.least)
+    length, most = np.hypot(p[first], p[second]), mu * p[normal]
+    share = np.divide(most, length, out=np.ones(len(mu)), where=length > most)
+    p[first], p[second] = share * p[first], share * p[second]
+    return p

@@ -1,0 +1,89 @@
+"""Ways to impulses of contacts with friction, from the fastest to the one that finds most.
+
+Newton's method begins with the impulses of an earlier step, or none. Where it does not end, it
+follows the answers of A + s I from s = 1 to 0. Then sweeps over the contacts, each solved exactly
+by itself, and then random impulses give it a start. Source: V. Acary, M. Brémond, O. Huber, On
+solving contact problems with Coulomb friction: formulations and numerical comparisons, 2017.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from mbd_ros.core.optimization.cone_contact import cone_contact
+from mbd_ros.core.optimization.cone_newton import Bounds, ConeNewton
+from mbd_ros.core.state import Array
+from mbd_ros.errors import SolveError
+
+_STEPS, _HALVINGS = 20, 4
+_FALLS, _LEAST = 0.3, 1.0e-9  # the damping of A, and where it ends
+_SWEEPS = 5, 50
+_STARTS = 30
+_SEED = 0  # the same problem has the same answer
+
+
+def searched(
+    newton: ConeNewton, b: Array, bounds: Bounds, start: Array, enough: float
+) -> tuple[Array, float]:
+    """The best impulses of all ways, and what they leave of the natural map.
+
+    Args:
+        newton: The problem.
+        b: Rates without impulses, shape (m,), of the order of 1.
+        bounds: What impulses may be.
+        start: Impulses to begin with, shape (m,).
+        enough: What may be left per size of the impulses.
+    """
+    best, smallest = start, np.inf
+    for near in _starts(newton, b, bounds, start):
+        for halvings in (0, _HALVINGS):
+            p, left = newton.solve(b, bounds, near, _STEPS, halvings)
+            left /= 1.0 + float(np.abs(p).max())
+            if left < smallest:
+                best, smallest = p, left
+            if smallest <= enough:
+                return best, smallest
+    return best, smallest
+
+
+def _starts(newton: ConeNewton, b: Array, bounds: Bounds, start: Array) -> Iterator[Array]:
+    none = np.zeros(len(b))
+    yield start
+    if start.any():
+        yield none
+    yield _followed(newton, b, bounds, none, 1.0)
+    swept = none
+    for sweeps in _SWEEPS:
+        swept = _swept(newton, b, bounds, swept, sweeps)
+        yield swept
+    random = np.random.default_rng(_SEED)
+    for _ in range(_STARTS):
+        near = np.abs(random.normal(size=len(b)))
+        yield _followed(newton, b, bounds, near, 10.0 ** random.uniform(-3.0, 0.0))
+
+
+def _followed(newton: ConeNewton, b: Array, bounds: Bounds, p: Array, damping: float) -> Array:
+    """Impulses at the end of the answers of A + s I, s from a damping to 0."""
+    while damping > _LEAST:
+        p, _ = newton.damped(damping).solve(b, bounds, p, _STEPS, _HALVINGS)
+        damping *= _FALLS
+    return p
+
+
+def _swept(newton: ConeNewton, b: Array, bounds: Bounds, p: Array, sweeps: int) -> Array:
+    """Impulses after some sweeps over the rows, each contact solved by itself."""
+    A, contacts, p = newton.A, newton.contacts, p.copy()
+    rows = list(zip(contacts.others.tolist(), bounds.lower, bounds.upper, strict=True))
+    places = zip(contacts.normal.tolist(), contacts.mu.tolist(), bounds.least, strict=True)
+    cones = [(slice(i, i + 3), mu, float(least)) for i, mu, least in places]
+    for _ in range(sweeps):
+        for i, low, high in rows:
+            p[i] = min(max(p[i] - (A[i].dot(p) + b[i]) / A[i, i], low), high)
+        for at, mu, least in cones:
+            own = A[at, at]
+            rate = A[at].dot(p) + b[at] - own.dot(p[at])
+            try:
+                p[at] = cone_contact(own, rate, mu, least)
+            except SolveError:  # it stays, and the others move it out of where it has no answer
+                continue
+    return p
