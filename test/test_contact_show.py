@@ -9,6 +9,7 @@ from mbd_ros.core.geometry.contact_show import OPEN, SLIP, STICK
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.outputs import Kind
 from mbd_ros.core.rows.row_layout import RowLayout
+from mbd_ros.core.simulation.divergence import last_finite
 from mbd_ros.core.state import State
 
 G, MASS = 9.81, 3.0
@@ -100,3 +101,29 @@ def test_arrows_and_cones_stand_where_the_contact_presses():
         assert cone.normal == pytest.approx((0.0, 0.0, height))
         assert cone.mu == (0.6 if height else 0.0)
     assert on_box.point + robot.origin == pytest.approx((4.7, -0.15, 1.0))  # the nearest of four
+
+
+def test_events_of_contacts_say_impulse_and_state():
+    """A ball lands with 4 m/s along the ground: mu times the impulse slows it, then it slides."""
+    entry = {"type": "rigid", "between": ["ball", "ground"], "friction": 0.3}
+    start = {"pose": {"ball": {"xyz": [0.0, 0.0, 0.3]}}}
+    start["twist"] = {"ball": {"linear": [4.0, 0.0, 0.0]}}
+    ball = {"shape": {"sphere": 0.1}, "mass": 2.0}
+    sections = {"bodies": {"ball": ball}, "contacts": [entry], "initial": start, "dt": 0.01}
+    result = mbd.scene_from(sections).simulate(0.3)
+    events, samples, fall = result["events"], result["samples"], np.sqrt(2.0 * 0.2 * G)
+    assert events["time"] == pytest.approx([fall / G], abs=1e-9)
+    assert events["ball_contact.state.before"].tolist() == [OPEN]
+    assert events["ball_contact.state.after"].tolist() == [samples["ball_contact.state"][-1]]
+    assert samples["ball_contact.state"][-1] == SLIP
+    assert events["ball_contact.normal.impulse"] == pytest.approx([2.0 * fall], rel=1e-9)
+    along = [events[f"ball_contact.friction_{axis}.impulse"][0] for axis in "xy"]
+    assert np.hypot(*along) == pytest.approx(0.3 * 2.0 * fall, rel=1e-9)
+    assert samples["ball_contact.force_x"][-1] == pytest.approx(-0.3 * 2.0 * G, rel=1e-9)
+
+
+def test_a_fault_of_free_bodies_alone_names_the_fastest():
+    scene = resting()
+    state = scene.initial._replace(v=np.array((0.0, -3.0, 1.0, 0.0, 0.0, 0.0)))
+    text = last_finite(scene.without(["contacts"]).system(), state)
+    assert "fastest free body box with -3/s; positions box 0, 0, 0.1" in text

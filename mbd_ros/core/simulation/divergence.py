@@ -4,6 +4,7 @@ import numpy as np
 
 from mbd_ros.core.dynamics.mass_check import check_mass
 from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.model.base_motion import world_pose
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, SolveError
 
@@ -41,11 +42,19 @@ def _lost(system: System, after: State) -> str:
 
 
 def last_finite(system: System, y: State) -> str:
-    """The fastest joint, time and positions of the last finite state."""
-    x, joints = system.expand(y), system.robot.joints
-    wild = max(joints, key=lambda joint: abs(float(x.v[joint.v])))
-    values = ", ".join(f"{j.name} {x.q[j.q]:.4g}" for j in joints[:_SHOWN])
+    """The fastest joint or free body, time and positions of the last finite state."""
+    x, robot = system.expand(y), system.robot
+    speeds = {joint.name: (float(x.v[joint.v]), "joint") for joint in robot.joints}
+    places = [f"{joint.name} {x.q[joint.q]:.4g}" for joint in robot.joints[:_SHOWN]]
+    for base in robot.bases:
+        fastest = max(x.v[base.v].tolist(), key=abs)
+        speeds[base.name] = fastest, "free body"
+        place = world_pose(robot, x.q[base.q])[:3]
+        places.append(f"{base.name} {', '.join(f'{one:.4g}' for one in place.tolist())}")
+    name = max(speeds, key=lambda one: abs(speeds[one][0]))
+    speed, kind = speeds[name]
+    more = ", .." if len(speeds) > _SHOWN else ""
     return (
-        f"last finite state at t = {y.t:.9g} s: fastest joint {wild.name} with "
-        f"{x.v[wild.v]:.3g}/s; positions {values}{', ..' if len(joints) > _SHOWN else ''}"
+        f"last finite state at t = {y.t:.9g} s: fastest {kind} {name} with {speed:.3g}/s; "
+        f"positions {', '.join(places[:_SHOWN])}{more}"
     )

@@ -1,6 +1,6 @@
 """Events of a simulation as a table: when, which, impulses, energy, and both sides of each."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -51,7 +51,20 @@ def event_table(simulation: Simulation, events: Sequence[Event]) -> Table:
         modes = modes.reshape(len(events), len(simulation.switches))
         pairs = zip(simulation.switches, modes.T, strict=True)
         columns.extend(Column(f"{name}.mode.{side}", values) for name, values in pairs)
+        columns.extend(_contact_states(simulation, modes, side))
     return Table(columns)
+
+
+def _contact_states(simulation: Simulation, modes: Array, side: str) -> Iterator[Column]:
+    """What the modes of contacts mean, as contacts show it: 0 open, 1 slip, 2 stick."""
+    for cone in simulation.system.layout.cones:
+        if cone.name in simulation.switches:
+            first = simulation.switches.index(cone.name)
+            normal, *tangents = modes[:, first : first + 3].T
+            state = np.where(normal != 0, 0.0, np.where(np.any(tangents, axis=0), 1.0, 2.0))
+            part, _, row = cone.name.rpartition(".")
+            name = "_".join(filter(None, ("state", row.removesuffix("normal").rstrip("_"))))
+            yield Column(f"{part}.{name}.{side}", state)
 
 
 def _hit(events: Sequence[Event], guard: str) -> Array:
