@@ -4,7 +4,6 @@ import numpy as np
 
 from mbd_ros.core.dynamics.mass_check import check_mass
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.model.base_motion import world_pose
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, SolveError
 
@@ -47,6 +46,8 @@ def last_finite(system: System, y: State) -> str:
     speeds = {joint.name: (float(x.v[joint.v]), "joint") for joint in robot.joints}
     places = [f"{joint.name} {x.q[joint.q]:.4g}" for joint in robot.joints[:_SHOWN]]
     for base in robot.bases:
+        from mbd_ros.core.model.base_motion import world_pose  # only where something flies
+
         fastest = max(x.v[base.v].tolist(), key=abs)
         speeds[base.name] = fastest, "free body"
         place = world_pose(robot, x.q[base.q])[:3]
