@@ -81,6 +81,7 @@ ALLOWED = {
 UNNAMED = {  # by an empty scene: events, contacts, internal states, several robots, paths
     f"{CORE}.{module}"
     for module in (
+        "dynamics.contact_impacts",
         "dynamics.equilibrium",
         "dynamics.exact_rows",
         "dynamics.extended",

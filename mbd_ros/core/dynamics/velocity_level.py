@@ -12,9 +12,10 @@ and in its expansion a row gives back at least its share e of them,
 
 So the expansion leaves the least kinetic energy that impulses p_e >= e p_c can. p_e = p_c is one
 of them and gives back what v- had: no impact gains energy, whatever the e of its rows. Friction
-of a contact keeps Coulomb's law in both, with v_c and then with v+, without restitution. Bilateral
-rows and couplings hold in both. Source: F. Pfeiffer, C. Glocker, Multibody Dynamics with
-Unilateral Contacts, 1996, ch. 8.
+of contacts keeps Coulomb's law in both, with v_c and then with v+, without restitution. Beside it
+an expansion may gain energy; then only the largest share of e p_c is given back that gains none,
+and the impact says so. Bilateral rows and couplings hold in both. Source: F. Pfeiffer, C. Glocker,
+Multibody Dynamics with Unilateral Contacts, 1996, ch. 8.
 """
 
 from collections.abc import Sequence
@@ -42,10 +43,13 @@ class Impact(NamedTuple):
     Attributes:
         v: Velocity of all joints after it [rad/s or m/s], shape (nv,).
         p: Impulses, one a multiplier of the scene [N·s or N·m·s], shape (m,).
+        share: Of the restitution of contacts that was given back: less than 1 where the whole
+            would have gained energy.
     """
 
     v: Array
     p: Array
+    share: float = 1.0
 
 
 class VelocityLevel:
@@ -80,7 +84,7 @@ class VelocityLevel:
         Raises:
             SolveError: Nothing can keep a row from closing further; names it.
         """
-        slots, J, rate, contact = self._touched(x, touching)
+        slots, J, rate, cones = self._touched(x, touching)
         M = np.array(self._mechanism.mass(x.q))
         hold, goal = self._nothing
         factor = None
@@ -90,56 +94,58 @@ class VelocityLevel:
         response = ImpulseResponse(M, J, hold, factor)
         v, held = response.kept(x.v, goal)
         approach, speed = J.dot(v) + rate, max(float(v.dot(M).dot(v)), 0.0) ** 0.5
-        impulse = self._impulses(slots, response, contact, approach, speed)
+        impulse, share = self._impulses(slots, response, cones, approach, speed)
         held = held + response.bilateral(impulse)
         p = np.zeros(len(self._rows))
         p[slots], p[self._bilateral] = impulse, held
-        return Impact(x.v + response.free(impulse.dot(J) + held.dot(hold)), p)
+        return Impact(x.v + response.free(impulse.dot(J) + held.dot(hold)), p, share)
 
     def _impulses(
         self,
         slots: Slots,
         response: ImpulseResponse,
-        contact: Cone | None,
+        cones: Sequence[Cone],
         approach: Array,
         speed: float,
-    ) -> Array:
-        """Impulses of compression and expansion together, one a touching row."""
+    ) -> tuple[Array, float]:
+        """Impulses of compression and expansion together, one a touching row, and their share."""
         names, e = [self._rows[i].name for i in slots], self._restitution[slots]
-        if contact is not None:
-            from mbd_ros.core.optimization.contact_problem import ContactProblem
+        if cones:
+            from mbd_ros.core.dynamics.contact_impacts import with_friction
 
-            contacts = ContactProblem(response.A, response.loose, names, [contact])
-            impulse = contacts.pushing(approach, speed)
-            if (given_back := e * impulse).any():
-                after = approach + response.A.dot(impulse)
-                impulse += contacts.pushing(after, speed, given_back)
-            return impulse
+            return with_friction(response, names, cones, e, approach, speed)
         G = response.G
         pushing = PushImpulses(G, response.loose, names)
         impulse = pushing.solve(approach, speed)
         if (given_back := e * impulse).any():
             impulse = impulse + given_back
             impulse += pushing.solve(approach + G.T.dot(G.dot(impulse)), speed)
-        return impulse
+        return impulse, 1.0
 
     def _touched(
         self, x: State, touching: Sequence[int]
-    ) -> tuple[Slots, Array, Array, Cone | None]:
-        """Slots of rows that push, J and the part of g' without the velocity, and a contact."""
+    ) -> tuple[Slots, Array, Array, list[Cone]]:
+        """Slots of rows that push, J and the part of g' without the velocity, and contacts."""
         wanted, k = set(touching), self._mechanism.k
         slots: list[int] = []
         J, rates = ([nothing] for nothing in self._nothing)
-        contact: Cone | None = None
+        cones: list[Cone] = []
         for block in self._pushing:
             here = [i for i in range(block.slots.start, block.slots.stop) if i in wanted]
-            if block.law.kind is Kind.CONE and here:  # its normal and its tangents are one contact
-                here = list(range(block.slots.start, block.slots.stop))
-                (contact,) = block.cones(len(slots))
+            if block.law.kind is Kind.CONE:  # a normal and its tangents are one contact
+                touched = [cone for cone in block.cones() if not wanted.isdisjoint(_rows(cone))]
+                here = [i for cone in touched for i in _rows(cone)]
+                first = range(len(slots), len(slots) + len(here), 3)
+                pairs = zip(touched, first, strict=True)
+                cones += [cone._replace(slots=slice(i, i + 3)) for cone, i in pairs]
             if here:
                 part, own = block.part, np.array(here) - block.slots.start
                 k.refresh(x.q, x.v, part.reads)
                 J.append(part.jacobian(k, x)[own])
                 rates.append(part.rate(k, x)[own])
                 slots += here
-        return np.array(slots, dtype=np.intp), np.concatenate(J), np.concatenate(rates), contact
+        return np.array(slots, dtype=np.intp), np.concatenate(J), np.concatenate(rates), cones
+
+
+def _rows(cone: Cone) -> range:
+    return range(cone.slots.start, cone.slots.stop)

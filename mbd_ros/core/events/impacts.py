@@ -58,8 +58,8 @@ class Impacts:
         mode = tuple(0 if i in closed else 1 for i in range(len(rows.names)))
         y = rows.onto(y, mode, moves=False)
         x = self._system.expand(y)
-        v, impulse = self._level.impact(x, rows.slots[closed].tolist())
-        return y._replace(v=self._system.reduce(x._replace(v=v)).v), impulse
+        found = self._level.impact(x, rows.slots[closed].tolist())
+        return y._replace(v=self._system.reduce(x._replace(v=found.v)).v), found.p
 
     def rests(self, y: State, u: Array | None, mode: Mode) -> list[Rest]:
         """Closed gaps that would open by no more than rounding, and when their bounces end.
