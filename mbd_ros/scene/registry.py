@@ -30,6 +30,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "screw": "mbd_ros.constraints.screw:Screw",
     },
     "contacts": {
+        "compliant": "mbd_ros.contacts.compliant:Compliant",
         "rigid": "mbd_ros.contacts.rigid:Rigid",
     },
     "controllers": {  # in the order in which a node offers them
