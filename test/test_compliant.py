@@ -130,10 +130,10 @@ def test_friction_creeps_as_stated_and_slides_with_coulombs_force():
         r = brentq(lambda r, w=share: 0.5 * (3.0 * r - r**3) - w, 0.0, 1.0)
         assert found[-1].v[0] == pytest.approx(r * creep, rel=1e-6)
     scene = block(contact, [(0.0, 20.0), (9.0, 20.0)])
-    found, _ = states(scene, 0.5, integrator={"type": "gauss_legendre"}, dt=1e-3)
+    found, _ = states(scene, 0.5, integrator={"type": "rk4"}, dt=1e-4)
     acceleration = 20.0 / mass - mu * G
-    gained = found[-1].v[0] - found[200].v[0]
-    assert gained == pytest.approx(acceleration * (found[-1].t - found[200].t), rel=1e-6)
+    gained = found[-1].v[0] - found[2000].v[0]
+    assert gained == pytest.approx(acceleration * (found[-1].t - found[2000].t), rel=1e-6)
 
 
 BRISTLE = {

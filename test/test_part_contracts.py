@@ -166,7 +166,7 @@ def test_part_has_a_name_which_check_says_with_its_units(section, name):
     assert part.name and "." not in part.name and f" {part.name}, " in line
     units = [channel.unit for channel in part.inputs]
     units += [row.unit for row in getattr(part, "rows", ())]
-    assert all(units) and (units or section == "forces")
+    assert all(units) and (units or section in ("forces", "contacts"))
     assert all(c.lower <= c.safe <= c.upper and c.lower < c.upper for c in part.inputs)
     assert scene.inputs.names == tuple(
         ".".join(filter(None, (part.name, channel.name))) for channel in part.inputs
