@@ -63,8 +63,8 @@ class ExactContact:
 
     def __init__(self, rows: ConstraintRows) -> None:
         self.slipping: Array | None = None
-        (self._part,) = (block.part for block in rows.blocks if block.law.kind is Kind.CONE)
-        (cone,) = rows.cones
+        self._part = next(b.part for b in rows.blocks if b.law.kind is Kind.CONE)
+        cone, *self._others = rows.cones
         self._cone, self.rows, self._mu = cone, cone.slots, cone.mu
         self._constraints, self._names = rows, [row.name for row in rows.rows]
         self._tangents = slice(self.rows.start + 1, self.rows.stop)
@@ -94,6 +94,9 @@ class ExactContact:
         Raises:
             SolveError: The rows that are on contradict one another, or no forces are found.
         """
+        if self._others:
+            names = ", ".join(cone.name for cone in (self._cone, *self._others))
+            raise SolveError(f"accelerations of several contacts with friction: {names}")
         k = motion.mechanism.k
         J, b = self._constraints.conditions(k, x)
         slip, d = self.slip(k, x), None

@@ -1,5 +1,7 @@
 """How impulses of some rows move joints that bilateral rows hold."""
 
+from copy import copy
+
 import eigenpy
 import numpy as np
 
@@ -26,7 +28,16 @@ class ImpulseResponse:
 
     def __init__(self, M: Array, J: Array, hold: Array, factor: RowFactor | None) -> None:
         self._mass, self._hold, self._factor = eigenpy.LLT(M), hold, factor
-        self.X = self.free(J.T)
+        self._respond(J)
+
+    def of(self, J: Array) -> "ImpulseResponse":
+        """That of other rows, shape (m, nv), under the same mass and bilateral rows."""
+        other = copy(self)
+        other._respond(J)
+        return other
+
+    def _respond(self, J: Array) -> None:
+        self.X, hold, factor = self.free(J.T), self._hold, self._factor
         self.loose = np.einsum("ij,ji->i", J, self.X)
         self._held = np.zeros((len(hold), len(J)))
         for _ in range(_PROJECTIONS if factor is not None else 0):

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.implicit_loads import Slopes
 from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
+from mbd_ros.core.dynamics.step_rows import Acting, Which
 from mbd_ros.core.state import Array, State
 
-Which = NDArray[np.bool_]
 _SLIGHT = 1.0e-12  # a rate that is none, of the largest velocity
 
 
@@ -23,7 +23,7 @@ class StepProblem(NamedTuple):
         x: State of all joints at its intermediate time, with the velocity of the start.
         M: Their mass matrix there.
         response: To impulses of the rows that give way.
-        pushes: Which of these are one-sided, shape (m,).
+        acting: Which rows these are.
         J: Their Jacobian, shape (m, nv).
         gap: Their g at the start of the step, shape (m,).
         rate: Their g' with the velocity of the start, shape (m,).
@@ -39,7 +39,7 @@ class StepProblem(NamedTuple):
     x: State
     M: Array
     response: ImpulseResponse
-    pushes: Which
+    acting: Acting
     J: Array
     gap: Array
     rate: Array
@@ -68,21 +68,42 @@ class StepProblem(NamedTuple):
 
     def closed(self) -> Which:
         """One-sided rows that would be closed at the end of the step."""
-        return self.pushes & (self.left + self.h * self.theta * self.at_end <= 0.0)
+        return self.acting.pushes & (self.left + self.h * self.theta * self.at_end <= 0.0)
 
     def hits(self, closed: Which) -> Which:
         """Closed rows that approach faster than the forces of one step make them."""
         if not (closed & (self.rate < 0.0)).any():
             return np.zeros(len(closed), dtype=np.bool_)
-        gained, v = np.abs(self.at_end - self.rate), self.x.v
-        speed = max(float(v.dot(self.M).dot(v)), 0.0) ** 0.5
-        none = _SLIGHT * speed * np.sqrt(np.maximum(self.response.loose, 0.0))
-        return closed & (-self.rate > np.maximum(gained, none))
+        gained = np.abs(self.at_end - self.rate)
+        return closed & (-self.rate > np.maximum(gained, self.slight(self.x.v)))
+
+    def passed(self, end: Array) -> Which:
+        """One-sided rows that a velocity at the end of the step would take beyond 0."""
+        left = self.left + self.h * self.theta * (self.J.dot(end) + self.offset)
+        return self.acting.pushes & (left < -self.h * self.slight(self.free))
+
+    def asked(self, on: NDArray[np.intp], free: Array) -> Array:
+        """The g' of some rows at the end of the step, less what they may keep, shape (len(on),).
+
+        Args:
+            on: The rows.
+            free: Velocity at the end without rows that give way.
+        """
+        return self.J[on].dot(free) + self.offset[on] + self.rates_left(on)
+
+    def speed(self, v: Array) -> float:
+        """A velocity in the mass metric."""
+        return max(float(v.dot(self.M).dot(v)), 0.0) ** 0.5
+
+    def slight(self, v: Array) -> Array:
+        """Rates of the rows that are none beside a velocity, shape (m,)."""
+        none: Array = _SLIGHT * self.speed(v) * np.sqrt(np.maximum(self.response.loose, 0.0))
+        return none
 
     def rates_left(self, on: NDArray[np.intp]) -> Array:
         """The g' that rows may keep, since gaps are left at the end, shape (len(on),)."""
         room = np.maximum(self.left[on], 0.0) / (self.h * self.theta)
-        return np.where(self.pushes[on], room, 0.0)
+        return np.where(self.acting.pushes[on], room, 0.0)
 
 
 def first_closing(gap: Array, rate: Array, bent: Array) -> float:

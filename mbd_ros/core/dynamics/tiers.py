@@ -139,9 +139,6 @@ class _Plan:
 
 def _refuse_unserved(blocks: Sequence[RowBlock]) -> None:
     """Refuse laws that exist and that no solver serves."""
-    cones = [cone.name for block in blocks for cone in block.cones()]
-    if len(cones) > 1:
-        raise ModelError(f"one contact with friction goes, the scene has {', '.join(cones)}")
     for block in blocks:
         what, smoothed = "", block.smoothed and not block.law.is_rigid
         if smoothed and block.law.kind is Kind.CONE:

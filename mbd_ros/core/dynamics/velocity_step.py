@@ -26,10 +26,10 @@ from mbd_ros.core.dynamics.implicit_loads import ImplicitLoads, mass_with
 from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
-from mbd_ros.core.dynamics.step_problem import StepProblem, Which, first_closing
+from mbd_ros.core.dynamics.step_problem import StepProblem, first_closing
+from mbd_ros.core.dynamics.step_rows import StepRows, Which
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.velocity_level import VelocityLevel
-from mbd_ros.core.model.kinematics import Reads
 from mbd_ros.core.optimization.push_impulses import PushImpulses
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_factor import RowFactor
@@ -60,9 +60,9 @@ class VelocityStep:
         self._loads = ImplicitLoads(mechanism, system.internals)
         gains = system.constraints.gains
         self._rigid = RigidRows(mechanism, ConstraintRows(layout.rigid, nv, gains))
-        self._rows = ConstraintRows(layout.yielding, nv)
-        self._giving_way = GivingWay(self._rows, theta)
-        self._pushes = self._giving_way.pushes
+        yielding = ConstraintRows(layout.yielding, nv)
+        self._rows, self._giving_way = _rows(mechanism, yielding, theta)
+        self._slots = yielding.slots
         self._return = _return(layout.rigid, gains), _return(layout.yielding)
         self._nothing = np.zeros((0, nv)), np.zeros(0)
 
@@ -73,6 +73,7 @@ class VelocityStep:
             SolveError: Rows contradict one another.
             DivergedError: Forces are not finite.
         """
+        self._rows.begin(y.q)
         problem = self._problem(y, u, h)
         closed = problem.closed()
         for _ in range(_IMPACTS):
@@ -90,7 +91,7 @@ class VelocityStep:
 
     def _problem(self, y: State, u: Array | None, h: float) -> StepProblem:
         """The linear problem of a step from a state of what is integrated."""
-        mechanism, rows, k = self._mechanism, self._rows, self._mechanism.k
+        mechanism, nothing = self._mechanism, self._nothing[0]
         late = (1.0 - self._theta) * h
         x = self._between(y, y.v, y.z, h)
         M = np.array(mechanism.mass(x.q))
@@ -100,20 +101,16 @@ class VelocityStep:
             raise DivergedError(f"forces at t = {x.t:.9g} s are not finite")
         K = mass_with(M, slopes.added) if slopes.added.any() else M
         hold, goal, factor = self._bilateral(x, K, late, h)
-        k.refresh(x.q, x.v, rows.reads)
-        if rows.varies:
-            rows.limit(k, x)
-        J, drift = (each.copy() for each in rows.accelerations(k, x))
-        gap, own = rows.residual(k, x), rows.rate(k, x)
-        response = ImpulseResponse(K, J, hold, factor)
-        free, _ = response.kept(x.v + response.free(impulse), goal)
+        held = ImpulseResponse(K, nothing, hold, factor)
+        free, _ = held.kept(x.v + held.free(impulse), goal)
+        acting, J, drift, gap, own = self._rows.at(x, free, h)
         with np.errstate(invalid="ignore"):  # an end that is infinitely far, times 0
-            back = np.where(self._pushes, 0.0, np.minimum(self._return[1], 1.0 / h) * gap)
-        offset = own + late * drift + back
+            back = np.minimum(self._return[1][acting.at], 1.0 / h)
+            back = np.where(acting.pushes, 0.0, back * gap)
         rate = J.dot(x.v) + own
         gap = gap - self._theta * h * rate
         return StepProblem(
-            *(x, M, response, self._pushes, J, gap, rate, offset, goal, free),
+            *(x, M, held.of(J), acting, J, gap, rate, own + late * drift + back, goal, free),
             *(h, self._theta, slopes, slopes.gain.dot(dz) - slopes.by_v.dot(x.v)),
         )
 
@@ -141,10 +138,11 @@ class VelocityStep:
         wait = min(first_closing(gap[hits], rate[hits], bent[hits]), _WHOLE * h)
         at = gap + wait * rate + 0.5 * wait**2 * bent
         touching = closed & (at <= _TOGETHER * h * np.abs(rate[hits]).max())
+        slots = self._slots[problem.acting.at[touching[problem.acting.decides]]]
         before = v + wait * gained
         way, dz = 0.5 * wait * (v + before), wait / h * problem.dz(end)
         y = self._moved(y, way, before, dz, y.t + wait)
-        v = self._level.impact(self._system.expand(y), self._rows.slots[touching].tolist()).v
+        v = self._level.impact(self._system.expand(y), slots.tolist()).v
         return y._replace(v=np.array(self._system.integrated(v))), h - wait
 
     def _corrected(
@@ -163,23 +161,21 @@ class VelocityStep:
 
     def _outside(self, y: State) -> State:
         """The state with no one-sided row beyond 0, moved the least in the mass metric."""
-        if not self._pushes.any():
+        if not self._rows.are_one_sided:
             return y
         mechanism, rows = self._mechanism, self._rows
-        reads = min(rows.reads, Reads.JACOBIAN)
         for _ in range(_MOVES):
             x = self._system.expand(y)
-            mechanism.k.refresh(x.q, x.v, reads)
-            gap = np.where(self._pushes, rows.residual(mechanism.k, x), np.inf)
+            gap = rows.gaps(x)
             if gap.min() >= -LANDED:
                 break
             near = np.flatnonzero(gap <= -_NEAR * gap.min())
-            J = rows.jacobian(mechanism.k, x)[near]
+            J = rows.jacobian(x, near)
             M = np.array(mechanism.mass(x.q))
             hold = self._rigid.jacobian(x.t, x.q) if self._rigid.rows else self._nothing[0]
             factor = self._rigid.factorise(M, hold) if self._rigid.rows else None
             response = ImpulseResponse(M, J, hold, factor)
-            names = [rows.rows[i].name for i in near]
+            names = [rows.every.names[i] for i in near]
             p = PushImpulses(response.G, response.loose, names).solve(gap[near], 0.0)
             y = self._moved(y, response.X.dot(p), x.v, 0.0 * y.z, y.t)
         return y
@@ -195,7 +191,20 @@ class VelocityStep:
         system = self._system
         q = system.chart.integrate(y.q, system.integrated(way))
         z = system.internals.inside(y.z + dz)
+        self._rows.moved(q, way)
         return State(t, q, np.array(system.integrated(v)), z, y.mode)
+
+
+def _rows(
+    mechanism: Mechanism, rows: ConstraintRows, theta: float
+) -> tuple[StepRows, GivingWay]:
+    """The rows that give way in steps, and what solves for them."""
+    if not rows.cones:
+        return StepRows(mechanism, rows), GivingWay(rows)
+    from mbd_ros.core.dynamics.contacts_in_step import ContactsInStep
+    from mbd_ros.core.dynamics.near_contacts import NearContacts
+
+    return NearContacts(mechanism, rows), ContactsInStep(rows, theta)
 
 
 def _return(blocks: Sequence[RowBlock], gains: tuple[float, float] | None = None) -> Array:

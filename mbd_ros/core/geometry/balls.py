@@ -26,6 +26,7 @@ class BallsOnPlane(Meeting):
 
     def __init__(self, pair: Pair, balls: Balls) -> None:
         super().__init__(pair, balls.names)
+        self.reach = balls.reach
         self._centres, self._radii = balls.centres, balls.radii
         n = len(balls.names)
         self._axes = np.broadcast_to(_AXES, (n, 3, 3))
@@ -93,6 +94,7 @@ class BallsOnBalls(Meeting):
         if m > 1:
             names = tuple(f"{a}_on_{b}" for a in moving.names for b in resting.names)
         super().__init__(pair, names)
+        self.reach = moving.reach
         self._centres = np.repeat(moving.centres, m, axis=0)
         self._radii = np.repeat(moving.radii, m)
         self._others = np.tile(resting.centres, (n, 1))

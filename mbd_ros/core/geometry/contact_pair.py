@@ -9,7 +9,7 @@ from mbd_ros.core.geometry.balls import BallsOnBalls, BallsOnPlane, nearest_basi
 from mbd_ros.core.geometry.meeting import Meeting
 from mbd_ros.core.geometry.shapes import Balls, Between, HalfSpace, Side, balls_of
 from mbd_ros.core.model.kinematics import Kinematics, Reads
-from mbd_ros.core.model.points import Point
+from mbd_ros.core.model.points import Pair, Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -58,6 +58,11 @@ class ContactPair:
         self._meeting, self._margin, self._is_back = meeting, margin, is_back
         self._pair = meeting.pair
         self._signs = np.tile(_BACK, len(self.features))
+
+    @property
+    def bodies(self) -> tuple[Pair, float]:
+        """The body at rest and the moving one, and the `reach` of this one [m]."""
+        return self._pair, self._meeting.reach
 
     @property
     def points(self) -> tuple[Point, Point]:

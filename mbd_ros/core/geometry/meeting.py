@@ -11,6 +11,7 @@ with Coulomb friction, ZAMM 77, 1997, for rows of contacts; F. Pfeiffer, C. Gloc
 Dynamics with Unilateral Contacts, 1996, ch. 4, for their derivatives.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,7 +56,15 @@ class Meeting:
     Args:
         pair: The shape at rest, as the observer, and the moving body.
         features: Names, one a feature.
+
+    Attributes:
+        pair: As given.
+        features: As given.
+        reach: How far points of the moving body that may touch are from its origin, the second
+            point of the pair, at most [m]; inf where nobody knows.
     """
+
+    reach: float = math.inf
 
     def __init__(self, pair: Pair, features: tuple[str, ...]) -> None:
         self.pair, self.features = pair, features

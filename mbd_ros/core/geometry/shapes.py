@@ -111,6 +111,11 @@ class Balls(NamedTuple):
     centres: Array
     radii: Array
 
+    @property
+    def reach(self) -> float:
+        """How far their points are from `at` at most [m]."""
+        return float((np.linalg.norm(self.centres, axis=1) + self.radii).max())
+
 
 def balls_of(robot: Robot, side: Side) -> Balls:
     """The balls that shapes of one side are, where they meet a plane.

@@ -1,0 +1,117 @@
+"""Rows that give way in a step of velocities, contacts with friction among them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.dynamics.giving_way import GivingWay
+from mbd_ros.core.dynamics.step_problem import StepProblem
+from mbd_ros.core.dynamics.step_rows import Acting, Which
+from mbd_ros.core.optimization.contact_problem import ContactProblem, Residuals
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.state import Array
+
+_SLIPS = 1.0e-12  # of the square of a slip: it neither ends in the step nor turns round
+_SETS = 256  # of rows that are remembered
+
+
+class ContactsInStep(GivingWay):
+    """One complementarity problem a step for all rows that give way, contacts among them.
+
+    Friction is against the slip at the end of the step where that begins, ends or turns round in
+    it, else against the mean slip of the step, which is of second order where slip turns.
+
+    Args:
+        rows: The rows; their bounds are those of the state that was last asked for.
+        theta: Share of the velocity at the end of a step in the mean one.
+
+    Attributes:
+        last: Impulses of the last problem, with which the next one begins, shape (m,).
+        worst: The largest residuals of steps so far.
+    """
+
+    def __init__(self, rows: ConstraintRows, theta: float) -> None:
+        super().__init__(rows)
+        self._late = (1.0 - theta) / theta
+        self.last, self.worst = np.zeros(len(rows.rows)), Residuals(0.0, 0.0, 0.0, 0.0)
+        self._sets: dict[bytes, Acting] = {}
+        self._solver: tuple[Array, ContactProblem] | None = None
+
+    def end(
+        self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None
+    ) -> Array:
+        """Velocity at the end of the step; arguments as without contacts.
+
+        Rows that others push beyond 0 push, too.
+        """
+        acting = problem.acting
+        while True:
+            on = np.flatnonzero((closed | ~acting.pushes)[acting.decides])
+            if closed.any() and (chosen := self._chosen(acting, on)).cones:
+                end = free + self._with_contacts(problem, chosen, on, free, near)
+            else:
+                end = free + self._change(problem, on, free)
+            more = problem.passed(end) & ~closed
+            if not more.any():
+                return end
+            closed = closed | more
+
+    def _with_contacts(
+        self,
+        problem: StepProblem,
+        chosen: Acting,
+        on: NDArray[np.intp],
+        free: Array,
+        near: Array | None,
+    ) -> Array:
+        """What the impulses of some rows, contacts among them, add to a velocity."""
+        response, b = problem.response, problem.asked(on, free)
+        A = response.A if len(on) == len(response.A) else response.A[np.ix_(on, on)]
+        solver = ContactProblem(A, response.loose[on], chosen.names, chosen.cones)
+        known = *self._bounds(problem, chosen.at), problem.speed(free)
+        p = None
+        if near is not None:
+            p = self._sliding(problem, chosen, on, near, solver, b, known)
+        if p is None:
+            p = solver.solve(b, *known, warm=self.last[chosen.at])
+        if near is not None:
+            self.worst = Residuals(*map(max, self.worst, solver.residuals))
+        self.last[:] = 0.0
+        self.last[chosen.at] = p
+        change: Array = response.X[:, on].dot(p)
+        return change
+
+    def _sliding(self, problem, chosen, on, near, solver, b, known) -> Array | None:
+        """Impulses where some contacts slide all along; None where none does."""
+        at = on[chosen.tangents]
+        J, offset = problem.J[at], problem.offset[at]
+        before, slip = ((J.dot(v) + offset).reshape(-1, 2) for v in (problem.x.v, near))
+        none = np.square(problem.slight(problem.free)[at[::2]])
+        slides = _dot(slip, before) > np.maximum(_SLIPS * _dot(before, before), none)
+        while slides.any():
+            late = np.where(slides[:, None], self._late * before, 0.0)
+            shifted = b.copy()
+            shifted[chosen.tangents] += late.ravel()
+            p = solver.solve(shifted, *known, warm=self.last[chosen.at])
+            mean = (solver.A[chosen.tangents].dot(p) + shifted[chosen.tangents]).reshape(-1, 2)
+            goes_on = np.minimum(_dot(slip, mean), _dot(before, mean))
+            holds = ~slides | (goes_on > _SLIPS * _dot(before, before))
+            if holds.all():
+                return p
+            slides &= holds
+        return None
+
+    def _chosen(self, acting: Acting, on: NDArray[np.intp]) -> Acting:
+        """The rows that are on; of a contact all or none."""
+        if len(on) == len(acting.at):
+            return acting
+        key = acting.at[on].tobytes()
+        if key not in self._sets:
+            if len(self._sets) >= _SETS:
+                self._sets.clear()
+            self._sets[key] = acting.chosen(on)
+        return self._sets[key]
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """Products of vectors, shape (n,)."""
+    return np.einsum("ij,ij->i", a, b)

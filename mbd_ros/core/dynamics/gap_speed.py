@@ -1,0 +1,77 @@
+"""How fast gaps change at most, so that bodies far from each other need no look.
+
+A gap changes by no more than the point nearest to the other body moves past it. With the velocity
+v_i of each coordinate between two bodies,
+
+    |g'| <= sum_i w_i |v_i|,   w_i = s_i + r_i d_i
+
+s_i and r_i are the lengths of the linear and the angular part of its column of the motion
+subspace, d_i the distance of that point from the origin of its joint.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.model.points import Pair
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.state import Array
+
+_SHARE = 0.5  # of the largest distance, by which it may grow until it is measured again
+
+
+class GapSpeed:
+    """The weights above of several pairs of bodies.
+
+    Args:
+        robot: The robot.
+        bodies: Pairs of bodies, and how far what may touch on b is from its origin at most [m].
+
+    Attributes:
+        weights: Bounds of the w_i while each gap changes by less than `room`, shape (n, nv).
+        room: [m], shape (n,); 0 until they are measured.
+    """
+
+    def __init__(self, robot: Robot, bodies: Sequence[tuple[Pair, float]]) -> None:
+        pairs, radii = zip(*bodies, strict=True)
+        places = [robot.places.points[pair.b.number] for pair in pairs]
+        offsets = [float(np.linalg.norm(place.at.translation)) for place in places]
+        self._carriers = [int(place.joint) for place in places]
+        self._radii = np.add(radii, offsets)[:, None]
+        linear, angular, self._joints = _subspaces(robot.model)
+        between = np.array([np.abs(pair.columns) for pair in pairs])
+        self._linear, self._angular = between * linear, between * angular
+        self.weights, self.room = np.zeros_like(between), np.zeros(len(pairs))
+
+    def measure(self, data: Any) -> None:
+        """Find weights and room at a configuration.
+
+        Args:
+            data: Pinocchio data with placed joints.
+        """
+        origins = np.array([place.translation for place in data.oMi])
+        offsets = origins[self._carriers][:, None] - origins[self._joints]
+        distance = np.linalg.norm(offsets, axis=2) + self._radii
+        grows = _SHARE * np.where(self._angular > 0.0, distance, 0.0).max(axis=1)
+        self.weights = self._linear + self._angular * (distance + grows[:, None])
+        self.room = np.where(grows > 0.0, grows, np.inf)
+
+
+def _subspaces(model: Any) -> tuple[Array, Array, list[int]]:
+    """Lengths of both parts of every column of the motion subspaces, and whose columns they are.
+
+    Returns:
+        Linear and angular lengths, shape (nv,) each, and the index of the joint of each column.
+    """
+    data, q, n = pin.Data(model), pin.neutral(model), int(model.nv)
+    linear, angular, joints = np.zeros(n), np.zeros(n), [0] * n
+    for i, joint in enumerate(model.joints):
+        mine = slice(joint.idx_v, joint.idx_v + joint.nv)
+        if i and joint.nv:
+            columns = pin.computeJointJacobian(model, data, q, i).reshape(6, n)[:, mine]
+            linear[mine] = np.linalg.norm(columns[:3], axis=0)
+            angular[mine] = np.linalg.norm(columns[3:], axis=0)
+            joints[mine] = [i] * joint.nv
+    return linear, angular, joints
