@@ -1,5 +1,7 @@
 """Rows that give way in a step of velocities, contacts with friction among them."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +14,32 @@ from mbd_ros.core.state import Array
 
 _SLIPS = 1.0e-12  # of the square of a slip: it neither ends in the step nor turns round
 _SETS = 256  # of rows that are remembered
+
+
+class _Asked(NamedTuple):
+    """One problem with contacts.
+
+    Attributes:
+        problem: That of the step.
+        chosen: The rows that are on.
+        on: Their places in the problem of the step.
+        A: Rates that their impulses add, shape (m, m).
+        solver: Of their laws.
+        b: Their rates without impulses, shape (m,).
+        known: Bounds of the impulses, and a velocity.
+    """
+
+    problem: StepProblem
+    chosen: Acting
+    on: NDArray[np.intp]
+    A: Array
+    solver: ContactProblem
+    b: Array
+    known: tuple[Array, Array, float]
+
+    def solve(self, warm: Array, late: Array | None = None) -> Array:
+        """The impulses, shape (m,); arguments as for `ContactProblem`."""
+        return self.solver.solve(self.b, *self.known, late, warm)
 
 
 class ContactsInStep(GivingWay):
@@ -44,6 +72,8 @@ class ContactsInStep(GivingWay):
         Rows that others push beyond 0 push, too.
         """
         acting = problem.acting
+        if not len(closed):
+            return free + 0.0
         while True:
             on = np.flatnonzero((closed | ~acting.pushes)[acting.decides])
             if closed.any() and (chosen := self._chosen(acting, on)).cones:
@@ -64,15 +94,14 @@ class ContactsInStep(GivingWay):
         near: Array | None,
     ) -> Array:
         """What the impulses of some rows, contacts among them, add to a velocity."""
-        response, b = problem.response, problem.asked(on, free)
+        response = problem.response
         A = response.A if len(on) == len(response.A) else response.A[np.ix_(on, on)]
         solver = ContactProblem(A, response.loose[on], chosen.names, chosen.cones)
         known = *self._bounds(problem, chosen.at), problem.speed(free)
-        p = None
-        if near is not None:
-            p = self._sliding(problem, chosen, on, near, solver, b, known)
+        asked = _Asked(problem, chosen, on, A, solver, problem.asked(on, free), known)
+        p = None if near is None else self._sliding(asked, near)
         if p is None:
-            p = solver.solve(b, *known, warm=self.last[chosen.at])
+            p = asked.solve(self.last[chosen.at])
         if near is not None:
             self.worst = Residuals(*map(max, self.worst, solver.residuals))
         self.last[:] = 0.0
@@ -80,24 +109,25 @@ class ContactsInStep(GivingWay):
         change: Array = response.X[:, on].dot(p)
         return change
 
-    def _sliding(self, problem, chosen, on, near, solver, b, known) -> Array | None:
+    def _sliding(self, asked: "_Asked", near: Array) -> Array | None:
         """Impulses where some contacts slide all along; None where none does."""
-        at = on[chosen.tangents]
+        problem, chosen, on, b = asked.problem, asked.chosen, asked.on, asked.b
+        at, tangents = on[chosen.tangents], chosen.tangents
         J, offset = problem.J[at], problem.offset[at]
         before, slip = ((J.dot(v) + offset).reshape(-1, 2) for v in (problem.x.v, near))
         none = np.square(problem.slight(problem.free)[at[::2]])
-        slides = _dot(slip, before) > np.maximum(_SLIPS * _dot(before, before), none)
+        least = _SLIPS * _dot(before, before)
+        slides = _dot(slip, before) > np.maximum(least, none)
         while slides.any():
-            late = np.where(slides[:, None], self._late * before, 0.0)
-            shifted = b.copy()
-            shifted[chosen.tangents] += late.ravel()
-            p = solver.solve(shifted, *known, warm=self.last[chosen.at])
-            mean = (solver.A[chosen.tangents].dot(p) + shifted[chosen.tangents]).reshape(-1, 2)
-            goes_on = np.minimum(_dot(slip, mean), _dot(before, mean))
-            holds = ~slides | (goes_on > _SLIPS * _dot(before, before))
-            if holds.all():
+            late = np.zeros(len(b))
+            late[tangents] = (slides[:, None] * (self._late * before)).ravel()
+            p = asked.solve(self.last[chosen.at], late)
+            end = asked.A[tangents].dot(p) + b[tangents] + late[tangents]
+            mean = end.reshape(-1, 2)
+            goes_on = np.minimum(_dot(slip, mean), _dot(before, mean)) > least
+            if (goes_on | ~slides).all():
                 return p
-            slides &= holds
+            slides &= goes_on
         return None
 
     def _chosen(self, acting: Acting, on: NDArray[np.intp]) -> Acting:

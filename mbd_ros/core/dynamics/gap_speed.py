@@ -27,23 +27,43 @@ class GapSpeed:
 
     Args:
         robot: The robot.
-        bodies: Pairs of bodies, and how far what may touch on b is from its origin at most [m].
+        bodies: Pairs of bodies, and how far what may touch on b is from its origin at most [m];
+            None where nobody knows.
 
     Attributes:
         weights: Bounds of the w_i while each gap changes by less than `room`, shape (n, nv).
-        room: [m], shape (n,); 0 until they are measured.
+        room: [m], shape (n,); 0 until they are measured, and where nothing is known.
     """
 
-    def __init__(self, robot: Robot, bodies: Sequence[tuple[Pair, float]]) -> None:
-        pairs, radii = zip(*bodies, strict=True)
-        places = [robot.places.points[pair.b.number] for pair in pairs]
-        offsets = [float(np.linalg.norm(place.at.translation)) for place in places]
-        self._carriers = [int(place.joint) for place in places]
-        self._radii = np.add(radii, offsets)[:, None]
+    def __init__(self, robot: Robot, bodies: Sequence[tuple[Pair, float] | None]) -> None:
+        n, nv = len(bodies), int(robot.model.nv)
+        self._carriers, self._radii = [0] * n, np.full((n, 1), np.inf)
+        between = np.zeros((n, nv))
+        for i, each in enumerate(bodies):
+            if each is not None:
+                place = robot.places.points[each[0].b.number]
+                self._carriers[i] = int(place.joint)
+                self._radii[i] = each[1] + np.linalg.norm(place.at.translation)
+                between[i] = np.abs(each[0].columns)
         linear, angular, self._joints = _subspaces(robot.model)
-        between = np.array([np.abs(pair.columns) for pair in pairs])
         self._linear, self._angular = between * linear, between * angular
-        self.weights, self.room = np.zeros_like(between), np.zeros(len(pairs))
+        self._is_known = np.isfinite(self._radii[:, 0])
+        self._radii[~self._is_known] = 0.0
+        self.weights, self.room, self._length = np.zeros((n, nv)), np.zeros(n), np.zeros(n)
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether all weights are bounds."""
+        return bool((self.room[self._is_known] > 0.0).all())
+
+    def shortest(self, room: Array) -> float:
+        """A way of the joints, as a length of all, on which no gap loses its room [m, rad].
+
+        Args:
+            room: Of the gaps [m], shape (n,).
+        """
+        least = np.minimum(room, self.room)
+        return float((least / np.where(self._length > 0.0, self._length, 1.0)).min())
 
     def measure(self, data: Any) -> None:
         """Find weights and room at a configuration.
@@ -56,7 +76,9 @@ class GapSpeed:
         distance = np.linalg.norm(offsets, axis=2) + self._radii
         grows = _SHARE * np.where(self._angular > 0.0, distance, 0.0).max(axis=1)
         self.weights = self._linear + self._angular * (distance + grows[:, None])
-        self.room = np.where(grows > 0.0, grows, np.inf)
+        self._length = np.linalg.norm(self.weights, axis=1)
+        room = np.where(grows > 0.0, grows, np.inf)
+        self.room = np.where(self._is_known, room, 0.0)
 
 
 def _subspaces(model: Any) -> tuple[Array, Array, list[int]]:

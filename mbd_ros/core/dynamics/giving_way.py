@@ -32,6 +32,8 @@ class GivingWay:
             free: The velocity without rows that give way.
             near: The same velocity, as it was before forces on the way to it were known.
         """
+        if not len(closed):
+            return free + 0.0
         on = np.flatnonzero(closed | ~problem.acting.pushes)
         return free + self._change(problem, on, free)
 

@@ -16,7 +16,7 @@ class ImpulseResponse:
 
     Args:
         M: Mass matrix, or what stands for it, symmetric, shape (nv, nv).
-        J: Rows with impulses, shape (m, nv).
+        J: Rows with impulses, shape (m, nv); None where they follow by `of`.
         hold: Bilateral rows, shape (m_b, nv).
         factor: Their factor in the metric of M; None without any.
 
@@ -26,9 +26,10 @@ class ImpulseResponse:
         loose: Diagonal of A without the bilateral rows, shape (m,).
     """
 
-    def __init__(self, M: Array, J: Array, hold: Array, factor: RowFactor | None) -> None:
+    def __init__(self, M: Array, J: Array | None, hold: Array, factor: RowFactor | None) -> None:
         self._mass, self._hold, self._factor = eigenpy.LLT(M), hold, factor
-        self._respond(J)
+        if J is not None:
+            self._respond(J)
 
     def of(self, J: Array) -> "ImpulseResponse":
         """That of other rows, shape (m, nv), under the same mass and bilateral rows."""

@@ -1,6 +1,6 @@
 """Contacts that a step may close, beside the other rows that give way."""
 
-from collections.abc import Sequence
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.dynamics.gap_speed import GapSpeed
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.step_rows import Acting, RowsAt, StepRows
+from mbd_ros.core.geometry.contact_pair import ContactPair
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint import Constraint
@@ -31,68 +32,104 @@ class NearContacts(StepRows):
 
     def __init__(self, mechanism: Mechanism, rows: ConstraintRows) -> None:
         super().__init__(mechanism, rows)
+        self._sets: dict[bytes, Acting] = {}
         self._data, self._m = mechanism.data, len(rows.rows)
         blocks = list(zip(rows.blocks, rows.slices, strict=True))
         own = [(block.part, at) for block, at in blocks if block.law.kind is Kind.CONE]
         others = [(block, at) for block, at in blocks if block.law.kind is not Kind.CONE]
         self._contacts = [(part, np.arange(at.start, at.stop)) for part, at in own]
         self._others = ConstraintRows([block for block, _ in others], int(mechanism.model.nv))
-        self._at_others = np.concatenate([self.every.at[:0], *(self.every.at[at] for _, at in others)])
-        self._speed = GapSpeed(mechanism.robot, [part.pair.bodies for part, _ in own])
-        self._room, self._way, self._q = np.zeros(len(own)), np.zeros(len(own)), mechanism.zero
-        self._sets: dict[bytes, Acting] = {}
+        is_other = np.zeros(self._m, dtype=np.bool_)
+        for _, at in others:
+            is_other[at] = True
+        self._at_others = np.flatnonzero(is_other)
+        self._speed = GapSpeed(mechanism.robot, [_bodies(part) for part, _ in own])
+        self._room, self._spare, self._q = np.zeros(len(own)), 0.0, mechanism.zero
+        self._way, self._ways = mechanism.zero, mechanism.zero.copy()
+        acting = self._acting(self.every.at[:0])
+        self._nothing = RowsAt(acting, np.zeros((0, len(self._way))), *np.zeros((3, 0)))
 
     def begin(self, q: Array) -> None:
         """Learn from which configuration of what is integrated a step starts."""
         if q is not self._q:
-            self._room[:] = self._speed.room[:] = 0.0
+            self._room[:] = self._speed.room[:] = self._spare = 0.0
 
     def moved(self, q: Array, way: Array) -> None:
         """Learn to which configuration all joints moved, and how far, shape (nv,)."""
-        self._q, self._way = q, self._speed.weights.dot(np.abs(way))
-        self._room -= self._way
-        self._speed.room -= self._way
+        self._q, self._way = q, way
+        self._ways += np.abs(way)
+        self._spare -= math.sqrt(way.dot(way))
 
     def at(self, x: State, free: Array, h: float) -> RowsAt:
         """The rows at a state of all joints; arguments as for all rows."""
         k, rows, others = self._k, self.rows, self._others
-        fastest = np.maximum(np.abs(x.v), np.abs(free))
-        ways = np.where(self._speed.room > 0.0, self._speed.weights.dot(_WAYS * h * fastest), np.inf)
-        looked_at = np.flatnonzero(self._room <= ways).tolist()
+        fastest = math.sqrt(max(x.v.dot(x.v), free.dot(free)))
+        if self._spare > _WAYS * h * fastest:
+            if not len(self._at_others):
+                return self._nothing
+            looked_at, ways = [], self._room
+        else:
+            ways = self._reach(_WAYS * h * np.maximum(np.abs(x.v), np.abs(free)))
+            looked_at = np.flatnonzero(self._room <= ways).tolist()
         k.refresh(x.q, x.v, rows.reads if looked_at else others.reads)
         if rows.varies:
             rows.limit(k, x)
-        J, drift = others.accelerations(k, x)
-        found = [(self._at_others, J, drift, others.residual(k, x), others.rate(k, x))]
+        at, found = [], []
+        if len(self._at_others):
+            J, drift = others.accelerations(k, x)
+            at.append(self._at_others)
+            found.append((J, drift, others.residual(k, x), others.rate(k, x)))
         for i in looked_at:
-            part, at = self._contacts[i]
+            part, own = self._contacts[i]
             gap = part.residual(k, x)
-            near = np.repeat(gap[::3] <= ways[i], 3)
+            near = np.repeat(gap[::3] < ways[i], 3)
             if near.any():
-                each = at, *part.accelerations(k, x), gap, part.rate(k, x)
-                found.append(each if near.all() else tuple(array[near] for array in each))
-        at, *arrays = (np.concatenate(each) for each in zip(*found, strict=True))
-        return RowsAt(self._acting(at), *arrays)
+                each = *part.accelerations(k, x), gap, part.rate(k, x)
+                is_whole = near.all()
+                at.append(own if is_whole else own[near])
+                found.append(each if is_whole else tuple(array[near] for array in each))
+        if not found:
+            return self._nothing
+        if len(found) == 1 and at[0] is not self._at_others:
+            return RowsAt(self._acting(at[0]), *found[0])
+        stacked = (np.concatenate(each) for each in zip(*found, strict=True))
+        return RowsAt(self._acting(np.concatenate(at)), *stacked)
 
-    def gaps(self, x: State) -> Array:
+    def gaps(self, x: State) -> Array | None:
         """The g of one-sided rows at a state of all joints, shape (m,); inf for other rows.
 
-        Contacts that have room are passed over, and count as infinitely far.
+        Contacts that have room are passed over, and count as infinitely far; None where all rows
+        are.
         """
-        speed, gaps = self._speed, np.full(self._m, np.inf)
-        looked_at = np.flatnonzero(self._room <= _WAYS * self._way).tolist()
-        is_measured = bool((speed.room > 0.0).all())
-        if looked_at or not is_measured or len(self._at_others):
-            self._k.refresh(x.q, x.v, self._of_g)
-        if not is_measured:
-            speed.measure(self._data)
-        if len(self._at_others):
-            gaps[self._at_others] = self._others.residual(self._k, x)
+        looked_at = list[int]()
+        if self._spare <= _WAYS * math.sqrt(self._way.dot(self._way)):
+            ways = self._reach(_WAYS * np.abs(self._way))
+            looked_at = np.flatnonzero(self._room <= ways).tolist()
+        if not looked_at and not len(self._at_others):
+            return None
+        self._k.refresh(x.q, x.v, self._of_g)
+        if not self._speed.is_measured:
+            self._speed.measure(self._data)
+        gaps = np.full(self._m, np.inf)
+        gaps[self._at_others] = self._others.residual(self._k, x)
         for i in looked_at:
             part, at = self._contacts[i]
             gaps[at] = part.residual(self._k, x)
             self._room[i] = gaps[at[::3]].min()
+        self._spare = self._speed.shortest(self._room)
         return np.where(self.every.pushes, gaps, np.inf)
+
+    def _reach(self, way: Array) -> Array:
+        """How far gaps change at most on a way of the joints [m], one a contact.
+
+        Brings `room` up to date.
+        """
+        speed, gone = self._speed, self._speed.weights.dot(self._ways)
+        self._room -= gone
+        speed.room -= gone
+        self._ways[:] = 0.0
+        self._spare = speed.shortest(self._room)
+        return np.where(speed.room > 0.0, speed.weights.dot(way), np.inf)
 
     def _acting(self, at: NDArray[np.intp]) -> Acting:
         """The rows that stand there; of a contact all or none."""
@@ -103,3 +140,10 @@ class NearContacts(StepRows):
             self._sets[key] = self.every.chosen(at)
         return self._sets[key]
 
+
+def _bodies(part: Constraint) -> tuple[Pair, float] | None:
+    """What may touch in a contact; None where only the part knows."""
+    pair = getattr(part, "pair", None)
+    if isinstance(pair, ContactPair) and pair.bodies[1] < math.inf:
+        return pair.bodies
+    return None

@@ -68,10 +68,14 @@ class StepProblem(NamedTuple):
 
     def closed(self) -> Which:
         """One-sided rows that would be closed at the end of the step."""
+        if not len(self.gap):
+            return self.acting.pushes
         return self.acting.pushes & (self.left + self.h * self.theta * self.at_end <= 0.0)
 
     def hits(self, closed: Which) -> Which:
         """Closed rows that approach faster than the forces of one step make them."""
+        if not len(closed):
+            return closed
         if not (closed & (self.rate < 0.0)).any():
             return np.zeros(len(closed), dtype=np.bool_)
         gained = np.abs(self.at_end - self.rate)

@@ -127,8 +127,12 @@ class StepRows:
         J, drift = (each.copy() for each in rows.accelerations(k, x))
         return RowsAt(self.every, J, drift, rows.residual(k, x), rows.rate(k, x))
 
-    def gaps(self, x: State) -> Array:
-        """The g of one-sided rows at a state of all joints, shape (m,); inf for other rows."""
+    def gaps(self, x: State) -> Array | None:
+        """The g of one-sided rows at a state of all joints, shape (m,); inf for other rows.
+
+        Returns:
+            None where no row may be beyond 0.
+        """
         self._k.refresh(x.q, x.v, self._of_g)
         return np.where(self.every.pushes, self.rows.residual(self._k, x), np.inf)
 

@@ -91,8 +91,7 @@ class VelocityStep:
 
     def _problem(self, y: State, u: Array | None, h: float) -> StepProblem:
         """The linear problem of a step from a state of what is integrated."""
-        mechanism, nothing = self._mechanism, self._nothing[0]
-        late = (1.0 - self._theta) * h
+        mechanism, late = self._mechanism, (1.0 - self._theta) * h
         x = self._between(y, y.v, y.z, h)
         M = np.array(mechanism.mass(x.q))
         slopes, dz = self._loads.slopes(x, u, self._theta * h), h * self._loads.rates(x, u)
@@ -101,17 +100,20 @@ class VelocityStep:
             raise DivergedError(f"forces at t = {x.t:.9g} s are not finite")
         K = mass_with(M, slopes.added) if slopes.added.any() else M
         hold, goal, factor = self._bilateral(x, K, late, h)
-        held = ImpulseResponse(K, nothing, hold, factor)
+        held = ImpulseResponse(K, None, hold, factor)
         free, _ = held.kept(x.v + held.free(impulse), goal)
         acting, J, drift, gap, own = self._rows.at(x, free, h)
+        still = slopes.gain.dot(dz) - slopes.by_v.dot(x.v)
+        known = goal, free, h, self._theta, slopes, still
+        if not len(gap):
+            return StepProblem(x, M, held, acting, J, gap, own, own, *known)
         with np.errstate(invalid="ignore"):  # an end that is infinitely far, times 0
             back = np.minimum(self._return[1][acting.at], 1.0 / h)
             back = np.where(acting.pushes, 0.0, back * gap)
         rate = J.dot(x.v) + own
         gap = gap - self._theta * h * rate
         return StepProblem(
-            *(x, M, held.of(J), acting, J, gap, rate, own + late * drift + back, goal, free),
-            *(h, self._theta, slopes, slopes.gain.dot(dz) - slopes.by_v.dot(x.v)),
+            *(x, M, held.of(J), acting, J, gap, rate, own + late * drift + back, *known)
         )
 
     def _bilateral(
@@ -167,7 +169,7 @@ class VelocityStep:
         for _ in range(_MOVES):
             x = self._system.expand(y)
             gap = rows.gaps(x)
-            if gap.min() >= -LANDED:
+            if gap is None or gap.min() >= -LANDED:
                 break
             near = np.flatnonzero(gap <= -_NEAR * gap.min())
             J = rows.jacobian(x, near)
@@ -195,9 +197,7 @@ class VelocityStep:
         return State(t, q, np.array(system.integrated(v)), z, y.mode)
 
 
-def _rows(
-    mechanism: Mechanism, rows: ConstraintRows, theta: float
-) -> tuple[StepRows, GivingWay]:
+def _rows(mechanism: Mechanism, rows: ConstraintRows, theta: float) -> tuple[StepRows, GivingWay]:
     """The rows that give way in steps, and what solves for them."""
     if not rows.cones:
         return StepRows(mechanism, rows), GivingWay(rows)
