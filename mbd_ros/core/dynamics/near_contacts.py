@@ -74,7 +74,8 @@ class NearContacts(StepRows):
         k.refresh(x.q, x.v, rows.reads if looked_at else others.reads)
         if rows.varies:
             rows.limit(k, x)
-        at, found = [], []
+        at: list[NDArray[np.intp]] = []
+        found: list[tuple[Array, ...]] = []
         if len(self._at_others):
             J, drift = others.accelerations(k, x)
             at.append(self._at_others)
