@@ -16,6 +16,7 @@ from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array, State
 
 _WAYS = 4.0  # of a step: gaps that may close in it, whatever other rows push
+_CURVED = 2.0  # longest way of joints that follow others, of what their velocity says
 _SETS = 256  # of rows that are remembered
 
 
@@ -28,11 +29,13 @@ class NearContacts(StepRows):
     Args:
         mechanism: The mechanism.
         rows: The rows.
+        is_whole: Whether all joints are integrated; others may curve on their way.
     """
 
-    def __init__(self, mechanism: Mechanism, rows: ConstraintRows) -> None:
+    def __init__(self, mechanism: Mechanism, rows: ConstraintRows, is_whole: bool) -> None:
         super().__init__(mechanism, rows)
         self._sets: dict[bytes, Acting] = {}
+        self._longer = 1.0 if is_whole else _CURVED
         self._data, self._m = mechanism.data, len(rows.rows)
         blocks = list(zip(rows.blocks, rows.slices, strict=True))
         own = [(block.part, at) for block, at in blocks if block.law.kind is Kind.CONE]
@@ -56,7 +59,8 @@ class NearContacts(StepRows):
 
     def moved(self, q: Array, way: Array) -> None:
         """Learn to which configuration all joints moved, and how far, shape (nv,)."""
-        self._q, self._way = q, way
+        self._q, self._way = q, self._longer * way
+        way = self._way
         self._ways += np.abs(way)
         self._spare -= math.sqrt(way.dot(way))
 

@@ -61,7 +61,7 @@ class VelocityStep:
         gains = system.constraints.gains
         self._rigid = RigidRows(mechanism, ConstraintRows(layout.rigid, nv, gains))
         yielding = ConstraintRows(layout.yielding, nv)
-        self._rows, self._giving_way = _rows(mechanism, yielding, theta)
+        self._rows, self._giving_way = _rows(system, mechanism, yielding, theta)
         self._slots = yielding.slots
         self._return = _return(layout.rigid, gains), _return(layout.yielding)
         self._nothing = np.zeros((0, nv)), np.zeros(0)
@@ -197,14 +197,17 @@ class VelocityStep:
         return State(t, q, np.array(system.integrated(v)), z, y.mode)
 
 
-def _rows(mechanism: Mechanism, rows: ConstraintRows, theta: float) -> tuple[StepRows, GivingWay]:
+def _rows(
+    system: System, mechanism: Mechanism, rows: ConstraintRows, theta: float
+) -> tuple[StepRows, GivingWay]:
     """The rows that give way in steps, and what solves for them."""
     if not rows.cones:
         return StepRows(mechanism, rows), GivingWay(rows)
     from mbd_ros.core.dynamics.contacts_in_step import ContactsInStep
     from mbd_ros.core.dynamics.near_contacts import NearContacts
 
-    return NearContacts(mechanism, rows), ContactsInStep(rows, theta)
+    is_whole = system.nv == system.model.nv
+    return NearContacts(mechanism, rows, is_whole), ContactsInStep(rows, theta)
 
 
 def _return(blocks: Sequence[RowBlock], gains: tuple[float, float] | None = None) -> Array:
