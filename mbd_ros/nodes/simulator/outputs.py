@@ -48,6 +48,12 @@ class SimulatorOutputs:
 
             self._markers, self._marked = node.publish_to(MarkerArray, "~/markers", 10), 0.0
 
+        self._contacts = None
+        if plant.live.showing.cones:
+            from mbd_ros.nodes.simulator.contacts import ContactTopics  # only with contacts
+
+            self._contacts = ContactTopics(node, plant.live, plant.scene.robot, STATES)
+
     @property
     def listeners(self) -> int:
         """How many listen to joint states, or to free bodies where there are none."""
@@ -77,6 +83,8 @@ class SimulatorOutputs:
         if self._events is not None:
             for event in plant.events():
                 self._events.publish(event)
+        if self._contacts is not None:
+            self._contacts.publish(stamp)
         if self._motion.get_subscription_count():
             self._motion.publish(plant.motion(stamp))
         rate, now = values.marker_rate, perf_counter()

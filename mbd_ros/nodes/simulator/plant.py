@@ -180,6 +180,10 @@ class Plant:
         }
         if any(block.part.stops for block in system.layout.yielding):
             details["stops passed"] = "; ".join(live.simulation.passed_stops()) or "none"
+        if live.showing.cones:
+            from mbd_ros.nodes.simulator.contacts import contact_details  # only with contacts
+
+            details |= contact_details(live)
         if system.bounded is not None:
             s = system.bounded.qp.statistics
             details["QP"] = (
