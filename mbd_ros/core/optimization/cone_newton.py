@@ -21,7 +21,8 @@ from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import redundant
 
 Slots = NDArray[np.intp]
-_EXACT = 1.0e-15  # of the terms in w: nothing is left of a residual
+_EXACT = 4.0e-16  # of the impulses: nothing is left of the map
+_SMALL = 1.0e-14  # the same: rounding, once a step no longer halves it
 _ENOUGH = 1.0e-4  # of the decrease that a step promises
 
 
@@ -89,10 +90,16 @@ class ConeNewton:
     Args:
         A: Rates that impulses add, with a diagonal of about one, shape (m, m).
         contacts: Its rows.
+
+    Attributes:
+        A: As given.
+        contacts: As given.
+        depends: Whether the rows that held in the last step depended on one another, as far as is
+            known.
     """
 
     def __init__(self, A: Array, contacts: Contacts) -> None:
-        self.A, self.contacts = A, contacts
+        self.A, self.contacts, self.depends = A, contacts, True
 
     def damped(self, by: float) -> "ConeNewton":
         """The same with a part of the identity added to A."""
@@ -113,10 +120,11 @@ class ConeNewton:
         seen = self.see(b, bounds, p)
         best, smallest = p, math.inf
         for _ in range(steps + 1):
-            left = float(np.abs(seen.left).max())
+            left, size = float(np.abs(seen.left).max()), 1.0 + float(np.abs(p).max())
+            ends = left > 0.5 * smallest and left <= _SMALL * size
             if left < smallest:
                 best, smallest = p, left
-            if left <= _EXACT * (1.0 + float(np.abs(p).max())) or not left < math.inf:
+            if ends or left <= _EXACT * size or not left < math.inf:
                 break
             step = self._step(seen, bounds, p)
             if not np.isfinite(step).all():
@@ -170,7 +178,9 @@ class ConeNewton:
         at = seen.slips.nonzero()[0]
         if len(at):
             self._slide(K, r, seen, bounds, p, at)
-        return -shortest(K, r)
+        step, rank = shortest(K, r)
+        self.depends = rank < len(r)
+        return -step
 
     def _slide(self, K: Array, r: Array, seen: Seen, bounds: Bounds, p: Array, at: Slots) -> None:
         """Rows of contacts that slip: along their friction, then across it."""
@@ -188,14 +198,13 @@ class ConeNewton:
         r[second] = x * p[second] - y * p[first]
 
 
-def shortest(K: Array, r: Array) -> Array:
-    """The x of smallest norm with K x nearest to r, K square."""
+def shortest(K: Array, r: Array) -> tuple[Array, int]:
+    """The x of smallest norm with K x nearest to r, K square, and the rank of K."""
     n = len(r)
     factor = eigenpy.CompleteOrthogonalDecomposition(n, n)
     factor.setThreshold(redundant(n))
     factor.compute(K)
-    x: Array = factor.solve(r)
-    return x.reshape(n)
+    return factor.solve(r).reshape(n), int(factor.rank())
 
 
 def kept(contacts: Contacts, bounds: Bounds, p: Array) -> Array:

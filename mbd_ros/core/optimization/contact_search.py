@@ -19,6 +19,7 @@ _STEPS, _HALVINGS = 20, 4
 _FALLS, _LEAST = 0.3, 1.0e-9  # the damping of A, and where it ends
 _SWEEPS = 5, 50
 _STARTS = 30
+_LARGE = 1.0e4  # impulses in units of the rates that they end
 _SEED = 0  # the same problem has the same answer
 
 
@@ -27,18 +28,21 @@ def searched(
 ) -> tuple[Array, float]:
     """The best impulses of all ways, and what they leave of the natural map.
 
+    What is left counts per size of the impulses, which round it, but impulses without bound, as
+    those of contacts that contradict one another, excuse nothing.
+
     Args:
         newton: The problem.
         b: Rates without impulses, shape (m,), of the order of 1.
         bounds: What impulses may be.
         start: Impulses to begin with, shape (m,).
-        enough: What may be left per size of the impulses.
+        enough: What may be left.
     """
     best, smallest = start, np.inf
     for near in _starts(newton, b, bounds, start):
         for halvings in (0, _HALVINGS):
             p, left = newton.solve(b, bounds, near, _STEPS, halvings)
-            left /= 1.0 + float(np.abs(p).max())
+            left /= 1.0 + min(float(np.abs(p).max()), _LARGE)
             if left < smallest:
                 best, smallest = p, left
             if smallest <= enough:

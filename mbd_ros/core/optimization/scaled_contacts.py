@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.optimization.cone_newton import Bounds, ConeNewton, Contacts, kept
 from mbd_ros.core.optimization.contact_search import searched
+from mbd_ros.core.optimization.least_impulses import least_impulses
 from mbd_ros.core.rows.row_layout import Cone
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
@@ -82,9 +83,19 @@ class ScaledContacts:
         enough = _ENOUGH + _ROUNDING * speed / size
         p, left = searched(self._newton, b, bounds, start, enough)
         if left > max(_ACCEPTED, enough):
-            raise SolveError(self._failed(b, bounds, p, left))
-        answer: Array = unit * kept(self._newton.contacts, bounds, p)
+            raise SolveError(self._failed(b, bounds, p))
+        p = kept(self._newton.contacts, bounds, p)
+        if self._newton.depends:
+            p = self._shortest(b, bounds, p, max(left, enough))
+        answer: Array = unit * p
         return answer
+
+    def _shortest(self, b: Array, bounds: Bounds, p: Array, enough: float) -> Array:
+        """The impulses of least norm that do what p does."""
+        newton = self._newton
+        found = least_impulses(newton, newton.see(b, bounds, p), bounds, p, self._unit)
+        left = float(np.abs(newton.see(b, bounds, found).left).max())
+        return found if left <= enough * (1.0 + float(np.abs(found).max())) else p
 
     def left(self, p: Array, b: Array, lower: Array, upper: Array) -> tuple[float, float]:
         """What impulses leave of the laws: of normals and bounded rows, and of slips [m/s]."""
@@ -102,10 +113,10 @@ class ScaledContacts:
         lower, upper = lower[at] / unit, upper[at] / unit
         return Bounds(lower[contacts.others], upper[contacts.others], lower[contacts.normal])
 
-    def _failed(self, b: Array, bounds: Bounds, p: Array, left: float) -> str:
+    def _failed(self, b: Array, bounds: Bounds, p: Array) -> str:
         """What is wrong with the best impulses."""
-        seen = self._newton.see(b, bounds, p)
-        worst = self._names[self._at[int(np.abs(seen.left).argmax())]]
+        off = np.abs(self._newton.see(b, bounds, p).left)
+        worst, left = self._names[self._at[int(off.argmax())]], float(off.max())
         return (
             f"no impulses are found for contacts and the rows beside them: the best ones leave "
             f"{left:.1e} of the rates, most at row {worst}"
