@@ -5,8 +5,8 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.geometry.contact_pair import contact_pair
 from mbd_ros.core.geometry.contact_show import ContactShow
+from mbd_ros.core.geometry.pairing import contact_pair
 from mbd_ros.core.geometry.shapes import Between
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from mbd_ros.core.geometry.shapes import Box, Capsule, HalfSpace, Points, Shape, Side, Sphere
+from mbd_ros.core.geometry.shapes import Box, Capsule, Cylinder, HalfSpace, Points, Shape, Side, Sphere
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import WORLD, Robot
 from mbd_ros.core.ranges import LARGEST, Length, Positive, Unit, Vector, Within
@@ -96,6 +96,10 @@ def _capsule(robot: Robot, at: Point, radius: _Metres, length: _Metres) -> Shape
     return Capsule(at, radius, length)
 
 
+def _cylinder(robot: Robot, at: Point, radius: _Metres, length: _Metres) -> Shape:
+    return Cylinder(at, radius, length)
+
+
 def _half_space(robot: Robot, at: Point, size: Vector) -> Shape:
     check_normal(size)
     return HalfSpace(plane_of(robot, at, size))
@@ -106,6 +110,7 @@ _SHAPES: Mapping[str, Callable[..., Shape]] = {
     "points": _points,
     "box": _box,
     "capsule": _capsule,
+    "cylinder": _cylinder,
     "half_space": _half_space,
 }
-_BY_KEYS = ("capsule",)
+_BY_KEYS = ("capsule", "cylinder")

@@ -1,14 +1,14 @@
 """Features of one body over one shape of another: gaps, contact frames and their derivatives.
 
-One body moves and the other is at rest: all vectors stand in the axes of the shape at rest, V is
-the velocity of the moving body in them. With the lever rho from the origin of the moving body to
-the contact point, and an axis e of the contact frame,
+One body moves and the other is at rest: all vectors stand in the axes of the shape at rest. With
+the lever rho from the origin of the moving body to the contact point, and an axis e of the contact
+frame,
 
     w = e . u,   u = v + omega x rho,   w' = e . (a + alpha x rho + omega x rho') + e' . u
 
-Source: J. Trinkle, J.-S. Pang, S. Sudarsky, G. Lo, On dynamic multi-rigid-body contact problems
-with Coulomb friction, ZAMM 77, 1997, for rows of contacts; F. Pfeiffer, C. Glocker, Multibody
-Dynamics with Unilateral Contacts, 1996, ch. 4, for their derivatives.
+Source: F. Pfeiffer, C. Glocker, Multibody Dynamics with Unilateral Contacts, 1996, ch. 4. The
+derivatives rho' and e' along the motion are complex steps: J. R. R. A. Martins, P. Sturdza, J. J.
+Alonso, The complex-step derivative approximation, ACM TOMS 29, 2003.
 """
 
 import math
@@ -17,37 +17,39 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.geometry.frames import crossed
 from mbd_ros.core.model.pair_motion import PairMotion, Placed
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array
 
 _ALL = slice(0, 6)
+_STEP = 1.0e-30  # imaginary, so small that its square vanishes beside every real part
+
+
+class Pose(NamedTuple):
+    """Where the moving body is; `pinocchio.SE3` has the same attributes.
+
+    Attributes:
+        rotation: From its axes to those of the shape at rest, shape (3, 3).
+        translation: Of its origin [m], shape (3,).
+    """
+
+    rotation: Array
+    translation: Array
 
 
 class Touch(NamedTuple):
     """Where features touch, at one pose.
 
     Attributes:
+        gap: Distances of the surfaces, negative where they overlap [m], shape (n,).
         lever: From the origin of the moving body to the contact points [m], shape (n, 3).
         axes: Normal out of the shape at rest, then both tangents, shape (n, 3, 3), rows.
     """
 
+    gap: Array
     lever: Array
     axes: Array
-
-
-class Turning(NamedTuple):
-    """How contact points and frames move.
-
-    Attributes:
-        lever: Derivative of the lever [m/s], shape (n, 3).
-        normal: Derivative of the normal [1/s], shape (n, 3).
-        spin: Rate of the tangents about the normal [rad/s], shape (n,).
-    """
-
-    lever: Array
-    normal: Array
-    spin: Array
 
 
 class Meeting:
@@ -61,29 +63,27 @@ class Meeting:
         pair: As given.
         features: As given.
         reach: How far points of the moving body that may touch are from its origin, the second
-            point of the pair, at most [m]; inf where nobody knows.
+            point of the pair, at most [m].
+        why_not: Why its gaps are not twice differentiable; empty where they are.
     """
 
     reach: float = math.inf
+    why_not: str = ""
 
     def __init__(self, pair: Pair, features: tuple[str, ...]) -> None:
         self.pair, self.features = pair, features
 
+    def touch(self, pose: Any) -> Touch:
+        """Gaps, contact points and frames at a `Pose` of real or of complex numbers."""
+        raise NotImplementedError
+
     def gaps(self, seen: PairMotion) -> Array:
         """Distances of the surfaces, negative where they overlap [m], shape (n,)."""
-        raise NotImplementedError
-
-    def touch(self, pose: Any) -> Touch:
-        """Contact points and frames at a pose of the moving body."""
-        raise NotImplementedError
-
-    def turning(self, pose: Any, touch: Touch, velocity: Any) -> Turning:
-        """Their derivatives, for the velocity of the moving body, a `pinocchio.Motion`."""
-        raise NotImplementedError
+        return self.touch(seen.pose()).gap
 
     def jacobian(self, seen: PairMotion, placed: Placed | None) -> Array:
         """From joint velocities to those of the features, shape (3 n, nv)."""
-        lever, axes = self.touch(seen.pose())
+        _, lever, axes = self.touch(seen.pose())
         rows = np.concatenate((axes, crossed(lever[:, None], axes)), axis=2)
         jacobian: Array = rows.reshape(-1, 6).dot(seen.jacobian(placed, _ALL))
         return jacobian
@@ -91,25 +91,13 @@ class Meeting:
     def drift(self, seen: PairMotion, placed: Placed) -> Array:
         """J' v, shape (3 n,)."""
         velocity, rate = seen.spatial(placed)
-        pose = seen.pose()
-        touch = self.touch(pose)
-        (lever, axes), turning = touch, self.turning(pose, touch, velocity)
-        omega = velocity.angular
-        slip = velocity.linear + crossed(omega, lever)
+        pose, v, omega = seen.pose(), velocity.linear, velocity.angular
+        _, lever, axes = self.touch(pose)
+        turned = pose.rotation + 1j * _STEP * crossed(omega, pose.rotation.T).T
+        later = self.touch(Pose(turned, pose.translation + 1j * _STEP * v))
+        lever_rate, axes_rate = later.lever.imag / _STEP, later.axes.imag / _STEP
+        slip = v + crossed(omega, lever)
         a = pin.classicAcceleration(velocity, rate)
-        a = a + crossed(rate.angular, lever) + crossed(omega, turning.lever)
-        seen_slip = np.einsum("nij,nj->ni", axes, slip)
-        normal, x, y = seen_slip.T
-        change = np.einsum("nij,nj->ni", axes, turning.normal)[:, 1:]
-        w = np.einsum("nij,nj->ni", axes, a)
-        w[:, 0] += np.einsum("nj,nj->n", turning.normal, slip)
-        w[:, 1] += turning.spin * y - change[:, 0] * normal
-        w[:, 2] -= turning.spin * x + change[:, 1] * normal
-        return w.ravel()
-
-
-def crossed(a: Array, b: Array) -> Array:
-    """Cross product a x b along the last axis, many times faster than numpy's for few of them."""
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=-1)
+        a = a + crossed(rate.angular, lever) + crossed(omega, lever_rate)
+        drift: Array = np.einsum("nij,nj->ni", axes, a) + np.einsum("nij,nj->ni", axes_rate, slip)
+        return drift.ravel()

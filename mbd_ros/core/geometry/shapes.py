@@ -1,5 +1,6 @@
 """Shapes on links, which contacts are made of."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -59,6 +60,20 @@ class Capsule(NamedTuple):
     length: float
 
 
+class Cylinder(NamedTuple):
+    """A cylinder along z.
+
+    Attributes:
+        at: Its centre.
+        radius: [m].
+        length: [m].
+    """
+
+    at: Point
+    radius: float
+    length: float
+
+
 class HalfSpace(NamedTuple):
     """All that is below the plane z = 0.
 
@@ -69,7 +84,10 @@ class HalfSpace(NamedTuple):
     at: Point
 
 
-Shape = Sphere | Points | Box | Capsule | HalfSpace
+Shape = Sphere | Points | Box | Capsule | Cylinder | HalfSpace
+
+
+CORNERS = np.array([[1.0 if i >> axis & 1 else -1.0 for axis in range(3)] for i in range(8)])
 
 
 class Side(NamedTuple):
@@ -117,27 +135,33 @@ class Balls(NamedTuple):
         return float((np.linalg.norm(self.centres, axis=1) + self.radii).max())
 
 
-def balls_of(robot: Robot, side: Side) -> Balls:
-    """The balls that shapes of one side are, where they meet a plane.
+def balls_of(robot: Robot, side: Side, numbers: Sequence[int]) -> Balls:
+    """The balls that some shapes of a side are, all of them, or where they meet a plane.
 
     Vertex i of a box stands at +x where bit 0 of i is set, at +y for bit 1 and at +z for bit 2.
 
     Args:
         robot: The robot.
-        side: Spheres, points, boxes and capsules.
+        side: One of both bodies.
+        numbers: Which of its shapes: spheres, points, boxes and capsules.
     """
     names, places, radii = list[str](), list[Array](), list[float]()
-    carrier = robot.carrier(side.frame)
-    for i, shape in enumerate(side.shapes):
+    for i in numbers:
+        shape = side.shapes[i]
         titles, centres, radius = _parts(shape)
         at = robot.places.points[shape.at.number].at
-        names += [f"{title}_of_{i}" for title in titles] if len(side.shapes) > 1 else titles
+        names += [f"{title}{suffix(side, i)}" for title in titles]
         places += [at.act(centre) for centre in centres]
         radii += [radius] * len(titles)
     centres = np.array(places)
     middle = centres.mean(axis=0)
-    at = robot.shifted(carrier, middle)
+    at = robot.shifted(robot.carrier(side.frame), middle)
     return Balls(tuple(names), at, centres - middle, np.array(radii))
+
+
+def suffix(side: Side, number: int) -> str:
+    """What tells features of one shape of a side from those of the others."""
+    return f"_of_{number}" if len(side.shapes) > 1 else ""
 
 
 def _parts(shape: Shape) -> tuple[list[str], Array, float]:
@@ -151,6 +175,5 @@ def _parts(shape: Shape) -> tuple[list[str], Array, float]:
         ends[:, 2] = -shape.length / 2.0, shape.length / 2.0
         return ["end_0", "end_1"], ends, shape.radius
     if isinstance(shape, Box):
-        signs = np.array([[1 if i >> axis & 1 else -1 for axis in range(3)] for i in range(8)])
-        return [f"vertex_{i}" for i in range(8)], signs * shape.sides / 2.0, 0.0
+        return [f"vertex_{i}" for i in range(8)], CORNERS * shape.sides / 2.0, 0.0
     raise TypeError(type(shape).__name__)
