@@ -1,10 +1,12 @@
 """Features of pairs of shapes: gaps in closed form, Jacobian and drift against differences."""
 
+import coal
 import mechanisms
 import numpy as np
 import pinocchio as pin
 import pytest
 from mechanisms import scene_of
+from scipy.spatial import ConvexHull
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.state import State
@@ -14,6 +16,7 @@ bodies:
   box: {shape: {box: [0.2, 0.3, 0.4]}, mass: 2.0, pose: {xyz: [0.1, 0.2, 0.9]}}
   ball: {shape: {sphere: 0.1}, mass: 1.0, pose: {xyz: [0.5, -0.4, 0.3]}}
   pill: {shape: {capsule: {radius: 0.05, length: 0.3}}, mass: 1.0}
+  drum: {shape: {cylinder: {radius: 0.2, length: 0.3}}, mass: 1.0, pose: {xyz: [1, 0, 0.5]}}
   wedge: {shape: {box: [1, 1, 1]}, mass: 7.0, pose: {xyz: [0.0, 0.0, -1.0]}}
 """
 PLANE = "{frame: wedge, half_space: [0.2, -0.1, 1.0], xyz: [0.1, 0.0, 0.5], rpy: [0.1, 0.2, 0.3]}"
@@ -29,6 +32,15 @@ SMOOTH = {  # a, b and the names of the features
     "ground over box": ("ground", "box", 8),
     "ball over ball": ("ball", "{frame: box, sphere: 0.3, xyz: [0.1, 0, 0]}", 1),
     "points over ball": (POINTS, "ball", 3),
+}
+OTHERS = {  # whose gaps have kinks
+    "cylinder over plane": ("drum", PLANE, 10),
+    "plane over cylinder": (PLANE, "drum", 10),
+    "ball over box": ("ball", "box", 1),
+    "box over points": ("box", POINTS, 3),
+    "ball over capsule": ("ball", "pill", 1),
+    "points over cylinder": (POINTS, "drum", 3),
+    "box over box": ("box", "wedge", 24),
 }
 PLACES = {"near": (0.0, 0.0, 0.0), "far": (100.0, -60.0, 30.0)}
 
@@ -60,14 +72,16 @@ def at(scene, pair, x, shift=0.0):
 
 
 @pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("case", SMOOTH)
+@pytest.mark.parametrize("case", [*SMOOTH, *OTHERS])
 def test_rows_are_the_derivatives_of_gaps_and_of_one_another(case, place):
-    a, b, count = SMOOTH[case]
+    a, b, count = {**SMOOTH, **OTHERS}[case]
     scene, pair = pair_of(a, b)
     assert len(pair.features) == len(set(pair.features)) == count
-    assert pair.is_smooth and not pair.why_not
+    assert pair.is_smooth == (case in SMOOTH) == (not pair.why_not)
     h = 1e-6
     tolerance = 1e-7 * (1.0 + 10.0 * np.abs(PLACES[place]).max())
+    if case == "box over box":
+        return  # features beside the faces are no distances, see below
     for x in random_states(scene, 5, PLACES[place]):
         before, after = (at(scene, pair, x, shift) for shift in (-h, h))
         k, x = at(scene, pair, x)
@@ -81,10 +95,10 @@ def test_rows_are_the_derivatives_of_gaps_and_of_one_another(case, place):
         assert (slopes[1] - slopes[0]) / (2.0 * h) == pytest.approx(drift, abs=tolerance * size)
 
 
-@pytest.mark.parametrize("case", SMOOTH)
+@pytest.mark.parametrize("case", [*SMOOTH, *OTHERS])
 def test_rows_are_velocities_of_a_past_b_at_the_contact_point(case):
     """From the velocities of both bodies alone, which this test asks Pinocchio for."""
-    a, b, _ = SMOOTH[case]
+    a, b, _ = {**SMOOTH, **OTHERS}[case]
     scene, pair = pair_of(a, b)
     for x in random_states(scene, 3):
         k, x = at(scene, pair, x)
@@ -141,3 +155,137 @@ def test_frames_that_do_not_move_against_each_other_are_refused():
         text = f"contacts: [{{type: rigid, between: [{a}, {b}], friction: 0}}]"
         with pytest.raises(Exception, match=r"contacts\[0\].*do not move against each other"):
             scene_of(text, arm)
+
+
+def boxes():
+    scene, pair = pair_of("box", "wedge")
+    return scene, pair, np.array((0.2, 0.3, 0.4)), np.array((1.0, 1.0, 1.0))
+
+
+def placed(scene, pose):
+    """The state with the box at a pose and the wedge at the origin, both at rest."""
+    q = scene.initial.q.copy()
+    for base in scene.robot.bases:
+        own = pose if base.name == "box" else pin.SE3.Identity()
+        q[base.q] = pin.SE3ToXYZQUAT(own)
+    k = Kinematics(scene.robot)
+    k.refresh(q, np.zeros(scene.robot.model.nv))
+    return k, q
+
+
+def nearing(a, b, pose, distance):
+    """A pose on the way of a towards b at which they are so far apart, by coal."""
+    solids = coal.Box(*a), coal.Box(*b)
+
+    def apart(at):
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
+        places = coal.Transform3s(at.rotation, at.translation), coal.Transform3s()
+        return coal.distance(solids[0], places[0], solids[1], places[1], request, result)
+
+    way = pose.translation / np.linalg.norm(pose.translation)
+    far, near = 2.0, 0.0
+    for _ in range(60):
+        middle = 0.5 * (far + near)
+        is_far = apart(pin.SE3(pose.rotation, middle * way)) > distance
+        far, near = (middle, near) if is_far else (far, middle)
+    return pin.SE3(pose.rotation, far * way)
+
+
+@pytest.mark.parametrize("distance", [1e-3, 1e-5])
+def test_features_of_boxes_know_the_distance_of_boxes(distance):
+    """Random boxes that nearly touch, a vertex over a face or two edges; coal says how far."""
+    scene, pair, a, b = boxes()
+    rng, found = np.random.default_rng(4), []
+    for _ in range(100):
+        turn = pin.exp3(rng.normal(size=3) * 2.0)
+        pose = nearing(a, b, pin.SE3(turn, rng.normal(size=3)), distance)
+        k, _ = placed(scene, pose)
+        gaps = pair.gaps(k)
+        found.append(pair.features[int(np.argmin(gaps))].split("_")[0])
+        assert gaps.min() == pytest.approx(distance, rel=0.02)
+    assert {"a", "b", "edge"} == set(found)
+
+
+def test_rows_of_boxes_are_derivatives_where_they_touch():
+    """Of every feature that is on both boxes, in random poses of a near touch."""
+    scene, pair, a, b = boxes()
+    rng, h, seen = np.random.default_rng(5), 1e-7, set()
+    for _ in range(60):
+        turn = pin.exp3(rng.normal(size=3) * 2.0)
+        k, q = placed(scene, nearing(a, b, pin.SE3(turn, rng.normal(size=3)), 1e-4))
+        x = State(0.0, q, rng.normal(size=scene.robot.model.nv))
+        near = int(np.argmin(pair.gaps(k)))
+        rows = slice(3 * near, 3 * near + 3)
+        k, _ = at(scene, pair, x)
+        rate, drift = (pair.jacobian(k) @ x.v)[rows], pair.drift(k, x)[rows]
+        ends = [at(scene, pair, x, shift)[0] for shift in (-h, h)]
+        gaps = [pair.gaps(end)[near] for end in ends]
+        rates = [(pair.jacobian(end) @ x.v)[rows] for end in ends]
+        assert (gaps[1] - gaps[0]) / (2 * h) == pytest.approx(rate[0], abs=1e-6)
+        assert (rates[1] - rates[0]) / (2 * h) == pytest.approx(drift, abs=2e-5)
+        seen.add(pair.features[near].split("_")[0])
+    assert {"a", "b", "edge"} == seen
+
+
+def shared_area(a, b, yaw, offset):
+    """Area that two rectangles share, by cutting one at the four sides of the other."""
+    turn = np.array(((np.cos(yaw), -np.sin(yaw)), (np.sin(yaw), np.cos(yaw))))
+    corners = np.array(((-1, -1), (1, -1), (1, 1), (-1, 1))) * a[:2] / 2.0
+    region = list(corners @ turn.T + offset)
+    for axis in (0, 1):
+        for sign in (-1.0, 1.0):
+            inside = [b[axis] / 2.0 - sign * point[axis] for point in region]
+            cut = []
+            for i, point in enumerate(region):
+                after, here, there = region[i - 1], inside[i], inside[i - 1]
+                if here * there < 0.0:
+                    cut.append(point + (after - point) * here / (here - there))
+                if here >= 0.0:
+                    cut.append(point)
+            region = cut
+    x, y = np.array(region).T
+    return 0.5 * abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)), len(region)
+
+
+@pytest.mark.parametrize("on_top", [True, False])
+def test_what_touches_of_two_faces_is_the_region_that_they_share(on_top):
+    """For random turns and offsets: as many features as it has corners, around the same area."""
+    scene, pair, a, b = boxes()
+    rng = np.random.default_rng(6)
+    b = b if on_top else b[[1, 2, 0]]
+    for i in range(80):
+        yaw, offset = rng.uniform(-3.0, 3.0), rng.uniform(-0.55, 0.55, 2)
+        if i < 4:  # long thin overlaps and boards that cross
+            yaw, offset = i * np.pi / 2.0 + 1e-7, np.array((0.48, 0.0))
+        height = (a[2] + b[2]) / 2.0 - 1e-9
+        pose = pin.SE3(pin.exp3(np.array((0, 0, yaw))), np.array((*offset, height)))
+        k, _ = placed(scene, pose)
+        touching = np.abs(pair.gaps(k)) < 1e-8
+        area, corners = shared_area(a, b, yaw, offset)
+        assert touching.sum() == corners
+        points = pair.places(k).point[touching, :2]
+        assert ConvexHull(points).volume == pytest.approx(area, abs=1e-6)
+        normals = pair.places(k).axes[touching, :, 2]
+        assert normals == pytest.approx(np.tile((0.0, 0.0, 1.0), (len(points), 1)), abs=1e-12)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-16, 1e-12, 1e-8])
+def test_equal_faces_touch_at_their_four_corners(noise):
+    """Boxes of one size on one another, with rounding or a little more in their poses."""
+    scene = scene_of(
+        "bodies:\n"
+        "  lower: {shape: {box: [0.3, 0.2, 0.1]}, mass: 1}\n"
+        "  upper: {shape: {box: [0.3, 0.2, 0.1]}, mass: 1, pose: {xyz: [0, 0, 0.1]}}\n"
+        "contacts: [{type: rigid, between: [upper, lower], friction: 0.5}]\n"
+    )
+    (part,), rng = scene.constraints, np.random.default_rng(7)
+    for _ in range(20):
+        dv = noise * rng.normal(size=scene.robot.model.nv)
+        k, _ = at(scene, part.pair, State(0.0, scene.initial.q, dv), 1.0)
+        touching = np.abs(part.pair.gaps(k)) < 20.0 * noise + 1e-15
+        assert [n for n, is_on in zip(part.features, touching, strict=True) if is_on] == [
+            "a_0",
+            "a_1",
+            "a_2",
+            "a_3",
+        ]

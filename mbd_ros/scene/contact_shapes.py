@@ -5,7 +5,16 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from mbd_ros.core.geometry.shapes import Box, Capsule, Cylinder, HalfSpace, Points, Shape, Side, Sphere
+from mbd_ros.core.geometry.shapes import (
+    Box,
+    Capsule,
+    Cylinder,
+    HalfSpace,
+    Points,
+    Shape,
+    Side,
+    Sphere,
+)
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import WORLD, Robot
 from mbd_ros.core.ranges import LARGEST, Length, Positive, Unit, Vector, Within

@@ -11,7 +11,7 @@ import numpy as np
 
 from mbd_ros.core.geometry.frames import crossed, dotted, framed, lengths, nearest_bases
 from mbd_ros.core.geometry.meeting import Meeting, Touch
-from mbd_ros.core.geometry.shapes import CORNERS, Box
+from mbd_ros.core.geometry.shapes import CORNERS
 from mbd_ros.core.geometry.solids import BESIDE
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array
@@ -146,7 +146,7 @@ class BoxOnBox(Meeting):
         gap = dotted(beyond, normal)
         on_b = self._b[others[1 - side]] - np.abs(point[rows, others[1 - side]].real)
         on_a = np.minimum(share.real, 1.0 - share.real) * whole.real
-        is_inside = np.minimum(on_a, on_b) > self._beside
+        is_inside = np.minimum(np.minimum(on_a, on_b), length.real) > self._beside
         return np.where(is_inside, gap, self._size + np.abs(gap.real)), point, normal
 
     def _edges_of_a(self, R: Array, o: Array, faces: Faces) -> tuple[Array, Array]:

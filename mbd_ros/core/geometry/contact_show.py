@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.geometry.contact_pair import ContactPair
-from mbd_ros.core.geometry.meeting import crossed
+from mbd_ros.core.geometry.frames import crossed
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.outputs import Kind, Output, Value, exerted_on

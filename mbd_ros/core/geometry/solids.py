@@ -57,7 +57,7 @@ def _to_box(half: Array) -> Distance:
         beyond = sign * centre - half
         outside = np.where(beyond.real > 0.0, beyond, 0.0)
         far = lengths(outside)
-        # One face for all balls that are over it, where some are deeper than the next face is near.
+        # One face for all balls over it: some may be deeper in it than a side is near.
         spread = np.concatenate((centre.real.min(axis=0), -centre.real.max(axis=0)))
         face = int(np.argmax(spread - np.tile(half, 2)))
         up, axis = (1.0 if face < len(half) else -1.0), face % len(half)
