@@ -14,7 +14,7 @@ from mbd_ros.core.dynamics.contact_laws import (
     NormalLaw,
     Slopes,
 )
-from mbd_ros.core.geometry.contact_pair import contact_pair
+from mbd_ros.core.geometry.pairing import contact_pair
 from mbd_ros.core.geometry.shapes import Between
 from mbd_ros.core.geometry.size import distance_to_mass
 from mbd_ros.core.model.kinematics import Kinematics, Reads

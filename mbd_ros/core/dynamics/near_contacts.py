@@ -120,7 +120,9 @@ class NearContacts(StepRows):
         for i in looked_at:
             part, at = self._contacts[i]
             gaps[at] = part.residual(self._k, x)
-            self._room[i] = gaps[at[::3]].min()
+            pair = getattr(part, "pair", None)
+            own = gaps[at[::3]]
+            self._room[i] = own.min() if pair is None else pair.room(self._k, own)
         self._spare = self._speed.shortest(self._room)
         return np.where(self.every.pushes, gaps, np.inf)
 

@@ -13,6 +13,7 @@ from mbd_ros.core.geometry.frames import crossed, dotted, framed, lengths, neare
 from mbd_ros.core.geometry.meeting import Meeting, Touch
 from mbd_ros.core.geometry.shapes import CORNERS
 from mbd_ros.core.geometry.solids import BESIDE
+from mbd_ros.core.model.pair_motion import PairMotion
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array
 
@@ -30,6 +31,7 @@ class Faces(NamedTuple):
         axis_b: Of the face of the resting one.
         sign_b: 1 or -1.
         normal: Separating direction out of the resting box, shape (3,).
+        apart: Distance along it, negative where the boxes overlap [m].
     """
 
     axis_a: int
@@ -37,6 +39,7 @@ class Faces(NamedTuple):
     axis_b: int
     sign_b: float
     normal: Array
+    apart: float
 
 
 class BoxOnBox(Meeting):
@@ -75,6 +78,11 @@ class BoxOnBox(Meeting):
         gap, point, normal = (np.concatenate(part) for part in zip(*parts, strict=True))
         return Touch(gap, point - o, framed(normal, nearest_bases(normal)))
 
+    def room(self, seen: PairMotion, gaps: Array) -> float:
+        """How far the bodies are from touching at least [m]: features may be farther apart."""
+        pose = seen.pose()
+        return min(self.faces(pose.rotation, pose.translation).apart, float(gaps.min()))
+
     def faces(self, R: Array, o: Array) -> Faces:
         """The faces that face each other.
 
@@ -98,12 +106,11 @@ class BoxOnBox(Meeting):
             apart = np.abs(along) - np.abs(axes).dot(self._b) - np.abs(axes.dot(R)).dot(self._a)
             edge = int(np.argmax(apart))
             if apart[edge] > best + self._beside:
-                normal = axes[edge] * np.copysign(1.0, along[edge])
+                best, normal = apart[edge], axes[edge] * np.copysign(1.0, along[edge])
         seen = normal.dot(R)
         a, b = int(np.argmax(np.abs(seen))), int(np.argmax(np.abs(normal)))
-        return Faces(
-            a, -float(np.copysign(1.0, seen[a])), b, float(np.copysign(1.0, normal[b])), normal
-        )
+        sign_a, sign_b = -float(np.copysign(1.0, seen[a])), float(np.copysign(1.0, normal[b]))
+        return Faces(a, sign_a, b, sign_b, normal, float(best))
 
     def _vertices_of_a(self, R: Array, o: Array, faces: Faces) -> tuple[Array, Array, Array]:
         point = (CORNERS * self._a).dot(R.T) + o

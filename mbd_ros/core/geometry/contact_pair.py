@@ -61,7 +61,9 @@ class ContactPair:
             are from its point at most [m]; inf where nobody knows.
     """
 
-    def __init__(self, between: Between, met: tuple[Met, ...], margin: float, reach: float) -> None:
+    def __init__(
+        self, between: Between, met: tuple[Met, ...], margin: float, reach: float
+    ) -> None:
         self.between = between
         self.features = tuple(name for one in met for name in one.meeting.features)
         self.why_not = next((m.meeting.why_not for m in met if m.meeting.why_not), "")
@@ -80,6 +82,20 @@ class ContactPair:
         each = [one.meeting.gaps(k.motion(one.meeting.pair)) for one in self._met]
         gaps = each[0] if self._only else np.concatenate(each)
         return gaps - self._margin if self._margin else gaps
+
+    def room(self, k: Kinematics, gaps: Array) -> float:
+        """How far the bodies are from touching at least [m].
+
+        Args:
+            k: Kinematics at a state.
+            gaps: At this state, shape (n,).
+        """
+        rooms, begin = [], 0
+        for meeting, _ in self._met:
+            end = begin + len(meeting.features)
+            rooms.append(meeting.room(k.motion(meeting.pair), gaps[begin:end]))
+            begin = end
+        return min(rooms)
 
     def jacobian(self, k: Kinematics) -> Array:
         """From joint velocities to those of a past b, shape (3 n, nv)."""

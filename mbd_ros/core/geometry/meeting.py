@@ -81,6 +81,10 @@ class Meeting:
         """Distances of the surfaces, negative where they overlap [m], shape (n,)."""
         return self.touch(seen.pose()).gap
 
+    def room(self, seen: PairMotion, gaps: Array) -> float:
+        """How far the bodies are from touching at least [m]; gaps as found, less a margin."""
+        return float(gaps.min())
+
     def jacobian(self, seen: PairMotion, placed: Placed | None) -> Array:
         """From joint velocities to those of the features, shape (3 n, nv)."""
         _, lever, axes = self.touch(seen.pose())
