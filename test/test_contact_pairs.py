@@ -289,3 +289,19 @@ def test_equal_faces_touch_at_their_four_corners(noise):
             "a_2",
             "a_3",
         ]
+
+
+@pytest.mark.parametrize("plane", ["ground", "{half_space: [0, 0, 1]}"])
+@pytest.mark.parametrize("base", ["floating", "fixed"])
+def test_the_ground_is_at_rest_though_a_link_is_called_world(base, plane):
+    """A robot whose root link is `world` stands 2 m high; its foot is 2 m above the ground."""
+    text = f"""
+robot: {{base: {base}, pose: {{xyz: [0, 0, 2]}}}}
+contacts: [{{type: rigid, between: [{{frame: foot, sphere: 0}}, {plane}], friction: 0}}]
+"""
+    slide = mechanisms.joint("slide", "prismatic", "world", "foot")
+    links = mechanisms.link("world", 1.0), mechanisms.link("foot", 1.0)
+    scene = scene_of(text, mechanisms.urdf(*links, slide))
+    (part,) = scene.constraints
+    k, _ = at(scene, part.pair, scene.initial)
+    assert part.pair.gaps(k) == pytest.approx(2.0, abs=1e-14)

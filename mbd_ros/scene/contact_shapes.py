@@ -63,7 +63,8 @@ def _named(site: Site, name: str, where: str) -> Side:
         at = robot.point(name)
         return Side(name, tuple(_shape(robot, *s, at, where) for s in (recipe.shape,)))
     if name == GROUND and not robot.model.existFrame(name):
-        return Side(WORLD, (HalfSpace(robot.point(WORLD)),))
+        rest = _at_rest(robot)
+        return Side(rest, (HalfSpace(robot.point(rest)),))
     known = [r.name for r in robot.recipes if r.shape is not None]
     raise SceneError(
         f"{where}: '{name}' has no shape; accepted: {', '.join((GROUND, *known))}, or a mapping "
@@ -80,11 +81,17 @@ def _shape(robot: Any, kind: str, size: Any, at: Point, where: str) -> Shape:
 def _placed(
     robot: Robot,
     *,
-    frame: str = WORLD,
+    frame: str | None = None,
     xyz: Vector = (0.0, 0.0, 0.0),
     rpy: Vector = (0.0, 0.0, 0.0),
 ) -> tuple[str, Point]:
+    frame = _at_rest(robot) if frame is None else frame
     return frame, robot.point(frame, xyz, rpy)
+
+
+def _at_rest(robot: Robot) -> str:
+    """What the world is called; a link of that name may fly."""
+    return "universe" if robot.model.existFrame(WORLD) else WORLD
 
 
 def _sphere(robot: Robot, at: Point, size: _NotNegative) -> Shape:
