@@ -3,6 +3,8 @@
 import math
 from typing import Annotated, Any, ClassVar
 
+import numpy as np
+
 from mbd_ros.core.dynamics.velocity_step import VelocityStep
 from mbd_ros.core.integration.step_length import clip
 from mbd_ros.core.integration.stepping import Integrator, Stepper
@@ -41,10 +43,35 @@ class MoreauJean(Integrator):
 
 
 class _Steps(Stepper):
+    kept: ClassVar[tuple[str, ...]] = ("impulses",)
+
     def __init__(self, system: Any, theta: float, dt: float) -> None:
         self._at, self._dt = VelocityStep(system, theta), dt
+
+    def restart(self) -> None:
+        """Forget the impulses and the residuals of earlier steps."""
+        self.impulses = np.zeros_like(self.impulses)
+        self.forget_residuals()
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by dt, or to `end` if that is nearer; x itself at or after `end`."""
         h, t = clip(x.t, self._dt, end)
         return x if h <= 0.0 else self._at.step(x, u, h, t)
+
+    @property
+    def impulses(self) -> Array:
+        """Impulses of contacts in the last step, with which the next one begins."""
+        return self._at.giving_way.last
+
+    @impulses.setter
+    def impulses(self, impulses: Array) -> None:
+        self._at.giving_way.last = impulses
+
+    @property
+    def residuals(self) -> Any:
+        """Worst residuals of contacts; None without contacts."""
+        return self._at.giving_way.worst
+
+    def forget_residuals(self) -> None:
+        """Begin to look for the worst residuals anew."""
+        self._at.giving_way.forget()

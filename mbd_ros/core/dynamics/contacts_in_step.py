@@ -54,13 +54,13 @@ class ContactsInStep(GivingWay):
 
     Attributes:
         last: Impulses of the last problem, with which the next one begins, shape (m,).
-        worst: The largest residuals of steps so far.
     """
 
     def __init__(self, rows: ConstraintRows, theta: float) -> None:
         super().__init__(rows)
         self._late = (1.0 - theta) / theta
-        self.last, self.worst = np.zeros(len(rows.rows)), Residuals(0.0, 0.0, 0.0, 0.0)
+        self.last = np.zeros(len(rows.rows))
+        self.forget()
         self._sets: dict[bytes, Acting] = {}
         self._solver: tuple[Array, ContactProblem] | None = None
 
@@ -84,6 +84,10 @@ class ContactsInStep(GivingWay):
             if not more.any():
                 return end
             closed = closed | more
+
+    def forget(self) -> None:
+        """Begin to look for the largest residuals anew."""
+        self.worst = Residuals(0.0, 0.0, 0.0, 0.0)
 
     def _with_contacts(
         self,

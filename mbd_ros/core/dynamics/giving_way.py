@@ -1,5 +1,7 @@
 """Rows that give way in a step of velocities: stops, dry friction, limited drives."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,10 +18,18 @@ class GivingWay:
 
     Args:
         rows: The rows; their bounds are those of the state that was last asked for.
+
+    Attributes:
+        last: What the next problem begins with; empty where it begins with nothing.
+        worst: The largest residuals of contacts since `forget`; None without contacts.
     """
 
     def __init__(self, rows: ConstraintRows) -> None:
-        self._rows = rows
+        self._rows, self.last = rows, np.zeros(0)
+        self.worst: Any = None
+
+    def forget(self) -> None:
+        """Begin to look for the largest residuals anew."""
 
     def end(
         self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None

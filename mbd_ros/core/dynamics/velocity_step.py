@@ -51,6 +51,9 @@ class VelocityStep:
     Args:
         system: The system, under any tier.
         theta: From 1/2, of second order where motion is smooth, to 1, which damps most.
+
+    Attributes:
+        giving_way: What solves for rows that give way.
     """
 
     def __init__(self, system: System, theta: float) -> None:
@@ -61,7 +64,7 @@ class VelocityStep:
         gains = system.constraints.gains
         self._rigid = RigidRows(mechanism, ConstraintRows(layout.rigid, nv, gains))
         yielding = ConstraintRows(layout.yielding, nv)
-        self._rows, self._giving_way = _rows(system, mechanism, yielding, theta)
+        self._rows, self.giving_way = _rows(system, mechanism, yielding, theta)
         self._slots = yielding.slots
         self._return = _return(layout.rigid, gains), _return(layout.yielding)
         self._nothing = np.zeros((0, nv)), np.zeros(0)
@@ -83,9 +86,9 @@ class VelocityStep:
             y, h = self._after_impact(problem, closed, hits, y)
             problem = self._problem(y, u, h)
             closed = problem.closed()
-        end = self._giving_way.end(problem, closed, problem.free)
+        end = self.giving_way.end(problem, closed, problem.free)
         problem = self._corrected(problem, y, u, end)
-        end = self._giving_way.end(problem, closed, problem.free, end)
+        end = self.giving_way.end(problem, closed, problem.free, end)
         mean = (1.0 - self._theta) * problem.x.v + self._theta * end
         return self._outside(self._moved(y, h * mean, end, problem.dz(end), t))
 
@@ -134,7 +137,7 @@ class VelocityStep:
     ) -> tuple[State, float]:
         """State after the first impact of a step, and what is left of the step [s]."""
         v, gap, rate, h = problem.x.v, problem.gap, problem.rate, problem.h
-        end = self._giving_way.end(problem, closed & ~hits, problem.free)
+        end = self.giving_way.end(problem, closed & ~hits, problem.free)
         gained = (end - v) / h
         bent = problem.J.dot(gained)
         wait = min(first_closing(gap[hits], rate[hits], bent[hits]), _WHOLE * h)

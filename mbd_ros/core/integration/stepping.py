@@ -62,6 +62,14 @@ class Stepper:
         """What has happened since the start or the last call; it is forgotten."""
         return ()
 
+    @property
+    def residuals(self) -> Any:
+        """Worst `Residuals` of contacts since the last `forget_residuals`; None without any."""
+        return None
+
+    def forget_residuals(self) -> None:
+        """Begin to look for the worst residuals anew."""
+
     def memory(self) -> Memory:
         """What later steps depend on beside their arguments, as a value of its own."""
         return {name: copied(getattr(self, name)) for name in self.kept}

@@ -22,6 +22,7 @@ from mbd_ros.errors import DivergedError, ModelError, SolveError
 
 if TYPE_CHECKING:
     from mbd_ros.core.events.event import Event
+    from mbd_ros.core.optimization.contact_problem import Residuals
 
 _STRIDE = 16  # steps after which a state must be finite
 
@@ -211,6 +212,12 @@ class Simulation:
     def take_events(self) -> "tuple[Event, ...]":
         """The same, and forget it: a simulation without end has no list without end."""
         return tuple(self.stepper.take_events())
+
+    def take_residuals(self) -> "Residuals | None":
+        """The worst residuals of contacts in steps since the last call; None without contacts."""
+        worst: Residuals | None = self.stepper.residuals
+        self.stepper.forget_residuals()
+        return worst
 
     def passed_stops(self) -> list[str]:
         """Joints that went beyond stops since the start, one text each."""

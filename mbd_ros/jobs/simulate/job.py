@@ -4,7 +4,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from mbd_ros.jobs.simulate.step_check import step_warnings
 from mbd_ros.jobs.simulate.table import BALANCE, table_of, topics_of
 from mbd_ros.scene.built_scene import SHORTEST_DT, Scene
 from mbd_ros.scene.start_check import start_warnings
+
+if TYPE_CHECKING:
+    from mbd_ros.core.optimization.contact_problem import Residuals
 
 Say = Callable[[str], None]
 
@@ -85,8 +88,9 @@ def simulate(
     Returns:
         Table `samples`: `time`, `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,
         `<joint>.multiplier`, `<part>.<quantity>`, `energy`, `drift.position`, `drift.velocity`,
-        perhaps `<joint>.command`; of free bodies `<body>.position.x` and so on. Table `events`,
-        where something may happen at one time: see `event_table`.
+        perhaps `<joint>.command` and `contacts.residual.primal`; of free bodies
+        `<body>.position.x` and so on. Table `events`, where something may happen at one time: see
+        `event_table`.
 
     Raises:
         Interrupted: The state diverged, equations have no solution, or steps became too short;
@@ -116,10 +120,11 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     for text in (*remarks, *more, *(f"warning: {text}" for text in odd)):
         say(text)
     begin = time.perf_counter()
-    states, failure = _states(simulation, x, run)
+    states, residuals, failure = _states(simulation, x, run)
     wall = time.perf_counter() - begin
     evaluations = simulation.system.evaluations
     table, lost = table_of(simulation.system, states)
+    table, of_contacts = _with_residuals(table, residuals)
     topics = topics_of(simulation.system)
     tables = {MAIN: table}
     if simulation.guards:
@@ -129,7 +134,7 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     if failure is not None:
         return _ended(scene, result, failure)
     with about(scene.name):
-        said = list(_summary(simulation, table, wall, evaluations))
+        said = [*_summary(simulation, table, wall, evaluations), *of_contacts]
         found = step_warnings(
             simulation.system, simulation.integrator, simulation.dt, states, simulation.events
         )
@@ -173,21 +178,37 @@ def _warn(text: str) -> None:
     sys.stderr.flush()
 
 
-def _states(simulation: Simulation, x: State, run: Run) -> tuple[list[State], MbdError | None]:
+def _states(
+    simulation: Simulation, x: State, run: Run
+) -> "tuple[list[State], list[Residuals], MbdError | None]":
+    """States, residuals of contacts on the way to each, if any, and why they end early."""
     states: list[State] = []
+    residuals: list[Residuals] = []
     count = round(run.duration / simulation.dt)
     duration = _duration(run, simulation.dt)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a divergence says so itself
             every = simulation.run(x, duration, _warn)
-            states.extend(shown(every, count, "simulate"))
+            for state in shown(every, count, "simulate"):
+                states.append(state)
+                if (worst := simulation.take_residuals()) is not None:
+                    residuals.append(worst)
     except (DivergedError, SolveError) as error:
-        return states, error
+        return states, residuals, error
     except KeyboardInterrupt:
         if not states:
             raise
-        return states, _CtrlC(f"interrupted after t = {states[-1].t:.9g} s")
-    return states, None
+        return states, residuals, _CtrlC(f"interrupted after t = {states[-1].t:.9g} s")
+    return states, residuals, None
+
+
+def _with_residuals(table: Table, found: "list[Residuals]") -> tuple[Table, list[str]]:
+    """The table with residuals of contacts, if there are any, and a line on them."""
+    if not found:
+        return table, []
+    from mbd_ros.jobs.simulate.residuals import residual_line, with_residuals
+
+    return with_residuals(table, found), [residual_line(found)]
 
 
 def _summary(simulation: Simulation, table: Table, wall: float, evaluations: int) -> Iterator[str]:
