@@ -127,3 +127,30 @@ def test_a_fault_of_free_bodies_alone_names_the_fastest():
     state = scene.initial._replace(v=np.array((0.0, -3.0, 1.0, 0.0, 0.0, 0.0)))
     text = last_finite(scene.without(["contacts"]).system(), state)
     assert "fastest free body box with -3/s; positions box 0, 0, 0.1" in text
+
+
+@pytest.mark.parametrize(
+    "friction",
+    [{"creep": 0.02}, {"bristle_stiffness": 1e5, "bristle_damping": 300.0}],
+    ids=["creep", "bristle"],
+)
+@pytest.mark.parametrize(("mu", "state"), [(0.5, STICK), (0.2, SLIP)])
+def test_contacts_that_give_way_show_the_same(friction, mu, state):
+    """On a slope of 0.3 rad friction holds the weight, or slips at its largest."""
+    entry = {"type": "compliant", "stiffness": 1e5, "dissipation": 300.0, "friction": mu}
+    scene = resting(slope=0.3)
+    plane = scene.entries["contacts"][0]["between"]
+    scene = scene.with_(contacts=[{**entry, **friction, "between": plane}], dt=1e-3)
+    table = scene.simulate(0.25, integrator="rk4")["samples"]
+    s, c = np.sin(0.3), np.cos(0.3)
+    last = {name: values[-1] for name, values in table.items() if "box_contact." in name}
+    last = {name.partition(".")[2]: value for name, value in last.items()}
+    friction_force = MASS * G * (s if state == STICK else mu * c)
+    assert last["state"] == state
+    assert sum(last[f"point_{i}_normal"] for i in range(4)) == pytest.approx(MASS * G * c, 1e-6)
+    along = [sum(last[f"point_{i}_friction_{axis}"] for i in range(4)) for axis in "xy"]
+    assert np.hypot(*along) == pytest.approx(friction_force, rel=1e-6)
+    force = np.array([last[f"force_{axis}"] for axis in "xyz"])
+    assert force @ (s, 0.0, c) == pytest.approx(MASS * G * c, rel=1e-6)
+    assert force @ (-c, 0.0, s) == pytest.approx(friction_force, rel=1e-6)
+    assert -2e-4 < last["gap"] < 0.0

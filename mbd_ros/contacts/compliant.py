@@ -14,12 +14,14 @@ from mbd_ros.core.dynamics.contact_laws import (
     NormalLaw,
     Slopes,
 )
+from mbd_ros.core.geometry.contact_show import ContactShow, force_names
 from mbd_ros.core.geometry.pairing import contact_pair
 from mbd_ros.core.geometry.shapes import Between
 from mbd_ros.core.geometry.size import distance_to_mass
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Internal, Load
+from mbd_ros.core.outputs import Now, Output, Value
+from mbd_ros.core.parts import Internal, Load, Wrench
 from mbd_ros.core.ranges import NotNegative, Positive, Unit, Within, is_value
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -112,7 +114,10 @@ class Compliant(Load):
         self.max_penetration = _DEEP * distance_to_mass(robot, self.pair) if deep is None else deep
         self.max_force = max_force
         self._nv = int(robot.model.nv)
-        a, b = self._points = self.pair.points
+        self._show = ContactShow(robot, self.pair, friction)
+        forces = (Output(name, "N", frame=between.b.frame) for name in force_names(self.features))
+        self.outputs = (*forces, *self._show.outputs)
+        a, b = self.pair.points
         self.default_name = f"{a.frame if a.moves else b.frame}_contact"
 
     @staticmethod
@@ -185,6 +190,15 @@ class Compliant(Load):
             z = x.z[self.z].tolist()
             stored += sum(map(self.rubbing.energy, zip(z[::2], z[1::2], strict=True)))
         return stored
+
+    def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
+        """The wrenches on a and on b, at the centre of pressure."""
+        return self._show.wrenches(k, self.multipliers(k, x).reshape(-1, 3))
+
+    def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
+        """Forces, gaps, states, what a feels, and where."""
+        forces = self.multipliers(k, x)
+        return [*forces.tolist(), *self._show.values(k, forces.reshape(-1, 3))]
 
     def slopes(self, feature: int, force: float, share: float = 1.0) -> Slopes:
         """Slopes of the forces of a feature at rest.

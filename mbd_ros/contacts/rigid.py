@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.geometry.contact_show import ContactShow
+from mbd_ros.core.geometry.contact_show import ContactShow, force_names
 from mbd_ros.core.geometry.pairing import contact_pair
 from mbd_ros.core.geometry.shapes import Between
 from mbd_ros.core.model.kinematics import Kinematics, Reads
@@ -63,7 +63,7 @@ class Rigid(Constraint):
     ) -> None:
         self.pair = contact_pair(robot, between, margin)
         self.features = self.pair.features
-        self.rows = rows_of(self.features, between.b.frame)
+        self.rows = tuple(Row(name, "N", between.b.frame) for name in force_names(self.features))
         if isinstance(friction, Sequence) and len(friction) != len(self.features):
             known = ", ".join(self.features)
             raise ModelError(f"friction: expected one number or {len(self.features)}: {known}")
@@ -94,10 +94,3 @@ class Rigid(Constraint):
     def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
         """The wrenches on a and on b, at the centre of pressure."""
         return self._show.wrenches(k, lam.reshape(-1, 3))
-
-
-def rows_of(features: Sequence[str], frame: str) -> tuple[Row, ...]:
-    """Rows of a contact; with several features, each begins with the name of its own."""
-    parts = [""] if len(features) == 1 else [f"{feature}_" for feature in features]
-    words = ("normal", "friction_x", "friction_y")
-    return tuple(Row(f"{part}{word}", "N", frame) for part in parts for word in words)

@@ -100,6 +100,12 @@ def test_contacts_in_lock_step_are_those_of_a_run(domain, tmp_path, method):
         assert_drawn(heard["markers"][-1], expected)
         assert health.values["contacts"].startswith("ball_contact stick, gap ")
         assert health.values["smallest gap"].endswith(" m, ball_contact")
+        if method == "moreau_jean":
+            worst = max(float(expected[name].max()) for name in expected if "residual" in name)
+            name, number, unit = health.values["worst contact residual"].split()
+            assert name in ("primal", "dual", "cone", "correction") and unit in ("m/s", "N·s")
+            assert 0.0 <= float(number) <= max(worst * 1.1, 1e-300) <= 1e-8
+            assert len(health.values["contact residuals"].split(", ")) == 4
 
 
 def assert_outputs(messages, expected):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.geometry.contact_pair import ContactPair
 from mbd_ros.core.geometry.frames import crossed
 from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.outputs import Kind, Output, Value, exerted_on
 from mbd_ros.core.parts import Wrench
@@ -24,6 +25,13 @@ from mbd_ros.core.state import Array
 OPEN, SLIP, STICK = 0.0, 1.0, 2.0
 _AT_BOUND = 1.0 - 1.0e-9  # of the largest friction: from here on it slips
 _PRESSED = 1.0e-12  # of the largest normal force of a contact: less is rounding
+
+
+def force_names(features: Sequence[str]) -> list[str]:
+    """What the forces of a contact are called, three a feature, in the order of its rows."""
+    parts = [""] if len(features) == 1 else [f"{feature}_" for feature in features]
+    words = ("normal", "friction_x", "friction_y")
+    return [f"{part}{word}" for part in parts for word in words]
 
 
 class Resultant(NamedTuple):
@@ -41,6 +49,16 @@ class Resultant(NamedTuple):
     force: Array
     torque: Array
     normal: Array
+
+
+def _arrows(a: Point, b: Point) -> tuple[Output, Output]:
+    """The wrenches on both bodies; what is at rest is called world where no body has that name."""
+    on_a, on_b = exerted_on(a, None), exerted_on(b, None)
+    if b.frame == "universe" and on_a.name != "on_world":
+        return on_a, on_b._replace(name="on_world")
+    if a.frame == "universe" and on_b.name != "on_world":
+        return on_a._replace(name="on_world"), on_b
+    return on_a, on_b
 
 
 class ContactShow:
@@ -71,7 +89,7 @@ class ContactShow:
             Output("force", "N", Kind.VECTOR, "world"),
             Output("torque", "N·m", Kind.VECTOR, "world"),
             Output("centre_of_pressure", "m", Kind.VECTOR, "world"),
-            *(exerted_on(point, None) for point in self._points),
+            *_arrows(*self._points),
             Output("cone", "N", Kind.FRICTION_CONE),
         )
 

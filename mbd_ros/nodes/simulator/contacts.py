@@ -62,7 +62,10 @@ def topic_of(contact: str) -> str:
 
 
 def contact_details(live: LiveSimulation) -> dict[str, str]:
-    """State and gap of the contacts at the newest state, for diagnostics."""
+    """State and gap of the contacts at the newest state, for diagnostics.
+
+    With a time-stepping method also the worst residuals of all steps since it was asked last.
+    """
     columns = (output.name for output in live.showing.numbers)
     shown = dict(zip(columns, live.now.shown.tolist(), strict=True))
     gaps = {name: shown[f"{name}.gap"] for name in contacts_of(live.showing)}
@@ -74,4 +77,16 @@ def contact_details(live: LiveSimulation) -> dict[str, str]:
     return {
         "contacts": "; ".join(texts) + more,
         "smallest gap": f"{gaps[deepest]:.3g} m, {deepest}",
+        **_residuals(live),
     }
+
+
+def _residuals(live: LiveSimulation) -> dict[str, str]:
+    found = live.simulation.take_residuals()
+    if found is None:
+        return {}
+    from mbd_ros.jobs.simulate.residuals import UNITS  # only where a method has residuals
+
+    largest = sorted(found._asdict().items(), key=lambda item: -item[1])
+    texts = [f"{name} {value:.2g} {UNITS[name]}" for name, value in largest]
+    return {"worst contact residual": texts[0], "contact residuals": ", ".join(texts)}
