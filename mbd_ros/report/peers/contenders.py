@@ -2,8 +2,9 @@
 
 import gc
 import time
-from collections.abc import Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -16,10 +17,12 @@ from mbd_ros.report.precision.rungs import Record, timed
 from mbd_ros.scene.built_scene import Scene
 
 _LONG = 0.3  # s; runs are not repeated beyond that
-_USELESS = 1.0e2  # error of a run that says nothing [rad or m]
+USELESS = 1.0e2  # error of a run that says nothing [rad or m]
+Found = TypeVar("Found")
+Found_co = TypeVar("Found_co", covariant=True)
 
 
-class Contender(Protocol):
+class Contender(Protocol[Found_co]):
     """One package with one set-up.
 
     Attributes:
@@ -32,8 +35,8 @@ class Contender(Protocol):
     setup: str
     record: Record
 
-    def run(self, times: Sequence[float]) -> tuple[list[State], float]:
-        """States of all joints at the samples, and CPU time of the integration alone [s].
+    def run(self, times: Sequence[float]) -> tuple[Found_co, float]:
+        """What was found at the samples, and CPU time of the integration alone [s].
 
         Raises:
             MbdError: The run stopped.
@@ -63,11 +66,27 @@ class Ours:
 
 
 def compete(
-    scene: Scene, contenders: Sequence[Contender], motion: Known, rounds: int
+    scene: Scene, contenders: Sequence[Contender[list[State]]], motion: Known, rounds: int
+) -> list[Record]:
+    """Errors and best times of all against a motion that is known."""
+    return in_turn(contenders, motion.times, partial(_errors, scene, motion), rounds)
+
+
+def in_turn(
+    contenders: Sequence[Contender[Found]],
+    times: Sequence[float],
+    judge: Callable[[Found], Record],
+    rounds: int,
 ) -> list[Record]:
     """Errors and best times of all, run in turn so that a slow machine is slow for all.
 
     The `spread` of a run that took too long to be repeated is None.
+
+    Args:
+        contenders: All.
+        times: Samples [s].
+        judge: Errors of what a run found, or why it is no use: `stopped`.
+        rounds: How often each is run.
     """
     records = [{"package": c.package, "setup": c.setup, **c.record} for c in contenders]
     seconds: list[list[float]] = [[] for _ in contenders]
@@ -76,16 +95,16 @@ def compete(
     try:
         for turn in range(rounds):
             for i, contender in enumerate(contenders):
-                if "stopped" in records[i] or sum(seconds[i]) * motion.times[-1] > _LONG:
+                if "stopped" in records[i] or sum(seconds[i]) * times[-1] > _LONG:
                     continue
                 try:
-                    states, used = contender.run(motion.times)
+                    found, used = contender.run(times)
                 except MbdError as stop:
                     records[i]["stopped"] = str(stop)[:160]
                     continue
-                seconds[i].append(used / motion.times[-1])
+                seconds[i].append(used / times[-1])
                 if turn == 0:
-                    records[i] |= _errors(scene, states, motion)
+                    records[i] |= judge(found)
     finally:
         gc.enable()
     for record, taken in zip(records, seconds, strict=True):
@@ -103,10 +122,10 @@ def cpu_time(call: Any) -> float:
     return time.process_time() - begin
 
 
-def _errors(scene: Scene, states: Sequence[State], motion: Known) -> Record:
+def _errors(scene: Scene, motion: Known, states: Sequence[State]) -> Record:
     pairs = list(zip(states, motion.states, strict=True))
     off = float(np.max([distance(scene, x, known) for x, known in pairs]))  # nan stays nan
-    if not off < _USELESS:
+    if not off < USELESS:
         return {"stopped": "far off"}
     problem = problem_of(scene)
     position = off if problem is None else error(problem, scene.robot, states)

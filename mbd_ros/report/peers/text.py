@@ -49,7 +49,7 @@ def compose(outcomes: Sequence[tuple[str, Mapping[str, Any]]], missing: Sequence
         if outcome["agreement"] is None:
             wrong.append(f"{name}: {UNCHECKED}")
             continue
-        groups = _groups(outcome)
+        groups = groups_of(outcome)
         if not any(group.runs for package, group in groups.items() if package != OURS):
             text.append(f"{name}: no peer finished a run")
             continue
@@ -63,7 +63,7 @@ def compose(outcomes: Sequence[tuple[str, Mapping[str, Any]]], missing: Sequence
         return Section("Other packages", ["No scene was compared.", *text], wrong=wrong)
     text = [*_TEXT, *text]
     text += repeatable([run for _, outcome in outcomes for run in outcome.get("runs", ())])
-    tables = [_costs(compared)]
+    tables = [costs(compared, _WANTED)]
     if demands:
         tables.append(
             Table("Demands", ("scene", "error", "ratio", "demanded", "verdict"), demands)
@@ -93,36 +93,46 @@ def ratio(ours: Sequence[Point], theirs: Sequence[Point], error: float) -> float
     return None if mine is None or other is None else other / mine
 
 
-class _Group:
+class Group:
     """Finished runs of one package and their points."""
 
     def __init__(self, runs: Sequence[Mapping[str, Any]], agreement: float | None) -> None:
         self.runs, self.points = runs, points_of(runs, agreement)
 
 
-def _groups(outcome: Mapping[str, Any]) -> dict[str, _Group]:
+def groups_of(outcome: Mapping[str, Any]) -> dict[str, Group]:
+    """Finished runs by package."""
     done = finished(outcome["runs"])
     packages = dict.fromkeys(run["package"] for run in outcome["runs"])
     return {
-        name: _Group([run for run in done if run["package"] == name], outcome["agreement"])
+        name: Group([run for run in done if run["package"] == name], outcome["agreement"])
         for name in packages
     }
 
 
-def _costs(compared: Mapping[tuple[str, float], Mapping[str, _Group]]) -> Table:
-    """Rows of scenes and errors, columns of packages."""
+def costs(
+    compared: Mapping[tuple[str, float], Mapping[str, Group]],
+    errors: Sequence[float],
+    title: str = "CPU per simulated second at equal error (x: times that of mbd_ros)",
+) -> Table:
+    """Rows of scenes and errors, columns of packages.
+
+    Args:
+        compared: Scene and span -> its runs by package.
+        errors: Those at which costs are read.
+        title: Of the table.
+    """
     peers = dict.fromkeys(name for groups in compared.values() for name in groups if name != OURS)
     rows = []
     for (scene, span), groups in compared.items():
-        for error in _WANTED:
+        for error in errors:
             cells = [_cost(groups[OURS], groups.get(peer), error) for peer in peers]
             ours = _priced(groups[OURS].points, error) or "not reached"
             rows.append([scene, f"{span:g} s", power(error), ours, *cells])
-    title = "CPU per simulated second at equal error (x: times that of mbd_ros)"
     return Table(title, ("scene", "span", "error", OURS, *peers), rows)
 
 
-def _cost(ours: _Group, theirs: _Group | None, error: float) -> str:
+def _cost(ours: Group, theirs: Group | None, error: float) -> str:
     if theirs is None or not theirs.points:
         return "-"
     cost, found = _priced(theirs.points, error), ratio(ours.points, theirs.points, error)
@@ -147,7 +157,7 @@ def is_loose(points: Sequence[Point], error: float) -> bool:
     return bool(best) and _LOOSE * points[best[0]].error < error
 
 
-def _demands(scene: str, groups: Mapping[str, _Group]) -> list[Sequence[str]]:
+def _demands(scene: str, groups: Mapping[str, Group]) -> list[Sequence[str]]:
     """The best peer against what is demanded of it; nothing where no peer is so precise."""
     rows = []
     for (name, error), demanded in _WANTED_RATIOS.items():
@@ -162,7 +172,7 @@ def _demands(scene: str, groups: Mapping[str, _Group]) -> list[Sequence[str]]:
 
 
 def _finest(
-    scene: str, outcome: Mapping[str, Any], groups: Mapping[str, _Group]
+    scene: str, outcome: Mapping[str, Any], groups: Mapping[str, Group]
 ) -> list[Sequence[str]]:
     check = f"reference: {outcome['check'] or 'no second method'}"
     rows: list[Sequence[str]] = [[scene, check, "agreement", shown(outcome["agreement"]), "-"]]
@@ -177,7 +187,7 @@ def _finest(
     return rows
 
 
-def _figure(scene: str, groups: Mapping[str, _Group]) -> Any:
+def _figure(scene: str, groups: Mapping[str, Group]) -> Any:
     ours = groups[OURS]
     peers = {name: group.points for name, group in groups.items() if name != OURS and group.runs}
     return diagram(f"{scene}, mbd_ros and peers", ours.runs, ours.points, peers)

@@ -1,0 +1,129 @@
+"""This package on contact problems."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.simulation.simulation import Simulation
+from mbd_ros.core.state import Array, State
+from mbd_ros.report.contact.problems import Problem, Solid, Trace
+from mbd_ros.report.peers.contenders import cpu_time
+from mbd_ros.report.precision.choices import Choice
+from mbd_ros.report.precision.rungs import Record
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.from_python import scene_from
+
+SETUP = (
+    "mbd_ros: moreau_jean, and where gaps are smooth rk4 with fixed steps and dop853 with "
+    "tolerances, which end their steps where contacts open, close, slip or stick."
+)
+_STEPS = (5e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4)  # s
+_TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
+_LONGEST = 1e-2  # s, first step of a method that chooses the others
+
+
+class OurContacts:
+    """One integrator and step.
+
+    Args:
+        problem: The problem.
+        choice: How it is run.
+    """
+
+    package = "mbd_ros"
+
+    def __init__(self, problem: Problem, choice: Choice) -> None:
+        self._problem, self._choice = problem, choice
+        self._scene = scene_of(problem)
+        self.record: Record = dict(choice._asdict())
+        self.setup = choice.method
+
+    def run(self, times: Sequence[float]) -> tuple[Trace, float]:
+        """States at the samples, and CPU time of the integration alone [s].
+
+        Raises:
+            MbdError: The run stopped.
+        """
+        simulation = self._choice.build(self._scene)
+        y, used, states = simulation.start(self._scene.initial), 0.0, list[State]()
+
+        def advance(due: float) -> None:
+            nonlocal y
+            y = simulation.advance(y, None, due)
+
+        for t in times:
+            used += cpu_time(lambda due=t: advance(due))
+            states.append(simulation.system.expand(y))
+        return _trace(self._problem, simulation, states), used
+
+
+def runs(problem: Problem, quick: bool) -> Iterator[OurContacts]:
+    """The sweep over integrators and steps."""
+    for dt in _STEPS[4:6] if quick else _STEPS:
+        for kind in ("moreau_jean", *(("rk4",) if problem.is_smooth else ())):
+            yield OurContacts(problem, Choice("auto", None, {"type": kind}, dt))
+    if problem.is_smooth:
+        for tolerance in _TOLERANCES[1:2] if quick else _TOLERANCES:
+            entry = {"type": "dop853", "tolerance": tolerance}
+            yield OurContacts(problem, Choice("auto", None, entry, _LONGEST))
+
+
+def scene_of(problem: Problem) -> Scene:
+    """The scene of a problem; the origin of a body is its mass centre."""
+    poses = {s.name: {"xyz": _sum(s.at, s.centre)} for s in problem.solids}
+    twists = {s.name: _twist(s) for s in problem.solids if any((*s.v, *s.spin))}
+    law = {"type": "rigid", "friction": problem.mu, "restitution": problem.restitution}
+    solids = {solid.name: solid for solid in problem.solids}
+    sections: dict[str, Any] = {
+        "gravity": list(problem.gravity),
+        "bodies": {s.name: {"shape": _body(s), "mass": s.mass} for s in problem.solids},
+        "contacts": [
+            {**law, "between": [_shape(solids[upper]), lower]} for upper, lower in problem.pairs
+        ],
+        "initial": {"pose": poses, **({"twist": twists} if twists else {})},
+    }
+    return scene_from(sections)
+
+
+def _twist(solid: Solid) -> Mapping[str, Any]:
+    return {"linear": list(solid.v), "angular": list(solid.spin), "expressed_in": "world"}
+
+
+def _body(solid: Solid) -> Mapping[str, Any]:
+    if solid.shape == "sphere":
+        return {"sphere": solid.size[0]}
+    return {"box": list(solid.size)}
+
+
+def _shape(solid: Solid) -> Any:
+    if solid.shape != "feet":
+        return solid.name
+    points = solid.corners - np.array(solid.centre)
+    return {"frame": solid.name, "points": points.tolist()}
+
+
+def _sum(a: Sequence[float], b: Sequence[float]) -> list[float]:
+    return [x + y for x, y in zip(a, b, strict=True)]
+
+
+def _trace(problem: Problem, simulation: Simulation, states: Sequence[State]) -> Trace:
+    samples = [_sample(problem, x) for x in states]
+    forces = simulation.system.evaluate(states[-1]).lam[::3]
+    if problem.solids[0].shape != "feet":
+        parts = np.split(forces, len(problem.pairs))  # every pair has as many features
+        forces = np.array([part.sum() for part in parts])
+    return Trace(*(np.array(part) for part in zip(*samples, strict=True)), forces)
+
+
+def _sample(problem: Problem, x: State) -> tuple[Array, Array, Array]:
+    """Places of the middles, velocities and spins in the world."""
+    places, velocities, spins = [], [], []
+    for solid, q, v in zip(problem.solids, x.q.reshape(-1, 7), x.v.reshape(-1, 6), strict=True):
+        R = pin.XYZQUATToSE3(q).rotation
+        lever, spin = R.dot(-np.array(solid.centre)), R.dot(v[3:])
+        places.append(q[:3] + lever)
+        velocities.append(R.dot(v[:3]) + np.cross(spin, lever))
+        spins.append(spin)
+    return np.array(places), np.array(velocities), np.array(spins)

@@ -1,0 +1,254 @@
+"""Contact problems with known solutions, told without the words of any package."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.state import Array
+from mbd_ros.report.contact import closed_forms
+from mbd_ros.report.contact.closed_forms import GRAVITY
+
+GROUND = "ground"
+_DOWN = (0.0, 0.0, -GRAVITY)
+_ZERO = (0.0, 0.0, 0.0)
+
+
+class Solid(NamedTuple):
+    """A free rigid body.
+
+    Attributes:
+        name: Its name.
+        mass: [kg].
+        shape: `sphere`, `box`, or `feet`: four points below the corners of a box.
+        size: Radius, or three lengths [m].
+        at: Middle of the shape [m], shape (3,).
+        v: Velocity of the middle [m/s], shape (3,).
+        spin: Angular velocity in the world [rad/s], shape (3,).
+        centre: Mass centre, from the middle [m], shape (3,).
+    """
+
+    name: str
+    mass: float
+    shape: str
+    size: tuple[float, ...]
+    at: tuple[float, float, float]
+    v: tuple[float, float, float] = _ZERO
+    spin: tuple[float, float, float] = _ZERO
+    centre: tuple[float, float, float] = _ZERO
+
+    @property
+    def moments(self) -> Array:
+        """Principal moments about the mass centre, those of a homogeneous shape [kg·m^2]."""
+        if self.shape == "sphere":
+            return np.full(3, 0.4 * self.mass * self.size[0] ** 2)
+        square = np.square(self.size)
+        return self.mass / 12.0 * (square.sum() - square)
+
+    @property
+    def corners(self) -> Array:
+        """Lower corners from the middle [m], shape (4, 3)."""
+        x, y, z = (0.5 * length for length in self.size)
+        return np.array([(sx * x, sy * y, -z) for sx, sy in CORNERS])
+
+
+CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
+
+
+class Trace(NamedTuple):
+    """A run at the samples.
+
+    Attributes:
+        x: Middles of the solids [m], shape (times, solids, 3).
+        v: Their velocities [m/s], the same shape.
+        spin: Their angular velocities in the world [rad/s], the same shape.
+        forces: Normal forces at the end [N]: one a pair, or one a foot in the order of `CORNERS`.
+    """
+
+    x: Array
+    v: Array
+    spin: Array
+    forces: Array
+
+
+class Problem(NamedTuple):
+    """What is simulated, and what is true.
+
+    Attributes:
+        name: Letters, digits and underscores.
+        gravity: [m/s^2], shape (3,).
+        solids: From the lowest up.
+        pairs: Upper and lower solid, or `GROUND`: the half space z <= 0.
+        mu: Coefficient of friction of every pair.
+        restitution: Of every pair.
+        times: Samples [s].
+        error: Largest error of a run, in `unit`.
+        unit: Of the error.
+        asked: Error that this package must reach, in `unit`.
+        is_smooth: Whether nothing but smooth gaps occurs, so that events can be exact.
+    """
+
+    name: str
+    gravity: tuple[float, float, float]
+    solids: tuple[Solid, ...]
+    pairs: tuple[tuple[str, str], ...]
+    mu: float
+    restitution: float
+    times: tuple[float, ...]
+    error: Callable[[Trace], float]
+    unit: str
+    asked: float
+    is_smooth: bool = True
+
+
+def problems(quick: bool) -> list[Problem]:
+    """All, or two of them."""
+    every = [
+        *(_incline(name, *case) for name, case in _INCLINES.items()),
+        *(_curve(), _rolling("sphere", 0.0), _rolling("sphere_backspin", -60.0)),
+        *(_bounce(), stuck(), dropped(), _stack(), _table()),
+    ]
+    return [p for p in every if p.name in _QUICK] if quick else every
+
+
+_INCLINES: Mapping[str, tuple[float, float, float]] = {  # degrees, mu, first speed uphill
+    "incline_stick": (15.0, 0.3, 0.0),
+    "incline_slip": (30.0, 0.3, 0.0),
+    "incline_up_stick": (20.0, 0.5, 3.0),
+    "incline_up_back": (30.0, 0.3, 3.0),
+    "incline_down_stick": (15.0, 0.3, -0.5),
+}
+_QUICK = ("incline_up_stick", "stuck_box")
+_BOX = (0.2, 0.2, 0.1)  # m
+
+
+def _block(v: Sequence[float] = _ZERO, height: float = 0.0) -> Solid:
+    x, y, z = v
+    return Solid("box", 2.0, "box", _BOX, (0.0, 0.0, 0.5 * _BOX[2] + height), (x, y, z))
+
+
+def _samples(span: float, count: int) -> tuple[float, ...]:
+    return tuple(round(span * (k + 1) / count, 9) for k in range(count))
+
+
+def _tilted(degrees: float) -> tuple[float, float, float]:
+    """Gravity seen from an incline whose x points uphill."""
+    angle = np.deg2rad(degrees)
+    return (-GRAVITY * float(np.sin(angle)), 0.0, -GRAVITY * float(np.cos(angle)))
+
+
+def _problem(name: str, solid: Solid, mu: float, times: Sequence[float], **others: Any) -> Problem:
+    """One solid on the ground."""
+    given = {"gravity": _DOWN, "restitution": 0.0, "unit": "m", "asked": 1e-10, **others}
+    pairs = ((solid.name, GROUND),)
+    return Problem(name=name, solids=(solid,), pairs=pairs, mu=mu, times=tuple(times), **given)
+
+
+def _incline(name: str, degrees: float, mu: float, speed: float) -> Problem:
+    times = _samples(3.0, 15)
+    known = np.array([closed_forms.incline(t, degrees, mu, speed)[0] for t in times])
+
+    def error(run: Trace) -> float:
+        return float(np.abs(run.x[:, 0, 0] - known).max())
+
+    block = _block((speed, 0.0, 0.0))
+    return _problem(name, block, mu, times, gravity=_tilted(degrees), error=error)
+
+
+def _curve() -> Problem:
+    """Friction is isotropic: a block that slides around a bend."""
+    times, degrees, speed = _samples(2.0, 10), 30.0, 2.0
+    known = np.array([closed_forms.bend(t, degrees, speed) for t in times])
+
+    def error(run: Trace) -> float:
+        return float(np.abs(run.x[:, 0, :2] - known).max())
+
+    _, _, down = _tilted(degrees)
+    gravity = (0.0, -_tilted(degrees)[0], down)
+    mu = float(np.tan(np.deg2rad(degrees)))
+    block, more = _block((speed, 0.0, 0.0)), {"gravity": gravity, "asked": 1e-8}
+    return _problem("bend", block, mu, times, error=error, **more)
+
+
+def _rolling(name: str, spin: float) -> Problem:
+    times, radius, mu, speed = _samples(3.0, 15), 0.1, 0.2, 5.0
+    known = np.array([closed_forms.rolling(t, speed, spin, mu, radius) for t in times])
+
+    def error(run: Trace) -> float:
+        return float(np.abs(run.x[:, 0, 0] - known).max())
+
+    ball = Solid("ball", 1.0, "sphere", (radius,), (0.0, 0.0, radius), (speed, 0.0, 0.0))
+    return _problem(name, ball._replace(spin=(0.0, spin, 0.0)), mu, times, error=error)
+
+
+def _bounce() -> Problem:
+    times, radius, e = _samples(5.0, 25), 0.1, 0.8
+    known = np.array([closed_forms.bounce(t, 1.0, e) for t in times])
+
+    def error(run: Trace) -> float:
+        return float(np.abs(run.x[:, 0, 2] - radius - known).max())
+
+    ball = Solid("ball", 1.0, "sphere", (radius,), (0.0, 0.0, radius + 1.0))
+    return _problem("bounce", ball, 0.0, times, restitution=e, error=error, asked=1e-9)
+
+
+def stuck() -> Problem:
+    """A box of four contact points that should not creep; the error is its speed."""
+    times = _samples(10.0, 2)
+
+    def error(run: Trace) -> float:
+        early, late = run.x[:, 0, :2]
+        return float(np.linalg.norm(late - early)) / (times[1] - times[0])
+
+    more = {"gravity": _tilted(15.0), "unit": "m/s", "asked": 1e-11}
+    return _problem("stuck_box", _block(), 0.3, times, error=error, **more)
+
+
+def dropped() -> Problem:
+    """A box that falls flat from 0.5 m; the error is its penetration at rest."""
+    times = _samples(2.0, 2)
+
+    def error(run: Trace) -> float:
+        return float(abs(run.x[-1, 0, 2] - 0.5 * _BOX[2]))
+
+    return _problem("dropped_box", _block(height=0.5), 0.3, times, error=error, asked=1e-9)
+
+
+def penetration(problem: Problem, run: Trace) -> float:
+    """Depth of the lowest solid in the ground at the end [m]."""
+    lowest = problem.solids[0]
+    rest = lowest.size[0] if lowest.shape == "sphere" else 0.5 * lowest.size[2]
+    return max(0.0, rest - float(run.x[-1, 0, 2]))
+
+
+def _stack() -> Problem:
+    """Three boxes, the heaviest on top: a mass ratio of 1e6; the error is one of forces."""
+    masses, height = (1.0, 1.0, 1.0e6), _BOX[2]
+    known = GRAVITY * np.cumsum(masses[::-1])[::-1]
+    solids = tuple(
+        Solid(f"box{i}", mass, "box", _BOX, (0.0, 0.0, (i + 0.5) * height))
+        for i, mass in enumerate(masses)
+    )
+    pairs = tuple((s.name, b) for s, b in zip(solids, (GROUND, "box0", "box1"), strict=True))
+
+    def error(run: Trace) -> float:
+        return float(np.abs(run.forces / known - 1.0).max())
+
+    times = _samples(1.0, 1)
+    more = {"unit": "relative", "asked": 1e-9, "is_smooth": False}
+    return Problem("stack", _DOWN, solids, pairs, 0.5, 0.0, times, error, **more)
+
+
+def _table() -> Problem:
+    """Four legs carry a load beside the middle: forces are split as those of equal springs."""
+    table, load, place, length = 4.0, 1.0, (0.5, -0.25), 1.0
+    known = closed_forms.legs(table, load, place)
+    mass = table + load
+    x, y = (0.5 * length * load / mass * s for s in place)
+
+    def error(run: Trace) -> float:
+        return float(np.abs(run.forces / known - 1.0).max())
+
+    feet = Solid("table", mass, "feet", (length, length, 0.7), (0.0, 0.0, 0.35))
+    feet, times = feet._replace(centre=(x, y, 0.0)), _samples(1.0, 1)
+    return _problem("table", feet, 0.5, times, error=error, unit="relative", asked=1e-9)
