@@ -169,7 +169,7 @@ def _add(
     if solid.shape == "sphere":
         return [], [shape(Sphere(solid.size[0]), np.zeros(3), "ball")]
     inside = np.array([_FOOT, _FOOT, 0.0] if solid.shape == "box" else np.zeros(3))
-    places = solid.corners - np.sign(solid.corners) * inside + (0.0, 0.0, _FOOT)
+    places = solid.feet - np.sign(solid.feet) * inside + (0.0, 0.0, _FOOT)
     feet = [shape(Sphere(_FOOT), place, f"foot{i}") for i, place in enumerate(places)]
     return [shape(Box(*solid.size), np.zeros(3), "top")] if has_top else [], feet
 
@@ -198,7 +198,7 @@ def _forces(problem: Problem, plant: MultibodyPlant, context: Any) -> Array:
         solid = max(bodies) - 1
         force = contact.contact_force().dot(contact.point_pair().nhat_BA_W)
         if is_split:
-            feet = problem.solids[0].corners[:, :2]
+            feet = problem.solids[0].feet[:, :2]
             solid = int(np.argmin(np.linalg.norm(feet - contact.contact_point()[:2], axis=1)))
         found[solid] += abs(force)
     return found

@@ -125,7 +125,7 @@ def _add(spec: Any, solid: Solid) -> list[Any]:
         return [body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half)]
     up, size = np.array((0.0, 0.0, _FOOT)), (_FOOT, 0.0, 0.0)
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE
-    return [body.add_geom(type=sphere, size=size, pos=corner + up) for corner in solid.corners]
+    return [body.add_geom(type=sphere, size=size, pos=corner + up) for corner in solid.feet]
 
 
 def _forces(problem: Problem, model: Any, data: Any) -> Array:

@@ -72,13 +72,14 @@ def runs(problem: Problem, quick: bool) -> Iterator[OurContacts]:
 
 def scene_of(problem: Problem) -> Scene:
     """The scene of a problem; the origin of a body is its mass centre."""
-    poses = {s.name: {"xyz": _sum(s.at, s.centre)} for s in problem.solids}
-    twists = {s.name: _twist(s) for s in problem.solids if any((*s.v, *s.spin))}
+    free = [solid for solid in problem.solids if solid.is_free]
+    poses = {s.name: {"xyz": _sum(s.at, s.centre), "rpy": list(s.rpy)} for s in free}
+    twists = {s.name: _twist(s) for s in free if any((*s.v, *s.spin))}
     law = {"type": "rigid", "friction": problem.mu, "restitution": problem.restitution}
     solids = {solid.name: solid for solid in problem.solids}
     sections: dict[str, Any] = {
         "gravity": list(problem.gravity),
-        "bodies": {s.name: {"shape": _body(s), "mass": s.mass} for s in problem.solids},
+        "bodies": {solid.name: _body(solid) for solid in problem.solids},
         "contacts": [
             {**law, "between": [_shape(solids[upper]), lower]} for upper, lower in problem.pairs
         ],
@@ -92,15 +93,18 @@ def _twist(solid: Solid) -> Mapping[str, Any]:
 
 
 def _body(solid: Solid) -> Mapping[str, Any]:
-    if solid.shape == "sphere":
-        return {"sphere": solid.size[0]}
-    return {"box": list(solid.size)}
+    is_ball = solid.shape == "sphere"
+    shape = {"sphere": solid.size[0]} if is_ball else {"box": list(solid.size)}
+    if solid.is_free:
+        return {"shape": shape, "mass": solid.mass}
+    pose = {"xyz": list(solid.at), "rpy": list(solid.rpy)}
+    return {"shape": shape, "free": False, "pose": pose}
 
 
 def _shape(solid: Solid) -> Any:
     if solid.shape != "feet":
         return solid.name
-    points = solid.corners - np.array(solid.centre)
+    points = solid.feet - np.array(solid.centre)
     return {"frame": solid.name, "points": points.tolist()}
 
 
@@ -120,7 +124,8 @@ def _trace(problem: Problem, simulation: Simulation, states: Sequence[State]) ->
 def _sample(problem: Problem, x: State) -> tuple[Array, Array, Array]:
     """Places of the middles, velocities and spins in the world."""
     places, velocities, spins = [], [], []
-    for solid, q, v in zip(problem.solids, x.q.reshape(-1, 7), x.v.reshape(-1, 6), strict=True):
+    free = [solid for solid in problem.solids if solid.is_free]
+    for solid, q, v in zip(free, x.q.reshape(-1, 7), x.v.reshape(-1, 6), strict=True):
         R = pin.XYZQUATToSE3(q).rotation
         lever, spin = R.dot(-np.array(solid.centre)), R.dot(v[3:])
         places.append(q[:3] + lever)

@@ -10,6 +10,7 @@ from mbd_ros.report.contact import closed_forms
 from mbd_ros.report.contact.closed_forms import GRAVITY
 
 GROUND = "ground"
+CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 _DOWN = (0.0, 0.0, -GRAVITY)
 _ZERO = (0.0, 0.0, 0.0)
 
@@ -20,12 +21,15 @@ class Solid(NamedTuple):
     Attributes:
         name: Its name.
         mass: [kg].
-        shape: `sphere`, `box`, or `feet`: four points below the corners of a box.
+        shape: `sphere`, `box`, or `feet`: points below a box.
         size: Radius, or three lengths [m].
         at: Middle of the shape [m], shape (3,).
         v: Velocity of the middle [m/s], shape (3,).
         spin: Angular velocity in the world [rad/s], shape (3,).
         centre: Mass centre, from the middle [m], shape (3,).
+        rpy: First attitude [rad], shape (3,).
+        legs: Number of feet: below the corners, or around the largest ellipse if not four.
+        is_free: Whether it moves.
     """
 
     name: str
@@ -36,6 +40,9 @@ class Solid(NamedTuple):
     v: tuple[float, float, float] = _ZERO
     spin: tuple[float, float, float] = _ZERO
     centre: tuple[float, float, float] = _ZERO
+    rpy: tuple[float, float, float] = _ZERO
+    legs: int = 4
+    is_free: bool = True
 
     @property
     def moments(self) -> Array:
@@ -46,23 +53,22 @@ class Solid(NamedTuple):
         return self.mass / 12.0 * (square.sum() - square)
 
     @property
-    def corners(self) -> Array:
-        """Lower corners from the middle [m], shape (4, 3)."""
-        x, y, z = (0.5 * length for length in self.size)
-        return np.array([(sx * x, sy * y, -z) for sx, sy in CORNERS])
-
-
-CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
+    def feet(self) -> Array:
+        """Lower corners, or points of an ellipse between them, from the middle [m]."""
+        angles = 2.0 * np.pi * np.arange(self.legs) / self.legs
+        around = CORNERS if self.legs == 4 else np.column_stack((np.cos(angles), np.sin(angles)))
+        half = 0.5 * np.array(self.size)
+        return np.array([(x * half[0], y * half[1], -half[2]) for x, y in around])
 
 
 class Trace(NamedTuple):
     """A run at the samples.
 
     Attributes:
-        x: Middles of the solids [m], shape (times, solids, 3).
+        x: Middles of the solids that are free [m], shape (times, solids, 3).
         v: Their velocities [m/s], the same shape.
         spin: Their angular velocities in the world [rad/s], the same shape.
-        forces: Normal forces at the end [N]: one a pair, or one a foot in the order of `CORNERS`.
+        forces: Normal forces at the end [N]: one a pair, or one a foot in their order.
     """
 
     x: Array
