@@ -10,6 +10,7 @@ Outcome = dict[str, Any]  # whatever JSON holds
 PARTS: Mapping[str, str] = {  # kind of item -> module; their order is that of the sections
     "precision": "mbd_ros.report.precision.kind",
     "peers": "mbd_ros.report.peers.kind",
+    "contact": "mbd_ros.report.contact.kind",
     "stability": "mbd_ros.report.stability.kind",
     "long_runs": "mbd_ros.report.stability.long_runs",
     "left_out": "mbd_ros.report.left_out.kind",

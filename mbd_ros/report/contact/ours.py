@@ -81,7 +81,8 @@ def scene_of(problem: Problem) -> Scene:
         "gravity": list(problem.gravity),
         "bodies": {solid.name: _body(solid) for solid in problem.solids},
         "contacts": [
-            {**law, "between": [_shape(solids[upper]), lower]} for upper, lower in problem.pairs
+            {**law, "name": f"pair{i}", "between": [_shape(solids[upper]), lower]}
+            for i, (upper, lower) in enumerate(problem.pairs)
         ],
         "initial": {"pose": poses, **({"twist": twists} if twists else {})},
     }
@@ -114,10 +115,14 @@ def _sum(a: Sequence[float], b: Sequence[float]) -> list[float]:
 
 def _trace(problem: Problem, simulation: Simulation, states: Sequence[State]) -> Trace:
     samples = [_sample(problem, x) for x in states]
-    forces = simulation.system.evaluate(states[-1]).lam[::3]
+    cones, lam = simulation.system.layout.cones, simulation.system.evaluate(states[-1]).lam
+    forces = np.array([lam[cone.slots.start] for cone in cones])
     if problem.solids[0].shape != "feet":
-        parts = np.split(forces, len(problem.pairs))  # every pair has as many features
-        forces = np.array([part.sum() for part in parts])
+        owners = [cone.name.split(".")[0] for cone in cones]
+        sums = [
+            forces[[owner == f"pair{i}" for owner in owners]] for i in range(len(problem.pairs))
+        ]
+        forces = np.array([part.sum() for part in sums])
     return Trace(*(np.array(part) for part in zip(*samples, strict=True)), forces)
 
 

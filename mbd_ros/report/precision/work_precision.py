@@ -25,6 +25,7 @@ _LOOKS = {  # integrator -> colour, marker
     "generalized_alpha": ("#000000", "X"),
     "rattle": ("#555555", "<"),
     "shake": ("#555555", ">"),
+    "moreau_jean": ("#009E73", "d"),
 }
 _PEER, _PEER_MARKERS, _FRONT = "#D55E00", "*hd", "#F0E442"
 _SIZE = (6.2, 6.2)  # inches: below the width from which a page pans instead of scaling
