@@ -113,8 +113,9 @@ class VelocityStep:
         with np.errstate(invalid="ignore"):  # an end that is infinitely far, times 0
             back = np.minimum(self._return[1][acting.at], 1.0 / h)
             back = np.where(acting.pushes, 0.0, back * gap)
-        rate = J.dot(x.v) + own
-        gap = gap - self._theta * h * rate
+        early = self._theta * h  # from the start to the state where J and drift are known
+        rate = J.dot(x.v) + own - early * drift
+        gap = gap - early * (rate + 0.5 * early * drift)
         return StepProblem(
             *(x, M, held.of(J), acting, J, gap, rate, own + late * drift + back, *known)
         )

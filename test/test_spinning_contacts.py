@@ -1,0 +1,40 @@
+"""Bodies that spin while they touch: their axes turn within a step."""
+
+import numpy as np
+import pytest
+
+from mbd_ros.scene.from_python import scene_from
+
+GRAVITY, RADIUS, MU, SPEED = 9.81, 0.1, 0.2, 5.0
+
+
+def rolled(spin, mu, dt, duration):
+    """Velocity in the world of a ball that starts on the ground with a speed and a spin."""
+    twist = {"linear": [SPEED, 0.0, 0.0], "angular": [0.0, spin, 0.0], "expressed_in": "world"}
+    ball = {"shape": {"sphere": RADIUS}, "mass": 1.0, "pose": {"xyz": [0.0, 0.0, RADIUS]}}
+    contact = {"type": "rigid", "between": ["ball", "ground"], "friction": mu}
+    scene = scene_from(
+        {"bodies": {"ball": ball}, "contacts": [contact], "initial": {"twist": {"ball": twist}}}
+    )
+    simulation = scene.simulation(integrator={"type": "moreau_jean"}, dt=dt)
+    return list(simulation.run(scene.initial, duration))
+
+
+def test_a_frictionless_ball_keeps_its_speed():
+    errors = []
+    for dt in (2e-3, 1e-3):
+        x = rolled(20.0, 0.0, dt, 0.5)[-1]
+        assert np.linalg.norm(x.v[:3]) <= SPEED * (1.0 + 1e-10)
+        errors.append(abs(x.q[0] - 0.5 * SPEED))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.25)
+
+
+@pytest.mark.parametrize("spin", [0.0, -60.0])
+def test_a_ball_slides_until_it_rolls(spin):
+    """Closed form: v = (5 v0 + 2 R w0) / 7 from t = 2 (v0 - w0 R) / (7 mu g) on."""
+    roll, rolls = (5.0 * SPEED + 2.0 * RADIUS * spin) / 7.0, 2.0 * (SPEED - spin * RADIUS)
+    rolls /= 7.0 * MU * GRAVITY
+    states = rolled(spin, MU, 2e-3, rolls + 0.1)
+    late = [x for x in states if x.t > rolls + 0.01]
+    assert late and all(abs(np.linalg.norm(x.v[:3]) - roll) <= 1e-2 for x in late)
+    assert all(abs(x.v[4] * RADIUS - roll) <= 1e-2 for x in late)
