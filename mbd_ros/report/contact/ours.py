@@ -115,15 +115,17 @@ def _sum(a: Sequence[float], b: Sequence[float]) -> list[float]:
 
 def _trace(problem: Problem, simulation: Simulation, states: Sequence[State]) -> Trace:
     samples = [_sample(problem, x) for x in states]
-    cones, lam = simulation.system.layout.cones, simulation.system.evaluate(states[-1]).lam
-    forces = np.array([lam[cone.slots.start] for cone in cones])
-    if problem.solids[0].shape != "feet":
-        owners = [cone.name.split(".")[0] for cone in cones]
-        sums = [
-            forces[[owner == f"pair{i}" for owner in owners]] for i in range(len(problem.pairs))
-        ]
-        forces = np.array([part.sum() for part in sums])
+    forces = _forces(problem, simulation, states[-1]) if problem.has_forces else np.zeros(0)
     return Trace(*(np.array(part) for part in zip(*samples, strict=True)), forces)
+
+
+def _forces(problem: Problem, simulation: Simulation, x: State) -> Array:
+    cones, lam = simulation.system.layout.cones, simulation.system.evaluate(x).lam
+    forces = np.array([lam[cone.slots.start] for cone in cones])
+    if problem.solids[0].shape == "feet":
+        return forces
+    owners = np.array([cone.name.split(".")[0] for cone in cones])
+    return np.array([forces[owners == f"pair{i}"].sum() for i in range(len(problem.pairs))])
 
 
 def _sample(problem: Problem, x: State) -> tuple[Array, Array, Array]:

@@ -68,7 +68,8 @@ class Trace(NamedTuple):
         x: Middles of the solids that are free [m], shape (times, solids, 3).
         v: Their velocities [m/s], the same shape.
         spin: Their angular velocities in the world [rad/s], the same shape.
-        forces: Normal forces at the end [N]: one a pair, or one a foot in their order.
+        forces: Normal forces at the end [N], where the problem asks for them: one a pair, or one
+            a foot in their order.
     """
 
     x: Array
@@ -92,6 +93,7 @@ class Problem(NamedTuple):
         unit: Of the error.
         asked: Error that this package must reach, in `unit`.
         is_smooth: Whether nothing but smooth gaps occurs, so that events can be exact.
+        has_forces: Whether the error is one of forces.
     """
 
     name: str
@@ -105,6 +107,7 @@ class Problem(NamedTuple):
     unit: str
     asked: float
     is_smooth: bool = True
+    has_forces: bool = False
 
 
 def problems(quick: bool) -> list[Problem]:
@@ -241,7 +244,7 @@ def _stack() -> Problem:
         return float(np.abs(run.forces / known - 1.0).max())
 
     times = _samples(1.0, 1)
-    more = {"unit": "relative", "asked": 1e-9, "is_smooth": False}
+    more = {"unit": "relative", "asked": 1e-9, "is_smooth": False, "has_forces": True}
     return Problem("stack", _DOWN, solids, pairs, 0.5, 0.0, times, error, **more)
 
 
@@ -257,4 +260,5 @@ def _table() -> Problem:
 
     feet = Solid("table", mass, "feet", (length, length, 0.7), (0.0, 0.0, 0.35))
     feet, times = feet._replace(centre=(x, y, 0.0)), _samples(1.0, 1)
-    return _problem("table", feet, 0.5, times, error=error, unit="relative", asked=1e-9)
+    more = {"unit": "relative", "asked": 1e-9, "has_forces": True}
+    return _problem("table", feet, 0.5, times, error=error, **more)
