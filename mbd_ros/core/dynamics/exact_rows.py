@@ -13,13 +13,12 @@ import numpy as np
 from mbd_ros.core.dynamics.row_heights import RowHeights, reach_of
 from mbd_ros.core.dynamics.rows_at_bounds import Pushing, is_idle, pushing
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
-from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.core.thresholds import TIE
 
 if TYPE_CHECKING:
-    from mbd_ros.core.dynamics.exact_contact import ExactContact
+    from mbd_ros.core.dynamics.exact_contacts import ExactContacts
 
 
 class ExactRows:
@@ -42,7 +41,7 @@ class ExactRows:
         left: Their w = g'' + kd g' + kp g there, shape (n,).
         lower: Their lower bounds there, shape (n,).
         upper: Their upper bounds there, shape (n,).
-        contact: Where a normal and its two tangents stand among them; None without a contact.
+        contacts: The contacts with friction among them; None without any.
     """
 
     def __init__(self, motion: Any, solver: BoundedRows) -> None:
@@ -54,14 +53,12 @@ class ExactRows:
         self.slots = rows.slots[self._at]
         self.reach = tuple(reach_of(block, own) for _, own, block in exact)
         self.restitution = np.array([block.law.restitution for *_, block in exact])
-        n, kinds = len(exact), [block.law.kind for *_, block in exact]
-        self.contact, self._contact = None, None
-        if Kind.CONE in kinds:
-            from mbd_ros.core.dynamics.exact_contact import ExactContact
+        n, self.contacts = len(exact), None
+        if rows.cones:
+            from mbd_ros.core.dynamics.exact_contacts import ExactContacts
 
-            first = kinds.index(Kind.CONE)
-            self.contact, self._contact = slice(first, first + 3), ExactContact(rows)
-        self._over = RowHeights(motion, rows, self._at, self.reach, self._contact, self.contact)
+            self.contacts = ExactContacts(rows, self._at)
+        self._over = RowHeights(motion, rows, self._at, self.reach, self.contacts)
         self.heights, self.approach = self._over.heights, self._over.approach
         self.ways, self.onto = self._over.ways, self._over.onto
         self.lam, self.left, self.lower, self.upper, self._slack = np.zeros((5, n))
@@ -102,37 +99,16 @@ class ExactRows:
         if not mode:
             mode, free = self._over.ways_at(x)
         lower, upper = self._bounds(mode, free)
-        if self._contact is not None:
-            a, left, terms = self._with_contact(
-                *(self._contact, q, x, joint_a, (lower, upper), mode, free)
-            )
+        if self.contacts is not None:
+            found = self.contacts.solve(motion, q, x, joint_a, (lower, upper), mode, free)
+            self.solver.multipliers, self.solver.force = found.lam, found.force
+            a, left, terms = motion.coordinates.integrated(joint_a + found.added), *found[3:]
         else:
             a, left, terms = self.solver.held(motion, q, x, joint_a, lower, upper)
         self.lam, self.left = self.solver.multipliers[self._at], left[self._at]
         self._slack = TIE * terms[self._at]
         self.lower, self.upper = rows.lower[self._at], rows.upper[self._at]
         return a
-
-    def _with_contact(
-        self,
-        contact: "ExactContact",
-        q: Array,
-        x: State,
-        a: Array,
-        bounds: tuple[Array, Array],
-        mode: Mode,
-        free: Collection[int],
-    ) -> tuple[Array, Array, Array]:
-        """As `BoundedRows.held`, with a contact."""
-        at = self.contact
-        assert at is not None
-        is_free = at.start in free
-        found = contact.solve(
-            *(self._motion, q, x, a, bounds, () if is_free else mode[at]),
-            is_open=not is_free and mode[at.start] != 0,
-        )
-        self.solver.multipliers, self.solver.force = found.lam, found.force
-        return self._motion.coordinates.integrated(a + found.added), found.left, found.terms
 
     def solve(self, y: State, u: Array | None, mode: Mode, free: Collection[int] = ()) -> Array:
         """As `accelerate`, at a state of what is integrated."""
@@ -174,37 +150,39 @@ class ExactRows:
         """The mode that the last `accelerate` found; a tie is on, and ends if it has to."""
         above, below = self.left > self._slack, self.left < -self._slack
         ways = (above.astype(int) - below).tolist()
-        if self._contact is not None:
-            at = self.contact
-            ways[at] = self._contact.found(self.left[at], self._slack[at])
+        if self.contacts is not None:
+            modes = self.contacts.found(self.left, self._slack)
+            for i, three in zip(self.contacts.normals, modes, strict=True):
+                ways[i : i + 3] = three
         return tuple(ways)
 
     def friction(self, y: State, mode: Mode) -> dict[tuple[int, int], float]:
-        """Margins of the tangents of a contact in a mode, by the multipliers of the last solve."""
-        at, contact = self.contact, self._contact
-        if at is None or contact is None or mode[at.start]:
+        """Margins of the tangents of contacts in a mode, by the multipliers of the last solve."""
+        if self.contacts is None:
             return {}
-        first, named = at.start + 1, mode[at][1:]
-        if not any(named):
-            return {(first, 1): contact.margin(self.lam[at])}
-        slip = contact.slip(self._motion.mechanism.k, self._over.placed(y))
-        return {(first, 0): float(slip.dot(named)) / float(np.linalg.norm(named))}
+        k = self._motion.mechanism.k
+        return self.contacts.margins(k, self._over.placed(y), self.lam, mode)
 
-    def leaving(self, switch: int, way: int) -> dict[int, int]:
-        """The modes with which a switch is left in a direction, after a solve."""
-        at, contact = self.contact, self._contact
-        if at is None or contact is None or not at.start <= switch < at.stop:
+    def leaving(
+        self, y: State, u: Array | None, mode: Mode, switch: int, way: int
+    ) -> dict[int, int]:
+        """The modes with which a switch is left in a direction."""
+        contacts = self.contacts
+        if contacts is None or not any(i <= switch < i + 3 for i in contacts.normals):
             return {switch: way}
-        after = contact.left(self.lam[at], opens=switch == at.start)
-        return dict(zip(range(at.start, at.stop), after, strict=True))
+        self.solve(y, u, mode)
+        if not contacts.shares:
+            return contacts.left(self.lam, switch)
+        touching = [i for i in contacts.normals if not mode[i]]
+        with contacts.eased():
+            self.solve(y, u, mode, {at for i in touching for at in range(i, i + 3)})
+        return contacts.leaving(self.lam, self.left, self._slack, mode)
 
     def turned(self, y: State, mode: Mode) -> dict[int, int]:
-        """Modes of a contact whose slip has turned; empty where it has not, or does not slip."""
-        at, contact = self.contact, self._contact
-        if at is None or contact is None or mode[at.start] or not any(mode[at]):
+        """Modes of contacts whose slip has turned, named anew."""
+        if self.contacts is None:
             return {}
-        after = contact.turned(self._motion.mechanism.k, self._over.placed(y), mode[at])
-        return dict(zip(range(at.start, at.stop), after, strict=True)) if after != mode[at] else {}
+        return self.contacts.turned(self._motion.mechanism.k, self._over.placed(y), mode)
 
     def _bounds(self, mode: Mode, free: Collection[int]) -> tuple[Array, Array]:
         """Smallest and largest multipliers of all rows in a mode."""

@@ -13,7 +13,7 @@ from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.core.thresholds import ON_SURFACE
 
 if TYPE_CHECKING:
-    from mbd_ros.core.dynamics.exact_contact import ExactContact
+    from mbd_ros.core.dynamics.exact_contacts import ExactContacts
 
 _CORRECTIONS = 4
 
@@ -40,8 +40,7 @@ class RowHeights:
         rows: Rows that give way.
         at: Which of them go from event to event, shape (n,).
         reach: One entry each of these.
-        contact: The contact among them; None without one.
-        contact_at: Where it stands among these.
+        contacts: The contacts with friction among these; None without any.
     """
 
     def __init__(
@@ -50,11 +49,13 @@ class RowHeights:
         rows: ConstraintRows,
         at: NDArray[np.intp],
         reach: tuple[Reach, ...],
-        contact: "ExactContact | None",
-        contact_at: slice | None,
+        contacts: "ExactContacts | None",
     ) -> None:
         self._motion, self._rows, self._at = motion, rows, at
-        self._contact, self._contact_at = contact, contact_at
+        self._contacts = contacts
+        normals = [] if contacts is None else contacts.normals
+        self._normals = np.array(normals, dtype=np.intp)
+        self._tangents = np.concatenate((self._normals + 1, self._normals + 2))
         self._is_gap, self._is_slip, self._is_friction = (
             np.array([one is kind for one in reach], dtype=np.bool_)
             for kind in (Reach.GAP, Reach.SLIP, Reach.FRICTION)
@@ -139,8 +140,8 @@ class RowHeights:
             heights[self._is_gap] = self._rows.residual(k, x)[self._at[self._is_gap]]
         if self._has_slips:
             heights[self._is_slip] = self._approach(x)[self._is_slip]
-        if self._contact is not None and self._contact_at is not None:
-            heights[self._contact_at.start + 1] = np.linalg.norm(self._contact.slip(k, x))
+        if self._contacts is not None:
+            heights[self._normals + 1] = np.linalg.norm(self._contacts.slips(k, x), axis=1)
         return heights
 
     def _approach(self, x: State) -> Array:
@@ -154,8 +155,8 @@ class RowHeights:
         on = np.where(self._is_gap, heights, np.abs(heights)) <= slack
         on &= ~self._is_gap | (rate <= slack)
         on |= ~(self._is_gap | self._is_slip)
-        if self._contact_at is not None:
-            on[self._contact_at] = on[self._contact_at.start]
+        if self._contacts is not None:
+            on[self._tangents] = np.tile(on[self._normals], 2)
         ways = np.where((heights < 0.0) & ~self._is_gap, -1, 1)
         return tuple(ways.tolist()), np.flatnonzero(on).tolist()
 

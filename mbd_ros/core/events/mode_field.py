@@ -210,8 +210,7 @@ class ModeField:
         switch, way = which
         if self.rows is None or switch >= self.count:
             return {switch: way}
-        self._solve(y, u)
-        return self.rows.leaving(switch, way)
+        return self.rows.leaving(y, u, self._mode, switch, way)
 
     def turned(self, y: State) -> dict[int, int]:
         """Modes that name the same motion anew."""
