@@ -5,8 +5,8 @@ motions. Where modes are looked for, and where contacts share a force that equat
 they keep the laws of contact. Among equal ones they have the smallest norm.
 """
 
-from enum import Enum
 from collections.abc import Sequence
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbd_ros.core.dynamics.row_heights import RowHeights, reach_of
+from mbd_ros.core.dynamics.row_heights import Reach, RowHeights, reach_of
 from mbd_ros.core.dynamics.rows_at_bounds import Pushing, is_idle, pushing
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.rows.row_layout import RowBlock
@@ -18,7 +18,7 @@ from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.core.thresholds import TIE
 
 if TYPE_CHECKING:
-    from mbd_ros.core.dynamics.exact_contacts import ExactContacts
+    pass
 
 
 class ExactRows:
@@ -55,9 +55,11 @@ class ExactRows:
         self.restitution = np.array([block.law.restitution for *_, block in exact])
         n, self.contacts = len(exact), None
         if rows.cones:
+            from mbd_ros.core.dynamics.contact_modes import ContactModes
             from mbd_ros.core.dynamics.exact_contacts import ExactContacts
 
             self.contacts = ExactContacts(rows, self._at)
+            self._modes = ContactModes(self.contacts)
         self._over = RowHeights(motion, rows, self._at, self.reach, self.contacts)
         self.heights, self.approach = self._over.heights, self._over.approach
         self.ways, self.onto = self._over.ways, self._over.onto
@@ -151,7 +153,7 @@ class ExactRows:
         above, below = self.left > self._slack, self.left < -self._slack
         ways = (above.astype(int) - below).tolist()
         if self.contacts is not None:
-            modes = self.contacts.found(self.left, self._slack)
+            modes = self._modes.found(self.left, self._slack)
             for i, three in zip(self.contacts.normals, modes, strict=True):
                 ways[i : i + 3] = three
         return tuple(ways)
@@ -161,7 +163,7 @@ class ExactRows:
         if self.contacts is None:
             return {}
         k = self._motion.mechanism.k
-        return self.contacts.margins(k, self._over.placed(y), self.lam, mode)
+        return self._modes.margins(k, self._over.placed(y), self.lam, mode)
 
     def leaving(
         self, y: State, u: Array | None, mode: Mode, switch: int, way: int
@@ -172,17 +174,36 @@ class ExactRows:
             return {switch: way}
         self.solve(y, u, mode)
         if not contacts.shares:
-            return contacts.left(self.lam, switch)
+            return self._modes.left(self.lam, switch)
         touching = [i for i in contacts.normals if not mode[i]]
         with contacts.eased():
             self.solve(y, u, mode, {at for i in touching for at in range(i, i + 3)})
-        return contacts.leaving(self.lam, self.left, self._slack, mode)
+        return self._modes.leaving(self.lam, self.left, self._slack, mode)
 
-    def turned(self, y: State, mode: Mode) -> dict[int, int]:
-        """Modes of contacts whose slip has turned, named anew."""
-        if self.contacts is None:
+    def renamed(
+        self, y: State, u: Array | None, mode: Mode, switch: int | None = None
+    ) -> dict[int, int]:
+        """Modes of contacts whose slip goes on under another name; empty where none does.
+
+        Args:
+            y: State of what is integrated.
+            u: Inputs.
+            mode: The present one.
+            switch: Tangent of a slip that is slow; None at the start of a step.
+        """
+        contacts, k = self.contacts, self._motion.mechanism.k
+        if contacts is None:
             return {}
-        return self.contacts.turned(self._motion.mechanism.k, self._over.placed(y), mode)
+        if switch is None:
+            chosen = self._modes.turned(k, self._over.placed(y), mode)
+        elif self.reach[switch] is Reach.FRICTION and mode[switch]:
+            chosen = self._modes.slow(k, self._over.placed(y), mode, switch)
+        else:
+            return {}
+        if not chosen:
+            return {}
+        self.solve(y, u, mode)
+        return self._modes.renamed(self.left, self._slack, chosen)
 
     def _bounds(self, mode: Mode, free: Collection[int]) -> tuple[Array, Array]:
         """Smallest and largest multipliers of all rows in a mode."""

@@ -184,7 +184,7 @@ class EventSteps(Stepper):
         elif is_changed and (field.on or field.drives):
             happens.change(happens.decided(x, u, {*field.on, *field.near(x)}))
             x = happens.switched(x)
-        elif ways := field.turned(x):
+        elif ways := field.renamed(x, u):
             happens.change(ways)
         return self._follow(x)
 

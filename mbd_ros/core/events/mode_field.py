@@ -212,9 +212,15 @@ class ModeField:
             return {switch: way}
         return self.rows.leaving(y, u, self._mode, switch, way)
 
-    def turned(self, y: State) -> dict[int, int]:
-        """Modes that name the same motion anew."""
-        return {} if self.rows is None else self.rows.turned(y, self._mode)
+    def renamed(self, y: State, u: Array | None, which: Margin | None = None) -> dict[int, int]:
+        """Modes that name the same motion anew, at the start of a step or where a margin is zero.
+
+        Empty where a motion keeps its name, or ends.
+        """
+        switch, way = which or (None, 0)
+        if self.rows is None or way or (switch is not None and switch >= self.count):
+            return {}
+        return self.rows.renamed(y, u, self._mode, switch)
 
     def onto(self, y: State, u: Array | None) -> State:
         """The state on what is on, moved only as the forces of that move it."""

@@ -54,6 +54,9 @@ class Transitions:
     def happened(self, x: State, u: Array | None, margin: Margin | None) -> State:
         """The state after an event: impacts, then the mode that begins."""
         field, before = self._field, x
+        if margin and (ways := field.renamed(x, u, margin)):
+            self.change(ways)
+            return field.onto_rows(x)._replace(mode=field.mode)
         switch, way = margin or (-1, 0)
         fired, impulse = field.fired(x, u, switch), None
         if fired:

@@ -1,0 +1,163 @@
+"""Modes of contacts with friction that give way at events, and where they end.
+
+The mode of a normal is 0 while a contact touches and 1 while it is open. Those of its tangents
+are 0 while it sticks, 1 while it is open, and else two odd numbers along the slip (`slip_names`).
+"""
+
+import math
+from collections.abc import Collection
+
+import numpy as np
+
+from mbd_ros.core.dynamics.contact_forces import Split
+from mbd_ros.core.dynamics.exact_contacts import EASED, ExactContacts
+from mbd_ros.core.dynamics.slip_names import begun, ends, has_turned, named, slowest
+from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.state import NONE, Array, Mode, State
+
+OPEN: Mode = (1, 1, 1)
+STICKS: Mode = (0, 0, 0)
+_SHARED = 1.0e-9  # of the largest multiplier: what a share at the end of a law may leave
+_TOGETHER = 2.0e4  # times the slip that counts as none: slips as slow as that end together
+
+
+class ContactModes:
+    """The modes of the contacts of a scene, by their last solve.
+
+    Args:
+        contacts: The contacts.
+    """
+
+    def __init__(self, contacts: ExactContacts) -> None:
+        self._contacts = contacts
+
+    def found(self, left: Array, slack: Array) -> list[Mode]:
+        """Modes that the last solve found, one a contact.
+
+        Args:
+            left: The w of the rows that go from event to event.
+            slack: What counts as none of it.
+        """
+        return [
+            self._found(left[i : i + 3], slack[i : i + 3], slip, float(mu))
+            for i, slip, mu in zip(
+                self._contacts.normals, self._contacts.moving, self._contacts.mu, strict=True
+            )
+        ]
+
+    def _found(self, left: Array, slack: Array, slip: Array | None, mu: float) -> Mode:
+        if left[0] > slack[0]:
+            return OPEN
+        if slip is not None:
+            return 0, *named(slip, left[1:], float(slack[1:].max()), self._contacts.slowest)
+        if mu > 0.0 and math.hypot(*left[1:]) <= slack[1:].max():
+            return STICKS
+        return 0, *begun(left[1:])
+
+    def margins(
+        self, k: Kinematics, x: State, lam: Array, mode: Mode
+    ) -> dict[tuple[int, int], float]:
+        """What is left of a push, of a slip, and of friction to its largest, in a mode.
+
+        Contacts that can share their force otherwise are not at the end of their mode yet.
+
+        Args:
+            k: Kinematics at the state.
+            x: State of all joints.
+            lam: Multipliers of the last solve, of the rows that go from event to event.
+            mode: One entry each of these.
+        """
+        found: dict[tuple[int, int], float] = {}
+        slips: Array | None = None
+        most = float(np.abs(lam).max())
+        for c, i in enumerate(self._contacts.normals):
+            if mode[i]:
+                continue
+            normal, name = float(lam[i]), mode[i + 1 : i + 3]
+            found[i, 1] = self._left(normal, most)
+            if not any(name):
+                friction = math.hypot(*lam[i + 1 : i + 3])
+                found[i + 1, 1] = self._left(float(self._contacts.mu[c]) * normal - friction, most)
+            elif self._contacts.mu[c] > 0.0:
+                slips = self._contacts.slips(k, x) if slips is None else slips
+                found.update(zip(((i + 1, 0), (i + 2, 0)), ends(slips[c], name, x), strict=False))
+        return found
+
+    def _left(self, margin: float, most: float) -> float:
+        is_shared = self._contacts.forces.split is Split.LAWFUL
+        return most if is_shared and margin < _SHARED * most else margin
+
+    def leaving(self, lam: Array, left: Array, slack: Array, mode: Mode) -> dict[int, int]:
+        """Modes in which contacts that shared their force go on, where no share is left.
+
+        Args:
+            lam: Multipliers by a friction that is a little smaller, of the rows as in `margins`.
+            left: The w there.
+            slack: What counts as none of it.
+            mode: The one that ends.
+        """
+        ways: dict[int, int] = {}
+        most = max(float(lam[i]) for i in self._contacts.normals)
+        for i, after in zip(self._contacts.normals, self.found(left, slack), strict=True):
+            if mode[i]:
+                continue
+            is_idle = not any(mode[i : i + 3]) and lam[i] <= EASED * most
+            ways.update(zip(range(i, i + 3), OPEN if is_idle else after, strict=True))
+        return ways
+
+    def left(self, lam: Array, switch: int) -> dict[int, int]:
+        """Modes after a contact opens or begins to slip.
+
+        Args:
+            lam: Multipliers of the last solve, as in `margins`.
+            switch: Row of its normal where it opens, else of its first tangent.
+        """
+        i = next(i for i in self._contacts.normals if i <= switch < i + 3)
+        after = OPEN if switch == i else (0, *begun(-lam[i + 1 : i + 3]))
+        return dict(zip(range(i, i + 3), after, strict=True))
+
+    def turned(self, k: Kinematics, x: State, mode: Mode) -> list[int]:
+        """Contacts whose slips should have other names, at the start of a step."""
+        slipping = self._slipping(mode)
+        slips, slow = self._contacts.slips(k, x) if slipping else NONE, slowest(x)
+        return [c for c, i in slipping if has_turned(slips[c], mode[i + 1 : i + 3], slow)]
+
+    def slow(self, k: Kinematics, x: State, mode: Mode, switch: int) -> list[int]:
+        """Contacts whose slips should have other names where one is slow or strays.
+
+        Args:
+            k: Kinematics at the state.
+            x: State of all joints.
+            mode: One entry each of the rows that go from event to event.
+            switch: A tangent of that slip; nothing is found where it has ended.
+        """
+        slips, slow = np.linalg.norm(self._contacts.slips(k, x), axis=1), slowest(x)
+        slipping = self._slipping(mode)
+        if any(slips[c] <= slow for c, i in slipping if i < switch < i + 3):
+            return []
+        return [
+            c for c, i in slipping if i < switch < i + 3 or slow < slips[c] <= _TOGETHER * slow
+        ]
+
+    def renamed(self, left: Array, slack: Array, chosen: Collection[int]) -> dict[int, int]:
+        """Modes of slips with the names that the last solve gives them.
+
+        Args:
+            left: The w, of the rows that go from event to event.
+            slack: What counts as none of it.
+            chosen: The contacts.
+        """
+        found: dict[int, int] = {}
+        for c, (i, slip) in enumerate(
+            zip(self._contacts.normals, self._contacts.moving, strict=True)
+        ):
+            if c in chosen and slip is not None:
+                rate, none = left[i + 1 : i + 3], float(slack[i + 1 : i + 3].max())
+                name = named(slip, rate, none, self._contacts.slowest)
+                found.update(zip((i + 1, i + 2), name, strict=True))
+        return found
+
+    def _slipping(self, mode: Mode) -> list[tuple[int, int]]:
+        """Contacts that slip, and where their normals stand."""
+        every = enumerate(self._contacts.normals)
+        return [(c, i) for c, i in every if not mode[i] and any(mode[i + 1 : i + 3])]
