@@ -19,7 +19,7 @@ def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
 
     Raises:
         ModelError: The method cannot stop at events, or surfaces stand beside smoothed rows; or it
-            cannot move internal states, or takes one contact only; names them.
+            cannot move internal states; names them.
     """
     rows = () if system.exact is None else system.exact.names
     guards = [part.name for part in _parts(system) if part.guards]
@@ -32,11 +32,6 @@ def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
             f"integrator {type(method).__name__} does not stop at events, which exact rows and "
             f"guards need: {', '.join((*rows, *guards))}; accepted: rk4, dopri5, dop853, "
             f"filippov, gauss_legendre, adams, and moreau_jean without guards{way_out}"
-        )
-    if len(cones := [cone.name for cone in system.layout.cones]) > 1:
-        raise ModelError(
-            f"integrator {type_name(type(method))} takes one contact with friction, the scene has "
-            f"{', '.join(cones)}; accepted for several: moreau_jean"
         )
     from mbd_ros.core.events.event_steps import EventSteps
     from mbd_ros.core.events.mode_field import ModeField
