@@ -6,9 +6,10 @@ from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
 from mbd_ros.core.optimization.contact_problem import ContactProblem
 from mbd_ros.core.rows.row_layout import Cone
 from mbd_ros.core.state import Array
+from mbd_ros.errors import SolveError
 
 _GAINS = 1.0e-13  # of the energy before: work of impulses that is none
-_HALVINGS = 30
+_HALVINGS = 20
 
 
 def with_friction(
@@ -20,6 +21,8 @@ def with_friction(
     speed: float,
 ) -> tuple[Array, float]:
     """Impulses of the rows that touch, and the share of their restitution that is given back.
+
+    The whole is given back unless it gains energy or nothing answers it.
 
     Args:
         response: To impulses of these rows.
@@ -39,21 +42,22 @@ def with_friction(
         return compression, 1.0
     after = approach + response.A.dot(compression)
 
-    def impulses(share: float) -> Array:
-        return compression + problem.pushing(after, speed, share * given_back)
-
-    def gains(p: Array) -> bool:
+    def impulses(share: float) -> Array | None:
+        """None where there are none, or those that gain energy."""
+        try:
+            p = compression + problem.pushing(after, speed, share * given_back)
+        except SolveError:
+            return None
         work = float(p.dot(approach + 0.5 * response.A.dot(p)))
-        return work > _GAINS * speed * speed
+        return p if work <= _GAINS * speed * speed else None
 
-    whole = impulses(1.0)
-    if not gains(whole):
+    best, low, high = compression, 0.0, 1.0
+    if (whole := impulses(1.0)) is not None:
         return whole, 1.0
-    low, high, best = 0.0, 1.0, compression
     for _ in range(_HALVINGS):
         share = 0.5 * (low + high)
         p = impulses(share)
-        if gains(p):
+        if p is None:
             high = share
         else:
             low, best = share, p

@@ -106,7 +106,13 @@ class ConeNewton:
         return ConeNewton(self.A + by * np.eye(len(self.A)), self.contacts)
 
     def solve(
-        self, b: Array, bounds: Bounds, p: Array, steps: int, halvings: int = 0
+        self,
+        b: Array,
+        bounds: Bounds,
+        p: Array,
+        steps: int,
+        halvings: int = 0,
+        enough: float = _EXACT,
     ) -> tuple[Array, float]:
         """The best impulses on the way from some, and what is left of the map there.
 
@@ -116,6 +122,7 @@ class ConeNewton:
             p: Where it begins, shape (m,).
             steps: How many there may be.
             halvings: How often a step is halved that does not bring the map nearer to 0.
+            enough: What may be left of the map, per size of the impulses.
         """
         seen = self.see(b, bounds, p)
         best, smallest = p, math.inf
@@ -124,7 +131,7 @@ class ConeNewton:
             ends = left > 0.5 * smallest and left <= _SMALL * size
             if left < smallest:
                 best, smallest = p, left
-            if ends or left <= _EXACT * size or not left < math.inf:
+            if ends or left <= enough * size or not left < math.inf:
                 break
             step = self._step(seen, bounds, p)
             if not np.isfinite(step).all():

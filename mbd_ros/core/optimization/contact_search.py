@@ -6,6 +6,7 @@ by itself, and then random impulses give it a start. Source: V. Acary, M. Brémo
 solving contact problems with Coulomb friction: formulations and numerical comparisons, 2017.
 """
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -17,8 +18,10 @@ from mbd_ros.errors import SolveError
 
 _STEPS, _HALVINGS = 20, 4
 _FALLS, _LEAST = 0.3, 1.0e-9  # the damping of A, and where it ends
+_NEAR = 1.0e-4  # what may be left of the map on the way
 _SWEEPS = 5, 50
-_STARTS = 30
+_STARTS, _PATHS = 40, 20  # random ones
+_SIZES = -1.0, 2.0  # of random impulses, as powers of ten
 _LARGE = 1.0e4  # impulses in units of the rates that they end
 _SEED = 0  # the same problem has the same answer
 
@@ -62,14 +65,27 @@ def _starts(newton: ConeNewton, b: Array, bounds: Bounds, start: Array) -> Itera
         yield swept
     random = np.random.default_rng(_SEED)
     for _ in range(_STARTS):
-        near = np.abs(random.normal(size=len(b)))
+        yield _random(newton, random)
+    for _ in range(_PATHS):
+        near = _random(newton, random)
         yield _followed(newton, b, bounds, near, 10.0 ** random.uniform(-3.0, 0.0))
+
+
+def _random(newton: ConeNewton, random: np.random.Generator) -> Array:
+    """Impulses of any size, friction within its cones."""
+    _, normal, first, second, mu = newton.contacts
+    p = np.asarray(random.normal(size=len(newton.A)) * 10.0 ** random.uniform(*_SIZES))
+    p[normal] = np.abs(p[normal])
+    turn, share = random.uniform(0.0, 2.0 * math.pi, len(mu)), random.uniform(size=len(mu))
+    p[first] = share * mu * p[normal] * np.cos(turn)
+    p[second] = share * mu * p[normal] * np.sin(turn)
+    return p
 
 
 def _followed(newton: ConeNewton, b: Array, bounds: Bounds, p: Array, damping: float) -> Array:
     """Impulses at the end of the answers of A + s I, s from a damping to 0."""
     while damping > _LEAST:
-        p, _ = newton.damped(damping).solve(b, bounds, p, _STEPS, _HALVINGS)
+        p, _ = newton.damped(damping).solve(b, bounds, p, _STEPS, _HALVINGS, _NEAR)
         damping *= _FALLS
     return p
 

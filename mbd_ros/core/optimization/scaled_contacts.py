@@ -75,8 +75,8 @@ class ScaledContacts:
             SolveError: No impulses are found.
         """
         at, unit = self._at, self._unit
-        b = unit * b[at]
-        size = max(float(np.abs(b).max()), speed * _NOTHING, TINY)
+        b, least = unit * b[at], self._bounds(lower, upper, unit).least
+        size = max(float(np.abs(b).max()), float(least.max(initial=0.0)), speed * _NOTHING, TINY)
         unit = size * unit
         b, bounds = b / size, self._bounds(lower, upper, unit)
         start = np.zeros(len(at)) if warm is None else warm[at] / unit
