@@ -17,6 +17,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
 
 _STEPS, _HALVINGS = 20, 4
+_MANY = 200  # steps from the best impulses
 _FALLS, _LEAST = 0.3, 1.0e-9  # the damping of A, and where it ends
 _NEAR = 1.0e-4  # what may be left of the map on the way
 _SWEEPS = 5, 50
@@ -42,9 +43,9 @@ def searched(
         enough: What may be left.
     """
     best, smallest = start, np.inf
-    for near in _starts(newton, b, bounds, start):
+    for near, steps in _starts(newton, b, bounds, start):
         for halvings in (0, _HALVINGS):
-            p, left = newton.solve(b, bounds, near, _STEPS, halvings)
+            p, left = newton.solve(b, bounds, best if near is None else near, steps, halvings)
             left /= 1.0 + min(float(np.abs(p).max()), _LARGE)
             if left < smallest:
                 best, smallest = p, left
@@ -53,22 +54,28 @@ def searched(
     return best, smallest
 
 
-def _starts(newton: ConeNewton, b: Array, bounds: Bounds, start: Array) -> Iterator[Array]:
+def _starts(
+    newton: ConeNewton, b: Array, bounds: Bounds, start: Array
+) -> Iterator[tuple[Array | None, int]]:
+    """Where to begin, None for the best impulses so far, and how many steps there may be."""
     none = np.zeros(len(b))
-    yield start
+    yield start, _STEPS
     if start.any():
-        yield none
-    yield _followed(newton, b, bounds, none, 1.0)
+        yield none, _STEPS
+    yield _followed(newton, b, bounds, none, 1.0), _STEPS
     swept = none
     for sweeps in _SWEEPS:
         swept = _swept(newton, b, bounds, swept, sweeps)
-        yield swept
+        yield swept, _STEPS
+    yield None, _MANY
     random = np.random.default_rng(_SEED)
     for _ in range(_STARTS):
-        yield _random(newton, random)
+        yield _random(newton, random), _STEPS
+    yield None, _MANY
     for _ in range(_PATHS):
         near = _random(newton, random)
-        yield _followed(newton, b, bounds, near, 10.0 ** random.uniform(-3.0, 0.0))
+        yield _followed(newton, b, bounds, near, 10.0 ** random.uniform(-3.0, 0.0)), _STEPS
+    yield None, _MANY
 
 
 def _random(newton: ConeNewton, random: np.random.Generator) -> Array:

@@ -17,8 +17,8 @@ from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import SolveError
 
-_ENOUGH = 1.0e-13  # of the impulses: what an answer may leave of the natural map
-_ACCEPTED = 1.0e-10  # the same of the best one that any way finds
+_ENOUGH = 1.0e-14  # of the impulses: what an answer may leave of the natural map
+_ACCEPTED = 1.0e-11  # the same of the best one that any way finds
 _ROUNDING = 1.0e-14  # of a rate, relative to those that the velocity can mean
 _NOTHING = 1.0e-15  # the same of rates that no impulse has to end
 
