@@ -117,8 +117,8 @@ class ContactsInStep(GivingWay):
         """Impulses where some contacts slide all along; None where none does."""
         problem, chosen, on, b = asked.problem, asked.chosen, asked.on, asked.b
         at, tangents = on[chosen.tangents], chosen.tangents
-        J, offset = problem.J[at], problem.offset[at]
-        before, slip = ((J.dot(v) + offset).reshape(-1, 2) for v in (problem.x.v, near))
+        before = problem.rate[at].reshape(-1, 2)
+        slip = (problem.J[at].dot(near) + problem.offset[at]).reshape(-1, 2)
         none = np.square(problem.slight(problem.free)[at[::2]])
         least = _SLIPS * _dot(before, before)
         slides = _dot(slip, before) > np.maximum(least, none)

@@ -14,6 +14,7 @@ from mbd_ros.core.dynamics.step_rows import Acting, Which
 from mbd_ros.core.state import Array, State
 
 _SLIGHT = 1.0e-12  # a rate that is none, of the largest velocity
+_ROUNDING = 1.0e-9  # the same of rows between which nothing else moves
 
 
 class StepProblem(NamedTuple):
@@ -79,7 +80,9 @@ class StepProblem(NamedTuple):
         if not (closed & (self.rate < 0.0)).any():
             return np.zeros(len(closed), dtype=np.bool_)
         gained = np.abs(self.at_end - self.rate)
-        return closed & (-self.rate > np.maximum(gained, self.slight(self.x.v)))
+        speed = max(self.speed(self.x.v), self.speed(self.free))
+        slow = _ROUNDING * speed * np.sqrt(np.maximum(self.response.loose, 0.0))
+        return closed & (-self.rate > np.maximum(gained, slow))
 
     def passed(self, end: Array) -> Which:
         """One-sided rows that a velocity at the end of the step would take beyond 0."""
