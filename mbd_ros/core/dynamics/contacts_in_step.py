@@ -71,19 +71,27 @@ class ContactsInStep(GivingWay):
 
         Rows that others push beyond 0 push, too.
         """
-        acting = problem.acting
         if not len(closed):
             return free + 0.0
         while True:
-            on = np.flatnonzero((closed | ~acting.pushes)[acting.decides])
-            if closed.any() and (chosen := self._chosen(acting, on)).cones:
-                end = free + self._with_contacts(problem, chosen, on, free, near)
-            else:
-                end = free + self._change(problem, on, free)
+            end = self.pushed(problem, closed, free, near)
             more = problem.passed(end) & ~closed
             if not more.any():
                 return end
             closed = closed | more
+
+    def pushed(
+        self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None
+    ) -> Array:
+        """Velocity at the end of the step if no other rows push; arguments as for `end`."""
+        if not closed.any():
+            return super().pushed(problem, closed, free)
+        acting = problem.acting
+        on = np.flatnonzero((closed | ~acting.pushes)[acting.decides])
+        chosen = self._chosen(acting, on)
+        if not chosen.cones:
+            return super().pushed(problem, closed, free)
+        return free + self._with_contacts(problem, chosen, on, free, near)
 
     def forget(self) -> None:
         """Begin to look for the largest residuals anew."""

@@ -44,7 +44,13 @@ class GivingWay:
         """
         if not len(closed):
             return free + 0.0
-        on = np.flatnonzero(closed | ~problem.acting.pushes)
+        return self.pushed(problem, closed, free, near)
+
+    def pushed(
+        self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None
+    ) -> Array:
+        """Velocity at the end of the step if no other rows push; arguments as for `end`."""
+        on = np.flatnonzero((closed | ~problem.acting.pushes)[problem.acting.decides])
         return free + self._change(problem, on, free)
 
     def _change(self, problem: StepProblem, on: NDArray[np.intp], free: Array) -> Array:

@@ -138,7 +138,7 @@ class VelocityStep:
     ) -> tuple[State, float]:
         """State after the first impact of a step, and what is left of the step [s]."""
         v, gap, rate, h = problem.x.v, problem.gap, problem.rate, problem.h
-        end = self.giving_way.end(problem, closed & ~hits, problem.free)
+        end = self.giving_way.pushed(problem, closed & ~hits, problem.free)
         gained = (end - v) / h
         bent = problem.J.dot(gained)
         wait = min(first_closing(gap[hits], rate[hits], bent[hits]), _WHOLE * h)
