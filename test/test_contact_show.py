@@ -57,7 +57,7 @@ def test_the_wrench_at_the_centre_of_pressure_is_that_of_all_forces(offset):
         forces = rng.uniform(0.5, 9.0, (4, 3))
         points = place + np.array(CORNERS) @ R.T
         each = forces[:, [1, 2, 0]]  # tangents and normal of a level plane are the axes x, y, z
-        shown = dict(zip(part.outputs, part._show.values(k, forces), strict=True))
+        shown = dict(zip(part.outputs, part.contact.values(k, forces), strict=True))
         shown = {output.name: value for output, value in shown.items()}
         centre = forces[:, 0] @ points / forces[:, 0].sum()
         assert shown["centre_of_pressure"] == pytest.approx(centre, abs=1e-12)
@@ -77,9 +77,9 @@ def test_the_wrench_at_the_centre_of_pressure_is_that_of_all_forces(offset):
 def test_states_tell_open_slip_and_stick_apart():
     (part,) = resting(friction=[0.5, 0.5, 0.0, 0.5]).constraints
     forces = np.array(((2.0, 0.6, -0.8), (2.0, 0.3, 0.1), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
-    assert part._show.states(forces).tolist() == [SLIP, STICK, SLIP, OPEN]
+    assert part.contact.states(forces).tolist() == [SLIP, STICK, SLIP, OPEN]
     slips = np.array((False, True, False, True))
-    assert part._show.states(forces, slips).tolist() == [STICK, SLIP, STICK, OPEN]
+    assert part.contact.states(forces, slips).tolist() == [STICK, SLIP, STICK, OPEN]
 
 
 def test_arrows_and_cones_stand_where_the_contact_presses():

@@ -137,3 +137,20 @@ def test_a_contact_is_known_as_a_whole_or_not_at_all():
     given = without_contacts(result, lambda name: name == "ball_contact.friction_y")
     with pytest.raises(DataError, match=r"the result: no column ball_contact.friction_y, or it"):
         thrown().inverse(given)
+
+
+def test_bristles_are_known_by_their_forces():
+    """A ball with bristles: with columns nothing is left of it, without they are named."""
+    entry = {"type": "compliant", "between": ["ball", "ground"], "friction": 0.3}
+    entry |= {"stiffness": 1e4, "dissipation": 50.0}
+    bristles = {"bristle_stiffness": 1e4, "bristle_damping": 30.0}
+    for kind in ({"creep": 0.02}, bristles):
+        scene = thrown(slope=0.0, contacts=[entry | kind], dt=1e-3, integrator={"type": "rk4"})
+        result = scene.simulate(0.3)
+        assert np.abs(residual(scene.inverse(result))).max() <= 1e-9
+        assert 1.0 in result["samples"]["ball_contact.state"]
+    alone = without_contacts(result)
+    with pytest.raises(
+        DataError, match=r"no column ball_contact.normal, .*friction_y: contact ba"
+    ):
+        scene.inverse(alone)

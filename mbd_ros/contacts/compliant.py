@@ -14,7 +14,7 @@ from mbd_ros.core.dynamics.contact_laws import (
     NormalLaw,
     Slopes,
 )
-from mbd_ros.core.geometry.contact_show import ContactShow, force_names
+from mbd_ros.core.geometry.contact_show import ContactShow
 from mbd_ros.core.geometry.pairing import contact_pair
 from mbd_ros.core.geometry.shapes import Between
 from mbd_ros.core.geometry.size import distance_to_mass
@@ -61,6 +61,7 @@ class Compliant(Load):
     Attributes:
         pair: Gaps, frames and their derivatives.
         features: Names of its slots.
+        contact: What it shows.
         normal: Law of the normal force.
         rubbing: Law of friction, None without any.
         max_penetration: As above, 0 where neither is known [m].
@@ -114,9 +115,9 @@ class Compliant(Load):
         self.max_penetration = _DEEP * distance_to_mass(robot, self.pair) if deep is None else deep
         self.max_force = max_force
         self._nv = int(robot.model.nv)
-        self._show = ContactShow(robot, self.pair, friction)
-        forces = (Output(name, "N", frame=between.b.frame) for name in force_names(self.features))
-        self.outputs = (*forces, *self._show.outputs)
+        self.contact = ContactShow(robot, self.pair, friction)
+        forces = (Output(name, "N", frame=between.b.frame) for name in self.contact.names)
+        self.outputs = (*forces, *self.contact.outputs)
         a, b = self.pair.points
         self.default_name = f"{a.frame if a.moves else b.frame}_contact"
 
@@ -193,12 +194,12 @@ class Compliant(Load):
 
     def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
         """The wrenches on a and on b, at the centre of pressure."""
-        return self._show.wrenches(k, self.multipliers(k, x).reshape(-1, 3))
+        return self.contact.wrenches(k, self.multipliers(k, x).reshape(-1, 3))
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
         """Forces, gaps, states, what a feels, and where."""
         forces = self.multipliers(k, x)
-        return [*forces.tolist(), *self._show.values(k, forces.reshape(-1, 3))]
+        return [*forces.tolist(), *self.contact.values(k, forces.reshape(-1, 3))]
 
     def slopes(self, feature: int, force: float, share: float = 1.0) -> Slopes:
         """Slopes of the forces of a feature at rest.

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.geometry.contact_show import ContactShow, force_names
+from mbd_ros.core.geometry.contact_show import ContactShow
 from mbd_ros.core.geometry.pairing import contact_pair
 from mbd_ros.core.geometry.shapes import Between
 from mbd_ros.core.model.kinematics import Kinematics, Reads
@@ -38,6 +38,7 @@ class Rigid(Constraint):
     Attributes:
         pair: Gaps, frames and their derivatives.
         features: Names of its slots.
+        contact: What it shows.
         default_name: What it is called where nobody names it.
 
     Raises:
@@ -63,15 +64,15 @@ class Rigid(Constraint):
     ) -> None:
         self.pair = contact_pair(robot, between, margin)
         self.features = self.pair.features
-        self.rows = tuple(Row(name, "N", between.b.frame) for name in force_names(self.features))
         if isinstance(friction, Sequence) and len(friction) != len(self.features):
             known = ", ".join(self.features)
             raise ModelError(f"friction: expected one number or {len(self.features)}: {known}")
         self.law = cone(friction, restitution)
         a, b = self.pair.points
         self.default_name = f"{a.frame if a.moves else b.frame}_contact"
-        self._show = ContactShow(robot, self.pair, friction)
-        self.outputs = self._show.outputs
+        self.contact = ContactShow(robot, self.pair, friction)
+        self.rows = tuple(Row(name, "N", between.b.frame) for name in self.contact.names)
+        self.outputs = self.contact.outputs
 
     def residual(self, k: Kinematics, x: State) -> Array:
         """Gaps [m], each before two zeros: along tangents any place will do, shape (3 n,)."""
@@ -89,8 +90,8 @@ class Rigid(Constraint):
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
         """Gaps, states, what a feels, and where."""
-        return self._show.values(k, now.lam.reshape(-1, 3))
+        return self.contact.values(k, now.lam.reshape(-1, 3))
 
     def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
         """The wrenches on a and on b, at the centre of pressure."""
-        return self._show.wrenches(k, lam.reshape(-1, 3))
+        return self.contact.wrenches(k, lam.reshape(-1, 3))

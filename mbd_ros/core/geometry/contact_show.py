@@ -20,7 +20,7 @@ from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.outputs import Kind, Output, Value, exerted_on
 from mbd_ros.core.parts import Wrench
-from mbd_ros.core.state import Array
+from mbd_ros.core.state import Array, State
 
 OPEN, SLIP, STICK = 0.0, 1.0, 2.0
 _AT_BOUND = 1.0 - 1.0e-9  # of the largest friction: from here on it slips
@@ -75,12 +75,14 @@ class ContactShow:
         friction: Coefficient, or one a feature.
 
     Attributes:
+        names: Of the forces, as `force_names` gives them.
         outputs: In the order of `values`.
     """
 
     def __init__(self, robot: Robot, pair: ContactPair, friction: float | Sequence[float]) -> None:
         self._pair, self._points, self._origin = pair, pair.points, robot.origin
         self._mu = np.broadcast_to(np.array(friction, dtype=np.float64), len(pair.features))
+        self.names = force_names(pair.features)
         self._has_several = len(pair.features) > 1
         each = pair.features if self._has_several else ()
         self.outputs = (
@@ -134,6 +136,10 @@ class ContactShow:
         centre, force, torque, _ = self.resultant(k, forces, self._pair.gaps(k))
         a, b = self._points
         return Wrench(a.frame, centre, force, torque), Wrench(b.frame, centre, -force, -torque)
+
+    def exerted(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
+        """The same, of forces one after the other as rows have them, shape (3 n,)."""
+        return self.wrenches(k, lam.reshape(-1, 3))
 
     def resultant(self, k: Kinematics, forces: Array, gaps: Array) -> Resultant:
         """The forces of all features; arguments as for `values`, and the gaps, shape (n,)."""

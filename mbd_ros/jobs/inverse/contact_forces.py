@@ -4,7 +4,7 @@ A motion does not show them: a body at rest on four legs is as much at rest unde
 them. A simulation writes them beside the motion, in columns `<contact>.<row>`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,60 +13,109 @@ from mbd_ros.core.dynamics.showing import in_link
 from mbd_ros.core.estimation.torque_estimator import Observation
 from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.names import label
+from mbd_ros.core.parts import Wrench
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.rows.row_layout import labelled
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State
 from mbd_ros.errors import DataError
 from mbd_ros.files.recordings import Source, name_of, read_columns
+from mbd_ros.jobs.inverse.observed import Say
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.part_entries import MeasuredWrench
 
 
-class ContactForces(NamedTuple):
-    """Known forces of contacts, as external loads in links.
+class KnownContact(NamedTuple):
+    """A contact whose forces a motion carries.
 
     Attributes:
-        loads: On every link that a contact of known forces acts on, by a name of their own.
-        wrenches: Their values at the samples, shape (n, 6) each.
-        remarks: What is not known.
+        name: Of the contact.
+        forces: In its contact frames, one row a sample of the motion [N], shape (n, m).
+        exert: Kinematics at positions, state, and one row of forces -> wrenches on bodies.
     """
 
-    loads: dict[str, MeasuredWrench]
-    wrenches: list[Array]
-    remarks: list[str]
+    name: str
+    forces: Array
+    exert: Callable[[Kinematics, State, Array], tuple[Wrench, ...]]
 
 
-def contact_forces(
-    scene: Scene, source: Source, motion: Motion, samples: Sequence[Observation]
-) -> ContactForces:
-    """The forces of the contacts of a scene, from the columns of a motion.
+def known_contacts(scene: Scene, source: Source, say: Say) -> tuple[Scene, list[KnownContact]]:
+    """The contacts of a scene whose forces a motion carries in columns.
+
+    Forces of compliant contacts follow from positions and velocities, unless they have bristles:
+    these become known contacts, and leave the scene.
 
     Args:
         scene: The scene.
         source: Where the motion comes from.
-        motion: As it was read, a row of columns each.
-        samples: Those of it that are solved for.
+        say: Is told which columns are missing.
 
     Raises:
-        DataError: Some columns of a contact are there and others are not; names these.
+        DataError: Some columns of a contact are there and others are not, or none of one with
+            bristles; names these.
     """
-    found = ContactForces({}, [], [])
+    known, bristly = [], []
+    for part, names in _rigid(scene):
+        forces = _forces(source, names)
+        if forces is None:
+            say(_unknown(scene, source, part, names))
+        else:
+            known.append(KnownContact(part.name, forces, part.wrenches))
+    for load in scene.forces:
+        shown = getattr(load, "contact", None)
+        if shown is not None and load.internal:
+            names = [label(load, name) for name in shown.names]
+            forces = _forces(source, names)
+            if forces is None:
+                raise DataError(
+                    f"{name_of(source)}: no column {listed(names)}: contact {load.name} has "
+                    "bristles, which a motion does not show; simulate writes these columns"
+                )
+            bristly.append(load)
+            known.append(KnownContact(load.name, forces, shown.exerted))
+    if bristly:
+        kept = [part for part in scene.parts["contacts"] if part not in bristly]
+        scene = scene.holding(contacts=kept)
+    return scene, known
+
+
+def contact_loads(
+    scene: Scene, known: Sequence[KnownContact], motion: Motion, samples: Sequence[Observation]
+) -> tuple[dict[str, MeasuredWrench], list[Array]]:
+    """Known contacts as external loads of links.
+
+    Args:
+        scene: The scene.
+        known: The contacts.
+        motion: As it was read, a row of forces each.
+        samples: Those of it that are solved for.
+
+    Returns:
+        Loads by names of their own, and their values at the samples, shape (n, 6) each.
+    """
     stamps = np.array([sample.stamp for sample in samples], dtype=np.int64)
     chosen = np.searchsorted(motion.stamps, stamps)
-    states = None
-    for part, names in _contacts(scene):
-        lam = _multipliers(source, names)
-        if lam is None:
-            found.remarks.append(_unknown(scene, source, part, names))
-            continue
-        states = states or [_state(scene, sample) for sample in samples]
-        _add(found, scene, part, states, lam[chosen])
-    return found
+    states = [_state(scene, sample) for sample in samples]
+    robot, k = scene.robot, Kinematics(scene.robot)
+    values: dict[tuple[str, str], list[Array]] = {}
+    for name, forces, exert in known:
+        for x, lam in zip(states, forces[chosen], strict=True):
+            k.refresh(x.q, x.v, Reads.POSITION)
+            for wrench in exert(k, x, lam):
+                if robot.carrier(wrench.frame).moves:
+                    rows = values.setdefault((name, wrench.frame), [])
+                    rows.append(in_link(k, robot, wrench))
+    loads = {}
+    for name, frame in values:
+        load = MeasuredWrench(robot, frame=frame)
+        load.name = f"{name}_on_{frame}"
+        loads[load.name] = load
+    return loads, [np.array(rows) for rows in values.values()]
 
 
-def _contacts(scene: Scene) -> Iterator[tuple[Constraint, list[str]]]:
-    """Contacts and the columns of their multipliers."""
+def _rigid(scene: Scene) -> Iterator[tuple[Constraint, list[str]]]:
+    """Rigid contacts and the columns of their multipliers."""
     names, end = [row.name for row in labelled(scene.constraints)], 0
     for part in scene.constraints:
         begin, end = end, end + len(part.rows)
@@ -74,7 +123,7 @@ def _contacts(scene: Scene) -> Iterator[tuple[Constraint, list[str]]]:
             yield part, names[begin:end]
 
 
-def _multipliers(source: Source, names: list[str]) -> Array | None:
+def _forces(source: Source, names: list[str]) -> Array | None:
     """Columns of a contact, shape (n, m); None where there is none of them."""
     columns = read_columns(source, names)
     if columns is None:
@@ -104,21 +153,3 @@ def _state(scene: Scene, sample: Observation) -> State:
     q[couplings.q_index], v[couplings.v_index] = sample.position, sample.velocity
     couplings.expand(q, v, a)
     return State(sample.stamp * NANOSECOND, q, v)
-
-
-def _add(
-    found: ContactForces, scene: Scene, part: Constraint, states: Sequence[State], lam: Array
-) -> None:
-    """Add the loads of one contact: wrenches about the origins of links, in their axes."""
-    robot, k = scene.robot, Kinematics(scene.robot)
-    values: dict[str, list[Array]] = {}
-    for x, forces in zip(states, lam, strict=True):
-        k.refresh(x.q, x.v, Reads.POSITION)
-        for wrench in part.wrenches(k, x, forces):
-            if robot.carrier(wrench.frame).moves:
-                values.setdefault(wrench.frame, []).append(in_link(k, robot, wrench))
-    for frame, rows in values.items():
-        load = MeasuredWrench(robot, frame=frame)
-        load.name = f"{part.name}_on_{frame}"
-        found.loads[load.name] = load
-        found.wrenches.append(np.array(rows))

@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbd_ros.core.inverse.inverse_dynamics import TorqueComponents
-from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.recordings import Source, name_of
@@ -22,6 +22,9 @@ from mbd_ros.jobs.inverse.open_chains import violations
 from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.jobs.progress import Watch, watching
 from mbd_ros.scene.built_scene import Scene
+
+if TYPE_CHECKING:
+    from mbd_ros.jobs.inverse.contact_forces import KnownContact
 
 
 def inverse(
@@ -104,9 +107,10 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     where = name_of(task.motion)
     for text in scene.robot.doubts:
         say(f"warning: {text}")
+    scene, known = _known_contacts(scene, task, say)
     observed = observe_motion(scene, task, say)
     samples = observed.samples
-    scene, wrenches = _with_contacts(scene, task, observed, say)
+    scene, wrenches = _with_contacts(scene, known, observed)
     asked = task.bounds if way is loops else task.parts
     columns, remarks = way.solve(scene, where, samples, wrenches, asked)
     table = Table([*time_columns(observed.stamps), *columns])
@@ -123,19 +127,26 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     return Result({MAIN: table}, {**about_it, "stamps": "recorded"})
 
 
-def _with_contacts(
-    scene: Scene, task: Task, observed: Observed, say: Say
-) -> tuple[Scene, list[Array]]:
-    """The scene with known forces of its contacts among its loads, and the values of all loads."""
-    if not any(part.law.kind is Kind.CONE for part in scene.constraints):
-        return scene, observed.wrenches
-    from mbd_ros.jobs.inverse.contact_forces import contact_forces  # only where something touches
+def _known_contacts(scene: Scene, task: Task, say: Say) -> "tuple[Scene, list[KnownContact]]":
+    """Contacts whose forces the motion carries, and the scene without those that need them."""
+    if not scene.parts.get("contacts"):
+        return scene, []
+    from mbd_ros.jobs.inverse.contact_forces import known_contacts  # only where something touches
 
-    found = contact_forces(scene, task.motion, observed.motion, observed.samples)
-    for text in found.remarks:
-        say(text)
-    loads = {**scene.wrenches, **found.loads}
-    return scene.holding(external_wrenches=loads), [*observed.wrenches, *found.wrenches]
+    return known_contacts(scene, task.motion, say)
+
+
+def _with_contacts(
+    scene: Scene, known: "list[KnownContact]", observed: Observed
+) -> tuple[Scene, list[Array]]:
+    """The scene with known contacts among its loads, and the values of all loads."""
+    if not known:
+        return scene, observed.wrenches
+    from mbd_ros.jobs.inverse.contact_forces import contact_loads
+
+    loads, wrenches = contact_loads(scene, known, observed.motion, observed.samples)
+    every = {**scene.wrenches, **loads}
+    return scene.holding(external_wrenches=every), [*observed.wrenches, *wrenches]
 
 
 def _inputs(task: Task) -> dict[str, object]:
