@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 import mbd_ros as mbd
 from mbd_ros.core.dynamics.showing import Showing
@@ -11,6 +12,7 @@ from mbd_ros.core.outputs import Kind
 from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.simulation.divergence import last_finite
 from mbd_ros.core.state import State
+from mbd_ros.nodes.simulator.contacts import topic_of
 
 G, MASS = 9.81, 3.0
 CORNERS = [[x, y, -0.1] for x in (-0.3, 0.2) for y in (-0.15, 0.15)]
@@ -154,3 +156,17 @@ def test_contacts_that_give_way_show_the_same(friction, mu, state):
     assert force @ (s, 0.0, c) == pytest.approx(MASS * G * c, rel=1e-6)
     assert force @ (-c, 0.0, s) == pytest.approx(friction_force, rel=1e-6)
     assert -2e-4 < last["gap"] < 0.0
+
+
+@pytest.mark.parametrize(
+    ("contact", "topic"),
+    [
+        ("foot_contact", "~/contacts/foot_contact"),
+        ("left/foot_contact", "~/contacts/left/foot_contact"),
+        ("tip.1 contact#2", "~/contacts/tip_1_contact_2"),
+        ("2nd", "~/contacts/_2nd"),
+    ],
+)
+def test_contacts_have_topics_that_ros_accepts(contact, topic):
+    assert topic_of(contact) == topic
+    validate_full_topic_name(topic.replace("~", "/simulator"))

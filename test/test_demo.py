@@ -167,6 +167,11 @@ def test_layouts_name_topics_of_the_demo():
     kinds = [display["Class"].rpartition("/")[2] for display in shown]
     assert kinds == ["Grid", "RobotModel", "TF", "MarkerArray"]
     assert shown[3]["Topic"]["Value"] == f"{topics.SIMULATOR}/markers"
+    contact = yaml.safe_load((CONFIG / "rviz/contact.rviz").read_text(encoding="utf-8"))
+    *first, body = contact["Visualization Manager"]["Displays"]
+    assert [display["Class"].rpartition("/")[2] for display in first] == kinds
+    assert first[3]["Topic"]["Value"] == f"{topics.SIMULATOR}/markers"
+    assert body["Topic"]["Value"] == "/box/odometry"
     joints = load_scene(ROBOTS["arm"].scene).actuated
     layout = ElementTree.parse(CONFIG / "plotjuggler/demo.xml")
     curves = [curve.get("name") for curve in layout.iter("curve")]

@@ -10,6 +10,7 @@ from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator
 from mbd_ros.core.model.base_motion import IndependentCoordinates
 from mbd_ros.core.model.poses import TWIST
+from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.nodes.inverse_dynamics.parameters import tuning
 from mbd_ros.nodes.inverse_dynamics.wrench_queue import WrenchQueue
@@ -145,6 +146,8 @@ class Pipeline:
         robot, filters = self.scene.robot, self.estimator.differentiator
         reconstructed = [name for name in self._missing if name in self._dependent]
         several = self.whole is not None
+        rows = self.scene.constraints
+        contacts = ", ".join(part.name for part in rows if part.law.kind is Kind.CONE)
         return {
             "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
             "joints dropped": ", ".join(robot.locked) or "none",
@@ -156,6 +159,7 @@ class Pipeline:
             "largest coupling violation": f"{np.abs(self._violation).max(initial=0.0):.6g}",
             "solver tier": tier(self.scene),
             **({"off the loops": f"{self._solver.moved:.6g}"} if self._has_loops else {}),
+            **({"contacts of unknown force": contacts} if contacts else {}),
             **({"topics not heard": self._unheard} if several else {}),
         }
 
