@@ -102,20 +102,27 @@ def longest_step(method: Integrator, motion: LinearMotion, dt: float) -> float:
     if not method.is_explicit or motion.rate * dt <= method.stable * (1.0 + _SLACK):
         return math.inf
     short, long = method.stable / motion.rate, dt
-    if not short > 0.0 or not _is_bounded(method, motion, short):
+    if not short > 0.0 or not _grows_not(method, motion, short):
         return short
-    if _is_bounded(method, motion, dt):
+    if _grows_not(method, motion, dt):
         return math.inf
     for _ in range(_HALVINGS):
         middle = math.sqrt(short * long)
-        if _is_bounded(method, motion, middle):
+        if _grows_not(method, motion, middle):
             short = middle
         else:
             long = middle
     return short
 
 
-def _is_bounded(method: Integrator, motion: LinearMotion, dt: float) -> bool:
+def is_bounded(method: Integrator, motion: LinearMotion, dt: float) -> bool:
+    """Whether a step lets no mode grow which does not grow by itself; arguments as above."""
+    if not method.is_explicit or motion.rate * dt <= method.stable * (1.0 + _SLACK):
+        return True
+    return _grows_not(method, motion, dt)
+
+
+def _grows_not(method: Integrator, motion: LinearMotion, dt: float) -> bool:
     return method.growth(motion, dt) <= motion.growth(dt) * (1.0 + _GROWTH)
 
 

@@ -1,0 +1,147 @@
+"""The motion of all contacts that give way together, linear around a state.
+
+The speeds of the contact points are w = J v, and forces lam on them change w' by A lam with the
+inverse effective mass of all contacts together,
+
+    A = J M^-1 J' = L L',   w = L y,   y'' = -L' (K L y + C L y'),
+
+constraints and couplings kept. The coordinates y of the motion are as many as A has rank, and its
+matrices are symmetric. Bristles stick: their deflections are internal states with z' = L_t y'.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.integration.linear_motion import LinearMotion
+from mbd_ros.core.model.kinematics import Reads
+from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import redundant
+
+_APART = 1.0e-12  # of the inverse masses: contacts that do not move one another
+
+
+class Feature(NamedTuple):
+    """A feature that touches.
+
+    Attributes:
+        part: Its contact.
+        slot: Its place among the features of that.
+        load: Normal force that it carries [N].
+    """
+
+    part: Any
+    slot: int
+    load: float
+
+
+class ContactMotion:
+    """Touching features and how they move one another.
+
+    Args:
+        features: Those that touch.
+        A: Inverse effective mass, normal and tangents of each, shape (3 n, 3 n).
+    """
+
+    def __init__(self, features: Sequence[Feature], A: Array) -> None:
+        self.features, self.A = tuple(features), A
+
+    def linear(self, share: float = 1.0) -> LinearMotion:
+        """The motion with a multiple of the stiffness of all contacts."""
+        found = [f.part.slopes(f.slot, f.load, share) for f in self.features]
+        k, c, kt, ct = np.array(found).T
+        L = self._factor()
+        normal, sides = L[::3], np.delete(L, slice(None, None, 3), axis=0)
+        bent = np.flatnonzero(np.repeat(kt, 2))
+        r, n = L.shape[1], L.shape[1] + len(bent)
+        stiffness, damping = np.zeros((2, n, n))
+        stiffness[:r, :r] = -(normal.T * k).dot(normal)
+        damping[:r, :r] = -(normal.T * c).dot(normal) - (sides.T * np.repeat(ct, 2)).dot(sides)
+        damping[:r, r:] = -(sides[bent].T * np.repeat(kt, 2)[bent])
+        damping[r:, :r] = sides[bent]
+        return LinearMotion(stiffness, damping)
+
+    def stiffest(self) -> tuple[float, float]:
+        """Stiffness and damping over mass of the fastest motion along normals [1/s^2, 1/s]."""
+        found = [f.part.slopes(f.slot, f.load) for f in self.features]
+        k, c = np.array(found).T[:2]
+        normal = self._factor()[::3]
+        sizes, ways = np.linalg.eigh((normal.T * k).dot(normal))
+        way = normal.dot(ways[:, -1])
+        return float(sizes[-1]), float(way.dot(c * way))
+
+    def parted(self) -> "list[ContactMotion]":
+        """The motions of contacts that do not move one another."""
+        owners = [self.features.index(next(g for g in self.features if g.part is f.part))
+                  for f in self.features]  # fmt: skip
+        size = np.sqrt(np.maximum(np.diag(self.A), 0.0))
+        joined = np.abs(self.A) > _APART * np.outer(size, size)
+        n = len(self.features)
+        linked = joined.reshape(n, 3, n, 3).any(axis=(1, 3))
+        linked[np.arange(n), owners] = linked[owners, np.arange(n)] = True
+        while True:
+            further = linked.astype(float).dot(linked) > 0.0
+            if (further == linked).all():
+                break
+            linked = further
+        groups = dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in linked)
+        return [self._of(list(group)) for group in groups]
+
+    def _of(self, some: list[int]) -> "ContactMotion":
+        rows = (3 * np.array(some)[:, None] + np.arange(3)).reshape(-1)
+        return ContactMotion([self.features[i] for i in some], self.A[np.ix_(rows, rows)])
+
+    def _factor(self) -> Array:
+        """The L, shape (3 n, rank)."""
+        sizes, ways = np.linalg.eigh(0.5 * (self.A + self.A.T))
+        kept = sizes > redundant(len(sizes)) * sizes[-1]
+        factor: Array = ways[:, kept] * np.sqrt(sizes[kept])
+        return factor
+
+
+def touching_motion(
+    system: System, parts: Sequence[Any], x: State, u: Array | None = None
+) -> ContactMotion:
+    """The motion of all contacts at a state, as if each touched with its nearest features.
+
+    A feature counts with the load that it carries, or would carry at rest: the least loads that
+    keep all of them from going deeper, as springs of one stiffness share them.
+
+    Args:
+        system: The system.
+        parts: Contacts that give way.
+        x: State of all joints.
+        u: Inputs.
+    """
+    k, still = system.k, x._replace(v=np.zeros_like(x.v))
+    now = system.evaluate(still, u)
+    k.refresh(x.q, still.v, Reads.JACOBIAN)
+    given = system.loads.inputs(still, u)
+    pushed = sum(part.force(k, still, given) for part in parts)
+    rows, slots = [], list[tuple[Any, int]]()
+    for part in parts:
+        gaps, J = part.pair.gaps(k), part.pair.jacobian(k)
+        near = np.flatnonzero(gaps <= max(float(gaps.min()), 0.0) + part.max_penetration)
+        slots += [(part, int(i)) for i in near]
+        rows += [J[3 * i : 3 * i + 3] for i in near]
+    J = np.concatenate(rows)
+    answer = now.respond(np.column_stack((J.T, pushed)))
+    A, free = J.dot(answer[:, :-1]), now.a - answer[:, -1]
+    loads = _at_rest(A[::3, ::3], J[::3].dot(free))
+    found = [Feature(*slot, load) for slot, load in zip(slots, loads.tolist(), strict=True)]
+    return ContactMotion(found, A)
+
+
+def _at_rest(A: Array, approach: Array) -> Array:
+    """Least loads >= 0 that end an approach [m/s^2], shape (n,)."""
+    loads, pushing = np.zeros(len(A)), np.arange(len(A))
+    while len(pushing):
+        block = A[np.ix_(pushing, pushing)]
+        found = np.linalg.lstsq(block, -approach[pushing], rcond=redundant(len(A)))[0]
+        if (found >= 0.0).all():
+            loads[pushing] = found
+            break
+        pushing = pushing[found > 0.0]
+    return loads
