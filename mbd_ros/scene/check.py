@@ -1,6 +1,5 @@
 """The parts that a scene builds and leaves out, and the cost of a call."""
 
-import math
 import sys
 import timeit
 from collections.abc import Iterator
@@ -12,17 +11,16 @@ import pinocchio as pin
 from mbd_ros.core.dynamics.mass_check import check_mass
 from mbd_ros.core.dynamics.system import System, evaluation_at
 from mbd_ros.core.dynamics.tiers import tier_of
-from mbd_ros.core.integration.linear_motion import LinearMotion, linear_motion, longest_step
 from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import State
 from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.errors import SolveError
-from mbd_ros.scene.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE, Scene
-from mbd_ros.scene.part_entries import build_part
+from mbd_ros.scene.built_scene import DEFAULT_INTEGRATOR, Scene
 from mbd_ros.scene.part_lines import line, member_lines, part_lines, type_name, unused_rubbing
 from mbd_ros.scene.start_check import start_warnings
+from mbd_ros.scene.step_lines import step_lines
 
 _CALLS, _REPEATS = 2000, 5
 MEASURED = 0.02  # s for which a call is timed, a few times over
@@ -77,7 +75,7 @@ def _lines(scene: Scene) -> Iterator[str]:
     yield from (line("warning", text) for text in robot.doubts)
     yield from _warnings(scene, system, start, factor)
     if not fault:
-        yield from _stiffness(scene, linear_motion(system, start))
+        yield from step_lines(scene, system, start)
     left_out = (*scene.absent, *unused_rubbing(scene), *robot.ignored)
     yield line("left out", "; ".join(left_out) or "nothing")
     cost = _loop_cost(scene, system.expand(start)) if scene.has_loops else _cost(scene)
@@ -120,21 +118,6 @@ def _warnings(scene: Scene, system: System, x: State, factor: RowFactor | None) 
     without = [joint.name for joint in driven if joint.max_effort == 0.0]
     if without:
         yield line("warning", f"no authority: effort limit 0 of {', '.join(without)}")
-
-
-def _stiffness(scene: Scene, motion: LinearMotion) -> Iterator[str]:
-    method, name = scene.integrator, DEFAULT_INTEGRATOR["type"]
-    if method is not None:
-        name = type_name(method)
-    elif motion.rate * scene.dt > DEFAULT_STABLE:
-        method = build_part("integrators", DEFAULT_INTEGRATOR, "default")
-    longest = math.inf if method is None else longest_step(method, motion, scene.dt)
-    if not math.isfinite(motion.rate):
-        yield line("warning", f"stiff: forces change too steeply for any step of {name}")
-    elif longest < math.inf:
-        limit = f"steps of {name} need dt < {longest:.2g} s, gauss_legendre does not"
-        stiff = f"stiff: fastest rate {motion.rate:.3g} 1/s at dt {scene.dt:g} s"
-        yield line("warning", f"{stiff}; {limit}")
 
 
 def _mass_fault(scene: Scene, system: System) -> str:

@@ -14,11 +14,6 @@ from mbd_ros.core.state import State
 _SLACK = 1.0e-9  # relative
 
 
-def compliant(scene: Any) -> tuple[Any, ...]:
-    """The contacts of a scene that give way."""
-    return tuple(part for part in scene.parts.get("contacts", ()) if hasattr(part, "slopes"))
-
-
 def windows_at(
     system: System, parts: Sequence[Any], method: Integrator, dt: float, x: State
 ) -> list[Window]:
@@ -68,8 +63,7 @@ def window_doubts(window: Window, method: Integrator, dt: float) -> Iterator[str
         )
     elif k > window.upper * (1.0 + _SLACK):
         yield (
-            f"{here} is above its window, {ends}: steps of {name} need dt < "
-            f"{window.longest:.3g} s"
+            f"{here} is above its window, {ends}: steps of {name} need dt < {window.longest:.3g} s"
         )
     if k < window.lower * (1.0 - _SLACK):
         yield (

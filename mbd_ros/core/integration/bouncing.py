@@ -15,7 +15,7 @@ GAIN = 0.01  # of the speed of the approach, which counts as none
 _PHASES = 24  # of the step in which the mass arrives
 _BEFORE = 10  # steps on the way there, in which methods with a history gather theirs
 _STEPS = 400
-_SHARES = np.geomspace(1.0e-4, 1.0, 33)
+_SHARES = np.geomspace(1.0e-3, 1.0, 25).tolist()
 _HALVINGS = 8
 
 

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.linear_motion import LinearMotion
@@ -20,6 +21,7 @@ from mbd_ros.core.model.kinematics import Reads
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import redundant
 
+Linked = NDArray[np.bool_]
 _APART = 1.0e-12  # of the inverse masses: contacts that do not move one another
 
 
@@ -74,15 +76,14 @@ class ContactMotion:
 
     def parted(self) -> "list[ContactMotion]":
         """The motions of contacts that do not move one another."""
-        owners = [self.features.index(next(g for g in self.features if g.part is f.part))
-                  for f in self.features]  # fmt: skip
         size = np.sqrt(np.maximum(np.diag(self.A), 0.0))
-        joined = np.abs(self.A) > _APART * np.outer(size, size)
         n = len(self.features)
-        linked = joined.reshape(n, 3, n, 3).any(axis=(1, 3))
-        linked[np.arange(n), owners] = linked[owners, np.arange(n)] = True
+        joined = np.abs(self.A) > _APART * np.outer(size, size)
+        parts = [feature.part for feature in self.features]
+        same = np.array([[a is b for a in parts] for b in parts])
+        linked: Linked = np.logical_or(joined.reshape(n, 3, n, 3).any(axis=(1, 3)), same)
         while True:
-            further = linked.astype(float).dot(linked) > 0.0
+            further: Linked = linked.dot(linked)
             if (further == linked).all():
                 break
             linked = further
@@ -106,8 +107,8 @@ def touching_motion(
 ) -> ContactMotion:
     """The motion of all contacts at a state, as if each touched with its nearest features.
 
-    A feature counts with the load that it carries, or would carry at rest: the least loads that
-    keep all of them from going deeper, as springs of one stiffness share them.
+    A feature counts with the load that it would carry at rest: the least loads that keep all of
+    them from going deeper, as springs of one stiffness share them.
 
     Args:
         system: The system.
@@ -120,18 +121,41 @@ def touching_motion(
     k.refresh(x.q, still.v, Reads.JACOBIAN)
     given = system.loads.inputs(still, u)
     pushed = sum(part.force(k, still, given) for part in parts)
-    rows, slots = [], list[tuple[Any, int]]()
+    slots = list[tuple[Any, int]]()
     for part in parts:
-        gaps, J = part.pair.gaps(k), part.pair.jacobian(k)
+        gaps = part.pair.gaps(k)
         near = np.flatnonzero(gaps <= max(float(gaps.min()), 0.0) + part.max_penetration)
         slots += [(part, int(i)) for i in near]
-        rows += [J[3 * i : 3 * i + 3] for i in near]
-    J = np.concatenate(rows)
+    J = _rows(system, slots)
     answer = now.respond(np.column_stack((J.T, pushed)))
     A, free = J.dot(answer[:, :-1]), now.a - answer[:, -1]
     loads = _at_rest(A[::3, ::3], J[::3].dot(free))
     found = [Feature(*slot, load) for slot, load in zip(slots, loads.tolist(), strict=True)]
     return ContactMotion(found, A)
+
+
+def pressed_motion(
+    system: System, parts: Sequence[Any], x: State, u: Array | None = None
+) -> ContactMotion | None:
+    """The motion of all contacts that push at a state, with their forces there; None without any.
+
+    Arguments are those of `touching_motion`.
+    """
+    k, now = system.k, system.evaluate(x, u)
+    k.refresh(x.q, x.v, Reads.JACOBIAN)
+    loads = [(part, part.multipliers(k, x)[::3].tolist()) for part in parts]
+    found = [Feature(part, i, f) for part, of in loads for i, f in enumerate(of) if f > 0.0]
+    if not found:
+        return None
+    J = _rows(system, [feature[:2] for feature in found])
+    return ContactMotion(found, J.dot(now.respond(J.T)))
+
+
+def _rows(system: System, slots: Sequence[tuple[Any, int]]) -> Array:
+    """Rows of features, at the state of k, shape (3 n, nv)."""
+    whole = {id(part): part.pair.jacobian(system.k) for part, _ in slots}
+    rows: Array = np.concatenate([whole[id(part)][3 * i : 3 * i + 3] for part, i in slots])
+    return rows
 
 
 def _at_rest(A: Array, approach: Array) -> Array:

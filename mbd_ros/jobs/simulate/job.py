@@ -3,7 +3,7 @@
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -123,6 +123,7 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     states, residuals, failure = _states(simulation, x, run)
     wall = time.perf_counter() - begin
     evaluations = simulation.system.evaluations
+    _say_windows(scene, simulation, states, say)
     table, lost = table_of(simulation.system, states)
     table, of_contacts = _with_residuals(table, residuals)
     topics = topics_of(simulation.system)
@@ -145,6 +146,16 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     for text in said:
         say(text)
     return result
+
+
+def _say_windows(scene: Scene, simulation: Simulation, states: Sequence[State], say: Say) -> None:
+    """Say what is to be said of contacts that give way, also where the motion diverged."""
+    parts = [part for part in scene.parts.get("contacts", ()) if hasattr(part, "slopes")]
+    if parts and states:
+        from mbd_ros.jobs.simulate.window_check import window_words
+
+        for text in window_words(simulation, parts, states):
+            say(text)
 
 
 def _ended(scene: Scene, result: Result, failure: MbdError) -> Result:
