@@ -321,7 +321,7 @@ def test_every_integrator_takes_bristles(method, dt):
         return [vx, vz, -rub / 2.0, normal / 1.5 - G, bent]
 
     end = solve_ivp(
-        rates, (0.0, 0.1), [0.0, 0.002, 0.3, 0.0, 0.0], rtol=1e-9, atol=1e-12, max_step=1e-4
+        rates, (0.0, 0.06), [0.0, 0.002, 0.3, 0.0, 0.0], rtol=1e-9, atol=1e-12, max_step=1e-4
     ).y[:, -1]
     found, _ = states(scene, 0.06, integrator={"type": method}, dt=dt)
     x = found[-1]
