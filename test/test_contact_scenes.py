@@ -50,3 +50,46 @@ def test_the_sphere_slides_and_rolls():
     assert [s.q[0] for s in states] == pytest.approx(x, abs=1e-10)
     assert [np.linalg.norm(s.v[:3]) for s in states] == pytest.approx(v, abs=1e-10)
     assert [s.v[4] for s in states] == pytest.approx(spin, abs=1e-9)
+
+
+SLOPE = float(np.radians(20.0))
+
+
+def on_the_incline(t, mu=0.5, speed=3.0, angle=SLOPE):
+    """Way uphill of a block that brakes and then stays."""
+    a = GRAVITY * (np.sin(angle) + mu * np.cos(angle))
+    slides = np.minimum(t, speed / a)
+    return speed * slides - 0.5 * a * slides**2
+
+
+def corner_forces(mu, mass=2.0, length=0.2, height=0.1, angle=SLOPE):
+    """Normal forces at an edge of a block behind, and before, while friction mu N acts on it."""
+    normal = mass * GRAVITY * np.cos(angle)
+    tilt = mu * normal * height / 2.0 / length
+    return normal / 2.0 - tilt, normal / 2.0 + tilt
+
+
+UPHILL = np.array((np.cos(SLOPE), 0.0, np.sin(SLOPE)))
+
+
+def uphill(scene, states):
+    return np.array([(x.q[:3] - scene.initial.q[:3]) @ UPHILL for x in states])
+
+
+def normals(simulation, x):
+    """Normal forces of all contacts, by part and feature."""
+    lam, layout = simulation.system.evaluate(x).lam, simulation.system.layout
+    return [lam[block.slots][::3] for block in layout.blocks if block.cones()]
+
+
+@pytest.mark.parametrize("method", ["dop853", "rk4"])
+def test_the_block_slides_uphill_and_stays(method):
+    how = {"integrator": {"type": method}, "dt": 0.05}
+    scene, simulation, states = motion("block_on_incline", 0.5, **how)
+    t = np.array([x.t for x in states])
+    assert uphill(scene, states) == pytest.approx(on_the_incline(t), abs=1e-10)
+    (sliding,) = normals(simulation, states[2])
+    behind, before = corner_forces(0.5)
+    assert sliding[[0, 2]].sum() == pytest.approx(behind, abs=1e-9)
+    assert sliding[[1, 3]].sum() == pytest.approx(before, abs=1e-9)
+    assert np.all(sliding[4:] == 0.0)
