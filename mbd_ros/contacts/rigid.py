@@ -34,11 +34,14 @@ class Rigid(Constraint):
         friction: Coefficient mu, or one a feature.
         restitution: Share of the impulse of a compression that its expansion gives back.
         margin: Distance at which surfaces count as touching.
+        assemble: Whether bodies that overlap at the start are lifted out of one another, each the
+            least by its mass; otherwise such a start is refused.
 
     Attributes:
         pair: Gaps, frames and their derivatives.
         features: Names of its slots.
         contact: What it shows.
+        assemble: As given.
         default_name: What it is called where nobody names it.
 
     Raises:
@@ -48,7 +51,12 @@ class Rigid(Constraint):
 
     smoothed = False
     example = {
-        **{"between": [{"frame": "heel", "sphere": 0.02}, {"half_space": [0, 0, 1]}]},
+        **{
+            "between": [
+                {"frame": "heel", "sphere": 0.02},
+                {"half_space": [0, 0, 1], "xyz": [0, 0, -9]},
+            ]
+        },
         **{"friction": 0.5, "margin": 0.001},
     }
     reads = Reads.DRIFT
@@ -61,7 +69,9 @@ class Rigid(Constraint):
         friction: Annotated[NotNegative | Sequence[NotNegative], Unit("-")],
         restitution: Annotated[float, Within(0.0, 1.0), Unit("-")] = 0.0,
         margin: Annotated[NotNegative, Unit("m")] = 0.0,
+        assemble: bool = False,
     ) -> None:
+        self.assemble = assemble
         self.pair = contact_pair(robot, between, margin)
         self.features = self.pair.features
         if isinstance(friction, Sequence) and len(friction) != len(self.features):
@@ -87,6 +97,10 @@ class Rigid(Constraint):
     def drift(self, k: Kinematics, x: State) -> Array:
         """J' v, shape (3 n,)."""
         return self.pair.drift(k, x)
+
+    def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
+        """Both `jacobian` and `drift`, for the places of one."""
+        return self.pair.accelerations(k, x)
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
         """Gaps, states, what a feels, and where."""

@@ -141,7 +141,7 @@ def _held_start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
 def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
     """The assembled start and its rows; a mechanism that cannot be assembled is an error."""
     try:
-        x = _settled(system, assemble(system, system.reduce(scene.initial)))
+        x = _settled(system, _apart(system, assemble(system, system.reduce(scene.initial))))
     except SolveError as error:
         raise SolveError(f"{scene.name}: {error}") from error
     a = system.evaluate(system.expand(x)).a
@@ -150,6 +150,14 @@ def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
     if not system.held.rows:
         return x, None
     return x, system.held.factor_at(x.t, x.q)
+
+
+def _apart(system: System, y: State) -> State:
+    if not system.layout.cones:
+        return y
+    from mbd_ros.core.projection.overlap import without_overlap
+
+    return without_overlap(system, y)
 
 
 def _settled(system: System, y: State) -> State:

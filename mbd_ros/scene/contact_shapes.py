@@ -10,6 +10,7 @@ from mbd_ros.core.geometry.shapes import (
     Capsule,
     Cylinder,
     HalfSpace,
+    Mesh,
     Points,
     Shape,
     Side,
@@ -22,6 +23,7 @@ from mbd_ros.core.rows.pair_rows import check_normal, plane_of
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
+from mbd_ros.scene.locate import find_file
 
 GROUND = "ground"  # the half space below the origin of the world, unless something is called so
 MAX_POINTS = 200  # of one entry: as many as a scene may have rows of contacts
@@ -52,29 +54,44 @@ def read_side(site: Site, given: Any, where: str) -> Side:
     (kind,) = found
     size = entry.pop(kind)
     frame, at = schema.call(_placed, entry, where, site.robot)
-    return Side(frame, (_shape(site.robot, kind, size, at, f"{where}.{kind}"),))
+    return Side(frame, (_shape(site, kind, size, at, f"{where}.{kind}"),))
 
 
 def _named(site: Site, name: str, where: str) -> Side:
-    """The shape of a body, or the ground."""
-    robot: Any = site.robot
+    """The shape of a body, the ground, or what a description says of a link."""
+    robot = _robot(site)
     recipe = next((r for r in robot.recipes if r.name and r.name == name), None)
     if recipe is not None and recipe.shape is not None:
-        at = robot.point(name)
-        return Side(name, tuple(_shape(robot, *s, at, where) for s in (recipe.shape,)))
+        return Side(name, (_shape(site, *recipe.shape, robot.point(name), where),))
     if name == GROUND and not robot.model.existFrame(name):
         rest = _at_rest(robot)
         return Side(rest, (HalfSpace(robot.point(rest)),))
-    known = [r.name for r in robot.recipes if r.shape is not None]
-    raise SceneError(
-        f"{where}: '{name}' has no shape; accepted: {', '.join((GROUND, *known))}, or a mapping "
-        f"with a frame and one of {', '.join(_SHAPES)}"
-    )
+    try:
+        robot.frame(name)
+    except ModelError as error:
+        raise SceneError(f"{where}: {error}; or {GROUND}, where nothing is called so") from error
+    from mbd_ros.scene.collision_shapes import collisions_of
+
+    shapes = []
+    for i, found in enumerate(collisions_of(site, name, where)):
+        at = robot.point(name, found.xyz, found.rpy)
+        told = f"{where}: {name}: <collision> {i}"
+        shapes.append(_shape(site, found.kind, found.size, at, told))
+    return Side(name, tuple(shapes))
 
 
-def _shape(robot: Any, kind: str, size: Any, at: Point, where: str) -> Shape:
+def _robot(site: Site) -> Robot:
+    assert site.robot is not None
+    return site.robot
+
+
+def _shape(site: Site, kind: str, size: Any, at: Point, where: str) -> Shape:
+    if kind == "mesh":
+        entry = size if isinstance(size, dict) else {"file": size}
+        mesh: Shape = schema.call(_mesh, entry, where, site, at, where)
+        return mesh
     entry = size if kind in _BY_KEYS else {"size": size}
-    shape: Shape = schema.call(_SHAPES[kind], entry, where, robot, at)
+    shape: Shape = schema.call(_SHAPES[kind], entry, where, site, at)
     return shape
 
 
@@ -94,31 +111,39 @@ def _at_rest(robot: Robot) -> str:
     return "universe" if robot.model.existFrame(WORLD) else WORLD
 
 
-def _sphere(robot: Robot, at: Point, size: _NotNegative) -> Shape:
+def _sphere(site: Site, at: Point, size: _NotNegative) -> Shape:
     return Sphere(at, size)
 
 
-def _points(robot: Robot, at: Point, size: _Points) -> Shape:
+def _points(site: Site, at: Point, size: _Points) -> Shape:
     if not 1 <= len(size) <= MAX_POINTS:
         raise ModelError(f"{len(size)} points, accepted are 1 .. {MAX_POINTS}")
     return Points(at, np.array(size, dtype=np.float64))
 
 
-def _box(robot: Robot, at: Point, size: _Sides) -> Shape:
+def _box(site: Site, at: Point, size: _Sides) -> Shape:
     return Box(at, np.array(size, dtype=np.float64))
 
 
-def _capsule(robot: Robot, at: Point, radius: _Metres, length: _Metres) -> Shape:
+def _capsule(site: Site, at: Point, radius: _Metres, length: _Metres) -> Shape:
     return Capsule(at, radius, length)
 
 
-def _cylinder(robot: Robot, at: Point, radius: _Metres, length: _Metres) -> Shape:
+def _cylinder(site: Site, at: Point, radius: _Metres, length: _Metres) -> Shape:
     return Cylinder(at, radius, length)
 
 
-def _half_space(robot: Robot, at: Point, size: Vector) -> Shape:
+def _half_space(site: Site, at: Point, size: Vector) -> Shape:
     check_normal(size)
-    return HalfSpace(plane_of(robot, at, size))
+    return HalfSpace(plane_of(_robot(site), at, size))
+
+
+def _mesh(
+    site: Site, at: Point, where: str, *, file: str, scale: Vector = (1.0, 1.0, 1.0)
+) -> Shape:
+    from mbd_ros.scene.mesh_file import read_mesh
+
+    return Mesh(at, read_mesh(find_file(site.origin.folder, file, where), scale, where))
 
 
 _SHAPES: Mapping[str, Callable[..., Shape]] = {
@@ -128,5 +153,6 @@ _SHAPES: Mapping[str, Callable[..., Shape]] = {
     "capsule": _capsule,
     "cylinder": _cylinder,
     "half_space": _half_space,
+    "mesh": _mesh,
 }
 _BY_KEYS = ("capsule", "cylinder")

@@ -75,7 +75,11 @@ def _words(part: Any) -> dict[str, str]:
     where = getattr(part, "joints", None) or [getattr(part, "joint", None)]
     names = ", ".join(str(getattr(joint, "name", joint)) for joint in where if joint)
     words = {"kind": type_name(part), "at": f" at {names}" if names else ""}
-    words |= {"rows": "", "law": "", "features": ", ".join(getattr(part, "features", ()))}
+    words |= {"rows": "", "law": "", "contact": ""}
+    if hasattr(part, "pair") and hasattr(part, "features"):
+        from mbd_ros.scene.contact_lines import contact_words
+
+        words["contact"] = contact_words(part)
     if isinstance(part, Part):
         words["name"] = part.name
     if hasattr(part, "rows"):

@@ -109,7 +109,7 @@ SECTIONS = (
         "mbd_ros.scene.contact_entries:build_contacts",
         (*_EVERY_ROBOT, "bodies"),
         ("residual or force",),
-        "contact: {name}, {kind}: {features}",
+        "contact: {name}, {kind} {contact}",
         "contacts",
     ),
     Section(

@@ -7,7 +7,7 @@ import numpy as np
 from mbd_ros.core.geometry.frames import crossed, directions, framed, lengths
 from mbd_ros.core.geometry.meeting import Meeting, Touch
 from mbd_ros.core.geometry.shapes import Balls
-from mbd_ros.core.model.pair_motion import PairMotion, Placed
+from mbd_ros.core.model.pair_motion import PairMotion
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array
 
@@ -50,7 +50,7 @@ class BallsOnPlane(Meeting):
         lever = self._centres.dot(pose.rotation.T) + self._down
         return Touch(lever[:, 2] + pose.translation[2], lever, self._axes)
 
-    def jacobian(self, seen: PairMotion, placed: Placed | None) -> Array:
+    def jacobian(self, seen: PairMotion) -> Array:
         """From joint velocities to those of the features, shape (3 n, nv)."""
         if self._radius is None:
             x, y, z = (self._centres.dot(seen.rotation().T) + self._down).T
@@ -58,12 +58,16 @@ class BallsOnPlane(Meeting):
             levers[:, 0, 3], levers[:, 0, 4] = y, -x
             levers[:, 1, 4], levers[:, 1, 5] = z, -y
             levers[:, 2, 3], levers[:, 2, 5] = -z, x
-        jacobian: Array = self._rows.reshape(-1, 6).dot(seen.jacobian(placed, _ALL))
+        jacobian: Array = self._rows.reshape(-1, 6).dot(seen.jacobian(seen.placed(), _ALL))
         return jacobian
 
-    def drift(self, seen: PairMotion, placed: Placed) -> Array:
+    def accelerations(self, seen: PairMotion) -> tuple[Array, Array]:
+        """Both `jacobian` and `drift`."""
+        return self.jacobian(seen), self.drift(seen)
+
+    def drift(self, seen: PairMotion) -> Array:
         """J' v, shape (3 n,); frames are at rest and centres are carried by the body."""
-        a, omega, alpha = seen.motion(placed)
+        a, omega, alpha = seen.motion(seen.place())
         drift: Array
         if self._radius is not None:
             drift = self._rows[0].dot(np.concatenate((a, alpha)))

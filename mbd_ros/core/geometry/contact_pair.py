@@ -93,16 +93,16 @@ class ContactPair:
         rooms, begin = [], 0
         for meeting, _ in self._met:
             end = begin + len(meeting.features)
-            rooms.append(meeting.room(k.motion(meeting.pair), gaps[begin:end]))
+            rooms.append(meeting.room(k.motion(meeting.pair), gaps[begin:end] + self._margin))
             begin = end
-        return min(rooms)
+        return min(rooms) - self._margin
 
     def jacobian(self, k: Kinematics) -> Array:
         """From joint velocities to those of a past b, shape (3 n, nv)."""
         each = []
         for meeting, is_back in self._met:
             seen = k.motion(meeting.pair)
-            jacobian = meeting.jacobian(seen, seen.placed())
+            jacobian = meeting.jacobian(seen)
             if is_back:
                 jacobian *= self._signs[: len(jacobian), None]
             each.append(jacobian)
@@ -113,11 +113,26 @@ class ContactPair:
         each = []
         for meeting, is_back in self._met:
             seen = k.motion(meeting.pair)
-            drift = meeting.drift(seen, seen.place())
+            drift = meeting.drift(seen)
             if is_back:
                 drift *= self._signs[: len(drift)]
             each.append(drift)
         return each[0] if self._only else np.concatenate(each)
+
+    def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
+        """Both `jacobian` and `drift`, for the contact points and frames of one."""
+        each = []
+        for meeting, is_back in self._met:
+            seen = k.motion(meeting.pair)
+            jacobian, drift = meeting.accelerations(seen)
+            if is_back:
+                signs = self._signs[: len(drift)]
+                jacobian, drift = jacobian * signs[:, None], drift * signs
+            each.append((jacobian, drift))
+        if self._only:
+            return each[0]
+        jacobian, drift = (np.concatenate(part) for part in zip(*each, strict=True))
+        return jacobian, drift
 
     def places(self, k: Kinematics) -> Places:
         """Contact points and frames in the world."""

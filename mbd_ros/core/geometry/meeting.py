@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.geometry.frames import crossed
-from mbd_ros.core.model.pair_motion import PairMotion, Placed
+from mbd_ros.core.model.pair_motion import PairMotion
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array
 
@@ -82,26 +82,35 @@ class Meeting:
         return self.touch(seen.pose()).gap
 
     def room(self, seen: PairMotion, gaps: Array) -> float:
-        """How far the bodies are from touching at least [m]; gaps as found, less a margin."""
+        """How far the bodies are from touching at least [m], for the gaps there."""
         return float(gaps.min())
 
-    def jacobian(self, seen: PairMotion, placed: Placed | None) -> Array:
+    def jacobian(self, seen: PairMotion) -> Array:
         """From joint velocities to those of the features, shape (3 n, nv)."""
         _, lever, axes = self.touch(seen.pose())
-        rows = np.concatenate((axes, crossed(lever[:, None], axes)), axis=2)
-        jacobian: Array = rows.reshape(-1, 6).dot(seen.jacobian(placed, _ALL))
-        return jacobian
+        return _rows(lever, axes).dot(seen.jacobian(seen.placed(), _ALL))
 
-    def drift(self, seen: PairMotion, placed: Placed) -> Array:
+    def drift(self, seen: PairMotion) -> Array:
         """J' v, shape (3 n,)."""
-        velocity, rate = seen.spatial(placed)
+        return self.accelerations(seen)[1]
+
+    def accelerations(self, seen: PairMotion) -> tuple[Array, Array]:
+        """Both `jacobian` and `drift`, for the contact points and frames of one."""
+        placed = seen.placed()
+        velocity, rate = seen.spatial(placed or seen.place())
         pose, v, omega = seen.pose(), velocity.linear, velocity.angular
-        _, lever, axes = self.touch(pose)
         turned = pose.rotation + 1j * _STEP * crossed(omega, pose.rotation.T).T
-        later = self.touch(Pose(turned, pose.translation + 1j * _STEP * v))
-        lever_rate, axes_rate = later.lever.imag / _STEP, later.axes.imag / _STEP
+        touch = self.touch(Pose(turned, pose.translation + 1j * _STEP * v))
+        lever, axes = touch.lever.real, touch.axes.real
+        lever_rate, axes_rate = touch.lever.imag / _STEP, touch.axes.imag / _STEP
         slip = v + crossed(omega, lever)
         a = pin.classicAcceleration(velocity, rate)
         a = a + crossed(rate.angular, lever) + crossed(omega, lever_rate)
-        drift: Array = np.einsum("nij,nj->ni", axes, a) + np.einsum("nij,nj->ni", axes_rate, slip)
-        return drift.ravel()
+        drift = np.einsum("nij,nj->ni", axes, a) + np.einsum("nij,nj->ni", axes_rate, slip)
+        return _rows(lever, axes).dot(seen.jacobian(placed, _ALL)), drift.ravel()
+
+
+def _rows(lever: Array, axes: Array) -> Array:
+    """From the velocity of the moving body to those of its features, shape (3 n, 6)."""
+    rows: Array = np.concatenate((axes, crossed(lever[:, None], axes)), axis=2).reshape(-1, 6)
+    return rows

@@ -17,6 +17,7 @@ from mbd_ros.core.geometry.shapes import (
     Capsule,
     Cylinder,
     HalfSpace,
+    Mesh,
     Points,
     Shape,
     Side,
@@ -29,7 +30,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.errors import ModelError
 
 _ROUND = (Sphere, Points)
-_OF_BALLS = (*_ROUND, Box, Capsule)  # where they meet a plane
+_OF_BALLS = (*_ROUND, Box, Capsule, Mesh)  # where they meet a plane
 
 
 def contact_pair(robot: Robot, between: Between, margin: float = 0.0) -> ContactPair:

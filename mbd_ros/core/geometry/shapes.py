@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.geometry.polyhedron import Polyhedron
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
@@ -74,6 +75,18 @@ class Cylinder(NamedTuple):
     length: float
 
 
+class Mesh(NamedTuple):
+    """A convex body with flat faces.
+
+    Attributes:
+        at: In whose axes it stands.
+        body: Vertices and faces.
+    """
+
+    at: Point
+    body: Polyhedron
+
+
 class HalfSpace(NamedTuple):
     """All that is below the plane z = 0.
 
@@ -84,7 +97,7 @@ class HalfSpace(NamedTuple):
     at: Point
 
 
-Shape = Sphere | Points | Box | Capsule | Cylinder | HalfSpace
+Shape = Sphere | Points | Box | Capsule | Cylinder | HalfSpace | Mesh
 
 
 CORNERS = np.array([[1.0 if i >> axis & 1 else -1.0 for axis in range(3)] for i in range(8)])
@@ -143,7 +156,7 @@ def balls_of(robot: Robot, side: Side, numbers: Sequence[int]) -> Balls:
     Args:
         robot: The robot.
         side: One of both bodies.
-        numbers: Which of its shapes: spheres, points, boxes and capsules.
+        numbers: Which of its shapes: spheres, points, boxes, capsules and meshes.
     """
     names, places, radii = list[str](), list[Array](), list[float]()
     for i in numbers:
@@ -176,4 +189,7 @@ def _parts(shape: Shape) -> tuple[list[str], Array, float]:
         return ["end_0", "end_1"], ends, shape.radius
     if isinstance(shape, Box):
         return [f"vertex_{i}" for i in range(8)], CORNERS * shape.sides / 2.0, 0.0
+    if isinstance(shape, Mesh):
+        vertices = shape.body.vertices
+        return [f"vertex_{i}" for i in range(len(vertices))], vertices, 0.0
     raise TypeError(type(shape).__name__)

@@ -74,7 +74,7 @@ class Simulation:
 
         Raises:
             SolveError: The mechanism cannot be assembled near it, its mass matrix is singular, or
-                internal states have no equilibrium there.
+                internal states have no equilibrium there; or bodies of contacts overlap.
             ModelError: An internal state starts outside its bounds.
         """
         self.stepper.restart()
@@ -83,6 +83,10 @@ class Simulation:
         if self.system.held.rows:
             y = assemble(self.system, y)
             check_mass(self.system, y.q)
+        if self.system.layout.cones:
+            from mbd_ros.core.projection.overlap import without_overlap
+
+            y = without_overlap(self.system, y)
         if self.overshoots is not None:
             self.overshoots.begin(y)
         if self._nz:

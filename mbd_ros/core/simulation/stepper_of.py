@@ -6,6 +6,7 @@ from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.core.names import type_name
 from mbd_ros.core.parts import Part
+from mbd_ros.core.row_laws import Kind
 from mbd_ros.errors import ModelError
 
 
@@ -33,11 +34,29 @@ def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
             f"guards need: {', '.join((*rows, *guards))}; accepted: rk4, dopri5, dop853, "
             f"filippov, gauss_legendre, adams, and moreau_jean without guards{way_out}"
         )
+    _refuse_kinks(method, system)
     from mbd_ros.core.events.event_steps import EventSteps
     from mbd_ros.core.events.mode_field import ModeField
 
     field = ModeField(system, surfaces)
     return EventSteps(field, _prepared(method, field.system, dt), dt)
+
+
+def _refuse_kinks(method: Integrator, system: System) -> None:
+    """Refuse contacts whose gaps are not smooth where events have to be found.
+
+    Raises:
+        ModelError: Names them, and the way out.
+    """
+    parts = [block.part for block in system.layout.having(Kind.CONE)]
+    pairs = ((part.name, getattr(part, "pair", None)) for part in parts)
+    rough = [f"{name} ({pair.why_not})" for name, pair in pairs if pair and not pair.is_smooth]
+    if rough:
+        raise ModelError(
+            f"integrator {type_name(type(method))} goes from event to event, which needs smooth "
+            f"gaps; not so {', '.join(rough)}; accepted: moreau_jean, or points on one of the "
+            "bodies over a half_space or over spheres"
+        )
 
 
 def _prepared(method: Integrator, system: System, dt: float) -> Stepper:

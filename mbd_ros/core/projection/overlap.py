@@ -1,0 +1,102 @@
+"""Bodies of contacts that overlap at the start: refused by name, or lifted out of one another.
+
+    min |way|_M   subject to   J way >= -g of every gap, J_b way = 0 of bilateral rows
+
+again and again, since gaps bend. Source: J. J. Moreau, Quadratic programming in mechanics:
+dynamics of one-sided constraints, SIAM J. Control 4, 1966, for the problem.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
+from mbd_ros.core.dynamics.mechanism import Mechanism
+from mbd_ros.core.dynamics.rigid_rows import RigidRows
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.geometry.size import distance_to_mass
+from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.optimization.push_impulses import PushImpulses
+from mbd_ros.core.projection.assembly import assemble
+from mbd_ros.core.row_laws import Kind
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.rows.row_layout import RowBlock
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
+
+_ROUNDING = 1.0e-6  # of the size of a body: how deep a start may be that is written in digits
+_LIFTED = 1.0e-12  # of the same: how deep one may be that is lifted out
+_MOVES, _LISTED = 100, 4
+_LONGEST = 0.5  # rad or m, of one of them
+
+
+def without_overlap(system: System, y: State) -> State:
+    """A start in which no bodies of rigid contacts overlap.
+
+    Args:
+        system: The system.
+        y: State of what is integrated, on the bilateral rows.
+
+    Raises:
+        SolveError: Bodies overlap, and their contact does not say `assemble: true`, or nothing
+            moves them apart; names contact, bodies, features and depth.
+    """
+    blocks = system.layout.having(Kind.CONE)
+    parts = [(block, block.part) for block in blocks if hasattr(block.part, "pair")]
+    k, x = Kinematics(system.robot), system.expand(y)
+    k.refresh(x.q, x.v, Reads.POSITION)
+    lifted = False
+    for block, part in parts:
+        gaps = block.part.residual(k, x)[::3]
+        if gaps.min() >= 0.0:
+            continue
+        size = distance_to_mass(system.robot, part.pair)
+        if getattr(part, "assemble", False):
+            lifted = lifted or bool(gaps.min() < -_LIFTED * size)
+        elif gaps.min() < -_ROUNDING * size:
+            raise SolveError(
+                f"{_told(block, gaps)}; move one of them, or say assemble: true there"
+            )
+    return _lifted(system, y) if lifted else y
+
+
+def _lifted(system: System, y: State) -> State:
+    mechanism, layout = Mechanism(system.robot, system.loads), system.layout
+    nv = int(system.model.nv)
+    rigid = RigidRows(mechanism, ConstraintRows(layout.rigid, nv, (0.0, 0.0)))
+    blocks = layout.having(Kind.CONE, Kind.UNILATERAL)
+    rows = ConstraintRows(blocks, nv)
+    every = np.concatenate([_gaps(block) for block in blocks])
+    names = [rows.rows[i].name for i in np.flatnonzero(every)]
+    for _ in range(_MOVES):
+        y = assemble(system, y)
+        x = system.expand(y)
+        mechanism.k.refresh(x.q, x.v, Reads.JACOBIAN)
+        gap = rows.residual(mechanism.k, x)[every]
+        if gap.min() >= -_LIFTED:
+            return y
+        J = rows.jacobian(mechanism.k, x)[every]
+        M = np.array(mechanism.mass(x.q))
+        hold = rigid.jacobian(x.t, x.q) if rigid.rows else np.zeros((0, nv))
+        response = ImpulseResponse(M, J, hold, rigid.factorise(M, hold) if rigid.rows else None)
+        way = response.X.dot(PushImpulses(response.G, response.loose, names).solve(gap, 0.0))
+        way *= _LONGEST / max(float(np.abs(way).max()), _LONGEST)
+        y = y._replace(q=system.chart.integrate(y.q, system.integrated(way)))
+    raise SolveError(f"nothing lifts {names[int(gap.argmin())]} out of {-gap.min():.3g} m")
+
+
+def _gaps(block: RowBlock) -> NDArray[np.bool_]:
+    """Which rows of a block are gaps."""
+    is_gap = np.full(len(block.rows), block.law.kind is Kind.UNILATERAL)
+    is_gap[::3] = True
+    return is_gap
+
+
+def _told(block: RowBlock, gaps: Array) -> str:
+    pair = block.part.pair  # type: ignore[attr-defined]
+    names = [pair.features[i] for i in np.argsort(gaps) if gaps[i] < 0.0]
+    a, b = pair.between
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return (
+        f"contact {block.part.name}: {a.frame} and {b.frame} overlap by {-gaps.min():.3g} m at "
+        f"the start, at {', '.join(names[:_LISTED])}{more}"
+    )
