@@ -19,6 +19,7 @@ from mbd_ros.errors import SolveError
 
 _ENOUGH = 1.0e-14  # of the impulses: what an answer may leave of the natural map
 _ACCEPTED = 1.0e-11  # the same of the best one that any way finds
+_POLISH = 3  # steps, where impulses of least norm are not as exact
 _ROUNDING = 1.0e-14  # of a rate, relative to those that the velocity can mean
 _NOTHING = 1.0e-15  # the same of rates that no impulse has to end
 
@@ -86,16 +87,22 @@ class ScaledContacts:
             raise SolveError(self._failed(b, bounds, p))
         p = kept(self._newton.contacts, bounds, p)
         if self._newton.depends:
-            p = self._shortest(b, bounds, p, max(left, enough))
+            p = self._shortest(b, bounds, p)
         answer: Array = unit * p
         return answer
 
-    def _shortest(self, b: Array, bounds: Bounds, p: Array, enough: float) -> Array:
+    def _shortest(self, b: Array, bounds: Bounds, p: Array) -> Array:
         """The impulses of least norm that do what p does."""
         newton = self._newton
-        found = least_impulses(newton, newton.see(b, bounds, p), bounds, p, self._unit)
+        seen = newton.see(b, bounds, p)
+        exact = _ENOUGH * (1.0 + float(np.abs(p).max()))
+        most = max(exact, float(np.abs(seen.left).max()))
+        found = least_impulses(newton, seen, bounds, p, self._unit)
         left = float(np.abs(newton.see(b, bounds, found).left).max())
-        return found if left <= enough * (1.0 + float(np.abs(found).max())) else p
+        if left > most:
+            found, left = newton.solve(b, bounds, found, _POLISH)
+            found = kept(newton.contacts, bounds, found)
+        return found if left <= most else p
 
     def left(self, p: Array, b: Array, lower: Array, upper: Array) -> tuple[float, float]:
         """What impulses leave of the laws: of normals and bounded rows, and of slips [m/s]."""
