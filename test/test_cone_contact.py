@@ -1,18 +1,15 @@
-"""A contact with friction: the exact solution of one cone, and impacts with it."""
+"""A contact with friction: the exact solution of one cone, and its impact."""
 
 import mechanisms
 import numpy as np
-import pinocchio as pin
 import pytest
 from mechanisms import joint, link, urdf
 from scipy.optimize import root
-from test_velocity_level import consistent, inertia, keeps, robot_of, system_of
+from test_velocity_level import system_of
 
-from mbd_ros.constraints.joint_stop import JointStop
 from mbd_ros.contacts.rigid import Rigid
 from mbd_ros.core.dynamics.velocity_level import VelocityLevel
 from mbd_ros.core.geometry.shapes import Between, HalfSpace, Side, Sphere
-from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.optimization.cone_contact import cone_contact
 from mbd_ros.core.rows.pair_rows import plane_of
@@ -20,7 +17,6 @@ from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
 
 FRICTIONS = (0.0, 0.1, 0.5, 1.0, 3.0, 30.0)
-TIP = {"arm": "flange", "coupled": "flange", "free": "left", "loop": "coupler_link"}
 
 
 def keeps_its_laws(A, b, mu, p, least=0.0, rounding=1e-9):
@@ -112,69 +108,6 @@ def test_a_point_mass_bounces_as_by_hand(e, mu, slide):
     tangents = 2.5 * (found.v - v)[:2]
     assert found.p[0] == pytest.approx(2.5 * 1.5 * (1.0 + e), abs=1e-13)
     assert np.linalg.norm(found.p[1:]) == pytest.approx(np.linalg.norm(tangents), abs=1e-13)
-
-
-def impacts(count, seed, *, stops=False):
-    """Random impacts of robots of all kinds: what each is made of, and its answer."""
-    rng = np.random.default_rng(seed)
-    for i in range(count):
-        kind = tuple(TIP)[i % 4]
-        robot, coupled, parts = robot_of(kind)
-        normal = rng.normal(size=3)
-        if kind == "loop":
-            normal[2] = 0.0
-        friction, e = float(rng.choice(FRICTIONS[:-1])), float(rng.uniform())
-        tip = 0.2 * rng.normal(size=3)
-        part = touch_down(robot, TIP[kind], normal, tip, friction=friction, restitution=e)
-        parts = [*parts, part]
-        if stops and kind != "loop":
-            parts.append(JointStop(robot, joint=robot.joints[-1].name, lower=-9.0, upper=9.0))
-        system = system_of(robot, parts, coupled)
-        level, hold = VelocityLevel(system), keeps(system)
-        contact = next(b for b in system.layout.blocks if b.part is part).slots
-        for _ in range(4):
-            q = pin.integrate(robot.model, robot.neutral(), rng.uniform(-1, 1, robot.model.nv))
-            M = inertia(robot, q)
-            v = consistent(M, hold(q), rng.normal(size=robot.model.nv))
-            touching = [contact.start, *range(contact.stop, len(system.layout.rows))]
-            yield system, part, contact, M, q, v, level.impact(State(0.0, q, v), touching)
-
-
-def rows_at(system, q, v):
-    """J of all rows, in the order of their multipliers."""
-    k, x = Kinematics(system.robot), State(0.0, q, v)
-    k.refresh(x.q, x.v)
-    return np.concatenate([block.part.jacobian(k, x) for block in system.layout.blocks])
-
-
-def check_impacts(count, seed, *, stops=False):
-    struck = 0
-    for system, part, contact, M, q, v, found in impacts(count, seed, stops=stops):
-        J, p = rows_at(system, q, v), found.p
-        size = np.abs(M @ (found.v - v)).max() + np.abs(M @ v).max()
-        assert M @ (found.v - v) == pytest.approx(J.T @ p, abs=1e-12 * size)
-        before, after = v @ M @ v, found.v @ M @ found.v
-        assert after - before <= 1e-13 * before
-        w, normal = J[contact] @ found.v, p[contact][0]
-        fast = np.abs(J[contact]).sum(axis=1).max() * np.abs(v).max()
-        assert normal >= 0.0 and w[0] >= -1e-9 * fast
-        assert np.linalg.norm(p[contact][1:]) <= part.law.mu * normal * (1.0 + 1e-12)
-        struck += bool(normal > 0.0)
-    return struck
-
-
-def test_impacts_with_friction_gain_no_energy_and_keep_their_balance():
-    """Arms, couplings, a free body and a loop, each with a restitution and friction of its own."""
-    assert check_impacts(120, 7) >= 100
-
-
-def test_impacts_of_a_contact_beside_a_stop_gain_none_either():
-    assert check_impacts(60, 8, stops=True) >= 40
-
-
-@pytest.mark.soak
-def test_ten_thousand_impacts_with_friction_gain_no_energy():
-    assert check_impacts(2500, 9) >= 3000
 
 
 def test_a_point_that_nothing_moves_is_no_contact():
