@@ -177,7 +177,7 @@ def reach_of(block: RowBlock, own: int = 0) -> Reach:
         own: Number of the row in it.
     """
     if block.law.kind is Kind.CONE:
-        return Reach.FRICTION if own else Reach.GAP
+        return Reach.FRICTION if own % 3 else Reach.GAP
     if block.level is Level.VELOCITY:
         return Reach.SLIP
     return Reach.GAP if block.law.kind is Kind.UNILATERAL else Reach.DEMAND
