@@ -21,12 +21,10 @@ def rolled(spin, mu, dt, duration):
 
 
 def test_a_frictionless_ball_keeps_its_speed():
-    errors = []
-    for dt in (2e-3, 1e-3):
-        x = rolled(20.0, 0.0, dt, 0.5)[-1]
-        assert np.linalg.norm(x.v[:3]) <= SPEED * (1.0 + 1e-10)
-        errors.append(abs(x.q[0] - 0.5 * SPEED))
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.25)
+    """Axes of the ball turn by 0.04 rad in a step, its path stays straight."""
+    for x in rolled(20.0, 0.0, 2e-3, 0.5):
+        assert np.linalg.norm(x.v[:3]) == pytest.approx(SPEED, rel=1e-12)
+        assert x.q[:3] == pytest.approx([SPEED * x.t, 0.0, RADIUS], abs=1e-12)
 
 
 @pytest.mark.parametrize("spin", [0.0, -60.0])
@@ -36,5 +34,5 @@ def test_a_ball_slides_until_it_rolls(spin):
     rolls /= 7.0 * MU * GRAVITY
     states = rolled(spin, MU, 2e-3, rolls + 0.1)
     late = [x for x in states if x.t > rolls + 0.01]
-    assert late and all(abs(np.linalg.norm(x.v[:3]) - roll) <= 1e-2 for x in late)
-    assert all(abs(x.v[4] * RADIUS - roll) <= 1e-2 for x in late)
+    assert late and all(abs(np.linalg.norm(x.v[:3]) - roll) <= 1e-9 for x in late)
+    assert all(abs(x.v[4] * RADIUS - roll) <= 1e-9 for x in late)

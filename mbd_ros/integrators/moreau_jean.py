@@ -46,7 +46,7 @@ class _Steps(Stepper):
     kept: ClassVar[tuple[str, ...]] = ("impulses",)
 
     def __init__(self, system: Any, theta: float, dt: float) -> None:
-        self._at, self._dt = VelocityStep(system, theta), dt
+        self._at, self._dt = _velocity_step(system, theta), dt
 
     def restart(self) -> None:
         """Forget the impulses and the residuals of earlier steps."""
@@ -75,3 +75,11 @@ class _Steps(Stepper):
     def forget_residuals(self) -> None:
         """Begin to look for the worst residuals anew."""
         self._at.giving_way.forget()
+
+
+def _velocity_step(system: Any, theta: float) -> VelocityStep:
+    if not system.robot.bases:
+        return VelocityStep(system, theta)
+    from mbd_ros.core.dynamics.free_body_step import FreeBodyStep
+
+    return FreeBodyStep(system, theta)

@@ -22,6 +22,7 @@ class Chart:
         model: Pinocchio model whose joints have these coordinates.
 
     Attributes:
+        model: As given.
         nq: Size of a configuration.
         nv: Size of a step and of a velocity.
         is_flat: Whether configurations are a vector space with q' = v.
@@ -31,18 +32,18 @@ class Chart:
     sizes: float | Array = 1.0
 
     def __init__(self, model: Any) -> None:
-        self._model, self.nq, self.nv = model, int(model.nq), int(model.nv)
+        self.model, self.nq, self.nv = model, int(model.nq), int(model.nv)
         self.is_flat = self.nq == self.nv
         bases = [int(j.idx_v) for j in model.joints if j.nv == _BASE_V]
         self._bases = [slice(v, v + _BASE_V) for v in bases]
 
     def integrate(self, q: Array, dq: Array) -> Array:
         """Configuration q (+) dq, shape (nq,)."""
-        return q + dq if self.is_flat else pin.integrate(self._model, q, dq)
+        return q + dq if self.is_flat else pin.integrate(self.model, q, dq)
 
     def difference(self, q0: Array, q1: Array) -> Array:
         """The dq with q0 (+) dq = q1, shape (nv,)."""
-        return q1 - q0 if self.is_flat else pin.difference(self._model, q0, q1)
+        return q1 - q0 if self.is_flat else pin.difference(self.model, q0, q1)
 
     def plus(self, x: State, d: Array) -> State:
         """The state x (+) d, at the time and in the mode of x.

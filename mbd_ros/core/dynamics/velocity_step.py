@@ -95,10 +95,10 @@ class VelocityStep:
     def _problem(self, y: State, u: Array | None, h: float) -> StepProblem:
         """The linear problem of a step from a state of what is integrated."""
         mechanism, late = self._mechanism, (1.0 - self._theta) * h
-        x = self._between(y, y.v, y.z, h)
+        x = self._on_the_way(y, h)
         M = np.array(mechanism.mass(x.q))
         slopes, dz = self._loads.slopes(x, u, self._theta * h), h * self._loads.rates(x, u)
-        impulse = h * self._loads.force(x, u) + slopes.push.dot(dz)
+        impulse = h * self._force(x, u, M) + slopes.push.dot(dz)
         if not np.isfinite(slopes.added).all() or not np.isfinite(impulse).all():
             raise DivergedError(f"forces at t = {x.t:.9g} s are not finite")
         K = mass_with(M, slopes.added) if slopes.added.any() else M
@@ -106,6 +106,7 @@ class VelocityStep:
         held = ImpulseResponse(K, None, hold, factor)
         free, _ = held.kept(x.v + held.free(impulse), goal)
         acting, J, drift, gap, own = self._rows.at(x, free, h)
+        drift = self._drift(x, J, drift)
         still = slopes.gain.dot(dz) - slopes.by_v.dot(x.v)
         known = goal, free, h, self._theta, slopes, still
         if not len(gap):
@@ -130,6 +131,7 @@ class VelocityStep:
         k.refresh(x.q, x.v, rows.reads)
         J, drift = (each.copy() for each in rows.accelerations(k, x))
         back = np.minimum(self._return[0], 1.0 / h)
+        drift = self._drift(x, J, drift)
         goal = -(rows.rate(k, x) + late * drift + back * rows.residual(k, x))
         return J, goal, RowFactor(K, J)
 
@@ -159,7 +161,7 @@ class VelocityStep:
         mean, dz = (1.0 - self._theta) * v + self._theta * end, problem.dz(end)
         x = self._between(y, self._system.integrated(mean), y.z + self._theta * dz, h)
         left_z = h * loads.rates(x, u) - dz
-        left = h * loads.force(x, u) - problem.M.dot(end - v) + slopes.push.dot(left_z)
+        left = h * self._force(x, u, problem.M) - problem.M.dot(end - v) + slopes.push.dot(left_z)
         response = problem.response
         free, _ = response.kept(end + response.free(left), problem.goal)
         still = dz + slopes.gain.dot(left_z) - slopes.by_v.dot(end)
@@ -186,11 +188,23 @@ class VelocityStep:
             y = self._moved(y, response.X.dot(p), x.v, 0.0 * y.z, y.t)
         return y
 
+    def _on_the_way(self, y: State, h: float) -> State:
+        """State of all joints at the intermediate time, with the velocity of y."""
+        return self._between(y, y.v, y.z, h)
+
     def _between(self, y: State, v: Array, z: Array, h: float) -> State:
         """State of all joints at the intermediate time, of a step with that mean velocity of y."""
         share = self._theta * h
         q = self._system.chart.integrate(y.q, share * v)
         return self._system.expand(State(y.t + share, q, v, z))
+
+    def _force(self, x: State, u: Array | None, M: Array) -> Array:
+        """Generalized force of all joints that changes velocities as a step counts them."""
+        return self._loads.force(x, u)
+
+    def _drift(self, x: State, J: Array, drift: Array) -> Array:
+        """The part of g'' without the change of velocities as a step counts them."""
+        return drift
 
     def _moved(self, y: State, way: Array, v: Array, dz: Array, t: float) -> State:
         """A state of what is integrated, after a way and with a velocity of all joints."""
