@@ -56,7 +56,7 @@ class OurContacts:
         for t in times:
             used += cpu_time(lambda due=t: advance(due))
             states.append(simulation.system.expand(y))
-        return _trace(self._problem, simulation, states), used
+        return trace_of(self._problem, simulation, states), used
 
 
 def runs(problem: Problem, quick: bool) -> Iterator[OurContacts]:
@@ -113,8 +113,9 @@ def _sum(a: Sequence[float], b: Sequence[float]) -> list[float]:
     return [x + y for x, y in zip(a, b, strict=True)]
 
 
-def _trace(problem: Problem, simulation: Simulation, states: Sequence[State]) -> Trace:
-    samples = [_sample(problem, x) for x in states]
+def trace_of(problem: Problem, simulation: Simulation, states: Sequence[State]) -> Trace:
+    """What is compared of a run, from its states at the samples."""
+    samples = [sample(problem, x) for x in states]
     forces = _forces(problem, simulation, states[-1]) if problem.has_forces else np.zeros(0)
     return Trace(*(np.array(part) for part in zip(*samples, strict=True)), forces)
 
@@ -128,7 +129,7 @@ def _forces(problem: Problem, simulation: Simulation, x: State) -> Array:
     return np.array([forces[owners == f"pair{i}"].sum() for i in range(len(problem.pairs))])
 
 
-def _sample(problem: Problem, x: State) -> tuple[Array, Array, Array]:
+def sample(problem: Problem, x: State) -> tuple[Array, Array, Array]:
     """Places of the middles, velocities and spins in the world."""
     places, velocities, spins = [], [], []
     free = [solid for solid in problem.solids if solid.is_free]

@@ -32,6 +32,9 @@ METHODS: Mapping[str, Entry] = {
     "generalized_alpha": {"type": "generalized_alpha"},
     "rattle": {"type": "rattle"},
 }
+TIME_STEPPING = "moreau_jean"  # on contacts
+EQUATIONS = "equations"
+COLUMNS = (EQUATIONS, *METHODS, TIME_STEPPING)  # of the map
 
 
 class Verdict(NamedTuple):

@@ -12,8 +12,8 @@ from matplotlib.patches import Patch
 
 from mbd_ros.report.stability.cases import (
     BOUNDED,
+    COLUMNS,
     CONVERGED,
-    METHODS,
     STOPPED,
     UNKNOWN,
     VERDICTS,
@@ -41,7 +41,6 @@ _LINES = {
 }
 _DASHES = {"rattle": "-", "gauss_legendre": "--", "generalized_alpha": "-.", "rk4": ":"}
 _LEAST = 1.0e-17  # shown instead of zero
-_COLUMNS = ("equations", *METHODS)
 _ROW_HEIGHT = 0.2  # inches
 _SIZE = 7.5  # pt
 
@@ -56,18 +55,18 @@ def verdict_map(rows: Sequence[Mapping[str, Any]]) -> Figure:
     figure = Figure(figsize=(8.0, height), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
-    shade = np.full((len(rows), len(_COLUMNS)), np.nan)
+    shade = np.full((len(rows), len(COLUMNS)), np.nan)
     for i, row in enumerate(rows):
         for cell in row["cells"]:
-            k = _COLUMNS.index(cell["method"])
+            k = COLUMNS.index(cell["method"])
             shade[i, k] = VERDICTS.index(cell["kind"])
             color = "white" if cell["kind"] == WRONG else "black"
             axes.text(k, i, _symbol(cell), ha="center", va="center", fontsize=_SIZE, color=color)
     colors = ListedColormap([_COLORS[kind] for kind in VERDICTS])
     axes.imshow(shade, cmap=colors, vmin=-0.5, vmax=len(VERDICTS) - 0.5, aspect="auto")
     axes.set_yticks(range(len(rows)), [_label(rows, i) for i in range(len(rows))], fontsize=_SIZE)
-    names = [name.replace("_", "\n") for name in _COLUMNS]
-    axes.set_xticks(range(len(_COLUMNS)), names, fontsize=_SIZE)
+    names = [name.replace("_", "\n") for name in COLUMNS]
+    axes.set_xticks(range(len(COLUMNS)), names, fontsize=_SIZE)
     axes.xaxis.tick_top()
     axes.tick_params(length=0)
     _separate(axes, rows)
@@ -91,7 +90,7 @@ def _label(rows: Sequence[Mapping[str, Any]], i: int) -> str:
 
 def _separate(axes: Any, rows: Sequence[Mapping[str, Any]]) -> None:
     """A line between families, and white ones between cells."""
-    axes.set_xticks(np.arange(-0.5, len(_COLUMNS)), minor=True)
+    axes.set_xticks(np.arange(-0.5, len(COLUMNS)), minor=True)
     axes.set_yticks(np.arange(-0.5, len(rows)), minor=True)
     axes.grid(which="minor", color="white", lw=0.6)
     axes.tick_params(which="minor", length=0)

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbd_ros.report.items import Item, Outcome, Section, Spec
 from mbd_ros.report.stability.cases import (
+    EQUATIONS,
     WRONG,
     Case,
     Verdict,
@@ -18,6 +19,8 @@ from mbd_ros.report.stability.cases import (
     raised,
     tiers,
 )
+from mbd_ros.report.stability.contact_rows import ContactRow, contact_rows
+from mbd_ros.report.stability.contact_verdicts import contact_methods, judge_contact
 from mbd_ros.report.stability.equations import equations, unexpected
 from mbd_ros.report.stability.extreme_scenes import Extreme, extremes, item_name
 from mbd_ros.report.stability.motion import Grid
@@ -35,7 +38,6 @@ KIND = "stability"
 SCENES, BATCH, QUICK = 2100, 100, 30
 _USER_FACTORS = (0.1, 1.0, 10.0)
 _SECONDS = 0.4  # a random scene
-_EQUATIONS = "equations"
 
 
 def items(scenes: Sequence[str], quick: bool) -> list[Item]:
@@ -47,6 +49,9 @@ def items(scenes: Sequence[str], quick: bool) -> list[Item]:
             for f in _USER_FACTORS
         ]
     rows = [Item(KIND, row.name, {"row": row.name}, row.seconds) for row in extremes(quick)]
+    rows += [
+        Item(KIND, row.name, {"contact": row.name}, row.seconds) for row in contact_rows(quick)
+    ]
     count, batch = (QUICK, QUICK // 2) if quick else (SCENES, BATCH)
     for first in range(0, count, batch):
         spec = {"first": first, "count": batch}
@@ -62,6 +67,9 @@ def run(spec: Spec) -> Outcome:
             return {"random": [random_row(seed) for seed in seeds]}
         if "scene" in spec:
             return user_row(str(spec["scene"]), float(spec["factor"]))
+        if "contact" in spec:
+            found = next(row for row in contact_rows(quick=False) if row.name == spec["contact"])
+            return contact_row(found)
         row = next(row for row in extremes(quick=False) if row.name == spec["row"])
         return extreme_row(row)
 
@@ -76,6 +84,15 @@ def extreme_row(row: Extreme) -> Outcome:
     facts = {"family": row.family, "label": row.label, "factor": row.factor, "dt": row.dt}
     plan = partial(every_method, row.factor, row.dt, row.repeats)
     return {**facts, **_row(row.load, row.grid, plan, row.stops, row.known)}
+
+
+def contact_row(row: ContactRow) -> Outcome:
+    """One contact problem under every method that takes it."""
+    cells = [
+        _cell(method, judge_contact(row.problem, method, row.dt), dt=row.dt)
+        for method in contact_methods(row.problem)
+    ]
+    return {"family": row.family, "label": row.label, "factor": 0.0, "dt": row.dt, "cells": cells}
 
 
 def user_row(name: str, factor: float) -> Outcome:
@@ -123,13 +140,13 @@ def _row(
         rate = starting_rate(loaded.scene)
         if not math.isfinite(rate):
             verdict = Verdict(WRONG, math.inf, "accelerations at the start are not finite")
-            return {"cells": [_cell(_EQUATIONS, verdict)]}
+            return {"cells": [_cell(EQUATIONS, verdict)]}
         runs = plan(loaded.scene)
         steps = [asked_step(r.method, rate, r.factor, r.dt) for r in runs if rate > LEAST_RATE]
         longest = max(steps, default=0.0)
         case = Case(loaded, room(grid or usual_grid(loaded), longest), known)
     except Exception as error:  # noqa: BLE001 - every exception is a verdict
-        return {"cells": [_cell(_EQUATIONS, unexpected(raised(error), stops))]}
+        return {"cells": [_cell(EQUATIONS, unexpected(raised(error), stops))]}
     known = case.reference
     verdict = equations(case, tiers(loaded.scene, "rk4"), stops)
     return {
@@ -139,7 +156,7 @@ def _row(
         "growth": _short(known.growth),
         "second": known.second,
         "rates": [_short(rate) for rate in known.rates],
-        "cells": [_cell(_EQUATIONS, verdict), *(_judged(case, run) for run in runs)],
+        "cells": [_cell(EQUATIONS, verdict), *(_judged(case, run) for run in runs)],
     }
 
 

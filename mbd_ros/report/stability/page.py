@@ -10,8 +10,8 @@ import numpy as np
 
 from mbd_ros.report.items import Item, Outcome, Section, Table
 from mbd_ros.report.stability.cases import (
+    COLUMNS,
     CONVERGED,
-    METHODS,
     STOPPED,
     VERDICTS,
     WRONG,
@@ -108,7 +108,7 @@ def _text(
 
 def _by_method(cells: Cells) -> Table:
     rows = []
-    for method in ("equations", *METHODS):
+    for method in COLUMNS:
         mine = [cell for _, cell in cells if cell["method"] == method]
         kinds = Counter(cell["kind"] for cell in mine)
         errors = [cell["error"] for cell in mine if cell["kind"] == CONVERGED]
