@@ -9,6 +9,7 @@ from scipy.special import lambertw
 from mbd_ros.core.state import Array
 
 GRAVITY = 9.81  # m/s^2
+_RESTS = 1.0e-12  # m/s
 
 
 def incline(t: float, degrees: float, mu: float, speed: float) -> tuple[float, float]:
@@ -86,10 +87,10 @@ def bounce(t: float, height: float, e: float) -> float:
     if t <= fall:
         return height - 0.5 * GRAVITY * t**2
     speed, begin = e * GRAVITY * fall, fall
-    while speed > 0.0 and begin + 2.0 * speed / GRAVITY < t:
+    while speed > _RESTS and begin + 2.0 * speed / GRAVITY < t:
         begin, speed = begin + 2.0 * speed / GRAVITY, e * speed
-        if speed < 1.0e-12:
-            return 0.0
+    if speed < _RESTS:
+        return 0.0
     return speed * (t - begin) - 0.5 * GRAVITY * (t - begin) ** 2
 
 

@@ -29,7 +29,7 @@ CONTACT_METHODS: dict[str, Entry] = {
 }
 _DEPTH = 1.0e-9  # of the largest length of a solid, in the ground
 _GAIN = 1.0e-9  # of the energy of the motion, in one step
-_SHORTER, _BETTER = 4.0, 0.6  # a shorter step, and what it must leave of the error
+_QUARTERS, _BETTER = 3, 0.6  # shorter steps, and what one of them must leave of the error
 
 
 def contact_methods(problem: Problem) -> list[str]:
@@ -52,7 +52,7 @@ def judge_contact(problem: Problem, method: str, dt: float) -> Verdict:
             return Verdict(WRONG, error, fault)
         if error <= ASKED:
             return Verdict(CONVERGED, error)
-        shorter, fault = _attempt(problem, scene, method, dt / _SHORTER)
+        shorter, fault = _shorter(problem, scene, method, dt, error)
     except MbdError as stop:
         text = f"{type(stop).__name__}: {stop}"
         return Verdict(STOPPED if _is_named(problem, text) else WRONG, math.inf, text)
@@ -62,7 +62,7 @@ def judge_contact(problem: Problem, method: str, dt: float) -> Verdict:
         return Verdict(WRONG, error, fault)
     if shorter <= max(ASKED, _BETTER * error):
         return Verdict(BOUNDED, error)
-    return Verdict(WRONG, error, f"off by {error:.3g}, and by {shorter:.3g} at a shorter step")
+    return Verdict(WRONG, error, f"off by {error:.3g}, and by {shorter:.3g} at shorter steps")
 
 
 def faults(problem: Problem, scene: Scene, states: Sequence[State]) -> str:
@@ -71,7 +71,9 @@ def faults(problem: Problem, scene: Scene, states: Sequence[State]) -> str:
     data, before = model.createData(), math.inf
     size = max(length for solid in problem.solids for length in solid.size)
     energies = [_energy(model, data, x) for x in states]
-    swing = max(float(np.ptp(energies)), max(_kinetic(model, data, x) for x in states), 1.0e-12)
+    lift = sum(solid.mass for solid in problem.solids) * float(np.linalg.norm(problem.gravity))
+    swing = max(float(np.ptp(energies)), max(_kinetic(model, data, x) for x in states))
+    swing += lift * size
     for x, energy in zip(states, energies, strict=True):
         if not (np.isfinite(x.q).all() and np.isfinite(x.v).all()):
             return f"a state at t = {x.t:.6g} s is not finite"
@@ -91,6 +93,18 @@ def _attempt(problem: Problem, scene: Scene, method: str, dt: float) -> tuple[fl
         return math.inf, fault
     every = [states[round(t / dt)] for t in problem.times]
     return problem.error(trace_of(problem, simulation, every)), ""
+
+
+def _shorter(
+    problem: Problem, scene: Scene, method: str, dt: float, error: float
+) -> tuple[float, str]:
+    """The error at the first shorter step that is better, else at the last; its first fault."""
+    found, fault = error, ""
+    for k in range(1, _QUARTERS + 1):
+        found, fault = _attempt(problem, scene, method, dt / 4**k)
+        if fault or found <= max(ASKED, _BETTER * error):
+            break
+    return found, fault
 
 
 def _is_named(problem: Problem, text: str) -> bool:
