@@ -39,7 +39,7 @@ class ContactRow(NamedTuple):
     label: str
     problem: Problem
     dt: float = _USUAL
-    seconds: float = 5.0
+    seconds: float = 2.5
 
     @property
     def name(self) -> str:
