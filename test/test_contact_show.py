@@ -84,6 +84,40 @@ def test_states_tell_open_slip_and_stick_apart():
     assert part.contact.states(forces, slips).tolist() == [STICK, SLIP, STICK, OPEN]
 
 
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (100.0, 50.0, -20.0)])
+def test_a_box_at_rest_presses_below_its_mass_centre(place):
+    """On a slope it sticks, and the centre of pressure is where the weight meets the plane."""
+    slope = 0.3
+    scene = resting(0.6, slope, place, integrator={"type": "moreau_jean"})
+    table = scene.simulate(0.03)["samples"]
+    s, c = np.sin(slope), np.cos(slope)
+    mass_centre = np.array(place) + 0.1 * np.array((s, 0.0, c))
+    below = mass_centre - np.array((0.0, 0.0, 0.1 / c))
+    name = "box_contact"
+    for row in range(len(table["time"])):
+        centre, force, torque = (
+            np.array([table[f"{name}.{what}_{axis}"][row] for axis in "xyz"])
+            for what in ("centre_of_pressure", "force", "torque")
+        )
+        assert centre == pytest.approx(below, abs=1e-9)
+        assert force == pytest.approx((0.0, 0.0, MASS * G), abs=1e-8)
+        assert torque == pytest.approx(np.zeros(3), abs=1e-8)
+    assert set(table[f"{name}.state"]) == {STICK}
+    assert np.abs(table[f"{name}.gap"]).max() <= 1e-9
+    assert table.column(f"{name}.centre_of_pressure_x").unit == "m"
+
+
+def test_a_box_that_slides_or_flies_says_so():
+    scene = resting(0.2, 0.3, integrator={"type": "moreau_jean"})
+    table = scene.simulate(0.05)["samples"]
+    assert set(table["box_contact.state"][1:]) == {SLIP}
+    body = {**BOX["box"], "pose": {"xyz": [0.0, 0.0, 2.0]}}
+    table = scene.with_(bodies={"box": body}).simulate(0.05)["samples"]
+    assert set(table["box_contact.state"]) == {OPEN}
+    assert (table["box_contact.force_z"] == 0.0).all()
+    assert table["box_contact.gap"][0] == pytest.approx(1.9 * np.cos(0.3) - 0.3 * np.sin(0.3))
+
+
 def test_arrows_and_cones_stand_where_the_contact_presses():
     """At rest the cone is as high as the weight; without forces it has no height."""
     scene = resting(0.6, offset=(5.0, 0.0, 1.0), integrator={"type": "moreau_jean"})
@@ -105,23 +139,41 @@ def test_arrows_and_cones_stand_where_the_contact_presses():
     assert on_box.point + robot.origin == pytest.approx((4.7, -0.15, 1.0))  # the nearest of four
 
 
+BALL = {"shape": {"sphere": 0.1}, "mass": 2.0}
+
+
+def rolling(**more):
+    """A ball that falls 0.2 m onto a plane with a spin: it bounces, slides and rolls."""
+    return mbd.scene_from(
+        {
+            "bodies": {"ball": BALL},
+            "contacts": [{"type": "rigid", "between": ["ball", "ground"], "friction": 0.3} | more],
+            "initial": {
+                "pose": {"ball": {"xyz": [0.0, 0.0, 0.3]}},
+                "twist": {"ball": {"linear": [4.0, 0.0, 0.0]}},
+            },
+            "dt": 0.01,
+        }
+    )
+
+
 def test_events_of_contacts_say_impulse_and_state():
-    """A ball lands with 4 m/s along the ground: mu times the impulse slows it, then it slides."""
-    entry = {"type": "rigid", "between": ["ball", "ground"], "friction": 0.3}
-    start = {"pose": {"ball": {"xyz": [0.0, 0.0, 0.3]}}}
-    start["twist"] = {"ball": {"linear": [4.0, 0.0, 0.0]}}
-    ball = {"shape": {"sphere": 0.1}, "mass": 2.0}
-    sections = {"bodies": {"ball": ball}, "contacts": [entry], "initial": start, "dt": 0.01}
-    result = mbd.scene_from(sections).simulate(0.3)
-    events, samples, fall = result["events"], result["samples"], np.sqrt(2.0 * 0.2 * G)
-    assert events["time"] == pytest.approx([fall / G], abs=1e-9)
-    assert events["ball_contact.state.before"].tolist() == [OPEN]
-    assert events["ball_contact.state.after"].tolist() == [samples["ball_contact.state"][-1]]
-    assert samples["ball_contact.state"][-1] == SLIP
-    assert events["ball_contact.normal.impulse"] == pytest.approx([2.0 * fall], rel=1e-9)
-    along = [events[f"ball_contact.friction_{axis}.impulse"][0] for axis in "xy"]
+    """The ball lands with 4 m/s; mu times the impulse slows it, then it rolls."""
+    result = rolling().simulate(1.0, integrator="dop853")
+    events, samples = result["events"], result["samples"]
+    landing, begins_to_roll = events["ball_contact.state.after"].tolist()
+    assert (landing, begins_to_roll) == (SLIP, STICK)
+    assert events["ball_contact.state.before"].tolist() == [OPEN, SLIP]
+    fall = np.sqrt(2.0 * 0.2 * G)
+    assert events["ball_contact.normal.impulse"][0] == pytest.approx(2.0 * fall, rel=1e-9)
+    along = (
+        events["ball_contact.friction_x.impulse"][0],
+        events["ball_contact.friction_y.impulse"][0],
+    )
     assert np.hypot(*along) == pytest.approx(0.3 * 2.0 * fall, rel=1e-9)
-    assert samples["ball_contact.force_x"][-1] == pytest.approx(-0.3 * 2.0 * G, rel=1e-9)
+    assert samples["ball_contact.state"][-1] == STICK
+    rolled = 4.0 - 0.3 * (fall + G * (events["time"][1] - events["time"][0]))
+    assert rolled == pytest.approx(4.0 * 5.0 / 7.0, rel=1e-11)  # of a homogeneous ball
 
 
 def test_a_fault_of_free_bodies_alone_names_the_fastest():
