@@ -25,7 +25,7 @@ JOINT = """<joint name="{name}" type="prismatic"><parent link="{parent}"/><child
 SCENE = f"""robot: {{urdf: ball.urdf}}
 actuators: [{{type: ideal, joints: [x, y, z]}}]
 contacts:
-- {{type: rigid, between: [{{frame: ball, sphere: {RADIUS}}}, ground], friction: {MU}}}
+- {{type: rigid, between: [{{frame: ball, SHAPE}}, ground], friction: {MU}}}
 initial: {{position: {{z: 0.1}}}}
 dt: {TICK}
 """
@@ -64,11 +64,21 @@ def offline(folder, text):
     return mbd.load_scene(path).simulate(COUNT * TICK, efforts=given)["samples"]
 
 
-@pytest.mark.parametrize("method", ["rk4", "moreau_jean"])
-def test_contacts_in_lock_step_are_those_of_a_run(domain, tmp_path, method):
-    """Joint states and outputs have the bits of the run; the wrench is that of its multipliers."""
+FEET = f"points: {[[x, y, -RADIUS] for x in (-0.1, 0.1) for y in (-0.2, 0.2)]}"
+
+
+@pytest.mark.parametrize(
+    ("method", "shape"),
+    [("rk4", f"sphere: {RADIUS}"), ("moreau_jean", FEET)],
+    ids=["rk4", "moreau_jean"],
+)
+def test_contacts_in_lock_step_are_those_of_a_run(domain, tmp_path, method, shape):
+    """Joint states and outputs have the bits of the run; the wrench is that of its multipliers.
+
+    Four feet of a link that does not turn share its weight: one of them is enough.
+    """
     (tmp_path / "ball.urdf").write_text(urdf(), encoding="utf-8")
-    text = f"{SCENE}integrator: {{type: {method}}}\n"
+    text = f"{SCENE}integrator: {{type: {method}}}\n".replace("SHAPE", shape)
     expected = offline(tmp_path, text)
     given = {"rate": 1 / TICK, "lock_step": "true", "publish_clock": "true"}
     with simulated(domain, tmp_path, text, **given, marker_rate=1000.0) as client:
@@ -117,12 +127,13 @@ def assert_outputs(messages, expected):
         assert (values == expected[label][1:])[same].all(), label
     assert {"ball_contact.gap", "ball_contact.state"} <= {*labels}
     assert set(expected["ball_contact.state"]) == {OPEN, SLIP, STICK}
-    centre = expected["ball_contact.centre_of_pressure_x"]
-    assert centre == pytest.approx(FAR[0] + expected["x.position"], abs=1e-12)
+    presses = expected["ball_contact.state"] != OPEN
+    centre = expected["ball_contact.centre_of_pressure_x"][presses]
+    assert centre == pytest.approx(FAR[0] + expected["x.position"][presses], abs=1e-9)
 
 
 def assert_wrenches(messages, expected):
-    """On the ball, about its centre: friction at the radius has a moment."""
+    """On the ball, about its centre: friction has the moment of its lever."""
     stamps, seen = [round(t * 1e9) for t in expected["time"]], 0
     rows = {read_time(message.header.stamp): read_wrench(message) for message in messages}
     for k, stamp in enumerate(stamps[1:], 1):
@@ -149,6 +160,6 @@ def assert_drawn(message, expected):
     tail, position = on_ball.points[0], cone.pose.position
     assert [tail.x, tail.y, tail.z] == pytest.approx(touched, abs=1e-9)
     assert [position.x, position.y, position.z] == pytest.approx(touched, abs=1e-9)
-    assert cone.scale.z == pytest.approx(0.002 * expected["ball_contact.normal"][-1])
+    assert cone.scale.z == pytest.approx(0.002 * expected["ball_contact.force_z"][-1])
     assert cone.scale.x == pytest.approx(MU * cone.scale.z)
     assert on_world.points[1].z < tail.z
