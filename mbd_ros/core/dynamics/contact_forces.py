@@ -161,9 +161,12 @@ class ContactForces:
         scaled = unit[:, None] * A[np.ix_(rows, rows)] * unit
         U, s, Vt = np.linalg.svd(scaled)
         rank = int(np.count_nonzero(s > redundant(len(rows)) * s[0]))
-        found = Vt[:rank].T.dot(U[:, :rank].T.dot(-unit * right) / s[:rank])
-        left = np.abs(scaled.dot(found) + unit * right).max()
-        if left > CONTRADICTION * (np.abs(scaled).dot(np.abs(found)) + np.abs(unit * right)).max():
+        right, found = unit * right, np.zeros(len(rows))
+        for _ in range(2):  # the second time for what rounding leaves between unequal masses
+            left = scaled.dot(found) + right
+            found -= Vt[:rank].T.dot(U[:, :rank].T.dot(left) / s[:rank])
+        left = np.abs(scaled.dot(found) + right).max()
+        if left > CONTRADICTION * (np.abs(scaled).dot(np.abs(found)) + np.abs(right)).max():
             raise SolveError("rows of a contact and those beside it contradict one another")
         found *= unit
         if rank < len(rows):
