@@ -232,7 +232,7 @@ class ComposedSystem:
         def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
             a = motion.accelerate(t, q, v, u)
             if pushed is None:
-                out[...] = exact.accelerate(t, q, v, a, mode)
+                out[...] = exact.accelerate(t, q, v, a, mode, splits=False)
             else:
                 out[...] = pushed(t, q, v, a)
 

@@ -60,7 +60,13 @@ class ContactForces:
         self.split, self.grip = Split.ONE, 1.0
 
     def solve(
-        self, A: Array, w: Array, bounds: tuple[Array, Array], touches: Sequence[Touch]
+        self,
+        A: Array,
+        w: Array,
+        bounds: tuple[Array, Array],
+        touches: Sequence[Touch],
+        *,
+        splits: bool = True,
     ) -> Array:
         """The multipliers, shape (m,), fresh.
 
@@ -69,6 +75,7 @@ class ContactForces:
             w: Those without them, shape (m,).
             bounds: Smallest and largest multipliers; those of contacts follow from `touches`.
             touches: One entry a contact.
+            splits: Whether it matters how contacts that stick share their force.
 
         Raises:
             SolveError: The rows that are on contradict one another, or no forces are found.
@@ -84,7 +91,9 @@ class ContactForces:
         if not (on | (lower == upper)).all():
             return _exchanged(A, w, lower, upper, unit)
         lam = self._balanced(A, w, np.where(on, 0.0, lower), on, unit)
-        if self.split is Split.ONE or self._is_lawful(lam, touches):
+        if self.split is Split.ONE or not (splits or Touch.SLIPS in touches):
+            return lam
+        if self._is_lawful(lam):
             return lam
         return self._shared(lam, A, w, bounds, touches)
 
@@ -176,7 +185,7 @@ class ContactForces:
         lam[rows] = found
         return lam
 
-    def _is_lawful(self, lam: Array, touches: Sequence[Touch]) -> bool:
+    def _is_lawful(self, lam: Array) -> bool:
         """Whether multipliers of contacts that touch push, inside their cones."""
         push = lam[self._of_contacts].reshape(-1, 3)
         slack = _WITHIN * float(np.abs(push).max(initial=0.0))

@@ -11,13 +11,16 @@ import numpy as np
 
 from mbd_ros.core.dynamics.contact_forces import Split
 from mbd_ros.core.dynamics.exact_contacts import EASED, ExactContacts
-from mbd_ros.core.dynamics.slip_names import begun, ends, has_turned, named, slowest
+from mbd_ros.core.dynamics.slip_names import begun, ends, has_turned, is_fine, named, slowest
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.state import NONE, Array, Mode, State
+from mbd_ros.core.thresholds import TINY
 
 OPEN: Mode = (1, 1, 1)
 STICKS: Mode = (0, 0, 0)
 _SHARED = 1.0e-9  # of the largest multiplier: what a share at the end of a law may leave
+_PASSED = 2.0e-12  # the same: by which rounding may pass a law, where it is met for long
+_CHANGE = 0.5  # of a slip, in a step: so steps get short with it, and keep their order
 _TOGETHER = 2.0e4  # times the slip that counts as none: slips as slow as that end together
 
 
@@ -85,7 +88,7 @@ class ContactModes:
 
     def _left(self, margin: float, most: float) -> float:
         is_shared = self._contacts.forces.split is Split.LAWFUL
-        return most if is_shared and margin < _SHARED * most else margin
+        return most if is_shared and margin < _SHARED * most else margin + _PASSED * most
 
     def leaving(self, lam: Array, left: Array, slack: Array, mode: Mode) -> dict[int, int]:
         """Modes in which contacts that shared their force go on, where no share is left.
@@ -138,6 +141,25 @@ class ContactModes:
         return [
             c for c, i in slipping if i < switch < i + 3 or slow < slips[c] <= _TOGETHER * slow
         ]
+
+    def turning(self, mode: Mode) -> bool:
+        """Whether a slip may turn."""
+        return any(not is_fine(mode[i + 1 : i + 3]) for _, i in self._slipping(mode))
+
+    def longest(self, left: Array, mode: Mode) -> float:
+        """Length of a step in which no slip that may turn changes by much [s].
+
+        Args:
+            left: The w of the last solve, of the rows that go from event to event.
+            mode: One entry each of these.
+        """
+        length = math.inf
+        for c, i in self._slipping(mode):
+            slip = self._contacts.moving[c]
+            if slip is not None and not is_fine(mode[i + 1 : i + 3]):
+                rate = math.hypot(*left[i + 1 : i + 3])
+                length = min(length, _CHANGE * math.hypot(*slip) / max(rate, TINY))
+        return length
 
     def renamed(self, left: Array, slack: Array, chosen: Collection[int]) -> dict[int, int]:
         """Modes of slips with the names that the last solve gives them.

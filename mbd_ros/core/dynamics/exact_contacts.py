@@ -29,6 +29,7 @@ from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array, Mode, State
 
+_TOGETHER = 100.0  # times a slip that counts as none: those of others that end with it
 EASED = 1.0e-6  # of friction: so little less shows how contacts begin to move
 
 
@@ -87,6 +88,8 @@ class ExactContacts:
         bounds: tuple[Array, Array],
         mode: Mode,
         free: Collection[int],
+        *,
+        splits: bool = True,
     ) -> Solved:
         """Multipliers and accelerations in a mode of the contacts.
 
@@ -98,6 +101,7 @@ class ExactContacts:
             bounds: Smallest and largest multipliers of all rows.
             mode: One entry each of the rows that go from event to event.
             free: Those whose mode is looked for.
+            splits: Whether it matters how contacts that stick share their force.
 
         Raises:
             SolveError: The rows that are on contradict one another, or no forces are found.
@@ -108,8 +112,10 @@ class ExactContacts:
         D = self._pushes(J, along)
         response = motion.respond(q, D.T)
         A, w = J.dot(response), J.dot(a) + b
-        lam = self.forces.solve(A, w, bounds, touches)
+        lam = self.forces.solve(A, w, bounds, touches, splits=splits)
         left, terms = A.dot(lam) + w, np.abs(A).dot(np.abs(lam)) + np.abs(w)
+        at = self._tangents  # what friction could do there, although it does nothing
+        terms[at] += np.abs(A.diagonal()[at] * lam[self._starts][:, None])
         force, added = D.T.dot(lam), response.dot(lam)
         for i, d in along.items():
             lam[self._tangents[i]] = -self.mu[i] * lam[self._starts[i]] * d
@@ -148,7 +154,8 @@ class ExactContacts:
                 touches.append(Touch.STICKS)
             else:
                 size = math.hypot(*slips[c])
-                is_slow = size <= slow and (is_free or not is_fine(name))
+                none = _TOGETHER * slow if is_free else slow
+                is_slow = size <= none and (is_free or not is_fine(name))
                 if not is_slow:
                     self.moving[c] = slips[c]
                 if is_slow and self.mu[c] > 0.0:

@@ -5,6 +5,7 @@ of a row is 0 while it is on; 1 where its multiplier is at the lower bound (a ga
 friction of a joint that slips forwards), -1 at the upper one.
 """
 
+import math
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -77,7 +78,15 @@ class ExactRows:
         return self._pushing[1]
 
     def accelerate(
-        self, t: float, q: Array, v: Array, a: Array, mode: Mode, free: Collection[int] = ()
+        self,
+        t: float,
+        q: Array,
+        v: Array,
+        a: Array,
+        mode: Mode,
+        free: Collection[int] = (),
+        *,
+        splits: bool = True,
     ) -> Array:
         """Accelerations of what is integrated, with the rows of a mode.
 
@@ -88,6 +97,7 @@ class ExactRows:
             a: Acceleration without the rows, of the last `accelerate` of the motion.
             mode: Begins with one entry a row; the state decides where it is empty.
             free: Rows whose mode is looked for: their multipliers may be all that the law allows.
+            splits: Whether multipliers of contacts matter that share a force and stick.
 
         Raises:
             SolveError: The rows that are on contradict one another.
@@ -102,7 +112,8 @@ class ExactRows:
             mode, free = self._over.ways_at(x)
         lower, upper = self._bounds(mode, free)
         if self.contacts is not None:
-            found = self.contacts.solve(motion, q, x, joint_a, (lower, upper), mode, free)
+            given = motion, q, x, joint_a, (lower, upper), mode, free
+            found = self.contacts.solve(*given, splits=splits)
             self.solver.multipliers, self.solver.force = found.lam, found.force
             a, left, terms = motion.coordinates.integrated(joint_a + found.added), *found[3:]
         else:
@@ -204,6 +215,13 @@ class ExactRows:
             return {}
         self.solve(y, u, mode)
         return self._modes.renamed(self.left, self._slack, chosen)
+
+    def longest(self, y: State, u: Array | None, mode: Mode) -> float:
+        """Length of a step in which no slip of a contact changes by much [s]."""
+        if self.contacts is None or not self._modes.turning(mode):
+            return math.inf
+        self.solve(y, u, mode)
+        return self._modes.longest(self.left, mode)
 
     def _bounds(self, mode: Mode, free: Collection[int]) -> tuple[Array, Array]:
         """Smallest and largest multipliers of all rows in a mode."""

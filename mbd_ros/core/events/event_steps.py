@@ -91,7 +91,8 @@ class EventSteps(Stepper):
             rest = min((rest.t for rest in happens.rests), default=math.inf)
             self.field.watch(x, u, happens.left)
             if after is None:
-                after = self._inner.step(x, u, min(end, rest))
+                longest = x.t + self.field.longest(x, u)
+                after = self._inner.step(x, u, min(end, rest, longest))
             if after is x:
                 return x
             after, margin = self._search.first(x, u, after, happens.left)

@@ -1,5 +1,6 @@
 """A system in one mode at a time: exact rows, then surfaces of switching forces."""
 
+import math
 from collections.abc import Collection
 
 import numpy as np
@@ -181,7 +182,7 @@ class ModeField:
         n, rows = self.count, self.rows
         on = [i for i in range(n) if not self._mode[i]]
         if rows is not None and (on or self._demands):
-            self._solve(y, u)
+            rows.solve(y, u, self._mode)
             for i in (i for i in on if i not in self._frictions):
                 if rows.lower[i] > -np.inf:
                     margins[i, 1] = float(rows.lam[i] - rows.lower[i])
@@ -222,6 +223,10 @@ class ModeField:
             return {}
         return self.rows.renamed(y, u, self._mode, switch)
 
+    def longest(self, y: State, u: Array | None) -> float:
+        """Length of a step in which directions of forces are followed [s]."""
+        return math.inf if self.rows is None else self.rows.longest(y, u, self._mode)
+
     def onto(self, y: State, u: Array | None) -> State:
         """The state on what is on, moved only as the forces of that move it."""
         y = self.onto_rows(y)
@@ -236,11 +241,6 @@ class ModeField:
     def inside(self, y: State) -> State:
         """A state near by in which no gap is beyond its end; `inside`."""
         return y if self.rows is None else inside(self.system, self.rows, self.gaps, y)
-
-    def _solve(self, y: State, u: Array | None, free: Collection[int] = ()) -> None:
-        """Brings multipliers and w of the rows to a state."""
-        assert self.rows is not None
-        self.rows.solve(y, u, self._mode, free)
 
     def _stacked(self, rows: Array | None, surfaces: Array | None) -> Array:
         if rows is None or surfaces is None:

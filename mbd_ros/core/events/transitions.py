@@ -13,6 +13,7 @@ from mbd_ros.core.events.pace import Pace
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 
+_MOST_AT_ONCE = 100  # impacts that may follow one another at one time
 _SHORT = 1.0e-3  # of dt: events this close to one another are counted
 
 Known = tuple[frozenset[int], tuple[Rest, ...], Pace, EventLog]
@@ -87,6 +88,11 @@ class Transitions:
         impacts, field = self._impacts, self._field
         assert impacts is not None
         x, impulse = impacts.after(x)
+        for _ in range(_MOST_AT_ONCE):
+            if not impacts.hits(x):
+                break
+            x, more = impacts.after(x)  # a gap that was open by hardly more than rounding
+            impulse = impulse + more
         x = self.begun(x, u)
         rests = impacts.rests(x, u, field.mode)
         if rests:
