@@ -77,7 +77,7 @@ LIMITS = [
 def test_measured_limits_are_those_stated(entry, b, limit):
     """Reference X04: a + 2 b < 4, a < 4 + 2 b and a < 8, within 1 %."""
     (window,) = stated(ball(0.5, b, entry))
-    assert window.upper * DT**2 / 3.0 == pytest.approx(limit, rel=1e-5)
+    assert window.upper * DT**2 / 3.0 == pytest.approx(limit, rel=5e-5)
     assert is_bounded(ball(0.99 * limit, b, entry))
     assert not is_bounded(ball(1.01 * limit, b, entry), 1500)
 
@@ -202,7 +202,7 @@ def test_couplings_and_loops_count_in_the_effective_mass(solver):
     )
     mass = 2.0 + 9.0 * 0.5 if solver == "reduced" else 2.5
     (window,) = stated(scene)
-    assert window.upper == pytest.approx(4.0 * mass / DT**2, rel=1e-5)
+    assert window.upper == pytest.approx(4.0 * mass / DT**2, rel=5e-5)
     weight = abs(2.0 - 3.0 * 0.5) * G if solver == "reduced" else 2.5 * G
     assert window.load == pytest.approx(weight, rel=1e-9)
     assert window.lower == pytest.approx(weight / 1e-3, rel=1e-9)
@@ -211,7 +211,7 @@ def test_couplings_and_loops_count_in_the_effective_mass(solver):
 @pytest.mark.parametrize(("mass", "radius", "dt"), [(1e6, 10.0, 0.01), (1e-6, 1e-3, 1e-5)])
 def test_windows_scale_with_the_scene(mass, radius, dt):
     (window,) = stated(ball(0.5, 0.0, EXPLICIT, mass, radius, dt))
-    assert window.upper == pytest.approx(4.0 * mass / dt**2, rel=1e-5)
+    assert window.upper == pytest.approx(4.0 * mass / dt**2, rel=5e-5)
     assert window.lower == pytest.approx(mass * G / (0.01 * radius), rel=1e-9)
 
 
@@ -248,7 +248,7 @@ def test_a_stack_of_mass_ratio_1e6_has_a_window_a_contact():
     weights = [(1e6 + 2.0) * G / 4.0, (1e6 + 1.0) * G / 4.0, 1e6 * G / 4.0]
     assert [w.load for w in found[:3]] == pytest.approx(weights, rel=1e-7)
     assert found[0].upper == pytest.approx(found[2].upper)
-    assert found[3].upper == pytest.approx(4.0 / DT**2, rel=1e-5)
+    assert found[3].upper == pytest.approx(4.0 / DT**2, rel=5e-5)
 
 
 def test_rebounds_of_the_reference():

@@ -10,7 +10,7 @@ from mbd_ros.core.integration.stepping import Integrator
 
 _WIDE = 4.0  # factor by which the end of a window is looked for
 _FARTHEST = 1.0e12
-_HALVINGS = 24  # of the ratio `_WIDE`
+_HALVINGS = 16  # of the ratio `_WIDE`
 _LONGER = 1.0e4  # than the shortest time of a motion: steps that no bound is looked for beyond
 
 
