@@ -76,7 +76,7 @@ def check_impacts(count, seed):
     pushed = limited = 0
     for J, M, v, cones, hold, e, found in impacts(count, seed):
         p, after = found.p, found.v
-        size = np.abs(M @ (after - v)).max() + np.abs(M @ v).max()
+        size = np.abs(M @ v).max() + (np.abs(J).T @ np.abs(p)).max()
         assert M @ (after - v) == pytest.approx(J.T @ p, abs=1e-12 * size)
         assert np.abs(hold @ after).max(initial=0.0) <= 1e-9
         assert after @ M @ after - v @ M @ v <= 1e-12 * (v @ M @ v)

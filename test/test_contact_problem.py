@@ -127,7 +127,7 @@ def test_residuals_are_those_of_wrong_impulses():
     problem.pushing(b, speed)
     p, *others = problem._answered
     p[0] = -2.0
-    problem._answered = np.array((p, *others))
+    problem._answered = (p, *others)
     assert problem.residuals.dual == 2.0 and problem.residuals.primal > 0.0
 
 

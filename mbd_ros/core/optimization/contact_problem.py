@@ -11,17 +11,17 @@ then of least norm. It is not symmetric where rows push along other directions t
 Every answer is checked by what it leaves of the laws.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.optimization.cone_contact import cone_contact
+from mbd_ros.core.optimization.cone_contact import cone_contact, cone_residuals
 from mbd_ros.core.optimization.scaled_contacts import ScaledContacts
 from mbd_ros.core.rows.row_layout import Cone
 from mbd_ros.core.state import Array
-from mbd_ros.core.thresholds import CONTRADICTION, HELD_BY_ROWS
-from mbd_ros.errors import SolveError
+from mbd_ros.core.thresholds import HELD_BY_ROWS
 
 _ROUNDING = 1.0e-11  # of a rate, relative to those that the velocity can mean
 
@@ -56,15 +56,11 @@ class ContactProblem:
     def __init__(
         self, A: Array, loose: Array, names: Sequence[str], cones: Sequence[Cone]
     ) -> None:
-        self._A, self._loose, self._names, self._cones = A, loose, names, tuple(cones)
-        self._mobile = A.diagonal() > HELD_BY_ROWS * loose
-        self._moves = self._mobile.copy()
-        for cone in cones:  # no friction where nothing moves the normal
-            self._moves[cone.slots] = self._mobile[cone.slots.start]
-        is_one = len(A) == 3 and len(cones) == 1 and self._moves[0]
-        self._only = self._cones[0].mu if is_one else None
-        self._scaled: ScaledContacts | None = None
-        self._answered = np.zeros((4, len(A)))
+        self._A, self._loose, self._names, self._cones = A, loose, names, cones
+        is_one = len(A) == 3 and len(cones) == 1
+        self._is_one = is_one and float(A[0, 0]) > HELD_BY_ROWS * float(loose[0])
+        self._problem: ScaledContacts | None = None
+        self._answered: tuple[Array, ...] = ()
 
     def solve(
         self,
@@ -91,13 +87,12 @@ class ContactProblem:
         """
         if late is not None:
             b = b + late
-        p = self._unmoved(b, lower, upper, speed)
-        if self._only is not None:
-            rounding = _ROUNDING * speed * float(self._loose[0]) ** 0.5
-            p = cone_contact(self._A, b, self._only, float(lower[0]), rounding)
-        elif self._moves.any():
-            p[self._moves] = self._problem().solve(b, lower, upper, speed, warm)
-        self._answered = np.array((p, b, lower, upper))
+        if self._is_one:
+            rounding = _ROUNDING * speed * math.sqrt(self._loose[0])
+            p = cone_contact(self._A, b, self._cones[0].mu, float(lower[0]), rounding)
+        else:
+            p = self._scaled().solve(b, lower, upper, speed, warm)
+        self._answered = p, b, lower, upper
         return p
 
     def pushing(self, b: Array, speed: float, least: Array | None = None) -> Array:
@@ -118,36 +113,18 @@ class ContactProblem:
     def residuals(self) -> Residuals:
         """What the last answer leaves of the laws; rows that nothing moves leave nothing."""
         p, b, lower, upper = self._answered
-        beyond = np.maximum(lower - p, p - upper)
+        if self._is_one:
+            return Residuals(*cone_residuals(self._A, b, p, self._cones[0].mu, float(lower[0])))
+        beyond, over = np.maximum(lower - p, p - upper), 0.0
         for cone in self._cones:
+            normal, first, second = p[cone.slots].tolist()
             beyond[cone.slots.start + 1 : cone.slots.stop] = 0.0
-        dual = max(float(beyond.max(initial=0.0)), 0.0)
-        over = [
-            float(np.hypot(*p[cone.slots][1:])) - cone.mu * float(p[cone.slots.start])
-            for cone in self._cones
-        ]
-        primal, correction = self._problem().left(p, b, lower, upper)
-        return Residuals(primal, dual, max(0.0, *over), correction)
+            over = max(over, math.hypot(first, second) - cone.mu * normal)
+        primal, correction = self._scaled().left(p, b, lower, upper)
+        return Residuals(primal, max(float(beyond.max(initial=0.0)), 0.0), over, correction)
 
-    def _problem(self) -> ScaledContacts:
-        """The rows that something moves."""
-        if self._scaled is None:
-            self._scaled = ScaledContacts(
-                *(self._A, self._moves, self._mobile, self._names, self._cones)
-            )
-        return self._scaled
-
-    def _unmoved(self, b: Array, lower: Array, upper: Array, speed: float) -> Array:
-        """Impulses of rows that nothing moves; 0 for the others."""
-        p = np.zeros(len(b))
-        if self._moves.all():
-            return p
-        size = np.sqrt(np.where(self._loose > 0.0, self._loose, 1.0)) * speed
-        none = self._moves | (np.abs(b) <= CONTRADICTION * size)
-        for cone in self._cones:
-            none[cone.slots.start + 1 : cone.slots.stop] = True
-        p = np.where(none, 0.0, np.where(b < 0.0, upper, lower))
-        if not np.isfinite(p).all():
-            name = self._names[int(np.isfinite(p).argmin())]
-            raise SolveError(f"nothing can keep constraint row {name} from closing")
-        return p
+    def _scaled(self) -> ScaledContacts:
+        if self._problem is None:
+            given = self._A, self._loose, self._names, self._cones
+            self._problem = ScaledContacts(*given)
+        return self._problem

@@ -7,14 +7,13 @@ the coefficients of friction change with them.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbd_ros.core.optimization.cone_newton import Bounds, ConeNewton, Contacts, kept
 from mbd_ros.core.optimization.contact_search import searched
 from mbd_ros.core.optimization.least_impulses import least_impulses
 from mbd_ros.core.rows.row_layout import Cone
 from mbd_ros.core.state import Array
-from mbd_ros.core.thresholds import TINY
+from mbd_ros.core.thresholds import CONTRADICTION, HELD_BY_ROWS, TINY
 from mbd_ros.errors import SolveError
 
 _ENOUGH = 1.0e-14  # of the impulses: what an answer may leave of the natural map
@@ -25,26 +24,30 @@ _NOTHING = 1.0e-15  # the same of rates that no impulse has to end
 
 
 class ScaledContacts:
-    """Solves for the rows that something moves.
+    """As `ContactProblem`, in units of the rows.
+
+    Rows that nothing moves exert what their bounds say and change nothing, and where nothing moves
+    a normal there is no friction.
 
     Args:
-        A: Rates that impulses add, of all rows, shape (m, m).
-        moves: The rows that are solved for, shape (m,).
-        mobile: Rows that something moves; only tangents are solved for beside these, shape (m,).
-        names: Of all rows, for messages.
-        cones: The contacts among all rows.
+        A: Rates that impulses add, shape (m, m).
+        loose: Diagonal of A while no bilateral row holds, shape (m,).
+        names: Of the rows, for messages.
+        cones: The contacts among them.
     """
 
     def __init__(
-        self,
-        A: Array,
-        moves: NDArray[np.bool_],
-        mobile: NDArray[np.bool_],
-        names: Sequence[str],
-        cones: Sequence[Cone],
+        self, A: Array, loose: Array, names: Sequence[str], cones: Sequence[Cone]
     ) -> None:
-        self._at, self._names = moves.nonzero()[0], names
-        at, place = self._at, np.cumsum(moves) - 1
+        self._loose, self._names = loose, names
+        mobile = A.diagonal() > HELD_BY_ROWS * loose
+        self._moves = moves = mobile.copy()
+        self._pulls_nothing = np.zeros(len(A), dtype=np.bool_)
+        for cone in cones:
+            moves[cone.slots] = mobile[cone.slots.start]
+            self._pulls_nothing[cone.slots.start + 1 : cone.slots.stop] = True
+        self._at, place = moves.nonzero()[0], np.cumsum(moves) - 1
+        at = self._at
         moved = [cone for cone in cones if moves[cone.slots.start]]
         normal = place[[cone.slots.start for cone in moved]].astype(np.intp)
         first, second = normal + 1, normal + 2
@@ -63,18 +66,21 @@ class ScaledContacts:
     def solve(
         self, b: Array, lower: Array, upper: Array, speed: float, warm: Array | None
     ) -> Array:
-        """Impulses of the rows that are solved for, fresh.
+        """The impulses, shape (m,), fresh.
 
         Args:
-            b: Rates without impulses, of all rows, shape (m,).
+            b: Rates without impulses, shape (m,).
             lower: Smallest impulses, shape (m,).
             upper: Largest ones, shape (m,).
             speed: Velocity in the mass metric.
             warm: Impulses to begin with, shape (m,).
 
         Raises:
-            SolveError: No impulses are found.
+            SolveError: Nothing keeps a row from closing, or no impulses are found.
         """
+        answer = self._unmoved(b, lower, upper, speed)
+        if not len(self._at):
+            return answer
         at, unit = self._at, self._unit
         b, least = unit * b[at], self._bounds(lower, upper, unit).least
         size = max(float(np.abs(b).max()), float(least.max(initial=0.0)), speed * _NOTHING, TINY)
@@ -88,8 +94,22 @@ class ScaledContacts:
         p = kept(self._newton.contacts, bounds, p)
         if self._newton.depends:
             p = self._shortest(b, bounds, p)
-        answer: Array = unit * p
+        answer[at] = unit * p
         return answer
+
+    def _unmoved(self, b: Array, lower: Array, upper: Array, speed: float) -> Array:
+        """Impulses of rows that nothing moves; 0 for the others."""
+        p = np.zeros(len(b))
+        if len(self._at) == len(b):
+            return p
+        length = np.sqrt(np.where(self._loose > 0.0, self._loose, 1.0))
+        none = self._moves | self._pulls_nothing
+        none |= np.abs(b) <= CONTRADICTION * length * speed
+        p = np.where(none, 0.0, np.where(b < 0.0, upper, lower))
+        if not np.isfinite(p).all():
+            name = self._names[int(np.isfinite(p).argmin())]
+            raise SolveError(f"nothing can keep constraint row {name} from closing")
+        return p
 
     def _shortest(self, b: Array, bounds: Bounds, p: Array) -> Array:
         """The impulses of least norm that do what p does."""
