@@ -8,6 +8,11 @@ import pytest
 from mechanisms import scene_of
 from scipy.spatial import ConvexHull
 
+from mbd_ros.core.geometry.pairing import contact_pair
+from mbd_ros.core.geometry.polyhedron import box_of, polyhedron
+from mbd_ros.core.geometry.shapes import Between, Box, Mesh, Side
+from mbd_ros.core.geometry.solids import _to_box
+from mbd_ros.core.geometry.to_mesh import ToMesh
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.state import State
 
@@ -41,6 +46,8 @@ OTHERS = {  # whose gaps have kinks
     "ball over capsule": ("ball", "pill", 1),
     "points over cylinder": (POINTS, "drum", 3),
     "box over box": ("box", "wedge", 24),
+    "cylinder over box": ("drum", "wedge", 5),
+    "cylinder over cylinder": ("drum", "{frame: box, cylinder: {radius: 0.1, length: 1}}", 5),
 }
 PLACES = {"near": (0.0, 0.0, 0.0), "far": (100.0, -60.0, 30.0)}
 
@@ -80,7 +87,7 @@ def test_rows_are_the_derivatives_of_gaps_and_of_one_another(case, place):
     assert pair.is_smooth == (case in SMOOTH) == (not pair.why_not)
     h = 1e-6
     tolerance = 1e-7 * (1.0 + 10.0 * np.abs(PLACES[place]).max())
-    if case == "box over box":
+    if case in ("box over box", "cylinder over box", "cylinder over cylinder"):
         return  # features beside the faces are no distances, see below
     for x in random_states(scene, 5, PLACES[place]):
         before, after = (at(scene, pair, x, shift) for shift in (-h, h))
@@ -305,3 +312,116 @@ contacts: [{{type: rigid, between: [{{frame: foot, sphere: 0}}, {plane}], fricti
     (part,) = scene.constraints
     k, _ = at(scene, part.pair, scene.initial)
     assert part.pair.gaps(k) == pytest.approx(2.0, abs=1e-14)
+
+
+BULKS = {  # two bodies, at the centres of `box` and of `wedge`
+    "boxes as bodies with faces": ("box_of", "box_of"),
+    "a hull over a box": ("hull", "box_of"),
+    "a hull over a hull": ("hull", "hull"),
+}
+
+
+def polyhedra(case):
+    rng, made = np.random.default_rng(8), []
+    for kind, sides in zip(BULKS[case], ((0.2, 0.3, 0.4), (1.0, 1.0, 1.0)), strict=True):
+        if kind == "box_of":
+            made.append(box_of(np.array(sides)))
+        else:
+            points = rng.normal(size=(14, 3))
+            points *= np.array(sides) / 2.0 / np.linalg.norm(points, axis=1)[:, None]
+            made.append(polyhedron(points, ConvexHull(points).simplices))
+    return made
+
+
+def bulks(case):
+    a, b = polyhedra(case)
+    scene, _, *_ = boxes()
+    robot = scene.robot
+    sides = [
+        Side(name, (Mesh(robot.point(name), body),)) for name, body in (("box", a), ("wedge", b))
+    ]
+    return scene, contact_pair(robot, Between(*sides)), a, b
+
+
+@pytest.mark.parametrize("case", BULKS)
+def test_features_of_convex_bodies_know_their_distance(case):
+    """Bodies that nearly touch: the smallest gap is the distance of their vertices' hulls."""
+    scene, pair, a, b = bulks(case)
+    rng, h, seen = np.random.default_rng(9), 1e-7, []
+    for _ in range(60):
+        pose = pin.SE3(pin.exp3(rng.normal(size=3) * 2.0), rng.normal(size=3))
+        pose = nearing_hulls(a, b, pose, 1e-4)
+        k, q = placed(scene, pose)
+        gaps = pair.gaps(k)
+        near = int(np.argmin(gaps))
+        seen.append(near)
+        assert gaps[near] == pytest.approx(1e-4, rel=0.02)
+        assert pair.room(k, gaps) == pytest.approx(1e-4, rel=0.02)
+        x = State(0.0, q, rng.normal(size=scene.robot.model.nv))
+        k, _ = at(scene, pair, x)
+        rows = slice(3 * near, 3 * near + 3)
+        rate, drift = (pair.jacobian(k) @ x.v)[rows], pair.drift(k, x)[rows]
+        ends = [at(scene, pair, x, shift)[0] for shift in (-h, h)]
+        if any(int(np.argmin(pair.gaps(end))) != near for end in ends):
+            continue
+        slope = (pair.gaps(ends[1])[near] - pair.gaps(ends[0])[near]) / (2 * h)
+        rates = [(pair.jacobian(end) @ x.v)[rows] for end in ends]
+        assert slope == pytest.approx(rate[0], abs=1e-5)
+        assert (rates[1] - rates[0]) / (2 * h) == pytest.approx(drift, abs=1e-4)
+    assert 0 in seen and max(seen) > 0
+
+
+def nearing_hulls(a, b, pose, distance):
+    """As `nearing`, by a linear program: the widest gap between planes that part two bodies."""
+    way = pose.translation / np.linalg.norm(pose.translation)
+    turned = a.vertices @ pose.rotation.T
+    axes = np.concatenate([b.normals, -(a.normals @ pose.rotation.T), *crosses(turned, a, b)])
+
+    def apart(far):
+        return ((turned + far * way) @ axes.T).min(axis=0) - (b.vertices @ axes.T).max(axis=0)
+
+    far, near = 3.0, 0.0
+    for _ in range(60):
+        middle = 0.5 * (far + near)
+        far, near = (middle, near) if apart(middle).max() > distance else (far, middle)
+    return pin.SE3(pose.rotation, far * way)
+
+
+def crosses(turned, a, b):
+    """Directions across every edge of one body and every edge of another, both ways."""
+    edges = [
+        np.concatenate([np.roll(points[f], -1, axis=0) - points[f] for f in body.faces])
+        for points, body in ((turned, a), (b.vertices, b))
+    ]
+    across = np.cross(edges[0][:, None], edges[1][None]).reshape(-1, 3)
+    length = np.linalg.norm(across, axis=1)
+    across = across[length > 1e-6] / length[length > 1e-6, None]
+    return across, -across
+
+
+def test_a_mesh_stands_on_a_box_at_the_corners_of_what_they_share():
+    """A cube as a mesh, with four corners, half of it beside the box."""
+    scene, _, _, b = boxes()
+    cube = box_of(np.array((0.2, 0.2, 0.2)))
+    sides = (
+        Side("box", (Mesh(scene.robot.point("box"), cube),)),
+        Side("wedge", (Box(scene.robot.point("wedge"), b),)),
+    )
+    pair = contact_pair(scene.robot, Between(*sides))
+    k, _ = placed(scene, pin.SE3(np.eye(3), np.array((0.5, 0.1, 0.6))))
+    gaps, places = pair.gaps(k), pair.places(k)
+    assert gaps[0] > 0.01 and gaps[1:] == pytest.approx(np.zeros(4), abs=1e-12)
+    corners = places.point[1:, :2]
+    assert ConvexHull(corners).volume == pytest.approx(0.1 * 0.2, abs=1e-12)
+    assert places.axes[1:, :, 2] == pytest.approx(np.tile((0, 0, 1.0), (4, 1)), abs=1e-12)
+
+
+@pytest.mark.parametrize("sides", [(0.2, 0.3, 0.4), (1.0, 0.1, 0.5)])
+def test_a_mesh_of_a_box_is_the_box_for_balls(sides):
+    """Random places inside and outside, one by one; both are signed distances of their own."""
+    rng, sides = np.random.default_rng(10), np.array(sides)
+    mesh, box = ToMesh(box_of(sides), 1e-6), _to_box(sides / 2.0)
+    for centre in rng.uniform(-1.0, 1.0, (300, 3)) * sides:
+        gaps, normals = zip(mesh(centre[None]), box(centre[None]), strict=True)
+        assert gaps[0] == pytest.approx(gaps[1], abs=1e-12)
+        assert normals[0] == pytest.approx(normals[1], abs=1e-9)

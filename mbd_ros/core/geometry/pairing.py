@@ -10,6 +10,7 @@ from mbd_ros.core.geometry.balls import BallsOnBalls, BallsOnPlane
 from mbd_ros.core.geometry.contact_pair import ContactPair, Met
 from mbd_ros.core.geometry.frames import nearest_bases
 from mbd_ros.core.geometry.meeting import Meeting
+from mbd_ros.core.geometry.polyhedron import Polyhedron, box_of, prism_of
 from mbd_ros.core.geometry.shapes import (
     Balls,
     Between,
@@ -30,6 +31,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.errors import ModelError
 
 _ROUND = (Sphere, Points)
+_WITH_FACES = (Box, Cylinder, Mesh)
 _OF_BALLS = (*_ROUND, Box, Capsule, Mesh)  # where they meet a plane
 
 
@@ -109,7 +111,20 @@ def _meeting(robot: Robot, moving: Any, resting: Any) -> Meeting | None:
         from mbd_ros.core.geometry.boxes import BoxOnBox
 
         return BoxOnBox(robot.pair(resting.at, moving.at), moving.sides, resting.sides)
+    if isinstance(moving, _WITH_FACES) and isinstance(resting, _WITH_FACES):
+        from mbd_ros.core.geometry.convex import ConvexOnConvex
+
+        pair = robot.pair(resting.at, moving.at)
+        return ConvexOnConvex(pair, _faces_of(moving), _faces_of(resting))
     return None
+
+
+def _faces_of(shape: Box | Cylinder | Mesh) -> Polyhedron:
+    if isinstance(shape, Mesh):
+        return shape.body
+    if isinstance(shape, Box):
+        return box_of(shape.sides)
+    return prism_of(shape.radius, shape.length)
 
 
 def _balls_on(robot: Robot, balls: Balls, resting: Shape | Balls) -> Meeting | None:
@@ -121,7 +136,7 @@ def _balls_on(robot: Robot, balls: Balls, resting: Shape | Balls) -> Meeting | N
         k.refresh(robot.neutral(), np.zeros(robot.model.nv), Reads.POSITION)
         basis = nearest_bases(k.motion(pair).offset()[None])[0]
         return BallsOnBalls(pair, balls, resting, basis)
-    if isinstance(resting, Box | Capsule | Cylinder):
+    if isinstance(resting, Box | Capsule | Cylinder | Mesh):
         from mbd_ros.core.geometry.solids import BallsOnSolid
 
         return BallsOnSolid(pair, balls, resting)

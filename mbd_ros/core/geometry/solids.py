@@ -7,7 +7,7 @@ import numpy as np
 
 from mbd_ros.core.geometry.frames import framed, lengths, nearest_bases
 from mbd_ros.core.geometry.meeting import Meeting, Touch
-from mbd_ros.core.geometry.shapes import Balls, Box, Capsule, Cylinder
+from mbd_ros.core.geometry.shapes import Balls, Box, Capsule, Cylinder, Mesh
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array
 
@@ -25,7 +25,7 @@ class BallsOnSolid(Meeting):
         solid: What they are over, centred at the origin of the observer.
     """
 
-    def __init__(self, pair: Pair, balls: Balls, solid: Box | Capsule | Cylinder) -> None:
+    def __init__(self, pair: Pair, balls: Balls, solid: Box | Capsule | Cylinder | Mesh) -> None:
         super().__init__(pair, balls.names)
         self.reach = balls.reach
         self._centres, self._radii = balls.centres, balls.radii
@@ -40,11 +40,15 @@ class BallsOnSolid(Meeting):
         return Touch(distance - self._radii, lever, framed(normal, nearest_bases(normal)))
 
 
-def _distance_to(solid: Box | Capsule | Cylinder) -> tuple[Distance, str]:
+def _distance_to(solid: Box | Capsule | Cylinder | Mesh) -> tuple[Distance, str]:
     if isinstance(solid, Capsule):
         return _to_capsule(solid.radius, solid.length / 2.0), "capsule"
     if isinstance(solid, Cylinder):
         return _to_cylinder(solid.radius, solid.length / 2.0), "cylinder"
+    if isinstance(solid, Mesh):
+        from mbd_ros.core.geometry.to_mesh import ToMesh
+
+        return ToMesh(solid.body, BESIDE * solid.body.size), "mesh"
     return _to_box(solid.sides / 2.0), "box"
 
 
