@@ -74,6 +74,7 @@ bench: venv
 	$(BIN)/python -m mbd_ros.report.bench.inverse
 	$(BIN)/python -m mbd_ros.report.bench.projector
 	$(BIN)/python -m mbd_ros.report.bench.controllers
+	$(BIN)/python -m mbd_ros.report.bench.contact
 
 against: venv
 	$(BIN)/python benchmarks/against.py $(or $(BASE),HEAD)
