@@ -93,3 +93,52 @@ def test_the_block_slides_uphill_and_stays(method):
     assert sliding[[0, 2]].sum() == pytest.approx(behind, abs=1e-9)
     assert sliding[[1, 3]].sum() == pytest.approx(before, abs=1e-9)
     assert np.all(sliding[4:] == 0.0)
+
+
+def heights(states):
+    """Of all bodies, shape (n, bodies)."""
+    return np.array([x.q[2::7] for x in states])
+
+
+def test_the_stack_stays_under_its_load():
+    """1 000 tons on two boxes of 1 kg; every corner of every box stays where it is."""
+    _, simulation, states = motion("stack", 0.02, dt=2e-3)
+    assert heights(states) == pytest.approx(np.tile((0.1, 0.3, 0.5), (len(states), 1)), abs=1e-9)
+    assert np.abs([x.v for x in states]).max() <= 1e-9
+    assert max(simulation.stepper.residuals) <= 1e-8
+
+
+def table_forces(mass=4.0, load=1.0, sx=0.5, sy=-0.25):
+    """The split of smallest norm among feet at (1, 1), (-1, 1), (-1, -1), (1, -1)."""
+    ex, ey = np.array((1, -1, -1, 1)), np.array((1, 1, -1, -1))
+    return GRAVITY * (mass + load * (1.0 + sx * ex + sy * ey)) / 4.0
+
+
+@pytest.mark.parametrize("method", ["dop853", "moreau_jean"])
+def test_the_table_shares_its_weight_with_the_least_norm(method):
+    how = {"integrator": {"type": method}, "dt": 5e-3}
+    _, simulation, states = motion("four_legged_table", 0.05, **how)
+    (forces,) = normals(simulation, states[-1])
+    assert forces == pytest.approx(table_forces(), rel=1e-9)
+    assert np.abs(states[-1].q[:3]).max() <= 1e-12
+
+
+@pytest.mark.parametrize(("method", "duration"), [("dop853", 0.1), ("moreau_jean", 60.0)])
+def test_the_gripper_holds_the_box(method, duration):
+    """Pads press with 0.6 N m over 2 x 50 mm; the box neither slips nor creeps in a minute."""
+    how = {"integrator": {"type": method}, "dt": 0.05}
+    scene, simulation, states = motion("gripper", duration, **how)
+    (base,) = scene.robot.bases
+    fallen = [(x.q - scene.initial.q)[base.q][:3] for x in states]
+    assert np.abs(fallen).max() <= 1e-9
+    assert max(np.abs(x.v).max() for x in states) <= 1e-11
+    for pad in normals(simulation, states[-1]):
+        assert pad == pytest.approx(1.5, rel=1e-9)
+    lam = simulation.system.evaluate(states[-1]).lam
+    blocks = [block for block in simulation.system.layout.blocks if block.cones()]
+    friction = [
+        np.linalg.norm(lam[block.slots].reshape(-1, 3)[:, 1:].sum(axis=0)) for block in blocks
+    ]
+    assert friction == pytest.approx([0.25 * GRAVITY, 0.25 * GRAVITY], rel=1e-9)
+    if method == "moreau_jean":
+        assert max(simulation.stepper.residuals) <= 1e-8

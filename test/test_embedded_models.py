@@ -15,7 +15,10 @@ ROOT = Path(__file__).parents[1]
 ROBOTS = ROOT / "config" / "robots"
 SCENES = ROOT / "config" / "scenes"
 HEIGHT, MASS = 1.75, 75.0
-URDFS = ("pendulum.urdf", "arm7.urdf", "prosthetic_arm.urdf", "prosthetic_leg.urdf")
+URDFS = (
+    *("pendulum.urdf", "arm7.urdf", "prosthetic_arm.urdf", "prosthetic_leg.urdf"),
+    *("gripper.urdf", "table.urdf"),
+)
 LEGS = ("prosthetic_leg.yaml", "prosthetic_leg_stance.yaml")
 INDEPENDENT = {
     "empty.yaml": ("hinge",),
@@ -86,7 +89,7 @@ def test_masses_are_those_of_the_documentation(urdf):
     }
     assert documented == {name: mass for name, (mass, _, _) in inertials(urdf).items()}
     total = float(re.search(rf"`{urdf}` \|.*\| (\S+) \|$", text, re.M).group(1))
-    model = pin.buildModelFromUrdf(str(ROBOTS / urdf))
+    model = pin.buildModelFromUrdf(str(ROBOTS / urdf), pin.JointModelFreeFlyer())
     assert pin.computeTotalMass(model) == pytest.approx(total, abs=1e-6)
 
 

@@ -184,7 +184,7 @@ class VelocityStep:
             factor = self._rigid.factorise(M, hold) if self._rigid.rows else None
             response = ImpulseResponse(M, J, hold, factor)
             names = [rows.every.names[i] for i in near]
-            p = PushImpulses(response.G, response.loose, names).solve(gap[near], 0.0)
+            p, _ = PushImpulses(response.G, response.loose, names).nearest(gap[near], 0.0)
             y = self._moved(y, response.X.dot(p), x.v, 0.0 * y.z, y.t)
         return y
 

@@ -52,24 +52,37 @@ class PushImpulses:
         left = np.where(self._mobile, 0.0, b) < -CONTRADICTION * self._length * speed
         if left.any():
             self._refuse(int(left.argmax()))
-        p = np.zeros(len(b))
+        p, rate = self.nearest(b, speed)
+        if rate.min(initial=0.0) < -CONTRADICTION:
+            self._refuse(int(rate.argmin()))
+        return p
+
+    def nearest(self, b: Array, speed: float) -> tuple[Array, Array]:
+        """The impulses, and what they leave of the rates, of the largest one, shape (m,) each.
+
+        Rates of rows that nothing moves count as none. Where rows depend on one another and want
+        different things, a small part of their rates is left.
+
+        Args:
+            b: As for `solve`.
+            speed: As for `solve`.
+        """
+        p, rate = np.zeros((2, len(b)))
         own = self._unit * b[self._mobile]
         if (own >= 0.0).all():
-            return p
+            return p, rate
         G, size = self._G, max(speed, float(np.abs(own).max()))
         own = own / size  # c is of the order of 1, however slow the motion is
         c = np.asarray(np.linalg.lstsq(G.T, own, rcond=FIXED_BY_OTHERS)[0], dtype=np.float64)
         off = own - G.T.dot(c)
         if np.abs(off).max() <= _SAME:
             p[self._mobile] = size * self._unit * _shared(G, c, _least(G, c))
-            return p
+            return p, rate
         yielding = np.concatenate((G, _GIVES * np.eye(len(own))))
         push = _least(yielding, np.concatenate((c, off / _GIVES)))
-        rate = own + G.T.dot(G.dot(push))
-        if rate.min() < -CONTRADICTION:
-            self._refuse(int(np.flatnonzero(self._mobile)[rate.argmin()]))
+        rate[self._mobile] = own + G.T.dot(G.dot(push))
         p[self._mobile] = size * self._unit * push
-        return p
+        return p, rate
 
     def _refuse(self, row: int) -> None:
         raise SolveError(f"nothing can keep constraint row {self._names[row]} from closing")
