@@ -6,17 +6,21 @@ v_i of each coordinate between two bodies,
     |g'| <= sum_i w_i |v_i|,   w_i = s_i + r_i d_i
 
 s_i and r_i are the lengths of the linear and the angular part of its column of the motion
-subspace, d_i the distance of that point from the origin of its joint.
+subspace, d_i the distance of that point from the origin of its joint. It is not longer than the
+links between them, unless a joint between them slides.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.geometry.contact_pair import ContactPair
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.state import Array
 
 _SHARE = 0.5  # of the largest distance, by which it may grow until it is measured again
@@ -47,6 +51,8 @@ class GapSpeed:
                 between[i] = np.abs(each[0].columns)
         linear, angular, self._joints = _subspaces(robot.model)
         self._linear, self._angular = between * linear, between * angular
+        of = np.array([_links(robot.model, c, linear, self._joints) for c in self._carriers])
+        self._most = of.reshape(n, nv) + self._radii
         self._is_known = np.isfinite(self._radii[:, 0])
         self._radii[~self._is_known] = 0.0
         self.weights, self.room, self._length = np.zeros((n, nv)), np.zeros(n), np.zeros(n)
@@ -74,11 +80,33 @@ class GapSpeed:
         origins = np.array([place.translation for place in data.oMi])
         offsets = origins[self._carriers][:, None] - origins[self._joints]
         distance = np.linalg.norm(offsets, axis=2) + self._radii
-        grows = _SHARE * np.where(self._angular > 0.0, distance, 0.0).max(axis=1)
-        self.weights = self._linear + self._angular * (distance + grows[:, None])
+        turns = (self._angular > 0.0) & np.isinf(self._most)
+        grows = _SHARE * np.where(turns, distance, 0.0).max(axis=1)
+        lever = np.minimum(distance + grows[:, None], self._most)
+        self.weights = self._linear + self._angular * lever
         self._length = np.linalg.norm(self.weights, axis=1)
         room = np.where(grows > 0.0, grows, np.inf)
         self.room = np.where(self._is_known, room, 0.0)
+
+
+def bodies_of(part: Constraint) -> tuple[Pair, float] | None:
+    """What may touch in a contact, as `GapSpeed` takes it; None where only the part knows."""
+    pair = getattr(part, "pair", None)
+    if isinstance(pair, ContactPair) and pair.bodies[1] < math.inf:
+        return pair.bodies
+    return None
+
+
+def _links(model: Any, carrier: int, linear: Array, joints: Sequence[int]) -> list[float]:
+    """Lengths of the links between a joint and each other one, inf where a joint slides [m]."""
+    slides = {joint for joint, size in zip(joints, linear.tolist(), strict=True) if size > 0.0}
+    found = dict[int, float]()
+    for joint in set(joints):
+        one, other = set(model.supports[carrier]), set(model.supports[joint])
+        between = one ^ other
+        length = sum(float(np.linalg.norm(model.jointPlacements[i].translation)) for i in between)
+        found[joint] = math.inf if between & slides else length
+    return [found[joint] for joint in joints]
 
 
 def _subspaces(model: Any) -> tuple[Array, Array, list[int]]:

@@ -5,13 +5,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.dynamics.gap_speed import GapSpeed
+from mbd_ros.core.dynamics.gap_speed import GapSpeed, bodies_of
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.step_rows import Acting, RowsAt, StepRows
-from mbd_ros.core.geometry.contact_pair import ContactPair
-from mbd_ros.core.model.points import Pair
 from mbd_ros.core.row_laws import Kind
-from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array, State
 
@@ -46,7 +43,7 @@ class NearContacts(StepRows):
         for _, at in others:
             is_other[at] = True
         self._at_others = np.flatnonzero(is_other)
-        self._speed = GapSpeed(mechanism.robot, [_bodies(part) for part, _ in own])
+        self._speed = GapSpeed(mechanism.robot, [bodies_of(part) for part, _ in own])
         self._room, self._spare, self._q = np.zeros(len(own)), 0.0, mechanism.zero
         self._way, self._ways = mechanism.zero, mechanism.zero.copy()
         acting = self._acting(self.every.at[:0])
@@ -146,11 +143,3 @@ class NearContacts(StepRows):
                 self._sets.clear()
             self._sets[key] = self.every.chosen(at)
         return self._sets[key]
-
-
-def _bodies(part: Constraint) -> tuple[Pair, float] | None:
-    """What may touch in a contact; None where only the part knows."""
-    pair = getattr(part, "pair", None)
-    if isinstance(pair, ContactPair) and pair.bodies[1] < math.inf:
-        return pair.bodies
-    return None

@@ -1,20 +1,27 @@
-"""How far a motion is from every stop, so that steps far from all of them need no search."""
+"""How far a motion is from all stops and contacts, so that steps far from them need no search."""
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.row_laws import Kind
+from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Array, State
+
+if TYPE_CHECKING:
+    from mbd_ros.core.events.contact_room import ContactRoom
 
 _AHEAD = 4.0  # paths of the last step that several steps at once stay away from a search
 
 
 class Clearance:
-    """The room that joints have before they may be at a stop.
+    """The room that joints have before they may be at a stop or in a contact.
 
-    The gap of a stop changes by no more than its joint moves. So no step meets a stop whose path
-    is shorter than the smallest gap at one of its ends:
+    The gap of a stop changes by no more than its joint moves, that of a contact by no more than
+    `GapSpeed` says. So no step meets one whose path is shorter than the smallest gap at one of its
+    ends:
 
         path = h (|v0| + |v1|)
 
@@ -26,7 +33,7 @@ class Clearance:
         dt: Length of a full step [s].
 
     Attributes:
-        serves: Whether stops of joints are all that may happen.
+        serves: Whether stops of joints and contacts of known bodies are all that may happen.
         is_whole: Whether every joint is integrated.
         room: How far all joints together may move before the next look [rad or m]; 0 where every
             step must be searched.
@@ -35,7 +42,11 @@ class Clearance:
     def __init__(self, system: System, dt: float) -> None:
         blocks = system.layout.exact
         stops = [stop for block in blocks for stop in block.part.stops]
-        self.serves = bool(stops) and all(block.part.stops for block in blocks)
+        touching = [block for block in blocks if block.law.kind is Kind.CONE]
+        self._contacts = _contact_room(system, touching)
+        is_known = self._contacts is None or self._contacts.is_known
+        others = (block for block in blocks if block.law.kind is not Kind.CONE)
+        self.serves = bool(blocks) and is_known and all(block.part.stops for block in others)
         self.is_whole = system.nv == system.model.nv
         self._expand, self._dt = system.expand, dt
         self._q = np.array([stop.joint.q for stop in stops], dtype=np.intp)
@@ -79,7 +90,8 @@ class Clearance:
     def moved(self, y0: State, y1: State) -> None:
         """Account for a correction of a state."""
         if self.room > 0.0:
-            self.room -= float(np.linalg.norm(self._expand(y1).q - self._expand(y0).q))
+            way = float(np.linalg.norm(self._expand(y1).q - self._expand(y0).q))
+            self.room -= way if self._contacts is None else 2.0 * way  # of half angles
 
     def is_clear(self, y: State) -> bool:
         """Whether the last of several full steps met no stop."""
@@ -91,6 +103,17 @@ class Clearance:
         return self.room > 0.0
 
     def _gap(self, y: State) -> float:
-        """The smallest gap [rad or m]."""
-        q: Array = self._expand(y).q[self._q]
-        return float(min((q - self._lower).min(), (self._upper - q).min()))
+        """The smallest gap, as a way of all joints together [rad or m]."""
+        x, gap = self._expand(y), math.inf
+        if len(self._q):
+            q: Array = x.q[self._q]
+            gap = float(min((q - self._lower).min(), (self._upper - q).min()))
+        return gap if self._contacts is None else min(gap, self._contacts.shortest(x))
+
+
+def _contact_room(system: System, blocks: list[RowBlock]) -> "ContactRoom | None":
+    if not blocks:
+        return None
+    from mbd_ros.core.events.contact_room import ContactRoom
+
+    return ContactRoom(system, [block.part for block in blocks])
