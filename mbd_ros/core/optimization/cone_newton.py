@@ -96,7 +96,10 @@ class ConeNewton:
         contacts: As given.
         depends: Whether the rows that held in the last step depended on one another, as far as is
             known.
+        seen: The map at the last answer.
     """
+
+    seen: Seen
 
     def __init__(self, A: Array, contacts: Contacts) -> None:
         self.A, self.contacts, self.depends = A, contacts, True
@@ -124,13 +127,13 @@ class ConeNewton:
             halvings: How often a step is halved that does not bring the map nearer to 0.
             enough: What may be left of the map, per size of the impulses.
         """
-        seen = self.see(b, bounds, p)
+        seen = self.seen = self.see(b, bounds, p)
         best, smallest = p, math.inf
         for _ in range(steps + 1):
             left, size = float(np.abs(seen.left).max()), 1.0 + float(np.abs(p).max())
             ends = left > 0.5 * smallest and left <= _SMALL * size
             if left < smallest:
-                best, smallest = p, left
+                best, smallest, self.seen = p, left, seen
             if ends or left <= enough * size or not left < math.inf:
                 break
             step = self._step(seen, bounds, p)
@@ -144,9 +147,10 @@ class ConeNewton:
         others, normal, first, second, mu = self.contacts
         w = self.A.dot(p) + b
         z, left, holds = p - w, np.empty(len(p)), np.empty(len(p), dtype=np.bool_)
-        own = z[others]
-        kept = np.minimum(np.maximum(own, bounds.lower), bounds.upper)
-        left[others], holds[others] = p[others] - kept, kept == own
+        if len(others):
+            own = z[others]
+            inside = np.minimum(np.maximum(own, bounds.lower), bounds.upper)
+            left[others], holds[others] = p[others] - inside, inside == own
         push = z[normal]
         pushes, push = push > bounds.least, np.maximum(push, bounds.least)
         left[normal], holds[normal] = p[normal] - push, pushes
@@ -180,11 +184,15 @@ class ConeNewton:
 
     def _step(self, seen: Seen, bounds: Bounds, p: Array) -> Array:
         """The shortest step that Newton's method asks for, shape (m,)."""
-        K = np.where(seen.holds[:, None], self.A, np.eye(len(p)))
-        r = np.where(seen.holds, seen.w, seen.left)
-        at = seen.slips.nonzero()[0]
-        if len(at):
-            self._slide(K, r, seen, bounds, p, at)
+        off = (~seen.holds).nonzero()[0]
+        K, r = self.A, seen.w
+        if len(off):
+            K, r = K.copy(), r.copy()
+            K[off], r[off] = 0.0, seen.left[off]
+            K[off, off] = 1.0
+            at = seen.slips.nonzero()[0]
+            if len(at):
+                self._slide(K, r, seen, bounds, p, at)
         step, rank = shortest(K, r)
         self.depends = rank < len(r)
         return -step
@@ -206,12 +214,11 @@ class ConeNewton:
 
 
 def shortest(K: Array, r: Array) -> tuple[Array, int]:
-    """The x of smallest norm with K x nearest to r, K square, and the rank of K."""
-    n = len(r)
-    factor = eigenpy.CompleteOrthogonalDecomposition(n, n)
-    factor.setThreshold(redundant(n))
+    """The x of smallest norm with K x nearest to r, and the rank of K."""
+    factor = eigenpy.CompleteOrthogonalDecomposition(*K.shape)
+    factor.setThreshold(redundant(len(r)))
     factor.compute(K)
-    return factor.solve(r).reshape(n), int(factor.rank())
+    return factor.solve(r).reshape(K.shape[1]), int(factor.rank())
 
 
 def kept(contacts: Contacts, bounds: Bounds, p: Array) -> Array:

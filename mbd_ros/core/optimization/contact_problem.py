@@ -90,6 +90,8 @@ class ContactProblem:
         if self._is_one:
             rounding = _ROUNDING * speed * math.sqrt(self._loose[0])
             p = cone_contact(self._A, b, self._cones[0].mu, float(lower[0]), rounding)
+        elif self._opens(b, lower):
+            p = np.zeros(len(b))
         else:
             p = self._scaled().solve(b, lower, upper, speed, warm)
         self._answered = p, b, lower, upper
@@ -122,6 +124,13 @@ class ContactProblem:
             over = max(over, math.hypot(first, second) - cone.mu * normal)
         primal, correction = self._scaled().left(p, b, lower, upper)
         return Residuals(primal, max(float(beyond.max(initial=0.0)), 0.0), over, correction)
+
+    def _opens(self, b: Array, lower: Array) -> bool:
+        """Whether contacts alone are left without impulses."""
+        if len(b) != 3 * len(self._cones) or lower.any():
+            return False
+        rates: list[float] = b.tolist()
+        return all(rates[cone.slots.start] >= 0.0 for cone in self._cones)
 
     def _scaled(self) -> ScaledContacts:
         if self._problem is None:

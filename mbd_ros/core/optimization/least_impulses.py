@@ -8,6 +8,7 @@ problem: p is then the projection onto bounds and cones of a vector that A p see
 D. Sun, SIAM J. Matrix Anal. Appl. 28 (2006) 360, on nearest points by Newton's method.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ class _Shares(NamedTuple):
     Attributes:
         rows: Rows between bounds that hold, with their bounds.
         sticks: Contacts that stick: the normal, its least impulse, the coefficient of friction.
-        slides: Those that slip: the same, with the direction of friction.
+        slides: Those that slip: the same, with a direction of length one.
     """
 
     rows: list[tuple[int, float, float]]
@@ -49,15 +50,19 @@ def least_impulses(newton: ConeNewton, seen: Seen, bounds: Bounds, p: Array, uni
         unit: Of the impulses, shape (m,): the norm is that of unit p.
     """
     shares = _shares(newton, seen, bounds, p, unit)
-    columns = _columns(shares, len(p))
-    free = columns.dot(_null(newton.A.dot(columns / unit[:, None])))
-    if not free.shape[1]:
+    columns, given = _columns(shares, len(p)), unit * p
+    count, does = columns.shape[1], newton.A.dot(columns / unit[:, None])
+    if not count:
         return p
-    basis, given = np.linalg.qr(free)[0], unit * p
+    sought = columns.T.dot(given)
+    shares_of_all, rank = shortest(does, does.dot(sought))
+    if rank == count:
+        return p
     size = float(np.abs(given).max())
-    target = given - basis.dot(basis.T.dot(given))
+    target = given + columns.dot(shares_of_all - sought)
     within = _nearest(shares, given, target)
     if np.abs(within - target).max() > _BEYOND * size:
+        basis = np.linalg.qr(columns.dot(_null(does)))[0]
         found = _projected(shares, basis, given / size, target / size)
         if found is None:
             return p
@@ -67,24 +72,29 @@ def least_impulses(newton: ConeNewton, seen: Seen, bounds: Bounds, p: Array, uni
 
 def _shares(newton: ConeNewton, seen: Seen, bounds: Bounds, p: Array, unit: Array) -> _Shares:
     contacts, none = newton.contacts, _NONE * (1.0 + float(np.abs(p).max()))
-    still = np.abs(seen.w) <= none
+    w, units = seen.w.tolist(), unit.tolist()
     rows = [
-        (i, float(unit[i] * low), float(unit[i] * high))
-        for i, low, high in zip(contacts.others.tolist(), bounds.lower, bounds.upper, strict=True)
-        if still[i]
+        (i, units[i] * low, units[i] * high)
+        for i, low, high in zip(
+            contacts.others.tolist(), bounds.lower.tolist(), bounds.upper.tolist(), strict=True
+        )
+        if abs(w[i]) <= none
     ]
-    sticks, slides = [], []
-    for c, i in enumerate(contacts.normal.tolist()):
-        if not still[i]:
+    sticks, slides = list[tuple[int, float, float]](), list[tuple[int, float, Array]]()
+    normal, mus, leasts = (each.tolist() for each in (contacts.normal, contacts.mu, bounds.least))
+    for c, (i, mu, least) in enumerate(zip(normal, mus, leasts, strict=True)):
+        if abs(w[i]) > none:
             continue
-        least, mu = float(unit[i] * bounds.least[c]), contacts.mu[c] * unit[i + 1] / unit[i]
-        if still[i + 1] and still[i + 2] and mu > 0.0:
-            sticks.append((i, least, float(mu)))
+        least, mu = units[i] * least, mu * units[i + 1] / units[i]
+        slip = math.hypot(w[i + 1], w[i + 2])
+        if slip <= none and mu > 0.0:
+            sticks.append((i, least, mu))
             continue
-        along = np.array((seen.x[c], seen.y[c]))
+        x, y = float(seen.x[c]), float(seen.y[c])
         if not seen.slips[c]:
-            along = -seen.w[i + 1 : i + 3] / max(float(np.hypot(*seen.w[i + 1 : i + 3])), none)
-        slides.append((i, least, np.array((1.0, *(mu * along)))))
+            x, y = -w[i + 1] / max(slip, none), -w[i + 2] / max(slip, none)
+        length = math.hypot(1.0, mu)
+        slides.append((i, least, np.array((1.0 / length, mu * x / length, mu * y / length))))
     return _Shares(rows, sticks, slides)
 
 
@@ -100,11 +110,9 @@ def _columns(shares: _Shares, m: int) -> Array:
 
 def _null(B: Array) -> Array:
     """What B makes nothing of, one a column."""
-    length = np.sqrt((B * B).sum(axis=0))
-    length = np.where(length > 0.0, length, 1.0)
-    _, values, right = np.linalg.svd(B / length)
+    _, values, right = np.linalg.svd(B)
     rank = int((values > redundant(len(B)) * values.max(initial=0.0)).sum())
-    null: Array = right[rank:].T / length[:, None]
+    null: Array = right[rank:].T
     return null
 
 
@@ -116,7 +124,7 @@ def _nearest(shares: _Shares, given: Array, y: Array) -> Array:
     for i, least, mu in shares.sticks:
         p[i : i + 3] = nearest_in_cone(y[i : i + 3], mu, least)[0]
     for i, least, along in shares.slides:
-        p[i : i + 3] = max(float(along.dot(y[i : i + 3]) / along.dot(along)), least) * along
+        p[i : i + 3] = max(float(along.dot(y[i : i + 3])), least / float(along[0])) * along
     return p
 
 
@@ -128,9 +136,8 @@ def _slope(shares: _Shares, y: Array) -> Array:
     for i, least, mu in shares.sticks:
         D[i : i + 3, i : i + 3] = nearest_in_cone(y[i : i + 3], mu, least)[1]
     for i, least, along in shares.slides:
-        square = float(along.dot(along))
-        if along.dot(y[i : i + 3]) > least * square:
-            D[i : i + 3, i : i + 3] = np.outer(along, along) / square
+        if along[0] * along.dot(y[i : i + 3]) > least:
+            D[i : i + 3, i : i + 3] = np.outer(along, along)
     return D
 
 

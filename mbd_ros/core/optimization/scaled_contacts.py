@@ -89,10 +89,12 @@ class ScaledContacts:
         start = np.zeros(len(at)) if warm is None else warm[at] / unit
         enough = _ENOUGH + _ROUNDING * speed / size
         p, left = searched(self._newton, b, bounds, start, enough)
+        if left > enough:
+            self._newton.seen = self._newton.see(b, bounds, p)
         if left > max(_ACCEPTED, enough):
-            raise SolveError(self._failed(b, bounds, p))
+            raise SolveError(self._failed())
         p = kept(self._newton.contacts, bounds, p)
-        if self._newton.depends:
+        if self._newton.depends and p.any():
             p = self._shortest(b, bounds, p)
         answer[at] = unit * p
         return answer
@@ -114,7 +116,7 @@ class ScaledContacts:
     def _shortest(self, b: Array, bounds: Bounds, p: Array) -> Array:
         """The impulses of least norm that do what p does."""
         newton = self._newton
-        seen = newton.see(b, bounds, p)
+        seen = newton.seen
         exact = _ENOUGH * (1.0 + float(np.abs(p).max()))
         most = max(exact, float(np.abs(seen.left).max()))
         found = least_impulses(newton, seen, bounds, p, self._unit)
@@ -140,9 +142,9 @@ class ScaledContacts:
         lower, upper = lower[at] / unit, upper[at] / unit
         return Bounds(lower[contacts.others], upper[contacts.others], lower[contacts.normal])
 
-    def _failed(self, b: Array, bounds: Bounds, p: Array) -> str:
+    def _failed(self) -> str:
         """What is wrong with the best impulses."""
-        off = np.abs(self._newton.see(b, bounds, p).left)
+        off = np.abs(self._newton.seen.left)
         worst, left = self._names[self._at[int(off.argmax())]], float(off.max())
         return (
             f"no impulses are found for contacts and the rows beside them: the best ones leave "
