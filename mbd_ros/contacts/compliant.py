@@ -1,7 +1,7 @@
 """Bodies that give way a little where they touch: penalty forces and friction."""
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
@@ -156,33 +156,31 @@ class Compliant(Load):
             x: State of all joints.
         """
         found = self._pushed(k, x)
-        return np.zeros(3 * len(self.features)) if found is None else found[0]
+        return np.zeros(3 * len(self.features)) if found is None else np.array(found.forces)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
         found = self._pushed(k, x)
         if found is None:
             return np.zeros(self._nv)
-        tau: Array = found[0].dot(found[1])
+        tau: Array = np.array(found.forces).dot(found.jacobian)
         return tau
 
     def rates(self, k: Kinematics, x: State, u: Array) -> Array:
         """Rates of the deflections [m/s], shape (2 n,); without bristles there are none."""
-        law, z = self.rubbing, x.z[self.z].tolist()
+        law, z = self.rubbing, x.z[self.z]
         if not isinstance(law, Bristle):
             return np.zeros(0)
-        found = self._pushed(k, x)
-        lam = None if found is None else found[0].tolist()
-        slips = None if found is None else found[1].dot(x.v).tolist()
-        rates = np.empty(2 * len(self.features))
+        released, found = -law.stiffness / law.damping * z, self._pushed(k, x)
+        if found is None:
+            return released
+        rates, bends = released.tolist(), z.tolist()
         for i, mu in enumerate(self._friction):
-            own = z[2 * i], z[2 * i + 1]
-            if lam is None or slips is None or not lam[3 * i]:
-                rates[2 * i : 2 * i + 2] = law.released(own)
-            else:
-                slip = slips[3 * i + 1], slips[3 * i + 2]
-                rates[2 * i : 2 * i + 2] = law.rate(own, slip, mu * lam[3 * i])
-        return rates
+            normal = found.forces[3 * i]
+            if normal:
+                own, slip = bends[2 * i : 2 * i + 2], found.speeds[3 * i + 1 : 3 * i + 3]
+                rates[2 * i : 2 * i + 2] = law.rate(own, slip, mu * normal)
+        return np.array(rates)
 
     def potential(self, k: Kinematics, x: State) -> float:
         """Energy of springs and bristles [J]."""
@@ -214,24 +212,37 @@ class Compliant(Load):
             sides = self.rubbing.slopes(self._friction[feature] * force)
         return Slopes(*self.normal.slopes(force, share), *sides)
 
-    def _pushed(self, k: Kinematics, x: State) -> tuple[Array, Array] | None:
-        """Force on a in the contact frames, and the Jacobian there; None where nothing touches."""
+    def _pushed(self, k: Kinematics, x: State) -> "_Pushed | None":
+        """What pushes at a state; None where nothing touches."""
         gaps = self.pair.gaps(k).tolist()
         if min(gaps) >= 0.0:
             return None
         J = self.pair.jacobian(k)
-        speeds, law, lam = J.dot(x.v).tolist(), self.rubbing, np.zeros(len(J))
-        z = x.z[self.z].tolist() if self.internal else None
+        speeds, law, forces = J.dot(x.v).tolist(), self.rubbing, [0.0] * len(J)
+        bends = x.z[self.z].tolist() if self.internal else [0.0] * (2 * len(gaps))
         for i, gap in enumerate(gaps):
-            if gap >= 0.0:
-                continue
-            approach, *slip = speeds[3 * i : 3 * i + 3]
-            lam[3 * i] = pushing = self.normal.force(-gap, -approach)
-            if law is not None and pushing:
-                own = (0.0, 0.0) if z is None else (z[2 * i], z[2 * i + 1])
-                limit = self._friction[i] * pushing
-                lam[3 * i + 1 : 3 * i + 3] = law.force(own, (slip[0], slip[1]), limit)
-        return lam, J
+            if gap < 0.0:
+                at = 3 * i
+                forces[at] = normal = self.normal.force(-gap, -speeds[at])
+                if normal and law is not None:
+                    own, slip = bends[2 * i : 2 * i + 2], speeds[at + 1 : at + 3]
+                    limit = self._friction[i] * normal
+                    forces[at + 1 : at + 3] = law.force(own, slip, limit)
+        return _Pushed(forces, speeds, J)
+
+
+class _Pushed(NamedTuple):
+    """Normals and tangents of all features.
+
+    Attributes:
+        forces: On a [N], 3 n.
+        speeds: Of a past b [m/s], 3 n.
+        jacobian: From joint velocities to these, shape (3 n, nv).
+    """
+
+    forces: list[float]
+    speeds: list[float]
+    jacobian: Array
 
 
 def _bristles(features: Sequence[str]) -> list[Internal]:

@@ -4,6 +4,7 @@ Each works on plain numbers, of one feature at a time.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 Pair = tuple[float, float]
@@ -118,7 +119,7 @@ class Creep(NamedTuple):
 
     velocity: float
 
-    def force(self, z: Pair, slip: Pair, limit: float) -> Pair:
+    def force(self, z: Sequence[float], slip: Sequence[float], limit: float) -> Pair:
         """Force [N] of a slip [m/s], at most `limit` [N]; bristles z it has none."""
         x, y = slip
         c = self.velocity
@@ -155,19 +156,19 @@ class Bristle(NamedTuple):
     stiffness: float
     damping: float
 
-    def force(self, z: Pair, slip: Pair, limit: float) -> Pair:
+    def force(self, z: Sequence[float], slip: Sequence[float], limit: float) -> Pair:
         """Force [N] of a deflection [m] and a slip [m/s], at most `limit` [N]."""
         x, y, _ = self._held(z, slip, limit)
         return x, y
 
-    def rate(self, z: Pair, slip: Pair, limit: float) -> Pair:
+    def rate(self, z: Sequence[float], slip: Sequence[float], limit: float) -> Pair:
         """Rate of the deflection [m/s]; arguments are those of `force`."""
         x, y, sticks = self._held(z, slip, limit)
         if sticks:
-            return slip
+            return slip[0], slip[1]
         return self.released((z[0] + x / self.stiffness, z[1] + y / self.stiffness))
 
-    def released(self, z: Pair) -> Pair:
+    def released(self, z: Sequence[float]) -> Pair:
         """Rate of the deflection where nothing holds the tip [m/s]."""
         pace = -self.stiffness / self.damping
         return pace * z[0], pace * z[1]
@@ -180,7 +181,9 @@ class Bristle(NamedTuple):
         """Stiffness and damping while the tip sticks [N/m, N·s/m]."""
         return self.stiffness, self.damping
 
-    def _held(self, z: Pair, slip: Pair, limit: float) -> tuple[float, float, bool]:
+    def _held(
+        self, z: Sequence[float], slip: Sequence[float], limit: float
+    ) -> tuple[float, float, bool]:
         """Force, and whether the tip sticks."""
         x = -self.stiffness * z[0] - self.damping * slip[0]
         y = -self.stiffness * z[1] - self.damping * slip[1]
