@@ -187,6 +187,13 @@ def test_a_bristle_that_slips_lags_by_its_share_of_the_load():
     assert law.rate((1e-3, 0.0), (0.0, 0.0), 0.0)[0] == pytest.approx(-1e5 / 300.0 * 1e-3)
 
 
+def test_check_takes_bristles_and_says_what_inverse_dynamics_lacks():
+    text = block(BRISTLE, [(0.0, 0.0), (1.0, 0.0)]).check()
+    assert "inverse     from columns of the forces of cube_contact alone, which has" in text
+    assert "one acceleration" in text and "window      cube_contact: stiffness 2e+05 N/m" in text
+    assert "cube_contact.vertex_0_bristle_x [m], starts at 0" in text
+
+
 TABLE = """<robot name="legs"><link name="base"><inertial><mass value="4"/>
 <inertia ixx="0.04" iyy="0.05" izz="0.06" ixy="0" ixz="0" iyz="0"/></inertial></link>
 <link name="shin"><inertial><origin xyz="0 0 -0.1"/><mass value="1"/>

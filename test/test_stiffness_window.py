@@ -181,7 +181,7 @@ SLIDER = """<link name="{0}"><inertial><mass value="{1}"/><inertia ixx="1" iyy="
 </joint>"""
 
 
-@pytest.mark.parametrize("solver", ["reduced", "kkt"])
+@pytest.mark.parametrize("solver", ["reduced", "kkt", "qp"])
 def test_couplings_and_loops_count_in_the_effective_mass(solver):
     """m + r^2 m' of a slider that moves another one, in every tier."""
     urdf = SLIDERS.format(SLIDER.format("one", 2.0) + SLIDER.format("two", 0.5))
@@ -206,6 +206,29 @@ def test_couplings_and_loops_count_in_the_effective_mass(solver):
     weight = abs(2.0 - 3.0 * 0.5) * G if solver == "reduced" else 2.5 * G
     assert window.load == pytest.approx(weight, rel=1e-9)
     assert window.lower == pytest.approx(weight / 1e-3, rel=1e-9)
+
+
+@pytest.mark.parametrize("method", ["dop853", "moreau_jean"])
+def test_rigid_contacts_hold_what_they_carry(method):
+    """A ball on a box that stands on the ground: all of its weight, on what does not move."""
+    top = {"frame": "box", "half_space": [0, 0, 1], "xyz": [0, 0, 0.1]}
+    soft = {"type": "compliant", "between": ["ball", top], "stiffness": 1e5}
+    scene = mbd.scene_from(
+        {
+            "bodies": {
+                "box": {"shape": {"box": [0.2, 0.2, 0.2]}, "mass": 1.0},
+                "ball": {"shape": {"sphere": 0.1}, "mass": 2.0},
+            },
+            "contacts": [{"type": "rigid", "between": ["box", "ground"], "friction": 0.5}, soft],
+            "initial": {"pose": {"box": {"xyz": [0, 0, 0.1]}, "ball": {"xyz": [0, 0, 0.3]}}},
+            "integrator": {"type": method},
+            "dt": DT,
+        }
+    )
+    (x,) = scene.simulation().run(scene.initial, 0.0)
+    motion = touching_motion(scene.system(), scene.parts["contacts"][1:], x)
+    assert motion.features[0].load == pytest.approx(2.0 * G, rel=1e-9)
+    assert motion.A[0, 0] == pytest.approx(0.5, rel=1e-9)
 
 
 @pytest.mark.parametrize(("mass", "radius", "dt"), [(1e6, 10.0, 0.01), (1e-6, 1e-3, 1e-5)])

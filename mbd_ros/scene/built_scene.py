@@ -151,11 +151,10 @@ class Scene(SceneParts):
         Raises:
             SceneError: Names the parts.
         """
-        parts = [part.name for part in (*self.forces, *self.constraints) if part.internal]
-        if parts:
+        if self.unmeasured:
+            parts = ", ".join(self.unmeasured)
             raise SceneError(
-                f"{self.name}: {who} knows no internal states, which {', '.join(parts)} has; "
-                "leave it out"
+                f"{self.name}: {who} knows no internal states, which {parts} has; leave it out"
             )
 
     def _effort_limits(self) -> list[float]:

@@ -1,15 +1,12 @@
 """The parts that a scene builds and leaves out, and the cost of a call."""
 
 import sys
-import timeit
 from collections.abc import Iterator
-from functools import partial
 
 import numpy as np
-import pinocchio as pin
 
 from mbd_ros.core.dynamics.mass_check import check_mass
-from mbd_ros.core.dynamics.system import System, evaluation_at
+from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.projection.assembly import assemble
@@ -18,12 +15,11 @@ from mbd_ros.core.state import State
 from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.errors import SolveError
 from mbd_ros.scene.built_scene import DEFAULT_INTEGRATOR, Scene
+from mbd_ros.scene.call_costs import forward_cost, inverse_cost
 from mbd_ros.scene.part_lines import line, member_lines, part_lines, type_name, unused_rubbing
 from mbd_ros.scene.start_check import start_warnings
 from mbd_ros.scene.step_lines import step_lines
 
-_CALLS, _REPEATS = 2000, 5
-MEASURED = 0.02  # s for which a call is timed, a few times over
 _TIERS = {
     "aba": "open chain, articulated-body algorithm",
     "reduced": "couplings eliminated exactly, q = F(z)",
@@ -68,8 +64,8 @@ def _lines(scene: Scene) -> Iterator[str]:
     for key, name in scene.code.items():
         file = sys.modules[name.partition(":")[0]].__file__
         yield line("code", f"{key}: {name} from {file}")
-    yield line("inverse", tier(scene))
-    if scene.has_loops:
+    yield line("inverse", _inverse(scene))
+    if scene.has_loops and not scene.unmeasured:
         yield from _reach(scene, system.expand(start))
     yield line("forward", f"refused: {fault}" if fault else _forward(scene, system))
     yield from (line("warning", text) for text in robot.doubts)
@@ -78,8 +74,9 @@ def _lines(scene: Scene) -> Iterator[str]:
         yield from step_lines(scene, system, start)
     left_out = (*scene.absent, *unused_rubbing(scene), *robot.ignored)
     yield line("left out", "; ".join(left_out) or "nothing")
-    cost = _loop_cost(scene, system.expand(start)) if scene.has_loops else _cost(scene)
-    yield line("cost", cost if fault else f"{cost}; {_forward_cost(scene, system, start)}")
+    inverse = inverse_cost(scene, system.expand(start))
+    forward = "" if fault else forward_cost(scene, system, start)
+    yield line("cost", "; ".join(filter(None, (inverse, forward))))
 
 
 def _row_lines(scene: Scene, system: System) -> Iterator[str]:
@@ -204,38 +201,8 @@ def _reach(scene: Scene, x: State) -> Iterator[str]:
         yield line("warning", text)
 
 
-def _cost(scene: Scene) -> str:
-    robot, model = scene.robot, scene.robot.model
-    q, v = pin.neutral(model), np.zeros(model.nv)
-    bare = _best(partial(pin.rnea, model, pin.Data(model), q, v, v))
-    inverse, loads = scene.inverse_dynamics(), [np.ones(6)] * len(scene.wrenches)
-    z, w = q[scene.couplings.q_index], v[scene.couplings.v_index]
-    ours = _best(lambda: inverse.solve(z, w, w, loads))
-    ratio = f"{ours / bare:.1f} x a bare rnea of {len(robot.joints)} joints"
-    return f"one inverse-dynamics call {ours * 1e6:.1f} us, {ratio}"
-
-
-def _loop_cost(scene: Scene, x: State) -> str:
-    drives = [section.key for section in scene.sections if "command" in section.offers]
-    every = scene.without(drives).closed_loop()  # so that no fixed base is out of reach
-    x, a = every.consistent(x, np.zeros(scene.robot.model.nv))
-    call = (lambda: every.reach(x)) if scene.robot.floating else (lambda: every.solve(x, a))
-    return f"one inverse-dynamics call {_best(call) * 1e6:.0f} us"
-
-
-def _forward_cost(scene: Scene, system: System, x: State) -> str:
-    model, given = system.model, scene.initial
-    bare = _best(partial(pin.aba, model, pin.Data(model), given.q, given.v, np.zeros(model.nv)))
-    y = x if system.exact is None else scene.simulation().start(given)  # in its mode
-    ours = _best(evaluation_at(system, y))
-    return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"
-
-
-def _best(call: object) -> float:
-    """Shortest time of a call [s], by as many calls as there is time for."""
-    timer = timeit.Timer(call)  # type: ignore[arg-type]
-    first = timer.timeit(1)
-    if first >= MEASURED:
-        return first
-    calls = int(min(max(MEASURED / first, 1), _CALLS))
-    return min(timer.repeat(_REPEATS, calls)) / calls
+def _inverse(scene: Scene) -> str:
+    parts = ", ".join(scene.unmeasured)
+    if parts:
+        return f"from columns of the forces of {parts} alone, which has internal states"
+    return tier(scene)

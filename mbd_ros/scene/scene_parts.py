@@ -167,6 +167,11 @@ class SceneParts:
         return any(part.law.is_rigid for part in self.constraints)
 
     @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """Parts with states that no measured motion shows, besides actuators."""
+        return tuple(part.name for part in (*self.forces, *self.constraints) if part.internal)
+
+    @property
     def actuated(self) -> tuple[str, ...]:
         """Joints with an actuator; without any, all independent ones that no drive moves."""
         if self.actuators:

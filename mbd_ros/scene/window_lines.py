@@ -33,8 +33,8 @@ def window_text(window: Window, method: Integrator, dt: float) -> str:
     """Both ends of a window, and what they are made for."""
     part, name = window.part, type(method).__name__
     unit = _unit(part)
-    many = f"{window.features} feature{'s' * (window.features > 1)}"
-    pressed = f"{window.load:.3g} N at most on one of {many}"
+    many = f" on one of {window.features} features" if window.features > 1 else ""
+    pressed = f"{window.load:.3g} N at most{many}"
     deep = f", {part.max_penetration:.3g} m deep" if part.max_penetration else ""
     if not method.is_explicit:
         upper = f"to any, which {name} follows"

@@ -18,10 +18,13 @@ from numpy.typing import NDArray
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.linear_motion import LinearMotion
 from mbd_ros.core.model.kinematics import Reads
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.row_laws import Kind
+from mbd_ros.core.rows.row_layout import RowBlock
+from mbd_ros.core.state import Array, Evaluation, State
 from mbd_ros.core.thresholds import redundant
 
 Linked = NDArray[np.bool_]
+_INSIDE = 1.0 - 1.0e-9  # of a cone: friction that sticks
 _APART = 1.0e-12  # of the inverse masses: contacts that do not move one another
 
 
@@ -108,7 +111,8 @@ def touching_motion(
     """The motion of all contacts at a state, as if each touched with its nearest features.
 
     A feature counts with the load that it would carry at rest: the least loads that keep all of
-    them from going deeper, as springs of one stiffness share them.
+    them from going deeper, as springs of one stiffness share them. Stops, drives and rigid
+    contacts that push at the state hold.
 
     Args:
         system: The system.
@@ -127,7 +131,7 @@ def touching_motion(
         near = np.flatnonzero(gaps <= max(float(gaps.min()), 0.0) + part.max_penetration)
         slots += [(part, int(i)) for i in near]
     J = _rows(system, slots)
-    answer = now.respond(np.column_stack((J.T, pushed)))
+    answer = _answer(system, still, now, np.column_stack((J.T, pushed)))
     A, free = J.dot(answer[:, :-1]), now.a - answer[:, -1]
     loads = _at_rest(A[::3, ::3], J[::3].dot(free))
     found = [Feature(*slot, load) for slot, load in zip(slots, loads.tolist(), strict=True)]
@@ -148,7 +152,35 @@ def pressed_motion(
     if not found:
         return None
     J = _rows(system, [feature[:2] for feature in found])
-    return ContactMotion(found, J.dot(now.respond(J.T)))
+    return ContactMotion(found, J.dot(_answer(system, x, now, J.T)))
+
+
+def _answer(system: System, x: State, now: Evaluation, forces: Array) -> Array:
+    """Accelerations that forces add, shape (nv, k) both, rows that push or hold at x kept."""
+    added: Array = now.respond(forces)
+    solved = () if system.bounded is None else system.bounded.constraints.blocks
+    every = [*system.layout.yielding, *(block for block in solved if block.law.is_rigid)]
+    held = [_holding(block, now.lam[block.slots]) for block in every]
+    if not any(on.any() for on in held):
+        return added
+    pairs = zip(every, held, strict=True)
+    J = np.concatenate([block.part.jacobian(system.k, x)[on] for block, on in pairs if on.any()])
+    back = now.respond(J.T)
+    lam = np.linalg.lstsq(J.dot(back), J.dot(added), rcond=redundant(len(J)))[0]
+    added -= back.dot(lam)
+    return added
+
+
+def _holding(block: RowBlock, lam: Array) -> NDArray[np.bool_]:
+    """Which rows a block holds with its multipliers; friction in joints counts as none."""
+    on: NDArray[np.bool_] = np.full(len(lam), block.law.is_rigid)
+    if block.law.kind is Kind.CONE:
+        normal, x, y = lam.reshape(-1, 3).T
+        on[::3] = normal > 0.0
+        on[1::3] = on[2::3] = np.hypot(x, y) < _INSIDE * np.asarray(block.law.mu) * normal
+    elif block.law.kind in (Kind.UNILATERAL, Kind.DRIVE):
+        on |= lam != 0.0
+    return on
 
 
 def _rows(system: System, slots: Sequence[tuple[Any, int]]) -> Array:

@@ -1,12 +1,14 @@
 """What `simulate` says of contacts that give way: the window of their stiffness, and depths."""
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from mbd_ros.core.integration.contact_motion import pressed_motion
-from mbd_ros.core.integration.contact_window import Window, windows
+from mbd_ros.core.integration.contact_window import longest
+from mbd_ros.core.integration.linear_motion import is_bounded
 from mbd_ros.core.model.kinematics import Reads
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
@@ -36,28 +38,33 @@ def window_words(
             for text in window_doubts(window, method, dt):
                 warned.add(window.part)
                 yield f"warning: {text}"
-        for window, t in _outside(simulation, parts, states, warned):
-            for text in window_doubts(window, method, dt):
-                yield f"warning: at t = {t:.6g} s {text}"
+        yield from (f"warning: {t}" for t in _outside(simulation, parts, states, warned))
         yield from (f"warning: {text}" for text in _depths(simulation, parts, states))
 
 
 def _outside(
     simulation: Simulation, parts: Sequence[Any], states: Sequence[State], known: set[Any]
-) -> Iterator[tuple[Window, float]]:
-    """Windows that a stiffness was above of, with their times; each contact once."""
+) -> Iterator[str]:
+    """Contacts that were too stiff for a step on the way, each once."""
+    method, dt = simulation.integrator, simulation.dt
     for x in (*states[:: max(1, len(states) // _LOOKS)], states[-1]):
+        if known.issuperset(parts) or not method.is_explicit or method.stable == math.inf:
+            return
         try:
             motion = pressed_motion(simulation.system, parts, x)
         except SolveError:
             continue
         if motion is None or not np.isfinite(motion.A).all():
             continue
-        for window in windows(motion, simulation.integrator, simulation.dt):
-            part = window.part
-            if part not in known and part.normal.stiffness > window.upper:
-                known.add(part)
-                yield window._replace(lower=0.0), x.t
+        for group in motion.parted():
+            new = {feature.part for feature in group.features} - known
+            if new and not is_bounded(method, group.linear(), dt):
+                known.update(new)
+                names = ", ".join(part.name for part in parts if part in new)
+                yield (
+                    f"{names}: too stiff at t = {x.t:.6g} s for steps of {type(method).__name__} "
+                    f"at dt {dt:g} s: they need dt < {longest(group, method, 1.0):.3g} s there"
+                )
 
 
 def _depths(
