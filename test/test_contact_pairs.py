@@ -9,7 +9,7 @@ from mechanisms import scene_of
 from scipy.spatial import ConvexHull
 
 from mbd_ros.core.geometry.pairing import contact_pair
-from mbd_ros.core.geometry.polyhedron import box_of, polyhedron
+from mbd_ros.core.geometry.polyhedron import box_of, line_of, polyhedron
 from mbd_ros.core.geometry.shapes import Between, Box, Mesh, Side
 from mbd_ros.core.geometry.solids import _to_box
 from mbd_ros.core.geometry.to_mesh import ToMesh
@@ -318,6 +318,10 @@ BULKS = {  # two bodies, at the centres of `box` and of `wedge`
     "boxes as bodies with faces": ("box_of", "box_of"),
     "a hull over a box": ("hull", "box_of"),
     "a hull over a hull": ("hull", "hull"),
+    "a capsule over a box": ("line_of", "box_of"),
+    "a box over a capsule": ("box_of", "line_of"),
+    "a capsule over a capsule": ("line_of", "line_of"),
+    "a hull over a capsule": ("hull", "line_of"),
 }
 
 
@@ -326,6 +330,8 @@ def polyhedra(case):
     for kind, sides in zip(BULKS[case], ((0.2, 0.3, 0.4), (1.0, 1.0, 1.0)), strict=True):
         if kind == "box_of":
             made.append(box_of(np.array(sides)))
+        elif kind == "line_of":
+            made.append(line_of(0.05, sides[2]))
         else:
             points = rng.normal(size=(14, 3))
             points *= np.array(sides) / 2.0 / np.linalg.norm(points, axis=1)[:, None]
@@ -345,10 +351,10 @@ def bulks(case):
 
 @pytest.mark.parametrize("case", BULKS)
 def test_features_of_convex_bodies_know_their_distance(case):
-    """Bodies that nearly touch: the smallest gap is the distance of their vertices' hulls."""
+    """Bodies that nearly touch, by vertices, edges and faces of both."""
     scene, pair, a, b = bulks(case)
     rng, h, seen = np.random.default_rng(9), 1e-7, []
-    for _ in range(60):
+    for _ in range(25 if a.faces and b.faces else 10):
         pose = pin.SE3(pin.exp3(rng.normal(size=3) * 2.0), rng.normal(size=3))
         pose = nearing_hulls(a, b, pose, 1e-4)
         k, q = placed(scene, pose)
@@ -372,19 +378,42 @@ def test_features_of_convex_bodies_know_their_distance(case):
 
 
 def nearing_hulls(a, b, pose, distance):
-    """As `nearing`, by a linear program: the widest gap between planes that part two bodies."""
+    """As `nearing`: distances are found by planes, or along the line of a capsule."""
     way = pose.translation / np.linalg.norm(pose.translation)
-    turned = a.vertices @ pose.rotation.T
-    axes = np.concatenate([b.normals, -(a.normals @ pose.rotation.T), *crosses(turned, a, b)])
+    turned, least = a.vertices @ pose.rotation.T, a.radius + b.radius
+    if a.faces and b.faces:
+        axes = np.concatenate([b.normals, -(a.normals @ pose.rotation.T), *crosses(turned, a, b)])
 
     def apart(far):
-        return ((turned + far * way) @ axes.T).min(axis=0) - (b.vertices @ axes.T).max(axis=0)
+        moved = turned + far * way
+        if a.faces and b.faces:
+            return ((moved @ axes.T).min(axis=0) - (b.vertices @ axes.T).max(axis=0)).max()
+        if not a.faces:
+            return along_line(moved, b) - least
+        local = (b.vertices - far * way) @ pose.rotation
+        return along_line(local, a) - least
 
     far, near = 3.0, 0.0
-    for _ in range(60):
+    while far - near > 1e-8:
         middle = 0.5 * (far + near)
-        far, near = (middle, near) if apart(middle).max() > distance else (far, middle)
+        far, near = (middle, near) if apart(middle) > distance else (far, middle)
     return pin.SE3(pose.rotation, far * way)
+
+
+def along_line(ends, body):
+    """Distance of a line to a body; distances of its points are a convex function along it."""
+    low, high, distance = 0.0, 1.0, ToMesh(body, 0.0) if body.faces else None
+    for _ in range(5):
+        share = np.linspace(low, high, 41)[:, None]
+        points = (1.0 - share) * ends[0] + share * ends[1]
+        if distance is None:
+            points[:, 2] -= np.clip(points[:, 2], *body.vertices[:, 2])
+            gaps = np.linalg.norm(points, axis=1)
+        else:
+            gaps = distance(points)[0]
+        best, step = int(np.argmin(gaps)), (high - low) / 40.0
+        low, high = max(share[best, 0] - step, 0.0), min(share[best, 0] + step, 1.0)
+    return gaps.min()
 
 
 def crosses(turned, a, b):

@@ -77,7 +77,8 @@ class ConvexOnConvex(Meeting):
     def __init__(self, pair: Pair, a: Polyhedron, b: Polyhedron) -> None:
         super().__init__(pair, ("nearest", *(f"corner_{i}" for i in range(4))))
         self._a, self._b = a, b
-        self.reach = float(lengths(a.vertices).max())
+        self.reach = float(lengths(a.vertices).max()) + a.radius
+        self._round = a.radius + b.radius
         self._size = min(a.size, b.size)
         self._beside = BESIDE * self._size
         self._shapes, self._request = (_hull(a), _hull(b)), coal.DistanceRequest()
@@ -95,6 +96,7 @@ class ConvexOnConvex(Meeting):
         far = max(apart.distance, 0.0) + self._size
         vertices = self._a.vertices @ R.T + o
         gap, point, normal = self._nearest(R, o, vertices, apart)
+        gap = gap - self._round
         gaps = np.full(len(self.features), far, dtype=R.dtype)
         points, normals = (np.repeat(one[None], len(gaps), axis=0) for one in (point, normal))
         corners = self._shared(R, o, vertices, apart)
@@ -107,6 +109,7 @@ class ConvexOnConvex(Meeting):
             gaps[1 + first] = corners.gap[chosen[first]]
         if gaps.real.min() > apart.distance + self._beside:
             gaps[0] = gap
+        points = points - self._a.radius * normals
         return Touch(gaps, points - o, framed(normals, nearest_bases(normals)))
 
     def _apart(self, R: Array, o: Array) -> Apart:
@@ -114,16 +117,19 @@ class ConvexOnConvex(Meeting):
         vertices = a.vertices @ R.T + o
         over_b = (vertices @ b.normals.T).min(axis=0) - b.offsets
         over_a = (((b.vertices - o) @ R) @ a.normals.T).min(axis=0) - a.offsets
-        i, j = int(np.argmax(over_b)), int(np.argmax(over_a))
-        on: tuple[int | None, int | None]
-        normal, best, on = b.normals[i], float(over_b[i]), (None, i)
-        if over_a[j] > best + self._beside:
+        normal, best = np.zeros(3), -np.inf
+        on: tuple[int | None, int | None] = (None, None)
+        if len(over_b):
+            i = int(np.argmax(over_b))
+            normal, best, on = b.normals[i], float(over_b[i]), (None, i)
+        if len(over_a) and over_a.max() > best + self._beside:
+            j = int(np.argmax(over_a))
             normal, best, on = -R @ a.normals[j], float(over_a[j]), (j, None)
         for between in self._seen_by_coal(R, o):
             own = float((vertices @ between).min() - (b.vertices @ between).max())
             if own > best + self._beside:
                 normal, best, on = between, own, (None, None)
-        return Apart(normal, best, *on)
+        return Apart(normal, best - self._round, *on)
 
     def _seen_by_coal(self, R: Array, o: Array) -> Iterator[Array]:
         """Directions out of b that part the bodies, as they are and a little farther apart."""
@@ -142,20 +148,24 @@ class ConvexOnConvex(Meeting):
     def _shared(self, R: Array, o: Array, vertices: Array, apart: Apart) -> Corners:
         """Corners of the region that both faces share; none where they are not nearly parallel."""
         a, b = self._a, self._b
-        at_b = int(np.argmax(b.normals @ apart.normal))
-        at_a = int(np.argmin(a.normals @ (apart.normal @ R.real)))
-        up, down = b.normals[at_b].astype(R.dtype), R @ a.normals[at_a]
+        ring_b, top, height = b.facing(apart.normal)
+        ring_a, bottom, depth = a.facing(-apart.normal @ R.real)
+        up, down = top.astype(R.dtype), R @ bottom
         if (up @ down).real > -_PARALLEL:
             return Corners(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
-        outline, base = vertices[a.faces[at_a]], b.vertices[b.faces[at_b]]
-        over = outline[inside(outline, base, up.real, self._beside)]
-        under = base[inside(base, outline, -down.real, -self._beside)]
+        outline, base = vertices[ring_a], b.vertices[ring_b]
+        over, under = outline[:0], base[:0]  # a line has no inside
+        if b.faces:
+            over = outline[inside(outline, base, up.real, self._beside)]
+        if a.faces:
+            under = base[inside(base, outline, -down.real, -self._beside)]
         crossing = crossings(outline, base, up.real, apart.normal, self._beside)
         faces = (
-            (over @ up - b.offsets[at_b], over, np.tile(up, (len(over), 1))),
-            ((under - o) @ down - a.offsets[at_a], under, np.tile(-down, (len(under), 1))),
+            (over @ up - height, over, np.tile(up, (len(over), 1))),
+            ((under - o) @ down - depth, under, np.tile(-down, (len(under), 1))),
         )
-        return Corners(*map(np.concatenate, zip(*faces, crossing, strict=True)))
+        gap, point, normal = map(np.concatenate, zip(*faces, crossing, strict=True))
+        return Corners(gap - self._round, point, normal)
 
     def _nearest(
         self, R: Array, o: Array, vertices: Array, apart: Apart
@@ -171,24 +181,47 @@ class ConvexOnConvex(Meeting):
             normal = -R @ a.normals[apart.face_a]
             return (o - base) @ normal - a.offsets[apart.face_a], base.astype(R.dtype), normal
         seen = _SEEN * self._size
-        ends_a = np.flatnonzero(heights <= heights.min() + seen)
-        ends_b = np.flatnonzero(own >= own.max() - seen)
+        ends_a = vertices[heights <= heights.min() + seen]
+        ends_b = b.vertices[own >= own.max() - seen]
         if len(ends_a) == len(ends_b) == 2:
-            along = vertices[ends_a[1]] - vertices[ends_a[0]]
-            edge = b.vertices[ends_b[1]] - b.vertices[ends_b[0]]
-            across = crossed(along, edge)
-            square = dotted(across, across)
-            if square.real > STRAIGHT**2 * dotted(along, along).real * edge.dot(edge):
-                sign = 1.0 if across.real @ apart.normal > 0.0 else -1.0
-                normal = sign * across / np.sqrt(square)
-                start = vertices[ends_a[0]]
-                share = dotted(base - start, crossed(edge, across)) / square
-                point = start + share * along
+            crossing = _crossing(ends_a, ends_b, apart.normal)
+            return crossing or ((point - base) @ normal, point, normal)
+        if self._round and len(ends_a) + len(ends_b) <= 3:
+            way, point = _way(ends_a, ends_b)
+            gap = np.sqrt(dotted(way, way))
+            return gap, point, way / gap
         return (point - base) @ normal, point, normal
+
+
+def _crossing(a: Array, b: Array, out: Array) -> tuple[Array, Array, Array] | None:
+    """Gap, point on a and normal of two lines that cross; None where they are parallel."""
+    along, edge = a[1] - a[0], b[1] - b[0]
+    across = crossed(along, edge)
+    square = dotted(across, across)
+    if square.real <= STRAIGHT**2 * dotted(along, along).real * edge.dot(edge):
+        return None
+    normal = across / np.sqrt(square) * (1.0 if across.real @ out > 0.0 else -1.0)
+    point = a[0] + dotted(b[0] - a[0], crossed(edge, across)) / square * along
+    return (point - b[0]) @ normal, point, normal
+
+
+def _way(a: Array, b: Array) -> tuple[Array, Array]:
+    """From the nearest point of b to that of a, and this; one of both may be a line."""
+    if len(a) > 1:
+        along = a[1] - a[0]
+        point = a[0] + dotted(b[0] - a[0], along) / dotted(along, along) * along
+        return point - b[0], point
+    way = a[0] - b[0]
+    if len(b) > 1:
+        along = b[1] - b[0]
+        way = way - dotted(way, along) / dotted(along, along) * along
+    return way, a[0]
 
 
 def _hull(body: Polyhedron) -> Any:
     """The body as coal takes it, each face as a fan of triangles."""
+    if not body.faces:
+        return coal.Capsule(0.0, float(np.ptp(body.vertices[:, 2])))
     points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     for vertex in body.vertices:
         points.append(vertex)

@@ -38,7 +38,7 @@ def crossings(
     Returns:
         Gaps, points on a and normals, of n crossings.
     """
-    along, edge = (np.roll(ring, -1, axis=0) - ring for ring in (outline, base))
+    (outline, along), (base, edge) = _edges(outline), _edges(base)
     offset = base[None] - outline[:, None]
     across = crossed(along[:, None], edge[None]) @ up
     long, wide = lengths(along.real)[:, None], lengths(edge.real)[None]
@@ -60,6 +60,12 @@ def crossings(
     points = start + np.where(is_skew, exact, own[first, second])[:, None] * along
     below = np.where(is_skew[:, None], end, end + other[first, second][:, None] * edge)
     return dotted(points - below, normals), points, normals
+
+
+def _edges(ring: Array) -> tuple[Array, Array]:
+    """Where edges begin, and where they lead; two points have one."""
+    starts = ring[:1] if len(ring) == 2 else ring
+    return starts, np.roll(ring, -1, axis=0)[: len(starts)] - starts
 
 
 def extremes(corners: Array, up: Array) -> NDArray[np.intp]:

@@ -10,7 +10,7 @@ from mbd_ros.core.geometry.balls import BallsOnBalls, BallsOnPlane
 from mbd_ros.core.geometry.contact_pair import ContactPair, Met
 from mbd_ros.core.geometry.frames import nearest_bases
 from mbd_ros.core.geometry.meeting import Meeting
-from mbd_ros.core.geometry.polyhedron import Polyhedron, box_of, prism_of
+from mbd_ros.core.geometry.polyhedron import Polyhedron, box_of, line_of, prism_of
 from mbd_ros.core.geometry.shapes import (
     Balls,
     Between,
@@ -31,7 +31,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.errors import ModelError
 
 _ROUND = (Sphere, Points)
-_WITH_FACES = (Box, Cylinder, Mesh)
+_WITH_FACES = (Box, Capsule, Cylinder, Mesh)
 _OF_BALLS = (*_ROUND, Box, Capsule, Mesh)  # where they meet a plane
 
 
@@ -119,11 +119,13 @@ def _meeting(robot: Robot, moving: Any, resting: Any) -> Meeting | None:
     return None
 
 
-def _faces_of(shape: Box | Cylinder | Mesh) -> Polyhedron:
+def _faces_of(shape: Box | Capsule | Cylinder | Mesh) -> Polyhedron:
     if isinstance(shape, Mesh):
         return shape.body
     if isinstance(shape, Box):
         return box_of(shape.sides)
+    if isinstance(shape, Capsule):
+        return line_of(shape.radius, shape.length)
     return prism_of(shape.radius, shape.length)
 
 

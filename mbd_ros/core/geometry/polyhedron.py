@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.geometry.frames import crossed, lengths
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import ModelError
 
 _FLAT = 1.0e-5  # of the size: what triangles of one face may differ; files hold six digits
@@ -21,17 +22,33 @@ class Polyhedron(NamedTuple):
         normals: Of its faces, outward, shape (m, 3).
         offsets: normal . p of the points p of a face [m], shape (m,).
         faces: Vertices of each face, in order around its normal.
+        radius: How far the surface is outside of the faces, 0 but for capsules [m].
     """
 
     vertices: Array
     normals: Array
     offsets: Array
     faces: tuple[NDArray[np.intp], ...]
+    radius: float = 0.0
 
     @property
     def size(self) -> float:
-        """Half the diagonal of its bounding box [m]."""
-        return float(np.linalg.norm(np.ptp(self.vertices, axis=0))) / 2.0
+        """Half the diagonal of its bounding box, and the radius [m]."""
+        return float(np.linalg.norm(np.ptp(self.vertices, axis=0))) / 2.0 + self.radius
+
+    def facing(self, direction: Array) -> tuple[NDArray[np.intp], Array, float]:
+        """The face that looks most along a direction: its vertices, normal and offset.
+
+        A capsule has its line in place of one, with the normal that is nearest.
+        """
+        if self.faces:
+            face = int(np.argmax(self.normals @ direction))
+            return self.faces[face], self.normals[face], float(self.offsets[face])
+        first, last = self.vertices
+        axis = (last - first) / np.linalg.norm(last - first)
+        across = direction - axis * axis.dot(direction)
+        normal = across / max(float(np.linalg.norm(across)), TINY)
+        return np.arange(2), normal, float(normal.dot(first))
 
 
 def polyhedron(vertices: Array, triangles: NDArray[np.intp]) -> Polyhedron:
@@ -83,6 +100,13 @@ def box_of(sides: Array) -> Polyhedron:
     """A box, centred."""
     signs = np.array([[1.0 if i >> axis & 1 else -1.0 for axis in range(3)] for i in range(8)])
     return hull_of(signs * sides / 2.0, np.concatenate((np.eye(3), -np.eye(3))))
+
+
+def line_of(radius: float, length: float) -> Polyhedron:
+    """A capsule along z: its line, and how far it is from the surface."""
+    ends = np.zeros((2, 3))
+    ends[:, 2] = -length / 2.0, length / 2.0
+    return Polyhedron(ends, np.zeros((0, 3)), np.zeros(0), (), radius)
 
 
 def prism_of(radius: float, length: float) -> Polyhedron:
