@@ -58,6 +58,10 @@ class SolveError(MbdError):
     """Equations without a trustworthy solution: names the rows and the residuals."""
 
 
+class JammedError(SolveError):
+    """Friction leaves contacts that slip no consistent acceleration (Painlevé): names them."""
+
+
 class DivergedError(MbdError):
     """A simulation that stopped being finite: names joint, time and last finite state."""
 

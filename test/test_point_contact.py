@@ -277,3 +277,32 @@ def test_what_a_contact_cannot_do_is_refused_by_name():
         scene_of(f"contacts: [{contact('bob', 0.1, normal=[0, 0, 0])}]", POINT)
     with pytest.raises(SceneError, match="restitution"):
         scene_of(f"contacts: [{contact('bob', 0.1, 1.5)}]", POINT)
+
+
+@pytest.mark.parametrize(("angle", "rate"), [(0.5, 0.0), (0.8, 1.5), (1.0, -0.5)])
+def test_friction_that_jams_a_rod_ends_its_slip_by_an_impulse_without_collision(angle, rate):
+    """Painlevé: backwards, more normal force makes the tip sink faster; by hand the tip stops."""
+    mu, speed = 2.5, -1.0
+    assert pole_forces(angle, rate, np.sign(speed), mu)[3] < 0.0  # no force is consistent
+    scene = scene_of(f"contacts: [{contact('pole', mu, 0.5)}]\ndt: 0.001\n", LEANING)
+    simulation = scene.simulation()
+    start = State(0.0, np.array((0.0, 0.0, angle)), np.array((speed, 0.0, rate)))
+    next(simulation.run(start, 0.01))
+    (event,) = simulation.events
+    s, c = np.sin(angle), np.cos(angle)
+    levers = np.array((LENGTH * c, -LENGTH * s))  # of tangential and normal impulse
+    mobility = np.eye(2) / MASS + np.outer(levers, levers) / ABOUT_COM
+    impulse = np.linalg.solve(mobility, (-speed, 0.0))
+    assert abs(impulse[0]) <= mu * impulse[1]
+    assert event.impulse == pytest.approx((impulse[1], impulse[0], 0.0), abs=1e-9)
+    after = (0.0, 0.0, rate - levers @ impulse / ABOUT_COM)
+    assert event.after.v == pytest.approx(after, abs=1e-9)
+
+
+def test_a_rod_jams_only_where_friction_couples_that_strongly():
+    """Forwards, and with less friction, the same rod goes on without an impulse."""
+    for mu, speed in ((2.5, 1.0), (0.5, -1.0)):
+        scene = scene_of(f"contacts: [{contact('pole', mu)}]\ndt: 0.001\n", LEANING)
+        simulation = scene.simulation()
+        next(simulation.run(State(0.0, np.array((0, 0, 0.8)), np.array((speed, 0, 0.0))), 0.01))
+        assert not simulation.events

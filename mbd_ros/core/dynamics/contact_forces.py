@@ -5,6 +5,7 @@ motions. Where modes are looked for, and where contacts share a force that equat
 they keep the laws of contact. Among equal ones they have the smallest norm.
 """
 
+import itertools
 from collections.abc import Sequence
 from enum import Enum
 
@@ -17,8 +18,9 @@ from mbd_ros.core.optimization.contact_problem import ContactProblem
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import CONTRADICTION, TIE, ZERO_ROW, redundant
-from mbd_ros.errors import SolveError
+from mbd_ros.errors import JammedError, SolveError
 
+_MINORS = 4096  # that are looked at
 _WITHIN = 1.0e-12  # of the largest multiplier: by which a law may be passed
 
 
@@ -132,8 +134,17 @@ class ContactForces:
         size = np.abs(own.diagonal())
         speed = float((np.abs(rate) / np.sqrt(np.where(size > 0.0, size, 1.0))).max(initial=0.0))
         names = [self._names[i] for i in on]
-        problem = ContactProblem(own, own.diagonal(), names, cones)
-        lam[on] = problem.solve(rate, lower[on], upper[on], speed)
+        try:
+            problem = ContactProblem(own, own.diagonal(), names, cones)
+            lam[on] = problem.solve(rate, lower[on], upper[on], speed)
+        except SolveError as error:
+            slips = [at for at, touch in zip(first, touches, strict=True) if touch in _SLIPS]
+            if slips and _jams(own[np.ix_(slips, slips)]):
+                where = ", ".join(names[at] for at in slips)
+                raise JammedError(
+                    f"friction leaves {where} no consistent acceleration (Painlevé)"
+                ) from error
+            raise
         return lam
 
     def _shared(
@@ -213,6 +224,7 @@ class ContactForces:
             upper[start] = np.inf
 
 
+_SLIPS = Touch.SLIPS, Touch.MAY_SLIP
 _LAWS = {Touch.STICKS: Touch.MAY, Touch.SLIPS: Touch.MAY_SLIP}
 
 
@@ -224,3 +236,13 @@ def _exchanged(A: Array, w: Array, lower: Array, upper: Array, unit: Array) -> A
     if found is None:
         raise SolveError("no forces are found for a contact that slips and the rows beside it")
     return unit * found
+
+
+def _jams(A: Array) -> bool:
+    """Whether normal forces of slips may have no solution: A is not a P-matrix.
+
+    Source: F. Génot, B. Brogliato, New results on Painlevé paradoxes, Eur. J. Mech. A 18, 1999.
+    """
+    n = len(A)
+    minors = (s for k in range(1, n + 1) for s in itertools.combinations(range(n), k))
+    return any(np.linalg.det(A[np.ix_(s, s)]) <= 0.0 for s in itertools.islice(minors, _MINORS))

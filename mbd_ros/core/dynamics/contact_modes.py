@@ -142,6 +142,18 @@ class ContactModes:
             c for c, i in slipping if i < switch < i + 3 or slow < slips[c] <= _TOGETHER * slow
         ]
 
+    def touching(self, mode: Mode) -> set[int]:
+        """Rows of contacts that touch in a mode."""
+        normals = (i for i in self._contacts.normals if not mode[i])
+        return {at for i in normals for at in range(i, i + 3)}
+
+    def slips_now(self, k: Kinematics, x: State) -> list[int]:
+        """Normals of contacts whose points move along one another, closed or not."""
+        slips = np.linalg.norm(self._contacts.slips(k, x), axis=1) > slowest(x)
+        return [
+            i for i, moves in zip(self._contacts.normals, slips.tolist(), strict=True) if moves
+        ]
+
     def turning(self, mode: Mode) -> bool:
         """Whether a slip may turn."""
         return any(not is_fine(mode[i + 1 : i + 3]) for _, i in self._slipping(mode))

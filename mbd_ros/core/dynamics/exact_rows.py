@@ -48,7 +48,9 @@ class ExactRows:
     def __init__(self, motion: Any, solver: BoundedRows) -> None:
         self._motion, self.solver = motion, solver
         rows = self._rows = solver.constraints
-        exact = [each for each in _each(rows.blocks) if _is_exact(each[2])]
+        exact = [
+            each for each in _each(rows.blocks) if not (each[2].law.is_rigid or each[2].smoothed)
+        ]
         self._at = np.array([i for i, *_ in exact], dtype=np.intp)
         self.names = tuple(rows.rows[i].name for i, *_ in exact)
         self.slots = rows.slots[self._at]
@@ -186,9 +188,8 @@ class ExactRows:
         self.solve(y, u, mode)
         if not contacts.shares:
             return self._modes.left(self.lam, switch)
-        touching = [i for i in contacts.normals if not mode[i]]
         with contacts.eased():
-            self.solve(y, u, mode, {at for i in touching for at in range(i, i + 3)})
+            self.solve(y, u, mode, self._modes.touching(mode))
         return self._modes.leaving(self.lam, self.left, self._slack, mode)
 
     def renamed(
@@ -216,6 +217,13 @@ class ExactRows:
         self.solve(y, u, mode)
         return self._modes.renamed(self.left, self._slack, chosen)
 
+    def slipping(self, y: State, closed: Collection[int]) -> list[int]:
+        """Normals of contacts that slip, among those of closed ones."""
+        if self.contacts is None:
+            return []
+        found = self._modes.slips_now(self._motion.mechanism.k, self._over.placed(y))
+        return [i for i in found if i in closed]
+
     def longest(self, y: State, u: Array | None, mode: Mode) -> float:
         """Length of a step in which no slip of a contact changes by much [s]."""
         if self.contacts is None or not self._modes.turning(mode):
@@ -242,7 +250,3 @@ def _each(blocks: tuple[RowBlock, ...]) -> list[tuple[int, int, RowBlock]]:
     """Number of every row, its number in its block, and the block."""
     own = [(number, block) for block in blocks for number in range(len(block.rows))]
     return [(i, number, block) for i, (number, block) in enumerate(own)]
-
-
-def _is_exact(block: RowBlock) -> bool:
-    return not (block.law.is_rigid or block.smoothed)

@@ -73,13 +73,14 @@ class VelocityLevel:
             self._restitution[normals] = block.law.restitution
         self._nothing = np.zeros((0, nv)), np.zeros(0)
 
-    def impact(self, x: State, touching: Sequence[int]) -> Impact:
+    def impact(self, x: State, touching: Sequence[int], *, expands: bool = True) -> Impact:
         """The velocity after an impact, and its impulses; none where nothing approaches.
 
         Args:
             x: State of all joints before it.
             touching: Slots of the one-sided rows that are closed, in the `layout` of the system;
                 they may depend on one another. Slots of other rows are passed over.
+            expands: Whether rows give back their share of the compression.
 
         Raises:
             SolveError: Nothing can keep a row from closing further; names it.
@@ -94,7 +95,8 @@ class VelocityLevel:
         response = ImpulseResponse(M, J, hold, factor)
         v, held = response.kept(x.v, goal)
         approach, speed = J.dot(v) + rate, max(float(v.dot(M).dot(v)), 0.0) ** 0.5
-        impulse, share = self._impulses(slots, response, cones, approach, speed)
+        e = self._restitution[slots] if expands else np.zeros(len(slots))
+        impulse, share = self._impulses(slots, response, cones, e, approach, speed)
         held = held + response.bilateral(impulse)
         p = np.zeros(len(self._rows))
         p[slots], p[self._bilateral] = impulse, held
@@ -105,11 +107,12 @@ class VelocityLevel:
         slots: Slots,
         response: ImpulseResponse,
         cones: Sequence[Cone],
+        e: Array,
         approach: Array,
         speed: float,
     ) -> tuple[Array, float]:
         """Impulses of compression and expansion together, one a touching row, and their share."""
-        names, e = [self._rows[i].name for i in slots], self._restitution[slots]
+        names = [self._rows[i].name for i in slots]
         if cones:
             from mbd_ros.core.dynamics.contact_impacts import with_friction
 

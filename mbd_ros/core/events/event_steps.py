@@ -183,8 +183,9 @@ class EventSteps(Stepper):
             x = happens.begun(field.inside(x), u)
             x = happens.happened(x, u, None) if happens.hits(x) else field.onto_rows(x)
         elif is_changed and (field.on or field.drives):
-            happens.change(happens.decided(x, u, {*field.on, *field.near(x)}))
-            x = happens.switched(x)
+            before = x
+            x = happens.decide(x, u, {*field.on, *field.near(x)})
+            x = happens.switched(x._replace(mode=before.mode))
         elif ways := field.renamed(x, u):
             happens.change(ways)
         return self._follow(x)

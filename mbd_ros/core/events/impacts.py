@@ -3,11 +3,16 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from mbd_ros.core.dynamics.exact_rows import ExactRows
 from mbd_ros.core.dynamics.row_heights import rounding
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.velocity_level import VelocityLevel
 from mbd_ros.core.state import Array, Mode, State
+from mbd_ros.errors import SolveError
+
+_APPROACH = 1.0e-6  # of the velocity: an approach that shows which way friction pushes
 
 
 class Rest(NamedTuple):
@@ -60,6 +65,41 @@ class Impacts:
         x = self._system.expand(y)
         found = self._level.impact(x, rows.slots[closed].tolist())
         return y._replace(v=self._system.reduce(x._replace(v=found.v)).v), found.p
+
+    def slipping(self, y: State) -> list[int]:
+        """Normals of contacts that are closed and slip."""
+        return self._rows.slipping(y, self.closed(y))
+
+    def without_collision(
+        self, y: State, u: Array | None, slipping: Sequence[int]
+    ) -> tuple[State, Array]:
+        """The state after friction has jammed contacts that slip, and all impulses.
+
+        Where no acceleration is consistent, normal forces grow without bound, and in no time an
+        impulse ends what leads to it: that of an impact with an approach that is nearly none.
+        Nothing is given back. Source: F. Génot, B. Brogliato, Eur. J. Mech. A 18, 1999, sec. 5;
+        D. Stewart, SIAM Review 42, 2000, sec. 3, on the limit of short steps.
+
+        Args:
+            y: State of what is integrated.
+            u: Inputs.
+            slipping: Normals of the contacts that slip.
+
+        Raises:
+            SolveError: No impulse does.
+        """
+        rows, system, closed = self._rows, self._system, self.closed(y)
+        J, _, response = rows.answer(y, u, slipping)
+        x = system.expand(y)
+        approach = -_APPROACH * float(np.linalg.norm(x.v)) * np.linalg.norm(J, axis=1)
+        nudge = np.linalg.lstsq(J.dot(response), approach - J.dot(x.v), rcond=1.0e-13)[0]
+        before = x._replace(v=x.v + response.dot(nudge))
+        found = self._level.impact(before, rows.slots[closed].tolist(), expands=False)
+        after = system.reduce(x._replace(v=found.v))
+        if not system.energy(y._replace(v=after.v)) < system.energy(y):
+            raise SolveError("no impulse without collision ends it")
+        found.p[rows.slots[list(slipping)]] += nudge
+        return y._replace(v=after.v), found.p
 
     def rests(self, y: State, u: Array | None, mode: Mode) -> list[Rest]:
         """Closed gaps that would open by no more than rounding, and when their bounces end.

@@ -11,7 +11,7 @@ from mbd_ros.core.events.impacts import Impacts, Rest
 from mbd_ros.core.events.mode_field import Margin, ModeField
 from mbd_ros.core.events.pace import Pace
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import SolveError
+from mbd_ros.errors import JammedError, SolveError
 
 _MOST_AT_ONCE = 100  # impacts that may follow one another at one time
 _SHORT = 1.0e-3  # of dt: events this close to one another are counted
@@ -70,7 +70,7 @@ class Transitions:
         elif way and not fired:
             self.change(field.leaving(x, u, (switch, way)))
         elif margin and not fired:
-            self.change(self.decided(x, u, {*field.on, switch, *field.near(x)}))
+            x = self.decide(x, u, {*field.on, switch, *field.near(x)})
         x = field.onto_rows(x)._replace(mode=field.mode)
         names = tuple(field.names[i] for i in sorted({switch, *hits, *fired} - {-1}))
         if not self.rests:
@@ -122,15 +122,35 @@ class Transitions:
         field = self._field
         field.begin(x)
         self.left = frozenset(field.close(x, u))
-        self.change(self.decided(x, u, field.near(x)))
-        return x._replace(mode=field.mode)
+        return self.decide(x, u, field.near(x))
+
+    def decide(self, x: State, u: Array | None, on: Collection[int]) -> State:
+        """The state in the modes in which switches go on, after impulses where friction jams."""
+        try:
+            ways = self.decided(x, u, on)
+        except JammedError:
+            x = self._jammed(x, u)
+            ways = self.decided(x, u, self._field.near(x))
+        self.change(ways)
+        return x._replace(mode=self._field.mode)
+
+    def _jammed(self, x: State, u: Array | None) -> State:
+        """The state after an impulse without collision, at its heights."""
+        field, impacts = self._field, self._impacts
+        assert impacts is not None
+        slipping = impacts.slipping(x)
+        after, impulse = impacts.without_collision(x, u, slipping)
+        field.begin(after)
+        self.left = frozenset(field.close(after, u))
+        self._log(tuple(field.names[i] for i in slipping), x, after, impulse)
+        return after
 
     def decided(self, x: State, u: Array | None, on: Collection[int]) -> dict[int, int]:
         """Modes in which switches go on."""
         try:
             return decided(self._field, x, u, on)
         except SolveError as error:
-            raise SolveError(f"t = {x.t:.9g} s: {error}") from error
+            raise type(error)(f"t = {x.t:.9g} s: {error}") from error
 
     def change(self, ways: dict[int, int]) -> None:
         """Switch to another mode; switches that are off are being left."""
