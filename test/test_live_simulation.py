@@ -121,7 +121,7 @@ def test_ticks_of_free_bodies_are_the_offline_table_to_the_bit(scene):
     )
     moments = [simulation.now, *(simulation.tick() for _ in range(200))]
     states = list(loaded.simulation().run(initial, 1.0))[::5]
-    table, _ = table_of(loaded.simulation().system, states)
+    table, *_ = table_of(loaded.simulation(), states)
     for names, field in ((POSE, "poses"), (TWIST, "twists")):
         offline = np.column_stack([table[name] for name in names])
         assert np.array_equal([getattr(moment, field)[0] for moment in moments], offline)

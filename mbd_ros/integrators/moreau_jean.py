@@ -51,6 +51,7 @@ class _Steps(Stepper):
     def restart(self) -> None:
         """Forget the impulses and the residuals of earlier steps."""
         self.impulses = np.zeros_like(self.impulses)
+        self._at.giving_way.forces = None
         self.forget_residuals()
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
@@ -71,6 +72,11 @@ class _Steps(Stepper):
     def residuals(self) -> Any:
         """Worst residuals of contacts; None without contacts."""
         return self._at.giving_way.worst
+
+    @property
+    def forces(self) -> Array | None:
+        """Mean forces of rows that give way in the last step; None without contacts."""
+        return self._at.giving_way.forces
 
     def forget_residuals(self) -> None:
         """Begin to look for the worst residuals anew."""

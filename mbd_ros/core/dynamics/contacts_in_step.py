@@ -54,6 +54,7 @@ class ContactsInStep(GivingWay):
 
     Attributes:
         last: Impulses of the last problem, with which the next one begins, shape (m,).
+        forces: Mean forces of the rows in the last step, shape (m,); None before the first one.
     """
 
     def __init__(self, rows: ConstraintRows, theta: float) -> None:
@@ -71,6 +72,7 @@ class ContactsInStep(GivingWay):
 
         Rows that others push beyond 0 push, too.
         """
+        self.forces = np.zeros(len(self.last))
         if not len(closed):
             return free + 0.0
         while True:
@@ -118,6 +120,8 @@ class ContactsInStep(GivingWay):
             self.worst = Residuals(*map(max, self.worst, solver.residuals))
         self.last[:] = 0.0
         self.last[chosen.at] = p
+        self.forces = np.zeros(len(self.last))
+        self.forces[chosen.at] = p / problem.h
         change: Array = response.X[:, on].dot(p)
         return change
 

@@ -22,11 +22,13 @@ class GivingWay:
     Attributes:
         last: What the next problem begins with; empty where it begins with nothing.
         worst: The largest residuals of contacts since `forget`; None without contacts.
+        forces: Mean forces of contacts in the last step; None without contacts.
     """
 
     def __init__(self, rows: ConstraintRows) -> None:
         self._rows, self.last = rows, np.zeros(0)
         self.worst: Any = None
+        self.forces: Array | None = None
 
     def forget(self) -> None:
         """Begin to look for the largest residuals anew."""

@@ -67,6 +67,11 @@ class Stepper:
         """Worst `Residuals` of contacts since the last `forget_residuals`; None without any."""
         return None
 
+    @property
+    def forces(self) -> Array | None:
+        """Mean forces of rows that give way in the last step; None where nobody has to know."""
+        return None
+
     def forget_residuals(self) -> None:
         """Begin to look for the worst residuals anew."""
 

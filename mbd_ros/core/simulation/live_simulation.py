@@ -17,6 +17,7 @@ from mbd_ros.core.projection.assembly import Violation, violation
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.divergence import last_finite
 from mbd_ros.core.simulation.safe_command import SafeCommand
+from mbd_ros.core.simulation.seen import seen_at
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SAME_TIME
@@ -192,7 +193,7 @@ class LiveSimulation:
         """State of all joints; inputs, accelerations and multipliers there; what is shown."""
         system = self.simulation.system
         x = system.expand(y)
-        _, a, _, lam, _ = system.evaluate(x, u)
+        a, lam, _ = seen_at(self.simulation, x, u, self.simulation.stepper.forces)
         effort = system.loads.actuator_torque(system.k, x, u)
         evaluated = system.loads.inputs(x, u), a, lam
         shown = self.showing.at(x, *evaluated)

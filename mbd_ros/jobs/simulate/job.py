@@ -10,7 +10,7 @@ import numpy as np
 
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.simulation.simulation import Simulation
-from mbd_ros.core.state import State
+from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SAME_TIME, TOGGLE
 from mbd_ros.errors import FAILED, DataError, DivergedError, MbdError, SolveError
 from mbd_ros.files.recordings import Source
@@ -120,11 +120,11 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     for text in (*remarks, *more, *(f"warning: {text}" for text in odd)):
         say(text)
     begin = time.perf_counter()
-    states, residuals, failure = _states(simulation, x, run)
+    states, residuals, forces, failure = _states(simulation, x, run)
     wall = time.perf_counter() - begin
     evaluations = simulation.system.evaluations
     _say_windows(scene, simulation, states, say)
-    table, lost = table_of(simulation.system, states)
+    table, of_samples, lost = table_of(simulation, states, forces)
     table, of_contacts = _with_residuals(table, residuals)
     topics = topics_of(simulation.system)
     tables = {MAIN: table}
@@ -135,7 +135,7 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     if failure is not None:
         return _ended(scene, result, failure)
     with about(scene.name):
-        said = [*_summary(simulation, table, wall, evaluations), *of_contacts]
+        said = [*_summary(simulation, table, wall, evaluations), *of_contacts, *of_samples]
         found = step_warnings(
             simulation.system, simulation.integrator, simulation.dt, states, simulation.events
         )
@@ -191,10 +191,11 @@ def _warn(text: str) -> None:
 
 def _states(
     simulation: Simulation, x: State, run: Run
-) -> "tuple[list[State], list[Residuals], MbdError | None]":
-    """States, residuals of contacts on the way to each, if any, and why they end early."""
+) -> "tuple[list[State], list[Residuals], list[Array | None], MbdError | None]":
+    """States, residuals and forces of contacts on the way to each, and why they end early."""
     states: list[State] = []
     residuals: list[Residuals] = []
+    forces: list[Array | None] = []
     count = round(run.duration / simulation.dt)
     duration = _duration(run, simulation.dt)
     try:
@@ -204,13 +205,14 @@ def _states(
                 states.append(state)
                 if (worst := simulation.take_residuals()) is not None:
                     residuals.append(worst)
+                    forces.append(simulation.stepper.forces)
     except (DivergedError, SolveError) as error:
-        return states, residuals, error
+        return states, residuals, forces, error
     except KeyboardInterrupt:
         if not states:
             raise
-        return states, residuals, _CtrlC(f"interrupted after t = {states[-1].t:.9g} s")
-    return states, residuals, None
+        return states, residuals, forces, _CtrlC(f"interrupted after t = {states[-1].t:.9g} s")
+    return states, residuals, forces, None
 
 
 def _with_residuals(table: Table, found: "list[Residuals]") -> tuple[Table, list[str]]:

@@ -1,5 +1,6 @@
 """States of a simulation as a table: motion, efforts, multipliers, energy, violations."""
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,6 +10,8 @@ from mbd_ros.core.dynamics.inputs import command_names
 from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.projection.assembly import violation
+from mbd_ros.core.simulation.seen import Seen, seen_at
+from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DivergedError, MbdError, SolveError
 from mbd_ros.files.table import Column, Table
@@ -41,20 +44,26 @@ def topics_of(system: System) -> dict[str, Any]:
     }
 
 
-def table_of(system: System, states: Sequence[State]) -> tuple[Table, MbdError | None]:
-    """A row a state, up to the first one without a finite answer, and why it ends there.
+def table_of(
+    simulation: Simulation, states: Sequence[State], forces: Sequence[Array | None] = ()
+) -> tuple[Table, list[str], MbdError | None]:
+    """A row a state, up to the first one without a finite answer, remarks, and why it ends there.
 
     Args:
-        system: The system that was simulated.
+        simulation: What was simulated.
         states: States of all joints.
+        forces: `Stepper.forces` at each; none without contacts in steps of velocities.
     """
-    rows, loads = [], system.loads
+    rows, system, means = [], simulation.system, list[float]()
+    loads = system.loads
     showing = Showing(system.k, system.layout, (*loads.actuators, *loads.forces))
     failure: MbdError | None = None
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            for x in states:
-                rows.append(_row(system, showing, x))
+            for x, known in itertools.zip_longest(states, forces):
+                seen = seen_at(simulation, x, None, known)
+                rows.append(_row(system, showing, x, seen))
+                means += [x.t] * seen.is_mean
     except SolveError as error:
         failure = error
     joints, shown = system.robot.joints, showing.numbers
@@ -77,7 +86,17 @@ def table_of(system: System, states: Sequence[State]) -> tuple[Table, MbdError |
     table = Table(columns)
     count, lost = _finite_rows(table)
     more = _commands(system, t[:, 0])
-    return Table([*table.columns, *more]).first(count), lost or failure
+    return Table([*table.columns, *more]).first(count), _remarks(means), lost or failure
+
+
+def _remarks(means: Sequence[float]) -> list[str]:
+    """A line on samples without accelerations, by their times [s]."""
+    if not means:
+        return []
+    return [
+        f"no consistent accelerations at {len(means)} samples, the first at t = {means[0]:.9g} s "
+        "(Painlevé): forces of contacts there are means of the next step"
+    ]
 
 
 def _finite_rows(table: Table) -> tuple[int, DivergedError | None]:
@@ -109,10 +128,9 @@ def _commands(system: System, times: Array) -> list[Column]:
     return command_columns(every, np.column_stack([u[:, a.u] for a, _ in chosen]))
 
 
-def _row(system: System, showing: Showing, x: State) -> tuple[Any, ...]:
+def _row(system: System, showing: Showing, x: State, seen: Seen) -> tuple[Any, ...]:
     """Time, q, v, a, effort, outputs and balance of one state."""
-    y = system.reduce(x)
-    _, a, _, lam, _ = system.evaluate(x)
+    y, (a, lam, _) = system.reduce(x), seen
     balance = system.energy(y), *violation(system, y)
     effort = system.loads.actuator_torque(system.k, x, None)
     shown = showing.at(x, system.loads.inputs(x, None), a, lam)
