@@ -454,3 +454,25 @@ def test_a_mesh_of_a_box_is_the_box_for_balls(sides):
         gaps, normals = zip(mesh(centre[None]), box(centre[None]), strict=True)
         assert gaps[0] == pytest.approx(gaps[1], abs=1e-12)
         assert normals[0] == pytest.approx(normals[1], abs=1e-9)
+
+
+@pytest.mark.parametrize("as_mesh", [False, True])
+def test_a_box_that_slides_along_the_edges_of_another_stands_on_all_that_they_share(as_mesh):
+    """Equal boxes, one pushed along x: vertices of b stand on edges of a, to the bit."""
+    text = "bodies: {lower: {shape: {box: [0.2, 0.2, 0.2]}, mass: 1}, upper: {shape: {box: [0.2, "
+    scene = scene_of(text + "0.2, 0.2]}, mass: 1}}\n")
+    robot, sides = scene.robot, np.full(3, 0.2)
+    shapes = [
+        Mesh(robot.point(name), box_of(sides)) if as_mesh else Box(robot.point(name), sides)
+        for name in ("upper", "lower")
+    ]
+    a, b = (Side(shape.at.frame, (shape,)) for shape in shapes)
+    pair, k, q = contact_pair(robot, Between(a, b)), Kinematics(robot), robot.neutral()
+    at_upper = next(base.q.start for base in robot.bases if base.name == "upper")
+    for way in (0.0, 1e-9, 0.02, 0.1, 0.19):
+        q[at_upper : at_upper + 3] = (way, 0.0, 0.2)
+        k.refresh(q, np.zeros(robot.model.nv))
+        touching = np.abs(pair.gaps(k)) < 2e-9
+        points = pair.places(k).point[touching, :2]
+        assert len(points) == 4
+        assert ConvexHull(points).volume == pytest.approx(0.2 * (0.2 - way), abs=1e-9)

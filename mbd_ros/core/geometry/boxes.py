@@ -114,7 +114,7 @@ class BoxOnBox(Meeting):
 
     def _vertices_of_a(self, R: Array, o: Array, faces: Faces) -> tuple[Array, Array, Array]:
         point = (CORNERS * self._a).dot(R.T) + o
-        gap, inside = _over(point, self._b, faces.axis_b, faces.sign_b)
+        gap, inside, _ = _over(point, self._b, faces.axis_b, faces.sign_b)
         gap = np.where(inside.real >= -self._beside, gap, _away(gap, inside))
         normal = np.zeros((len(point), 3), dtype=point.dtype)
         normal[:, faces.axis_b] = faces.sign_b
@@ -122,8 +122,9 @@ class BoxOnBox(Meeting):
 
     def _vertices_of_b(self, R: Array, o: Array, faces: Faces) -> tuple[Array, Array, Array]:
         point = CORNERS * self._b
-        gap, inside = _over((point - o).dot(R), self._a, faces.axis_a, faces.sign_a)
-        gap = np.where(inside.real > self._beside, gap, _away(gap, inside) + self._size)
+        gap, inside, corner = _over((point - o).dot(R), self._a, faces.axis_a, faces.sign_a)
+        is_own = (inside.real >= -self._beside) & (corner > self._beside)
+        gap = np.where(is_own, gap, _away(gap, inside) + self._size)
         normal = np.repeat(-faces.sign_a * R[:, faces.axis_a][None], len(point), axis=0)
         return gap, point.astype(R.dtype), normal
 
@@ -168,8 +169,8 @@ class BoxOnBox(Meeting):
         return start.dot(R.T) + o, along.dot(R.T)
 
 
-def _over(point: Array, half: Array, axis: int, sign: float) -> tuple[Array, Array]:
-    """Heights of points over a face, and how far inside its outline they are, shape (n,) each.
+def _over(point: Array, half: Array, axis: int, sign: float) -> tuple[Array, Array, Array]:
+    """Heights over a face, how far inside its outline, how far from its corners, shape (n,) each.
 
     Args:
         point: In the axes of the box, shape (n, 3).
@@ -182,7 +183,8 @@ def _over(point: Array, half: Array, axis: int, sign: float) -> tuple[Array, Arr
     first = aside[:, 0].real < aside[:, 1].real
     inside: Array = np.where(first, aside[:, 0], aside[:, 1])
     beside = np.where(inside.real < 0.0, -inside, 0.0)
-    return sign * point[:, axis] - half[axis] + beside, inside
+    corner = np.abs(aside.real).max(axis=1)
+    return sign * point[:, axis] - half[axis] + beside, inside, corner
 
 
 def _away(gap: Array, inside: Array) -> Array:

@@ -158,7 +158,10 @@ class ConvexOnConvex(Meeting):
         if b.faces:
             over = outline[inside(outline, base, up.real, self._beside)]
         if a.faces:
-            under = base[inside(base, outline, -down.real, -self._beside)]
+            under = base[inside(base, outline, down.real, self._beside)]
+        if len(over) and len(under):  # what coincides is a corner of a
+            ways = lengths(crossed(under.real[:, None] - over.real[None], up.real))
+            under = under[ways.min(axis=1) > 2.0 * self._beside]
         crossing = crossings(outline, base, up.real, apart.normal, self._beside)
         faces = (
             (over @ up - height, over, np.tile(up, (len(over), 1))),
