@@ -3,12 +3,15 @@
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
+from mbd_ros.core.simulation.seen import seen_at
 from mbd_ros.scene.reader import load_scene
 
 SCENES = Path(__file__).parents[1] / "config/scenes"
 GRAVITY = 9.81
+SIDES = (0.035, -0.035)  # of the sole
 
 
 def motion(name, duration, **how):
@@ -78,8 +81,14 @@ def uphill(scene, states):
 
 def normals(simulation, x):
     """Normal forces of all contacts, by part and feature."""
-    lam, layout = simulation.system.evaluate(x).lam, simulation.system.layout
-    return [lam[block.slots][::3] for block in layout.blocks if block.cones()]
+    return [force[:, 0] for force in forces(simulation, x)]
+
+
+def forces(simulation, x):
+    """Forces in contact frames, of all contacts, shape (n, 3) each."""
+    lam = seen_at(simulation, x, None, simulation.stepper.forces).lam
+    blocks = [block for block in simulation.system.layout.blocks if block.cones()]
+    return [lam[block.slots].reshape(-1, 3) for block in blocks]
 
 
 @pytest.mark.parametrize("method", ["dop853", "rk4"])
@@ -118,8 +127,8 @@ def table_forces(mass=4.0, load=1.0, sx=0.5, sy=-0.25):
 def test_the_table_shares_its_weight_with_the_least_norm(method):
     how = {"integrator": {"type": method}, "dt": 5e-3}
     _, simulation, states = motion("four_legged_table", 0.05, **how)
-    (forces,) = normals(simulation, states[-1])
-    assert forces == pytest.approx(table_forces(), rel=1e-9)
+    (split,) = normals(simulation, states[-1])
+    assert split == pytest.approx(table_forces(), rel=1e-9)
     assert np.abs(states[-1].q[:3]).max() <= 1e-12
 
 
@@ -131,14 +140,32 @@ def test_the_gripper_holds_the_box(method, duration):
     (base,) = scene.robot.bases
     fallen = [(x.q - scene.initial.q)[base.q][:3] for x in states]
     assert np.abs(fallen).max() <= 1e-9
-    assert max(np.abs(x.v).max() for x in states) <= 1e-11
+    assert max(np.abs(x.v).max() for x in states) <= 1e-10
     for pad in normals(simulation, states[-1]):
         assert pad == pytest.approx(1.5, rel=1e-9)
-    lam = simulation.system.evaluate(states[-1]).lam
-    blocks = [block for block in simulation.system.layout.blocks if block.cones()]
-    friction = [
-        np.linalg.norm(lam[block.slots].reshape(-1, 3)[:, 1:].sum(axis=0)) for block in blocks
-    ]
+    pads = forces(simulation, states[-1])
+    friction = [np.linalg.norm(pad[:, 1:].sum(axis=0)) for pad in pads]
     assert friction == pytest.approx([0.25 * GRAVITY, 0.25 * GRAVITY], rel=1e-9)
     if method == "moreau_jean":
         assert max(simulation.stepper.residuals) <= 1e-8
+
+
+def test_the_leg_falls_and_stands_on_its_foot():
+    """Free fall to the closed form; then the floor carries its weight, below its mass centre."""
+    scene, simulation, states = motion("leg_dropped", 2.5, dt=5e-3)
+    falls = np.sqrt(2.0 * 0.05 / GRAVITY)
+    t, z = np.array([(x.t, x.q[2]) for x in states if x.t < falls]).T
+    assert z == pytest.approx(0.05 - 0.5 * GRAVITY * t**2, abs=1e-12)
+    model, data = scene.robot.model, scene.robot.model.createData()
+    weight = pin.computeTotalMass(model) * GRAVITY
+    (pressing,), q = normals(simulation, states[-1]), states[-1].q
+    assert np.all(pressing >= 0.0)
+    assert pressing.sum() == pytest.approx(weight, rel=1e-5)
+    centre = pin.centerOfMass(model, data, q)
+    pin.framesForwardKinematics(model, data, q)
+    foot = data.oMf[model.getFrameId("foot")]
+    corners = [foot.act(np.array((a, b, -0.06825))) for a in (-0.0665, 0.1995) for b in SIDES]
+    assert np.array(corners)[:, 2] == pytest.approx(0.0, abs=1e-9)
+    pressed = pressing @ np.array(corners)[:, :2] / pressing.sum()
+    assert pressed == pytest.approx(centre[:2], abs=2e-5)
+    assert max(simulation.stepper.residuals) <= 1e-8
