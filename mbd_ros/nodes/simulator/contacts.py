@@ -35,7 +35,7 @@ class ContactTopics:
         arrows = live.showing.arrows
         for name in contacts_of(live.showing):
             mine = [i for i, one in enumerate(arrows) if one.name.rpartition(".")[0] == name]
-            moving = [i for i in mine if robot.carrier(arrows[i].frame).moves]
+            moving = [i for i in mine if robot.carrier(arrows[i].frame).moves] or mine
             publisher = node.publish_to(WrenchStamped, topic_of(name), qos)
             self._topics.append((publisher, moving[0], arrows[moving[0]].frame, WrenchStamped()))
 
@@ -51,8 +51,11 @@ class ContactTopics:
 
 
 def contacts_of(showing: Showing) -> list[str]:
-    """Names of the contacts: of the parts that show a friction cone."""
-    return [cone.rpartition(".")[0] for cone in showing.cones]
+    """Names of the contacts: of the parts that show a cone, an arrow, a gap and a state."""
+    drawn = {arrow.name.rpartition(".")[0] for arrow in showing.arrows}
+    numbers = {number.name for number in showing.numbers}
+    names = (cone.rpartition(".")[0] for cone in showing.cones)
+    return [one for one in names if one in drawn and {f"{one}.gap", f"{one}.state"} <= numbers]
 
 
 def topic_of(contact: str) -> str:
@@ -68,6 +71,8 @@ def contact_details(live: LiveSimulation) -> dict[str, str]:
     """
     columns = (output.name for output in live.showing.numbers)
     shown = dict(zip(columns, live.now.shown.tolist(), strict=True))
+    if not contacts_of(live.showing):
+        return {}
     gaps = {name: shown[f"{name}.gap"] for name in contacts_of(live.showing)}
     states = {name: shown[f"{name}.state"] for name in gaps}
     first = sorted(gaps, key=lambda name: states[name] == OPEN)  # stable: those that press
