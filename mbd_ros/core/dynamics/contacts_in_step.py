@@ -11,8 +11,14 @@ from mbd_ros.core.dynamics.step_rows import Acting, Which
 from mbd_ros.core.optimization.contact_problem import ContactProblem, Residuals
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import redundant
+from mbd_ros.errors import SolveError
 
 _SLIPS = 1.0e-12  # of the square of a slip: it neither ends in the step nor turns round
+_NO_ROOM = (
+    1.0e-5  # of the rate of a gap: feet of one body, which rounding sets apart, share a load
+)
+_INDEPENDENT = 3  # rows of one contact, which do not depend on one another
 _SETS = 256  # of rows that are remembered
 
 
@@ -26,6 +32,7 @@ class _Asked(NamedTuple):
         A: Rates that their impulses add, shape (m, m).
         solver: Of their laws.
         b: Their rates without impulses, shape (m,).
+        bend: What of these comes from the change of J, shape (m,).
         known: Bounds of the impulses, and a velocity.
     """
 
@@ -35,6 +42,7 @@ class _Asked(NamedTuple):
     A: Array
     solver: ContactProblem
     b: Array
+    bend: Array
     known: tuple[Array, Array, float]
 
     def solve(self, warm: Array, late: Array | None = None) -> Array:
@@ -112,7 +120,11 @@ class ContactsInStep(GivingWay):
         A = response.A if len(on) == len(response.A) else response.A[np.ix_(on, on)]
         solver = ContactProblem(A, response.loose[on], chosen.names, chosen.cones)
         known = *self._bounds(problem, chosen.at), problem.speed(free)
-        asked = _Asked(problem, chosen, on, A, solver, problem.asked(on, free), known)
+        kept = self._kept_bend(problem, on, A)
+        b = problem.J[on].dot(free) + problem.offset[on] + (kept - problem.bend[on])
+        room = problem.rates_left(on)
+        b += np.where(room <= _NO_ROOM * np.abs(b), 0.0, room)
+        asked = _Asked(problem, chosen, on, A, solver, b, kept, known)
         p = None if near is None else self._sliding(asked, near)
         if p is None:
             p = asked.solve(self.last[chosen.at])
@@ -129,15 +141,19 @@ class ContactsInStep(GivingWay):
         """Impulses where some contacts slide all along; None where none does."""
         problem, chosen, on, b = asked.problem, asked.chosen, asked.on, asked.b
         at, tangents = on[chosen.tangents], chosen.tangents
-        before = problem.rate[at].reshape(-1, 2)
-        slip = (problem.J[at].dot(near) + problem.offset[at]).reshape(-1, 2)
+        J, own = problem.J[at], problem.offset[at] - problem.bend[at]
+        before, slip = ((J.dot(v) + own).reshape(-1, 2) for v in (problem.x.v, near))
         none = np.square(problem.slight(problem.free)[at[::2]])
         least = _SLIPS * _dot(before, before)
         slides = _dot(slip, before) > np.maximum(least, none)
         while slides.any():
             late = np.zeros(len(b))
-            late[tangents] = (slides[:, None] * (self._late * before)).ravel()
-            p = asked.solve(self.last[chosen.at], late)
+            shift = self._late * before - asked.bend[tangents].reshape(-1, 2)
+            late[tangents] = (slides[:, None] * shift).ravel()
+            try:
+                p = asked.solve(self.last[chosen.at], late)
+            except SolveError:  # where one stops, slips of others may contradict one another
+                return None
             end = asked.A[tangents].dot(p) + b[tangents] + late[tangents]
             mean = end.reshape(-1, 2)
             goes_on = np.minimum(_dot(slip, mean), _dot(before, mean)) > least
@@ -145,6 +161,23 @@ class ContactsInStep(GivingWay):
                 return p
             slides &= goes_on
         return None
+
+    def _kept_bend(self, problem: StepProblem, on: NDArray[np.intp], A: Array) -> Array:
+        """What rates have from the change of J, without what no motion of the bodies answers.
+
+        Rows that depend on one another would stick with rates that contradict one another: feet
+        of a body that turns and comes to rest move apart by (w h)^2 / 2 of their distance.
+        """
+        bend = problem.bend[on]
+        if len(on) <= _INDEPENDENT or (np.abs(bend) <= problem.slight(problem.free)[on]).all():
+            return bend
+        values, ways = np.linalg.eigh(0.5 * (A + A.T))
+        kept = values > redundant(len(on)) * values[-1]
+        if kept.all():
+            return bend
+        ways = ways[:, kept]
+        moved: Array = ways.dot(ways.T.dot(bend))
+        return moved
 
     def _chosen(self, acting: Acting, on: NDArray[np.intp]) -> Acting:
         """The rows that are on; of a contact all or none."""

@@ -29,6 +29,7 @@ class StepProblem(NamedTuple):
         gap: Their g at the start of the step, shape (m,).
         rate: Their g' with the velocity of the start, shape (m,).
         offset: Their g' at the end of the step, without J v, shape (m,).
+        bend: What of that comes from the change of J, shape (m,).
         goal: J v of the bilateral rows at the end of the step.
         free: Velocity at the end without rows that give way, shape (nv,).
         h: Length of the step [s].
@@ -45,6 +46,7 @@ class StepProblem(NamedTuple):
     gap: Array
     rate: Array
     offset: Array
+    bend: Array
     goal: Array
     free: Array
     h: float

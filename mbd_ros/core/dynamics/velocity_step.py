@@ -110,15 +110,16 @@ class VelocityStep:
         still = slopes.gain.dot(dz) - slopes.by_v.dot(x.v)
         known = goal, free, h, self._theta, slopes, still
         if not len(gap):
-            return StepProblem(x, M, held, acting, J, gap, own, own, *known)
+            return StepProblem(x, M, held, acting, J, gap, own, own, own, *known)
         with np.errstate(invalid="ignore"):  # an end that is infinitely far, times 0
             back = np.minimum(self._return[1][acting.at], 1.0 / h)
             back = np.where(acting.pushes, 0.0, back * gap)
         early = self._theta * h  # from the start to the state where J and drift are known
         rate = J.dot(x.v) + own - early * drift
         gap = gap - early * (rate + 0.5 * early * drift)
+        bend = late * drift
         return StepProblem(
-            *(x, M, held.of(J), acting, J, gap, rate, own + late * drift + back, *known)
+            *(x, M, held.of(J), acting, J, gap, rate, own + bend + back, bend, *known)
         )
 
     def _bilateral(
