@@ -281,7 +281,12 @@ def test_rebounds_of_the_reference():
         assert bouncing.rebound(method, a, 0.0) == pytest.approx(gain, abs=0.1)
 
 
-@pytest.mark.parametrize("entry", [EXPLICIT, RK4, {"type": "adams"}], ids=lambda e: e["type"])
+METHODS = ("moreau_jean", "gauss_legendre", "generalized_alpha", "rattle", "adams")
+
+
+@pytest.mark.parametrize(
+    "entry", [EXPLICIT, RK4, *({"type": name} for name in METHODS)], ids=lambda e: e["type"]
+)
 @pytest.mark.parametrize("b", [0.0, 0.1])
 def test_no_impact_below_its_bound_gains_speed(entry, b):
     """A mass on a rail meets a spring at all times of a step."""
@@ -294,12 +299,12 @@ def test_no_impact_below_its_bound_gains_speed(entry, b):
     (window,) = stated(scene)
     assert window.lower == 0.0
     fastest = []
-    for share in (0.3, 0.7, 1.0):
+    for share in (0.3, 1.0):
         stiffness = share * window.impacts
         other = scene.with_({"one_contact.stiffness": stiffness})
-        for phase in np.arange(0.05, 1.0, 0.1):
+        for phase in np.arange(0.1, 1.0, 0.2):
             q, v = np.array([(8.0 + phase) * DT]), np.array([-1.0])
-            run = other.simulation().run(scene.initial._replace(q=q, v=v), 60 * DT)
+            run = other.simulation().run(scene.initial._replace(q=q, v=v), 40 * DT)
             fastest.append(max(float(x.v[0]) for x in run))
     assert max(fastest) <= 1.0 + 1.5 * bouncing.GAIN
 

@@ -36,16 +36,16 @@ def window_text(window: Window, method: Integrator, dt: float) -> str:
     many = f" on one of {window.features} features" if window.features > 1 else ""
     pressed = f"{window.load:.3g} N at most{many}"
     deep = f", {part.max_penetration:.3g} m deep" if part.max_penetration else ""
-    if not method.is_explicit:
-        upper = f"to any, which {name} follows"
-    elif method.stable == math.inf:
+    if method.stable == math.inf:
         upper = f"to any, which steps of {name} adapt to"
+    elif not method.is_explicit:
+        upper = f"to any, which {name} follows"
     elif window.upper == math.inf:
         upper = f"to any ({name} at dt {dt:g} s)"
     else:
         upper = f"to {window.upper:.4g} ({name} at dt {dt:g} s)"
-        if not math.isnan(window.impacts):
-            upper += f", for impacts to {window.impacts:.3g} (rebounds at most {GAIN:.0%} faster)"
+    if not math.isnan(window.impacts):
+        upper += f", for impacts to {window.impacts:.3g} (rebounds at most {GAIN:.0%} faster)"
     stiffness = f"stiffness {part.normal.stiffness:.4g} {unit}"
     return f"{part.name}: {stiffness}, from {window.lower:.4g} ({pressed}{deep}) {upper}"
 

@@ -12,7 +12,7 @@ from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import DivergedError
 
 GAIN = 0.01  # of the speed of the approach, which counts as none
-_PHASES = 24  # of the step in which the mass arrives
+_PHASES, _STAGED = 24, 256  # of a step in which a mass arrives, more where stages stand inside it
 _BEFORE = 10  # steps on the way there, in which methods with a history gather theirs
 _STEPS = 400
 _SHARES = np.geomspace(1.0e-3, 1.0, 25).tolist()
@@ -27,14 +27,15 @@ class Bouncer:
     Args:
         a: Stiffness k dt^2/m.
         b: Damping c dt/m.
+        n: How many masses.
     """
 
     is_flat, sizes = True, 1.0
 
-    def __init__(self, a: float, b: float) -> None:
+    def __init__(self, a: float, b: float, n: int) -> None:
         self._a, self._b = a, b
-        self.nq = self.nv = _PHASES
-        self.chart, self.model = self, SimpleNamespace(nv=_PHASES, nq=_PHASES)
+        self.nq = self.nv = n
+        self.chart, self.model = self, SimpleNamespace(nv=n, nq=n)
 
     def integrate(self, q: Array, dq: Array) -> Array:
         """The q + dq."""
@@ -61,9 +62,9 @@ def rebound(method: Integrator, a: float, b: float) -> float:
         a: Stiffness k dt^2/m.
         b: Damping c dt/m.
     """
-    phases = (np.arange(_PHASES) + 0.5) / _PHASES
-    x = State(0.0, _BEFORE + phases, np.full(_PHASES, -1.0))
-    stepper = method.prepare(Bouncer(a, b), 1.0)
+    n = _PHASES if method.order == 1 else _STAGED
+    x = State(0.0, _BEFORE + (np.arange(n) + 0.5) / n, np.full(n, -1.0))
+    stepper = method.prepare(Bouncer(a, b, n), 1.0)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             for _ in range(_BEFORE + _STEPS):

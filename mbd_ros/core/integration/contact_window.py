@@ -11,6 +11,7 @@ from mbd_ros.core.integration.stepping import Integrator
 _WIDE = 4.0  # factor by which the end of a window is looked for
 _FARTHEST = 1.0e12
 _HALVINGS = 16  # of the ratio `_WIDE`
+_GENTLE = 0.1  # k dt^2/m up to which other methods of fixed steps gain no more than `GAIN`
 _LONGER = 1.0e4  # than the shortest time of a motion: steps that no bound is looked for beyond
 
 
@@ -87,17 +88,17 @@ def ends_of(motion: ContactMotion, method: Integrator, dt: float) -> Ends:
         method: What integrates it.
         dt: Its step [s].
     """
-    if not method.is_explicit or method.stable == math.inf:
+    if method.stable == math.inf:
         return Ends(math.inf, math.nan, math.inf)
 
     def holds(share: float) -> bool:
         return is_bounded(method, motion.linear(share), dt)
 
-    share = _largest(holds)
+    share = _largest(holds) if method.is_explicit else math.inf
     rate, damping = motion.stiffest()
     a, b = rate * dt * dt, damping * dt
-    impacts = math.nan
     is_known = type(method).growth is not Integrator.growth and not method.finds_surfaces
+    impacts = _GENTLE / a if a > 0.0 and share > 0.0 else math.nan
     if is_known and 0.0 < share < math.inf and a > 0.0:
         impacts = share * largest_without_gain(method, share * a, b)
     return Ends(share, impacts, longest(motion, method, 1.0))
