@@ -340,6 +340,11 @@ def test_check_names_a_stiffness_below_its_window():
     assert window.lower == pytest.approx(196.2)
 
 
+def test_check_names_a_start_that_is_too_deep():
+    (line,) = lines(body({"sphere": 0.1}, 3.0, 0.08, {"stiffness": 1e5}), "deep at t = 0 s")
+    assert "body_contact: 0.02 m deep" in line and "max_penetration is 0.001 m" in line
+
+
 def test_an_empty_window_names_the_step_that_opens_it():
     scene = body(
         {"sphere": 0.1}, 3.0, 0.1, {"stiffness": 1e4, "max_penetration": 1e-6}, integrator=EXPLICIT

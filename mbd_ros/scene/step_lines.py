@@ -38,13 +38,15 @@ def _windows(scene: Scene, system: System, x: State) -> Iterator[str]:
     parts = [part for part in scene.parts.get("contacts", ()) if hasattr(part, "slopes")]
     if not parts:
         return
-    from mbd_ros.scene.window_lines import window_doubts, window_text, windows_at
+    from mbd_ros.scene.window_lines import depth_doubts, window_doubts, window_text, windows_at
 
     method = scene.integrator
     if method is None:
         method = build_part("integrators", DEFAULT_INTEGRATOR, "default")
-    found = windows_at(system, parts, method, scene.dt, system.expand(x))
+    start = system.expand(x)
+    found = windows_at(system, parts, method, scene.dt, start)
     for window in found:
         yield line("window", window_text(window, method, scene.dt))
     for window in found:
         yield from (line("warning", text) for text in window_doubts(window, method, scene.dt))
+    yield from (line("warning", text) for text in depth_doubts(system, parts, [start]))

@@ -9,6 +9,7 @@ from mbd_ros.core.integration.bouncing import GAIN
 from mbd_ros.core.integration.contact_motion import touching_motion
 from mbd_ros.core.integration.contact_window import Window, windows
 from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.model.kinematics import Reads
 from mbd_ros.core.state import State
 
 _SLACK = 1.0e-9  # relative
@@ -76,6 +77,28 @@ def window_doubts(window: Window, method: Integrator, dt: float) -> Iterator[str
             f"{part.name}: its window is empty at dt {dt:g} s; steps of {name} with dt < "
             f"{window.opening:.3g} s open it"
         )
+
+
+def depth_doubts(system: System, parts: Sequence[Any], states: Sequence[State]) -> Iterator[str]:
+    """Warnings of contacts that go deeper than they may, where they are deepest.
+
+    Args:
+        system: The system.
+        parts: Contacts that give way.
+        states: States of all joints.
+    """
+    k, deepest = system.k, {part: (0.0, 0.0) for part in parts if part.max_penetration}
+    for x in states:
+        k.refresh(x.q, x.v, Reads.POSITION)
+        for part, most in deepest.items():
+            deepest[part] = max(most, (-float(part.pair.gaps(k).min()), x.t))
+    for part, (depth, t) in deepest.items():
+        if depth > part.max_penetration:
+            needed = part.normal.least(part.normal.force(depth, 0.0), part.max_penetration)
+            yield (
+                f"{part.name}: {depth:.3g} m deep at t = {t:.6g} s, max_penetration is "
+                f"{part.max_penetration:.3g} m: its force there takes a stiffness of {needed:.3g}"
+            )
 
 
 def _unit(part: Any) -> str:

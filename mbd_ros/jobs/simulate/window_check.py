@@ -9,11 +9,10 @@ import numpy as np
 from mbd_ros.core.integration.contact_motion import pressed_motion
 from mbd_ros.core.integration.contact_window import longest
 from mbd_ros.core.integration.linear_motion import is_bounded
-from mbd_ros.core.model.kinematics import Reads
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
-from mbd_ros.scene.window_lines import window_doubts, window_text, windows_at
+from mbd_ros.scene.window_lines import depth_doubts, window_doubts, window_text, windows_at
 
 _LOOKS = 8  # states whose window is found
 _DEPTHS = 2_000  # states whose depths are looked at
@@ -39,7 +38,8 @@ def window_words(
                 warned.add(window.part)
                 yield f"warning: {text}"
         yield from (f"warning: {t}" for t in _outside(simulation, parts, states, warned))
-        yield from (f"warning: {text}" for text in _depths(simulation, parts, states))
+        looked = states[:: 1 + len(states) // _DEPTHS]
+        yield from (f"warning: {text}" for text in depth_doubts(system, parts, looked))
 
 
 def _outside(
@@ -65,21 +65,3 @@ def _outside(
                     f"{names}: too stiff at t = {x.t:.6g} s for steps of {type(method).__name__} "
                     f"at dt {dt:g} s: they need dt < {longest(group, method, 1.0):.3g} s there"
                 )
-
-
-def _depths(
-    simulation: Simulation, parts: Sequence[Any], states: Sequence[State]
-) -> Iterator[str]:
-    """Contacts that went deeper than they may."""
-    k, most = simulation.system.k, {part: (0.0, 0.0) for part in parts if part.max_penetration}
-    for x in states[:: 1 + len(states) // _DEPTHS]:
-        k.refresh(x.q, x.v, Reads.POSITION)
-        for part, deepest in most.items():
-            most[part] = max(deepest, (-float(part.pair.gaps(k).min()), x.t))
-    for part, (depth, t) in most.items():
-        if depth > part.max_penetration:
-            needed = part.normal.least(part.normal.force(depth, 0.0), part.max_penetration)
-            yield (
-                f"{part.name}: {depth:.3g} m deep at t = {t:.6g} s, max_penetration is "
-                f"{part.max_penetration:.3g} m: its force there takes a stiffness of {needed:.3g}"
-            )
