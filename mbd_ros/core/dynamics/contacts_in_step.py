@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.giving_way import GivingWay
+from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
 from mbd_ros.core.dynamics.step_problem import StepProblem
 from mbd_ros.core.dynamics.step_rows import Acting, Which
 from mbd_ros.core.optimization.contact_problem import ContactProblem, Residuals
@@ -46,8 +47,11 @@ class _Asked(NamedTuple):
     known: tuple[Array, Array, float]
 
     def solve(self, warm: Array, late: Array | None = None) -> Array:
-        """The impulses, shape (m,); arguments as for `ContactProblem`."""
-        return self.solver.solve(self.b, *self.known, late, warm)
+        """The impulses, shape (m,); arguments as for `ContactProblem`.
+
+        How contacts share what they do together changes no velocity.
+        """
+        return self.solver.solve(self.b, *self.known, late, warm, shared=False)
 
 
 class ContactsInStep(GivingWay):
@@ -71,7 +75,7 @@ class ContactsInStep(GivingWay):
         self.last = np.zeros(len(rows.rows))
         self.forget()
         self._sets: dict[bytes, Acting] = {}
-        self._solver: tuple[Array, ContactProblem] | None = None
+        self._solver: tuple[ImpulseResponse, Acting, Array, ContactProblem] | None = None
 
     def end(
         self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None
@@ -117,8 +121,7 @@ class ContactsInStep(GivingWay):
     ) -> Array:
         """What the impulses of some rows, contacts among them, add to a velocity."""
         response = problem.response
-        A = response.A if len(on) == len(response.A) else response.A[np.ix_(on, on)]
-        solver = ContactProblem(A, response.loose[on], chosen.names, chosen.cones)
+        A, solver = self._of(response, chosen, on)
         known = *self._bounds(problem, chosen.at), problem.speed(free)
         kept = self._kept_bend(problem, on, A)
         b = problem.J[on].dot(free) + problem.offset[on] + (kept - problem.bend[on])
@@ -136,6 +139,16 @@ class ContactsInStep(GivingWay):
         self.forces[chosen.at] = p / problem.h
         change: Array = response.X[:, on].dot(p)
         return change
+
+    def _of(
+        self, response: ImpulseResponse, chosen: Acting, on: NDArray[np.intp]
+    ) -> tuple[Array, ContactProblem]:
+        """A of some rows and its solver, the ones before while nothing but forces changes."""
+        if self._solver is None or not (response is self._solver[0] and chosen is self._solver[1]):
+            A = response.A if len(on) == len(response.A) else response.A[np.ix_(on, on)]
+            solver = ContactProblem(A, response.loose[on], chosen.names, chosen.cones)
+            self._solver = response, chosen, A, solver
+        return self._solver[2:]
 
     def _sliding(self, asked: "_Asked", near: Array) -> Array | None:
         """Impulses where some contacts slide all along; None where none does."""

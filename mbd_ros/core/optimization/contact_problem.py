@@ -70,6 +70,8 @@ class ContactProblem:
         speed: float,
         late: Array | None = None,
         warm: Array | None = None,
+        *,
+        shared: bool = True,
     ) -> Array:
         """The impulses, shape (m,), fresh.
 
@@ -81,6 +83,8 @@ class ContactProblem:
             late: What rates have more in the laws than in b, shape (m,): 0 but at tangents, where
                 friction is against the slip of another time.
             warm: Impulses to begin with, shape (m,); none by default.
+            shared: Whether impulses that depend on one another are those of least norm, which
+                takes as long as the answer; else they are any that do the same.
 
         Raises:
             SolveError: Nothing keeps a row from moving as it must not, or no impulses are found.
@@ -93,7 +97,7 @@ class ContactProblem:
         elif self._opens(b, lower):
             p = np.zeros(len(b))
         else:
-            p = self._scaled().solve(b, lower, upper, speed, warm)
+            p = self._scaled().solve(b, lower, upper, speed, warm, shared=shared)
         self._answered = p, b, lower, upper
         return p
 

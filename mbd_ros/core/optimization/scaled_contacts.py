@@ -64,7 +64,14 @@ class ScaledContacts:
         self._newton = ConeNewton(unit[:, None] * A[np.ix_(at, at)] * unit, contacts)
 
     def solve(
-        self, b: Array, lower: Array, upper: Array, speed: float, warm: Array | None
+        self,
+        b: Array,
+        lower: Array,
+        upper: Array,
+        speed: float,
+        warm: Array | None,
+        *,
+        shared: bool,
     ) -> Array:
         """The impulses, shape (m,), fresh.
 
@@ -74,6 +81,7 @@ class ScaledContacts:
             upper: Largest ones, shape (m,).
             speed: Velocity in the mass metric.
             warm: Impulses to begin with, shape (m,).
+            shared: Whether those that depend on one another are of least norm.
 
         Raises:
             SolveError: Nothing keeps a row from closing, or no impulses are found.
@@ -94,7 +102,7 @@ class ScaledContacts:
         if left > max(_ACCEPTED, enough):
             raise SolveError(self._failed())
         p = kept(self._newton.contacts, bounds, p)
-        if self._newton.depends and p.any():
+        if shared and self._newton.depends and p.any():
             p = self._shortest(b, bounds, p)
         answer[at] = unit * p
         return answer
