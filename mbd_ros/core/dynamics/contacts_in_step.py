@@ -35,6 +35,8 @@ class _Asked(NamedTuple):
         b: Their rates without impulses, shape (m,).
         bend: What of these comes from the change of J, shape (m,).
         known: Bounds of the impulses, and a velocity.
+        shared: Whether contacts that depend on one another share with the least norm: those of
+            the end of a step do, the next one begins with them.
     """
 
     problem: StepProblem
@@ -45,13 +47,11 @@ class _Asked(NamedTuple):
     b: Array
     bend: Array
     known: tuple[Array, Array, float]
+    shared: bool
 
     def solve(self, warm: Array, late: Array | None = None) -> Array:
-        """The impulses, shape (m,); arguments as for `ContactProblem`.
-
-        How contacts share what they do together changes no velocity.
-        """
-        return self.solver.solve(self.b, *self.known, late, warm, shared=False)
+        """The impulses, shape (m,); arguments as for `ContactProblem`."""
+        return self.solver.solve(self.b, *self.known, late, warm, shared=self.shared)
 
 
 class ContactsInStep(GivingWay):
@@ -127,7 +127,7 @@ class ContactsInStep(GivingWay):
         b = problem.J[on].dot(free) + problem.offset[on] + (kept - problem.bend[on])
         room = problem.rates_left(on)
         b += np.where(room <= _NO_ROOM * np.abs(b), 0.0, room)
-        asked = _Asked(problem, chosen, on, A, solver, b, kept, known)
+        asked = _Asked(problem, chosen, on, A, solver, b, kept, known, near is not None)
         p = None if near is None else self._sliding(asked, near)
         if p is None:
             p = asked.solve(self.last[chosen.at])

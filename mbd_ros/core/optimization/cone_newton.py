@@ -22,7 +22,7 @@ from mbd_ros.core.thresholds import redundant
 
 Slots = NDArray[np.intp]
 _EXACT = 4.0e-16  # of the impulses: nothing is left of the map
-_SMALL = 1.0e-14  # the same: rounding, once a step no longer halves it
+_SMALL = 2.0e-15  # the same: rounding, once a step no longer halves it
 _ENOUGH = 1.0e-4  # of the decrease that a step promises
 
 
