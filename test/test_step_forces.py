@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from mechanisms import joint, link, urdf
 
 import mbd_ros as mbd
 from mbd_ros.core.geometry.contact_show import SLIP, STICK
@@ -74,3 +75,34 @@ def test_where_no_accelerations_exist_the_forces_of_a_step_are_shown():
     friction = np.hypot(table["rod_contact.friction_x"], table["rod_contact.friction_y"])
     assert (friction <= mu * table["rod_contact.normal"] * (1.0 + 1e-9)).all()
     assert residual(scene.inverse(result)) <= 1e-9 * table["rod_contact.normal"][0]
+
+
+def test_other_rows_beside_a_contact_keep_their_laws():
+    """A slide with dry friction moves a foot over the ground until it comes to rest."""
+    chain = ("world", "a", "foot")
+    text = urdf(
+        *(link("world"), link("a", 0.5), link("foot", 2.0)),
+        joint("x", "prismatic", *chain[:2], (1, 0, 0)),
+        joint("z", "prismatic", *chain[1:], (0, 0, 1)),
+    )
+    entry = {"type": "rigid", "between": [{"frame": "foot", "sphere": 0.05}, "ground"]}
+    sections = {
+        "contacts": [entry | {"friction": 0.3}],
+        "constraints": [
+            {"type": "dry_friction", "joint": "x", "limit": 2.0},
+            {"type": "joint_stop", "joint": "x", "upper": 5.0},
+        ],
+        "initial": {"position": {"z": 0.05}, "velocity": {"x": 1.0}},
+        "dt": 1e-3,
+        "integrator": {"type": "moreau_jean"},
+    }
+    table = mbd.scene_from(sections, urdf=text).simulate(0.4)["samples"]
+    moves = table["x.velocity"] > 1e-3
+    stop = 2.5 / (2.0 + 0.3 * 2.0 * G)  # s: mass over both frictions
+    assert moves.sum() == pytest.approx(stop / 1e-3, abs=2)
+    assert table["x_dry_friction.force"][moves] == pytest.approx(-2.0, rel=1e-12)
+    assert table["foot_contact.force_x"][moves] == pytest.approx(-0.3 * 2.0 * G, rel=1e-9)
+    assert table["foot_contact.normal"] == pytest.approx(2.0 * G, rel=1e-9)
+    assert set(table["x_joint_stop.force"]) == {0.0}
+    rest = table["time"] > stop + 0.01
+    assert table["x.acceleration"][rest] == pytest.approx(0.0, abs=1e-9)

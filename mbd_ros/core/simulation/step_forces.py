@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.dynamics.slip_names import begun
+from mbd_ros.core.model.kinematics import Reads
 from mbd_ros.core.simulation.seen import Seen
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import SolveError
@@ -94,11 +95,14 @@ def _in_modes(simulation: "Simulation", x: State, u: Array | None, modes: list[M
     exact = system.exact
     assert exact is not None
     assert exact.contacts is not None
-    y = system.reduce(x)
-    ways, free = exact.ways(y)  # k is refreshed
-    slips = exact.contacts.slips(system.k, x)
-    whole, slots, mine = list(ways), exact.slots.tolist(), set[int]()
-    for cone, mode, slip in zip(system.layout.cones, modes, slips, strict=True):
+    y, cones, slots = system.reduce(x), system.layout.cones, exact.slots.tolist()
+    ways, free = exact.ways(y) if len(slots) > 3 * len(cones) else ((1,) * len(slots), [])
+    slips = np.zeros((len(cones), 2))
+    if any(any(mode) and not mode[0] for mode in modes):
+        system.k.refresh(x.q, x.v, Reads.JACOBIAN)
+        slips = exact.contacts.slips(system.k, x)
+    whole, mine = list(ways), set[int]()
+    for cone, mode, slip in zip(cones, modes, slips, strict=True):
         first = slots.index(cone.slots.start)
         goes_on = not mode[0] and any(mode) and slip.dot(mode[1:]) > 0.0
         whole[first : first + 3] = (0, *begun(slip)) if goes_on else mode
@@ -106,9 +110,9 @@ def _in_modes(simulation: "Simulation", x: State, u: Array | None, modes: list[M
     others = [row for row in free if row not in mine]
     if others:
         exact.solve(y, u, tuple(whole), others)
-        found = exact.found()
         for row in others:
-            whole[row] = found[row]
+            lam, ends = float(exact.lam[row]), (float(exact.lower[row]), float(exact.upper[row]))
+            whole[row] = 1 if lam <= ends[0] else -1 if lam >= ends[1] else 0
     return x._replace(mode=tuple(whole))
 
 
