@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from mbd_ros.core.geometry.pairing import contact_pair
 from mbd_ros.core.geometry.polyhedron import box_of, line_of, polyhedron
-from mbd_ros.core.geometry.shapes import Between, Box, Mesh, Side
+from mbd_ros.core.geometry.shapes import Between, Box, Capsule, Mesh, Side
 from mbd_ros.core.geometry.solids import _to_box
 from mbd_ros.core.geometry.to_mesh import ToMesh
 from mbd_ros.core.model.kinematics import Kinematics
@@ -476,3 +476,56 @@ def test_a_box_that_slides_along_the_edges_of_another_stands_on_all_that_they_sh
         points = pair.places(k).point[touching, :2]
         assert len(points) == 4
         assert ConvexHull(points).volume == pytest.approx(0.2 * (0.2 - way), abs=1e-9)
+
+
+FREE = [case for case, (a, b, _) in {**SMOOTH, **OTHERS}.items() if "ground" not in (a, b)]
+
+
+@pytest.mark.parametrize("case", FREE)
+def test_free_bodies_see_one_another_wherever_they_are(case):
+    """Both moved and turned alike, 100 m away: the same gaps, rates and drift in frames of b."""
+    a, b, _ = {**SMOOTH, **OTHERS}[case]
+    scene, pair = pair_of(a, b)
+    whole = pin.SE3(pin.exp3(np.array((0.4, -1.1, 2.0))), np.array((100.0, -60.0, 30.0)))
+    for x in random_states(scene, 3, seed=3):
+        q = x.q.copy()
+        for base in scene.robot.bases:
+            q[base.q] = pin.SE3ToXYZQUAT(whole * pin.XYZQUATToSE3(q[base.q]))
+        values = []
+        for state in (x, x._replace(q=q)):
+            k, state = at(scene, pair, state)
+            values.append((pair.gaps(k), pair.jacobian(k) @ x.v, pair.drift(k, state)))
+        for here, there in zip(*values, strict=True):
+            assert there == pytest.approx(here, abs=1e-10 * (1.0 + np.abs(here).max()))
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+@pytest.mark.parametrize("shape", ["box", "mesh", "capsule"])
+def test_sizes_change_nothing_but_lengths(shape, scale):
+    """A body over a box of any size, all lengths scaled: the same features, scaled gaps."""
+    robot = pair_of("box", "ground")[0].robot
+    rng = np.random.default_rng(11)
+
+    def made(size):
+        a, b = robot.point("box"), robot.point("wedge")
+        bodies = {
+            "box": Box(a, size * np.array((0.2, 0.3, 0.4))),
+            "mesh": Mesh(a, box_of(size * np.array((0.2, 0.3, 0.4)))),
+            "capsule": Capsule(a, 0.1 * size, 0.3 * size),
+        }
+        sides = Side("box", (bodies[shape],)), Side("wedge", (Box(b, np.full(3, size)),))
+        return contact_pair(robot, Between(*sides))
+
+    one, other, k = made(1.0), made(scale), Kinematics(robot)
+    for _ in range(20):
+        turn, place = pin.exp3(rng.normal(size=3)), rng.normal(size=3)
+        place *= rng.uniform(0.5, 0.9) / np.linalg.norm(place)
+        gaps = []
+        for pair, size in ((one, 1.0), (other, scale)):
+            q = robot.neutral()
+            for base in robot.bases:
+                own = pin.SE3(turn, size * place) if base.name == "box" else pin.SE3.Identity()
+                q[base.q] = pin.SE3ToXYZQUAT(own)
+            k.refresh(q, np.zeros(robot.model.nv))
+            gaps.append(pair.gaps(k) / size)
+        assert gaps[1] == pytest.approx(gaps[0], abs=1e-9)

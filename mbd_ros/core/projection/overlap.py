@@ -25,6 +25,7 @@ from mbd_ros.errors import SolveError
 
 _ROUNDING = 1.0e-6  # of the size of a body: how deep a start may be that is written in digits
 _LIFTED = 1.0e-12  # of the same: how deep one may be that is lifted out
+_PLACED = 1.0e-14  # of the largest coordinate: what rounding leaves of a place
 _MOVES, _LISTED = 100, 4
 _LONGEST = 0.5  # rad or m, of one of them
 
@@ -44,22 +45,23 @@ def without_overlap(system: System, y: State) -> State:
     parts = [(block, block.part) for block in blocks if hasattr(block.part, "pair")]
     k, x = Kinematics(system.robot), system.expand(y)
     k.refresh(x.q, x.v, Reads.POSITION)
-    lifted = False
+    lifted, sizes = False, list[float]()
     for block, part in parts:
         gaps = block.part.residual(k, x)[::3]
         if gaps.min() >= 0.0:
             continue
         size = distance_to_mass(system.robot, part.pair)
         if getattr(part, "assemble", False):
+            sizes.append(size)
             lifted = lifted or bool(gaps.min() < -_LIFTED * size)
         elif gaps.min() < -_ROUNDING * size:
             raise SolveError(
                 f"{_told(block, gaps)}; move one of them, or say assemble: true there"
             )
-    return _lifted(system, y) if lifted else y
+    return _lifted(system, y, min(sizes)) if lifted else y
 
 
-def _lifted(system: System, y: State) -> State:
+def _lifted(system: System, y: State, size: float) -> State:
     mechanism, layout = Mechanism(system.robot, system.loads), system.layout
     nv = int(system.model.nv)
     rigid = RigidRows(mechanism, ConstraintRows(layout.rigid, nv, (0.0, 0.0)))
@@ -72,7 +74,7 @@ def _lifted(system: System, y: State) -> State:
         x = system.expand(y)
         mechanism.k.refresh(x.q, x.v, Reads.JACOBIAN)
         gap = rows.residual(mechanism.k, x)[every]
-        if gap.min() >= -_LIFTED:
+        if gap.min() >= -_LIFTED * size - _PLACED * float(np.abs(x.q).max()):
             return y
         J = rows.jacobian(mechanism.k, x)[every]
         M = np.array(mechanism.mass(x.q))
