@@ -222,3 +222,56 @@ def test_a_mesh_that_is_not_there_or_not_convex_is_named(tmp_path):
     ):
         with pytest.raises(SceneError, match=rf"between\[0\]\.mesh: .*{words}"):
             contacts(rigid(f"{{frame: box, mesh: {tmp_path / name}}}", "ground"))
+
+
+ARM = """<robot name="arm"><link name="base"><collision><geometry><box size="1 1 0.2"/></geometry>
+</collision></link>
+<link name="finger"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"
+iyz="0"/></inertial></link>
+<link name="tip"><inertial><origin xyz="0 0 -0.1"/><mass value="1"/><inertia ixx="1" iyy="1"
+izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><origin xyz="0 0 -0.5"/><geometry>{}</geometry></collision></link>
+<joint name="swing" type="revolute"><parent link="base"/><child link="finger"/>
+<origin xyz="0 0 1"/><axis xyz="0 1 0"/>
+<limit lower="-9" upper="9" effort="9" velocity="9"/></joint>
+<joint name="slide" type="prismatic"><parent link="finger"/><child link="tip"/>
+<axis xyz="0 0 -1"/><limit lower="-9" upper="9" effort="9" velocity="9"/></joint></robot>"""
+SPHERE = '<sphere radius="0.05"/>'
+
+
+def test_links_of_members_have_collisions_by_their_names_there(tmp_path):
+    """Of two robots, the root of one by the name of the robot; and of a joint that is locked."""
+    write_mesh(tmp_path / "cube.obj")
+    (tmp_path / "arm.urdf").write_text(ARM.format(SPHERE), encoding="utf-8")
+    mesh = '<mesh filename="cube.obj" scale="1 1 1"/>'
+    (tmp_path / "other.urdf").write_text(ARM.format(mesh), encoding="utf-8")
+    scene = scene_of(
+        f"robots:\n  left: {{urdf: {tmp_path / 'arm.urdf'}, locked: {{slide: 0.1}}}}\n"
+        f"  right: {{urdf: {tmp_path / 'other.urdf'}, pose: {{xyz: [3, 0, 0]}}}}\n"
+        f"contacts: [{rigid('left/tip', 'ground')}, {rigid('right/tip', 'right')},"
+        f"{rigid('left/tip', 'right/tip')}]\n"
+    )
+    ground, base, both = scene.constraints
+    assert [part.name for part in scene.constraints] == [
+        *("left/tip_contact", "right/tip_contact", "left/tip_contact_2"),
+    ]
+    system = scene.system()
+    system.k.refresh(scene.initial.q, scene.initial.v)
+    assert ground.pair.gaps(system.k) == pytest.approx([1.0 - 0.1 - 0.5 - 0.05], abs=1e-12)
+    assert base.pair.room(system.k, base.pair.gaps(system.k)) == pytest.approx(0.4, abs=1e-6)
+    assert both.pair.gaps(system.k) == pytest.approx([np.hypot(2.9, 0.1) - 0.05], abs=1e-6)
+
+
+def test_a_coupled_arm_is_lifted_out_with_its_couplings_kept():
+    """The slide follows the swing; its tip starts in the ground."""
+    text = ARM.format(SPHERE)
+    scene = scene_of(
+        "couplings: {slide: {parent: swing, factor: 0.5, offset: 0.6}}\n"
+        f"contacts: [{rigid('tip', 'ground', 0.4, ', assemble: true')}]\n",
+        text,
+    )
+    q = starting(scene).q
+    swing, slide = (scene.robot.joint(name).q for name in ("swing", "slide"))
+    assert q[slide] == pytest.approx(0.5 * q[swing] + 0.6, abs=1e-12)
+    height = 1.0 - (q[slide] + 0.5) * np.cos(q[swing])
+    assert height == pytest.approx(0.05, abs=1e-9)

@@ -1,9 +1,9 @@
 """Bodies of contacts that overlap at the start: refused by name, or lifted out of one another.
 
-    min |way|_M   subject to   J way >= -g of every gap, J_b way = 0 of bilateral rows
+    min |d|_M   subject to   g + J (d - d_k) >= 0 of every gap,   J_b (d - d_k) = 0 of the others
 
-again and again, since gaps bend. Source: J. J. Moreau, Quadratic programming in mechanics:
-dynamics of one-sided constraints, SIAM J. Control 4, 1966, for the problem.
+again and again, from the way d_k of the last time, since gaps bend. Source: J. J. Moreau,
+Quadratic programming in mechanics: dynamics of one-sided constraints, SIAM J. Control 4, 1966.
 """
 
 import numpy as np
@@ -25,7 +25,9 @@ from mbd_ros.errors import SolveError
 
 _ROUNDING = 1.0e-6  # of the size of a body: how deep a start may be that is written in digits
 _LIFTED = 1.0e-12  # of the same: how deep one may be that is lifted out
+_NEAR = 10.0  # of the deepest overlap: gaps that count beside it
 _PLACED = 1.0e-14  # of the largest coordinate: what rounding leaves of a place
+_STILL = 1.0e-9  # of the size: a move after which none is left
 _MOVES, _LISTED = 100, 4
 _LONGEST = 0.5  # rad or m, of one of them
 
@@ -69,20 +71,30 @@ def _lifted(system: System, y: State, size: float) -> State:
     rows = ConstraintRows(blocks, nv)
     every = np.concatenate([_gaps(block) for block in blocks])
     names = [rows.rows[i].name for i in np.flatnonzero(every)]
+    pushed = np.zeros(len(names), dtype=np.bool_)
+    first, slack = y, _PLACED * float(np.abs(y.q).max())
     for _ in range(_MOVES):
         y = assemble(system, y)
-        x = system.expand(y)
+        gone = system.chart.difference(first.q, y.q)
+        x = system.expand(y._replace(v=gone))
         mechanism.k.refresh(x.q, x.v, Reads.JACOBIAN)
         gap = rows.residual(mechanism.k, x)[every]
-        if gap.min() >= -_LIFTED * size - _PLACED * float(np.abs(x.q).max()):
-            return y
-        J = rows.jacobian(mechanism.k, x)[every]
+        near = pushed | (gap <= max(-_NEAR * float(gap.min()), _ROUNDING * size))
+        J = rows.jacobian(mechanism.k, x)[every][near]
         M = np.array(mechanism.mass(x.q))
         hold = rigid.jacobian(x.t, x.q) if rigid.rows else np.zeros((0, nv))
         response = ImpulseResponse(M, J, hold, rigid.factorise(M, hold) if rigid.rows else None)
-        way = response.X.dot(PushImpulses(response.G, response.loose, names).solve(gap, 0.0))
-        way *= _LONGEST / max(float(np.abs(way).max()), _LONGEST)
-        y = y._replace(q=system.chart.integrate(y.q, system.integrated(way)))
+        least, _ = response.kept(np.zeros(nv), hold.dot(x.v))
+        left = gap[near] + J.dot(least - x.v)
+        rates = PushImpulses(response.G, response.loose, np.array(names)[near].tolist())
+        push = rates.solve(left, 0.0)
+        pushed[near] = push > 0.0
+        way = system.integrated(least + response.X.dot(push)) - gone
+        longest = float(np.abs(way).max())
+        if gap.min() >= -_LIFTED * size - slack and longest <= _STILL * size + slack:
+            return y._replace(v=first.v)
+        way *= _LONGEST / max(longest, _LONGEST)
+        y = y._replace(q=system.chart.integrate(first.q, gone + way))
     raise SolveError(f"nothing lifts {names[int(gap.argmin())]} out of {-gap.min():.3g} m")
 
 
