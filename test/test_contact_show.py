@@ -80,6 +80,9 @@ def test_states_tell_open_slip_and_stick_apart():
     (part,) = resting(friction=[0.5, 0.5, 0.0, 0.5]).constraints
     forces = np.array(((2.0, 0.6, -0.8), (2.0, 0.3, 0.1), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     assert part.contact.states(forces).tolist() == [SLIP, STICK, SLIP, OPEN]
+    forces[1, 0] = forces[1, 1] = 1e-6  # a share that is rounding
+    assert part.contact.states(forces).tolist() == [SLIP, OPEN, SLIP, OPEN]
+    forces[1, 0] = 2.0
     slips = np.array((False, True, False, True))
     assert part.contact.states(forces, slips).tolist() == [STICK, SLIP, STICK, OPEN]
 

@@ -24,7 +24,7 @@ from mbd_ros.core.state import Array, State
 
 OPEN, SLIP, STICK = 0.0, 1.0, 2.0
 _AT_BOUND = 1.0 - 1.0e-9  # of the largest friction: from here on it slips
-_PRESSED = 1.0e-9  # of the largest force of a contact: less is rounding
+_PRESSED = 1.0e-6  # of the largest force of a contact: a feature with less decides nothing
 
 
 def force_names(features: Sequence[str]) -> list[str]:

@@ -15,6 +15,7 @@ from mbd_ros.errors import SolveError
 
 _LOOKS = 8  # states whose fastest rate is found, and the last one
 _FOLD_LOOKS = 2_000  # states whose rows are factorised
+_AT_REST = 1.0e-9  # of the velocity of a free fall as long: what does not move
 _TURN = 0.5  # change of velocity in a step, of the largest one in the motion
 
 
@@ -41,7 +42,8 @@ def step_warnings(
             yield from _stiffness(system, method, dt, states)
         speeds = np.array([x.v for x in states])
         turns = np.abs(np.diff(speeds, axis=0)).max(axis=1, initial=0.0)
-        turns = turns / max(float(np.abs(speeds).max()), TINY)
+        fall = float(np.linalg.norm(system.model.gravity.linear)) * (states[-1].t - states[0].t)
+        turns = turns / max(float(np.abs(speeds).max()), _AT_REST * fall, TINY)
         turns[_with_jumps(system, method, states, events)] = 0.0
         k = int(np.argmax(turns)) if len(turns) else 0
         if len(turns) and not turns[k] <= _TURN:
