@@ -111,7 +111,7 @@ def _long_steps() -> Iterator[ContactRow]:
         ("mu = 1.5 stops", 50.0, 1.5, 3.0),
     ):
         yield ContactRow(family, label, _incline(degrees, mu, speed), _LONG)
-    yield ContactRow(family, "stack 1 to 1e6", _stack((1.0, 1.0, 1.0e6)), _LONG)
+    yield ContactRow(family, "stack 1 to 1e6", _stack((1.0, 1.0, 1.0e6), 1.0), _LONG)
     ball = Solid("ball", 1.0, "sphere", (0.1,), (0.0, 0.0, 0.1))
     yield ContactRow(family, "bounces of e = 0.8", _bounce(ball, 1.0, 0.8, 5.0), _LONG)
 
@@ -166,7 +166,7 @@ def _incline(degrees: float, mu: float, speed: float, solid: Solid | None = None
     return problem._replace(gravity=(-GRAVITY * math.sin(angle), 0.0, -GRAVITY * math.cos(angle)))
 
 
-def _stack(masses: Sequence[float]) -> Problem:
+def _stack(masses: Sequence[float], span: float = 0.2) -> Problem:
     """Boxes at rest, one above the other; they neither move nor share their weight wrongly."""
     size = (0.2, 0.2, 0.1)
     names = [f"box{i}" for i in range(len(masses))]
@@ -182,5 +182,5 @@ def _stack(masses: Sequence[float]) -> Problem:
         return max(moved, float(np.abs(run.forces / weights - 1.0).max()))
 
     pairs = tuple(zip(names, (GROUND, *names[:-1]), strict=True))
-    problem = _problem(solids, 0.5, 1.0, error)
+    problem = _problem(solids, 0.5, span, error)
     return problem._replace(pairs=pairs, is_smooth=False, has_forces=True)
