@@ -1,4 +1,4 @@
-"""Bodies that spin while they touch: their axes turn within a step."""
+"""Bodies that spin while they touch, and slips that end: what happens within a step."""
 
 import numpy as np
 import pytest
@@ -36,3 +36,23 @@ def test_a_ball_slides_until_it_rolls(spin):
     late = [x for x in states if x.t > rolls + 0.01]
     assert late and all(abs(np.linalg.norm(x.v[:3]) - roll) <= 1e-9 for x in late)
     assert all(abs(x.v[4] * RADIUS - roll) <= 1e-9 for x in late)
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.2, 0.7])
+def test_a_slip_that_ends_within_a_step_gains_no_energy(speed):
+    """A block on an incline stops early in a long step, where mu > tan: closed form."""
+    angle, mu = np.deg2rad(20.0), 0.5
+    gravity = [-GRAVITY * np.sin(angle), 0.0, -GRAVITY * np.cos(angle)]
+    block = {"shape": {"box": [0.4, 0.4, 0.1]}, "mass": 2.0, "pose": {"xyz": [0.0, 0.0, 0.05]}}
+    contact = {"type": "rigid", "between": ["block", "ground"], "friction": mu}
+    twist = {"block": {"linear": [speed, 0.0, 0.0], "expressed_in": "world"}}
+    sections = {"bodies": {"block": block}, "contacts": [contact], "initial": {"twist": twist}}
+    scene = scene_from({"gravity": gravity, **sections})
+    simulation = scene.simulation(integrator={"type": "moreau_jean"}, dt=0.1)
+    states = list(simulation.run(scene.initial, 0.3))
+    energies = [x.v[:3].dot(x.v[:3]) - 2.0 * np.dot(gravity, x.q[:3]) for x in states]
+    assert np.diff(energies).max() <= 1e-10 * speed**2
+    braking = GRAVITY * (np.sin(angle) + mu * np.cos(angle))
+    way = speed**2 / (2.0 * braking)
+    assert states[-1].q[0] == pytest.approx(way, abs=braking * 0.1**2 / 8.0)
+    assert np.abs(states[-1].v).max() <= 1e-11

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.giving_way import GivingWay
 from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
+from mbd_ros.core.dynamics.slip_ends import ending, turned
 from mbd_ros.core.dynamics.step_problem import StepProblem
-from mbd_ros.core.dynamics.step_rows import Acting, Which
+from mbd_ros.core.dynamics.step_rows import Acting, Slots, Which
 from mbd_ros.core.optimization.contact_problem import ContactProblem, Residuals
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array
@@ -106,6 +107,14 @@ class ContactsInStep(GivingWay):
         if not chosen.cones:
             return super().pushed(problem, closed, free)
         return free + self._with_contacts(problem, chosen, on, free, near)
+
+    def turned(self, problem: StepProblem, end: Array) -> Slots | None:
+        """Tangents of contacts whose friction would do work: slips that end within the step."""
+        return turned(problem, end, self.last)
+
+    def ending(self, turned: Slots, problem: StepProblem, end: Array) -> float:
+        """When the first of some slips ends [s]; arguments as those of `slip_ends.ending`."""
+        return ending(turned, problem, end)
 
     def forget(self) -> None:
         """Begin to look for the largest residuals anew."""

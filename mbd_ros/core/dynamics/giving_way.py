@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.step_problem import StepProblem
-from mbd_ros.core.dynamics.step_rows import Which
+from mbd_ros.core.dynamics.step_rows import Slots, Which
 from mbd_ros.core.optimization.bounded_impulses import BoundedImpulses
 from mbd_ros.core.optimization.push_impulses import PushImpulses
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
@@ -32,6 +32,14 @@ class GivingWay:
 
     def forget(self) -> None:
         """Begin to look for the largest residuals anew."""
+
+    def turned(self, problem: StepProblem, end: Array) -> Slots | None:
+        """Tangents of contacts whose slips end within the step; without contacts None."""
+        return None
+
+    def ending(self, turned: Slots, problem: StepProblem, end: Array) -> float:
+        """When the first of some slips ends [s]."""
+        return 0.0
 
     def end(
         self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None

@@ -13,6 +13,7 @@ from mbd_ros.core.rows.row_layout import Cone
 from mbd_ros.core.state import Array, State
 
 Which = NDArray[np.bool_]
+Slots = NDArray[np.intp]
 
 
 class Acting(NamedTuple):

@@ -11,34 +11,34 @@ of the loads, so that stiff ones do not limit h. All rows are in one complementa
 their rates at the end of the step: bilateral rows hold, one-sided rows that would close push, and
 bounded forces act with h times their bounds at most. Where rows close faster than the forces of
 one step make them, an impact divides the step where the first of them closes. What is beyond a
-one-sided row nevertheless is moved out of it, in the mass metric.
+one-sided row nevertheless is moved out of it, in the mass metric. A slip that ends so early in a
+step that friction would do work along the way divides the step, too.
 
 Sources: J. J. Moreau, in Nonsmooth Mechanics and Applications, 1988; M. Jean, Comput. Methods
 Appl. Mech. Eng. 177 (1999); V. Acary, Comput. Methods Appl. Mech. Eng. 256 (2013), on positions.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from mbd_ros.core.dynamics.giving_way import GivingWay
 from mbd_ros.core.dynamics.implicit_loads import ImplicitLoads, mass_with
 from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
+from mbd_ros.core.dynamics.rows_of_step import returns, rows_of_step
 from mbd_ros.core.dynamics.step_problem import StepProblem, first_closing
-from mbd_ros.core.dynamics.step_rows import StepRows, Which
+from mbd_ros.core.dynamics.step_rows import Slots, Which
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.velocity_level import VelocityLevel
 from mbd_ros.core.optimization.push_impulses import PushImpulses
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_factor import RowFactor
-from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import LANDED
 from mbd_ros.errors import DivergedError
 
 _IMPACTS = 4  # of one step; what closes after them comes to rest
+_TURNS = 3  # of slips in one step
+_SHARES = (0.25, 0.0625, 0.015625)  # of a step, in which a slip that ends early is looked at
 _WHOLE = 1.0 - 1.0e-6  # of a step, so that something is left of it
 _TOGETHER = 1.0e-6  # of the way of the fastest row in a step: gaps that close at one time
 _NEAR = 10.0  # gaps that count while others are closed, of how far one of these is beyond 0
@@ -64,13 +64,20 @@ class VelocityStep:
         gains = system.constraints.gains
         self._rigid = RigidRows(mechanism, ConstraintRows(layout.rigid, nv, gains))
         yielding = ConstraintRows(layout.yielding, nv)
-        self._rows, self.giving_way = _rows(system, mechanism, yielding, theta)
+        self._rows, self.giving_way = rows_of_step(system, mechanism, yielding, theta)
         self._slots = yielding.slots
-        self._return = _return(layout.rigid, gains), _return(layout.yielding)
+        self._return = returns(layout.rigid, gains), returns(layout.yielding)
         self._nothing = np.zeros((0, nv)), np.zeros(0)
 
-    def step(self, y: State, u: Array | None, h: float, t: float) -> State:
+    def step(self, y: State, u: Array | None, h: float, t: float, turns: int = _TURNS) -> State:
         """The state of what is integrated at a time t, after a step of length h [s].
+
+        Args:
+            y: State at the start.
+            u: Inputs; None for safe ones.
+            h: Length [s].
+            t: Time at the end [s].
+            turns: How often the step may be divided where slips end.
 
         Raises:
             SolveError: Rows contradict one another.
@@ -86,11 +93,38 @@ class VelocityStep:
             y, h = self._after_impact(problem, closed, hits, y)
             problem = self._problem(y, u, h)
             closed = problem.closed()
+        problem, end = self._solved(problem, closed, y, u)
+        turned = self.giving_way.turned(problem, end) if turns else None
+        if turned is not None and (part := self._until(turned, y, u, h)):
+            y = self._ended(y, *self._solved(*self._begun(y, u, part), y, u), t - h + part)
+            return self.step(y, u, h - part, t, turns - 1)
+        return self._outside(self._ended(y, problem, end, t))
+
+    def _begun(self, y: State, u: Array | None, h: float) -> tuple[StepProblem, Which]:
+        """The problem of a step without impacts, and its rows that would be closed."""
+        problem = self._problem(y, u, h)
+        return problem, problem.closed()
+
+    def _solved(
+        self, problem: StepProblem, closed: Which, y: State, u: Array | None
+    ) -> tuple[StepProblem, Array]:
+        """The problem with forces on the way to its end, and the velocity there."""
         end = self.giving_way.end(problem, closed, problem.free)
         problem = self._corrected(problem, y, u, end)
-        end = self.giving_way.end(problem, closed, problem.free, end)
+        return problem, self.giving_way.end(problem, closed, problem.free, end)
+
+    def _ended(self, y: State, problem: StepProblem, end: Array, t: float) -> State:
         mean = (1.0 - self._theta) * problem.x.v + self._theta * end
-        return self._outside(self._moved(y, h * mean, end, problem.dz(end), t))
+        return self._moved(y, problem.h * mean, end, problem.dz(end), t)
+
+    def _until(self, turned: Slots, y: State, u: Array | None, h: float) -> float:
+        """When the first of some slips ends within a step [s]; 0 where none is seen to."""
+        for share in _SHARES:
+            problem, end = self._solved(*self._begun(y, u, share * h), y, u)
+            part = self.giving_way.ending(turned, problem, end)
+            if part:
+                return part if part < _WHOLE * h else 0.0
+        return 0.0
 
     def _problem(self, y: State, u: Array | None, h: float) -> StepProblem:
         """The linear problem of a step from a state of what is integrated."""
@@ -214,25 +248,3 @@ class VelocityStep:
         z = system.internals.inside(y.z + dz)
         self._rows.moved(q, way)
         return State(t, q, np.array(system.integrated(v)), z, y.mode)
-
-
-def _rows(
-    system: System, mechanism: Mechanism, rows: ConstraintRows, theta: float
-) -> tuple[StepRows, GivingWay]:
-    """The rows that give way in steps, and what solves for them."""
-    if not rows.cones:
-        return StepRows(mechanism, rows), GivingWay(rows)
-    from mbd_ros.core.dynamics.contacts_in_step import ContactsInStep
-    from mbd_ros.core.dynamics.near_contacts import NearContacts
-
-    is_whole = system.nv == system.model.nv
-    return NearContacts(mechanism, rows, is_whole), ContactsInStep(rows, theta)
-
-
-def _return(blocks: Sequence[RowBlock], gains: tuple[float, float] | None = None) -> Array:
-    """Rates [1/s] with which rows come back to 0, kp / kd, one a row; 0 without gains."""
-    found = [np.zeros(0)]
-    for block in blocks:
-        kp, kd = (np.broadcast_to(gain, len(block.rows)) for gain in gains or block.gains)
-        found.append(np.divide(kp, kd, out=np.zeros(len(kp)), where=kd > 0.0))
-    return np.concatenate(found)

@@ -1,0 +1,70 @@
+"""Slips that end within a step of velocities.
+
+Friction holds a contact at the end of a step. Where its slip ends early in the step, that friction
+would push along the way that is left of it, and do work: such a step is divided where the slip
+ends, so that friction only ever takes energy.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.dynamics.step_problem import StepProblem
+from mbd_ros.core.dynamics.step_rows import Slots
+from mbd_ros.core.state import Array
+
+_WORK = 1.0e-11  # of the kinetic energy: work of friction that is none
+_SLIGHT = 1.0e-4  # of what friction adds to a slip in a step: one that has ended before
+_SEEN = 0.1  # of a slip, which must be left for its end to be foretold
+
+
+def turned(problem: StepProblem, end: Array, impulses: Array) -> Slots | None:
+    """Tangents of contacts whose friction would do work, among the rows of all; None without any.
+
+    Args:
+        problem: That of the step.
+        end: Velocity at its end, shape (nv,).
+        impulses: Of all rows [N·s], shape (m,).
+    """
+    tangents = problem.acting.tangents
+    if not len(tangents):
+        return None
+    before, after = _slips(problem, end, tangents)
+    push = impulses[problem.acting.at[tangents]].reshape(-1, 2)
+    gains = _dot(before + after, push) > _WORK * problem.speed(problem.free) ** 2
+    if not gains.any():
+        return None
+    added = problem.response.loose[tangents].reshape(-1, 2).max(axis=1) * np.sqrt(_dot(push, push))
+    gains &= _dot(before, before) > np.square(_SLIGHT * added)
+    chosen: Slots = problem.acting.at[tangents].reshape(-1, 2)[gains].ravel()
+    return chosen if len(chosen) else None
+
+
+def ending(turned: Slots, problem: StepProblem, end: Array) -> float:
+    """When the first of some slips ends if it goes on as in a short step [s]; 0 if one has ended.
+
+    Args:
+        turned: Tangents of contacts, among the rows of all.
+        problem: That of the short step.
+        end: Velocity at its end, shape (nv,).
+    """
+    tangents = np.flatnonzero(np.isin(problem.acting.at, turned))
+    if not len(tangents):
+        return 0.0
+    before, after = _slips(problem, end, tangents)
+    size, left = _dot(before, before), _dot(before, after)
+    if not (left > _SEEN * size).all():
+        return 0.0
+    with np.errstate(divide="ignore"):  # a slip that does not end
+        parts = size / np.maximum(size - left, 0.0)
+    return problem.h * float(parts.min())
+
+
+def _slips(problem: StepProblem, end: Array, tangents: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Slips at the start and at the end of a step [m/s], shape (n, 2) each."""
+    after = problem.J[tangents].dot(end) + problem.offset[tangents]
+    return problem.rate[tangents].reshape(-1, 2), after.reshape(-1, 2)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """Products of vectors, shape (n,)."""
+    return np.einsum("ij,ij->i", a, b)
