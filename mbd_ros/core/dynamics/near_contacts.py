@@ -43,6 +43,7 @@ class NearContacts(StepRows):
         for _, at in others:
             is_other[at] = True
         self._at_others = np.flatnonzero(is_other)
+        self._others_push = bool(self.every.pushes[is_other].any())
         self._speed = GapSpeed(mechanism.robot, [bodies_of(part) for part, _ in own])
         self._room, self._spare, self._q = np.zeros(len(own)), 0.0, mechanism.zero
         self._way, self._ways = mechanism.zero, mechanism.zero.copy()
@@ -107,20 +108,22 @@ class NearContacts(StepRows):
         if self._spare <= _WAYS * math.sqrt(self._way.dot(self._way)):
             ways = self._reach(_WAYS * np.abs(self._way))
             looked_at = np.flatnonzero(self._room <= ways).tolist()
-        if not looked_at and not len(self._at_others):
+        if not looked_at and not self._others_push:
             return None
         self._k.refresh(x.q, x.v, self._of_g)
         if not self._speed.is_measured:
             self._speed.measure(self._data)
         gaps = np.full(self._m, np.inf)
-        gaps[self._at_others] = self._others.residual(self._k, x)
+        if self._others_push:
+            gaps[self._at_others] = self._others.residual(self._k, x)
         for i in looked_at:
             part, at = self._contacts[i]
             gaps[at] = part.residual(self._k, x)
             pair = getattr(part, "pair", None)
             own = gaps[at[::3]]
             self._room[i] = own.min() if pair is None else pair.room(self._k, own)
-        self._spare = self._speed.shortest(self._room)
+        if looked_at:
+            self._spare = self._speed.shortest(self._room)
         return np.where(self.every.pushes, gaps, np.inf)
 
     def _reach(self, way: Array) -> Array:
