@@ -43,7 +43,7 @@ class Worst(NamedTuple):
     Attributes:
         depth: Penetration [m].
         gain: Energy gained in a step, of the largest energy that was to be had.
-        unlike: Impulse that no touch can give, of the largest one, by mass metric.
+        unlike: Impulse that no touch can give, of the largest one or of the loads, by mass metric.
     """
 
     depth: float
@@ -123,7 +123,7 @@ class Oracle:
         return np.array(found).T if found else np.zeros((self.model.nv, 0))
 
     def unlike(self, x0, x1):
-        """What a step needs and touches cannot give, and what it needs, both [sqrt(J)]."""
+        """What a step needs and touches cannot give, and how large impulses are, in sqrt(J)."""
         h = x1.t - x0.t
         q = pin.integrate(self.model, x0.q, 0.5 * pin.difference(self.model, x0.q, x1.q))
         v = 0.5 * (x0.v + x1.v)
@@ -133,7 +133,7 @@ class Oracle:
         needed = M @ (x1.v - x0.v) + h * load
         if self.G is not None:
             G = self.G(q)
-            M, needed = G.T @ M @ G, G.T @ needed
+            M, needed, load = G.T @ M @ G, G.T @ needed, G.T @ load
         rays = self.rays(q, NEAR * h * self._speed(x0, x1) + 1e-9)
         if self.G is not None:
             rays = G.T @ rays
@@ -141,7 +141,8 @@ class Oracle:
         b, A = np.linalg.solve(L, needed), np.linalg.solve(L, rays)
         A = A / np.maximum(np.linalg.norm(A, axis=0), 1e-300)
         left = nnls(A, b, maxiter=100 * max(A.shape))[1] if A.size else np.linalg.norm(b)
-        return left, np.linalg.norm(b)
+        weight = np.linalg.norm(np.linalg.solve(L, h * load))
+        return left, max(np.linalg.norm(b), weight)
 
     def _speed(self, *states):
         """Largest speed of a body's corner, roughly."""
