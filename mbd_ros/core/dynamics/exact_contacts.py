@@ -114,8 +114,8 @@ class ExactContacts:
         A, w = J.dot(response), J.dot(a) + b
         lam = self.forces.solve(A, w, bounds, touches, splits=splits)
         left, terms = A.dot(lam) + w, np.abs(A).dot(np.abs(lam)) + np.abs(w)
-        at = self._tangents  # what friction could do there, although it does nothing
-        terms[at] += np.abs(A.diagonal()[at] * lam[self._starts][:, None])
+        size = np.sqrt(np.abs(A.diagonal()))
+        terms += size * (size * np.abs(lam)).max()  # rounding of forces that cancel there
         force, added = D.T.dot(lam), response.dot(lam)
         for i, d in along.items():
             lam[self._tangents[i]] = -self.mu[i] * lam[self._starts[i]] * d
