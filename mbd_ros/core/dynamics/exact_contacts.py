@@ -108,7 +108,8 @@ class ExactContacts:
         """
         k = motion.mechanism.k
         J, b = self._rows.conditions(k, x)
-        touches, along = self._touches(self.slips(k, x), slowest(x), mode, free)
+        slips = J[self._tangents.ravel()].dot(x.v).reshape(-1, 2) + self._rates(k, x)[:, 1:]
+        touches, along = self._touches(slips, slowest(x), mode, free)
         D = self._pushes(J, along)
         response = motion.respond(q, D.T)
         A, w = J.dot(response), J.dot(a) + b
@@ -123,8 +124,13 @@ class ExactContacts:
 
     def slips(self, k: Kinematics, x: State) -> Array:
         """The velocities v_t of the points along their planes, shape (c, 2)."""
-        rates = [part.jacobian(k, x).dot(x.v) + part.rate(k, x) for part in self._parts]
-        return np.concatenate(rates).reshape(-1, 3)[:, 1:]
+        every = [part.jacobian(k, x).dot(x.v) for part in self._parts]
+        slips: Array = (np.concatenate(every).reshape(-1, 3) + self._rates(k, x))[:, 1:]
+        return slips
+
+    def _rates(self, k: Kinematics, x: State) -> Array:
+        """The part of these that surfaces move by themselves, with normals, shape (c, 3)."""
+        return np.concatenate([part.rate(k, x) for part in self._parts]).reshape(-1, 3)
 
     @property
     def shares(self) -> bool:

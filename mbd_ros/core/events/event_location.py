@@ -3,10 +3,12 @@
 import math
 from collections.abc import Callable
 
+Point = tuple[float, float]
+"""An argument of a function, and its value there."""
+_WIDTH = 1.0e-4  # of a bracket: for a slope
 
-def sign_change(
-    f: Callable[[float], float], near: tuple[float, float], far: tuple[float, float]
-) -> float:
+
+def sign_change(f: Callable[[float], float], near: Point, far: Point, width: float = 0.0) -> float:
     """Argument between two others at which f changes its sign.
 
     Bisection, or inverse quadratic interpolation where that is safe; ends when the bracket is a
@@ -18,6 +20,7 @@ def sign_change(
         f: Continuous between the arguments.
         near: An argument and f there, >= 0 or <= 0.
         far: Another one, with f of the other sign.
+        width: Of a bracket that is short enough, beside rounding of the arguments.
     """
     (a, fa), (b, fb), part = far, near, 0.5
     for _ in range(200):
@@ -30,11 +33,42 @@ def sign_change(
             b, fb = a, fa
         a, fa = x, fx
         best, f_best = (a, fa) if abs(fa) < abs(fb) else (b, fb)
-        limit = 2.0 * math.ulp(best) / abs(b - a) if b != a else 1.0
+        limit = max(2.0 * math.ulp(best), width) / abs(b - a) if b != a else 1.0
         if f_best == 0.0 or limit > 0.5:
             return best
         part = min(max(_interpolated((a, fa), (b, fb), (c, fc)), limit), 1.0 - limit)
     return best
+
+
+def narrowed(
+    f: Callable[[float], float], like: Callable[[float], float], near: Point, far: Point
+) -> tuple[Point, Point]:
+    """A shorter bracket of a change of sign, by two arguments of f; the same where they miss it.
+
+    Args:
+        f: The function.
+        like: One that is nearly the same and costs less; asked before f.
+        near: An argument and f there, > 0.
+        far: Another one, with f < 0.
+    """
+    start, end = like(near[0]), like(far[0])
+    if not start > 0.0 > end:
+        return near, far
+    guess = sign_change(like, (near[0], start), (far[0], end))
+    ends = min(near[0], far[0]), max(near[0], far[0])
+    width = _WIDTH * (ends[1] - ends[0])
+    low, high = max(guess - width, ends[0]), min(guess + width, ends[1])
+    slope = (like(high) - like(low)) / (high - low)
+    first = guess, f(guess)
+    if slope == 0.0 or first[1] == 0.0:
+        return near, far
+    other = guess - 2.0 * first[1] / slope
+    if not ends[0] < other < ends[1]:
+        return near, far
+    second = other, f(other)
+    if (first[1] > 0.0) == (second[1] > 0.0):
+        return near, far
+    return (first, second) if first[1] > 0.0 else (second, first)
 
 
 def _interpolated(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:

@@ -33,6 +33,7 @@ class ModeField:
         names: Of the switches: rows as their multipliers, then surfaces; then of guards of parts.
         guards: Those of parts; their numbers follow those of the switches.
         rows: The exact rows; None without any.
+        has_contacts: Whether contacts with friction are among them.
         surfaces: The surfaces in their modes; None without any.
         count: Number of the exact rows.
         mode: The present one.
@@ -51,6 +52,7 @@ class ModeField:
             )
         self.system = system if self.surfaces is None else self.surfaces.system
         self.rows = self.system.exact
+        self.has_contacts = self.rows is not None and self.rows.contacts is not None
         names = () if self.rows is None else self.rows.names
         self.count = len(names)
         self.names = names if self.surfaces is None else (*names, *self.surfaces.names)
@@ -58,8 +60,8 @@ class ModeField:
         self._of_state = np.array([one is not Reach.DEMAND for one in reach], dtype=np.bool_)
         self._demands = [i for i, one in enumerate(reach) if one is Reach.DEMAND]
         self._frictions = [i for i, one in enumerate(reach) if one is Reach.FRICTION]
-        self._slips = [i for i, one in enumerate(reach) if one is Reach.SLIP]
         self._no_height = {*self._demands, *self._frictions}
+        self._slips = [i for i, one in enumerate(reach) if one is Reach.SLIP]
         self.gaps = [i for i, one in enumerate(reach) if one is Reach.GAP]
         self._mode: Mode = (1,) * len(self.names)
         self.guards = PartGuards(self.system)

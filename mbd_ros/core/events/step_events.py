@@ -1,13 +1,13 @@
 """The first event in a step."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
 
 from mbd_ros.core.dynamics.row_heights import rounding
-from mbd_ros.core.events.event_location import sign_change
+from mbd_ros.core.events.event_location import narrowed, sign_change
 from mbd_ros.core.events.mode_field import Margin, ModeField
 from mbd_ros.core.integration.stepping import Stepper
 from mbd_ros.core.state import NONE, Array, State
@@ -105,7 +105,17 @@ class StepEvents:
         if at_near <= 0.0:
             return 0.0
         at_far = margin(h)  # the step by another sum of times: rounding may have changed the sign
-        return h if at_far >= 0.0 else sign_change(margin, (near, at_near), (h, at_far))
+        if at_far >= 0.0:
+            return h
+        bracket = (near, at_near), (h, at_far)
+        if self._field.has_contacts:  # whose steps cost much more than their dense output
+            bracket = narrowed(margin, self._seen(x, u, event), *bracket)
+            return sign_change(margin, *bracket, math.ulp(x.t))
+        return sign_change(margin, *bracket)
+
+    def _seen(self, x: State, u: Array | None, event: Margin) -> Callable[[float], float]:
+        """A margin in the dense output of the last step."""
+        return lambda h: self._field.margin(self._inner.interpolate(x.t + h), u, event)
 
     def _beyond(
         self, x: State, u: Array | None, event: Margin, h: float, shortest: float

@@ -87,6 +87,8 @@ class ConstraintRows:
     def conditions(self, k: Kinematics, x: State) -> tuple[Array, Array]:
         """J and b of the condition J a + b = g'' + kd g' + kp g, (m, nv) and (m,)."""
         J, drift = self.accelerations(k, x)
+        if not self.is_corrected:
+            return J, drift
         if self._only is not None:
             rate, g = J.dot(x.v) + self._only.rate(k, x), self._residuals[0](k, x)
         else:
