@@ -8,6 +8,7 @@ import pytest
 from test_cone_contact import FRICTIONS, touch_down
 from test_velocity_level import consistent, inertia, keeps, robot_of, system_of
 
+import mbd_ros as mbd
 from mbd_ros.constraints.joint_stop import JointStop
 from mbd_ros.core.dynamics.velocity_level import Impact, VelocityLevel
 from mbd_ros.core.model.kinematics import Kinematics
@@ -106,3 +107,14 @@ def test_impacts_with_friction_gain_no_energy_and_keep_their_balance():
 def test_ten_thousand_impacts_with_friction_gain_no_energy():
     pushed, limited = check_impacts(2500, 9)
     assert pushed >= 8000 and 0 < limited <= 100
+
+
+def test_events_say_how_much_restitution_was_given_back(monkeypatch):
+    """An impact of which a third was given back is a row of the table that says so."""
+    scene = mbd.load_scene("bouncing_ball")
+    whole = VelocityLevel.impact
+    monkeypatch.setattr(
+        VelocityLevel, "impact", lambda *args, **more: whole(*args, **more)._replace(share=1 / 3)
+    )
+    events = scene.simulate(0.6)["events"]
+    assert set(events["contacts.restitution_share"]) == {1 / 3}

@@ -15,6 +15,8 @@ class Event(NamedTuple):
         after: State of all joints after resets and impacts, with the mode that begins.
         impulse: One a multiplier of the scene, in the order of `System.multiplier_rows` [N·s,
             N·m·s], shape (m,); 0 where nothing hits.
+        share: Of the restitution of contacts that was given back: less than 1 where the whole
+            would have gained energy.
     """
 
     t: float
@@ -22,3 +24,4 @@ class Event(NamedTuple):
     before: State
     after: State
     impulse: Array
+    share: float = 1.0

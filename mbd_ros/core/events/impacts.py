@@ -8,7 +8,7 @@ import numpy as np
 from mbd_ros.core.dynamics.exact_rows import ExactRows
 from mbd_ros.core.dynamics.row_heights import rounding
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.dynamics.velocity_level import VelocityLevel
+from mbd_ros.core.dynamics.velocity_level import Impact, VelocityLevel
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import SolveError
 
@@ -53,8 +53,8 @@ class Impacts:
         rate = self._rows.approach(y)
         return [i for i in closed if rate[i] < -slack]
 
-    def after(self, y: State) -> tuple[State, Array]:
-        """The state after the impacts of all gaps that are closed, and all impulses.
+    def after(self, y: State) -> tuple[State, Impact]:
+        """The state after the impacts of all gaps that are closed, and what they are.
 
         Raises:
             SolveError: Nothing can keep a gap from closing further.
@@ -64,7 +64,7 @@ class Impacts:
         y = rows.onto(y, mode, moves=False)
         x = self._system.expand(y)
         found = self._level.impact(x, rows.slots[closed].tolist())
-        return y._replace(v=self._system.reduce(x._replace(v=found.v)).v), found.p
+        return y._replace(v=self._system.reduce(x._replace(v=found.v)).v), found
 
     def slipping(self, y: State) -> list[int]:
         """Normals of contacts that are closed and slip."""
@@ -72,8 +72,8 @@ class Impacts:
 
     def without_collision(
         self, y: State, u: Array | None, slipping: Sequence[int]
-    ) -> tuple[State, Array]:
-        """The state after friction has jammed contacts that slip, and all impulses.
+    ) -> tuple[State, Impact]:
+        """The state after friction has jammed contacts that slip, and what does it.
 
         Where no acceleration is consistent, normal forces grow without bound, and in no time an
         impulse ends what leads to it: that of an impact with an approach that is nearly none.
@@ -99,7 +99,7 @@ class Impacts:
         if not system.energy(y._replace(v=after.v)) < system.energy(y):
             raise SolveError("no impulse without collision ends it")
         found.p[rows.slots[list(slipping)]] += nudge
-        return y._replace(v=after.v), found.p
+        return y._replace(v=after.v), found
 
     def rests(self, y: State, u: Array | None, mode: Mode) -> list[Rest]:
         """Closed gaps that would open by no more than rounding, and when their bounces end.

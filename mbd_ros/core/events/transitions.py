@@ -4,6 +4,7 @@ from collections.abc import Collection
 
 import numpy as np
 
+from mbd_ros.core.dynamics.velocity_level import Impact
 from mbd_ros.core.events.decision import decided
 from mbd_ros.core.events.event import Event
 from mbd_ros.core.events.event_log import EventLog
@@ -59,13 +60,13 @@ class Transitions:
             self.change(ways)
             return field.onto_rows(x)._replace(mode=field.mode)
         switch, way = margin or (-1, 0)
-        fired, impulse = field.fired(x, u, switch), None
+        fired, impact = field.fired(x, u, switch), None
         if fired:
             x = self.begun(field.inside(field.reset(x, u, fired)), u)
             self.left |= frozenset(fired)
         hits = self.hits(x)
         if hits:
-            x, impulse = self._struck(x, u)
+            x, impact = self._struck(x, u)
             self.left |= frozenset(fired)
         elif way and not fired:
             self.change(field.leaving(x, u, (switch, way)))
@@ -76,30 +77,30 @@ class Transitions:
         if not self.rests:
             given = (x.t, self._short, len(field.names), names)
             self._pace = self._pace.after(*given, hits=bool(hits))
-        self._log(names, before, x, impulse)
+        self._log(names, before, x, impact)
         return x
 
     def hits(self, x: State) -> list[int]:
         """Gaps that are closed and close further."""
         return [] if self._impacts is None else self._impacts.hits(x)
 
-    def _struck(self, x: State, u: Array | None) -> tuple[State, Array]:
-        """The state after impacts, in its mode, and all impulses."""
+    def _struck(self, x: State, u: Array | None) -> tuple[State, Impact]:
+        """The state after impacts, in its mode, and what they are together."""
         impacts, field = self._impacts, self._field
         assert impacts is not None
-        x, impulse = impacts.after(x)
+        x, impact = impacts.after(x)
         for _ in range(_MOST_AT_ONCE):
             if not impacts.hits(x):
                 break
             x, more = impacts.after(x)  # a gap that was open by hardly more than rounding
-            impulse = impulse + more
+            impact = Impact(more.v, impact.p + more.p, min(impact.share, more.share))
         x = self.begun(x, u)
         rests = impacts.rests(x, u, field.mode)
         if rests:
             self.rests = (*self.rests, *rests)
             self.change({rest.row: 0 for rest in rests})
             x = self.begun(field.onto_rows(x), u)
-        return x, impulse
+        return x, impact
 
     def rested(self, x: State) -> State:
         """The state in which gaps are at rest whose bounces have ended."""
@@ -109,12 +110,13 @@ class Transitions:
         return x
 
     def _log(
-        self, names: tuple[str, ...], before: State, after: State, impulse: Array | None
+        self, names: tuple[str, ...], before: State, after: State, impact: Impact | None
     ) -> None:
-        if impulse is None:
-            impulse = np.zeros(len(self._system.multiplier_rows))
+        impulse, share = np.zeros(len(self._system.multiplier_rows)), 1.0
+        if impact is not None:
+            impulse, share = impact.p, impact.share
         expand = self._system.expand
-        event = Event(after.t, names, expand(before), expand(after), impulse)
+        event = Event(after.t, names, expand(before), expand(after), impulse, share)
         self.events = self.events.after(event)
 
     def begun(self, x: State, u: Array | None) -> State:
@@ -139,10 +141,10 @@ class Transitions:
         field, impacts = self._field, self._impacts
         assert impacts is not None
         slipping = impacts.slipping(x)
-        after, impulse = impacts.without_collision(x, u, slipping)
+        after, impact = impacts.without_collision(x, u, slipping)
         field.begin(after)
         self.left = frozenset(field.close(after, u))
-        self._log(tuple(field.names[i] for i in slipping), x, after, impulse)
+        self._log(tuple(field.names[i] for i in slipping), x, after, impact)
         return after
 
     def decided(self, x: State, u: Array | None, on: Collection[int]) -> dict[int, int]:

@@ -14,6 +14,7 @@ from mbd_ros.files.times import TIME
 from mbd_ros.jobs.columns import body_columns, joint_columns, whole_bodies
 
 EVENTS = "events"  # the table, and the last word of the topic
+CONTACTS = "contacts"
 SIDES = ("before", "after")
 
 
@@ -25,7 +26,8 @@ def event_table(simulation: Simulation, events: Sequence[Event]) -> Table:
         events: What happened.
 
     Returns:
-        `time`; `<guard>.event`, whether that guard was zero; `<row>.impulse`; `energy.before`,
+        `time`; `<guard>.event`, whether that guard was zero; `<row>.impulse`; with contacts
+        `contacts.restitution_share`, what of their restitution was given back; `energy.before`,
         `energy.after`; `<joint>.position.before` and so on; `<switch>.mode.before` and after: 0
         while a row or surface is on, 1 or -1 beside it.
     """
@@ -39,6 +41,9 @@ def event_table(simulation: Simulation, events: Sequence[Event]) -> Table:
             for row, values in zip(rows, impulses.T, strict=True)
         ),
     ]
+    if system.layout.cones:
+        shares = np.array([event.share for event in events], dtype=np.float64)
+        columns.append(Column(f"{CONTACTS}.restitution_share", shares))
     sides = [[getattr(event, side) for event in events] for side in SIDES]
     for side, states in zip(SIDES, sides, strict=True):
         energy = [system.energy(system.reduce(x)) for x in states]

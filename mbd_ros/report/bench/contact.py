@@ -134,7 +134,8 @@ def _solve(robot: Robot, x: State) -> Call:
     A = J.dot(pin.computeMinverse(model, data, x.q)).dot(J.T)
     cone = Cone("normal", slice(0, 3), _MU, 0.0)
     problem = ContactProblem(A, A.diagonal(), ("normal", "friction_x", "friction_y"), [cone])
-    b, least, most = J.dot(x.v) - (1e-3, 0.0, 0.0), np.zeros(3), np.full(3, np.inf)
+    b, least, most = J.dot(x.v), np.zeros(3), np.full(3, np.inf)
+    b[0] = -0.1 * float(np.hypot(b[1], b[2]))  # it approaches and slides
     warm = problem.solve(b, least, most, 1.0)
     return lambda: problem.solve(b, least, most, 1.0, None, warm)
 
