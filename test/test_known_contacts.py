@@ -154,3 +154,19 @@ def test_bristles_are_known_by_their_forces():
         DataError, match=r"no column ball_contact.normal, .*friction_y: contact ba"
     ):
         scene.inverse(alone)
+
+
+def test_a_bag_carries_the_forces_of_contacts_beside_its_motion(tmp_path):
+    """A ball at rest on its slope: nothing is left of it; without the topic its weight is."""
+    start = {"pose": {"ball": {"xyz": [0.0, 0.0, 0.1]}}}
+    scene = thrown(slope=0.0, initial=start)
+    result = scene.simulate(0.5)
+    result.to(tmp_path / "rest.mcap")
+    found = scene.inverse(tmp_path / "rest.mcap", derivatives="zero-phase")
+    assert np.abs(residual(found)).max() <= 1e-9
+    assert not any("not known" in text for text in found.metadata["remarks"])
+    result.metadata["topics"].pop("/constraint_forces")
+    result.to(tmp_path / "motion.mcap")
+    found = scene.inverse(tmp_path / "motion.mcap", derivatives="zero-phase")
+    assert residual(found)[:, 2] == pytest.approx(2.0 * G, rel=1e-9)
+    assert any("not known" in text for text in found.metadata["remarks"])

@@ -5,9 +5,11 @@ them. A simulation writes them beside the motion, in columns `<contact>.<row>`.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.showing import in_link
 from mbd_ros.core.estimation.torque_estimator import Observation
@@ -20,7 +22,9 @@ from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.rows.row_layout import labelled
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State
 from mbd_ros.errors import DataError
-from mbd_ros.files.recordings import Source, name_of, read_columns
+from mbd_ros.files.formats import is_bag
+from mbd_ros.files.recordings import Source, name_of, read_columns, read_motion
+from mbd_ros.files.table import Result
 from mbd_ros.jobs.inverse.observed import Say
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.part_entries import MeasuredWrench
@@ -31,17 +35,21 @@ class KnownContact(NamedTuple):
 
     Attributes:
         name: Of the contact.
-        forces: In its contact frames, one row a sample of the motion [N], shape (n, m).
+        forces: In its contact frames, one row a sample [N], shape (n, m).
+        stamps: Of these samples [ns], shape (n,); None for those of the motion.
         exert: Kinematics at positions, state, and one row of forces -> wrenches on bodies.
     """
 
     name: str
     forces: Array
+    stamps: NDArray[np.int64] | None
     exert: Callable[[Kinematics, State, Array], tuple[Wrench, ...]]
 
 
-def known_contacts(scene: Scene, source: Source, say: Say) -> tuple[Scene, list[KnownContact]]:
-    """The contacts of a scene whose forces a motion carries in columns.
+def known_contacts(
+    scene: Scene, source: Source, topic: str, say: Say
+) -> tuple[Scene, list[KnownContact]]:
+    """The contacts of a scene whose forces a motion carries, in columns or beside it in a bag.
 
     Forces of compliant contacts follow from positions and velocities, unless they have bristles:
     these become known contacts, and leave the scene.
@@ -49,6 +57,7 @@ def known_contacts(scene: Scene, source: Source, say: Say) -> tuple[Scene, list[
     Args:
         scene: The scene.
         source: Where the motion comes from.
+        topic: Of its joint states in a bag; those of constraint forces are beside it.
         say: Is told which columns are missing.
 
     Raises:
@@ -57,11 +66,13 @@ def known_contacts(scene: Scene, source: Source, say: Say) -> tuple[Scene, list[
     """
     known, bristly = [], []
     for part, names in _rigid(scene):
-        forces = _forces(source, names)
+        forces, stamps = _forces(source, names), None
+        if forces is None:
+            forces, stamps = _in_bag(source, topic, names)
         if forces is None:
             say(_unknown(scene, source, part, names))
         else:
-            known.append(KnownContact(part.name, forces, part.wrenches))
+            known.append(KnownContact(part.name, forces, stamps, part.wrenches))
     for load in scene.forces:
         shown = getattr(load, "contact", None)
         if shown is not None and load.internal:
@@ -73,7 +84,7 @@ def known_contacts(scene: Scene, source: Source, say: Say) -> tuple[Scene, list[
                     "bristles, which a motion does not show; simulate writes these columns"
                 )
             bristly.append(load)
-            known.append(KnownContact(load.name, forces, shown.exerted))
+            known.append(KnownContact(load.name, forces, None, shown.exerted))
     if bristly:
         kept = [part for part in scene.parts["contacts"] if part not in bristly]
         scene = scene.holding(contacts=kept)
@@ -93,13 +104,16 @@ def contact_loads(
 
     Returns:
         Loads by names of their own, and their values at the samples, shape (n, 6) each.
+
+    Raises:
+        DataError: A bag has no force of a contact at the stamp of a sample.
     """
     stamps = np.array([sample.stamp for sample in samples], dtype=np.int64)
-    chosen = np.searchsorted(motion.stamps, stamps)
     states = [_state(scene, sample) for sample in samples]
     robot, k = scene.robot, Kinematics(scene.robot)
     values: dict[tuple[str, str], list[Array]] = {}
-    for name, forces, exert in known:
+    for name, forces, of_forces, exert in known:
+        chosen = _rows(name, motion.stamps if of_forces is None else of_forces, stamps)
         for x, lam in zip(states, forces[chosen], strict=True):
             k.refresh(x.q, x.v, Reads.POSITION)
             for wrench in exert(k, x, lam):
@@ -135,6 +149,34 @@ def _forces(source: Source, names: list[str]) -> Array | None:
             f"forces of a contact, or none: {listed(names)}"
         )
     return columns
+
+
+def _in_bag(
+    source: Source, topic: str, names: list[str]
+) -> tuple[Array | None, NDArray[np.int64] | None]:
+    """Forces and stamps of a contact on a topic of constraint forces; None without any."""
+    if isinstance(source, Result) or not is_bag(source):
+        return None, None
+    beside = topic.rpartition("/")[0]
+    for place in ("", "/simulator"):
+        with suppress(DataError):  # there is no such topic, or it has no such rows
+            found = read_motion(
+                source, names, topic=f"{beside}{place}/constraint_forces", required=()
+            )
+            effort = found.motion.effort
+            if effort is not None and np.isfinite(effort).all():
+                return effort, found.motion.stamps
+    return None, None
+
+
+def _rows(name: str, known: NDArray[np.int64], stamps: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Rows of known stamps at those of samples."""
+    rows = np.minimum(np.searchsorted(known, stamps), len(known) - 1)
+    lacking = np.flatnonzero(known[rows] != stamps)
+    if len(lacking):
+        t = int(stamps[lacking[0]]) * NANOSECOND
+        raise DataError(f"no force of contact {name} at t = {t:.9g} s, where there is a motion")
+    return rows
 
 
 def _unknown(scene: Scene, source: Source, part: Constraint, names: Sequence[str]) -> str:

@@ -133,7 +133,7 @@ def _known_contacts(scene: Scene, task: Task, say: Say) -> "tuple[Scene, list[Kn
         return scene, []
     from mbd_ros.jobs.inverse.contact_forces import known_contacts  # only where something touches
 
-    return known_contacts(scene, task.motion, say)
+    return known_contacts(scene, task.motion, task.topic, say)
 
 
 def _with_contacts(
