@@ -79,7 +79,7 @@ def test_measured_limits_are_those_stated(entry, b, limit):
     (window,) = stated(ball(0.5, b, entry))
     assert window.upper * DT**2 / 3.0 == pytest.approx(limit, rel=5e-5)
     assert is_bounded(ball(0.99 * limit, b, entry))
-    assert not is_bounded(ball(1.01 * limit, b, entry), 1500)
+    assert not is_bounded(ball(1.01 * limit, b, entry), 500)
 
 
 @pytest.mark.parametrize(
@@ -96,8 +96,8 @@ def test_limits_without_a_formula_are_measured_too(entry, b):
         assert is_bounded(ball(40.0, b, entry))
         return
     a = window.upper * DT**2 / 3.0
-    assert is_bounded(ball(0.99 * a, b, entry), 1500)
-    assert not is_bounded(ball(1.01 * a, b, entry), 1500)
+    assert is_bounded(ball(0.99 * a, b, entry), 500)
+    assert not is_bounded(ball(1.01 * a, b, entry), 500)
 
 
 def window_method(entry):
