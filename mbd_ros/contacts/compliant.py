@@ -56,7 +56,7 @@ class Compliant(Load):
         margin: Distance at which surfaces count as touching.
         max_penetration: Depth that the lower end of the window of `stiffness` allows; without it
             one hundredth of the way from the contact to the mass centre of the body.
-        max_force: Normal force of a feature at which it allows that; without it the load at rest.
+        max_force: Normal force of a feature that the window is for; without it the load at rest.
 
     Attributes:
         pair: Gaps, frames and their derivatives.

@@ -111,8 +111,8 @@ def touching_motion(
     """The motion of all contacts at a state, as if each touched with its nearest features.
 
     A feature counts with the load that it would carry at rest: the least loads that keep all of
-    them from going deeper, as springs of one stiffness share them. Stops, drives and rigid
-    contacts that push at the state hold.
+    them from going deeper, as springs of one stiffness share them; or with the `max_force` of its
+    contact. Stops, drives and rigid contacts that push at the state hold.
 
     Args:
         system: The system.
@@ -134,7 +134,10 @@ def touching_motion(
     answer = _answer(system, still, now, np.column_stack((J.T, pushed)))
     A, free = J.dot(answer[:, :-1]), now.a - answer[:, -1]
     loads = _at_rest(A[::3, ::3], J[::3].dot(free))
-    found = [Feature(*slot, load) for slot, load in zip(slots, loads.tolist(), strict=True)]
+    found = [
+        Feature(part, slot, load if part.max_force is None else part.max_force)
+        for (part, slot), load in zip(slots, loads.tolist(), strict=True)
+    ]
     return ContactMotion(found, A)
 
 

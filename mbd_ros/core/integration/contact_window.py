@@ -67,8 +67,7 @@ def windows(motion: ContactMotion, method: Integrator, dt: float) -> list[Window
         ends = ends_of(group, method, dt)
         for part in dict.fromkeys(feature.part for feature in group.features):
             loads = [feature.load for feature in group.features if feature.part is part]
-            k, depth = part.normal.stiffness, part.max_penetration
-            load = max(loads) if part.max_force is None else part.max_force
+            k, depth, load = part.normal.stiffness, part.max_penetration, max(loads)
             lower = part.normal.least(load, depth) if depth else 0.0
             opening = longest(group, method, lower / k) if lower > k * ends.share else math.inf
             found.append(
