@@ -41,7 +41,7 @@ SETUP = (
     "with stiction tolerances of 1e-4 and 1e-8 m/s; the dissipation of TAMSI depends on the speed,"
     " so that it has no constant restitution."
 )
-_STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4)  # s
+_STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4)  # s
 _RATES = (1e5, 1e8, 1e11)  # N/m per kg
 _SOFT = (1e3, 1e4, 1e5)  # the same where a contact bounces
 _STICTIONS = (1e-4, 1e-8)  # m/s

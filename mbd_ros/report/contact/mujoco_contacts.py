@@ -19,7 +19,7 @@ SETUP = (
     " contacts of 4, 2 and 1 steps with the damping ratio of the restitution, solimp 0.9999; "
     "impratio 1 and 1000, with 10 noslip iterations and without."
 )
-_STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4)  # s
+_STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4)  # s
 _SHARES = (4.0, 2.0, 1.0)  # time constant of contacts in steps
 _SLIPS = ((1.0, 0), (1000.0, 0), (1000.0, 10))  # impratio, noslip iterations
 _INTEGRATORS = ("EULER", "RK4")

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.simulation.seen import seen_at
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.report.contact.problems import Problem, Solid, Trace
@@ -123,7 +124,9 @@ def trace_of(problem: Problem, simulation: Simulation, states: Sequence[State]) 
 
 
 def _forces(problem: Problem, simulation: Simulation, x: State) -> Array:
-    cones, lam = simulation.system.layout.cones, simulation.system.evaluate(x).lam
+    """Normal forces at the last state of a run [N], as `Trace` orders them."""
+    cones = simulation.system.layout.cones
+    lam = seen_at(simulation, x, None, simulation.stepper.forces).lam
     forces = np.array([lam[cone.slots.start] for cone in cones])
     if problem.solids[0].shape == "feet":
         return forces
