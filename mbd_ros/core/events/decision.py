@@ -5,10 +5,12 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from mbd_ros.core.dynamics.exact_rows import ExactRows
+from mbd_ros.core.dynamics.row_heights import Reach
 from mbd_ros.core.events.mixed_modes import Together, modes_of
 from mbd_ros.core.events.mode_field import ModeField
 from mbd_ros.core.events.surface_modes import mode_on
 from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
 
 
 def decided(field: ModeField, y: State, u: Array | None, on: Collection[int]) -> dict[int, int]:
@@ -57,6 +59,12 @@ def _together(
     """How rows and surfaces answer one another, from rows at their lower bounds on."""
     exact, sliding, mode = field.rows, field.surfaces, field.mode
     assert exact is not None and sliding is not None
+    if exact.contacts is not None and any(exact.reach[i] is Reach.FRICTION for i in rows):
+        names = ", ".join(field.names[i] for i in (*rows, *(field.count + i for i in surfaces)))
+        raise SolveError(
+            f"{names}: a contact with friction touches where a switching surface is reached; "
+            "accepted: one of them at a time"
+        )
     field.mode = tuple(1 if i in rows else way for i, way in enumerate(mode))
     try:
         answer = sliding.answer(y, u, surfaces)
