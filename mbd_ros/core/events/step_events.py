@@ -156,10 +156,11 @@ class StepEvents:
             return whole
         way = np.array(field.mode)
         first = way * self._rates(x, u)
-        if not (first[beside] < 0.0).any():
+        approaches = first < -rounding(x)
+        if not approaches[beside].any():
             return whole
         last = way * self._rates(after, u)
-        for i in (i for i in beside if first[i] < 0.0 < last[i]):
+        for i in (i for i in beside if approaches[i] and last[i] > 0.0):
 
             def rate(length: float, i: int = i) -> float:
                 there = self._inner.interpolate(x.t + length)
