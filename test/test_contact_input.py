@@ -44,6 +44,7 @@ def rigid(a, b, friction=0.5, more=""):
             "unknown key 'colour', accepted: frame, xyz, rpy",
         ),
         (rigid("box", "box"), "do not move against each other"),
+        (rigid("{frame: box, half_space: [0, 0, 1]}", "ground"), "a half space and a half space"),
         (rigid("{sphere: 1}", "ground"), "do not move against each other"),
         ("{type: rigid, between: [box], friction: 0}", r"between: expected two sides, \[a, b\]"),
         ("{type: rigid, friction: 0}", "key 'between' is missing"),

@@ -95,8 +95,7 @@ def _meet(robot: Robot, a: tuple[str, Any], b: tuple[str, Any]) -> Met:
     found = _meeting(robot, other, one)
     if found is not None:
         return Met(found, True)
-    names = " and a ".join(type(shape).__name__.lower() for shape in (one, other))
-    raise ModelError(f"a {names} cannot touch; put points on one of them")
+    raise ModelError("a half space and a half space cannot touch; give one of them a shape")
 
 
 def _meeting(robot: Robot, moving: Any, resting: Any) -> Meeting | None:
