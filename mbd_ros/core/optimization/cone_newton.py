@@ -221,12 +221,13 @@ def shortest(K: Array, r: Array) -> tuple[Array, int]:
     return factor.solve(r).reshape(K.shape[1]), int(factor.rank())
 
 
-def kept(contacts: Contacts, bounds: Bounds, p: Array) -> Array:
-    """Impulses within their bounds and cones, fresh."""
+def kept(contacts: Contacts, bounds: Bounds, seen: Seen, p: Array) -> Array:
+    """Impulses within their bounds and cones, fresh; those of rows that do not hold are at one."""
     others, normal, first, second, mu = contacts
     p = p.copy()
-    p[others] = np.minimum(np.maximum(p[others], bounds.lower), bounds.upper)
-    p[normal] = np.maximum(p[normal], bounds.least)
+    own = np.where(seen.holds[others], p[others], p[others] - seen.w[others])
+    p[others] = np.minimum(np.maximum(own, bounds.lower), bounds.upper)
+    p[normal] = np.where(seen.pushes, np.maximum(p[normal], bounds.least), bounds.least)
     length, most = np.hypot(p[first], p[second]), mu * p[normal]
     share = np.divide(most, length, out=np.ones(len(mu)), where=length > most)
     p[first], p[second] = share * p[first], share * p[second]

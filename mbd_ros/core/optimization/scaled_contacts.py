@@ -101,7 +101,7 @@ class ScaledContacts:
             self._newton.seen = self._newton.see(b, bounds, p)
         if left > max(_ACCEPTED, enough):
             raise SolveError(self._failed())
-        p = kept(self._newton.contacts, bounds, p)
+        p = kept(self._newton.contacts, bounds, self._newton.seen, p)
         if shared and self._newton.depends and p.any():
             p = self._shortest(b, bounds, p)
         answer[at] = unit * p
@@ -131,7 +131,7 @@ class ScaledContacts:
         left = float(np.abs(newton.see(b, bounds, found).left).max())
         if left > most:
             found, left = newton.solve(b, bounds, found, _POLISH)
-            found = kept(newton.contacts, bounds, found)
+            found = kept(newton.contacts, bounds, newton.seen, found)
         return found if left <= most else p
 
     def left(self, p: Array, b: Array, lower: Array, upper: Array) -> tuple[float, float]:
