@@ -20,6 +20,7 @@ _SLIPS = 1.0e-12  # of the square of a slip: it neither ends in the step nor tur
 _NO_ROOM = (
     1.0e-5  # of the rate of a gap: feet of one body, which rounding sets apart, share a load
 )
+_ACCEPTED = 1.0e-6  # of the rates that impulses of a step end: what may be left of them
 _INDEPENDENT = 3  # rows of one contact, which do not depend on one another
 _SETS = 256  # of rows that are remembered
 
@@ -52,7 +53,8 @@ class _Asked(NamedTuple):
 
     def solve(self, warm: Array, late: Array | None = None) -> Array:
         """The impulses, shape (m,); arguments as for `ContactProblem`."""
-        return self.solver.solve(self.b, *self.known, late, warm, shared=self.shared)
+        known = *self.known, late, warm
+        return self.solver.solve(self.b, *known, shared=self.shared, accepted=_ACCEPTED)
 
 
 class ContactsInStep(GivingWay):

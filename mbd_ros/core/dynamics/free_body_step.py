@@ -7,6 +7,7 @@ intermediate state, where free bodies keep them.
 """
 
 from mbd_ros.core.dynamics.free_bodies import FreeBodies
+from mbd_ros.core.dynamics.step_problem import StepProblem
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.velocity_step import VelocityStep
 from mbd_ros.core.state import Array, State
@@ -61,6 +62,11 @@ class FreeBodyStep(VelocityStep):
         self._rows.moved(q, way)
         v = bodies.turned(system.integrated(v), self._axes, bodies.axes(q))
         return State(t, q, v, system.internals.inside(y.z + dz), y.mode)
+
+    def _ended(self, y: State, problem: StepProblem, end: Array, t: float) -> State:
+        """The state at the end of a step; other steps may have been tried since its problem."""
+        self._axes = self._bodies.axes(problem.x.q)
+        return super()._ended(y, problem, end, t)
 
     def _outside(self, y: State) -> State:
         """The state with no one-sided row beyond 0, moved the least in the mass metric."""

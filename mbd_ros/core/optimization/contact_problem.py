@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.optimization.cone_contact import cone_contact, cone_residuals
-from mbd_ros.core.optimization.scaled_contacts import ScaledContacts
+from mbd_ros.core.optimization.scaled_contacts import EXACT, ScaledContacts
 from mbd_ros.core.rows.row_layout import Cone
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import HELD_BY_ROWS
@@ -72,6 +72,7 @@ class ContactProblem:
         warm: Array | None = None,
         *,
         shared: bool = True,
+        accepted: float = EXACT,
     ) -> Array:
         """The impulses, shape (m,), fresh.
 
@@ -85,6 +86,8 @@ class ContactProblem:
             warm: Impulses to begin with, shape (m,); none by default.
             shared: Whether impulses that depend on one another are those of least norm, which
                 takes as long as the answer; else they are any that do the same.
+            accepted: What the best impulses may leave of the laws where none are found that leave
+                rounding alone, of the largest rate without them.
 
         Raises:
             SolveError: Nothing keeps a row from moving as it must not, or no impulses are found.
@@ -97,7 +100,7 @@ class ContactProblem:
         elif self._opens(b, lower):
             p = np.zeros(len(b))
         else:
-            p = self._scaled().solve(b, lower, upper, speed, warm, shared=shared)
+            p = self._scaled().solve(b, lower, upper, speed, warm, accepted, shared=shared)
         self._answered = p, b, lower, upper
         return p
 

@@ -17,7 +17,7 @@ from mbd_ros.core.thresholds import CONTRADICTION, HELD_BY_ROWS, TINY
 from mbd_ros.errors import SolveError
 
 _ENOUGH = 1.0e-14  # of the impulses: what an answer may leave of the natural map
-_ACCEPTED = 1.0e-11  # the same of the best one that any way finds
+EXACT = 1.0e-11  # the same of the best one that any way finds, unless more is accepted
 _POLISH = 3  # steps, where impulses of least norm are not as exact
 _ROUNDING = 1.0e-14  # of a rate, relative to those that the velocity can mean
 _NOTHING = 1.0e-15  # the same of rates that no impulse has to end
@@ -70,6 +70,7 @@ class ScaledContacts:
         upper: Array,
         speed: float,
         warm: Array | None,
+        accepted: float,
         *,
         shared: bool,
     ) -> Array:
@@ -81,6 +82,7 @@ class ScaledContacts:
             upper: Largest ones, shape (m,).
             speed: Velocity in the mass metric.
             warm: Impulses to begin with, shape (m,).
+            accepted: What an answer may leave of the laws where none leaves rounding alone.
             shared: Whether those that depend on one another are of least norm.
 
         Raises:
@@ -96,10 +98,10 @@ class ScaledContacts:
         b, bounds = b / size, self._bounds(lower, upper, unit)
         start = np.zeros(len(at)) if warm is None else warm[at] / unit
         enough = _ENOUGH + _ROUNDING * speed / size
-        p, left = searched(self._newton, b, bounds, start, enough)
+        p, left = searched(self._newton, b, bounds, start, (enough, accepted))
         if left > enough:
             self._newton.seen = self._newton.see(b, bounds, p)
-        if left > max(_ACCEPTED, enough):
+        if left > max(accepted, enough):
             raise SolveError(self._failed())
         p = kept(self._newton.contacts, bounds, self._newton.seen, p)
         if shared and self._newton.depends and p.any():
