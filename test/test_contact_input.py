@@ -276,3 +276,8 @@ def test_a_coupled_arm_is_lifted_out_with_its_couplings_kept():
     assert q[slide] == pytest.approx(0.5 * q[swing] + 0.6, abs=1e-12)
     height = 1.0 - (q[slide] + 0.5) * np.cos(q[swing])
     assert height == pytest.approx(0.05, abs=1e-9)
+
+
+@pytest.mark.parametrize(("body", "method"), [("drum", "MoreauJean"), ("box", "Dopri5")])
+def test_gaps_that_are_not_smooth_are_stepped_in_time_where_nobody_names_a_method(body, method):
+    assert type(contacts(rigid(body, "ground")).simulation().integrator).__name__ == method

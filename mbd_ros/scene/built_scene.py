@@ -27,6 +27,7 @@ from mbd_ros.scene.scene_parts import SceneParts
 
 DEFAULT_INTEGRATOR = {"type": "dopri5"}
 DEFAULT_STABLE = 1.3  # its `stable`, known without importing it
+_TIME_STEPPING = {"type": "moreau_jean"}
 _NO_SOURCES: Mapping[str, Source] = {}
 SHORTEST_DT, LONGEST_DT = 1.0e-9, 9.0e9  # s: stamps hold whole nanoseconds, in 63 bits
 
@@ -208,6 +209,12 @@ class Scene(SceneParts):
         except (ModelError, SolveError) as error:
             raise SceneError(f"{self.name}: {error}") from error
 
+    @property
+    def default_integrator(self) -> Mapping[str, Any]:
+        """Entry of the method where the file names none: no events where gaps are not smooth."""
+        pairs = (part.pair for part in self.constraints if hasattr(part, "pair"))
+        return DEFAULT_INTEGRATOR if all(p.is_smooth for p in pairs) else _TIME_STEPPING
+
     def simulation(
         self,
         *,
@@ -234,7 +241,7 @@ class Scene(SceneParts):
         system = self.system(forces, solver, sources)
         method, correction = self.integrator, self.stabilization
         if integrator is not None or method is None:
-            given = integrator or DEFAULT_INTEGRATOR
+            given = integrator or self.default_integrator
             method = build_part("integrators", given, f"{self.name}: integrator")
         if stabilization is not None or correction is None:
             given = stabilization or {"type": "projection" if system.held.rows else "none"}

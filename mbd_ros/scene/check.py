@@ -14,7 +14,7 @@ from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import State
 from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.errors import SolveError
-from mbd_ros.scene.built_scene import DEFAULT_INTEGRATOR, Scene
+from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.call_costs import forward_cost, inverse_cost
 from mbd_ros.scene.part_lines import line, member_lines, part_lines, type_name, unused_rubbing
 from mbd_ros.scene.start_check import start_warnings
@@ -90,7 +90,7 @@ def _forward(scene: Scene, system: System) -> str:
     """The tier, the method and the step."""
     rows = f", {len(system.held.rows)} rows" if system.held.rows else ""
     method = "integrator" if scene.integrator is None else type(scene.integrator).__name__
-    default = f" {DEFAULT_INTEGRATOR['type']} by default" if scene.integrator is None else ""
+    default = f" {scene.default_integrator['type']} by default" if scene.integrator is None else ""
     text = f"{tier_of(system)}: {_TIERS[system.tier]}{rows}; {method}{default}, dt {scene.dt:g} s"
     if system.held.rows:
         kept = scene.stabilization

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.linear_motion import linear_motion, longest_step
 from mbd_ros.core.state import State
-from mbd_ros.scene.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE, Scene
+from mbd_ros.scene.built_scene import DEFAULT_STABLE, Scene
 from mbd_ros.scene.part_entries import build_part
 from mbd_ros.scene.part_lines import line, type_name
 
@@ -20,11 +20,12 @@ def step_lines(scene: Scene, system: System, x: State) -> Iterator[str]:
         x: Consistent start of what it integrates.
     """
     yield from _windows(scene, system, x)
-    motion, method, name = linear_motion(system, x), scene.integrator, DEFAULT_INTEGRATOR["type"]
+    motion, method = linear_motion(system, x), scene.integrator
+    name = scene.default_integrator["type"]
     if method is not None:
         name = type_name(method)
     elif motion.rate * scene.dt > DEFAULT_STABLE:
-        method = build_part("integrators", DEFAULT_INTEGRATOR, "default")
+        method = build_part("integrators", scene.default_integrator, "default")
     longest = math.inf if method is None else longest_step(method, motion, scene.dt)
     if not math.isfinite(motion.rate):
         yield line("warning", f"stiff: forces change too steeply for any step of {name}")
@@ -42,7 +43,7 @@ def _windows(scene: Scene, system: System, x: State) -> Iterator[str]:
 
     method = scene.integrator
     if method is None:
-        method = build_part("integrators", DEFAULT_INTEGRATOR, "default")
+        method = build_part("integrators", scene.default_integrator, "default")
     start = system.expand(x)
     found = windows_at(system, parts, method, scene.dt, start)
     for window in found:

@@ -13,7 +13,7 @@ from mbd_ros.files.formats import is_bag
 from mbd_ros.files.recordings import Source
 from mbd_ros.files.times import TIME_LIMIT
 from mbd_ros.scene import schema
-from mbd_ros.scene.built_scene import DEFAULT_INTEGRATOR, Scene, refuse_dt
+from mbd_ros.scene.built_scene import Scene, refuse_dt
 from mbd_ros.scene.part_entries import Solver
 from mbd_ros.scene.registry import PARTS, resolve
 
@@ -152,7 +152,7 @@ def method_entry(
     """
     if integrator is None and tolerance is None:
         return None
-    entry = dict(scene.integrator_entry or DEFAULT_INTEGRATOR)
+    entry = dict(scene.integrator_entry or scene.default_integrator)
     where, whose = "--tolerance", f"of {scene.name}" if scene.integrator else "by default"
     if integrator is not None:
         entry, where, whose = {"type": integrator}, f"--integrator {integrator}", "you chose"
