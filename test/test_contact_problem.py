@@ -185,6 +185,33 @@ def test_rows_between_bounds_beside_contacts():
             assert p[1] + p[3] == pytest.approx(-0.6, rel=1e-12) and abs(p[1]) <= 0.1 + 1e-12
 
 
+def beside_contacts(rng):
+    """Contacts of random rows with rows after them: one-sided ones, brakes, some repeated."""
+    bodies, count, others = (int(rng.integers(*ends)) for ends in ((3, 9), (1, 4), (1, 5)))
+    J = rng.normal(size=(3 * count + others, bodies))
+    J[-1] = J[0] if rng.random() < 0.3 else J[-1]
+    M, v = 10 ** rng.uniform(-2, 2, bodies), rng.normal(size=bodies)
+    A, lower, upper = (J / M) @ J.T, np.zeros(len(J)), np.full(len(J), np.inf)
+    brakes = 3 * count + np.flatnonzero(rng.random(others) < 0.5)
+    upper[brakes] = 0.3 * np.sqrt(v @ (M * v) / A.diagonal()[brakes])
+    lower[brakes] = -upper[brakes]
+    return A, J @ v, rng.choice([0.0, 0.3, 0.8], count), float(v @ (M * v)) ** 0.5, lower, upper
+
+
+def test_random_rows_between_bounds_keep_their_laws_too():
+    rng = np.random.default_rng(6)
+    for _ in range(60):
+        A, b, mu, speed, lower, upper = beside_contacts(rng)
+        p = solver(A, mu).solve(b, lower, upper, speed)
+        n, w = 3 * len(mu), A @ p + b
+        check_laws(A[:n, :n], b[:n] + A[:n, n:] @ p[n:], mu, p[:n], speed)
+        for i in range(n, len(b)):
+            slack = 1e-9 * speed * A[i, i] ** 0.5
+            assert lower[i] * (1 + 1e-14) <= p[i] <= upper[i] * (1 + 1e-14)
+            assert w[i] <= slack or p[i] == pytest.approx(lower[i], rel=1e-14)
+            assert w[i] >= -slack or p[i] == pytest.approx(upper[i], rel=1e-14)
+
+
 def test_friction_may_be_against_the_slip_of_another_time():
     """A ball that turns round within a step: friction is against the sum of both slips."""
     world = World([1.0])
