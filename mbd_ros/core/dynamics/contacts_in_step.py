@@ -77,6 +77,7 @@ class ContactsInStep(GivingWay):
         self._late = (1.0 - theta) / theta
         self.last = np.zeros(len(rows.rows))
         self.forget()
+        self._accepted: Array | None = None
         self._sets: dict[bytes, Acting] = {}
         self._solver: tuple[ImpulseResponse, Acting, Array, ContactProblem] | None = None
 
@@ -112,10 +113,12 @@ class ContactsInStep(GivingWay):
 
     def turned(self, problem: StepProblem, end: Array) -> Slots | None:
         """Tangents of contacts whose friction would do work: slips that end within the step."""
+        self._accepted = self.forces
         return turned(problem, end, self.last)
 
     def ending(self, turned: Slots, problem: StepProblem, end: Array) -> float:
         """When the first of some slips ends [s]; arguments as those of `slip_ends.ending`."""
+        self.forces = self._accepted  # that step was tried only
         return ending(turned, problem, end)
 
     def forget(self) -> None:
