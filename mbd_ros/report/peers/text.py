@@ -23,6 +23,7 @@ _WANTED_RATIOS = {  # scene, error -> how many times less CPU than the best peer
     ("arm7_swing_coupled", 1.0e-6): 5.0,
 }
 _LOOSE = 3.0  # times more precise than asked
+_FAINT = 0.1  # a ratio that needs more than one decimal
 _INSTALL = {"mujoco": "mujoco", "pydrake": "drake"}
 _TEXT = (
     "The same robots, initial states and samples in every package, all contenders in one "
@@ -142,7 +143,7 @@ def _cost(ours: Group, theirs: Group | None, error: float) -> str:
     if found is None or all(loose):
         return cost
     sign = {(True, False): "≥ ", (False, True): "≤ "}.get(loose, "")
-    return f"{cost}, {sign}{found:.1f} x"
+    return f"{cost}, {sign}{found:.1f} x" if found >= _FAINT else f"{cost}, {sign}{found:.1g} x"
 
 
 def _priced(points: Sequence[Point], error: float) -> str:
