@@ -240,3 +240,22 @@ def test_a_box_on_a_plate_that_tilts_slips_when_no_share_of_its_forces_is_left()
 
     (event,) = simulation.events
     assert event.t == pytest.approx(brentq(excess, 0.1, 1.5, xtol=1e-14), abs=1e-9)
+
+
+def test_a_ball_meets_another_one_before_it_falls_on_the_ground():
+    """One long step ends below the ground, behind the place where the balls met and parted."""
+    scene = scene_of(
+        "bodies:\n"
+        "  fast: {shape: {sphere: 0.1}, mass: 1.0, pose: {xyz: [0.0, 0.0, 1.0]}}\n"
+        "  slow: {shape: {sphere: 0.1}, mass: 1.0, pose: {xyz: [0.5, 0.0, 1.0]}}\n"
+        "contacts:\n"
+        "- {type: rigid, between: [fast, slow], friction: 0.0, restitution: 1.0}\n"
+        "- {type: rigid, between: [fast, ground], friction: 0.0}\n"
+        "initial: {twist: {fast: {linear: [9.0, 0.0, 0.0]}}}\n"
+        "integrator: {type: dopri5, tolerance: 1e-9}\n"
+        "dt: 2.0\n"
+    )
+    simulation = scene.simulation()
+    list(simulation.run(scene.initial, 2.0))
+    assert simulation.events[0].t == pytest.approx(0.3 / 9.0, abs=1e-12)
+    assert simulation.events[0].after.v[6] == pytest.approx(9.0, abs=1e-12)

@@ -68,6 +68,11 @@ class StepEvents:
             if h <= 4.0 * math.ulp(x.t):
                 return x, event
             late = self._late(self._advanced(x, h), u, left, done)
+            if late is None and self._field.has_contacts:  # bodies may have met and parted before
+                before = self._inside(x, u, self._advanced(x, h), left)
+                if before < h:
+                    late = self._late(self._advanced(x, before), u, left, done)
+                    h = before if late is not None else h
         return self._advanced(x, h), event
 
     def _late(
