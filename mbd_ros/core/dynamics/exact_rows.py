@@ -112,14 +112,13 @@ class ExactRows:
             rows.limit(motion.mechanism.k, x)
         if not mode:
             mode, free = self._over.ways_at(x)
-        lower, upper = self._bounds(mode, free)
+        bounds = self._bounds(mode, free)
         if self.contacts is not None:
-            given = motion, q, x, joint_a, (lower, upper), mode, free
-            found = self.contacts.solve(*given, splits=splits)
+            found = self.contacts.solve(motion, q, x, joint_a, bounds, mode, free, splits=splits)
             self.solver.multipliers, self.solver.force = found.lam, found.force
             a, left, terms = motion.coordinates.integrated(joint_a + found.added), *found[3:]
         else:
-            a, left, terms = self.solver.held(motion, q, x, joint_a, lower, upper)
+            a, left, terms = self.solver.held(motion, q, x, joint_a, *bounds)
         self.lam, self.left = self.solver.multipliers[self._at], left[self._at]
         self._slack = TIE * terms[self._at]
         self.lower, self.upper = rows.lower[self._at], rows.upper[self._at]
@@ -146,8 +145,7 @@ class ExactRows:
             a = pushed(y.t, y.q, y.v, a)
             joint_a = motion.joint_motion(y.q, y.v, a)[2]
             J, b = self._rows.conditions(motion.mechanism.k, self._over.placed(y))
-            left: Array = (J.dot(joint_a) + b)[self._at]
-            return left
+            return np.asarray((J.dot(joint_a) + b)[self._at])
         finally:
             motion.mechanism.z = before
 
@@ -221,8 +219,8 @@ class ExactRows:
         """Normals of contacts that slip, among those of closed ones."""
         if self.contacts is None:
             return []
-        found = self._modes.slips_now(self._motion.mechanism.k, self._over.placed(y))
-        return [i for i in found if i in closed]
+        x = self._over.placed(y)
+        return [i for i in self._modes.slips_now(self._motion.mechanism.k, x) if i in closed]
 
     def longest(self, y: State, u: Array | None, mode: Mode) -> float:
         """Length of a step in which no slip of a contact changes by much [s]."""
@@ -248,5 +246,5 @@ class ExactRows:
 
 def _each(blocks: tuple[RowBlock, ...]) -> list[tuple[int, int, RowBlock]]:
     """Number of every row, its number in its block, and the block."""
-    own = [(number, block) for block in blocks for number in range(len(block.rows))]
-    return [(i, number, block) for i, (number, block) in enumerate(own)]
+    own = ((n, block) for block in blocks for n in range(len(block.rows)))
+    return [(i, *each) for i, each in enumerate(own)]

@@ -57,7 +57,6 @@ class ModeField:
         self.count = len(names)
         self.names = names if self.surfaces is None else (*names, *self.surfaces.names)
         reach = () if self.rows is None else self.rows.reach
-        self._of_state = np.array([one is not Reach.DEMAND for one in reach], dtype=np.bool_)
         self._demands = [i for i, one in enumerate(reach) if one is Reach.DEMAND]
         self._frictions = [i for i, one in enumerate(reach) if one is Reach.FRICTION]
         self._no_height = {*self._demands, *self._frictions}
