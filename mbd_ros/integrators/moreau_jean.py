@@ -17,7 +17,7 @@ class MoreauJean(Integrator):
 
         M (v+ - v) = dt f + J' p,   q+ = q (+) dt ((1 - theta) v + theta v+)
 
-    Joint stops, dry friction, limited drives, a contact and bilateral rows are one complementarity
+    Joint stops, dry friction, limited drives, contacts and bilateral rows are one complementarity
     problem a step, with rates at its end; no time constant of theirs is read, but a limited drive
     comes back to its motion with its own. Impacts have Poisson's restitution and divide a step.
     Loads and internal states are implicit: stiff ones do not limit the step. Second order where
