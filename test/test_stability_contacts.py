@@ -23,6 +23,13 @@ def test_rows_are_of_every_kind_that_is_asked_and_have_names_of_their_own():
     assert len(contact_rows(quick=True)) == 6
 
 
+def test_friction_tips_no_plate_that_should_slide_flat():
+    """The pressure that balances friction at the lower side stands under the plate."""
+    for row in ROWS.values():
+        for plate in (solid for solid in row.problem.solids if solid.name == "plate"):
+            assert row.problem.mu * plate.at[2] < 0.5 * plate.size[0] or not plate.v[0]
+
+
 @pytest.mark.parametrize("label", ["mu = 1.5 sticks", "falls 5 cm"])
 def test_a_row_has_a_clean_cell_for_every_method(label):
     row = kind.contact_row(ROWS[label])
@@ -30,6 +37,11 @@ def test_a_row_has_a_clean_cell_for_every_method(label):
     smooth = ["rk4", "dop853"] if ROWS[label].problem.is_smooth else []
     assert methods == [*smooth, "moreau_jean"]
     assert [cell["kind"] for cell in row["cells"]] == [CONVERGED] * len(methods)
+
+
+def test_events_find_the_stop_under_the_steepest_cone():
+    row = ROWS["steep cone, mu = 100"]
+    assert verdicts.judge_contact(row.problem, "dop853", row.dt).kind == CONVERGED
 
 
 def falling(heights, speeds):

@@ -17,7 +17,8 @@ from mbd_ros.report.contact.closed_forms import GRAVITY
 from mbd_ros.report.contact.problems import GROUND, Problem, Solid, Trace
 from mbd_ros.report.stability.extreme_scenes import item_name
 
-_PLATE = (1.0, 1.0, 0.02)  # m: flat, so that it does not tip where mu is large
+_PLATE = (1.0, 1.0, 0.02)  # m
+_FLAT = 0.2  # m: largest thickness of a plate times mu; from its length on, friction tips it
 _USUAL, _LONG = 1.0e-2, 1.0e-1  # s, steps
 _DOWN = (0.0, 0.0, -GRAVITY)
 _COUNT = 10  # samples
@@ -153,8 +154,7 @@ def _height_error(known: Callable[[float], float], size: float) -> _Error:
 def _incline(degrees: float, mu: float, speed: float, solid: Solid | None = None) -> Problem:
     """A plate on an incline whose x points uphill."""
     angle, way = math.radians(degrees), max(1.0, speed**2 / (2.0 * GRAVITY * max(mu, 0.5)))
-    at, v = (0.0, 0.0, 0.5 * _PLATE[2]), (speed, 0.0, 0.0)
-    solid = solid or Solid("plate", 2.0, "box", _PLATE, at, v)
+    solid = solid or _plate(mu, speed)
 
     def error(times: Sequence[float], run: Trace) -> float:
         truth = [closed_forms.incline(t, degrees, mu, speed)[0] for t in times]
@@ -164,6 +164,14 @@ def _incline(degrees: float, mu: float, speed: float, solid: Solid | None = None
 
     problem = _problem((solid,), mu, 2.0, error)
     return problem._replace(gravity=(-GRAVITY * math.sin(angle), 0.0, -GRAVITY * math.cos(angle)))
+
+
+def _plate(mu: float, speed: float) -> Solid:
+    """A plate that slides, so flat that friction at its lower side does not tip it."""
+    length, width, usual = _PLATE
+    thickness = min(usual, _FLAT / max(mu, _FLAT))
+    size, at = (length, width, thickness), (0.0, 0.0, 0.5 * thickness)
+    return Solid("plate", 2.0, "box", size, at, (speed, 0.0, 0.0))
 
 
 def _stack(masses: Sequence[float], span: float = 0.2) -> Problem:
