@@ -18,6 +18,8 @@ Sources: J. J. Moreau, in Nonsmooth Mechanics and Applications, 1988; M. Jean, C
 Appl. Mech. Eng. 177 (1999); V. Acary, Comput. Methods Appl. Mech. Eng. 256 (2013), on positions.
 """
 
+from itertools import chain
+
 import numpy as np
 
 from mbd_ros.core.dynamics.implicit_loads import ImplicitLoads, mass_with
@@ -36,7 +38,7 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import LANDED
 from mbd_ros.errors import DivergedError
 
-_IMPACTS = 4  # of one step; what closes after them comes to rest
+_IMPACTS = 4  # of one step, which give back; what met rests at once in those after them
 _TURNS = 3  # of slips in one step
 _SHARES = (0.25, 0.0625, 0.015625)  # of a step, in which a slip that ends early is looked at
 _WHOLE = 1.0 - 1.0e-6  # of a step, so that something is left of it
@@ -84,15 +86,11 @@ class VelocityStep:
             DivergedError: Forces are not finite.
         """
         self._rows.begin(y.q)
-        problem = self._problem(y, u, h)
-        closed = problem.closed()
-        for _ in range(_IMPACTS):
-            hits = problem.hits(closed)
-            if not hits.any():
-                break
-            y, h = self._after_impact(problem, closed, hits, y)
-            problem = self._problem(y, u, h)
-            closed = problem.closed()
+        problem, closed = self._begun(y, u, h)
+        met: list[list[int]] = []
+        while (hits := problem.hits(closed)).any() and len(met) < _IMPACTS + len(self._slots):
+            y, h = self._after_impact(problem, closed, hits, y, met)
+            problem, closed = self._begun(y, u, h)
         problem, end = self._solved(problem, closed, y, u)
         turned = self.giving_way.turned(problem, end) if turns else None
         if turned is not None and (part := self._until(turned, y, u, h)):
@@ -171,9 +169,9 @@ class VelocityStep:
         return J, goal, RowFactor(K, J)
 
     def _after_impact(
-        self, problem: StepProblem, closed: Which, hits: Which, y: State
+        self, problem: StepProblem, closed: Which, hits: Which, y: State, met: list[list[int]]
     ) -> tuple[State, float]:
-        """State after the first impact of a step, and what is left of the step [s]."""
+        """State after the next impact of a step, and what is left of it [s]; adds to what met."""
         v, gap, rate, h = problem.x.v, problem.gap, problem.rate, problem.h
         end = self.giving_way.pushed(problem, closed & ~hits, problem.free)
         gained = (end - v) / h
@@ -181,11 +179,13 @@ class VelocityStep:
         wait = min(first_closing(gap[hits], rate[hits], bent[hits]), _WHOLE * h)
         at = gap + wait * rate + 0.5 * wait**2 * bent
         touching = closed & (at <= _TOGETHER * h * np.abs(rate[hits]).max())
-        slots = self._slots[problem.acting.at[touching[problem.acting.decides]]]
+        met.append(self._slots[problem.acting.at[touching[problem.acting.decides]]].tolist())
+        expands = len(met) <= _IMPACTS
+        slots = met[-1] if expands else list(chain(*met))
         before = v + wait * gained
         way, dz = 0.5 * wait * (v + before), wait / h * problem.dz(end)
         y = self._moved(y, way, before, dz, y.t + wait)
-        v = self._level.impact(self._system.expand(y), slots.tolist()).v
+        v = self._level.impact(self._system.expand(y), slots, expands=expands).v
         return y._replace(v=np.array(self._system.integrated(v))), h - wait
 
     def _corrected(
