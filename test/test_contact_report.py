@@ -8,7 +8,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from mbd_ros.report.contact import closed_forms, kind, ours
-from mbd_ros.report.contact.problems import Trace, penetration, problems
+from mbd_ros.report.contact.problem import Trace, penetration
+from mbd_ros.report.contact.problems import problems
 from mbd_ros.report.contact.soft_bounce import damping_ratio
 from mbd_ros.report.contact.text import compose
 from mbd_ros.report.peers.contenders import in_turn

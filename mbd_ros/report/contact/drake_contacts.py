@@ -28,7 +28,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DivergedError
-from mbd_ros.report.contact.problems import GROUND, Problem, Solid, Trace
+from mbd_ros.report.contact.problem import GROUND, Problem, Solid, Trace
 from mbd_ros.report.contact.soft_bounce import damping_ratio
 from mbd_ros.report.peers.contenders import cpu_time
 from mbd_ros.report.precision.rungs import Record

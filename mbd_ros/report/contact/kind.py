@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from mbd_ros.report.contact import ours
-from mbd_ros.report.contact.problems import Problem, Trace, penetration, problems
+from mbd_ros.report.contact.problem import Problem, Trace, penetration
+from mbd_ros.report.contact.problems import problems
 from mbd_ros.report.contact.text import compose
 from mbd_ros.report.items import Item, Outcome, Section, Spec
 from mbd_ros.report.peers.contenders import USELESS, Contender, in_turn

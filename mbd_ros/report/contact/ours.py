@@ -9,7 +9,7 @@ import pinocchio as pin
 from mbd_ros.core.simulation.seen import seen_at
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
-from mbd_ros.report.contact.problems import Problem, Solid, Trace
+from mbd_ros.report.contact.problem import Problem, Solid, Trace
 from mbd_ros.report.peers.contenders import cpu_time
 from mbd_ros.report.precision.choices import Choice
 from mbd_ros.report.precision.rungs import Record

@@ -14,7 +14,7 @@ import numpy as np
 from mbd_ros.core.state import Array
 from mbd_ros.report.contact import closed_forms
 from mbd_ros.report.contact.closed_forms import GRAVITY
-from mbd_ros.report.contact.problems import GROUND, Problem, Solid, Trace
+from mbd_ros.report.contact.problem import GROUND, Problem, Solid, Trace
 from mbd_ros.report.stability.extreme_scenes import item_name
 
 _PLATE = (1.0, 1.0, 0.02)  # m

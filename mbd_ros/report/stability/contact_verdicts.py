@@ -9,7 +9,7 @@ import pinocchio as pin
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import MbdError
 from mbd_ros.report.contact.ours import sample, scene_of, trace_of
-from mbd_ros.report.contact.problems import CORNERS, Problem, Solid
+from mbd_ros.report.contact.problem import CORNERS, Problem, Solid
 from mbd_ros.report.stability.cases import (
     BOUNDED,
     CONVERGED,
