@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 from mechanisms import link, scene_of, urdf
-from test_idle_stops import calls
+from test_idle_stops import START, calls, stepping
 
 import mbd_ros as mbd
 from mbd_ros.core.state import State
 
-START = np.random.default_rng(2).uniform(-0.5, 0.5, (2, 7))
 FEATURES = [[0.0, 0.0, 0.1], [0.1, 0.0, 0.1], [0.0, 0.1, 0.1]]
 
 
@@ -23,18 +22,6 @@ def over_ground(method, height, dt=1e-4):
     )
     simulation = scene.simulation()
     return simulation, simulation.start(State(0.0, *START))
-
-
-def stepping(simulation, x):
-    """A function that takes a step."""
-    state = [x]
-
-    def step():
-        state[0] = simulation.stepper.step(state[0], None)
-
-    for _ in range(20):
-        step()
-    return step
 
 
 @pytest.mark.parametrize("method", ["rk4", "adams", "dop853"])

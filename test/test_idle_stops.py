@@ -23,9 +23,8 @@ def simulated(method, constraints, dt=1e-4):
     return simulation, simulation.start(State(0.0, *START))
 
 
-def stepping(method, constraints):
+def stepping(simulation, x):
     """A function that takes a step."""
-    simulation, x = simulated(method, constraints)
     state = [x]
 
     def step():
@@ -55,7 +54,7 @@ def calls(step):
 @pytest.mark.parametrize(("method", "limit"), COSTS)
 def test_idle_stops_cost_a_few_calls_a_step(method, limit):
     """The time of a step is that of its calls; 1.06 and 1.21 were measured on a quiet machine."""
-    free, stopped = stepping(method, None), stepping(method, [WIDE])
+    free, stopped = (stepping(*simulated(method, stops)) for stops in (None, [WIDE]))
     assert calls(stopped) <= calls(free) + 6
     times = [[timeit.timeit(step, number=200) for step in (free, stopped)] for _ in range(25)]
     best = np.min(times, axis=0)
