@@ -133,7 +133,8 @@ def test_a_heavy_box_on_two_light_ones_rests():
     assert found == pytest.approx(weights, rel=1e-8)
 
 
-def test_feet_share_what_statics_does_not_split():
+@pytest.mark.parametrize("steps", [2, 60])
+def test_feet_share_what_statics_does_not_split(steps):
     """Square table of 4 kg under a load of 1 kg: the split of least norm, N_i as of springs."""
     feet, at = [(1, 1), (-1, 1), (-1, -1), (1, -1)], np.array((0.5, -0.25))
     table = urdf(link("table", 5.0, (*(0.1 * at).tolist(), 0.0), (1.0, 1.0, 1.0)))
@@ -141,7 +142,7 @@ def test_feet_share_what_statics_does_not_split():
     contact = {"type": "rigid", "between": [{"frame": "table", "points": points}, "ground"]}
     scene = {"robot": {"base": "floating"}, "contacts": [contact | {"friction": 0.5}]}
     expected = [GRAVITY * (1.0 + 0.25 * (1.0 + at @ foot)) for foot in feet]
-    assert impulses(scene, 1e-3, 2, urdf=table) == pytest.approx(expected, rel=1e-9)
+    assert impulses(scene, 1e-3, steps, urdf=table) == pytest.approx(expected, rel=1e-9)
 
 
 RAILS = urdf(
@@ -184,8 +185,12 @@ def test_idle_contacts_are_not_looked_at(monkeypatch):
     assert states[-1].q.tobytes() == free[-1].q.tobytes()
 
 
-def test_a_checkpoint_goes_on_with_the_same_bits():
-    scene, thrown = block(10.0, 0.4, 0.3, height=0.12), [1.0, 0.5, 0.0, 1.0, 2.0, 3.0]
+@pytest.mark.parametrize(
+    ("height", "thrown"), [(0.12, [1.0, 0.5, 0.0, 1.0, 2.0, 3.0]), (HALF, [0.0] * 6)]
+)
+def test_a_checkpoint_goes_on_with_the_same_bits(height, thrown):
+    """Thrown, and at rest, where steps know the impulses of earlier ones."""
+    scene = block(10.0, 0.4, 0.3, height=height)
     built, simulation = stepped(scene, 2e-3)
     start = built.initial._replace(v=np.array(thrown))
     samples = simulation.run(start, 0.3)
@@ -196,6 +201,8 @@ def test_a_checkpoint_goes_on_with_the_same_bits():
     _, other = stepped(scene, 2e-3)
     again = list(other.run(kept, 0.3))
     assert [x.q.tobytes() for x in again] == [x.q.tobytes() for x in whole]
+    assert [x.v.tobytes() for x in again] == [x.v.tobytes() for x in whole]
+    assert other.stepper.impulses.tobytes() == simulation.stepper.impulses.tobytes()
 
 
 def test_a_cube_that_falls_on_a_corner_never_gains_energy_nor_sinks_in():

@@ -43,14 +43,14 @@ class MoreauJean(Integrator):
 
 
 class _Steps(Stepper):
-    kept: ClassVar[tuple[str, ...]] = ("impulses",)
+    kept: ClassVar[tuple[str, ...]] = ("impulses", "shared")
 
     def __init__(self, system: Any, theta: float, dt: float) -> None:
         self._at, self._dt = _velocity_step(system, theta), dt
 
     def restart(self) -> None:
         """Forget the impulses and the residuals of earlier steps."""
-        self.impulses = np.zeros_like(self.impulses)
+        self.impulses, self.shared = np.zeros_like(self.impulses), ()
         self._at.giving_way.forces = None
         self.forget_residuals()
 
@@ -67,6 +67,15 @@ class _Steps(Stepper):
     @impulses.setter
     def impulses(self, impulses: Array) -> None:
         self._at.giving_way.last = impulses
+
+    @property
+    def shared(self) -> tuple[Any, ...]:
+        """Of which rows these are, and what their impulses did, where they are of least norm."""
+        return self._at.giving_way.shared
+
+    @shared.setter
+    def shared(self, shared: tuple[Any, ...]) -> None:
+        self._at.giving_way.shared = shared
 
     @property
     def residuals(self) -> Any:

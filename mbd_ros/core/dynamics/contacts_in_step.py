@@ -1,5 +1,6 @@
 """Rows that give way in a step of velocities, contacts with friction among them."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.giving_way import GivingWay
 from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
-from mbd_ros.core.dynamics.slip_ends import ending, turned
+from mbd_ros.core.dynamics.slip_ends import dots, ending, turned
 from mbd_ros.core.dynamics.step_problem import StepProblem
 from mbd_ros.core.dynamics.step_rows import Acting, Slots, Which
 from mbd_ros.core.optimization.contact_problem import ContactProblem, Residuals
@@ -17,10 +18,9 @@ from mbd_ros.core.thresholds import redundant
 from mbd_ros.errors import SolveError
 
 _SLIPS = 1.0e-12  # of the square of a slip: it neither ends in the step nor turns round
-_NO_ROOM = (
-    1.0e-5  # of the rate of a gap: feet of one body, which rounding sets apart, share a load
-)
+_NO_ROOM = 1.0e-5  # of the rate of a gap: feet of a body, which rounding sets apart, share a load
 _ACCEPTED = 1.0e-6  # of the rates that impulses of a step end: what may be left of them
+_SAME = 1.0e-14  # of rates: what rounding leaves of them
 _INDEPENDENT = 3  # rows of one contact, which do not depend on one another
 _SETS = 256  # of rows that are remembered
 
@@ -37,6 +37,7 @@ class _Asked(NamedTuple):
         b: Their rates without impulses, shape (m,).
         bend: What of these comes from the change of J, shape (m,).
         known: Bounds of the impulses, and a velocity.
+        warm: Impulses to begin with, shape (m,).
         shared: Whether contacts that depend on one another share with the least norm: those of
             the end of a step do, the next one begins with them.
     """
@@ -49,12 +50,29 @@ class _Asked(NamedTuple):
     b: Array
     bend: Array
     known: tuple[Array, Array, float]
+    warm: Array
     shared: bool
 
-    def solve(self, warm: Array, late: Array | None = None) -> Array:
+    def solve(self, late: Array | None = None) -> Array:
         """The impulses, shape (m,); arguments as for `ContactProblem`."""
-        known = *self.known, late, warm
+        known = *self.known, late, self.warm
         return self.solver.solve(self.b, *known, shared=self.shared, accepted=_ACCEPTED)
+
+    def sticks(self) -> bool:
+        """Whether those to begin with, if within the cones, leave all contacts at rest."""
+        if len(self.b) != _INDEPENDENT * len(self.chosen.cones):
+            return False
+        size = float(np.abs(self.b).max())
+        return float(np.abs(self.A.dot(self.warm) + self.b).max()) <= _SAME * size
+
+    def left(self, p: Array) -> Residuals:
+        """What impulses leave of the laws where all contacts are at rest."""
+        w, parts = self.A.dot(p) + self.b, p.reshape(-1, 3)
+        slips = w.reshape(-1, 3)[:, 1:]
+        mu = np.array([cone.mu for cone in self.chosen.cones])
+        over = float((np.hypot(parts[:, 1], parts[:, 2]) - mu * parts[:, 0]).max())
+        slip = math.sqrt(float(dots(slips, slips).max()))
+        return Residuals(float(np.abs(w[::3]).max()), 0.0, max(over, 0.0), slip)
 
 
 class ContactsInStep(GivingWay):
@@ -141,18 +159,31 @@ class ContactsInStep(GivingWay):
         b = problem.J[on].dot(free) + problem.offset[on] + (kept - problem.bend[on])
         room = problem.rates_left(on)
         b += np.where(room <= _NO_ROOM * np.abs(b), 0.0, room)
-        asked = _Asked(problem, chosen, on, A, solver, b, kept, known, near is not None)
+        warm = self.last[chosen.at]
+        asked = _Asked(problem, chosen, on, A, solver, b, kept, known, warm, near is not None)
         p = None if near is None else self._sliding(asked, near)
         if p is None:
-            p = asked.solve(self.last[chosen.at])
+            p = self._held(asked)
+        else:
+            self.shared = ()
         if near is not None:
-            self.worst = Residuals(*map(max, self.worst, solver.residuals))
+            left = asked.left(p) if p is asked.warm else solver.residuals
+            self.worst = Residuals(*map(max, self.worst, left))
         self.last[:] = 0.0
         self.last[chosen.at] = p
         self.forces = np.zeros(len(self.last))
         self.forces[chosen.at] = p / problem.h
         change: Array = response.X[:, on].dot(p)
         return change
+
+    def _held(self, asked: _Asked) -> Array:
+        """Impulses of a problem: the last ones, where contacts are held by them still."""
+        at, A, last = asked.chosen.at, asked.A, self.shared
+        same = bool(last) and np.array_equal(last[1], A) and np.array_equal(last[0], at)
+        if same and asked.sticks():
+            return asked.warm
+        self.shared = (at, A) if asked.shared and len(A) > _INDEPENDENT else ()
+        return asked.solve()
 
     def _of(
         self, response: ImpulseResponse, chosen: Acting, on: NDArray[np.intp]
@@ -171,19 +202,19 @@ class ContactsInStep(GivingWay):
         J, own = problem.J[at], problem.offset[at] - problem.bend[at]
         before, slip = ((J.dot(v) + own).reshape(-1, 2) for v in (problem.x.v, near))
         none = np.square(problem.slight(problem.free)[at[::2]])
-        least = _SLIPS * _dot(before, before)
-        slides = _dot(slip, before) > np.maximum(least, none)
+        least = _SLIPS * dots(before, before)
+        slides = dots(slip, before) > np.maximum(least, none)
         while slides.any():
             late = np.zeros(len(b))
             shift = self._late * before - asked.bend[tangents].reshape(-1, 2)
             late[tangents] = (slides[:, None] * shift).ravel()
             try:
-                p = asked.solve(self.last[chosen.at], late)
+                p = asked.solve(late)
             except SolveError:  # where one stops, slips of others may contradict one another
                 return None
             end = asked.A[tangents].dot(p) + b[tangents] + late[tangents]
             mean = end.reshape(-1, 2)
-            goes_on = np.minimum(_dot(slip, mean), _dot(before, mean)) > least
+            goes_on = np.minimum(dots(slip, mean), dots(before, mean)) > least
             if (goes_on | ~slides).all():
                 return p
             slides &= goes_on
@@ -216,8 +247,3 @@ class ContactsInStep(GivingWay):
                 self._sets.clear()
             self._sets[key] = acting.chosen(on)
         return self._sets[key]
-
-
-def _dot(a: Array, b: Array) -> Array:
-    """Products of vectors, shape (n,)."""
-    return np.einsum("ij,ij->i", a, b)

@@ -21,12 +21,14 @@ class GivingWay:
 
     Attributes:
         last: What the next problem begins with; empty where it begins with nothing.
+        shared: Which rows `last` is of and what their A was, if it is of least norm; else empty.
         worst: The largest residuals of contacts since `forget`; None without contacts.
         forces: Mean forces of contacts in the last step; None without contacts.
     """
 
     def __init__(self, rows: ConstraintRows) -> None:
         self._rows, self.last = rows, np.zeros(0)
+        self.shared: tuple[Any, ...] = ()
         self.worst: Any = None
         self.forces: Array | None = None
 

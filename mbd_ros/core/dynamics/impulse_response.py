@@ -37,6 +37,11 @@ class ImpulseResponse:
         other._respond(J)
         return other
 
+    @property
+    def is_free(self) -> bool:
+        """Whether no bilateral row holds."""
+        return self._factor is None
+
     def _respond(self, J: Array) -> None:
         self.X, hold, factor = self.free(J.T), self._hold, self._factor
         self.loose = np.einsum("ij,ji->i", J, self.X)

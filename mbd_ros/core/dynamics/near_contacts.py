@@ -1,11 +1,13 @@
 """Contacts that a step may close, beside the other rows that give way."""
 
 import math
+from copy import copy
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.gap_speed import GapSpeed, bodies_of
+from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.step_rows import Acting, RowsAt, StepRows
 from mbd_ros.core.row_laws import Kind
@@ -14,6 +16,7 @@ from mbd_ros.core.state import Array, State
 
 _WAYS = 4.0  # of a step: gaps that may close in it, whatever other rows push
 _CURVED = 2.0  # longest way of joints that follow others, of what their velocity says
+_ONE = 3  # rows of one contact
 _SETS = 256  # of rows that are remembered
 
 
@@ -45,6 +48,7 @@ class NearContacts(StepRows):
         self._at_others = np.flatnonzero(is_other)
         self._others_push = bool(self.every.pushes[is_other].any())
         self._speed = GapSpeed(mechanism.robot, [bodies_of(part) for part, _ in own])
+        self._responded: tuple[bytes, bytes, ImpulseResponse] | None = None
         self._room, self._spare, self._q = np.zeros(len(own)), 0.0, mechanism.zero
         self._way, self._ways = mechanism.zero, mechanism.zero.copy()
         acting = self._acting(self.every.at[:0])
@@ -94,9 +98,19 @@ class NearContacts(StepRows):
         if not found:
             return self._nothing
         if len(found) == 1 and at[0] is not self._at_others:
-            return RowsAt(self._acting(at[0]), *found[0])
-        stacked = (np.concatenate(each) for each in zip(*found, strict=True))
-        return RowsAt(self._acting(np.concatenate(at)), *stacked)
+            J, *known = found[0]
+            return RowsAt(self._acting(at[0]), _rounded(J), *known)
+        J, *stacked = (np.concatenate(each) for each in zip(*found, strict=True))
+        return RowsAt(self._acting(np.concatenate(at)), _rounded(J), *stacked)
+
+    def response(self, held: ImpulseResponse, K: Array, J: Array) -> ImpulseResponse:
+        """As of all rows; that of the last step where nothing has turned since."""
+        if len(J) <= _ONE or not held.is_free:
+            return held.of(J)
+        key = K.tobytes(), J.tobytes()
+        if self._responded is None or key != self._responded[:2]:
+            self._responded = *key, held.of(J)
+        return copy(self._responded[2])
 
     def gaps(self, x: State) -> Array | None:
         """The g of one-sided rows at a state of all joints, shape (m,); inf for other rows.
@@ -146,3 +160,15 @@ class NearContacts(StepRows):
                 self._sets.clear()
             self._sets[key] = self.every.chosen(at)
         return self._sets[key]
+
+
+def _rounded(J: Array) -> Array:
+    """Rows to the last digit of the largest entry of each column.
+
+    What rounding leaves of entries that are 0 differs from step to step, also of bodies at rest.
+    """
+    if len(J) <= _ONE:
+        return J
+    large = np.ldexp(1.0, np.frexp(np.abs(J).max(axis=0))[1])
+    rounded: Array = (J + large) - large
+    return rounded

@@ -30,11 +30,11 @@ def turned(problem: StepProblem, end: Array, impulses: Array) -> Slots | None:
         return None
     before, after = _slips(problem, end, tangents)
     push = impulses[problem.acting.at[tangents]].reshape(-1, 2)
-    gains = _dot(before + after, push) > _WORK * problem.speed(problem.free) ** 2
+    gains = dots(before + after, push) > _WORK * problem.speed(problem.free) ** 2
     if not gains.any():
         return None
-    added = problem.response.loose[tangents].reshape(-1, 2).max(axis=1) * np.sqrt(_dot(push, push))
-    gains &= _dot(before, before) > np.square(_SLIGHT * added)
+    added = problem.response.loose[tangents].reshape(-1, 2).max(axis=1) * np.sqrt(dots(push, push))
+    gains &= dots(before, before) > np.square(_SLIGHT * added)
     chosen: Slots = problem.acting.at[tangents].reshape(-1, 2)[gains].ravel()
     return chosen if len(chosen) else None
 
@@ -51,7 +51,7 @@ def ending(turned: Slots, problem: StepProblem, end: Array) -> float:
     if not len(tangents):
         return 0.0
     before, after = _slips(problem, end, tangents)
-    size, left = _dot(before, before), _dot(before, after)
+    size, left = dots(before, before), dots(before, after)
     if not (left > _SEEN * size).all():
         return 0.0
     with np.errstate(divide="ignore"):  # a slip that does not end
@@ -65,6 +65,6 @@ def _slips(problem: StepProblem, end: Array, tangents: NDArray[np.intp]) -> tupl
     return problem.rate[tangents].reshape(-1, 2), after.reshape(-1, 2)
 
 
-def _dot(a: Array, b: Array) -> Array:
+def dots(a: Array, b: Array) -> Array:
     """Products of vectors, shape (n,)."""
     return np.einsum("ij,ij->i", a, b)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.model.kinematics import Reads
 from mbd_ros.core.row_laws import Kind
@@ -136,6 +137,16 @@ class StepRows:
         """
         self._k.refresh(x.q, x.v, self._of_g)
         return np.where(self.every.pushes, self.rows.residual(self._k, x), np.inf)
+
+    def response(self, held: ImpulseResponse, K: Array, J: Array) -> ImpulseResponse:
+        """How impulses of the rows move the joints.
+
+        Args:
+            held: What moves them, for other rows.
+            K: Its mass matrix, shape (nv, nv).
+            J: The rows, shape (m, nv).
+        """
+        return held.of(J)
 
     def jacobian(self, x: State, on: NDArray[np.intp]) -> Array:
         """Some rows of dg/dq at a state of all joints."""

@@ -25,17 +25,16 @@ import numpy as np
 from mbd_ros.core.dynamics.implicit_loads import ImplicitLoads, mass_with
 from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
 from mbd_ros.core.dynamics.mechanism import Mechanism
+from mbd_ros.core.dynamics.moved_out import MovesOut
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.rows_of_step import returns, rows_of_step
 from mbd_ros.core.dynamics.step_problem import StepProblem, first_closing
 from mbd_ros.core.dynamics.step_rows import Slots, Which
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.velocity_level import VelocityLevel
-from mbd_ros.core.optimization.push_impulses import PushImpulses
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.thresholds import LANDED
 from mbd_ros.errors import DivergedError
 
 _IMPACTS = 4  # of one step, which give back; what met rests at once in those after them
@@ -43,7 +42,6 @@ _TURNS = 3  # of slips in one step
 _SHARES = (0.25, 0.0625, 0.015625)  # of a step, in which a slip that ends early is looked at
 _WHOLE = 1.0 - 1.0e-6  # of a step, so that something is left of it
 _TOGETHER = 1.0e-6  # of the way of the fastest row in a step: gaps that close at one time
-_NEAR = 10.0  # gaps that count while others are closed, of how far one of these is beyond 0
 _MOVES = 4  # out of rows; each leaves the square of what the last one left
 
 
@@ -67,6 +65,7 @@ class VelocityStep:
         self._rigid = RigidRows(mechanism, ConstraintRows(layout.rigid, nv, gains))
         yielding = ConstraintRows(layout.yielding, nv)
         self._rows, self.giving_way = rows_of_step(system, mechanism, yielding, theta)
+        self._moves_out = MovesOut(mechanism, self._rigid, self._rows)
         self._slots = yielding.slots
         self._return = returns(layout.rigid, gains), returns(layout.yielding)
         self._nothing = np.zeros((0, nv)), np.zeros(0)
@@ -149,10 +148,9 @@ class VelocityStep:
         early = self._theta * h  # from the start to the state where J and drift are known
         rate = J.dot(x.v) + own - early * drift
         gap = gap - early * (rate + 0.5 * early * drift)
-        bend = late * drift
-        return StepProblem(
-            *(x, M, held.of(J), acting, J, gap, rate, own + bend + back, bend, *known)
-        )
+        bend, response = late * drift, self._rows.response(held, K, J)
+        end = own + bend + back
+        return StepProblem(x, M, response, acting, J, gap, rate, end, bend, *known)
 
     def _bilateral(
         self, x: State, K: Array, late: float, h: float
@@ -206,21 +204,12 @@ class VelocityStep:
         """The state with no one-sided row beyond 0, moved the least in the mass metric."""
         if not self._rows.are_one_sided:
             return y
-        mechanism, rows = self._mechanism, self._rows
         for _ in range(_MOVES):
             x = self._system.expand(y)
-            gap = rows.gaps(x)
-            if gap is None or gap.min() >= -LANDED:
+            way = self._moves_out.way(x)
+            if way is None:
                 break
-            near = np.flatnonzero(gap <= -_NEAR * gap.min())
-            J = rows.jacobian(x, near)
-            M = np.array(mechanism.mass(x.q))
-            hold = self._rigid.jacobian(x.t, x.q) if self._rigid.rows else self._nothing[0]
-            factor = self._rigid.factorise(M, hold) if self._rigid.rows else None
-            response = ImpulseResponse(M, J, hold, factor)
-            names = [rows.every.names[i] for i in near]
-            p, _ = PushImpulses(response.G, response.loose, names).nearest(gap[near], 0.0)
-            y = self._moved(y, response.X.dot(p), x.v, 0.0 * y.z, y.t)
+            y = self._moved(y, way, x.v, 0.0 * y.z, y.t)
         return y
 
     def _on_the_way(self, y: State, h: float) -> State:
