@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from mbd_ros.core.optimization.active_set import least_norm
 from mbd_ros.core.optimization.box_qp import exchanged
 from mbd_ros.core.optimization.contact_problem import ContactProblem
+from mbd_ros.core.optimization.dependent_rows import least_balanced
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array
-from mbd_ros.core.thresholds import CONTRADICTION, TIE, ZERO_ROW, redundant
+from mbd_ros.core.thresholds import TIE, ZERO_ROW
 from mbd_ros.errors import JammedError, SolveError
 
 _MINORS = 4096  # that are looked at
@@ -95,7 +96,7 @@ class ContactForces:
         lam = self._balanced(A, w, np.where(on, 0.0, lower), on, unit)
         if self.split is Split.ONE or not (splits or Touch.SLIPS in touches):
             return lam
-        if self._is_lawful(lam):
+        if self.is_lawful(lam):
             return lam
         return self._shared(lam, A, w, bounds, touches)
 
@@ -177,26 +178,14 @@ class ContactForces:
         lam, rows = np.where(on, 0.0, bound), np.flatnonzero(on)
         if not len(rows):
             return lam
-        unit, right = unit[rows], (w + A.dot(lam))[rows]
-        scaled = unit[:, None] * A[np.ix_(rows, rows)] * unit
-        U, s, Vt = np.linalg.svd(scaled)
-        rank = int(np.count_nonzero(s > redundant(len(rows)) * s[0]))
-        right, found = unit * right, np.zeros(len(rows))
-        for _ in range(2):  # the second time for what rounding leaves between unequal masses
-            left = scaled.dot(found) + right
-            found -= Vt[:rank].T.dot(U[:, :rank].T.dot(left) / s[:rank])
-        left = np.abs(scaled.dot(found) + right).max()
-        if left > CONTRADICTION * (np.abs(scaled).dot(np.abs(found)) + np.abs(right)).max():
-            raise SolveError("rows of a contact and those beside it contradict one another")
-        found *= unit
-        if rank < len(rows):
+        right = (w + A.dot(lam))[rows]
+        found, is_split = least_balanced(A[np.ix_(rows, rows)], right, unit[rows])
+        if is_split:
             self.split = Split.LEAST
-            same = np.linalg.qr(unit[:, None] * Vt[rank:].T)[0]
-            found -= same.dot(same.T.dot(found))
         lam[rows] = found
         return lam
 
-    def _is_lawful(self, lam: Array) -> bool:
+    def is_lawful(self, lam: Array) -> bool:
         """Whether multipliers of contacts that touch push, inside their cones."""
         push = lam[self._of_contacts].reshape(-1, 3)
         slack = _WITHIN * float(np.abs(push).max(initial=0.0))

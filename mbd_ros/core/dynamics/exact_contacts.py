@@ -19,11 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.contact_forces import ContactForces, Split, Touch
-from mbd_ros.core.dynamics.slip_names import (
-    direction,
-    is_fine,
-    slowest,
-)
+from mbd_ros.core.dynamics.contacts_in_mode import Balance, ContactsInMode, contacts_in
+from mbd_ros.core.dynamics.slip_names import direction, is_fine, slowest
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
@@ -74,8 +71,12 @@ class ExactContacts:
         self._rows, self.mu = rows, np.array([cone.mu for cone in rows.cones])
         self._starts = np.array(starts, dtype=np.intp)
         self._tangents = self._starts[:, None] + (1, 2)
+        self._flat = self._tangents.ravel()
         self._parts = [block.part for block in rows.blocks if block.law.kind is Kind.CONE]
         self.forces = ContactForces(rows)
+        self._known: tuple[Mode, ContactsInMode | None] = ((), None)
+        self._asked: tuple[Any, bool, Balance | None] = ((), False, None)
+        self._count, self._has_no_others = len(at), len(rows.rows) == 3 * len(starts)
         self.moving: list[Array | None] = [None] * len(starts)
         self.slowest = 0.0
 
@@ -108,8 +109,7 @@ class ExactContacts:
         """
         k = motion.mechanism.k
         J, b = self._rows.conditions(k, x)
-        slips = J[self._tangents.ravel()].dot(x.v).reshape(-1, 2) + self._rates(k, x)[:, 1:]
-        touches, along = self._touches(slips, slowest(x), mode, free)
+        touches, along = self._touches(self.slips_by(k, J, x), slowest(x), mode, free)
         D = self._pushes(J, along)
         response = motion.respond(q, D.T)
         A, w = J.dot(response), J.dot(a) + b
@@ -122,10 +122,47 @@ class ExactContacts:
             lam[self._tangents[i]] = -self.mu[i] * lam[self._starts[i]] * d
         return Solved(lam, force, added, left, terms)
 
+    def balance(
+        self, motion: Any, q: Array, x: State, a: Array, mode: Mode, *, splits: bool
+    ) -> Balance | None:
+        """The same where the mode says what contacts do; None where it does not.
+
+        Args:
+            motion: As for `solve`.
+            q: As for `solve`.
+            x: As for `solve`.
+            a: As for `solve`.
+            mode: As for `solve`; all of it is known.
+            splits: As for `solve`.
+
+        Raises:
+            SolveError: The rows that are on contradict one another.
+        """
+        t = None if self._has_no_others else x.t  # stages sum the same time in other ways
+        asked = mode, t, x.q.tobytes(), x.v.tobytes(), x.z.tobytes(), a.tobytes()
+        before, had_splits, found = self._asked
+        if found is None or asked != before or (splits and not had_splits):
+            if mode != self._known[0]:
+                self._known = mode, contacts_in(self._rows, self, self._count, mode)
+            known = self._known[1]
+            found = None if known is None else known.solve(motion, q, x, a, splits=splits)
+            self._asked = asked, splits, found
+        if found is not None:
+            self.forces.split = Split.LEAST if found.is_split else Split.ONE
+            self.moving, self.slowest = [None] * len(self.normals), slowest(x)
+            for c, slip in found.moving.items():
+                self.moving[c] = slip
+        return found
+
     def slips(self, k: Kinematics, x: State) -> Array:
         """The velocities v_t of the points along their planes, shape (c, 2)."""
         every = [part.jacobian(k, x).dot(x.v) for part in self._parts]
         slips: Array = (np.concatenate(every).reshape(-1, 3) + self._rates(k, x))[:, 1:]
+        return slips
+
+    def slips_by(self, k: Kinematics, J: Array, x: State) -> Array:
+        """The same, where J of all rows is known."""
+        slips: Array = J[self._flat].dot(x.v).reshape(-1, 2) + self._rates(k, x)[:, 1:]
         return slips
 
     def _rates(self, k: Kinematics, x: State) -> Array:

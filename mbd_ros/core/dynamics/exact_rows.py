@@ -7,19 +7,16 @@ friction of a joint that slips forwards), -1 at the upper one.
 
 import math
 from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mbd_ros.core.dynamics.row_heights import Reach, RowHeights, reach_of
-from mbd_ros.core.dynamics.rows_at_bounds import Pushing, is_idle, pushing
+from mbd_ros.core.dynamics.rows_at_bounds import Pushing, bounds_in, is_idle, pushing
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.core.thresholds import TIE
-
-if TYPE_CHECKING:
-    pass
 
 
 class ExactRows:
@@ -89,6 +86,7 @@ class ExactRows:
         free: Collection[int] = (),
         *,
         splits: bool = True,
+        is_weighed: bool = False,
     ) -> Array:
         """Accelerations of what is integrated, with the rows of a mode.
 
@@ -100,6 +98,7 @@ class ExactRows:
             mode: Begins with one entry a row; the state decides where it is empty.
             free: Rows whose mode is looked for: their multipliers may be all that the law allows.
             splits: Whether multipliers of contacts matter that share a force and stick.
+            is_weighed: Whether `renamed` asks, for what counts as none of w.
 
         Raises:
             SolveError: The rows that are on contradict one another.
@@ -112,7 +111,14 @@ class ExactRows:
             rows.limit(motion.mechanism.k, x)
         if not mode:
             mode, free = self._over.ways_at(x)
-        bounds = self._bounds(mode, free)
+        self.lower, self.upper = rows.lower[self._at], rows.upper[self._at]
+        if self.contacts is not None and not (free or is_weighed):
+            known = self.contacts.balance(motion, q, x, joint_a, mode, splits=splits)
+            if known is not None:
+                self.solver.multipliers, self.solver.force = known.lam, known.force
+                self.lam, self.left = known.lam[self._at], known.left[self._at]
+                return np.asarray(motion.coordinates.integrated(known.a))
+        bounds = bounds_in(rows, self._at, mode, free)
         if self.contacts is not None:
             found = self.contacts.solve(motion, q, x, joint_a, bounds, mode, free, splits=splits)
             self.solver.multipliers, self.solver.force = found.lam, found.force
@@ -121,15 +127,22 @@ class ExactRows:
             a, left, terms = self.solver.held(motion, q, x, joint_a, *bounds)
         self.lam, self.left = self.solver.multipliers[self._at], left[self._at]
         self._slack = TIE * terms[self._at]
-        self.lower, self.upper = rows.lower[self._at], rows.upper[self._at]
         return a
 
-    def solve(self, y: State, u: Array | None, mode: Mode, free: Collection[int] = ()) -> Array:
+    def solve(
+        self,
+        y: State,
+        u: Array | None,
+        mode: Mode,
+        free: Collection[int] = (),
+        *,
+        is_weighed: bool = False,
+    ) -> Array:
         """As `accelerate`, at a state of what is integrated."""
         a, mechanism = self._over.freely(y, u, mode), self._motion.mechanism
         before, mechanism.z = mechanism.z, y.z
         try:
-            return self.accelerate(y.t, y.q, y.v, a, mode, free)
+            return self.accelerate(y.t, y.q, y.v, a, mode, free, is_weighed=is_weighed)
         finally:
             mechanism.z = before
 
@@ -212,7 +225,7 @@ class ExactRows:
             return {}
         if not chosen:
             return {}
-        self.solve(y, u, mode)
+        self.solve(y, u, mode, is_weighed=True)
         return self._modes.renamed(self.left, self._slack, chosen)
 
     def slipping(self, y: State, closed: Collection[int]) -> list[int]:
@@ -228,20 +241,6 @@ class ExactRows:
             return math.inf
         self.solve(y, u, mode)
         return self._modes.longest(self.left, mode)
-
-    def _bounds(self, mode: Mode, free: Collection[int]) -> tuple[Array, Array]:
-        """Smallest and largest multipliers of all rows in a mode."""
-        lower, upper = self._rows.lower.copy(), self._rows.upper.copy()
-        for i, (at, way) in enumerate(zip(self._at, mode, strict=False)):
-            if i in free:
-                continue
-            if way == 0:
-                lower[at], upper[at] = -np.inf, np.inf
-            elif way == 1:
-                upper[at] = lower[at]
-            else:
-                lower[at] = upper[at]
-        return lower, upper
 
 
 def _each(blocks: tuple[RowBlock, ...]) -> list[tuple[int, int, RowBlock]]:

@@ -1,6 +1,6 @@
-"""Rows that all are at a bound of their multipliers: forces that are known."""
+"""Bounds of multipliers in a mode, and rows that all are at one: forces that are known."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any, cast
 
 import numpy as np
@@ -60,3 +60,27 @@ def pushing(motion: Any, rows: ConstraintRows, at: NDArray[np.intp], mode: Mode)
         return cast(Array, motion.coordinates.integrated(joint_a + response))
 
     return pushed if acting else None
+
+
+def bounds_in(
+    rows: ConstraintRows, at: NDArray[np.intp], mode: Mode, free: Collection[int]
+) -> tuple[Array, Array]:
+    """Smallest and largest multipliers of all rows in a mode.
+
+    Args:
+        rows: Rows that give way.
+        at: Which of them go from event to event, shape (n,).
+        mode: Begins with one entry each of these.
+        free: Those whose mode is looked for.
+    """
+    lower, upper = rows.lower.copy(), rows.upper.copy()
+    for i, (row, way) in enumerate(zip(at, mode, strict=False)):
+        if i in free:
+            continue
+        if way == 0:
+            lower[row], upper[row] = -np.inf, np.inf
+        elif way == 1:
+            upper[row] = lower[row]
+        else:
+            lower[row] = upper[row]
+    return lower, upper

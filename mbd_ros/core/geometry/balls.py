@@ -12,7 +12,8 @@ from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array
 
 _ALL = slice(0, 6)
-PLANE_AXES = np.eye(3)[[2, 0, 1]]  # normal, x and y of a plane
+_ORDER = [2, 0, 1]
+PLANE_AXES = np.eye(3)[_ORDER]  # normal, x and y of a plane
 
 
 class BallsOnPlane(Meeting):
@@ -53,29 +54,39 @@ class BallsOnPlane(Meeting):
     def jacobian(self, seen: PairMotion) -> Array:
         """From joint velocities to those of the features, shape (3 n, nv)."""
         if self._radius is None:
-            x, y, z = (self._centres.dot(seen.rotation().T) + self._down).T
-            levers = self._rows
-            levers[:, 0, 3], levers[:, 0, 4] = y, -x
-            levers[:, 1, 4], levers[:, 1, 5] = z, -y
-            levers[:, 2, 3], levers[:, 2, 5] = -z, x
+            self._level(self._centres.dot(seen.rotation().T))
         jacobian: Array = self._rows.reshape(-1, 6).dot(seen.jacobian(seen.placed(), _ALL))
         return jacobian
 
     def accelerations(self, seen: PairMotion) -> tuple[Array, Array]:
         """Both `jacobian` and `drift`."""
-        return self.jacobian(seen), self.drift(seen)
+        drift = self.drift(seen)
+        jacobian: Array = self._rows.reshape(-1, 6).dot(seen.jacobian(seen.placed(), _ALL))
+        return jacobian, drift
 
     def drift(self, seen: PairMotion) -> Array:
         """J' v, shape (3 n,); frames are at rest and centres are carried by the body."""
         a, omega, alpha = seen.motion(seen.place())
+        rows = self._rows.reshape(-1, 6)
         drift: Array
         if self._radius is not None:
-            drift = self._rows[0].dot(np.concatenate((a, alpha)))
+            drift = rows.dot(np.concatenate((a, alpha)))
             return drift
         carried = self._centres.dot(seen.rotation().T)
-        turning, spinning = _skew(alpha), _skew(omega)
-        drift = a + (carried + self._down).dot(turning.T) + carried.dot(spinning.dot(spinning).T)
-        return drift[:, [2, 0, 1]].ravel()
+        self._level(carried)
+        drift = rows.dot(np.concatenate((a, alpha)))
+        spinning = np.outer(omega, omega[_ORDER])
+        spinning -= omega.dot(omega) * PLANE_AXES.T
+        drift += carried.dot(spinning).ravel()
+        return drift
+
+    def _level(self, carried: Array) -> None:
+        """Bring the levers of the rows to centres in the axes of the plane, from their body."""
+        x, y, z = (carried + self._down).T
+        levers = self._rows
+        levers[:, 0, 3], levers[:, 0, 4] = y, -x
+        levers[:, 1, 4], levers[:, 1, 5] = z, -y
+        levers[:, 2, 3], levers[:, 2, 5] = -z, x
 
 
 class BallsOnBalls(Meeting):
@@ -110,8 +121,3 @@ class BallsOnBalls(Meeting):
         normal = directions(offset, length, self._basis[0])
         lever = carried - self._radii[:, None] * normal
         return Touch(length - self._sum, lever, framed(normal, self._basis))
-
-
-def _skew(vector: Array) -> Array:
-    x, y, z = vector.tolist()
-    return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
