@@ -9,6 +9,8 @@ import mbd_ros as mbd
 from mbd_ros.core.integration import bouncing
 from mbd_ros.core.integration.contact_motion import ContactMotion, touching_motion
 from mbd_ros.core.integration.contact_window import windows
+from mbd_ros.core.integration.linear_motion import LinearMotion
+from mbd_ros.core.integration.spring_motion import SpringMotion
 from mbd_ros.errors import DivergedError
 from mbd_ros.scene.part_entries import build_part
 
@@ -307,6 +309,21 @@ def test_no_impact_below_its_bound_gains_speed(entry, b):
             run = other.simulation().run(scene.initial._replace(q=q, v=v), 40 * DT)
             fastest.append(max(float(x.v[0]) for x in run))
     assert max(fastest) <= 1.0 + 1.5 * bouncing.GAIN
+
+
+@pytest.mark.parametrize("entry", [EXPLICIT, IMPLICIT, RK4], ids=["explicit", "implicit", "rk4"])
+def test_springs_grow_where_the_whole_matrix_of_a_step_says_so(entry):
+    """Random springs, dampers and bristles, some of which lag too much for their dampers."""
+    method, rng, answers = window_method(entry), np.random.default_rng(8), []
+    for size in np.geomspace(0.02, 5.0, 60):
+        K, C = (part @ part.T for part in rng.normal(size=(2, 3, 3)))
+        tips, bends = rng.normal(size=(2, 3)), rng.uniform(0.1, 1.0, 2)
+        held = tips.T @ tips * rng.uniform(0.0, 1.0)
+        springs = SpringMotion(size * K, 0.1 * size * C + held, tips, bends)
+        whole = LinearMotion(springs.stiffness, springs.damping)
+        answers.append(method.growth(springs, 1.0) <= 1.0 + 1e-6)
+        assert answers[-1] == (method.growth(whole, 1.0) <= 1.0 + 1e-6)
+    assert 5 < sum(answers) < 58
 
 
 def lines(scene, word):

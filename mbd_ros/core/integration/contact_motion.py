@@ -10,13 +10,14 @@ matrices are symmetric. Bristles stick: their deflections are internal states wi
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.integration.linear_motion import LinearMotion
+from mbd_ros.core.integration.spring_motion import SpringMotion
 from mbd_ros.core.model.kinematics import Reads
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.row_layout import RowBlock
@@ -53,28 +54,20 @@ class ContactMotion:
     def __init__(self, features: Sequence[Feature], A: Array) -> None:
         self.features, self.A = tuple(features), A
 
-    def linear(self, share: float = 1.0) -> LinearMotion:
+    def linear(self, share: float = 1.0) -> SpringMotion:
         """The motion with a multiple of the stiffness of all contacts."""
-        found = [f.part.slopes(f.slot, f.load, share) for f in self.features]
-        k, c, kt, ct = np.array(found).T
-        L = self._factor()
-        normal, sides = L[::3], np.delete(L, slice(None, None, 3), axis=0)
+        k, c, kt, ct = self._slopes(share)
+        normal, sides = self._normal, self._sides
         bent = np.flatnonzero(np.repeat(kt, 2))
-        r, n = L.shape[1], L.shape[1] + len(bent)
-        stiffness, damping = np.zeros((2, n, n))
-        stiffness[:r, :r] = -(normal.T * k).dot(normal)
-        damping[:r, :r] = -(normal.T * c).dot(normal) - (sides.T * np.repeat(ct, 2)).dot(sides)
-        damping[:r, r:] = -(sides[bent].T * np.repeat(kt, 2)[bent])
-        damping[r:, :r] = sides[bent]
-        return LinearMotion(stiffness, damping)
+        dampers = (normal.T * c).dot(normal) + (sides.T * np.repeat(ct, 2)).dot(sides)
+        springs = (normal.T * k).dot(normal)
+        return SpringMotion(springs, dampers, sides[bent], np.repeat(kt, 2)[bent])
 
     def stiffest(self) -> tuple[float, float]:
         """Stiffness and damping over mass of the fastest motion along normals [1/s^2, 1/s]."""
-        found = [f.part.slopes(f.slot, f.load) for f in self.features]
-        k, c = np.array(found).T[:2]
-        normal = self._factor()[::3]
-        sizes, ways = np.linalg.eigh((normal.T * k).dot(normal))
-        way = normal.dot(ways[:, -1])
+        k, c, *_ = self._slopes(1.0)
+        sizes, ways = np.linalg.eigh((self._normal.T * k).dot(self._normal))
+        way = self._normal.dot(ways[:, -1])
         return float(sizes[-1]), float(way.dot(c * way))
 
     def parted(self) -> "list[ContactMotion]":
@@ -97,11 +90,32 @@ class ContactMotion:
         rows = (3 * np.array(some)[:, None] + np.arange(3)).reshape(-1)
         return ContactMotion([self.features[i] for i in some], self.A[np.ix_(rows, rows)])
 
+    def _slopes(self, share: float) -> Array:
+        """Stiffness and damping along normals, then tangents, shape (4, n)."""
+        slopes: Array = np.array([f.part.slopes(f.slot, f.load, share) for f in self.features]).T
+        return slopes
+
+    @cached_property
+    def _normal(self) -> Array:
+        """The rows of L along normals, shape (n, rank)."""
+        return self._factor[::3]
+
+    @cached_property
+    def _sides(self) -> Array:
+        """The rows of L along tangents, shape (2 n, rank)."""
+        sides: Array = np.delete(self._factor, slice(None, None, 3), axis=0)
+        return sides
+
+    @cached_property
     def _factor(self) -> Array:
-        """The L, shape (3 n, rank)."""
-        sizes, ways = np.linalg.eigh(0.5 * (self.A + self.A.T))
-        kept = sizes > redundant(len(sizes)) * sizes[-1]
-        factor: Array = ways[:, kept] * np.sqrt(sizes[kept])
+        """The L, shape (3 n, rank); rows without any force are 0."""
+        k, c, kt, ct = np.abs(self._slopes(1.0))
+        acts = np.column_stack((k + c, kt + ct, kt + ct)).reshape(-1) > 0.0
+        block = self.A[np.ix_(acts, acts)]
+        sizes, ways = np.linalg.eigh(0.5 * (block + block.T))
+        kept = sizes > redundant(len(sizes)) * sizes.max(initial=0.0)
+        factor: Array = np.zeros((len(acts), int(kept.sum())))
+        factor[acts] = ways[:, kept] * np.sqrt(sizes[kept])
         return factor
 
 

@@ -117,9 +117,9 @@ def longest_step(method: Integrator, motion: LinearMotion, dt: float) -> float:
 
 def is_bounded(method: Integrator, motion: LinearMotion, dt: float) -> bool:
     """Whether a step lets no mode grow which does not grow by itself; arguments as above."""
-    if not method.is_explicit or motion.rate * dt <= method.stable * (1.0 + _SLACK):
+    if not method.is_explicit or _grows_not(method, motion, dt):
         return True
-    return _grows_not(method, motion, dt)
+    return motion.rate * dt <= method.stable * (1.0 + _SLACK)
 
 
 def _grows_not(method: Integrator, motion: LinearMotion, dt: float) -> bool:
