@@ -267,7 +267,7 @@ def test_friction_is_in_its_cone_and_contacts_take_energy(name, friction):
     law = {"creep": 0.2} if friction == "creep" else {k: BRISTLE[k] for k in list(BRISTLE)[1:3]}
     contact = {"friction": 0.6, "dissipation": 20.0, **law}
     scene = walker(contact, **SECTIONS[name])
-    found, system = states(scene, 0.04, integrator={**FINE, "tolerance": 1e-8})
+    found, system = states(scene, 0.02, integrator={**FINE, "tolerance": 1e-8})
     energies = [system.energy(system.reduce(x)) for x in found]
     assert np.diff(energies).max() < 1e-7 * np.ptp(energies)
     assert energies[-1] < energies[0] - 0.1
@@ -287,8 +287,8 @@ def test_friction_is_in_its_cone_and_contacts_take_energy(name, friction):
 
 
 METHODS = [
-    ("rk4", 1e-4), ("dopri5", 1e-4), ("adams", 1e-4), ("semi_implicit_euler", 1e-5),
-    ("gauss_legendre", 2e-4), ("generalized_alpha", 5e-5), ("moreau_jean", 1e-4),
+    ("rk4", 1e-4), ("dopri5", 1e-4), ("adams", 1e-4), ("semi_implicit_euler", 2e-5),
+    ("gauss_legendre", 2e-4), ("generalized_alpha", 1e-4), ("moreau_jean", 2e-4),
 ]  # fmt: skip
 
 

@@ -36,10 +36,16 @@ def lying(axes, degrees, height, velocity):
     return State(0.0, np.array((*(height * axes[2]), *turn)), np.array((*velocity, 0, 0, 0.0)))
 
 
-@pytest.mark.parametrize("method", ["dopri5", "dop853", "rk4", "gauss_legendre"])
+STOPS, SLIPS_BACK = (20, 0.5, 3.0), (30, 0.3, 3.0)
+
+
 @pytest.mark.parametrize(
-    ("degrees", "mu", "v"),
-    [(15, 0.3, 0.0), (30, 0.3, 0.0), (20, 0.5, 3.0), (30, 0.3, 3.0), (15, 0.3, -0.5)],
+    ("degrees", "mu", "v", "method"),
+    [
+        *((*case, "dopri5") for case in ((15, 0.3, 0.0), (30, 0.3, 0.0), (15, 0.3, -0.5))),
+        *((*STOPS, method) for method in ("dopri5", "dop853", "rk4", "gauss_legendre")),
+        *((*SLIPS_BACK, method) for method in ("dopri5", "dop853", "rk4", "gauss_legendre")),
+    ],
 )
 def test_a_box_on_four_corners_slips_stops_and_sticks_as_in_closed_form(degrees, mu, v, method):
     """All corners stop at once; the forces that they share have no solution of their own."""
@@ -55,7 +61,7 @@ def test_a_box_on_four_corners_slips_stops_and_sticks_as_in_closed_form(degrees,
 def test_a_box_turns_down_the_slope_as_friction_is_isotropic():
     """mu = tan of the slope, start across it: |v| + v_y stays, and speeds end at half."""
     scene, axes = box_on_an_incline(
-        30.0, float(np.tan(np.radians(30.0))), method="dop853", dt=0.02
+        30.0, float(np.tan(np.radians(30.0))), method="dop853", dt=0.05
     )
     states = list(scene.simulation().run(lying(axes, 30.0, 0.1, (0.0, 2.0, 0.0)), 2.0))
     v = np.array([x.v[:3] for x in states])
@@ -97,7 +103,7 @@ def test_a_box_that_falls_flat_bounces_on_all_corners_until_the_end_of_infinitel
     assert simulation.system.evaluate(x).lam[::3].sum() == pytest.approx(3.0 * GRAVITY, rel=1e-12)
 
 
-@pytest.mark.parametrize("spin", [0.0, -60.0])
+@pytest.mark.parametrize("spin", [0.0, -30.0])
 def test_a_sphere_that_slides_begins_to_roll(spin):
     radius, mu, v = 0.1, 0.2, 5.0
     scene = scene_with(
@@ -199,7 +205,7 @@ def test_a_box_slides_and_spins_as_an_independent_integration_says():
         f"b: {{shape: {{box: [0.4, 0.3, 0.0001]}}, mass: {mass}}}",
         "b: {xyz: [0, 0, 0]}",
         [f"between: [{{frame: b, points: {feet}}}, {GROUND}], friction: {mu}"],
-        **{"method": "dop853", "dt": 0.01},
+        **{"method": "dop853", "dt": 0.02},
         twist="b: {linear: [1, 0, 0], angular: [0, 0, 3]}",
     )
     simulation = scene.simulation()
@@ -226,7 +232,7 @@ def test_a_box_on_a_plate_that_tilts_slips_when_no_share_of_its_forces_is_left()
         f"angular: [0, {-omega}, 0]}}}}}}\n"
         f"constraints: [{{type: prescribed_motion, joint: tilt, polynomial: [0.0, {-omega}]}}]\n"
         f"contacts: [{{type: rigid, friction: {mu}, between: [{feet_of('b', 0.2, 0.1)}, "
-        "{frame: plate, half_space: [0, 0, 1]}]}]\ndt: 0.02\nintegrator: {type: dopri5}\n",
+        "{frame: plate, half_space: [0, 0, 1]}]}]\ndt: 0.05\nintegrator: {type: dopri5}\n",
         plate,
     )
     simulation = scene.simulation()
