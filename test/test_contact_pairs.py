@@ -8,6 +8,7 @@ import pytest
 from mechanisms import scene_of
 from scipy.spatial import ConvexHull
 
+from mbd_ros.core.geometry.outlines import inside
 from mbd_ros.core.geometry.pairing import contact_pair
 from mbd_ros.core.geometry.polyhedron import box_of, line_of, polyhedron
 from mbd_ros.core.geometry.shapes import Between, Box, Capsule, Mesh, Side
@@ -530,3 +531,9 @@ def test_sizes_change_nothing_but_lengths(shape, scale):
             k.refresh(q, np.zeros(robot.model.nv))
             gaps.append(pair.gaps(k) / size)
         assert gaps[1] == pytest.approx(gaps[0], abs=1e-9)
+
+
+def test_no_point_is_inside_an_outline_without_size():
+    """Corners of a face of a body that flew apart without end are one number."""
+    outline, up = np.full((4, 3), 4e19), np.array((0.0, 0.0, 1.0))
+    assert not inside(np.zeros((2, 3)), outline, up, 0.1).any()

@@ -17,6 +17,8 @@ def inside(points: Array, outline: Array, up: Array, beside: float) -> NDArray[n
     inward = crossed(up, along.real)
     length = lengths(inward)
     some = length > 0.0
+    if not some.any():  # so far away that its corners are one
+        return np.zeros(len(points), dtype=bool)
     inward = inward[some] / length[some, None]
     depth = points.real @ inward.T - dotted(outline.real[some], inward)
     inside: NDArray[np.bool_] = depth.min(axis=1) >= -beside
