@@ -43,6 +43,25 @@ def test_random_contacts_keep_the_laws(mu, bodies):
         keeps_its_laws(A, b, mu, cone_contact(A, b, mu, least), least)
 
 
+@pytest.mark.parametrize("mu", FRICTIONS)
+@pytest.mark.parametrize("bodies", [1, 2])
+def test_what_nothing_moves_slips_on(mu, bodies):
+    """A belt runs under a point, along a direction in which nothing can follow it.
+
+    Friction is too weak to jam the point, which has no answer.
+    """
+    rng = np.random.default_rng(bodies)
+    for i in range(100):
+        B = rng.normal(size=(3, bodies))
+        B[0] = rng.uniform(0.5, 1.0, bodies)
+        B[1:] *= 0.5 / (max(mu, 0.1) * np.abs(B[1:]).sum())
+        b = B @ rng.normal(size=bodies)
+        b[1:] += 10.0 ** rng.uniform(-8.0, 0.0) * rng.normal(size=2)
+        least = 0.0 if i % 2 else float(rng.uniform(0.0, 2.0))
+        A = B @ B.T
+        keeps_its_laws(A, b, mu, cone_contact(A, b, mu, least), least, 1e-10)
+
+
 def test_answers_are_those_of_a_root_search():
     """De Saxcé's equation by scipy, from many starts; among coupling that has one answer."""
     rng, slips = np.random.default_rng(1), 0

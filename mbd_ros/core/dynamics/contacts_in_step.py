@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.core.dynamics.answered_rates import AnsweredRates, is_independent
 from mbd_ros.core.dynamics.giving_way import GivingWay
 from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
 from mbd_ros.core.dynamics.slip_ends import dots, ending, turned
@@ -14,14 +15,13 @@ from mbd_ros.core.dynamics.step_rows import Acting, Slots, Which
 from mbd_ros.core.optimization.contact_problem import ContactProblem, Residuals
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array
-from mbd_ros.core.thresholds import redundant
 from mbd_ros.errors import SolveError
 
 _SLIPS = 1.0e-12  # of the square of a slip: it neither ends in the step nor turns round
 _NO_ROOM = 1.0e-5  # of the rate of a gap: feet of a body, which rounding sets apart, share a load
-_ACCEPTED = 1.0e-6  # of the rates that impulses of a step end: what may be left of them
+_ACCEPTED = 1.0e-9  # of the rates that impulses of a step end: what may be left of them
 _SAME = 1.0e-14  # of rates: what rounding leaves of them
-_INDEPENDENT = 3  # rows of one contact, which do not depend on one another
+_OF_ONE = 3  # rows of one contact
 _SETS = 256  # of rows that are remembered
 
 
@@ -60,7 +60,7 @@ class _Asked(NamedTuple):
 
     def sticks(self) -> bool:
         """Whether those to begin with, if within the cones, leave all contacts at rest."""
-        if len(self.b) != _INDEPENDENT * len(self.chosen.cones):
+        if len(self.b) != _OF_ONE * len(self.chosen.cones):
             return False
         size = float(np.abs(self.b).max())
         return float(np.abs(self.A.dot(self.warm) + self.b).max()) <= _SAME * size
@@ -97,6 +97,7 @@ class ContactsInStep(GivingWay):
         self.forget()
         self._accepted: Array | None = None
         self._sets: dict[bytes, Acting] = {}
+        self._answers = AnsweredRates()
         self._solver: tuple[ImpulseResponse, Acting, Array, ContactProblem] | None = None
 
     def end(
@@ -182,7 +183,7 @@ class ContactsInStep(GivingWay):
         same = bool(last) and np.array_equal(last[1], A) and np.array_equal(last[0], at)
         if same and asked.sticks():
             return asked.warm
-        self.shared = (at, A) if asked.shared and len(A) > _INDEPENDENT else ()
+        self.shared = (at, A) if asked.shared and len(A) > _OF_ONE else ()
         return asked.solve()
 
     def _of(
@@ -208,6 +209,7 @@ class ContactsInStep(GivingWay):
             late = np.zeros(len(b))
             shift = self._late * before - asked.bend[tangents].reshape(-1, 2)
             late[tangents] = (slides[:, None] * shift).ravel()
+            late = self._answers.possible(late, asked.A, tangents[np.repeat(slides, 2)])
             try:
                 p = asked.solve(late)
             except SolveError:  # where one stops, slips of others may contradict one another
@@ -227,14 +229,10 @@ class ContactsInStep(GivingWay):
         of a body that turns and comes to rest move apart by (w h)^2 / 2 of their distance.
         """
         bend = problem.bend[on]
-        if len(on) <= _INDEPENDENT or (np.abs(bend) <= problem.slight(problem.free)[on]).all():
+        if is_independent(A) or (np.abs(bend) <= problem.slight(problem.free)[on]).all():
             return bend
-        values, ways = np.linalg.eigh(0.5 * (A + A.T))
-        kept = values > redundant(len(on)) * values[-1]
-        if kept.all():
-            return bend
-        ways = ways[:, kept]
-        moved: Array = ways.dot(ways.T.dot(bend))
+        none = self._answers.none(A)
+        moved: Array = bend - none.dot(none.T.dot(bend))
         return moved
 
     def _chosen(self, acting: Acting, on: NDArray[np.intp]) -> Acting:

@@ -17,6 +17,9 @@ Rows = list[list[float]]
 EXACT, _ACCEPTED = 1.0e-14, 1.0e-11  # residual of an answer, relative to the p that ends w
 _DOUBLE = 1.0e-5  # imaginary share of a root that may be one of two real ones that coincide
 _CORRECTIONS = 50
+_LARGE = 1.0e12  # impulses, relative to that size
+_NO_MOBILITY = 1.0e-100  # 0, but for what it divides
+_LEAST, _HALVINGS = 1.0e-20, 70  # the range of an alpha, and of its logarithm
 _CORRECT = 1.0e-16  # relative step after which nothing changes
 
 
@@ -25,11 +28,15 @@ def every_answer(A: Array, b: Array, mu: float, least: float, slack: float) -> A
     values, directions = np.linalg.eigh(A)
     if values[0] <= redundant(3) * values[2]:
         moved = directions[:, values > redundant(3) * values[2]]
-        b = moved.dot(moved.T.dot(b))
+        answered = moved.dot(moved.T.dot(b))
+        if np.abs(b - answered).max() <= _ACCEPTED * np.abs(b).max() + slack:
+            b = answered
     given, rates = A.tolist(), b.tolist()
     size, found, smallest = size_of(given, rates, least), np.zeros(3), math.inf
     for p in _answers(A, b, mu, least):
         left = residual(given, rates, p.tolist(), mu, least)
+        if np.abs(p).max() > _LARGE * size:  # it rounds what is left
+            continue
         if left <= EXACT * size:
             return p
         if left < smallest:
@@ -77,7 +84,7 @@ class _Tangents:
 
     Args:
         S: Symmetric, positive semidefinite, shape (2, 2).
-        c: Shape (2,); along directions that S does not move it is rounding.
+        c: Shape (2,).
         size: Of the terms that S is the difference of.
 
     Attributes:
@@ -88,12 +95,14 @@ class _Tangents:
         s, self.axes = np.linalg.eigh(S)
         moves = s > redundant(2) * size
         self._s = np.where(moves, s, 0.0).tolist()
-        self._c = np.where(moves, self.axes.T.dot(c), 0.0).tolist()
+        c = self.axes.T.dot(c)
+        is_rounding = np.abs(c) <= _ACCEPTED * np.abs(c).max()
+        self._c = np.where(~moves & is_rounding, 0.0, c).tolist()
 
     def at(self, alpha: float) -> Array:
         """The p along the axes, shape (2,)."""
         pairs = zip(self._c, self._s, strict=True)
-        return np.array([-c / (s + alpha) if c else 0.0 for c, s in pairs])
+        return np.array([-c / max(s + alpha, _NO_MOBILITY) if c else 0.0 for c, s in pairs])
 
     def whole(self, alpha: float) -> Array:
         """The p, shape (2,)."""
@@ -102,7 +111,7 @@ class _Tangents:
     def slope(self, alpha: float) -> Array:
         """Derivative of `at` by alpha, shape (2,)."""
         pairs = zip(self._c, self._s, strict=True)
-        return np.array([c / (s + alpha) ** 2 if c else 0.0 for c, s in pairs])
+        return np.array([c / max(s + alpha, _NO_MOBILITY) ** 2 if c else 0.0 for c, s in pairs])
 
     def root(self, most: float) -> float:
         """The alpha > 0 with |p| = most < |p(0)|: Newton's method on 1 / |p|, safe in a bracket.
@@ -125,7 +134,7 @@ class _Tangents:
 
     def slips(self, mu: float, ahead: float, along: Array) -> Iterator[float]:
         """The alpha >= 0 with |p| = mu (ahead + along . p), the smallest first."""
-        scale = self._s[1]
+        scale = self._s[1] or math.hypot(*self._c)
         if scale == 0.0:
             return
         (s1, s2), (c1, c2) = ((x / scale, y / scale) for x, y in (self._s, self._c))
@@ -140,6 +149,21 @@ class _Tangents:
         for beta in sorted(real.tolist()):
             if beta >= -_DOUBLE:
                 yield self._polished(max(beta, 0.0) * scale, mu, ahead, along)
+        if any(c and not s for c, s in zip(self._c, self._s, strict=True)) and ahead > 0.0:
+            yield self._bisected(mu, ahead, along)
+
+    def _bisected(self, mu: float, ahead: float, along: Array) -> float:
+        """A root where S does not move something that slips: friction is without bound at 0."""
+        high = math.hypot(*self._c) * (1.0 / mu + math.hypot(*along.tolist())) / ahead
+        low = _LEAST * high
+        for _ in range(_HALVINGS):
+            alpha = math.sqrt(low) * math.sqrt(high)
+            p = self.at(alpha)
+            if math.hypot(*p) > mu * (ahead + along.dot(p)):
+                low = alpha
+            else:
+                high = alpha
+        return high
 
     def _polished(self, alpha: float, mu: float, ahead: float, along: Array) -> float:
         """A root without the rounding of the polynomial."""

@@ -18,8 +18,10 @@ from mbd_ros.errors import SolveError
 
 _STEPS, _HALVINGS = 20, 4
 _MANY = 200  # steps from the best impulses
-_FALLS, _LEAST = 0.3, 1.0e-9  # the damping of A, and where it ends
-_NEAR = 1.0e-4  # what may be left of the map on the way
+_FALLS, _LEAST = 0.5, 1.0e-11  # the damping of A, and where it ends
+_NEAR = (
+    1.0e-13  # what may be left of the map on the way: less than what rows contradict one another
+)
 _SWEEPS = 5, 50
 _STARTS, _PATHS = 40, 20  # random ones
 _SIZES = -1.0, 2.0  # of random impulses, as powers of ten
