@@ -37,6 +37,7 @@ class GapSpeed:
     Attributes:
         weights: Bounds of the w_i while each gap changes by less than `room`, shape (n, nv).
         room: [m], shape (n,); 0 until they are measured, and where nothing is known.
+        turns: Angular lengths of the columns of the motion subspaces, shape (nv,).
     """
 
     def __init__(self, robot: Robot, bodies: Sequence[tuple[Pair, float] | None]) -> None:
@@ -50,6 +51,7 @@ class GapSpeed:
                 self._radii[i] = each[1] + np.linalg.norm(place.at.translation)
                 between[i] = np.abs(each[0].columns)
         linear, angular, self._joints = _subspaces(robot.model)
+        self.turns = angular
         self._linear, self._angular = between * linear, between * angular
         of = np.array([_links(robot.model, c, linear, self._joints) for c in self._carriers])
         self._most = of.reshape(n, nv) + self._radii

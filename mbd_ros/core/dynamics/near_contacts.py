@@ -54,6 +54,10 @@ class NearContacts(StepRows):
         acting = self._acting(self.every.at[:0])
         self._nothing = RowsAt(acting, np.zeros((0, len(self._way))), *np.zeros((3, 0)))
 
+    def turning(self, v: Array) -> float:
+        """How fast bodies turn with a velocity of all joints, of all of them together [rad/s]."""
+        return float(np.linalg.norm(self._speed.turns * v))
+
     def begin(self, q: Array) -> None:
         """Learn from which configuration of what is integrated a step starts."""
         if q is not self._q:

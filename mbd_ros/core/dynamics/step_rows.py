@@ -108,6 +108,10 @@ class StepRows:
             min(rows.reads, reads) for reads in (Reads.POSITION, Reads.JACOBIAN)
         )
 
+    def turning(self, v: Array) -> float:
+        """How fast bodies beside contacts turn with a velocity of all joints [rad/s]."""
+        return 0.0
+
     def begin(self, q: Array) -> None:
         """Learn from which configuration of what is integrated a step starts."""
 

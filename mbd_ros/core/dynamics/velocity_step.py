@@ -12,12 +12,14 @@ their rates at the end of the step: bilateral rows hold, one-sided rows that wou
 bounded forces act with h times their bounds at most. Where rows close faster than the forces of
 one step make them, an impact divides the step where the first of them closes. What is beyond a
 one-sided row nevertheless is moved out of it, in the mass metric. A slip that ends so early in a
-step that friction would do work along the way divides the step, too.
+step that friction would do work along the way divides the step, too, and so does a body that
+turns far beside a contact.
 
 Sources: J. J. Moreau, in Nonsmooth Mechanics and Applications, 1988; M. Jean, Comput. Methods
 Appl. Mech. Eng. 177 (1999); V. Acary, Comput. Methods Appl. Mech. Eng. 256 (2013), on positions.
 """
 
+import math
 from itertools import chain
 
 import numpy as np
@@ -39,6 +41,8 @@ from mbd_ros.errors import DivergedError
 
 _IMPACTS = 4  # of one step, which give back; what met rests at once in those after them
 _TURNS = 3  # of slips in one step
+_TURN = 0.5  # rad, on which rows of a contact change by little
+_PARTS = 100  # of a step at most
 _SHARES = (0.25, 0.0625, 0.015625)  # of a step, in which a slip that ends early is looked at
 _WHOLE = 1.0 - 1.0e-6  # of a step, so that something is left of it
 _TOGETHER = 1.0e-6  # of the way of the fastest row in a step: gaps that close at one time
@@ -70,7 +74,7 @@ class VelocityStep:
         self._return = returns(layout.rigid, gains), returns(layout.yielding)
         self._nothing = np.zeros((0, nv)), np.zeros(0)
 
-    def step(self, y: State, u: Array | None, h: float, t: float, turns: int = _TURNS) -> State:
+    def step(self, y: State, u: Array | None, h: float, t: float) -> State:
         """The state of what is integrated at a time t, after a step of length h [s].
 
         Args:
@@ -78,7 +82,6 @@ class VelocityStep:
             u: Inputs; None for safe ones.
             h: Length [s].
             t: Time at the end [s].
-            turns: How often the step may be divided where slips end.
 
         Raises:
             SolveError: Rows contradict one another.
@@ -86,6 +89,33 @@ class VelocityStep:
         """
         self._rows.begin(y.q)
         problem, closed = self._begun(y, u, h)
+        parts = self._parts(problem)
+        if parts == 1:
+            return self._stepped(problem, closed, y, u, h, t, _TURNS)
+        part = h / parts
+        for left in reversed(range(parts)):
+            begun = self._begun(y, u, part)
+            y = self._stepped(*begun, y, u, part, t - left * part, _TURNS)
+        return y
+
+    def _parts(self, problem: StepProblem) -> int:
+        """Into how many parts a step is divided, so that no body turns far beside a contact."""
+        if not problem.acting.cones:
+            return 1
+        turn = problem.h * max(self._rows.turning(v) for v in (problem.x.v, problem.free))
+        return max(1, math.ceil(min(turn / _TURN, _PARTS)))
+
+    def _stepped(
+        self,
+        problem: StepProblem,
+        closed: Which,
+        y: State,
+        u: Array | None,
+        h: float,
+        t: float,
+        turns: int,
+    ) -> State:
+        """The state after a part of a step, which slips that end may divide so many times more."""
         met: list[list[int]] = []
         while (hits := problem.hits(closed)).any() and len(met) < _IMPACTS + len(self._slots):
             y, h = self._after_impact(problem, closed, hits, y, met)
@@ -94,7 +124,8 @@ class VelocityStep:
         turned = self.giving_way.turned(problem, end) if turns else None
         if turned is not None and (part := self._until(turned, y, u, h)):
             y = self._ended(y, *self._solved(*self._begun(y, u, part), y, u), t - h + part)
-            return self.step(y, u, h - part, t, turns - 1)
+            begun = self._begun(y, u, h - part)
+            return self._stepped(*begun, y, u, h - part, t, turns - 1)
         return self._outside(self._ended(y, problem, end, t))
 
     def _begun(self, y: State, u: Array | None, h: float) -> tuple[StepProblem, Which]:
