@@ -162,7 +162,7 @@ def test_collisions_of_a_link_are_its_shapes():
     )
     pair = scene.constraints[0].pair
     names = [f"vertex_{i}_of_0" for i in range(8)] + ["sphere_of_1"]
-    assert pair.features[:9] == tuple(names) and pair.features[9] == "rim_0_of_2"
+    assert pair.features[:9] == tuple(names) and pair.features[9] == "low_0_of_2"
     system = scene.system()
     system.k.refresh(scene.initial.q, scene.initial.v)
     gaps = pair.gaps(system.k)
