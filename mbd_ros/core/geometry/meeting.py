@@ -91,7 +91,11 @@ class Meeting:
         return _rows(lever, axes).dot(seen.jacobian(seen.placed(), _ALL))
 
     def drift(self, seen: PairMotion) -> Array:
-        """J' v, shape (3 n,)."""
+        """J' v, shape (3 n,), in frames that do not spin about their normals.
+
+        Friction is isotropic. Tangents between balls are turned from axes of one of them and would
+        spin without bounds where the normal is opposite to the one that they are turned from.
+        """
         return self.accelerations(seen)[1]
 
     def accelerations(self, seen: PairMotion) -> tuple[Array, Array]:
@@ -102,12 +106,19 @@ class Meeting:
         turned = pose.rotation + 1j * _STEP * crossed(omega, pose.rotation.T).T
         touch = self.touch(Pose(turned, pose.translation + 1j * _STEP * v))
         lever, axes = touch.lever.real, touch.axes.real
-        lever_rate, axes_rate = touch.lever.imag / _STEP, touch.axes.imag / _STEP
+        lever_rate, axes_rate = touch.lever.imag / _STEP, _unspun(axes, touch.axes.imag / _STEP)
         slip = v + crossed(omega, lever)
         a = pin.classicAcceleration(velocity, rate)
         a = a + crossed(rate.angular, lever) + crossed(omega, lever_rate)
         drift = np.einsum("nij,nj->ni", axes, a) + np.einsum("nij,nj->ni", axes_rate, slip)
         return _rows(lever, axes).dot(seen.jacobian(placed, _ALL)), drift.ravel()
+
+
+def _unspun(axes: Array, rate: Array) -> Array:
+    """Rates of axes without the spin about the normal, which is the first, shape (n, 3, 3)."""
+    spin = np.einsum("nj,nj->n", rate[:, 1], axes[:, 2])[:, None]
+    tangents = rate[:, 1] - spin * axes[:, 2], rate[:, 2] + spin * axes[:, 1]
+    return np.stack((rate[:, 0], *tangents), axis=1)
 
 
 def _rows(lever: Array, axes: Array) -> Array:
