@@ -264,3 +264,12 @@ def test_a_ball_meets_another_one_before_it_falls_on_the_ground():
     list(simulation.run(scene.initial, 1.0))
     assert simulation.events[0].t == pytest.approx(0.3 / 9.0, abs=1e-12)
     assert simulation.events[0].after.v[6] == pytest.approx(9.0, abs=1e-12)
+
+
+def test_forces_of_a_state_that_is_not_finite_are_none():
+    """A simulation that diverges is to say so itself, with joint and time."""
+    from mbd_ros.core.optimization.dependent_rows import balanced, least_balanced
+
+    A = np.full((3, 3), np.nan)
+    for solve in (balanced, least_balanced):
+        assert np.isnan(solve(A, np.ones(3), np.ones(3))[0]).all()

@@ -93,8 +93,8 @@ class EventSteps(Stepper):
             if after is None:
                 longest = x.t + self.field.longest(x, u)
                 after = self._inner.step(x, u, min(end, rest, longest))
-            if after is x:
-                return x
+            if after is x or not math.isfinite(after.v.dot(after.v)):  # the simulation says so
+                return after
             after, margin = self._search.first(x, u, after, happens.left)
             if after is not x:
                 break

@@ -15,6 +15,8 @@ from mbd_ros.errors import SolveError
 def balanced(A: Array, b: Array, unit: Array) -> tuple[Array, bool]:
     """An x with A x + b = 0, and whether there are others.
 
+    It is NaN where A is not finite: of a state that diverges, which its simulation reports.
+
     Args:
         A: Shape (n, n), n > 0.
         b: Shape (n,).
@@ -24,6 +26,8 @@ def balanced(A: Array, b: Array, unit: Array) -> tuple[Array, bool]:
         SolveError: There is none.
     """
     scaled, right = unit[:, None] * A * unit, unit * b
+    if not np.isfinite(scaled).all():
+        return np.full(len(b), np.nan), False
     n = len(b)
     factor = eigenpy.CompleteOrthogonalDecomposition(n, n)
     factor.setThreshold(redundant(n))
@@ -37,6 +41,8 @@ def balanced(A: Array, b: Array, unit: Array) -> tuple[Array, bool]:
 def least_balanced(A: Array, b: Array, unit: Array) -> tuple[Array, bool]:
     """The smallest x with A x + b = 0, and whether there are others; as `balanced`."""
     scaled, right = unit[:, None] * A * unit, unit * b
+    if not np.isfinite(scaled).all():
+        return np.full(len(b), np.nan), False
     U, s, Vt = np.linalg.svd(scaled)
     n = int(np.count_nonzero(s > redundant(len(b)) * s[0]))
     left, ahead, null = U[:, :n].T, Vt[:n].T / s[:n], Vt[n:]
