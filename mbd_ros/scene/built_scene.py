@@ -11,6 +11,7 @@ from mbd_ros.core.dynamics.mass_check import check_mass_anywhere
 from mbd_ros.core.dynamics.sources import Source
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
 from mbd_ros.core.inverse.efforts import joint_efforts
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
@@ -215,6 +216,14 @@ class Scene(SceneParts):
         pairs = (part.pair for part in self.constraints if hasattr(part, "pair"))
         return DEFAULT_INTEGRATOR if all(p.is_smooth for p in pairs) else _TIME_STEPPING
 
+    @property
+    def method(self) -> Integrator:
+        """The integrator of the file, or that of `default_integrator`."""
+        if self.integrator is not None:
+            return self.integrator
+        method: Integrator = build_part("integrators", self.default_integrator, self.name)
+        return method
+
     def simulation(
         self,
         *,
@@ -239,10 +248,11 @@ class Scene(SceneParts):
             SceneError: Names file and key.
         """
         system = self.system(forces, solver, sources)
-        method, correction = self.integrator, self.stabilization
-        if integrator is not None or method is None:
-            given = integrator or self.default_integrator
-            method = build_part("integrators", given, f"{self.name}: integrator")
+        correction = self.stabilization
+        if integrator is None:
+            method = self.method
+        else:
+            method = build_part("integrators", integrator, f"{self.name}: integrator")
         if stabilization is not None or correction is None:
             given = stabilization or {"type": "projection" if system.held.rows else "none"}
             correction = build_part("stabilization", given, f"{self.name}: stabilization")

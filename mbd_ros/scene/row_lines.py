@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.part_entries import build_part
 from mbd_ros.scene.part_lines import line, type_name
 
 SMOOTHED_ORDER = 2  # across a kink of the accelerations, of any method
@@ -23,7 +22,7 @@ def row_lines(scene: Scene, layout: RowLayout) -> Iterator[str]:
         scene: The scene.
         layout: Its rows, some of which give way.
     """
-    method = scene.integrator or build_part("integrators", scene.default_integrator, "default")
+    method = scene.method
     name, order = type_name(method), method.order
     if method.at_velocity_level:
         names = listed([block.part.name for block in layout.yielding])

@@ -7,7 +7,6 @@ from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.linear_motion import linear_motion, longest_step
 from mbd_ros.core.state import State
 from mbd_ros.scene.built_scene import DEFAULT_STABLE, Scene
-from mbd_ros.scene.part_entries import build_part
 from mbd_ros.scene.part_lines import line, type_name
 
 
@@ -25,7 +24,7 @@ def step_lines(scene: Scene, system: System, x: State) -> Iterator[str]:
     if method is not None:
         name = type_name(method)
     elif motion.rate * scene.dt > DEFAULT_STABLE:
-        method = build_part("integrators", scene.default_integrator, "default")
+        method = scene.method
     longest = math.inf if method is None else longest_step(method, motion, scene.dt)
     if not math.isfinite(motion.rate):
         yield line("warning", f"stiff: forces change too steeply for any step of {name}")
@@ -41,9 +40,7 @@ def _windows(scene: Scene, system: System, x: State) -> Iterator[str]:
         return
     from mbd_ros.scene.window_lines import depth_doubts, window_doubts, window_text, windows_at
 
-    method = scene.integrator
-    if method is None:
-        method = build_part("integrators", scene.default_integrator, "default")
+    method = scene.method
     start = system.expand(x)
     found = windows_at(system, parts, method, scene.dt, start)
     for window in found:

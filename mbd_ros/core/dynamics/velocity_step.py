@@ -88,14 +88,13 @@ class VelocityStep:
             DivergedError: Forces are not finite.
         """
         self._rows.begin(y.q)
-        problem, closed = self._begun(y, u, h)
-        parts = self._parts(problem)
+        begun = self._begun(y, u, h)
+        parts = self._parts(begun[0])
         if parts == 1:
-            return self._stepped(problem, closed, y, u, h, t, _TURNS)
+            return self._stepped(begun, y, u, t, _TURNS)
         part = h / parts
         for left in reversed(range(parts)):
-            begun = self._begun(y, u, part)
-            y = self._stepped(*begun, y, u, part, t - left * part, _TURNS)
+            y = self._stepped(self._begun(y, u, part), y, u, t - left * part, _TURNS)
         return y
 
     def _parts(self, problem: StepProblem) -> int:
@@ -106,16 +105,11 @@ class VelocityStep:
         return max(1, math.ceil(min(turn / _TURN, _PARTS)))
 
     def _stepped(
-        self,
-        problem: StepProblem,
-        closed: Which,
-        y: State,
-        u: Array | None,
-        h: float,
-        t: float,
-        turns: int,
+        self, begun: tuple[StepProblem, Which], y: State, u: Array | None, t: float, turns: int
     ) -> State:
         """The state after a part of a step, which slips that end may divide so many times more."""
+        problem, closed = begun
+        h = problem.h
         met: list[list[int]] = []
         while (hits := problem.hits(closed)).any() and len(met) < _IMPACTS + len(self._slots):
             y, h = self._after_impact(problem, closed, hits, y, met)
@@ -124,8 +118,7 @@ class VelocityStep:
         turned = self.giving_way.turned(problem, end) if turns else None
         if turned is not None and (part := self._until(turned, y, u, h)):
             y = self._ended(y, *self._solved(*self._begun(y, u, part), y, u), t - h + part)
-            begun = self._begun(y, u, h - part)
-            return self._stepped(*begun, y, u, h - part, t, turns - 1)
+            return self._stepped(self._begun(y, u, h - part), y, u, t, turns - 1)
         return self._outside(self._ended(y, problem, end, t))
 
     def _begun(self, y: State, u: Array | None, h: float) -> tuple[StepProblem, Which]:

@@ -7,16 +7,15 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import MbdError
 from mbd_ros.report.contact.ours import sample, scene_of, trace_of
 from mbd_ros.report.contact.problem import CORNERS, Problem, Solid
 from mbd_ros.report.stability.cases import (
     BOUNDED,
     CONVERGED,
-    STOPPED,
     TIME_STEPPING,
     WRONG,
     Verdict,
+    raised,
 )
 from mbd_ros.report.stability.scene_text import Entry
 from mbd_ros.report.stability.verdicts import ASKED
@@ -53,11 +52,9 @@ def judge_contact(problem: Problem, method: str, dt: float) -> Verdict:
         if error <= ASKED:
             return Verdict(CONVERGED, error)
         shorter, fault = _shorter(problem, scene, method, dt, error)
-    except MbdError as stop:
-        text = f"{type(stop).__name__}: {stop}"
-        return Verdict(STOPPED if _is_named(problem, text) else WRONG, math.inf, text)
-    except Exception as mistake:  # noqa: BLE001 - any other exception is what is looked for
-        return Verdict(WRONG, math.inf, f"{type(mistake).__name__}: {mistake}")
+    except Exception as error:  # noqa: BLE001 - every exception is a verdict
+        verdict = raised(error)
+        return verdict if _is_named(problem, str(error)) else verdict._replace(kind=WRONG)
     if fault:
         return Verdict(WRONG, error, fault)
     if shorter <= max(ASKED, _BETTER * error):
