@@ -23,6 +23,8 @@ from typing import Any, NamedTuple
 
 from against import ROOT, checkout
 
+from mbd_ros.jobs.domain_claim import claimed_domain
+
 _CHECK = "import timeit; timeit.Timer.timeit = lambda *_: 1.0; "  # `check` times no call then
 _CHECK += "from mbd_ros.cli import main; main(['check', 'config/scenes/{scene}.yaml'])"
 _NODE = "import sys; sys.argv = ['{name}', '--ros-args', '-p', 'scene:=config/scenes/{scene}.yaml'"
@@ -139,9 +141,13 @@ def _run(tree: Path, code: str) -> Run:
         "OMP_NUM_THREADS": "1",
         "OPENBLAS_NUM_THREADS": "1",
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
     }
-    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as log:
+    with (
+        claimed_domain() as domain,
+        tempfile.TemporaryFile("w+") as out,
+        tempfile.TemporaryFile("w+") as log,
+    ):
+        environment["ROS_DOMAIN_ID"] = str(domain)
         words: Sequence[str] = [sys.executable, "-c", code]
         process = subprocess.Popen(words, cwd=tree, env=environment, stdout=out, stderr=log)
         if "programs" in code:

@@ -63,16 +63,17 @@ def record_loop(run: LoopRun, bag: Path) -> None:
     """Run the three nodes and record their messages.
 
     Raises:
-        Failed: A node ends, refuses its part, or the loop stands still.
+        Failed: A node ends, refuses its part, or the loop stands still; or others publish here.
         DataError: The bag cannot be written.
     """
     recorded = topics.recorded(run.controller, run.has_rows, run.has_coupling)
+    commands = _commands(run)
     with (
         BagWriter(bag) as writer,
         isolated_domain() as environment,
-        running(_commands(run), environment, run.folder) as processes,
+        running(commands, environment, run.folder) as processes,
     ):
-        recorder = Recorder(recorded, processes.check)
+        recorder = Recorder(recorded, processes.check, len(commands))
         try:
             _Lead(run, recorder).through()
         finally:

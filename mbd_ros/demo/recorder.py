@@ -42,6 +42,7 @@ class Recorder:
     Args:
         topics: Name -> type; DIAGNOSTICS must be among them.
         check: Raises if waiting has become useless; called often.
+        nodes: How many nodes are recorded: each publishes DIAGNOSTICS, and one any other topic.
 
     Attributes:
         node: For publishers and clients of the code that leads the recording.
@@ -51,7 +52,7 @@ class Recorder:
         check: As given.
     """
 
-    def __init__(self, topics: Mapping[str, str], check: Callable[[], None]) -> None:
+    def __init__(self, topics: Mapping[str, str], check: Callable[[], None], nodes: int) -> None:
         self.messages: list[RawMessage] = []
         self.newest: dict[str, bytes] = {}
         self.health: dict[str, Health] = {}
@@ -59,6 +60,7 @@ class Recorder:
         self.node = rclpy.create_node("mbd_ros_demo")
         self._reader = rclpy.create_node("mbd_ros_demo_recorder")  # of no executor
         self._types = dict(topics)
+        self._publishers = {**dict.fromkeys(topics, 1), DIAGNOSTICS: nodes}
         self._subscriptions = {
             topic: self._reader.create_subscription(
                 CLASSES[kind], topic, lambda _: None, _EVERYTHING, raw=True
@@ -77,12 +79,18 @@ class Recorder:
         return deserialize_message(self.newest[topic], CLASSES[self._types[topic]])
 
     def spin(self, seconds: float = _PATIENCE) -> None:
-        """Take messages for so long [s]."""
+        """Take messages for so long [s].
+
+        Raises:
+            Failed: A topic is published by more than the recorded nodes.
+        """
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=min(left, _PERIOD))
             for topic, subscription in self._subscriptions.items():
                 self._take(topic, subscription.handle)
+                if subscription.get_publisher_count() > self._publishers[topic]:
+                    raise Failed(f"{topic}: another program publishes it on the same DDS domain")
 
     def wait(self, done: Callable[[], Any], what: str, timeout: float = _DEADLINE) -> None:
         """Take messages until `done()`.

@@ -27,6 +27,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+from mbd_ros.jobs.domain_claim import claimed_domain
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import write_joint_state
 
@@ -264,10 +265,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=int(time.time()))
     parser.add_argument("--messages", type=int, default=20_000)
     args = parser.parse_args()
-    domain, failed = 1 + os.getpid() % 100, 0
+    failed = 0
     for name in args.subjects:
         line = f"{name}: seed {args.seed}, {args.messages} messages"
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory() as folder, claimed_domain() as domain:
             try:
                 with under_fire(name, domain, Path(folder)) as target:
                     before, used = target.exchange(), target.memory()

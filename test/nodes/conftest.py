@@ -23,12 +23,14 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
+from mbd_ros.jobs.domain_claim import claimed_domain  # noqa: E402
 from msg_adapters.diagnostics import Health, read_diagnostics  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 MINIMAL = Path(__file__).with_name("minimal_node.py")
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 os.environ[PROFILES] = str(Path(__file__).with_name("quick_acks.xml"))  # read once, at first use
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 DEADLINE = 30.0  # s, of what takes a moment: a busy machine is no failure
 
 
@@ -40,7 +42,6 @@ class NodeProcess:
         environment = {
             **os.environ,
             "ROS_DOMAIN_ID": str(domain),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "PYTHONPATH": path,
         }
         del environment[PROFILES]
@@ -214,10 +215,10 @@ class Probe:
 
 
 @pytest.fixture(scope="session")
-def domain() -> int:
-    """A domain id that other sessions on this machine hardly share."""
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    return 1 + os.getpid() % 100
+def domain() -> Iterator[int]:
+    """A domain id that is this session's own on this machine."""
+    with claimed_domain() as own:
+        yield own
 
 
 @pytest.fixture

@@ -10,19 +10,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
 import yaml
 from nodes.conftest import ROOT
+from rclpy.context import Context
 from scipy.interpolate import BPoly
 from test_demo import LAM, Task
 
 from mbd_ros.demo.choices import ROBOTS
 from mbd_ros.demo.files import GAINS, MASS_SCALE, PLANT, RATE
+from mbd_ros.demo.processes import Failed
+from mbd_ros.demo.recorder import CLASSES, Recorder
+from mbd_ros.demo.topics import DIAGNOSTICS
 from mbd_ros.files.bags import messages
+from mbd_ros.jobs.isolated_domain import isolated_domain
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.time import read_time
 
 FILES = {"bag", "demo.png", "demo.html", "plant.yaml", "model.yaml", "model.urdf", GAINS}
 OWN = "/sliding_mode_controller"
+DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 TORQUES, FORCES = "/inverse_dynamics/joint_torques", "/simulator/constraint_forces"
 
 
@@ -262,3 +269,24 @@ def test_a_node_that_dies_is_1_and_leaves_nothing(tmp_path):
     )
     assert code == 1
     assert said.startswith("mbd-ros demo: node simulator ended with exit code -9")
+
+
+@pytest.mark.parametrize("topic", ["/joint_states", DIAGNOSTICS])
+def test_what_another_program_publishes_is_no_recording(topic):
+    """It was not there when the domain was chosen: the recording fails, and says why."""
+    types = {"/joint_states": "sensor_msgs/msg/JointState", DIAGNOSTICS: DIAGNOSTIC_ARRAY}
+    with isolated_domain():
+        recorder = Recorder(types, lambda: None, nodes=2)
+        kind, count = CLASSES[types[topic]], 2 if topic == DIAGNOSTICS else 1
+        own = [recorder.node.create_publisher(kind, topic, 1) for _ in range(count)]
+        recorder.wait(lambda: all(p.get_subscription_count() for p in own), "own publishers")
+        recorder.spin(0.1)
+        other = Context()
+        rclpy.init(context=other, domain_id=recorder.node.context.get_domain_id())
+        stranger = rclpy.create_node("stranger", context=other)
+        stranger.create_publisher(kind, topic, 1)
+        with pytest.raises(Failed, match=f"{topic}: another program publishes it"):
+            recorder.wait(lambda: False, "a stranger")
+        stranger.destroy_node()
+        rclpy.shutdown(context=other)
+        recorder.close()

@@ -16,6 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from mbd_ros.jobs.domain_claim import claimed_domain
 from msg_adapters.diagnostics import ERROR, OK, STALE, WARN
 from msg_adapters.time import read_time
 
@@ -25,10 +26,10 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 @pytest.fixture(scope="module")
-def running_arm(domain, tmp_path_factory):
+def running_arm(tmp_path_factory):
     """On a domain of its own, where the nodes of single tests are not heard."""
     folder, scene = tmp_path_factory.mktemp("arm"), SCENES / "prosthetic_arm.yaml"
-    with live(domain + 100, folder, scene, timeout=5.0) as stream:
+    with claimed_domain() as own, live(own, folder, scene, timeout=5.0) as stream:
         yield stream
 
 

@@ -6,6 +6,7 @@ from nodes.joint_stream import SCENES, live
 from nodes.test_inverse_dynamics_streams import motion, offline, play
 from sensor_msgs.msg import JointState
 
+from mbd_ros.jobs.domain_claim import claimed_domain
 from msg_adapters.diagnostics import WARN
 from msg_adapters.joint_state import write_joint_state
 
@@ -13,12 +14,12 @@ ACTUATORS = "actuators: [{type: ideal, joints: [hip_flexion, knee_anterior, ankl
 
 
 @pytest.fixture(scope="module")
-def leg(domain, tmp_path_factory):
+def leg(tmp_path_factory):
     folder = tmp_path_factory.mktemp("leg")
     text = (SCENES / "four_bar_leg.yaml").read_text(encoding="utf-8") + ACTUATORS
     scene = folder / "leg.yaml"
     scene.write_text(text.replace("../robots", str(SCENES.parent / "robots")), encoding="utf-8")
-    with live(domain + 100, folder, scene, timeout=5.0) as stream:
+    with claimed_domain() as own, live(own, folder, scene, timeout=5.0) as stream:
         yield stream
 
 

@@ -11,6 +11,7 @@ from rcl_interfaces.srv import GetParameters
 from sensor_msgs.msg import JointState
 
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
+from mbd_ros.jobs.domain_claim import claimed_domain
 from msg_adapters.diagnostics import OK, STALE, WARN
 from msg_adapters.joint_state import write_joint_state
 from msg_adapters.time import read_time
@@ -20,8 +21,9 @@ LOAD = np.array([30.0, -20.0, 700.0, 4.0, -60.0, 2.0])
 
 
 @pytest.fixture(scope="module")
-def arm(domain, tmp_path_factory):
-    with live(domain + 100, tmp_path_factory.mktemp("arm"), ARM, timeout=5.0) as stream:
+def arm(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("arm")
+    with claimed_domain() as own, live(own, folder, ARM, timeout=5.0) as stream:
         yield stream
 
 
@@ -268,9 +270,10 @@ WAIT = 10.0  # s for a wrench: longer than a busy machine takes to send it
 
 
 @pytest.fixture(scope="module")
-def stance(domain, tmp_path_factory):
+def stance(tmp_path_factory):
     folder, scene = tmp_path_factory.mktemp("leg"), SCENES / "prosthetic_leg_stance.yaml"
-    with live(domain + 102, folder, scene, wrench_wait=WAIT, timeout=5.0) as stream:
+    options = {"wrench_wait": WAIT, "timeout": 5.0}
+    with claimed_domain() as own, live(own, folder, scene, **options) as stream:
         yield stream, WrenchStream(stream, "/force_plate")
 
 

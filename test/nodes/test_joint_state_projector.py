@@ -21,6 +21,7 @@ from std_srvs.srv import Trigger
 from test_state_projection import FOUR_BAR, LEG, SCENES, measured, nearest_in_z, projector
 
 from mbd_ros.files.bags import raw_messages
+from mbd_ros.jobs.domain_claim import claimed_domain
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import ERROR, OK, STALE, WARN
 from msg_adapters.joint_state import JointStateWriter, write_joint_state
@@ -128,9 +129,10 @@ def live(
 
 
 @pytest.fixture(scope="module")
-def running_leg(domain, tmp_path_factory):
+def running_leg(tmp_path_factory):
     folder, scene = tmp_path_factory.mktemp("leg"), SCENES / f"{LEG}.yaml"
-    with live(domain + 104, folder, scene, timeout=60.0, violation_tolerance=0.002) as stream:
+    options = {"timeout": 60.0, "violation_tolerance": 0.002}
+    with claimed_domain() as own, live(own, folder, scene, **options) as stream:
         yield stream
 
 

@@ -81,7 +81,7 @@ class Launched:
         path = os.pathsep.join([str(prefix), sys.prefix, os.environ.get("AMENT_PREFIX_PATH", "")])
         environment = {
             **os.environ,
-            **{"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+            "ROS_DOMAIN_ID": str(domain),
             **{"AMENT_PREFIX_PATH": path, "ROS_HOME": str(folder), "PYTHONPATH": str(ROOT)},
         }
         program = Path(sys.executable).with_name("ros2")

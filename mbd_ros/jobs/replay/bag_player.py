@@ -84,11 +84,12 @@ class BagPlayer:
         """Until the node is active, hears every topic and is heard.
 
         Raises:
-            ReplayError: It does not start; names the reason.
+            ReplayError: It does not start, which names the reason, or is not alone.
         """
         deadline = time.monotonic() + _START_TIMEOUT
         while True:
             self._spin(_PATIENCE)
+            self._check_alone()
             heard = all(p.get_subscription_count() for p in self._publishers.values())
             hears = all(s.get_publisher_count() for s in self._subscriptions)
             if self._state == "active" and heard and hears:
@@ -107,7 +108,7 @@ class BagPlayer:
             rate: Speed factor; 0 plays as fast as the node answers.
 
         Raises:
-            ReplayError: The node ends, stops working, or answers nothing.
+            ReplayError: The node ends, stops working, answers nothing, or is not alone.
         """
         begin, first = time.monotonic(), messages[0][1]
         for name, log_time, message in progress(messages, len(messages), "replaying"):
@@ -123,7 +124,14 @@ class BagPlayer:
             self._wait_for_answers(_IN_FLIGHT)
         self._wait_for_answers(0)
 
+    def _check_alone(self) -> None:
+        for subscription in self._subscriptions:
+            if subscription.get_publisher_count() > 1:
+                topic = subscription.topic_name
+                raise ReplayError(f"{topic}: another program publishes it on the same DDS domain")
+
     def _check_node(self) -> None:
+        self._check_alone()
         code = self._process.poll()
         if code is not None or self._state != "active":
             what = f"is {self._state}" if code is None else f"ended with exit code {code}"

@@ -1,12 +1,12 @@
 """Cost of a node under a steady stream of joint states: CPU, round trip, losses."""
 
-import itertools
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
@@ -15,10 +15,10 @@ from rclpy.experimental import EventsExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
+from mbd_ros.jobs.isolated_domain import isolated_domain
 from msg_adapters.joint_state import JointStateWriter
 from msg_adapters.time import read_time
 
-_MEASUREMENTS = itertools.count()
 _STREAM = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -59,28 +59,32 @@ def measure(
         rate: Messages per second; 0 sends as fast as the node answers.
         in_flight: Messages on the way at a time, without a rate.
     """
-    domain = 101 + (os.getpid() + next(_MEASUREMENTS)) % 100  # nobody of the last one is heard
-    environment = {
-        **os.environ,
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "ROS_DOMAIN_ID": str(domain),
-    }
-    os.environ.update(environment)
-    process = subprocess.Popen([sys.executable, *arguments], env=environment)
-    rclpy.init(args=[], domain_id=domain)
-    source = _Source(joints)
+    with (
+        isolated_domain() as environment,
+        _running([sys.executable, *arguments], environment) as process,
+    ):
+        source = _Source(joints)
+        try:
+            source.wait_for_answer(process)
+            before = _cpu(process.pid)
+            if rate > 0:
+                source.stream(rate, seconds)
+            else:
+                source.saturate(in_flight, seconds)
+            after = _cpu(process.pid)
+            return source.load([b - a for a, b in zip(before, after, strict=True)])
+        finally:
+            source.close()
+
+
+@contextmanager
+def _running(
+    command: Sequence[str], environment: Mapping[str, str]
+) -> Iterator["subprocess.Popen[bytes]"]:
+    process = subprocess.Popen(command, env=environment)
     try:
-        source.wait_for_answer(process)
-        before = _cpu(process.pid)
-        if rate > 0:
-            source.stream(rate, seconds)
-        else:
-            source.saturate(in_flight, seconds)
-        after = _cpu(process.pid)
-        return source.load([b - a for a, b in zip(before, after, strict=True)])
+        yield process
     finally:
-        source.close()
-        rclpy.shutdown()
         process.send_signal(signal.SIGTERM)
         process.wait(10.0)
 
