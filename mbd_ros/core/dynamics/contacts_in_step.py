@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.dynamics.answered_rates import AnsweredRates, is_independent
 from mbd_ros.core.dynamics.giving_way import GivingWay
 from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
-from mbd_ros.core.dynamics.slip_ends import dots, ending, turned
+from mbd_ros.core.dynamics.slip_ends import WORK, dots, ending, turned
 from mbd_ros.core.dynamics.step_problem import StepProblem
 from mbd_ros.core.dynamics.step_rows import Acting, Slots, Which
 from mbd_ros.core.optimization.contact_problem import ContactProblem, Residuals
@@ -73,6 +73,20 @@ class _Asked(NamedTuple):
         over = float((np.hypot(parts[:, 1], parts[:, 2]) - mu * parts[:, 0]).max())
         slip = math.sqrt(float(dots(slips, slips).max()))
         return Residuals(float(np.abs(w[::3]).max()), 0.0, max(over, 0.0), slip)
+
+
+def _takes_energy(asked: _Asked, p: Array, before: Array) -> bool:
+    """Whether friction does no work in a step, some of it against mean slips and some not.
+
+    Args:
+        asked: The problem.
+        p: Its impulses, shape (m,).
+        before: Slips at the start of the step [m/s], shape (n, 2).
+    """
+    tangents = asked.chosen.tangents
+    end = asked.A[tangents].dot(p) + asked.b[tangents] - asked.bend[tangents]
+    work = dots(before + end.reshape(-1, 2), p[tangents].reshape(-1, 2))
+    return bool(work.sum() <= WORK * asked.known[2] ** 2)
 
 
 class ContactsInStep(GivingWay):
@@ -218,7 +232,7 @@ class ContactsInStep(GivingWay):
             mean = end.reshape(-1, 2)
             goes_on = np.minimum(dots(slip, mean), dots(before, mean)) > least
             if (goes_on | ~slides).all():
-                return p
+                return p if _takes_energy(asked, p, before) else None
             slides &= goes_on
         return None
 

@@ -12,7 +12,7 @@ from mbd_ros.core.dynamics.step_problem import StepProblem
 from mbd_ros.core.dynamics.step_rows import Slots
 from mbd_ros.core.state import Array
 
-_WORK = 1.0e-11  # of the kinetic energy: work of friction that is none
+WORK = 1.0e-11  # of the kinetic energy: work of friction that is none
 _SLIGHT = 1.0e-4  # of what friction adds to a slip in a step: one that has ended before
 _SEEN = 0.1  # of a slip, which must be left for its end to be foretold
 
@@ -30,7 +30,7 @@ def turned(problem: StepProblem, end: Array, impulses: Array) -> Slots | None:
         return None
     before, after = _slips(problem, end, tangents)
     push = impulses[problem.acting.at[tangents]].reshape(-1, 2)
-    gains = dots(before + after, push) > _WORK * problem.speed(problem.free) ** 2
+    gains = dots(before + after, push) > WORK * problem.speed(problem.free) ** 2
     if not gains.any():
         return None
     added = problem.response.loose[tangents].reshape(-1, 2).max(axis=1) * np.sqrt(dots(push, push))
