@@ -71,3 +71,12 @@ def test_a_light_ball_between_heavy_ones_lifts_none_of_them():
     states = list(scene.simulation(dt=scenario.dt).run(scene.initial, 52 * scenario.dt))
     found = Oracle(scene.robot.model, scenario.pairs, scene.robot.origin).worst(states[45:])
     assert found.gain <= 1e-4 and found.depth <= DEPTH * scenario.scale
+
+
+def test_friction_against_slips_that_go_on_does_no_work_through_those_that_end():
+    """A light box stops at once below a heavy one, while one below it slides on."""
+    scenario = case(82)
+    scene = scene_from(scenario.scene)
+    states = list(scene.simulation(dt=scenario.dt).run(scene.initial, 2 * scenario.dt))
+    found = Oracle(scene.robot.model, scenario.pairs, scene.robot.origin).worst(states)
+    assert found.gain <= 1e-10

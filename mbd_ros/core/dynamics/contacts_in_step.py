@@ -65,6 +65,13 @@ class _Asked(NamedTuple):
         size = float(np.abs(self.b).max())
         return float(np.abs(self.A.dot(self.warm) + self.b).max()) <= _SAME * size
 
+    def takes_energy(self, p: Array, before: Array) -> bool:
+        """Whether friction does no work in all, with slips before the step, shape (n, 2)."""
+        at = self.chosen.tangents
+        end = (self.A[at].dot(p) + self.b[at] - self.bend[at]).reshape(-1, 2)
+        work = float(dots(before + end, p[at].reshape(-1, 2)).sum())
+        return work <= WORK * self.known[2] ** 2
+
     def left(self, p: Array) -> Residuals:
         """What impulses leave of the laws where all contacts are at rest."""
         w, parts = self.A.dot(p) + self.b, p.reshape(-1, 3)
@@ -73,20 +80,6 @@ class _Asked(NamedTuple):
         over = float((np.hypot(parts[:, 1], parts[:, 2]) - mu * parts[:, 0]).max())
         slip = math.sqrt(float(dots(slips, slips).max()))
         return Residuals(float(np.abs(w[::3]).max()), 0.0, max(over, 0.0), slip)
-
-
-def _takes_energy(asked: _Asked, p: Array, before: Array) -> bool:
-    """Whether friction does no work in a step, some of it against mean slips and some not.
-
-    Args:
-        asked: The problem.
-        p: Its impulses, shape (m,).
-        before: Slips at the start of the step [m/s], shape (n, 2).
-    """
-    tangents = asked.chosen.tangents
-    end = asked.A[tangents].dot(p) + asked.b[tangents] - asked.bend[tangents]
-    work = dots(before + end.reshape(-1, 2), p[tangents].reshape(-1, 2))
-    return bool(work.sum() <= WORK * asked.known[2] ** 2)
 
 
 class ContactsInStep(GivingWay):
@@ -232,7 +225,7 @@ class ContactsInStep(GivingWay):
             mean = end.reshape(-1, 2)
             goes_on = np.minimum(dots(slip, mean), dots(before, mean)) > least
             if (goes_on | ~slides).all():
-                return p if _takes_energy(asked, p, before) else None
+                return p if asked.takes_energy(p, before) else None
             slides &= goes_on
         return None
 
