@@ -10,8 +10,11 @@ import typing
 from collections.abc import Sequence
 from typing import Annotated, Any, NamedTuple
 
+from mbd_ros.errors import MbdError
+
 LARGEST = 1.0e30  # of any number that says nothing else
 SMALLEST = 1.0e-30  # of a number that must not be 0
+SHORTEST_DT, LONGEST_DT = 1.0e-9, 9.0e9  # s: stamps hold whole nanoseconds, in 63 bits
 
 
 class Within(NamedTuple):
@@ -92,3 +95,20 @@ def described(annotation: Any) -> Described:
 def is_value(number: Any, value: float) -> bool:
     """Whether a number has a value; a symbol has none."""
     return isinstance(number, int | float) and number == value
+
+
+def refuse_dt(dt: float, where: str, kind: type[MbdError]) -> None:
+    """Refuse a step, and interval of the output, that stamps cannot tell apart.
+
+    Args:
+        dt: [s].
+        where: File and key, or option.
+        kind: The error to raise.
+    """
+    if not 0 < dt < math.inf:
+        raise kind(f"{where}: {dt:g} s must be finite and > 0")
+    if not SHORTEST_DT <= dt <= LONGEST_DT:
+        raise kind(
+            f"{where}: {dt:g} s, accepted: {SHORTEST_DT:g} .. {LONGEST_DT:g} s, since stamps hold "
+            "whole nanoseconds"
+        )

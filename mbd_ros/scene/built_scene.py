@@ -20,7 +20,7 @@ from mbd_ros.core.inverse.torques import SampleSolver
 from mbd_ros.core.parts import Load
 from mbd_ros.core.rows.row_layout import rigid
 from mbd_ros.core.simulation.simulation import Simulation
-from mbd_ros.errors import MbdError, ModelError, SceneError, SolveError
+from mbd_ros.errors import ModelError, SceneError, SolveError
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import parts_in
 from mbd_ros.scene.part_entries import Solver, build_part
@@ -30,24 +30,6 @@ DEFAULT_INTEGRATOR = {"type": "dopri5"}
 DEFAULT_STABLE = 1.3  # its `stable`, known without importing it
 _TIME_STEPPING = {"type": "moreau_jean"}
 _NO_SOURCES: Mapping[str, Source] = {}
-SHORTEST_DT, LONGEST_DT = 1.0e-9, 9.0e9  # s: stamps hold whole nanoseconds, in 63 bits
-
-
-def refuse_dt(dt: float, where: str, kind: type[MbdError]) -> None:
-    """Refuse a step, and interval of the output, that stamps cannot tell apart.
-
-    Args:
-        dt: [s].
-        where: File and key, or option.
-        kind: The error to raise.
-    """
-    if not 0 < dt < math.inf:
-        raise kind(f"{where}: {dt:g} s must be finite and > 0")
-    if not SHORTEST_DT <= dt <= LONGEST_DT:
-        raise kind(
-            f"{where}: {dt:g} s, accepted: {SHORTEST_DT:g} .. {LONGEST_DT:g} s, since stamps hold "
-            "whole nanoseconds"
-        )
 
 
 class Scene(SceneParts):

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mbd_ros.core.ranges import Unlimited
+from mbd_ros.core.ranges import Unlimited, refuse_dt
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
-from mbd_ros.scene.built_scene import refuse_dt
 from mbd_ros.scene.locate import find_file
 from mbd_ros.scene.part_entries import Solver, build_part
 

@@ -9,13 +9,12 @@ import pinocchio as pin
 
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.ranges import Unlimited
+from mbd_ros.core.ranges import Unlimited, refuse_dt
 from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
-from mbd_ros.scene.built_scene import refuse_dt
 from mbd_ros.scene.part_entries import Solver
 
 

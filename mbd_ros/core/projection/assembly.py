@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.dynamics.mass_check import check_mass
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import Array, State
@@ -41,6 +42,29 @@ def violation(system: System, x: State) -> Violation:
     g = held.residual(x.t, x.q)
     rate = held.jacobian(x.t, x.q).dot(x.v) + held.rate(x.t, x.q)
     return Violation(float(np.abs(g).max()), float(np.abs(rate).max()))
+
+
+def consistent(system: System, x: State) -> State:
+    """The nearest state of the integrated coordinates with which a motion can begin.
+
+    Args:
+        system: The system.
+        x: State of all joints.
+
+    Raises:
+        SolveError: The mechanism cannot be assembled near it, its mass matrix is singular, or
+            bodies of contacts overlap.
+    """
+    y = system.reduce(x)
+    check_mass(system, y.q)
+    if system.held.rows:
+        y = assemble(system, y)
+        check_mass(system, y.q)
+    if system.layout.cones:
+        from mbd_ros.core.projection.overlap import without_overlap
+
+        y = without_overlap(system, y)
+    return y
 
 
 def project(system: System, x: State) -> State:

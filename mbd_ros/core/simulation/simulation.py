@@ -4,11 +4,10 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from mbd_ros.core.dynamics.mass_check import check_mass
 from mbd_ros.core.dynamics.overshoots import Overshoots
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.projection.assembly import assemble
+from mbd_ros.core.projection.assembly import consistent
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.simulation.checkpoint import Checkpoint, Progress, refuse_other
 from mbd_ros.core.simulation.divergence import divergence, last_finite
@@ -78,15 +77,7 @@ class Simulation:
             ModelError: An internal state starts outside its bounds.
         """
         self.stepper.restart()
-        y = self.system.reduce(x)
-        check_mass(self.system, y.q)
-        if self.system.held.rows:
-            y = assemble(self.system, y)
-            check_mass(self.system, y.q)
-        if self.system.layout.cones:
-            from mbd_ros.core.projection.overlap import without_overlap
-
-            y = without_overlap(self.system, y)
+        y = consistent(self.system, x)
         if self.overshoots is not None:
             self.overshoots.begin(y)
         if self._nz:

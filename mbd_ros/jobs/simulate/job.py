@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbd_ros.core.dynamics.tiers import tier_of
+from mbd_ros.core.ranges import SHORTEST_DT
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SAME_TIME, TOGGLE
@@ -25,7 +26,7 @@ from mbd_ros.jobs.simulate.inputs import drives, initial_state
 from mbd_ros.jobs.simulate.run import Run, check_words, options_of
 from mbd_ros.jobs.simulate.step_check import step_warnings
 from mbd_ros.jobs.simulate.table import BALANCE, table_of, topics_of
-from mbd_ros.scene.built_scene import SHORTEST_DT, Scene
+from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.start_check import start_warnings
 
 if TYPE_CHECKING:

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from mbd_ros.core.ranges import refuse_dt
 from mbd_ros.core.state import NANOSECOND
 from mbd_ros.errors import DataError
 from mbd_ros.files.formats import is_bag
 from mbd_ros.files.recordings import Source
 from mbd_ros.files.times import TIME_LIMIT
 from mbd_ros.scene import schema
-from mbd_ros.scene.built_scene import Scene, refuse_dt
+from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.part_entries import Solver
 from mbd_ros.scene.registry import PARTS, resolve
 
