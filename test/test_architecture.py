@@ -86,6 +86,7 @@ UNNAMED = {  # by an empty scene: events, contacts, internal states, several rob
         "dynamics.exact_rows",
         "dynamics.extended",
         "dynamics.row_heights",
+        "dynamics.world_axes",
         "events",
         "geometry",
         "model.base_motion",

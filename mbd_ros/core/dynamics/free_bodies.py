@@ -17,14 +17,20 @@ class FreeBodies:
 
     Args:
         model: The Pinocchio model.
+
+    Attributes:
+        spins: Where their angular velocities stand.
     """
 
     def __init__(self, model: Any) -> None:
         joints = [joint for joint in model.joints if joint.nv == _BASE_V]
+        starts = [int(joint.idx_v) for joint in joints]
+        self.spins = [slice(v + 3, v + 6) for v in starts]
         self._q = _places([joint.idx_q for joint in joints], 3)
         self._turns = _places([joint.idx_q + 3 for joint in joints], 4)
         self._v = _places([joint.idx_v for joint in joints], 3)
         self._spins = _places([joint.idx_v + 3 for joint in joints], 3)
+        self._vectors = np.stack((self._v, self._spins), axis=-1)
 
     def axes(self, q: Array) -> Array:
         """From axes of the bodies to those of the world, shape (n, 3, 3)."""
@@ -66,6 +72,36 @@ class FreeBodies:
         moved = chart.integrate(q, turn)
         moved[self._q] += np.einsum("nij,nj->ni", axes, way[self._v])
         return moved
+
+    def gone(self, chart: Chart, q0: Array, q1: Array) -> Array:
+        """The way between configurations in the axes of the world, bodies on straight lines."""
+        way = self.in_world(chart.difference(q0, q1), self.axes(q0))
+        way[self._v] = q1[self._q] - q0[self._q]
+        return way
+
+    def in_world(self, v: Array, axes: Array) -> Array:
+        """Velocities or accelerations in the axes of the world, both parts of them.
+
+        Args:
+            v: In the axes of the bodies, shape (nv,).
+            axes: Of the bodies, shape (n, 3, 3).
+        """
+        turned = v.copy()
+        turned[self._vectors] = axes @ v[self._vectors]
+        return turned
+
+    def in_own_axes(self, v: Array, axes: Array) -> Array:
+        """The reverse of `in_world`."""
+        turned = v.copy()
+        turned[self._vectors] = axes.transpose(0, 2, 1) @ v[self._vectors]
+        return turned
+
+    def add_turning(self, a: Array, v: Array) -> None:
+        """Add w x v to accelerations of the bodies, both in the axes of the world."""
+        for spin in self.spins:
+            start = spin.start - 3
+            x, y, z, p, q, r = v[start : spin.stop].tolist()
+            a[start : spin.start] += (q * z - r * y, r * x - p * z, p * y - q * x)
 
     def turning(self, v: Array) -> Array:
         """What accelerations in the axes of the bodies lack, w x v, shape (nv,)."""

@@ -39,7 +39,18 @@ def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
     from mbd_ros.core.events.mode_field import ModeField
 
     field = ModeField(system, surfaces)
+    if field.has_contacts and not system.chart.is_flat:
+        return EventSteps(field, _turned(method, field.system, dt), dt)
     return EventSteps(field, _prepared(method, field.system, dt), dt)
+
+
+def _turned(method: Integrator, system: System, dt: float) -> Stepper:
+    """The steps of a method in the axes of the world, where spins turn no velocity."""
+    from mbd_ros.core.dynamics.world_axes import InWorldAxes
+    from mbd_ros.core.integration.turned_steps import TurnedSteps
+
+    world = InWorldAxes(system)
+    return TurnedSteps(world, _prepared(method, world, dt))
 
 
 def _refuse_kinks(method: Integrator, system: System) -> None:
