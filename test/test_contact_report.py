@@ -21,6 +21,14 @@ PEERS = {"MuJoCo": "mujoco", "Drake": "pydrake"}
 DOP853 = Choice("auto", None, {"type": "dop853", "tolerance": 1e-11}, 1e-2)
 
 
+def test_rk4_is_not_run_at_steps_in_which_a_ball_turns_beyond_its_stability():
+    """It is unstable where a rate on the imaginary axis times dt is above 2 sqrt(2)."""
+    every = list(ours.runs(PROBLEMS["sphere_backspin"], quick=False))  # 60 rad/s
+    steps = [run.record["dt"] for run in every if run.setup == "rk4"]
+    assert max(steps) == 0.02
+    assert max(run.record["dt"] for run in every if run.setup == "moreau_jean") == 0.2
+
+
 def slides(t, x, degrees, mu):
     """A block on a plane, sideways and downhill, by Coulomb's law."""
     angle, v = math.radians(degrees), x[2:]
