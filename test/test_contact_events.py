@@ -58,11 +58,19 @@ def test_a_box_on_four_corners_slips_stops_and_sticks_as_in_closed_form(degrees,
     assert np.abs(states[-1].q[3:] - states[0].q[3:]).max() <= 1e-10
 
 
-def test_a_box_turns_down_the_slope_as_friction_is_isotropic():
+@pytest.mark.parametrize(
+    ("method", "dt"),
+    [
+        ("rk4", 6e-3),
+        ("dopri5", 0.02),
+        ("dop853", 0.1),
+        ("gauss_legendre", 0.01),
+        ("filippov", 0.1),
+    ],
+)
+def test_a_box_turns_down_the_slope_as_friction_is_isotropic(method, dt):
     """mu = tan of the slope, start across it: |v| + v_y stays, and speeds end at half."""
-    scene, axes = box_on_an_incline(
-        30.0, float(np.tan(np.radians(30.0))), method="dop853", dt=0.05
-    )
+    scene, axes = box_on_an_incline(30.0, float(np.tan(np.radians(30.0))), method=method, dt=dt)
     states = list(scene.simulation().run(lying(axes, 30.0, 0.1, (0.0, 2.0, 0.0)), 2.0))
     v = np.array([x.v[:3] for x in states])
     assert np.hypot(v[:, 0], v[:, 1]) - v[:, 0] == pytest.approx(2.0, abs=1e-8)
