@@ -1,6 +1,5 @@
 """This package on contact problems."""
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -23,7 +22,6 @@ SETUP = (
 )
 _STEPS = (0.2, 0.1, 5e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3, 5e-4)  # s
 _SHORTEST = 5e-3  # s, of rk4, which needs no shorter ones from event to event
-_TURN = 8.0**0.5  # rad a step: velocities in the axes of a body that turns further grow under rk4
 _TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 _LONGEST = 1e-2  # s, first step of a method that chooses the others
 
@@ -65,9 +63,8 @@ class OurContacts:
 
 def runs(problem: Problem, quick: bool) -> Iterator[OurContacts]:
     """The sweep over integrators and steps."""
-    spin = max(math.hypot(*solid.spin) for solid in problem.solids)
     for dt in _STEPS[4:6] if quick else _STEPS:
-        has_events = problem.is_smooth and dt >= _SHORTEST and spin * dt < _TURN
+        has_events = problem.is_smooth and dt >= _SHORTEST
         for kind in ("moreau_jean", *(("rk4",) if has_events else ())):
             yield OurContacts(problem, Choice("auto", None, {"type": kind}, dt))
     if problem.is_smooth:
