@@ -105,3 +105,23 @@ def test_a_sphere_rolls_wherever_and_whatever_it_is(variant):
         rolled({"type": "rk4"}, SPINNING[1:], **given), SPINNING[1:], given.get("mu", MU)
     )
     assert max(found) <= 1e-10
+
+
+def test_a_sphere_rolls_along_a_groove():
+    """Both planes push with m g / sqrt(2); the least norm of what sticks would leave the cones."""
+    planes = [{"half_space": [0.0, way, 1.0]} for way in (1.0, -1.0)]
+    place, mu = {"xyz": [0.0, 0.0, 0.1 * 2.0**0.5]}, 0.3
+    sections = {
+        "bodies": {"ball": {"shape": {"sphere": 0.1}, "mass": 1.0, "pose": place}},
+        "contacts": [
+            {"type": "rigid", "between": ["ball", plane], "friction": mu} for plane in planes
+        ],
+        "initial": {"twist": {"ball": {"linear": [1.0, 0.0, 0.0]}}},
+    }
+    scene = scene_from({**sections, "integrator": {"type": "dopri5"}, "dt": 0.05})
+    simulation = scene.simulation()
+    *_, x = simulation.run(scene.initial, 0.3)
+    (event,) = simulation.events
+    speed = 1.0 / 1.8
+    assert event.t == pytest.approx((1.0 - speed) / (mu * GRAVITY * 2.0**0.5), abs=1e-10)
+    assert np.linalg.norm(x.v[:3]) == pytest.approx(speed, abs=1e-10)

@@ -162,6 +162,8 @@ class ContactForces:
         except SolveError:
             return lam
         left, terms = A.dot(found) + w, np.abs(A).dot(np.abs(found)) + np.abs(w)
+        size = np.sqrt(np.abs(A.diagonal()))
+        terms += size * (size * np.abs(found)).max()  # rounding of forces that cancel there
         on = np.zeros(len(w), dtype=np.bool_)
         for start, touch in zip(self._starts.tolist(), touches, strict=True):
             on[start : start + 3] = touch is Touch.STICKS
