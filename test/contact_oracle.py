@@ -14,6 +14,7 @@ from contact_geometry import Placed, touches, turned
 from scipy.optimize import nnls
 
 RAYS = 24
+ROUNDING = 1e-12  # of the energy beside the ground: what a heavy body at rest gains and loses
 NEAR = 2.0  # ways of a step: touches that may have acted in it
 
 
@@ -174,7 +175,8 @@ class Oracle:
         for x0, x1 in itertools.pairwise(states):
             left, needed = self.unlike(x0, x1)
             unlike, most = max(unlike, left), max(most, needed)
-        gain = max(np.diff(energies).max(), 0.0) / scale
+        rounding = ROUNDING * np.abs(energies).max()
+        gain = max(np.diff(energies).max() - rounding, 0.0) / scale
         return Worst(depth, gain, unlike / max(most, 1e-300))
 
 

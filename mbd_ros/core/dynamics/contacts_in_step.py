@@ -1,7 +1,7 @@
 """Rows that give way in a step of velocities, contacts with friction among them."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.dynamics.answered_rates import AnsweredRates, is_independent
 from mbd_ros.core.dynamics.giving_way import GivingWay
 from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
-from mbd_ros.core.dynamics.slip_ends import WORK, dots, ending, turned
+from mbd_ros.core.dynamics.slip_ends import WORK, dots, ending, given_back, turned
 from mbd_ros.core.dynamics.step_problem import StepProblem
 from mbd_ros.core.dynamics.step_rows import Acting, Slots, Which
 from mbd_ros.core.optimization.contact_problem import ContactProblem, Residuals
@@ -102,7 +102,7 @@ class ContactsInStep(GivingWay):
         self._late = (1.0 - theta) / theta
         self.last = np.zeros(len(rows.rows))
         self.forget()
-        self._accepted: Array | None = None
+        self._accepted: tuple[Array, Array | None, tuple[Any, ...]] = self.last, None, ()
         self._sets: dict[bytes, Acting] = {}
         self._answers = AnsweredRates()
         self._solver: tuple[ImpulseResponse, Acting, Array, ContactProblem] | None = None
@@ -139,13 +139,20 @@ class ContactsInStep(GivingWay):
 
     def turned(self, problem: StepProblem, end: Array) -> Slots | None:
         """Tangents of contacts whose friction would do work: slips that end within the step."""
-        self._accepted = self.forces
+        self._accepted = self.last.copy(), self.forces, self.shared
         return turned(problem, end, self.last)
 
     def ending(self, turned: Slots, problem: StepProblem, end: Array) -> float:
         """When the first of some slips ends [s]; arguments as those of `slip_ends.ending`."""
-        self.forces = self._accepted  # that step was tried only
         return ending(turned, problem, end)
+
+    def accept(self) -> None:
+        """Go on from the step that `turned` looked at: those after it were tried only."""
+        self.last[:], self.forces, self.shared = self._accepted
+
+    def given_back(self, problem: StepProblem, end: Array) -> Array | None:
+        """What is taken from the way of the step, so that friction does no work along it."""
+        return given_back(problem, end, self.last)
 
     def forget(self) -> None:
         """Begin to look for the largest residuals anew."""

@@ -43,6 +43,13 @@ class GivingWay:
         """When the first of some slips ends [s]."""
         return 0.0
 
+    def accept(self) -> None:
+        """Go on from the step that `turned` looked at."""
+
+    def given_back(self, problem: StepProblem, end: Array) -> Array | None:
+        """What is taken from the way of the step [m, rad], shape (nv,); without contacts None."""
+        return None
+
     def end(
         self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None
     ) -> Array:

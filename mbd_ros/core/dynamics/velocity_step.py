@@ -116,9 +116,11 @@ class VelocityStep:
             problem, closed = self._begun(y, u, h)
         problem, end = self._solved(problem, closed, y, u)
         turned = self.giving_way.turned(problem, end) if turns else None
-        if turned is not None and (part := self._until(turned, y, u, h)):
-            y = self._ended(y, *self._solved(*self._begun(y, u, part), y, u), t - h + part)
-            return self._stepped(self._begun(y, u, h - part), y, u, t, turns - 1)
+        if turned is not None:
+            if part := self._until(turned, y, u, h):
+                y = self._ended(y, *self._solved(*self._begun(y, u, part), y, u), t - h + part)
+                return self._stepped(self._begun(y, u, h - part), y, u, t, turns - 1)
+            self.giving_way.accept()
         return self._outside(self._ended(y, problem, end, t))
 
     def _begun(self, y: State, u: Array | None, h: float) -> tuple[StepProblem, Which]:
@@ -135,8 +137,13 @@ class VelocityStep:
         return problem, self.giving_way.end(problem, closed, problem.free, end)
 
     def _ended(self, y: State, problem: StepProblem, end: Array, t: float) -> State:
-        mean = (1.0 - self._theta) * problem.x.v + self._theta * end
-        return self._moved(y, problem.h * mean, end, problem.dz(end), t)
+        way = problem.h * ((1.0 - self._theta) * problem.x.v + self._theta * end)
+        dz = problem.dz(end)
+        back = self.giving_way.given_back(problem, end)
+        if back is not None:
+            energy, ways = self._system.energy, (way, way - back)
+            way = min(ways, key=lambda w: energy(self._moved(y, w, end, dz, t)))
+        return self._moved(y, way, end, dz, t)
 
     def _until(self, turned: Slots, y: State, u: Array | None, h: float) -> float:
         """When the first of some slips ends within a step [s]; 0 where none is seen to."""
