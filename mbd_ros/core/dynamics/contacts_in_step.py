@@ -1,15 +1,15 @@
 """Rows that give way in a step of velocities, contacts with friction among them."""
 
-import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.answered_rates import AnsweredRates, is_independent
+from mbd_ros.core.dynamics.asked_contacts import OF_ONE, AskedContacts
 from mbd_ros.core.dynamics.giving_way import GivingWay
 from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
-from mbd_ros.core.dynamics.slip_ends import WORK, dots, ending, given_back, turned
+from mbd_ros.core.dynamics.slip_ends import dots, ending, given_back, turned
 from mbd_ros.core.dynamics.step_problem import StepProblem
 from mbd_ros.core.dynamics.step_rows import Acting, Slots, Which
 from mbd_ros.core.optimization.contact_problem import ContactProblem, Residuals
@@ -19,67 +19,7 @@ from mbd_ros.errors import SolveError
 
 _SLIPS = 1.0e-12  # of the square of a slip: it neither ends in the step nor turns round
 _NO_ROOM = 1.0e-5  # of the rate of a gap: feet of a body, which rounding sets apart, share a load
-_ACCEPTED = 1.0e-9  # of the rates that impulses of a step end: what may be left of them
-_SAME = 1.0e-14  # of rates: what rounding leaves of them
-_OF_ONE = 3  # rows of one contact
 _SETS = 256  # of rows that are remembered
-
-
-class _Asked(NamedTuple):
-    """One problem with contacts.
-
-    Attributes:
-        problem: That of the step.
-        chosen: The rows that are on.
-        on: Their places in the problem of the step.
-        A: Rates that their impulses add, shape (m, m).
-        solver: Of their laws.
-        b: Their rates without impulses, shape (m,).
-        bend: What of these comes from the change of J, shape (m,).
-        known: Bounds of the impulses, and a velocity.
-        warm: Impulses to begin with, shape (m,).
-        shared: Whether contacts that depend on one another share with the least norm: those of
-            the end of a step do, the next one begins with them.
-    """
-
-    problem: StepProblem
-    chosen: Acting
-    on: NDArray[np.intp]
-    A: Array
-    solver: ContactProblem
-    b: Array
-    bend: Array
-    known: tuple[Array, Array, float]
-    warm: Array
-    shared: bool
-
-    def solve(self, late: Array | None = None) -> Array:
-        """The impulses, shape (m,); arguments as for `ContactProblem`."""
-        known = *self.known, late, self.warm
-        return self.solver.solve(self.b, *known, shared=self.shared, accepted=_ACCEPTED)
-
-    def sticks(self) -> bool:
-        """Whether those to begin with, if within the cones, leave all contacts at rest."""
-        if len(self.b) != _OF_ONE * len(self.chosen.cones):
-            return False
-        size = float(np.abs(self.b).max())
-        return float(np.abs(self.A.dot(self.warm) + self.b).max()) <= _SAME * size
-
-    def takes_energy(self, p: Array, before: Array) -> bool:
-        """Whether friction does no work in all, with slips before the step, shape (n, 2)."""
-        at = self.chosen.tangents
-        end = (self.A[at].dot(p) + self.b[at] - self.bend[at]).reshape(-1, 2)
-        work = float(dots(before + end, p[at].reshape(-1, 2)).sum())
-        return work <= WORK * self.known[2] ** 2
-
-    def left(self, p: Array) -> Residuals:
-        """What impulses leave of the laws where all contacts are at rest."""
-        w, parts = self.A.dot(p) + self.b, p.reshape(-1, 3)
-        slips = w.reshape(-1, 3)[:, 1:]
-        mu = np.array([cone.mu for cone in self.chosen.cones])
-        over = float((np.hypot(parts[:, 1], parts[:, 2]) - mu * parts[:, 0]).max())
-        slip = math.sqrt(float(dots(slips, slips).max()))
-        return Residuals(float(np.abs(w[::3]).max()), 0.0, max(over, 0.0), slip)
 
 
 class ContactsInStep(GivingWay):
@@ -175,7 +115,9 @@ class ContactsInStep(GivingWay):
         room = problem.rates_left(on)
         b += np.where(room <= _NO_ROOM * np.abs(b), 0.0, room)
         warm = self.last[chosen.at]
-        asked = _Asked(problem, chosen, on, A, solver, b, kept, known, warm, near is not None)
+        asked = AskedContacts(
+            problem, chosen, on, A, solver, b, kept, known, warm, near is not None
+        )
         p = None if near is None else self._sliding(asked, near)
         if p is None:
             p = self._held(asked)
@@ -191,13 +133,13 @@ class ContactsInStep(GivingWay):
         change: Array = response.X[:, on].dot(p)
         return change
 
-    def _held(self, asked: _Asked) -> Array:
+    def _held(self, asked: AskedContacts) -> Array:
         """Impulses of a problem: the last ones, where contacts are held by them still."""
         at, A, last = asked.chosen.at, asked.A, self.shared
         same = bool(last) and np.array_equal(last[1], A) and np.array_equal(last[0], at)
         if same and asked.sticks():
             return asked.warm
-        self.shared = (at, A) if asked.shared and len(A) > _OF_ONE else ()
+        self.shared = (at, A) if asked.shared and len(A) > OF_ONE else ()
         return asked.solve()
 
     def _of(
@@ -210,7 +152,7 @@ class ContactsInStep(GivingWay):
             self._solver = response, chosen, A, solver
         return self._solver[2:]
 
-    def _sliding(self, asked: "_Asked", near: Array) -> Array | None:
+    def _sliding(self, asked: AskedContacts, near: Array) -> Array | None:
         """Impulses where some contacts slide all along; None where none does."""
         problem, chosen, on, b = asked.problem, asked.chosen, asked.on, asked.b
         at, tangents = on[chosen.tangents], chosen.tangents

@@ -42,7 +42,7 @@ def turned(problem: StepProblem, end: Array, impulses: Array) -> Slots | None:
 
 
 def given_back(problem: StepProblem, end: Array, impulses: Array) -> Array | None:
-    """What is taken from the way of a step [m, rad], shape (nv,); None where friction does no work.
+    """What is taken from the way of a step, shape (nv,); None where friction does no work.
 
     With it contacts have gone (h s+) along their tangents instead of h ((1 - theta) s + theta s+),
     s the slips at the start and s+ those at the end, moved the least in the mass metric. Friction

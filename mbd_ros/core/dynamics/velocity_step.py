@@ -2,18 +2,12 @@
 
     M (v+ - v) = h f + J' p,   q+ = q (+) h ((1 - theta) v + theta v+)
 
-M and f are those of an intermediate state, at the time theta h with (1 - theta) v + theta v+. One
-step of Newton's method and a correction solve for v+, with the matrix
-
-    K = M - theta h f_v - theta^2 h^2 f_q
-
-of the loads, so that stiff ones do not limit h. All rows are in one complementarity problem, with
-their rates at the end of the step: bilateral rows hold, one-sided rows that would close push, and
-bounded forces act with h times their bounds at most. Where rows close faster than the forces of
-one step make them, an impact divides the step where the first of them closes. What is beyond a
-one-sided row nevertheless is moved out of it, in the mass metric. A slip that ends so early in a
-step that friction would do work along the way divides the step, too, and so does a body that
-turns far beside a contact.
+All rows are in one complementarity problem, with their rates at the end of the step: bilateral
+rows hold, one-sided rows that would close push, and bounded forces act with h times their bounds
+at most. Where rows close faster than the forces of one step make them, an impact divides the step
+where the first of them closes. What is beyond a one-sided row nevertheless is moved out of it, in
+the mass metric. A slip that ends so early in a step that friction would do work along the way
+divides the step, too, and so does a body that turns far beside a contact.
 
 Sources: J. J. Moreau, in Nonsmooth Mechanics and Applications, 1988; M. Jean, Comput. Methods
 Appl. Mech. Eng. 177 (1999); V. Acary, Comput. Methods Appl. Mech. Eng. 256 (2013), on positions.
@@ -24,20 +18,13 @@ from itertools import chain
 
 import numpy as np
 
-from mbd_ros.core.dynamics.implicit_loads import ImplicitLoads, mass_with
-from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
-from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.moved_out import MovesOut
-from mbd_ros.core.dynamics.rigid_rows import RigidRows
-from mbd_ros.core.dynamics.rows_of_step import returns, rows_of_step
 from mbd_ros.core.dynamics.step_problem import StepProblem, first_closing
+from mbd_ros.core.dynamics.step_problems import StepProblems
 from mbd_ros.core.dynamics.step_rows import Slots, Which
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.velocity_level import VelocityLevel
-from mbd_ros.core.rows.constraint_rows import ConstraintRows
-from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import DivergedError
 
 _IMPACTS = 4  # of one step, which give back; what met rests at once in those after them
 _TURNS = 3  # of slips in one step
@@ -49,7 +36,7 @@ _TOGETHER = 1.0e-6  # of the way of the fastest row in a step: gaps that close a
 _MOVES = 4  # out of rows; each leaves the square of what the last one left
 
 
-class VelocityStep:
+class VelocityStep(StepProblems):
     """Steps of one system; has a `Data` of its own.
 
     Args:
@@ -61,18 +48,9 @@ class VelocityStep:
     """
 
     def __init__(self, system: System, theta: float) -> None:
-        nv, layout = int(system.model.nv), system.layout
-        self._system, self._theta, self._level = system, theta, VelocityLevel(system)
-        self._mechanism = mechanism = Mechanism(system.robot, system.loads)
-        self._loads = ImplicitLoads(mechanism, system.internals)
-        gains = system.constraints.gains
-        self._rigid = RigidRows(mechanism, ConstraintRows(layout.rigid, nv, gains))
-        yielding = ConstraintRows(layout.yielding, nv)
-        self._rows, self.giving_way = rows_of_step(system, mechanism, yielding, theta)
-        self._moves_out = MovesOut(mechanism, self._rigid, self._rows)
-        self._slots = yielding.slots
-        self._return = returns(layout.rigid, gains), returns(layout.yielding)
-        self._nothing = np.zeros((0, nv)), np.zeros(0)
+        super().__init__(system, theta)
+        self._level, self._slots = VelocityLevel(system), self._yielding.slots
+        self._moves_out = MovesOut(self._mechanism, self._rigid, self._rows)
 
     def step(self, y: State, u: Array | None, h: float, t: float) -> State:
         """The state of what is integrated at a time t, after a step of length h [s].
@@ -154,49 +132,6 @@ class VelocityStep:
                 return part if part < _WHOLE * h else 0.0
         return 0.0
 
-    def _problem(self, y: State, u: Array | None, h: float) -> StepProblem:
-        """The linear problem of a step from a state of what is integrated."""
-        mechanism, late = self._mechanism, (1.0 - self._theta) * h
-        x = self._on_the_way(y, h)
-        M = np.array(mechanism.mass(x.q))
-        slopes, dz = self._loads.slopes(x, u, self._theta * h), h * self._loads.rates(x, u)
-        impulse = h * self._force(x, u, M) + slopes.push.dot(dz)
-        if not np.isfinite(slopes.added).all() or not np.isfinite(impulse).all():
-            raise DivergedError(f"forces at t = {x.t:.9g} s are not finite")
-        K = mass_with(M, slopes.added) if slopes.added.any() else M
-        hold, goal, factor = self._bilateral(x, K, late, h)
-        held = ImpulseResponse(K, None, hold, factor)
-        free, _ = held.kept(x.v + held.free(impulse), goal)
-        acting, J, drift, gap, own = self._rows.at(x, free, h)
-        drift = self._drift(x, J, drift)
-        still = slopes.gain.dot(dz) - slopes.by_v.dot(x.v)
-        known = goal, free, h, self._theta, slopes, still
-        if not len(gap):
-            return StepProblem(x, M, held, acting, J, gap, own, own, own, *known)
-        with np.errstate(invalid="ignore"):  # an end that is infinitely far, times 0
-            back = np.minimum(self._return[1][acting.at], 1.0 / h)
-            back = np.where(acting.pushes, 0.0, back * gap)
-        early = self._theta * h  # from the start to the state where J and drift are known
-        rate = J.dot(x.v) + own - early * drift
-        gap = gap - early * (rate + 0.5 * early * drift)
-        bend, response = late * drift, self._rows.response(held, K, J)
-        end = own + bend + back
-        return StepProblem(x, M, response, acting, J, gap, rate, end, bend, *known)
-
-    def _bilateral(
-        self, x: State, K: Array, late: float, h: float
-    ) -> tuple[Array, Array, RowFactor | None]:
-        """Bilateral rows, their J v at the end of a step, and their factor in the metric of K."""
-        k, rows = self._mechanism.k, self._rigid.constraints
-        if not self._rigid.rows:
-            return *self._nothing, None
-        k.refresh(x.q, x.v, rows.reads)
-        J, drift = (each.copy() for each in rows.accelerations(k, x))
-        back = np.minimum(self._return[0], 1.0 / h)
-        drift = self._drift(x, J, drift)
-        goal = -(rows.rate(k, x) + late * drift + back * rows.residual(k, x))
-        return J, goal, RowFactor(K, J)
-
     def _after_impact(
         self, problem: StepProblem, closed: Which, hits: Which, y: State, met: list[list[int]]
     ) -> tuple[State, float]:
@@ -217,20 +152,6 @@ class VelocityStep:
         v = self._level.impact(self._system.expand(y), slots, expands=expands).v
         return y._replace(v=np.array(self._system.integrated(v))), h - wait
 
-    def _corrected(
-        self, problem: StepProblem, y: State, u: Array | None, end: Array
-    ) -> StepProblem:
-        """The problem with forces and rates on the way to a velocity at its end."""
-        v, h, slopes, loads = problem.x.v, problem.h, problem.slopes, self._loads
-        mean, dz = (1.0 - self._theta) * v + self._theta * end, problem.dz(end)
-        x = self._between(y, self._system.integrated(mean), y.z + self._theta * dz, h)
-        left_z = h * loads.rates(x, u) - dz
-        left = h * self._force(x, u, problem.M) - problem.M.dot(end - v) + slopes.push.dot(left_z)
-        response = problem.response
-        free, _ = response.kept(end + response.free(left), problem.goal)
-        still = dz + slopes.gain.dot(left_z) - slopes.by_v.dot(end)
-        return problem._replace(free=free, dz_still=still)
-
     def _outside(self, y: State) -> State:
         """The state with no one-sided row beyond 0, moved the least in the mass metric."""
         if not self._rows.are_one_sided:
@@ -242,24 +163,6 @@ class VelocityStep:
                 break
             y = self._moved(y, way, x.v, 0.0 * y.z, y.t)
         return y
-
-    def _on_the_way(self, y: State, h: float) -> State:
-        """State of all joints at the intermediate time, with the velocity of y."""
-        return self._between(y, y.v, y.z, h)
-
-    def _between(self, y: State, v: Array, z: Array, h: float) -> State:
-        """State of all joints at the intermediate time, of a step with that mean velocity of y."""
-        share = self._theta * h
-        q = self._system.chart.integrate(y.q, share * v)
-        return self._system.expand(State(y.t + share, q, v, z))
-
-    def _force(self, x: State, u: Array | None, M: Array) -> Array:
-        """Generalized force of all joints that changes velocities as a step counts them."""
-        return self._loads.force(x, u)
-
-    def _drift(self, x: State, J: Array, drift: Array) -> Array:
-        """The part of g'' without the change of velocities as a step counts them."""
-        return drift
 
     def _moved(self, y: State, way: Array, v: Array, dz: Array, t: float) -> State:
         """A state of what is integrated, after a way and with a velocity of all joints."""
