@@ -29,7 +29,11 @@ setup(
     maintainer="mbd_ros maintainers",
     maintainer_email="mbd_ros@users.noreply.github.com",
     packages=find_packages(include=[NAME, f"{NAME}.*", "msg_adapters"]),
-    package_data={f"{NAME}.report": ["*.css"], f"{NAME}.report.precision": ["*.json"]},
+    package_data={
+        f"{NAME}.compiled": ["*/*.c", "*/*.h"],
+        f"{NAME}.report": ["*.css"],
+        f"{NAME}.report.precision": ["*.json"],
+    },
     data_files=shared_files(),
     python_requires=">=3.10",
     install_requires=[

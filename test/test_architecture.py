@@ -19,6 +19,7 @@ ORDER = (  # of the rooms: each may import those before it
     "mbd_ros.errors",
     "mbd_ros.core",
     "parts",
+    "mbd_ros.compiled",
     "mbd_ros.scene",
     "mbd_ros.files",
     "mbd_ros.workers",
@@ -76,6 +77,7 @@ ALLOWED = {
     "mbd_ros.errors": set(),
     "msg_adapters": {"numpy", "msg_adapters"},
     CORE: {*MATH, "mbd_ros"},
+    "mbd_ros.compiled": {*MATH, "casadi", "mbd_ros.errors", CORE, "mbd_ros.compiled"},
     "mbd_ros.scene": {*MATH, "yaml", "mbd_ros.errors", CORE, "mbd_ros.scene"},
 }
 UNNAMED = {  # by an empty scene: events, contacts, internal states, several robots, paths

@@ -1,0 +1,88 @@
+"""Symbols as C: every operation, long functions, vectors of numbers."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from mbd_ros.compiled.build.library import load
+from mbd_ros.compiled.code.emit import emit
+from mbd_ros.compiled.code.instructions import CodeError
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path_factory, monkeypatch):
+    """One cache folder for all tests, which nobody else has."""
+    folder = tmp_path_factory.getbasetemp() / "cache"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
+
+
+def every_operation():
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    one = [ca.sqrt, ca.sin, ca.cos, ca.tan, ca.exp, ca.log, ca.asinh, ca.sinh, ca.cosh, ca.tanh]
+    one += [ca.floor, ca.ceil, ca.fabs, ca.sign, ca.erf, ca.log1p, ca.expm1, ca.atan]
+    of_one = [f(x) for f in one] + [f(0.1 * x) for f in (ca.asin, ca.acos, ca.atanh)]
+    of_two = [f(x, y) for f in (ca.fmin, ca.fmax, ca.atan2, ca.fmod, ca.hypot, ca.remainder)]
+    of_two += [f(x, y) for f in (ca.plus, ca.minus, ca.times, ca.rdivide, ca.copysign, ca.power)]
+    asked = [x < y, x <= y, ca.eq(x, y), ca.ne(x, y), ca.logic_and(x, y), ca.logic_or(x, y)]
+    asked += [
+        ca.logic_not(x),
+        ca.if_else(x < y, x, y),
+        ca.acosh(1.0 + x),
+        x**1.7,
+        1 / x,
+        -x,
+        x + x,
+    ]
+    return ca.Function("every", [x, y], [ca.vertcat(*of_one, *of_two, *asked)])
+
+
+@pytest.mark.parametrize("real", ["double", 2, 4, 8])
+def test_every_operation_is_that_of_casadi(real):
+    function = every_operation()
+    native = load(emit([function], real)).function("every")
+    rng = np.random.default_rng(1)
+    for x in (rng.uniform(0.1, 5.0, (2, 8)), np.ones((2, 8)), 1e7 * rng.uniform(0.1, 1.0, (2, 8))):
+        lanes = 1 if real == "double" else real
+        native.arguments[0].reshape(1, -1)[:] = x[0, :lanes]
+        native.arguments[1].reshape(1, -1)[:] = x[1, :lanes]
+        native()
+        wanted = np.array(function.map(lanes)(x[:1, :lanes], x[1:, :lanes]))
+        np.testing.assert_allclose(native.results[0].reshape(-1, lanes), wanted, rtol=1e-14)
+
+
+def test_what_has_no_form_in_c_is_named():
+    x = ca.SX.sym("x")
+    with pytest.raises(CodeError, match=r"inverse has an operation without a form in C"):
+        emit([ca.Function("inverse", [x], [ca.erfinv(x)])])
+    with pytest.raises(CodeError, match=r"open has symbols that are no argument: \['y'\]"):
+        emit([ca.Function("open", [x], [x * ca.SX.sym("y")], {"allow_free": True})])
+    with pytest.raises(CodeError, match=r"matrices is no function of scalar symbols"):
+        emit([ca.Function("matrices", [m := ca.MX.sym("m")], [m])])
+
+
+def test_long_functions_are_cut_and_give_the_same():
+    """A recursion that keeps early values alive to its end: they wait in `work`."""
+    x = ca.SX.sym("x", 40)
+    terms = [x[k] for k in range(40)]
+    for k in range(1200):
+        terms.append(ca.sin(terms[-1]) + terms[-40] * terms[k % 40])
+    function = ca.Function("chain", [x], [ca.vertcat(*terms[-10:], x[3], 0.0, 2.5)])
+    source = emit([function])
+    native = load(source).function("chain")
+    assert source.text.count("noinline") > 2
+    assert 40 < source.signatures["chain"].work < 200
+    native.arguments[0][:] = np.random.default_rng(2).normal(0.0, 0.3, 40)
+    native()
+    wanted = np.array(function(native.arguments[0])).ravel()
+    np.testing.assert_allclose(native.results[0], wanted, rtol=1e-11)
+
+
+def test_results_that_are_sparse_are_written_as_dense_columns():
+    x = ca.SX.sym("x", 3)
+    native = load(emit([ca.Function("sparse", [x], [ca.diag(x), x[1], ca.SX(0, 1)])]))
+    native = native.function("sparse")
+    native.arguments[0][:] = 1.0, 2.0, 3.0
+    native.results[0][:] = 7.0
+    native()
+    assert (native.results[0].reshape(3, 3) == np.diag([1.0, 2.0, 3.0])).all()
+    assert native.results[1] == 2.0 and native.results[2].size == 0
