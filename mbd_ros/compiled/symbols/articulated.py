@@ -1,0 +1,214 @@
+"""Accelerations by articulated-body inertias: forward dynamics in a time linear in the links.
+
+What velocities and gravity do is in the forces that links need to move on without joint
+accelerations: the sweep is linear. Source: R. Featherstone, Rigid Body Dynamics Algorithms, 2008,
+sec. 7.3.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from mbd_ros.compiled.symbols import turns
+from mbd_ros.compiled.symbols.inertias import FREE, REVOLUTE
+from mbd_ros.compiled.symbols.links import Link, Tree
+from mbd_ros.compiled.symbols.moving_tree import Placed
+from mbd_ros.compiled.symbols.sparse_ldl import solved
+from mbd_ros.compiled.symbols.tree_forces import Needed, carried
+from mbd_ros.compiled.symbols.turns import (
+    NO_VECTOR,
+    ZERO,
+    Matrix,
+    Vector,
+    combined,
+    cross,
+    dot,
+    minus,
+    plus,
+)
+
+
+class Articulated(NamedTuple):
+    """Force and torque about the origin: f = A a + B b, n = B' a + D b.
+
+    Attributes:
+        A: By the acceleration of the origin, symmetric [kg].
+        B: By the angular acceleration [kg·m].
+        D: Symmetric [kg·m^2].
+    """
+
+    A: Matrix
+    B: Matrix
+    D: Matrix
+
+    def plus(self, other: "Articulated") -> "Articulated":
+        """Both together."""
+        return Articulated(*map(combined, self, other))
+
+
+class _Pivot(NamedTuple):
+    """What the backward sweep leaves for the forward one, of a joint with one coordinate.
+
+    Attributes:
+        force: U: force and torque that a unit of joint acceleration takes.
+        torque: See `force`.
+        share: 1 / (S' U + armature).
+        rest: Joint force that is left, less what links need.
+    """
+
+    force: Vector
+    torque: Vector
+    share: Any
+    rest: Any
+
+
+def accelerations(
+    tree: Tree, placed: Sequence[Placed], on_links: Sequence[Needed], tau: Any
+) -> list[Any]:
+    """Joint accelerations, one SX scalar a velocity.
+
+    Args:
+        tree: The links.
+        placed: Where they are.
+        on_links: What they need without joint accelerations.
+        tau: Generalized forces, one SX scalar a velocity.
+    """
+    inertias, forces = [_rigid(one) for one in placed], list(on_links)
+    pivots: list[_Pivot | None] = [None] * len(placed)
+    a = [ZERO] * tree.nv
+    for i in range(len(placed) - 1, -1, -1):
+        one, link = placed[i], placed[i].link
+        if link.kind == FREE:
+            at = slice(link.v, link.v + 6)
+            a[at] = _freed(link, inertias[i], forces[i], tau[at])
+            continue
+        pivot = pivots[i] = _pivot(one, inertias[i], forces[i], tau[link.v])
+        if link.parent >= 0:
+            left = _left(one, inertias[i], pivot)
+            push = pivot.share * pivot.rest
+            on = forces[i]
+            needs = (
+                plus(on.force, turns.times(push, pivot.force)),
+                plus(on.torque, turns.times(push, pivot.torque)),
+            )
+            above = forces[link.parent]
+            forces[link.parent] = Needed(*map(plus, above, carried(one, *needs)))
+            inertias[link.parent] = inertias[link.parent].plus(_above(one, left))
+    return _forward(placed, pivots, a)
+
+
+def _forward(placed: Sequence[Placed], pivots: Sequence[_Pivot | None], a: list[Any]) -> list[Any]:
+    moves: list[tuple[Vector, Vector]] = []
+    for one, pivot in zip(placed, pivots, strict=True):
+        link = one.link
+        if pivot is None:
+            moves.append((tuple(a[link.v : link.v + 3]), tuple(a[link.v + 3 : link.v + 6])))
+            continue
+        linear, angular = (NO_VECTOR, NO_VECTOR) if link.parent < 0 else moves[link.parent]
+        linear = turns.into(one.turn, minus(linear, cross(one.offset, angular)))
+        angular = turns.into(one.turn, angular)
+        carried_on = dot(pivot.force, linear) + dot(pivot.torque, angular)
+        a[link.v] = pivot.share * (pivot.rest - carried_on)
+        added = turns.times(a[link.v], one.axis)
+        if link.kind == REVOLUTE:
+            angular = plus(angular, added)
+        else:
+            linear = plus(linear, added)
+        moves.append((linear, angular))
+    return a
+
+
+def _rigid(one: Placed) -> Articulated:
+    m, (x, y, z) = ca.SX(one.link.inertia.m), one.h
+    A = (m, ZERO, ZERO), (ZERO, m, ZERO), (ZERO, ZERO, m)
+    return Articulated(A, ((ZERO, z, -y), (-z, ZERO, x), (y, -x, ZERO)), one.I)
+
+
+def _pivot(one: Placed, inertia: Articulated, on: Needed, tau: Any) -> _Pivot:
+    axis, (A, B, D) = one.axis, inertia
+    if one.link.kind == REVOLUTE:
+        force, torque = turns.through(B, axis), turns.through(D, axis)
+        own, needs = dot(axis, torque), dot(axis, on.torque)
+    else:
+        force, torque = turns.through(A, axis), turns.through(turns.transposed(B), axis)
+        own, needs = dot(axis, force), dot(axis, on.force)
+    return _Pivot(force, torque, 1.0 / (own + float(one.link.armature[0])), tau - needs)
+
+
+def _left(one: Placed, inertia: Articulated, pivot: _Pivot) -> Articulated:
+    """What a parent feels of a link whose joint gives way: I - U U' / d."""
+    fs, ts = turns.times(pivot.share, pivot.force), turns.times(pivot.share, pivot.torque)
+    A = _less(inertia.A, pivot.force, fs)
+    B = combined(inertia.B, _outer(pivot.force, ts), -1)
+    D = _less(inertia.D, pivot.torque, ts)
+    along = [i for i in range(3) if (one.axis[i] * one.axis[i] - 1.0).is_zero()]
+    if not along:
+        return Articulated(A, B, D)
+    # along a known axis a joint carries what its armature takes, and nothing without one
+    k, kept = along[0], float(one.link.armature[0]) * pivot.share
+    if one.link.kind == REVOLUTE:
+        D = _with_cross(D, k, [kept * inertia.D[k][i] for i in range(3)])
+        column = [kept * inertia.B[i][k] for i in range(3)]
+        B = tuple(  # type: ignore[assignment]
+            tuple(column[i] if j == k else B[i][j] for j in range(3)) for i in range(3)
+        )
+    else:
+        A = _with_cross(A, k, [kept * inertia.A[k][i] for i in range(3)])
+        row = tuple(kept * inertia.B[k][j] for j in range(3))
+        B = tuple(row if i == k else B[i] for i in range(3))  # type: ignore[assignment]
+    return Articulated(A, B, D)
+
+
+def _above(one: Placed, inertia: Articulated) -> Articulated:
+    """An articulated inertia about the origin of the parent, in its axes."""
+    A, B, D = (turns.tensor_out(one.turn, part) for part in inertia)
+    x, y, z = one.offset
+    P: Matrix = ((ZERO, -z, y), (z, ZERO, -x), (-y, x, ZERO))
+    moved = combined(B, _product(A, P), -1)
+    PB, PBt = _product(P, moved), _product(P, B)
+    D = tuple(  # type: ignore[assignment]  # D - B' P + P (B - A P), (B' P)' = -P B
+        tuple(D[i][j] + PB[min(i, j)][max(i, j)] + PBt[max(i, j)][min(i, j)] for j in range(3))
+        for i in range(3)
+    )
+    return Articulated(A, moved, D)
+
+
+def _freed(link: Link, inertia: Articulated, on: Needed, tau: Any) -> list[Any]:
+    """Accelerations of a free body: all six of them at once."""
+    A, B, D = inertia
+    upper = np.block([[np.array(A), np.array(B)], [np.array(B).T, np.array(D)]])
+    entries = {(i, j): upper[i, j] for i in range(6) for j in range(i + 1)}
+    for i in range(6):
+        entries[i, i] = entries[i, i] + float(link.armature[i])
+    right = [t - needs for t, needs in zip(tau, (*on.force, *on.torque), strict=True)]
+    return solved(entries, right, range(6))
+
+
+def _less(A: Matrix, a: Vector, b: Vector) -> Matrix:
+    """A - a b', symmetric."""
+    upper = {(i, j): A[i][j] - a[i] * b[j] for i in range(3) for j in range(i, 3)}
+    return _symmetric(upper)
+
+
+def _with_cross(A: Matrix, k: int, values: Sequence[Any]) -> Matrix:
+    """A symmetric matrix with another row and column k."""
+    upper = {(i, j): A[i][j] for i in range(3) for j in range(i, 3)}
+    upper |= {(min(i, k), max(i, k)): values[i] for i in range(3)}
+    return _symmetric(upper)
+
+
+def _symmetric(upper: dict[tuple[int, int], Any]) -> Matrix:
+    return tuple(  # type: ignore[return-value]
+        tuple(upper[min(i, j), max(i, j)] for j in range(3)) for i in range(3)
+    )
+
+
+def _outer(a: Vector, b: Vector) -> Matrix:
+    return turns.times(a[0], b), turns.times(a[1], b), turns.times(a[2], b)
+
+
+def _product(A: Matrix, B: Matrix) -> Matrix:
+    columns = turns.transposed(B)
+    return tuple(tuple(dot(row, column) for column in columns) for row in A)  # type: ignore[return-value]

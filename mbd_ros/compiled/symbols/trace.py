@@ -1,0 +1,91 @@
+"""A system as symbolic expressions: functions of CasADi that evaluate it without any Python."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import casadi as ca
+
+from mbd_ros.compiled.symbols.equations import Equations
+from mbd_ros.compiled.symbols.untraceable import Untraceable
+from mbd_ros.core.dynamics.system import System
+
+ARGUMENTS = {  # of every function, in their order
+    "accelerate": "tqvzup",
+    "expand": "tqv",
+    "multipliers": "tqvzup",
+}
+
+
+class Traced:
+    """The functions of a system, made when they are asked for.
+
+    Arguments and results are dense columns, empty where there is nothing: time t [s], q and v of
+    what the tier integrates, internal states z, inputs u, parameters p.
+
+    accelerate(t, q, v, z, u, p) -> (a, zdot, health): health is the smallest pivot of the rows
+    over its usual size, 1 without rows.
+    multipliers(t, q, v, z, u, p) -> (a_all, lam): of all joints, and in the order of
+    `System.multiplier_rows`.
+    expand(t, q, v) -> (q_all, v_all).
+
+    Args:
+        equations: The expressions.
+
+    Attributes:
+        tier: Name of the way of solving.
+        parameters: Names of p.
+        nq: Size of the configuration of what is integrated.
+        nv: Size of its velocity.
+        nz: Number of internal states.
+        nu: Number of inputs.
+        np: Number of parameters.
+        nq_all: Size of the configuration of all joints.
+        nv_all: Size of their velocity.
+        m: Number of multipliers.
+        mg: Number of rows of positions that an integrator may have to keep.
+        least_health: Below it, rows are too near to dependent for a factor without pivoting.
+    """
+
+    least_health = 1.0e-8
+
+    def __init__(self, equations: Equations) -> None:
+        self._equations = equations
+        self.tier, self.parameters = equations.tier, equations.parameters
+        self.nq, self.nv = equations.nq, equations.nv
+        self.nz, self.nu, self.np = equations.nz, equations.nu, len(equations.parameters)
+        self.nq_all, self.nv_all = equations.tree.nq, equations.tree.nv
+        self.m, self.mg = equations.m, equations.mg
+        self._made: dict[str, Any] = {}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all functions."""
+        return tuple(ARGUMENTS)
+
+    def function(self, name: str) -> Any:
+        """The `casadi.Function` of a name.
+
+        Raises:
+            Untraceable: The system has no such function; says why.
+        """
+        if name not in self._made:
+            if name not in ARGUMENTS:
+                raise Untraceable(f"no function '{name}'; there are {', '.join(ARGUMENTS)}")
+            made: Callable[[], Sequence[Any]] = getattr(self._equations, name)
+            results = ca.cse([ca.densify(ca.SX(result)) for result in made()])
+            arguments = [self._equations.symbols[key] for key in ARGUMENTS[name]]
+            self._made[name] = ca.Function(name, arguments, results)
+        return self._made[name]
+
+
+def trace(system: System, parameters: Sequence[str] = ()) -> Traced:
+    """The functions of a system.
+
+    Args:
+        system: The system.
+        parameters: Names of numbers that stay arguments.
+
+    Raises:
+        Untraceable: Names the part and why.
+    """
+    return Traced(Equations(system, tuple(parameters)))
