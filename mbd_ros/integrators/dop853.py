@@ -8,6 +8,7 @@ from mbd_ros.core.integration.dop853_tableau import DOP853
 from mbd_ros.core.integration.linear_motion import LinearMotion, runge_kutta_growth
 from mbd_ros.core.integration.runge_kutta import RungeKutta
 from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.integration.tableau import Tableau
 
 
 class Dop853(Integrator):
@@ -25,6 +26,7 @@ class Dop853(Integrator):
     """
 
     order: ClassVar[int] = 8
+    tableau: ClassVar[Tableau] = DOP853
     dense: ClassVar[bool] = True
     event_driven: ClassVar[bool] = True
     stable = 5.5

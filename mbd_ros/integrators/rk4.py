@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 from mbd_ros.core.integration.linear_motion import LinearMotion, runge_kutta_growth
 from mbd_ros.core.integration.runge_kutta import RungeKutta
 from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.integration.tableau import RK4
+from mbd_ros.core.integration.tableau import RK4, Tableau
 
 
 class Rk4(Integrator):
@@ -15,6 +15,7 @@ class Rk4(Integrator):
     """
 
     order: ClassVar[int] = 4
+    tableau: ClassVar[Tableau] = RK4
     dense: ClassVar[bool] = True
     event_driven: ClassVar[bool] = True
     example: ClassVar[dict[str, Any]] = {}

@@ -14,12 +14,20 @@ from mbd_ros.core.integration.polynomial import integrals
 from mbd_ros.core.integration.runge_kutta import RungeKutta
 from mbd_ros.core.integration.step_length import NEAR, clip
 from mbd_ros.core.integration.stepping import Stepper
-from mbd_ros.core.integration.tableau import RK4
+from mbd_ros.core.integration.tableau import RK4, Tableau
 from mbd_ros.core.memory import Memory
 from mbd_ros.core.state import NONE, Array, Mode, State
 from mbd_ros.errors import ModelError
 
 _LAST = 1.0e-6  # of dt: a step that ends this near to `end` must end there
+
+
+def starter(order: int) -> Tableau:
+    """The Runge-Kutta method that takes the first steps.
+
+    Errors of the first steps do not add up: one order less than that of the method will do.
+    """
+    return RK4 if order <= 5 else DOP853
 
 
 class AdamsSteps(Stepper):
@@ -43,8 +51,7 @@ class AdamsSteps(Stepper):
     def __init__(self, system: Any, order: int, dt: float) -> None:
         self._accelerate, self._needed = system.accelerator(), order - 1
         self._dt, self._near = dt, NEAR * dt
-        # Errors of the first steps do not add up: one order less than that of the method will do.
-        self._starter = RungeKutta(system, RK4 if order <= 5 else DOP853, dt)
+        self._starter = RungeKutta(system, starter(order), dt)
         self._B, self._turns = turns(order, int(system.nv), dt)
         self._slots = cycle(self._turns)
         self._ages = np.arange(order, dtype=np.float64)

@@ -31,6 +31,14 @@ class Tableau(NamedTuple):
     errors: Array = np.zeros((0, 0))
     dense: Array = np.zeros((0, 0))
 
+    @property
+    def terms(self) -> Array:
+        """F0, F1, .. of `weights` as weights of the rates, shape (3 + d, n)."""
+        start, end = np.eye(len(self.a))[[0, self.stages]]
+        step = self.a[self.stages]
+        hermite = [step, start - step, 2.0 * step - start - end]
+        return np.vstack([hermite, self.dense.reshape(-1, len(step))])
+
     def weights(self, theta: float) -> Array:
         """Weights w of the rates with y(t + theta h) = y + h sum_i w_i k_i, shape (n,).
 
@@ -41,10 +49,7 @@ class Tableau(NamedTuple):
         Args:
             theta: Part of the step, 0 .. 1.
         """
-        start, end = np.eye(len(self.a))[[0, self.stages]]
-        step = self.a[self.stages]
-        hermite = [step, start - step, 2.0 * step - start - end]
-        terms = np.vstack([hermite, self.dense.reshape(-1, len(step))])
+        terms = self.terms
         factors = np.resize([theta, 1.0 - theta], len(terms))
         weights: Array = np.cumprod(factors).dot(terms)
         return weights

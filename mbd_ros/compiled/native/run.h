@@ -1,0 +1,156 @@
+/* What a run is made of. Written before this file: the type `real`, sizes, and the functions of
+ * the scene:
+ *
+ *   NQ NV NZ NU NP       sizes of q, v, z, u and p
+ *   NG NH                numbers of the rows of positions, and of all that velocities keep
+ *   NQ_ALL NV_ALL        the same of all joints
+ *   IS_FLAT              whether q' = v on a vector space
+ *   IS_WHOLE             whether all joints are integrated
+ *   IS_PROJECTED         whether every step is followed by a projection onto the rows
+ *   IS_RATTLE            whether the method is RATTLE
+ *   WORK                 most numbers that a function of the scene keeps in between
+ */
+#include <float.h>
+#include <string.h>
+
+#define NW (NV + NZ)  /* velocities and internal states */
+#define NR (NV + NW)  /* rates of a step in the chart, of velocities, of internal states */
+#define NOT_ZERO(n) ((n) > 0 ? (n) : 1)
+#define MOST_RATES 16
+#define MOST_TERMS 8
+#define MOST_HELD 8      /* accelerations that an Adams method uses */
+#define HISTORY 64       /* steps after which they are moved */
+
+enum status {
+  DONE = 0,
+  PAUSED = 1,           /* as many steps as were asked for */
+  NOT_FINITE = 2,
+  ILL_CONDITIONED = 3,  /* small pivots: another solver has to take this step */
+  GUARD = 4,            /* a guard changed its sign in the last step */
+  TOO_SHORT = 5,        /* no step is short enough for the tolerance */
+  OPEN = 6,             /* rows do not close */
+  NO_INPUTS = 7         /* the table of inputs has come to its end */
+};
+
+enum method { RUNGE_KUTTA, ADAMS, SEMI_IMPLICIT_EULER, RATTLE };
+
+/* Rows of weights, zeros left out: row i has `value[begin[i]] .. value[begin[i + 1] - 1]`. */
+typedef struct {
+  const long *begin, *column;
+  const double *value;
+} Weights;
+
+/* An explicit Runge-Kutta method: `a` has the stages, row `stages` is the step itself. */
+typedef struct {
+  long stages, errors, weighed, terms, all;  /* `weighed` rates in errors, `all` in dense output */
+  double power;                              /* of an error in the length of a step */
+  const double *c;
+  Weights a, error, dense;
+} Tableau;
+
+/* Weights of accelerations, the newest first: of the step, and of powers of its part. */
+typedef struct {
+  long order, needed;
+  Weights position, velocity, positions, velocities;
+} AdamsWeights;
+
+/* What stays the same in a run. */
+typedef struct {
+  long method, is_adaptive;
+  double dt, tolerance, closed, least_health;
+  const double *lower, *upper, *sizes;  /* of internal states: bounds, errors that count as one */
+  const double *p;
+  Tableau tableau;                      /* of the method, or of the steps that start it */
+  AdamsWeights adams;
+} Options;
+
+/* What later steps depend on, then what they do not. */
+typedef struct {
+  double t, q[NOT_ZERO(NQ)], w[NOT_ZERO(NW)];     /* from where the next step starts */
+  double t0, q0[NOT_ZERO(NQ)], w0[NOT_ZERO(NW)];  /* where the last step started */
+  double t1, q1[NOT_ZERO(NQ)], w1[NOT_ZERO(NW)];  /* where it ended, before corrections */
+  double u[NOT_ZERO(NU)];
+  double h, done, is_after, is_dense;  /* rates known; the state is the end of the last step */
+  double length, last_error;           /* of adaptive steps */
+  double head, known, is_started, is_adams;
+  double sample, is_within, steps;
+  double s[NOT_ZERO(NG)], s_before[NOT_ZERO(NG)];  /* corrections of RATTLE */
+  double force[NOT_ZERO(NW)], is_forced;           /* rates at the state, as RATTLE left them */
+  double rates[MOST_RATES][NR];
+  double dense[MOST_TERMS][NR];
+  double history[HISTORY + MOST_HELD][NW];
+  double end_of_memory;
+  double health, evaluations, interval;
+  double work[NOT_ZERO(WORK)];
+} Run;
+
+static void copy(long n, const double *from, double *to) {
+  if (n) memcpy(to, from, n * sizeof *to);
+}
+
+static int are_same(long n, const double *a, const double *b) {
+  return !n || !memcmp(a, b, n * sizeof *a);
+}
+
+static double largest(long n, const double *x) {
+  double most = 0.0;
+  for (long i = 0; i < n; i++) {
+    double size = fabs(x[i]);
+    if (!(size <= most)) most = size;  /* NaN stays */
+    if (size != size) return size;
+  }
+  return most;
+}
+
+static int is_finite(const double *q, const double *w) {
+  double sum = 0.0;
+  for (long i = 0; i < NQ; i++) sum += q[i] * q[i];
+  for (long i = 0; i < NW; i++) sum += w[i] * w[i];
+  return sum <= DBL_MAX;
+}
+
+/* The step starts where the run stands. */
+static void keep_start(Run *r) {
+  r->t0 = r->t;
+  copy(NQ, r->q, r->q0);
+  copy(NW, r->w, r->w0);
+}
+
+/* Accelerations and rates of internal states at a state. */
+static void evaluate(const Options *o, Run *r, double t, const double *q, const double *w,
+                     double *out) {
+  double health, z[NOT_ZERO(NZ)];
+  for (long i = 0; i < NZ; i++) z[i] = fmin(fmax(w[NV + i], o->lower[i]), o->upper[i]);
+  accelerate(&t, q, w, z, r->u, o->p, out, out + NV, &health, r->work);
+  r->evaluations += 1.0;
+  if (health < r->health) r->health = health;
+}
+
+/* q1 = q (+) dq */
+static void move(const double *q, const double *dq, double *q1, double *work) {
+#if IS_FLAT
+  for (long i = 0; i < NQ; i++) q1[i] = q[i] + dq[i];
+#else
+  integrate(q, dq, q1, work);
+#endif
+}
+
+/* Rate of dq while q (+) dq moves with v. */
+static void chart_rate(const double *dq, const double *v, double *out, double *work) {
+#if IS_FLAT
+  copy(NV, v, out);
+#else
+  rate(dq, v, out, work);
+#endif
+}
+
+/* Internal states inside their bounds; whether one was outside. */
+static int clamp(const Options *o, double *z) {
+  int was_outside = 0;
+  for (long i = 0; i < NZ; i++) {
+    double inside = fmin(fmax(z[i], o->lower[i]), o->upper[i]);
+    was_outside |= inside != z[i];
+    z[i] = inside;
+  }
+  return was_outside;
+}

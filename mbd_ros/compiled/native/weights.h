@@ -1,0 +1,28 @@
+/* Sums of rows: out = factor sum_j value_j rows[column_j], all of width NR or NW. */
+#define CHUNK 4
+typedef double Chunk __attribute__((vector_size(8 * CHUNK), aligned(8)));
+
+#define SUM(name, width)                                                                      \
+  static inline __attribute__((always_inline)) void name(Weights by, long row, double factor, \
+                                                         const double (*rows)[width],         \
+                                                         double *restrict out) {              \
+    long first = by.begin[row], last = by.begin[row + 1], k = 0;                              \
+    for (; k + CHUNK <= (width); k += CHUNK) {                                                \
+      Chunk sum = {0.0};                                                                      \
+      for (long j = first; j < last; j++) {                                                   \
+        Chunk rate;                                                                           \
+        memcpy(&rate, &rows[by.column[j]][k], sizeof rate);                                   \
+        sum += by.value[j] * rate;                                                            \
+      }                                                                                       \
+      sum *= factor;                                                                          \
+      memcpy(out + k, &sum, sizeof sum);                                                      \
+    }                                                                                         \
+    for (; k < (width); k++) {                                                                \
+      double sum = 0.0;                                                                       \
+      for (long j = first; j < last; j++) sum += by.value[j] * rows[by.column[j]][k];         \
+      out[k] = factor * sum;                                                                  \
+    }                                                                                         \
+  }
+
+SUM(sum_rates, NR)
+SUM(sum_history, NW)

@@ -1,0 +1,224 @@
+"""Runs in native code, as Python calls them."""
+
+import ctypes
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.compiled.build.library import Library
+from mbd_ros.compiled.runs.method_options import method_options
+from mbd_ros.compiled.runs.native_source import Sizes
+from mbd_ros.compiled.runs.native_types import Field, InputsOfC, Status, TimesOfC
+from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.simulation.sample_times import SampleTimes
+from mbd_ros.core.state import NONE, Array, State
+
+_MANY = 2**62
+_ALIGNED = 8  # numbers, as wide as the widest vectors
+
+
+class Block(NamedTuple):
+    """Samples that one call took.
+
+    Attributes:
+        rows: A sample a row: time, positions, velocities of all joints, internal states.
+        status: Why there are no more.
+    """
+
+    rows: Array
+    status: Status
+
+
+class HeldTable(NamedTuple):
+    """Inputs that are held from jump to jump.
+
+    Attributes:
+        until: Time at which each row ends, where a step ends too [s], shape (m,).
+        values: The whole u of each, shape (m, nu).
+        now: Time at which each row began [s], shape (m,).
+    """
+
+    until: Array
+    values: Array
+    now: Array
+
+
+class NativeRun:
+    """Integrations of one compiled scene by one method; not for two threads.
+
+    Args:
+        library: The scene with the integrators.
+        sizes: What it was compiled for.
+        method: The method.
+        dt: Step of a fixed-step method, and first guess of others [s].
+        bounds: Least and largest internal states, and what counts as an error of one, (3, nz).
+        p: Values of the parameters.
+        least_health: Of rows: below it the run stops.
+    """
+
+    def __init__(
+        self,
+        library: Library,
+        sizes: Sizes,
+        method: Integrator,
+        dt: float,
+        bounds: Array,
+        p: Array = NONE,
+        least_health: float = 0.0,
+    ) -> None:
+        self.sizes, self._c = sizes, _bound(library.c)
+        self._bounds, self._p = np.ascontiguousarray(bounds, np.float64), np.array(p, np.float64)
+        self._options = method_options(method, dt)
+        options = self._options.value
+        options.lower, options.upper, options.sizes = (row.ctypes.data for row in self._bounds)
+        options.p, options.least_health = self._p.ctypes.data, least_health
+        self._o = ctypes.addressof(options)
+        place = [self._c.place_of(field) for field in Field]
+        self._at, self._row = place, place[Field.ROW]
+        self._numbers = _aligned(place[Field.SIZE])
+        self._r = self._numbers.ctypes.data
+        nq, nv, nz = sizes.nq, sizes.nv, sizes.nz
+        self._q = self._numbers[place[Field.Q] :][:nq]
+        self._v = self._numbers[place[Field.W] :][:nv]
+        self._z = self._numbers[place[Field.W] + nv :][:nz]
+        self._out, self._u = np.zeros(nq + nv + nz), np.zeros(max(sizes.nu, 1))
+        self._written = ctypes.c_long(0)
+        self.restart()
+
+    @property
+    def t(self) -> float:
+        """Time of the state [s]."""
+        return float(self._numbers[self._at[Field.T]])
+
+    @property
+    def steps(self) -> int:
+        """Steps taken so far."""
+        return int(self._numbers[self._at[Field.STEPS]])
+
+    @property
+    def sample(self) -> int:
+        """Number of the newest sample."""
+        return int(self._numbers[self._at[Field.SAMPLE]])
+
+    @property
+    def is_within(self) -> bool:
+        """Whether the last step has samples inside that are still to come."""
+        return bool(self._numbers[self._at[Field.IS_WITHIN]])
+
+    @property
+    def interval(self) -> int:
+        """Rows of held inputs that the last block has left behind."""
+        return int(self._numbers[self._at[Field.INTERVAL]])
+
+    @property
+    def evaluations(self) -> int:
+        """How often accelerations were computed so far."""
+        return int(self._numbers[self._at[Field.EVALUATIONS]])
+
+    def state(self) -> State:
+        """Where the run stands, fresh."""
+        return State(self.t, self._q.copy(), self._v.copy(), self._z.copy() if self._z.size else NONE)
+
+    def restart(self) -> None:
+        """Forget everything that was kept from earlier steps."""
+        self._c.restart(self._r)
+
+    def load(self, x: State, *, keeps_history: bool = False) -> None:
+        """Go on from a state.
+
+        Args:
+            x: State of what is integrated.
+            keeps_history: Whether it is the last one but for corrections.
+        """
+        self._numbers[self._at[Field.T]] = x.t
+        self._q[...], self._v[...] = x.q, x.v
+        if self._z.size:
+            self._z[...] = x.z
+        (self._c.touch if keeps_history else self._c.leave)(self._r)
+
+    def begin_samples(self, sample: int, *, is_within: bool) -> None:
+        """Say which sample is the newest, and whether the last step has others inside."""
+        self._numbers[self._at[Field.SAMPLE]] = sample
+        self._numbers[self._at[Field.IS_WITHIN]] = is_within
+
+    def advance(self, u: Array | None, end: float, most: int = _MANY) -> Status:
+        """Steps until a time [s], at most so many, with held inputs."""
+        if u is not None:
+            self._u[: len(u)] = u
+        return Status(self._c.advance(self._o, self._r, self._u.ctypes.data, end, most))
+
+    def samples(self, times: SampleTimes, held: HeldTable, steps: int, most: int) -> Block:
+        """The samples after the newest one.
+
+        Args:
+            times: When they are due.
+            held: Inputs from where the run stands on.
+            steps: How many steps may be taken.
+            most: How many samples may be written.
+        """
+        most = min(most, times.end - self.sample)
+        rows = np.empty((most, self._row))
+        value = TimesOfC(*times[:3], times.resolution, times.slack, times.end, 0)
+        table = InputsOfC(len(held.until), held.until.ctypes.data, held.values.ctypes.data)
+        status = self._c.samples(
+            *(self._o, self._r, ctypes.addressof(value), ctypes.addressof(table)),
+            *(float(held.now[0]), steps, most, ctypes.addressof(self._written), rows.ctypes.data),
+        )
+        return Block(rows[: self._written.value], Status(status))
+
+    def again(self, h: float, t: float) -> tuple[State, Status]:
+        """The last step once more with another length [s], and the time it leads to [s]."""
+        status = self._c.again(self._o, self._r, h, t, self._out.ctypes.data)
+        return self._given(t), Status(status)
+
+    def interpolate(self, t: float) -> tuple[State, Status]:
+        """State inside the last step, corrected as the state after it is."""
+        status = self._c.interpolate(self._o, self._r, t, self._out.ctypes.data)
+        return self._given(t), Status(status)
+
+    def memory(self) -> Array:
+        """All that later steps and samples depend on, fresh."""
+        return self._numbers[: self._at[Field.MEMORY]].copy()
+
+    def recall(self, memory: Array) -> None:
+        """Go on as after the step at which a memory was taken."""
+        self._numbers[: len(memory)] = memory
+
+    def _given(self, t: float) -> State:
+        nq, nv = self.sizes.nq, self.sizes.nv
+        q, v, z = np.split(self._out.copy(), (nq, nq + nv))
+        return State(t, q, v, z if z.size else NONE)
+
+
+def held_inputs(u: Array | Sequence[float], now: float) -> HeldTable:
+    """Inputs that never change from a time [s] on."""
+    values = np.array(u, dtype=np.float64).reshape(1, -1)
+    return HeldTable(np.array([math.inf]), values, np.array([now]))
+
+
+def _aligned(size: int) -> Array:
+    room = np.zeros(size + _ALIGNED)
+    first = -room.ctypes.data % (8 * _ALIGNED) // 8
+    return room[first : first + size]
+
+
+def _bound(c: Any) -> Any:
+    """The functions of a library with the types of their arguments."""
+    pointer, number, whole = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
+    for name, arguments in (
+        ("restart", (pointer,)),
+        ("leave", (pointer,)),
+        ("touch", (pointer,)),
+        ("place_of", (whole,)),
+        ("advance", (pointer, pointer, pointer, number, whole)),
+        ("samples", (*(pointer,) * 4, number, whole, whole, pointer, pointer)),
+        ("again", (pointer, pointer, number, number, pointer)),
+        ("interpolate", (pointer, pointer, number, pointer)),
+    ):
+        c[name].argtypes = arguments
+    c.place_of.restype = whole
+    for name in ("restart", "leave", "touch"):
+        c[name].restype = None
+    return c
