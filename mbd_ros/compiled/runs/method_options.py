@@ -1,5 +1,9 @@
 """Methods of integration as native runs know them."""
 
+from typing import Any
+
+from numpy.typing import NDArray
+
 from mbd_ros.compiled.runs.native_types import (
     Held,
     Method,
@@ -34,7 +38,8 @@ def method_options(method: Integrator, dt: float) -> Held:
     Raises:
         ModelError: Native runs do not know it.
     """
-    options, arrays = OptionsOfC(dt=dt), ()
+    options = OptionsOfC(dt=dt)
+    arrays: tuple[NDArray[Any], ...] = ()
     if isinstance(method, Rk4 | Dopri5 | Dop853):
         table = tableau_of(method.tableau)
         tolerance = getattr(method, "tolerance", None)
@@ -49,5 +54,7 @@ def method_options(method: Integrator, dt: float) -> Held:
     elif is_native(method):
         options.method = Method.SEMI_IMPLICIT_EULER
     else:
-        raise ModelError(f"integrator {type_name(type(method))} is not compiled; accepted: {NATIVE}")
+        raise ModelError(
+            f"integrator {type_name(type(method))} is not compiled; accepted: {NATIVE}"
+        )
     return Held(options, arrays)

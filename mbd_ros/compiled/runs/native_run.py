@@ -119,7 +119,9 @@ class NativeRun:
 
     def state(self) -> State:
         """Where the run stands, fresh."""
-        return State(self.t, self._q.copy(), self._v.copy(), self._z.copy() if self._z.size else NONE)
+        return State(
+            self.t, self._q.copy(), self._v.copy(), self._z.copy() if self._z.size else NONE
+        )
 
     def restart(self) -> None:
         """Forget everything that was kept from earlier steps."""
@@ -217,8 +219,8 @@ def _bound(c: Any) -> Any:
         ("again", (pointer, pointer, number, number, pointer)),
         ("interpolate", (pointer, pointer, number, pointer)),
     ):
-        c[name].argtypes = arguments
+        getattr(c, name).argtypes = arguments
     c.place_of.restype = whole
     for name in ("restart", "leave", "touch"):
-        c[name].restype = None
+        getattr(c, name).restype = None
     return c

@@ -74,7 +74,10 @@ def with_integrators(functions: Source, sizes: Sizes) -> Source:
         sizes: Of the scene.
     """
     work = max(one.work for one in functions.signatures.values())
-    numbers = {**{name.upper(): int(value) for name, value in sizes._asdict().items()}, "WORK": work}
+    numbers = {
+        **{name.upper(): int(value) for name, value in sizes._asdict().items()},
+        "WORK": work,
+    }
     lines = [f"#define {name} {value}\n" for name, value in numbers.items()]
     texts = [(NATIVE / name).read_text(encoding="utf-8") for name in _FILES]
     return functions._replace(text="".join((functions.text, *lines, *texts)))
