@@ -32,6 +32,7 @@ class Adams(Integrator):
         order: 2 .. 8.
     """
 
+    native = "adams"
     dense: ClassVar[bool] = True
     event_driven: ClassVar[bool] = True
     example = {"order": 4}

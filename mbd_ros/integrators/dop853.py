@@ -26,6 +26,7 @@ class Dop853(Integrator):
     """
 
     order: ClassVar[int] = 8
+    native = "runge_kutta"
     tableau: ClassVar[Tableau] = DOP853
     dense: ClassVar[bool] = True
     event_driven: ClassVar[bool] = True

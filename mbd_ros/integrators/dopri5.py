@@ -52,6 +52,7 @@ class Dopri5(Integrator):
     """
 
     order: ClassVar[int] = 5
+    native = "runge_kutta"
     tableau: ClassVar[Tableau] = _TABLEAU
     stable = 1.3  # without damping; 2.4 with a twentieth of the critical one
     dense: ClassVar[bool] = True

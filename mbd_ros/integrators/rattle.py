@@ -35,6 +35,7 @@ class Rattle(Integrator):
 
     order = 2
     keeps_constraints = True
+    native = "rattle"
     stable = 2.0
     example: dict[str, Any] = {}
 

@@ -15,6 +15,7 @@ class Rk4(Integrator):
     """
 
     order: ClassVar[int] = 4
+    native = "runge_kutta"
     tableau: ClassVar[Tableau] = RK4
     dense: ClassVar[bool] = True
     event_driven: ClassVar[bool] = True

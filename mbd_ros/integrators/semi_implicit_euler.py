@@ -33,12 +33,14 @@ class SemiImplicitEuler(Integrator):
     """
 
     order: ClassVar[int] = 1
+    native = "semi_implicit_euler"
     stable = 0.8  # critical damping; 2 without damping
     example: ClassVar[dict[str, Any]] = {"damping": "implicit"}
 
     def __init__(self, *, damping: Literal["explicit", "implicit"] = "explicit") -> None:
         self.damping = damping
         if damping == "implicit":
+            self.native = ""
             self.stable = 2.0  # without damping; more with any
 
     def growth(self, motion: LinearMotion, dt: float) -> float:

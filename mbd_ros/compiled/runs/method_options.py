@@ -2,34 +2,13 @@
 
 from typing import Any
 
-from numpy.typing import NDArray
-
-from mbd_ros.compiled.runs.native_types import (
-    Held,
-    Method,
-    OptionsOfC,
-    adams_of,
-    tableau_of,
-)
+from mbd_ros.compiled.runs.native_types import Held, Method, OptionsOfC, adams_of, tableau_of
 from mbd_ros.core.integration.adams_steps import starter
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.names import type_name
 from mbd_ros.errors import ModelError
-from mbd_ros.integrators.adams import Adams
-from mbd_ros.integrators.dop853 import Dop853
-from mbd_ros.integrators.dopri5 import Dopri5
-from mbd_ros.integrators.rattle import Rattle
-from mbd_ros.integrators.rk4 import Rk4
-from mbd_ros.integrators.semi_implicit_euler import SemiImplicitEuler
 
 NATIVE = "rk4, adams, dopri5, dop853, rattle, semi_implicit_euler with explicit damping"
-
-
-def is_native(method: Integrator) -> bool:
-    """Whether native runs know a method."""
-    if isinstance(method, SemiImplicitEuler):
-        return method.damping == "explicit"
-    return isinstance(method, Rk4 | Adams | Dopri5 | Dop853 | Rattle)
 
 
 def method_options(method: Integrator, dt: float) -> Held:
@@ -38,23 +17,21 @@ def method_options(method: Integrator, dt: float) -> Held:
     Raises:
         ModelError: Native runs do not know it.
     """
-    options = OptionsOfC(dt=dt)
-    arrays: tuple[NDArray[Any], ...] = ()
-    if isinstance(method, Rk4 | Dopri5 | Dop853):
-        table = tableau_of(method.tableau)
-        tolerance = getattr(method, "tolerance", None)
-        options.method, options.tableau, arrays = Method.RUNGE_KUTTA, table.value, table.arrays
+    if not method.native:
+        name = type_name(type(method))
+        raise ModelError(f"integrator {name} is not compiled; accepted: {NATIVE}")
+    kind = Method[method.native.upper()]
+    options, tables = OptionsOfC(method=kind, dt=dt), []
+    given: Any = method
+    if kind == Method.RUNGE_KUTTA:
+        tables.append(tableau_of(given.tableau))
+        tolerance = getattr(given, "tolerance", None)
         options.is_adaptive, options.tolerance = tolerance is not None, tolerance or 0.0
-    elif isinstance(method, Adams):
-        table, weights = tableau_of(starter(method.order)), adams_of(method.order, dt)
-        options.method, options.tableau, options.adams = Method.ADAMS, table.value, weights.value
-        arrays = (*table.arrays, *weights.arrays)
-    elif isinstance(method, Rattle):
-        options.method, options.closed = Method.RATTLE, method.tolerance
-    elif is_native(method):
-        options.method = Method.SEMI_IMPLICIT_EULER
-    else:
-        raise ModelError(
-            f"integrator {type_name(type(method))} is not compiled; accepted: {NATIVE}"
-        )
-    return Held(options, arrays)
+    elif kind == Method.ADAMS:
+        tables += [tableau_of(starter(given.order)), adams_of(given.order, dt)]
+        options.adams = tables[1].value
+    elif kind == Method.RATTLE:
+        options.closed = given.tolerance
+    if tables:
+        options.tableau = tables[0].value
+    return Held(options, tuple(array for table in tables for array in table.arrays))

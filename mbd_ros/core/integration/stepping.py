@@ -134,6 +134,9 @@ class Integrator:
         at_velocity_level: Whether its steps solve for rows that give way with their rates at the
             end of the step, impacts included, exact or smoothed, and for internal states.
         finds_surfaces: Whether surfaces of switching forces are events, too.
+        native: What compiled runs call its steps: `runge_kutta`, which have a `tableau` and may
+            have a `tolerance`, `adams`, `rattle` or `semi_implicit_euler`; empty where they know
+            no such steps.
         stable: Largest rate times dt, with the rate of `linear_motion.fastest_rate`, at which no
             oscillation and no decay grows, however it is damped; beyond it `growth` decides. inf
             where the method chooses its steps.
@@ -147,6 +150,7 @@ class Integrator:
     event_driven: ClassVar[bool] = False
     at_velocity_level: ClassVar[bool] = False
     finds_surfaces: ClassVar[bool] = False
+    native: str = ""
     stable: float = 2.5
 
     def growth(self, motion: Any, dt: float) -> float:
