@@ -41,7 +41,7 @@ def test_every_operation_is_that_of_casadi(real):
     function = every_operation()
     native = load(emit([function], real)).function("every")
     rng = np.random.default_rng(1)
-    for x in (rng.uniform(0.1, 5.0, (2, 8)), np.ones((2, 8)), 1e7 * rng.uniform(0.1, 1.0, (2, 8))):
+    for x in (rng.uniform(0.1, 5.0, (2, 8)), np.ones((2, 8)), 1e7 * rng.uniform(0.2, 1.0, (2, 8))):
         lanes = 1 if real == "double" else real
         native.arguments[0].reshape(1, -1)[:] = x[0, :lanes]
         native.arguments[1].reshape(1, -1)[:] = x[1, :lanes]
@@ -64,12 +64,12 @@ def test_long_functions_are_cut_and_give_the_same():
     """A recursion that keeps early values alive to its end: they wait in `work`."""
     x = ca.SX.sym("x", 40)
     terms = [x[k] for k in range(40)]
-    for k in range(1200):
+    for k in range(2000):
         terms.append(ca.sin(terms[-1]) + terms[-40] * terms[k % 40])
     function = ca.Function("chain", [x], [ca.vertcat(*terms[-10:], x[3], 0.0, 2.5)])
     source = emit([function])
     native = load(source).function("chain")
-    assert source.text.count("noinline") > 2
+    assert source.text.count("noinline") > 4
     assert 40 < source.signatures["chain"].work < 200
     native.arguments[0][:] = np.random.default_rng(2).normal(0.0, 0.3, 40)
     native()
@@ -86,3 +86,27 @@ def test_results_that_are_sparse_are_written_as_dense_columns():
     native()
     assert (native.results[0].reshape(3, 3) == np.diag([1.0, 2.0, 3.0])).all()
     assert native.results[1] == 2.0 and native.results[2].size == 0
+
+
+@pytest.mark.parametrize("real", ["double", 8])
+def test_sines_and_cosines_are_right_to_the_last_place(real):
+    """Beside the functions of long double, whose own error is a thousandth of a place."""
+    angle = ca.SX.sym("angle", 64)
+    turned = ca.Function("turned", [angle], [ca.sin(angle), ca.cos(angle)])
+    source = emit([turned], real)
+    native = load(source).function("turned")
+    rng = np.random.default_rng(3)
+    quarters = np.pi / 2 * rng.integers(-600_000, 600_000, 64 * 8)
+    angles = [quarters, rng.normal(0.0, 1.0, 64 * 8), rng.uniform(-1e6, 1e6, 64 * 8)]
+    angles += [10.0 ** rng.uniform(-300.0, 300.0, 64 * 8)]
+    for values in angles:
+        argument = native.arguments[0]
+        argument[:] = values[: argument.size].reshape(argument.shape)
+        native()
+        wanted = (f(argument.astype(np.longdouble)) for f in (np.sin, np.cos))
+        for result, exact in zip(native.results, wanted, strict=True):
+            places = (result.reshape(argument.shape) - exact) / np.spacing(np.abs(result))
+            assert np.abs(places).max() < 0.9
+    native.arguments[0].flat[:3] = np.inf, np.nan, 0.0
+    native()
+    assert np.isnan(native.results[0].flat[:2]).all() and native.results[1].flat[2] == 1.0

@@ -9,6 +9,7 @@ import casadi as ca
 from mbd_ros.compiled.code.chunks import Chunks, cut
 from mbd_ros.compiled.code.instructions import Instructions, Value, instructions
 from mbd_ros.compiled.code.operations import expression
+from mbd_ros.compiled.code.turns import Turns, turns
 
 HERE = Path(__file__).parent
 EXPORT = '#define EXPORT __attribute__((visibility("default")))\n'
@@ -56,19 +57,21 @@ def emit(functions: Sequence[ca.Function], real: Literal["double"] | int = "doub
     head = "double.h" if real == "double" else "lanes.h"
     lanes = 1 if real == "double" else real
     pieces = [EXPORT, f"#define LANES {lanes}\n"]
-    pieces += [(HERE / name).read_text(encoding="utf-8") for name in (head, "elementary.h")]
+    pieces += [
+        (HERE / name).read_text(encoding="utf-8") for name in (head, "elementary.h", "sines.h")
+    ]
     operations, signatures = {}, {}
     for function in functions:
         code = instructions(function)
-        order = [k for k, value in enumerate(code.values) if value.computed]
-        chunks = cut(code, order)
-        pieces += _function(code, chunks)
+        early = turns(code)
+        chunks = cut(code, early)
+        pieces += _function(code, early, chunks)
         operations[code.name] = code.operations
         signatures[code.name] = Signature(code.arguments, code.results, chunks.work)
     return Source("".join(pieces), lanes, operations, signatures)
 
 
-def _function(code: Instructions, chunks: Chunks) -> Iterator[str]:
+def _function(code: Instructions, early: Turns, chunks: Chunks) -> Iterator[str]:
     """The static functions of the chunks, the one that calls them, and the one from outside."""
     arguments = [f"i{k}" for k in range(len(code.arguments))]
     results = [f"o{k}" for k in range(len(code.results))]
@@ -76,13 +79,16 @@ def _function(code: Instructions, chunks: Chunks) -> Iterator[str]:
     pointers += [f"real *restrict {name}" for name in (*results, "work")]
     names = ", ".join((*arguments, *results, "work"))
     yield f"\n#define {code.name}_WORK {chunks.work}\n"
-    for k, chunk in enumerate(chunks.chunks):
+    used = [k for k, chunk in enumerate(chunks.chunks) if chunk or (k == 0 and early.angles)]
+    for k in used:
         yield f"static __attribute__((noinline)) void {code.name}_{k}({', '.join(pointers)}) {{\n"
-        yield from _statements(code, chunks, chunk)
+        yield from _statements(code, chunks, chunks.chunks[k])
+        if k == 0:
+            yield from _sines(code.values, early, chunks.work - 2 * early.room)
         yield "}\n"
     yield f"static void {code.name}({', '.join(pointers)}) {{\n"
-    yield from (f"  {code.name}_{k}({names});\n" for k in range(len(chunks.chunks)))
-    yield from _plain_outputs(code)
+    yield from (f"  {code.name}_{k}({names});\n" for k in used)
+    yield from _plain_outputs(code, chunks)
     yield "}\n"
     at = ", ".join(f"at[{k}]" for k in range(len(pointers)))
     yield f"EXPORT void call_{code.name}(void *const *at) {{ {code.name}({at}); }}\n"
@@ -108,19 +114,28 @@ def _statements(code: Instructions, chunks: Chunks, chunk: list[int]) -> Iterato
             yield f"  work[{chunks.slots[number]}] = t{number};\n"
 
 
-def _plain_outputs(code: Instructions) -> Iterator[str]:
-    """Results that are inputs, constants or zero."""
-    seen = set()
+def _sines(values: list[Value], early: Turns, first: int) -> Iterator[str]:
+    """Sines and cosines of all angles, into the work from a place on."""
+    if early.angles:
+        angles = ", ".join(_name(values, angle) for angle in early.angles)
+        yield f"  const real angles[{early.room}] = {{{angles}}};\n"
+        arrays = f"angles, work + {first}, work + {first + early.room}"
+        yield f"  sines_of({len(early.angles)}, {arrays});\n"
+
+
+def _plain_outputs(code: Instructions, chunks: Chunks) -> Iterator[str]:
+    """Results that no chunk writes: inputs, constants, sines, and those that are zero."""
+    chunked = {number for chunk in chunks.chunks for number in chunk}
+    seen: list[set[int]] = [set() for _ in code.results]
     for result, place, number in code.outputs:
-        seen.add((result, place))
-        if not code.values[number].computed:
-            yield f"  o{result}[{place}] = {_name(code.values, number)};\n"
+        seen[result].add(place)
+        if number not in chunked:
+            slot = chunks.slots.get(number)
+            name = _name(code.values, number) if slot is None else f"work[{slot}]"
+            yield f"  o{result}[{place}] = {name};\n"
     for result, size in enumerate(code.results):
-        yield from (
-            f"  o{result}[{place}] = R(0.0);\n"
-            for place in range(size)
-            if (result, place) not in seen
-        )
+        zeros = sorted({*range(size)} - seen[result])
+        yield from (f"  o{result}[{first}] = R(0.0);\n" for first in zeros)
 
 
 def _name(values: list[Value], number: int) -> str:
