@@ -56,6 +56,11 @@ class JointStateReader:
         self._columns = np.empty(0, dtype=np.intp)
         self._rows = np.empty(0, dtype=np.intp)
 
+    @property
+    def carried(self) -> tuple[str, ...]:
+        """Joints of the newest message, in its order."""
+        return tuple(self._message_names or ())
+
     def read(self, msg: Any) -> JointSample:
         """Arrays of one message.
 
@@ -98,9 +103,9 @@ class JointStateReader:
         """
         return JointSample(
             stamp,
-            self._pick(position, "position"),
-            self._pick(velocity, "velocity"),
-            self._pick(effort, "effort"),
+            self.picked(position, "position"),
+            self.picked(velocity, "velocity"),
+            self.picked(effort, "effort"),
         )
 
     def _learn(self, names: list[str]) -> None:
@@ -119,21 +124,29 @@ class JointStateReader:
         self._in_order = tuple(names) == self.names
         self._message_names = names
 
-    def _pick(self, values: Any, field: str) -> NDArray[np.float64]:
+    def picked(self, values: Any, field: str) -> NDArray[np.float64]:
+        """A field in the order of `names`, of messages with the names of the last `read`.
+
+        Args:
+            values: Doubles of one message in its order, or nothing; or of many, one a row.
+            field: Which it is.
+
+        Raises:
+            MessageError: Neither empty nor as long as the names.
+        """
         assert self._message_names is not None
-        if len(values) not in (0, len(self._message_names)):
-            raise MessageError(
-                f"{field} has {len(values)} values for {len(self._message_names)} names"
-            )
-        if len(values) == 0 or (field == "effort" and not self.with_effort):
-            return self.absent
+        rows, width = np.shape(values)[:-1], np.shape(values)[-1]
+        if width not in (0, len(self._message_names)):
+            raise MessageError(f"{field} has {width} values for {len(self._message_names)} names")
+        if width == 0 or (field == "effort" and not self.with_effort):
+            return np.broadcast_to(self.absent, (*rows, len(self.names))) if rows else self.absent
         given: NDArray[np.float64] = (
             values if isinstance(values, np.ndarray) else np.frombuffer(values, np.float64)
         )
         if self._in_order:
             return given
-        picked = np.full(len(self.names), np.nan)
-        picked[self._rows] = given[self._columns]
+        picked = np.full((*given.shape[:-1], len(self.names)), np.nan)
+        picked[..., self._rows] = given[..., self._columns]
         return picked
 
 

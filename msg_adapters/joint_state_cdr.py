@@ -21,14 +21,14 @@ from msg_adapters.finite import is_surely_finite, require_finite
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.time import seconds_of, stamp_of
 
-_LITTLE_ENDIAN = b"\x00\x01"
-_ENCAPSULATION = 4
+LITTLE_ENDIAN = b"\x00\x01"
+ENCAPSULATION = 4
 _STAMP = struct.Struct("<iI")
 _COUNT = struct.Struct("<I")
 FIELDS = ("position", "velocity", "effort")
 
 
-class _Layout(NamedTuple):
+class Layout(NamedTuple):
     """Places in one kind of message, as offsets after the encapsulation.
 
     Attributes:
@@ -53,12 +53,12 @@ class _Layout(NamedTuple):
             return False
         (position, positions), (velocity, velocities) = self.marks
         lengths_fit = body[position] == positions and body[velocity] == velocities
-        return lengths_fit and cdr.startswith(_LITTLE_ENDIAN)
+        return lengths_fit and cdr.startswith(LITTLE_ENDIAN)
 
 
-def _layout(cdr: bytes) -> _Layout:
+def layout_of(cdr: bytes) -> Layout:
     """Layout of a little-endian JointState."""
-    body = cdr[_ENCAPSULATION:]
+    body = cdr[ENCAPSULATION:]
     at = _after_text(body, _STAMP.size)
     (names,) = _COUNT.unpack_from(body, at)
     at += _COUNT.size
@@ -77,7 +77,7 @@ def _layout(cdr: bytes) -> _Layout:
         at += 8 * count
     texts = body[_STAMP.size : end_of_texts]
     arrays = tuple(counts), tuple(marks[:2]), tuple(slices)
-    return _Layout(len(cdr), texts, *arrays, len(body) // 8)
+    return Layout(len(cdr), texts, *arrays, len(body) // 8)
 
 
 def _aligned(at: int, to: int) -> int:
@@ -98,7 +98,7 @@ class JointStateCdrReader:
 
     def __init__(self, reader: JointStateReader, deserialize: Callable[[bytes], Any]) -> None:
         self._reader, self._deserialize = reader, deserialize
-        self._layout: _Layout | None = None
+        self._layout: Layout | None = None
         self._is_arranged = False
 
     def read(self, cdr: bytes) -> JointSample:
@@ -110,13 +110,13 @@ class JointStateCdrReader:
         Raises:
             MessageError: As `JointStateReader.read`.
         """
-        body = cdr[_ENCAPSULATION:]  # a copy whose doubles are aligned
+        body = cdr[ENCAPSULATION:]  # a copy whose doubles are aligned
         layout = self._layout
         if layout is None or not layout.fits(cdr, body):
             self._layout = None
             sample = self._reader.read(self._deserialize(cdr))
-            if cdr.startswith(_LITTLE_ENDIAN):
-                self._layout = _layout(cdr)
+            if cdr.startswith(LITTLE_ENDIAN):
+                self._layout = layout_of(cdr)
                 self._is_arranged = self._reader.is_arranged(*self._layout.counts)
             return sample
         stamp = stamp_of(*_STAMP.unpack_from(body))
@@ -138,11 +138,11 @@ class JointStateCdrWriter:
 
     def __init__(self, names: Sequence[str], fields: Sequence[str] = FIELDS) -> None:
         message = _encode(names, [len(names) if field in fields else 0 for field in FIELDS])
-        layout = _layout(message)
+        layout = layout_of(message)
         # So many bytes in front that the doubles are aligned in memory.
-        self._buffer = bytearray(_ENCAPSULATION) + message
-        self._message = memoryview(self._buffer)[_ENCAPSULATION:]
-        doubles = np.frombuffer(self._buffer, np.float64, layout.doubles, 2 * _ENCAPSULATION)
+        self._buffer = bytearray(ENCAPSULATION) + message
+        self._message = memoryview(self._buffer)[ENCAPSULATION:]
+        doubles = np.frombuffer(self._buffer, np.float64, layout.doubles, 2 * ENCAPSULATION)
         self._views = {
             field: doubles[part]
             for field, part in zip(FIELDS, layout.slices, strict=True)
@@ -162,7 +162,7 @@ class JointStateCdrWriter:
         Raises:
             MessageError: A value is NaN or infinite, or no message can carry the stamp.
         """
-        _STAMP.pack_into(self._buffer, 2 * _ENCAPSULATION, *seconds_of(stamp))
+        _STAMP.pack_into(self._buffer, 2 * ENCAPSULATION, *seconds_of(stamp))
         if self._views:
             for field, value in values.items():
                 self._views[field][:] = value
@@ -184,7 +184,7 @@ def _encode(names: Sequence[str], lengths: Sequence[int]) -> bytes:
         if length:
             _pad(body, 8)
             body += bytes(8 * length)
-    return _LITTLE_ENDIAN + bytes(2) + bytes(body)
+    return LITTLE_ENDIAN + bytes(2) + bytes(body)
 
 
 def _append_text(body: bytearray, text: str) -> None:

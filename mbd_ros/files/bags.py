@@ -82,7 +82,25 @@ def raw_messages(
         DataError: Unknown topic, wrong type, no messages, or a truncated, corrupt or hostile bag;
             after the last message where some that the bag promises are not in it.
     """
-    path = Path(path)
+    with chosen(Path(path), topics) as (reader, connections, missing):
+        for connection, log_time, cdr in in_time_order(reader, connections):
+            missing[connection.topic] -= 1
+            yield RawMessage(
+                connection.topic, connection.msgtype, int(log_time), bytes(memoryview(cdr))
+            )
+
+
+@contextmanager
+def chosen(
+    path: Path, topics: Mapping[str, str] | None
+) -> Iterator[tuple[Reader, list[Any], Counter[str]]]:
+    """Reader, connections of the wanted topics, and the number of their messages by topic.
+
+    Whoever reads messages takes them off these numbers.
+
+    Raises:
+        DataError: As `raw_messages`, on entering or at the end of the block.
+    """
     with _reading(path) as reader:
         _check_topics(path, _types(path, reader), topics)
         connections = [c for c in reader.connections if topics is None or c.topic in topics]
@@ -93,11 +111,7 @@ def raw_messages(
         empty = [topic for topic in topics or () if not missing[topic]]
         if empty or not any(missing.values()):
             raise DataError(f"{path}: no messages on {', '.join(empty) or 'any topic'}")
-        for connection, log_time, cdr in _in_time_order(reader, connections):
-            missing[connection.topic] -= 1
-            yield RawMessage(
-                connection.topic, connection.msgtype, int(log_time), bytes(memoryview(cdr))
-            )
+        yield reader, connections, missing
         if lost := {topic: count for topic, count in missing.items() if count}:
             raise DataError(f"{path}: truncated or corrupt, messages lost by topic: {lost}")
 
@@ -144,7 +158,7 @@ def _check_definition(path: Path, c: Any) -> None:
         )
 
 
-def _in_time_order(reader: Reader, connections: list[Any]) -> Iterator[tuple[Any, int, bytes]]:
+def in_time_order(reader: Reader, connections: list[Any]) -> Iterator[tuple[Any, int, bytes]]:
     """Each file comes in time order; the messages of several files are sorted in memory."""
     stream = reader.messages(connections)
     if len(getattr(reader.storage, "storages", ())) > 1:
