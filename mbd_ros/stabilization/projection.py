@@ -14,6 +14,7 @@ class Projection(Stabilization):
     Source: E. Eich, SIAM J. Numer. Anal. 30 (1993).
     """
 
+    projects = True
     example: dict[str, float] = {}
 
     def correct(self, system: System, x: State) -> State:

@@ -11,6 +11,7 @@ from mbd_ros.compiled.build.library import Library
 from mbd_ros.compiled.runs.method_options import method_options
 from mbd_ros.compiled.runs.native_source import Sizes
 from mbd_ros.compiled.runs.native_types import Field, InputsOfC, Status, TimesOfC
+from mbd_ros.core.integration.blocks import HeldTable
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.simulation.sample_times import SampleTimes
 from mbd_ros.core.state import NONE, Array, State
@@ -29,20 +30,6 @@ class Block(NamedTuple):
 
     rows: Array
     status: Status
-
-
-class HeldTable(NamedTuple):
-    """Inputs that are held from jump to jump.
-
-    Attributes:
-        until: Time at which each row ends, where a step ends too [s], shape (m,).
-        values: The whole u of each, shape (m, nu).
-        now: Time at which each row began [s], shape (m,).
-    """
-
-    until: Array
-    values: Array
-    now: Array
 
 
 class NativeRun:

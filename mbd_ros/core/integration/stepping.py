@@ -128,6 +128,7 @@ class Integrator:
             stabilization acts.
         keeps_internal: Whether the method moves internal states, as velocities of coordinates
             that nobody asks for; see `core/dynamics/extended.py`.
+        moves_internal: Whether its steppers take states with internal states as they are.
         is_explicit: Whether stiff forces limit the step.
         event_driven: Whether its steps can be taken again with another length, so that they end
             at events; other methods refuse exact rows that give way, and guards.
@@ -146,6 +147,7 @@ class Integrator:
     dense: ClassVar[bool] = False
     keeps_constraints: ClassVar[bool] = False
     keeps_internal: ClassVar[bool] = True
+    moves_internal: ClassVar[bool] = False
     is_explicit: ClassVar[bool] = True
     event_driven: ClassVar[bool] = False
     at_velocity_level: ClassVar[bool] = False

@@ -4,14 +4,18 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from mbd_ros.core.dynamics.overshoots import Overshoots
 from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.integration.blocks import BlockStepper
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.projection.assembly import consistent
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.simulation.checkpoint import Checkpoint, Progress, refuse_other
 from mbd_ros.core.simulation.divergence import divergence, last_finite
 from mbd_ros.core.simulation.held_inputs import HeldInputs
+from mbd_ros.core.simulation.sample_blocks import SampleBlocks
 from mbd_ros.core.simulation.sample_times import sample_times, step_end
 from mbd_ros.core.simulation.stall import PATIENCE, WINDOW, Notice, StallWatch, refuse_crawl
 from mbd_ros.core.simulation.stepper_of import stepper_of
@@ -63,6 +67,7 @@ class Simulation:
         self._nz = system.internals.nz
         self._made_by = type(integrator).__name__, dt, system.nq, system.nv, self._nz
         self._progress: Progress | None = None
+        self._blocks: SampleBlocks | None = None
 
     def start(self, x: State, u: Array | None = None) -> State:
         """The nearest consistent state of the integrated coordinates to a state of all joints.
@@ -77,6 +82,7 @@ class Simulation:
             ModelError: An internal state starts outside its bounds.
         """
         self.stepper.restart()
+        self._blocks = None
         y = consistent(self.system, x)
         if self.overshoots is not None:
             self.overshoots.begin(y)
@@ -118,6 +124,10 @@ class Simulation:
     def _samples(self, at: Progress, duration: float, notice: Notice | None) -> Iterator[State]:
         """States of all joints at the samples after the newest one."""
         times, (origin, k, y, is_within, now) = sample_times(at.origin, duration, self.dt), at
+        if isinstance(self.stepper, BlockStepper):
+            self._blocks = SampleBlocks(self.stepper, self.system, times, at, self._step)
+            yield from self._in_blocks(self._blocks, StallWatch(self.system, self.dt, notice))
+            return
         watch, look_at = StallWatch(self.system, self.dt, notice), self.steps + WINDOW
         watch.begin(y.t)
         inputs = HeldInputs(self.system.loads.sources, times, now)
@@ -148,6 +158,41 @@ class Simulation:
                 self._progress = Progress(origin, k, y, False, inputs.now)
                 yield self.system.expand(y)
 
+    def sampled(self, x: State, duration: float) -> Array:
+        """The states of `run` as rows: time, positions, velocities, internal states.
+
+        Args:
+            x: As for `run`.
+            duration: As for `run`.
+
+        Returns:
+            Shape (samples, 1 + nq + nv + nz), of all joints.
+
+        Raises:
+            DivergedError: As `run`.
+            SolveError: As `run`.
+        """
+        if not isinstance(self.stepper, BlockStepper):
+            return np.array([np.concatenate(([s.t], *s[1:4])) for s in self.run(x, duration)])
+        first = self.start(x, self.system.loads.sources.held(x.t))
+        times, at = sample_times(first.t, duration, self.dt), self._progressed()
+        blocks = SampleBlocks(self.stepper, self.system, times, at, self._step)
+        watch, before = StallWatch(self.system, self.dt), self.steps - self.stepper.taken
+        row = np.concatenate(([first.t], *self.system.expand(first)[1:4]))[None]
+        rows = np.concatenate((row, *blocks.rows(watch)))
+        self.steps = before + self.stepper.taken
+        self._progress = blocks.progress
+        return rows
+
+    def _in_blocks(self, blocks: SampleBlocks, watch: StallWatch) -> Iterator[State]:
+        """States of all joints at the samples that a stepper takes many at a time."""
+        stepper = blocks.stepper
+        before = self.steps - stepper.taken
+        for x in blocks.states(watch):
+            self.steps = before + stepper.taken
+            yield x
+        self._progress, self._blocks = blocks.progress, None
+
     def checkpoint(self) -> Checkpoint:
         """All that the samples after the newest one depend on, beside the scene and its inputs.
 
@@ -155,8 +200,11 @@ class Simulation:
             ModelError: Nothing was started yet.
         """
         stops = {} if self.overshoots is None else self.overshoots.memory()
-        memory = self._progressed(), self.steps, self.worst, stops, self.stepper.memory()
-        return Checkpoint(self._made_by, *memory)
+        progress, steps, memory = self._progressed(), self.steps, None
+        if self._blocks is not None:
+            progress, steps, memory = self._blocks.remembered()
+        memory = self.stepper.memory() if memory is None else memory
+        return Checkpoint(self._made_by, progress, steps, self.worst, stops, memory)
 
     def resume(self, checkpoint: Checkpoint) -> State:
         """Go back to a checkpoint; returns the state of the integrated coordinates there.
@@ -166,7 +214,7 @@ class Simulation:
         """
         refuse_other(checkpoint, self._made_by)
         self._progress, self.steps, self.worst = checkpoint[1:4]
-        y = checkpoint.progress.y
+        y, self._blocks = checkpoint.progress.y, None
         self.stepper.restart()
         self.stepper.recall(checkpoint.memory, y)
         if self.overshoots is not None:

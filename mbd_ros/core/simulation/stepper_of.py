@@ -26,7 +26,7 @@ def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
     guards = [part.name for part in _parts(system) if part.guards]
     surfaces = method.finds_surfaces and any(force.surfaces for force in system.loads.forces)
     if not (guards or surfaces) and (method.at_velocity_level or not rows):
-        return _prepared(method, system, dt)
+        return prepared(method, system, dt)
     if not method.event_driven:
         way_out = "; or smoothed: true at these constraints" if rows and not guards else ""
         raise ModelError(
@@ -41,7 +41,7 @@ def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
     field = ModeField(system, surfaces)
     if field.has_contacts and not system.chart.is_flat:
         return EventSteps(field, _turned(method, field.system, dt), dt)
-    return EventSteps(field, _prepared(method, field.system, dt), dt)
+    return EventSteps(field, prepared(method, field.system, dt), dt)
 
 
 def _turned(method: Integrator, system: System, dt: float) -> Stepper:
@@ -50,7 +50,7 @@ def _turned(method: Integrator, system: System, dt: float) -> Stepper:
     from mbd_ros.core.integration.turned_steps import TurnedSteps
 
     world = InWorldAxes(system)
-    return TurnedSteps(world, _prepared(method, world, dt))
+    return TurnedSteps(world, prepared(method, world, dt))
 
 
 def _refuse_kinks(method: Integrator, system: System) -> None:
@@ -70,9 +70,9 @@ def _refuse_kinks(method: Integrator, system: System) -> None:
         )
 
 
-def _prepared(method: Integrator, system: System, dt: float) -> Stepper:
+def prepared(method: Integrator, system: System, dt: float) -> Stepper:
     """The steps of a method, internal states included."""
-    if not system.internals.nz or method.at_velocity_level:
+    if not system.internals.nz or method.at_velocity_level or method.moves_internal:
         return method.prepare(system, dt)
     if not method.keeps_internal:
         names = ", ".join(filter(None, system.internals.names))

@@ -1,0 +1,113 @@
+"""Methods of integration whose steps run in native code."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.compiled.build.library import Library, load
+from mbd_ros.compiled.code.emit import emit
+from mbd_ros.compiled.runs.native_run import NativeRun
+from mbd_ros.compiled.runs.native_source import Sizes, with_integrators
+from mbd_ros.compiled.runs.native_stepper import NativeStepper
+from mbd_ros.compiled.symbols.trace import Traced, trace
+from mbd_ros.compiled.symbols.untraceable import Untraceable
+from mbd_ros.core.integration.linear_motion import LinearMotion
+from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.names import type_name
+from mbd_ros.core.projection.stabilizing import Stabilization
+from mbd_ros.core.simulation.stepper_of import prepared
+
+Say = Callable[[str], None]
+
+
+def _silent(line: str) -> None:
+    """Nobody is told."""
+
+
+class CompiledMethod(Integrator):
+    """The steps of another method, and the projection after them, in native code.
+
+    Args:
+        method: The method.
+        stabilization: What keeps the rows.
+        say: Is told what takes time.
+
+    Attributes:
+        method: As given.
+        traced: The symbolic form of the system that was prepared last.
+        library: What it was compiled to.
+    """
+
+    keeps_constraints = True
+    moves_internal = True
+
+    def __init__(
+        self, method: Integrator, stabilization: Stabilization, say: Say = _silent
+    ) -> None:
+        self.method, self._stabilization, self._say = method, stabilization, say
+        self.order, self.stable = method.order, method.stable
+        self.traced: Traced | None = None
+        self.library: Library | None = None
+
+    def growth(self, motion: LinearMotion, dt: float) -> float:
+        """Factor by which a step multiplies a linear motion at most."""
+        return self.method.growth(motion, dt)
+
+    def prepare(self, system: Any, dt: float) -> NativeStepper:
+        """The stepper for one system and one step size [s].
+
+        Raises:
+            Untraceable: Something in the system or the method has no compiled form; names it.
+            BuildError: It cannot be compiled.
+            ModelError: The method does not serve the system.
+        """
+        self._refuse(system)
+        plain = prepared(self.method, system, dt)
+        self.traced = traced = trace(system)
+        sizes = self._sizes(system, traced)
+        functions = [traced.function(name) for name in sizes.functions]
+        self.library = load(with_integrators(emit(functions), sizes), self._say)
+        internals = system.internals
+        widths = np.minimum(internals.upper - internals.lower, 1.0)
+        bounds = np.array([internals.lower, internals.upper, widths]).reshape(3, -1)
+        run = NativeRun(
+            *(self.library, sizes, self.method, dt, bounds), least_health=traced.least_health
+        )
+        return NativeStepper(run, plain, self._corrects(system), system.loads.idle)
+
+    def _sizes(self, system: Any, traced: Traced) -> Sizes:
+        is_projected = self._is_projected(system)
+        rows = len(system.rows), len(system.held.rows)
+        return Sizes(
+            *(traced.nq, traced.nv, traced.nz, traced.nu, *rows, traced.nq_all, traced.nv_all),
+            is_flat=system.chart.is_flat,
+            is_whole=system.nv == system.model.nv,
+            is_projected=is_projected,
+            is_rattle=self.method.native == "rattle",
+        )
+
+    def _is_projected(self, system: Any) -> bool:
+        is_held = bool(system.held.rows) and not self.method.keeps_constraints
+        return is_held and self._stabilization.projects
+
+    def _corrects(self, system: Any) -> Any:
+        if not self._is_projected(system):
+            return lambda y: y
+        return lambda y: self._stabilization.correct(system, y)
+
+    def _refuse(self, system: Any) -> None:
+        """Refuse what native runs do not do.
+
+        Raises:
+            Untraceable: Names it.
+        """
+        if not self.method.native:
+            name = type_name(type(self.method))
+            raise Untraceable(f"integrator {name} takes no compiled steps")
+        stabilization = type(self._stabilization)
+        corrects = stabilization.correct is not Stabilization.correct
+        if system.held.rows and corrects and not self._stabilization.projects:
+            raise Untraceable(f"stabilization {type_name(stabilization)} has no compiled form")
+        if system.loads.sources.smooth:
+            raise Untraceable("inputs that change within a step are asked from Python")

@@ -1,0 +1,158 @@
+"""A stepper whose steps are taken in native code."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.compiled.runs.native_run import NativeRun
+from mbd_ros.compiled.runs.native_types import Status
+from mbd_ros.core.integration.blocks import BlockStepper, HeldTable, SampleBlock
+from mbd_ros.core.integration.stepping import Stepper
+from mbd_ros.core.memory import Memory, copied, is_same
+from mbd_ros.core.state import Array, State
+
+_WENT_ON = (Status.DONE, Status.PAUSED, Status.NO_INPUTS)
+
+
+class NativeStepper(BlockStepper):
+    """Steps and corrections in native code; a step that it cannot take is one of plain Python.
+
+    Args:
+        run: The integration.
+        plain: The same method in Python.
+        correct: What stabilization makes of a state after a step of that.
+        idle: Inputs where none are given.
+
+    Attributes:
+        handed_over: Steps that plain Python has taken.
+    """
+
+    def __init__(
+        self, run: NativeRun, plain: Stepper, correct: Callable[[State], State], idle: Array
+    ) -> None:
+        self._run, self._plain, self._correct, self._idle = run, plain, correct, idle
+        self.is_fixed, self.handed_over = plain.is_fixed, 0
+        self._last: State | None = None
+        self._is_plain = False
+
+    @property
+    def newest(self) -> int:
+        """Number of the newest sample."""
+        return self._run.sample
+
+    @property
+    def is_within(self) -> bool:
+        """Whether the last step has samples inside that are still to come."""
+        return self._run.is_within
+
+    @property
+    def taken(self) -> int:
+        """Steps taken since it was made."""
+        return self._run.steps + self.handed_over
+
+    @property
+    def state(self) -> State:
+        """What is integrated, after the last step."""
+        if self._last is None:
+            self._last = self._run.state()
+        return self._last
+
+    def begin_samples(self, y: State, sample: int, *, is_within: bool) -> None:
+        """As `BlockStepper.begin_samples`."""
+        self._enter(y)
+        self._run.begin_samples(sample, is_within=is_within)
+
+    def samples(self, times: Any, held: HeldTable, steps: int, most: int) -> SampleBlock:
+        """As `BlockStepper.samples`."""
+        self._last, self._is_plain = None, False
+        rows, status = self._run.samples(times, held, steps, most)
+        return SampleBlock(rows, self._run.interval, status not in _WENT_ON)
+
+    def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
+        """Advance by one step; x itself at or after `end`."""
+        return self.stride(x, u, end, 1)[0]
+
+    def stride(self, x: State, u: Array | None, end: float, most: int) -> tuple[State, int]:
+        """Advance by several steps.
+
+        Args:
+            x: As for `step`.
+            u: As for `step`.
+            end: As for `step`.
+            most: How many steps are taken at most.
+
+        Returns:
+            The last state, and how many steps were taken.
+        """
+        self._enter(x)
+        before = self._run.steps
+        status = self._run.advance(self._idle if u is None else u, end, most)
+        count = self._run.steps - before
+        if status in _WENT_ON:
+            self._is_plain = False
+            if not count:
+                return x, 0
+            self._last = after = self._run.state()
+            return after, count
+        if count:
+            self._last, self._is_plain = self._run.state(), False
+            return self._last, count
+        return self._step_plainly(x, u, end), 1
+
+    def restart(self) -> None:
+        """Forget everything that was kept from earlier steps."""
+        self._run.restart()
+        self._plain.restart()
+        self._last = None
+
+    def memory(self) -> Memory:
+        """The memory of the native run, beside that of plain steps."""
+        kept = {"run": self._run.memory(), "last": copied(self.state)}
+        rest = {"is_plain": self._is_plain, "handed_over": self.handed_over}
+        return {**kept, **rest, "plain": self._plain.memory()}
+
+    def recall(self, memory: Memory, x: State) -> None:
+        """As `Stepper.recall`."""
+        self._run.recall(memory["run"])
+        self._plain.recall(memory["plain"], x)
+        self._is_plain, self.handed_over = memory["is_plain"], memory["handed_over"]
+        self._last = x if is_same(memory["last"], x) else memory["last"]
+
+    def again(self, h: float, t: float) -> State:
+        """As `Stepper.again`."""
+        if self._is_plain:
+            after = self._plain.again(h, t)
+            self._run.load(after)
+        else:
+            after, status = self._run.again(h, t)
+            if status != Status.DONE:
+                after = after._replace(q=np.full_like(after.q, np.nan))
+        self._last = after
+        return after
+
+    def continue_from(self, x: State) -> None:
+        """Go on from a state that was made of the last one, history kept."""
+        self._run.load(x, keeps_history=True)
+        self._last = x
+
+    def interpolate(self, t: float) -> State:
+        """State inside the last step, corrected."""
+        if self._is_plain:
+            return self._correct(self._plain.interpolate(t))
+        return self._run.interpolate(t)[0]
+
+    def _enter(self, x: State) -> None:
+        if x is not self._last:
+            self._run.load(x)
+            self._last = x
+
+    def _step_plainly(self, x: State, u: Array | None, end: float) -> State:
+        after = self._plain.step(x, u, end)
+        if np.isfinite(after.q).all() and np.isfinite(after.v).all():
+            after = self._correct(after)
+        self.handed_over += 1
+        self._run.load(after)
+        self._last, self._is_plain = after, True
+        return after

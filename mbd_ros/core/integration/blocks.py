@@ -1,0 +1,79 @@
+"""Samples that a stepper takes many at a time, and the inputs that it needs for that."""
+
+from typing import Any, NamedTuple
+
+from mbd_ros.core.integration.stepping import Stepper
+from mbd_ros.core.state import Array, State
+
+
+class HeldTable(NamedTuple):
+    """Inputs that are held from jump to jump.
+
+    Attributes:
+        until: Time at which each row ends, where a step ends too [s], shape (m,).
+        values: The whole u of each, shape (m, nu).
+        now: Time at which each row began [s], shape (m,).
+    """
+
+    until: Array
+    values: Array
+    now: Array
+
+
+class SampleBlock(NamedTuple):
+    """What one call took.
+
+    Attributes:
+        rows: A sample a row: time, positions and velocities of all joints, internal states.
+        intervals: Rows of the held inputs that lie behind.
+        is_stuck: Whether the next step has to be taken alone, by `Stepper.step`.
+    """
+
+    rows: Array
+    intervals: int
+    is_stuck: bool
+
+
+class BlockStepper(Stepper):
+    """A stepper that takes many samples at a time, corrections after steps included."""
+
+    @property
+    def newest(self) -> int:
+        """Number of the newest sample."""
+        raise NotImplementedError
+
+    @property
+    def is_within(self) -> bool:
+        """Whether the last step has samples inside that are still to come."""
+        raise NotImplementedError
+
+    @property
+    def taken(self) -> int:
+        """Steps taken since it was made."""
+        raise NotImplementedError
+
+    @property
+    def state(self) -> State:
+        """What is integrated, after the last step."""
+        raise NotImplementedError
+
+    def begin_samples(self, y: State, sample: int, *, is_within: bool) -> None:
+        """Say where the samples go on.
+
+        Args:
+            y: What is integrated, after the last step.
+            sample: Number of the newest sample.
+            is_within: Whether the last step has samples inside that are still to come.
+        """
+        raise NotImplementedError
+
+    def samples(self, times: Any, held: HeldTable, steps: int, most: int) -> SampleBlock:
+        """The samples after the newest one.
+
+        Args:
+            times: The `SampleTimes` of the run.
+            held: Inputs from where the run stands on.
+            steps: How many steps may be taken.
+            most: How many samples may be taken.
+        """
+        raise NotImplementedError

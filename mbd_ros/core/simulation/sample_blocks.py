@@ -1,0 +1,140 @@
+"""Runs of steppers that take many samples at a time."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.integration.blocks import BlockStepper, HeldTable, SampleBlock
+from mbd_ros.core.memory import Memory
+from mbd_ros.core.simulation.checkpoint import Progress
+from mbd_ros.core.simulation.held_inputs import HeldInputs
+from mbd_ros.core.simulation.sample_times import SampleTimes
+from mbd_ros.core.simulation.stall import WINDOW, StallWatch
+from mbd_ros.core.state import NONE, Array, State
+
+_FIRST, _MOST = 64, 4096  # samples of a block
+_ROWS = 65536  # rows of held inputs of a block
+
+Alone = Callable[[State, Array | None, float], State]
+
+
+class SampleBlocks:
+    """The samples of a run after the newest one.
+
+    A block is taken at once; what the samples inside it depend on is found by taking the block
+    again, up to the sample that is asked for.
+
+    Args:
+        stepper: Takes the steps.
+        system: What it integrates.
+        times: When samples are due.
+        at: Where the run stands.
+        alone: Takes a step that the stepper does not take in a block, and checks it.
+
+    Attributes:
+        stepper: As given.
+        progress: How far the run was after the last block.
+    """
+
+    def __init__(
+        self,
+        stepper: BlockStepper,
+        system: System,
+        times: SampleTimes,
+        at: Progress,
+        alone: Alone,
+    ) -> None:
+        self.stepper, self._times, self._alone, self._origin = stepper, times, alone, at.origin
+        nq, nv = int(system.model.nq), int(system.model.nv)
+        self._ends = 1 + nq, 1 + nq + nv  # of q and v in a row
+        self._inputs = HeldInputs(system.loads.sources, times, at.held_since)
+        self._idle = system.loads.idle
+        stepper.begin_samples(at.y, at.sample, is_within=at.is_within)
+        self._begin(self._table(_FIRST))
+        self.progress = at
+
+    def rows(self, watch: StallWatch) -> Iterator[Array]:
+        """Blocks of samples, as of `SampleBlock.rows`.
+
+        Args:
+            watch: Looks at the pace of the steps.
+        """
+        stepper, times, most, look_at = self.stepper, self._times, _FIRST, WINDOW
+        watch.begin(stepper.state.t)
+        look_at, since = WINDOW, stepper.taken
+        held = self._before[1]
+        while stepper.newest < times.end:
+            self._begin(held)
+            block = stepper.samples(times, held, look_at - (stepper.taken - since), most)
+            if len(block.rows):
+                yield block.rows
+            self.progress = self._progress(held, block.intervals)
+            held = self._left(held, block, most)
+            if block.is_stuck:
+                self._step_alone(held)
+            if stepper.taken - since >= look_at:
+                watch.look(stepper.state, held.values[0], times.last)
+                since = stepper.taken
+            most = min(2 * most, _MOST)
+
+    def states(self, watch: StallWatch) -> Iterator[State]:
+        """The same, a state of all joints at a time."""
+        after_q, after_v = self._ends
+        for rows in self.rows(watch):
+            for self._seen, row in enumerate(rows, 1):
+                z = row[after_v:]
+                q, v = row[1:after_q], row[after_q:after_v]
+                yield State(float(row[0]), q, v, z if z.size else NONE)
+
+    def remembered(self) -> tuple[Progress, int, Memory]:
+        """How far the run is at the newest sample that was given, steps until then, memory."""
+        stepper, (memory, held) = self.stepper, self._before
+        after = stepper.memory()
+        stepper.recall(memory, memory["last"])
+        block = stepper.samples(self._times, held, 2**62, self._seen)
+        found = self._progress(held, block.intervals), stepper.taken, stepper.memory()
+        stepper.recall(after, after["last"])
+        return found
+
+    def _progress(self, held: HeldTable, interval: int) -> Progress:
+        """How far the run is, in an interval of held inputs or after the last one."""
+        stepper = self.stepper
+        now = held.until[-1] if interval == len(held.now) else held.now[interval]
+        return Progress(self._origin, stepper.newest, stepper.state, stepper.is_within, float(now))
+
+    def _begin(self, held: HeldTable) -> None:
+        """Remember where a block begins."""
+        self._before, self._seen = (self.stepper.memory(), held), 0
+
+    def _step_alone(self, held: HeldTable) -> None:
+        """One step to the next sample at most, by whatever takes it."""
+        stepper, sample = self.stepper, self.stepper.newest
+        end = min(self._times.due(sample + 1), float(held.until[0]))
+        y = self._alone(stepper.state, held.values[0], end)
+        stepper.begin_samples(y, sample, is_within=True)
+
+    def _left(self, held: HeldTable, block: SampleBlock, most: int) -> HeldTable:
+        """The inputs from where a block ended."""
+        rest = HeldTable(*(rows[block.intervals :] for rows in held))
+        enough = self._times.due(self.stepper.newest + most)
+        if len(rest.until) and (rest.until[-1] >= enough or len(rest.until) > _ROWS // 2):
+            return rest
+        more = self._table(most)
+        both = zip(rest, more, strict=True)
+        return HeldTable(*(np.concatenate(pair) for pair in both))
+
+    def _table(self, most: int) -> HeldTable:
+        """Inputs from the end of the last table on, as far as so many samples take them."""
+        inputs, end = self._inputs, self._times.due(self.stepper.newest + most)
+        until: list[float] = []
+        values: list[Array] = []
+        now: list[float] = []
+        while len(until) < _ROWS and (not until or until[-1] < end):
+            now.append(inputs.now)
+            values.append(self._idle if inputs.u is None else inputs.u)
+            until.append(inputs.end)
+            if inputs.end == np.inf:
+                break
+            inputs.reach(inputs.end)
+        return HeldTable(np.array(until), np.array(values).reshape(len(until), -1), np.array(now))
