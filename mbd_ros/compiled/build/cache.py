@@ -13,7 +13,7 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from mbd_ros.compiled.build.compiler import BuildError
@@ -30,52 +30,54 @@ def cache_folder() -> Path:
     return root / "mbd_ros" / "compiled"
 
 
-@contextmanager
-def entry(key: str, build: Build, say: Say, *, again: bool = False) -> Iterator[Path]:
-    """The library of a key, built where there is none that can be trusted.
+def kept(key: str, build: Build, say: Say, *, again: bool = False) -> bytes:
+    """The library of a key in the cache folder, built there if need be.
 
-    Where the cache folder cannot be used it is built in a folder of this process, for the length
-    of the `with` block.
+    What is loaded are these bytes and not the file, which may change meanwhile.
 
     Args:
         key: Of the library: letters and digits.
         build: Makes it in the folder that it is given.
-        say: Is told why the cache folder is not used, and what is waited for.
+        say: Is told what is waited for.
         again: Build it even if there is one.
 
     Raises:
-        BuildError: It cannot be built.
+        BuildError: The folder is not to be trusted, or the library cannot be built.
+        OSError: The folder cannot be used.
     """
-    try:
-        found = _kept(cache_folder(), key, build, say, again)
-    except (OSError, RuntimeError, BuildError) as error:
-        say(f"not kept in the cache: {error}")
-        with _private() as folder:
-            try:
-                yield build(folder)
-            except OSError as failed:
-                raise BuildError(f"{folder}: {failed.strerror}") from failed
-    else:
-        yield found
-
-
-def _kept(folder: Path, key: str, build: Build, say: Say, again: bool) -> Path:
-    """The library in the cache folder, built if need be."""
+    folder = cache_folder()
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     _check(folder)
     library = folder / f"{key}.so"
-    if not again and _intact(library, key):
-        return library
+    found = None if again else _intact(library, key)
+    if found is not None:
+        return found
     with _lock(folder / f"{key}.lock", say):
-        if again or not _intact(library, key):
-            for left in folder.glob(f"{key}.*.part"):  # of a process that was killed
-                shutil.rmtree(left, ignore_errors=True)
-            part = Path(tempfile.mkdtemp(prefix=f"{key}.", suffix=".part", dir=folder))
-            try:
-                _put(build(part), library, key)
-            finally:
-                shutil.rmtree(part, ignore_errors=True)
-    return library
+        found = None if again else _intact(library, key)
+        if found is not None:
+            return found
+        for left in folder.glob(f"{key}.*.part"):  # of a process that was killed
+            shutil.rmtree(left, ignore_errors=True)
+        part = Path(tempfile.mkdtemp(prefix=f"{key}.", suffix=".part", dir=folder))
+        try:
+            return _put(build(part), library, key)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+
+
+@contextmanager
+def private() -> Iterator[Path]:
+    """A folder of this process alone, removed afterwards: what is loaded stays loaded.
+
+    Raises:
+        BuildError: There is no place for one, or it cannot be written.
+    """
+    try:
+        with tempfile.TemporaryDirectory(prefix="mbd_ros_", ignore_cleanup_errors=True) as name:
+            yield Path(name)
+    except OSError as error:
+        place = error.filename or "the folder for temporary files"
+        raise BuildError(f"{place}: {error.strerror or error}") from error
 
 
 def _check(folder: Path) -> None:
@@ -91,32 +93,34 @@ def _check(folder: Path) -> None:
         raise BuildError(f"{folder} can be written by others: chmod go-w {folder}")
 
 
-def _intact(library: Path, key: str) -> bool:
-    """Whether a file belongs to the user, and is the library that was put there under this key."""
+def _intact(library: Path, key: str) -> bytes | None:
+    """The library that was put in a place under this key by the user, None without."""
     try:
         with library.open("rb") as file:
             status = os.fstat(file.fileno())
             content = file.read()
     except OSError:
-        return False
+        return None
     others = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
     own = stat.S_ISREG(status.st_mode) and status.st_uid == os.geteuid() and not others
-    return own and content[-_DIGEST:] == _digest(key, content[:-_DIGEST])
+    found, digest = content[:-_DIGEST], content[-_DIGEST:]
+    return found if own and digest == _digest(key, found) else None
 
 
 def _digest(key: str, content: bytes) -> bytes:
     return hashlib.sha256(key.encode() + content).hexdigest().encode()
 
 
-def _put(built: Path, library: Path, key: str) -> None:
-    """Puts a library in its place, whole or not at all."""
+def _put(built: Path, library: Path, key: str) -> bytes:
+    """Puts a library in its place, whole or not at all, and gives its content."""
     content = built.read_bytes()
-    with built.open("ab") as file:  # loaders read no further than the tables of the file say
+    with built.open("ab") as file:
         file.write(_digest(key, content))
         file.flush()
         os.fsync(file.fileno())
-    built.chmod(0o700)
+    built.chmod(0o600)
     built.replace(library)
+    return content
 
 
 @contextmanager
@@ -131,17 +135,3 @@ def _lock(path: Path, say: Say) -> Iterator[None]:
         except OSError:
             say("the cache folder has no locks: compiling without")
         yield
-
-
-@contextmanager
-def _private() -> Iterator[Path]:
-    """A folder of this process, removed afterwards: what is loaded stays loaded."""
-    try:
-        folder = Path(tempfile.mkdtemp(prefix="mbd_ros_"))
-    except OSError as error:
-        raise BuildError(f"no folder for a compiled scene: {error.strerror}") from error
-    try:
-        yield folder
-    finally:
-        with suppress(OSError):
-            shutil.rmtree(folder)

@@ -38,6 +38,11 @@ class Compiler(NamedTuple):
     words: tuple[str, ...]
     identity: str
 
+    @property
+    def name(self) -> str:
+        """The command as people write it."""
+        return shlex.join(self.words)
+
     def build(self, text: str, folder: Path) -> Path:
         """A shared library of C source.
 
@@ -54,7 +59,7 @@ class Compiler(NamedTuple):
         environment = {**os.environ, "TMPDIR": str(folder), "LC_ALL": "C"}
         _run((*self.words, *FLAGS, "-o", str(library), str(source), "-lm"), environment)
         if not library.is_file():
-            raise BuildError(f"{shlex.join(self.words)} ended without an error and wrote nothing")
+            raise BuildError(f"{self.name} ended without an error and wrote nothing")
         return library
 
 

@@ -2,7 +2,11 @@
 
 import ctypes
 import hashlib
+import itertools
+import os
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +17,18 @@ from mbd_ros.compiled.code.emit import Signature, Source
 from mbd_ros.core.state import Array
 
 _ALIGNED = 64  # bytes, of the widest vectors
+_loaded = itertools.count(1)
+
+
+def _silent(line: str) -> None:
+    """Says nothing."""
+
+
+def _trusted(library: "Library") -> None:
+    """Refuses nothing."""
+
+
+Check = Callable[["Library"], None]
 
 
 class NativeFunction:
@@ -42,18 +58,21 @@ class NativeFunction:
 class Library:
     """A shared library of compiled functions.
 
-    Attributes:
+    Args:
         source: What it was compiled from.
+        content: The library.
+
+    Attributes:
+        source: As given.
         c: Its other functions, by name; a call lets other threads run.
+
+    Raises:
+        BuildError: It cannot be loaded.
     """
 
-    def __init__(self, source: Source, path: Path) -> None:
-        try:
-            self.c = ctypes.CDLL(str(path))
-            self._quick = ctypes.PyDLL(str(path))
-        except OSError as error:
-            raise BuildError(f"{path} cannot be loaded: {error}") from error
-        self.source = source
+    def __init__(self, source: Source, content: bytes) -> None:
+        self.source, self.c = source, _linked(content)
+        self._quick = ctypes.PyDLL(self.c._name, handle=self.c._handle)
 
     def function(self, name: str) -> NativeFunction:
         """A function of the source, with arrays that nobody else writes to.
@@ -66,34 +85,95 @@ class Library:
         return NativeFunction(native, self.source.signatures[name], self.source.lanes)
 
 
-def load(source: Source, say: cache.Say = lambda line: None) -> Library:
+def load(source: Source, say: cache.Say = _silent, check: Check = _trusted) -> Library:
     """A library of C source, from the cache or compiled now.
+
+    Where the cache folder cannot be used, it is compiled in a folder of this process alone.
 
     Args:
         source: The source; whole programs may stand behind the functions in its text.
-        say: Is told what takes time.
+        say: Is told what takes time, and why something is not kept.
+        check: Asked once the library is loaded; what it refuses is compiled again, once.
 
     Raises:
-        BuildError: There is no compiler, it fails, or what it wrote cannot be loaded.
+        BuildError: There is no compiler, it fails, what it wrote cannot be loaded, or is refused.
     """
     compiler = find_compiler()
 
     def build(folder: Path) -> Path:
-        operations = sum(source.operations.values())
-        say(f"compiling {operations} operations by {compiler.words[0]}")
+        say(f"compiling {sum(source.operations.values())} operations by {compiler.name}")
         start = time.perf_counter()
         built = compiler.build(source.text, folder)
         say(f"compiled in {time.perf_counter() - start:.1f} s")
         return built
 
-    with cache.entry(_key(source, compiler), build, say) as path:
-        return Library(source, path)
+    for again in (False, True):
+        try:
+            library = Library(source, cache.kept(_key(source, compiler), build, say, again=again))
+        except (OSError, BuildError) as error:
+            return _not_kept(source, build, check, say, str(error))
+        try:
+            check(library)
+        except BuildError as error:
+            if again:
+                raise
+            say(f"compiling again: {error}")
+        else:
+            break
+    return library
+
+
+def _not_kept(
+    source: Source, build: cache.Build, check: Check, say: cache.Say, why: str
+) -> Library:
+    """A library that is compiled for this process alone."""
+    with cache.private() as folder:
+        library = Library(source, build(folder).read_bytes())
+    say(f"not kept: {why.splitlines()[0]}")
+    check(library)
+    return library
 
 
 def _key(source: Source, compiler: Compiler) -> str:
     """Another one for all that makes another library: the text holds model, parts and numbers."""
     told = (*compiler.words, compiler.identity, *FLAGS, cpu(), source.text)
     return hashlib.sha256("\0".join(told).encode()).hexdigest()[:40]
+
+
+def _linked(content: bytes) -> ctypes.CDLL:
+    """A library in this process, from a place that nobody else can change."""
+    for place in (_in_memory, _in_a_file):
+        with place(content) as path:
+            try:
+                return ctypes.CDLL(path)
+            except OSError as error:  # some systems execute nothing that is only in memory
+                why = error
+    raise BuildError(f"the compiled library cannot be loaded: {why}")
+
+
+@contextmanager
+def _in_memory(content: bytes) -> Iterator[str]:
+    """Path of a file without a place on a disk."""
+    file = os.memfd_create("mbd_ros")
+    try:
+        with open(file, "wb", closefd=False) as written:
+            written.write(content)
+        yield f"/proc/self/fd{_another()}/{file}"
+    finally:
+        os.close(file)
+
+
+def _another() -> str:
+    """Another way of writing / each time: the linker knows by its path what is loaded already."""
+    return "".join("//." if bit == "1" else "/." for bit in f"{next(_loaded):b}")
+
+
+@contextmanager
+def _in_a_file(content: bytes) -> Iterator[str]:
+    with cache.private() as folder:
+        path = folder / "scene.so"
+        path.write_bytes(content)
+        yield str(path)
 
 
 def _aligned(size: int, lanes: int) -> Array:

@@ -1,0 +1,70 @@
+"""Compiled equations of motion beside those of the plain tier."""
+
+import numpy as np
+
+from mbd_ros.compiled.build.compiler import BuildError
+from mbd_ros.compiled.build.library import Library
+from mbd_ros.compiled.symbols.trace import Traced
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.state import NONE, Array, State
+from mbd_ros.errors import MbdError
+
+_STATES, _SEED = 3, 20
+_SPREAD = 0.3  # of the states around the start [rad, m, rad/s, m/s]
+_CLOSE = 1.0e-6  # of the largest; wrong code is wrong by more, rounding in any order by less
+_SOUND = 1.0e-4  # health of rows below which two exact methods may differ by more
+
+
+def verify(
+    library: Library, traced: Traced, system: System, start: State, p: Array = NONE
+) -> None:
+    """Compares accelerations at random states around a start.
+
+    States at which the plain tier has no solution say nothing.
+
+    Args:
+        library: Has the function `accelerate`.
+        traced: What it was compiled from.
+        system: The plain tier.
+        start: State of what is integrated; its mode is the one that was traced.
+        p: Values of the parameters that the system was built with, shape (np,).
+
+    Raises:
+        BuildError: They differ.
+    """
+    native, rng = library.function("accelerate"), np.random.default_rng(_SEED)
+    n = system.nv
+    for _ in range(_STATES):
+        y = system.chart.plus(start, rng.normal(0.0, _SPREAD, 2 * n + system.internals.nz))
+        y = y._replace(z=system.internals.inside(y.z))
+        u = system.loads.idle + rng.uniform(0.0, 0.5, len(system.loads.idle))
+        for argument, value in zip(native.arguments, (y.t, y.q, y.v, y.z, u, p), strict=True):
+            argument.T[...] = value
+        native()
+        a, zdot, health = (np.atleast_2d(result.T) for result in native.results)
+        if not (health > _SOUND).all():
+            continue
+        try:
+            wanted = _plain(system, y, u)
+        except MbdError:
+            continue
+        if not np.isfinite(wanted).all():
+            continue
+        found = np.hstack((a, zdot))
+        apart = np.abs(found - wanted).max(initial=0.0)
+        if not apart <= _CLOSE * (1.0 + np.abs(wanted).max(initial=0.0)):
+            raise BuildError(
+                f"compiled accelerations differ by {apart:.3g} from those of the tier "
+                f"{traced.tier} at a state near the start"
+            )
+
+
+def _plain(system: System, y: State, u: Array) -> Array:
+    """Accelerations, then rates of internal states, shape (nv + nz,)."""
+    a, zdot = np.zeros(system.nv), np.zeros(len(y.z))
+    accelerate = system.accelerator(y.mode)
+    if len(y.z):
+        accelerate(y.t, y.q, y.v, y.z, u, a, zdot)
+    else:
+        accelerate(y.t, y.q, y.v, u, a)
+    return np.concatenate((a, zdot))
