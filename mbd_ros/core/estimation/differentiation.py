@@ -15,6 +15,7 @@ from mbd_ros.core.estimation.low_pass import TURN, LowPass
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError
 
+_HALF_TURN = 0.499  # of a turn: beyond, rounding decides which way a joint went
 _SLOWEST, _FASTEST = 1.0e-6, 1.0e9  # cut-off frequencies [Hz] whose powers are numbers
 
 
@@ -165,6 +166,66 @@ class CausalDifferentiator:
         self.position, self._stamp, self._jumps = position, stamp, 0
         self._last_step, self._before = step, (change, step)
         return SampleStatus.USED
+
+    def update_all(
+        self, stamps: NDArray[np.int64], position: Array, velocity: Array
+    ) -> tuple[Array, Array, Array] | None:
+        """Take many samples at once, where all of them pass, as `update` one by one, to rounding.
+
+        Args:
+            stamps: Times [ns], shape (m,), m > 0.
+            position: [rad or m], shape (m, n).
+            velocity: [rad/s or m/s], not finite where not measured, shape (m, n).
+
+        Returns:
+            Position, velocity and acceleration, shape (m, n) each; None, and nothing changes, at
+            a beginning and where a sample may be anything but USED, or where a joint ceases to be
+            measured.
+        """
+        if self._stamp is None:
+            return None
+        steps = np.diff(stamps, prepend=self._stamp)
+        measured = np.isfinite(velocity)
+        if (steps <= 0).any() or (measured & self._measured != self._measured).any():
+            return None
+        with np.errstate(invalid="ignore", over="ignore"):
+            position, change = self._followed(position)
+            slow = np.abs(change) <= self._limit * (steps * NANOSECOND)[:, None]
+        if not (slow.all() and np.isfinite(change).all()):
+            return None
+        if self._all_measured:
+            rates = velocity
+            acceleration = self._of_velocity.run(rates, steps)[1]
+        else:
+            rates, acceleration = self._derive_all(steps, position, velocity)
+        self.position, self.velocity, self.acceleration = (
+            values[-1] for values in (position, rates, acceleration)
+        )
+        self._stamp, self._jumps, self._last_step = int(stamps[-1]), 0, int(steps[-1])
+        self._before = change[-1], self._last_step
+        return position, rates, acceleration
+
+    def _followed(self, position: Array) -> tuple[Array, Array]:
+        """Positions without their full turns, and their changes; NaN where that is not clear."""
+        change = np.diff(position, axis=0, prepend=self.position[None])
+        if self._wraps is None:
+            return position, change
+        turns = np.where(self._wraps, change / TURN, 0.0)
+        whole = np.rint(turns)
+        change = np.where(np.abs(turns - whole) < _HALF_TURN, change - TURN * whole, np.nan)
+        return position - TURN * np.cumsum(whole, axis=0), change
+
+    def _derive_all(
+        self, steps: NDArray[np.int64], position: Array, velocity: Array
+    ) -> tuple[Array, Array]:
+        """Velocity and acceleration where some joints come without velocity."""
+        if not self._position_runs:
+            slope = (position[0] - self.position) / (steps[0] * NANOSECOND)
+            self._of_position.start(self.position, slope)
+            self._position_runs = True
+        _, rates, second = self._of_position.run(position, steps)
+        rates = np.where(self._measured, velocity, rates)
+        return rates, np.where(self._measured, self._of_velocity.run(rates, steps)[1], second)
 
     def _is_glitch(self, rate: Array, velocity: Array) -> bool:
         """Whether a joint is faster than its limit, and nothing says that it really moves so."""

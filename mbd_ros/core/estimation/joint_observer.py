@@ -1,5 +1,6 @@
 """Samples of joints and free bodies -> accepted samples with derivatives, filled for a while."""
 
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -55,6 +56,36 @@ class Observation(NamedTuple):
     velocity: Array
     acceleration: Array
     dependent: Array
+
+
+class Observations(NamedTuple):
+    """Accepted samples with their derivatives, one a row.
+
+    Attributes:
+        stamps: Times [ns], shape (n,).
+        position: Independent coordinates y [rad or m], shape (n, ny).
+        velocity: y' [rad/s or m/s], shape (n, nv_y).
+        acceleration: y'' [rad/s^2 or m/s^2], shape (n, nv_y).
+        dependent: Measured positions of the dependent joints, NaN where absent, shape (n, n_d).
+    """
+
+    stamps: NDArray[np.int64]
+    position: Array
+    velocity: Array
+    acceleration: Array
+    dependent: Array
+
+    def each(self) -> Iterator[Observation]:
+        """The samples one by one."""
+        rows = zip(self.stamps.tolist(), *self[1:], strict=True)
+        return (Observation(*row) for row in rows)
+
+
+def together(parts: Sequence[Observations]) -> Observations:
+    """Samples after each other."""
+    if len(parts) == 1:
+        return parts[0]
+    return Observations(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
 class JointObserver:
@@ -166,6 +197,30 @@ class JointObserver:
         self._poses, c = poses, self._coordinates
         y = c.positions(np.concatenate((d.position[:n], poses.ravel())))
         return Observation(stamp, y, c.rates(d.velocity), c.rates(d.acceleration), dependent)
+
+    def observe_all(
+        self, stamps: NDArray[np.int64], position: Array, velocity: Array
+    ) -> Observations | None:
+        """Take many samples at once, as `observe` one by one, to rounding.
+
+        Args:
+            stamps: Times [ns], shape (m,), m > 0.
+            position: Columns in the order of `names` [rad or m], NaN where absent.
+            velocity: The same [rad/s or m/s].
+
+        Returns:
+            The samples; None, and nothing is taken, where they have to be taken one by one: at a
+            beginning, with free bodies, and where one is not complete or may not be used.
+        """
+        n = self._n
+        if self._robot.bases or not np.isfinite(position[:, :n]).all():
+            return None
+        found = self.differentiator.update_all(stamps, position[:, :n], velocity[:, :n])
+        if found is None:
+            return None
+        self.outcome, self._complete = SampleStatus.USED, int(stamps[-1])
+        self._position, self._velocity = position[-1, :n], velocity[-1, :n]
+        return Observations(stamps, *found, position[:, n:])
 
     def _placed(self, poses: Array) -> tuple[Array, Array]:
         """Coordinates of the free bodies, (k, 7), and the sums of the steps that lead there."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.joint_observer import JointObserver
 from mbd_ros.core.estimation.joint_observer import Observation as Observation
+from mbd_ros.core.estimation.joint_observer import Observations as Observations
 from mbd_ros.core.estimation.joint_observer import Tuning as Tuning
 from mbd_ros.core.inverse.torques import SampleSolver, Torques
 from mbd_ros.core.model.robot import Robot
@@ -76,6 +77,15 @@ class TorqueEstimator(JointObserver):
         found = super().observe(stamp, position, velocity, present, bodies)
         if isinstance(found, Observation):
             self._newest, self._before = found, before
+        return found
+
+    def observe_all(
+        self, stamps: NDArray[np.int64], position: Array, velocity: Array
+    ) -> Observations | None:
+        """As `JointObserver.observe_all`."""
+        found = super().observe_all(stamps, position, velocity)
+        if found is not None:
+            self._newest = None
         return found
 
     def _give_up(self, x: Observation) -> None:

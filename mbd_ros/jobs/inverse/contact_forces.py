@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.showing import in_link
-from mbd_ros.core.estimation.torque_estimator import Observation
+from mbd_ros.core.estimation.torque_estimator import Observation, Observations
 from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.names import label
@@ -92,7 +92,7 @@ def known_contacts(
 
 
 def contact_loads(
-    scene: Scene, known: Sequence[KnownContact], motion: Motion, samples: Sequence[Observation]
+    scene: Scene, known: Sequence[KnownContact], motion: Motion, samples: Observations
 ) -> tuple[dict[str, MeasuredWrench], list[Array]]:
     """Known contacts as external loads of links.
 
@@ -108,8 +108,8 @@ def contact_loads(
     Raises:
         DataError: A bag has no force of a contact at the stamp of a sample.
     """
-    stamps = np.array([sample.stamp for sample in samples], dtype=np.int64)
-    states = [_state(scene, sample) for sample in samples]
+    stamps = samples.stamps
+    states = [_state(scene, sample) for sample in samples.each()]
     robot, k = scene.robot, Kinematics(scene.robot)
     values: dict[tuple[str, str], list[Array]] = {}
     for name, forces, of_forces, exert in known:

@@ -1,23 +1,19 @@
 """Samples of a recorded motion with velocity and acceleration."""
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.estimation.differentiation import CausalDifferentiator
+from mbd_ros.core.estimation.joint_observer import Observations, Tuning
 from mbd_ros.core.estimation.local_polynomials import local_polynomials
-from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.core.model.base_motion import IndependentCoordinates, configuration_of
-from mbd_ros.core.model.poses import TWIST
 from mbd_ros.core.state import Array, BodyMotion, Motion
 from mbd_ros.errors import DataError
 from mbd_ros.files.body_columns import ACCELERATION as ACCELERATION_WORDS
 from mbd_ros.files.body_columns import TWIST as TWIST_WORDS
 from mbd_ros.files.table import Table
 from mbd_ros.jobs.inverse.body_signals import BodySignals
-from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
 
 
@@ -51,50 +47,9 @@ class Differentiated(NamedTuple):
         remarks: Remarks on them, for people.
     """
 
-    samples: list[Observation]
+    samples: Observations
     cutoff: Array | None
     remarks: list[str]
-
-
-def observe(
-    estimator: TorqueEstimator, motion: Motion, dropped: Counter[str]
-) -> list[Observation]:
-    """Pass a motion through the causal filters.
-
-    Args:
-        estimator: With the filters.
-        motion: The motion, NaN where a joint is absent.
-        dropped: Counts the samples that cannot be used, by reason.
-    """
-    velocity, n = motion.velocity, len(motion.stamps)
-    if velocity is None:
-        velocity = np.full_like(motion.position, np.nan)
-    present = np.isfinite(motion.position)
-    observed, bodies = [], _body_rows(motion) if motion.bodies else [None] * n
-    rows = zip(motion.stamps.tolist(), motion.position, velocity, present, bodies, strict=True)
-    for row in progress(rows, len(motion.stamps), "filtering"):
-        x = estimator.observe(*row)
-        if isinstance(x, Observation):
-            observed.append(x)
-        else:
-            dropped[x.value] += 1
-    return observed
-
-
-def _body_rows(motion: Motion) -> list[tuple[Array, Array]]:
-    """Poses and twists of the free bodies, a pair a sample."""
-    unknown = np.full((len(motion.stamps), TWIST), np.nan)
-    poses = np.stack([body.pose for body in motion.bodies], axis=1)
-    twists = [unknown if body.twist is None else body.twist for body in motion.bodies]
-    return list(zip(poses, np.stack(twists, axis=1), strict=True))
-
-
-def causal_line(filters: CausalDifferentiator, cutoff: float) -> str:
-    """How far causal derivatives lag behind the motion."""
-    return (
-        f"causal derivatives at {cutoff:g} Hz lag by {filters.delay:.4f} s and settle within "
-        f"{filters.settling_time:.4f} s"
-    )
 
 
 def differentiate(
@@ -126,8 +81,8 @@ def differentiate(
             scene.couplings.independent, motion, position, measured, derivatives
         )
     whole = _together(scene, (position, velocity, acceleration), bodies)
-    rows = zip(motion.stamps.tolist(), *whole, motion.position[:, n:], strict=True)
-    return Differentiated([Observation(*row) for row in rows], cutoff, remarks)
+    samples = Observations(motion.stamps, *whole, motion.position[:, n:])
+    return Differentiated(samples, cutoff, remarks)
 
 
 def _together(

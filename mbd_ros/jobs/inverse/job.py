@@ -113,7 +113,7 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     scene, wrenches = _with_contacts(scene, known, observed)
     asked = task.bounds if way is loops else task.parts
     columns, remarks = way.solve(scene, where, samples, wrenches, asked)
-    table = Table([*time_columns(observed.stamps), *columns])
+    table = Table([*time_columns(samples.stamps), *columns])
     _check_finite(where, table)
     with about(where), np.errstate(over="ignore", invalid="ignore"):
         commands, beyond = commands_of(scene, table)

@@ -7,7 +7,7 @@ import numpy as np
 
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.showing import Showing
-from mbd_ros.core.estimation.torque_estimator import Observation
+from mbd_ros.core.estimation.torque_estimator import Observations
 from mbd_ros.core.inverse.closed_loop import _Problem
 from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.inverse.torques import Torques
@@ -37,7 +37,7 @@ HAS_CAUSES = False
 def solve(
     scene: Scene,
     where: str,
-    samples: Sequence[Observation],
+    samples: Observations,
     wrenches: Sequence[Array],
     with_bounds: bool,
 ) -> tuple[list[Column], list[str]]:
@@ -59,7 +59,7 @@ def solve(
     """
     observed = scene.inverse_dynamics(with_bounds=with_bounds)
     inverse, solved, states, off = observed.inverse, [], [], []
-    for i, sample in enumerate(progress(samples, len(samples), "solving")):
+    for i, sample in enumerate(progress(samples.each(), len(samples.stamps), "solving")):
         t = sample.stamp * NANOSECOND
         measured, given = observed.measured(t, *sample[1:4])
         try:
@@ -70,8 +70,7 @@ def solve(
         states.append((x, a))
         moves = x.q - measured.q, x.v - measured.v, a - given
         off.append([np.abs(move).max(initial=0.0) for move in moves])
-    stamps = np.array([sample.stamp for sample in samples], dtype=np.int64)
-    remarks = list(_remarks(np.max(off, axis=0), stamps, solved))
+    remarks = list(_remarks(np.max(off, axis=0), samples.stamps, solved))
     return _columns(scene, inverse, states, solved), remarks
 
 

@@ -4,14 +4,14 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
+from mbd_ros.core.estimation.torque_estimator import Observations, TorqueEstimator, Tuning
 from mbd_ros.core.state import Array, Motion
 from mbd_ros.errors import DataError
 from mbd_ros.files.recordings import Source, name_of, read_motion
 from mbd_ros.jobs.error_source import about
-from mbd_ros.jobs.inverse.derivatives import Derivatives, causal_line, differentiate, observe
+from mbd_ros.jobs.inverse.causal import causal_line, observe
+from mbd_ros.jobs.inverse.derivatives import Derivatives, differentiate
 from mbd_ros.jobs.inverse.loop_closing import close_loops
 from mbd_ros.jobs.inverse.wrenches import read_loads, wrench_at
 from mbd_ros.scene.built_scene import Scene
@@ -46,14 +46,12 @@ class Observed(NamedTuple):
     Attributes:
         motion: As it was read.
         samples: Of the independent joints, with derivatives.
-        stamps: Theirs [ns], shape (n,).
         wrenches: One (n, 6) array for every load of the scene.
         cutoff: Of the low-pass of each joint [Hz]; None without one.
     """
 
     motion: Motion
-    samples: list[Observation]
-    stamps: NDArray[np.int64]
+    samples: Observations
     wrenches: list[Array]
     cutoff: Array | None
 
@@ -78,11 +76,10 @@ def observe_motion(scene: Scene, task: Task, say: Say) -> Observed:
             say(text)
     for reason, count in dropped.items():
         say(f"{count} samples left out: {reason}")
-    if not samples:
+    if not len(samples.stamps):
         raise DataError(f"{where}: no sample can be used")
-    stamps = np.array([x.stamp for x in samples], dtype=np.int64)
-    wrenches = [wrench_at(name, load, stamps) for name, load in loads.items()]
-    return Observed(motion, samples, stamps, wrenches, cutoff)
+    wrenches = [wrench_at(name, load, samples.stamps) for name, load in loads.items()]
+    return Observed(motion, samples, wrenches, cutoff)
 
 
 def _motion(

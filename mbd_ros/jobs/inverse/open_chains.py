@@ -7,7 +7,7 @@ import numpy as np
 
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.showing import Showing
-from mbd_ros.core.estimation.torque_estimator import Observation
+from mbd_ros.core.estimation.torque_estimator import Observations
 from mbd_ros.core.inverse.inverse_dynamics import TorqueComponents
 from mbd_ros.core.model.base_motion import IndependentCoordinates
 from mbd_ros.core.model.kinematics import Kinematics
@@ -32,7 +32,7 @@ _CHUNK = 1000  # samples between two signs of progress
 def solve(
     scene: Scene,
     where: str,
-    samples: Sequence[Observation],
+    samples: Observations,
     wrenches: Sequence[Array],
     with_parts: bool,
 ) -> tuple[list[Column], list[str]]:
@@ -49,11 +49,7 @@ def solve(
         Columns of motion and torques, and no remarks.
     """
     solver, robot = scene.inverse_dynamics(), scene.robot
-    motion = {
-        field: np.array([getattr(x, field) for x in samples])
-        for field in ("position", "velocity", "acceleration")
-    }
-    z, v, a = motion.values()
+    z, v, a = samples[1:4]
     chunks = [slice(i, i + _CHUNK) for i in range(0, len(z), _CHUNK)]
     solved = [
         solver.batch(z[part], v[part], a[part], [w[part] for w in wrenches])
@@ -62,7 +58,7 @@ def solve(
     tau, multipliers = (np.concatenate([each[i] for each in solved]) for i in (0, 1))
     residual = np.concatenate([each.residual.reshape(len(each.tau), -1) for each in solved])
     at = IndependentCoordinates(robot, solver.couplings)
-    found = {**motion, "effort": tau}
+    found = {"position": z, "velocity": v, "acceleration": a, "effort": tau}
     if with_parts:
         each = zip(z, v, a, *wrenches, strict=True)
         rows = progress(each, len(z), "components")
@@ -78,7 +74,7 @@ def solve(
     return [*columns, *_shown(scene, samples, multipliers)], []
 
 
-def _shown(scene: Scene, samples: Sequence[Observation], multipliers: Array) -> list[Column]:
+def _shown(scene: Scene, samples: Observations, multipliers: Array) -> list[Column]:
     """Columns of multipliers and of what forces show."""
     robot, couplings = scene.robot, scene.couplings
     rows = [CouplingRows(robot, couplings)] if couplings.dependent else []
@@ -86,7 +82,7 @@ def _shown(scene: Scene, samples: Sequence[Observation], multipliers: Array) -> 
     if len(showing.numbers) == multipliers.shape[1]:
         return output_columns(showing.numbers, multipliers)
     u, shown = Loads(robot.model.nv, scene.forces, scene.actuators).idle, []
-    for sample, lam in zip(samples, multipliers, strict=True):
+    for sample, lam in zip(samples.each(), multipliers, strict=True):
         q, v, a = robot.neutral().copy(), np.zeros(robot.model.nv), np.zeros(robot.model.nv)
         q[couplings.q_index], v[couplings.v_index], a[couplings.v_index] = sample[1:4]
         couplings.expand(q, v, a)
@@ -103,16 +99,16 @@ def topics(scene: Scene) -> dict[str, Any]:
     }
 
 
-def violations(scene: Scene, samples: Sequence[Observation]) -> Iterator[str]:
+def violations(scene: Scene, samples: Observations) -> Iterator[str]:
     """How far the dependent joints are off their couplings, or that nobody measured them."""
     couplings = scene.couplings
     if not couplings.dependent:
         return
-    q = np.zeros((scene.robot.model.nq, len(samples)))
-    q[couplings.q_index] = np.array([x.position for x in samples]).T
+    q = np.zeros((scene.robot.model.nq, len(samples.stamps)))
+    q[couplings.q_index] = samples.position.T
     couplings.expand(q, np.zeros_like(q), np.zeros_like(q))
     for i, name in enumerate(couplings.dependent):
-        measured = np.array([x.dependent[i] for x in samples])
+        measured = samples.dependent[:, i]
         if np.isfinite(measured).all():
             off = np.abs(measured - q[scene.robot.joint(name).q]).max()
             yield f"{name} is off its coupling by at most {off:.3g}"
