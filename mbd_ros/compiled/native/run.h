@@ -54,9 +54,19 @@ typedef struct {
   Weights position, velocity, positions, velocities;
 } AdamsWeights;
 
+/* Inputs that change within steps: polynomials of the time since they began. In u, the first of
+ * them holds the time of the last jump.
+ */
+typedef struct {
+  long at, width, count, powers;
+  const double *times, *coefficients;
+  const long *jumps;
+} Pieces;
+
 /* What stays the same in a run. */
 typedef struct {
-  long method, is_adaptive;
+  long method, is_adaptive, smooth;
+  const Pieces *pieces;
   double dt, tolerance, closed, least_health;
   const double *lower, *upper, *sizes;  /* of internal states: bounds, errors that count as one */
   const double *p;
@@ -116,12 +126,50 @@ static void keep_start(Run *r) {
   copy(NW, r->w, r->w0);
 }
 
+/* The piece that has begun last at a time, of those up to the next jump. */
+static long piece_at(const Pieces *p, double jump, double t) {
+  long from = 0, below = p->count;
+  double since = jump > t ? jump : t;
+  while (below - from > 1) {
+    long middle = (from + below) / 2;
+    if (p->times[middle] <= since) from = middle;
+    else below = middle;
+  }
+  long first = from;
+  while (first > 0 && p->times[first] > jump) {
+    if (p->jumps[first]) from = first - 1;
+    first--;
+  }
+  return from;
+}
+
+/* The whole u at a time, from held inputs. */
+static void complete_inputs(const Options *o, const double *held, double t, double *u) {
+  copy(NU, held, u);
+  for (long j = 0; j < o->smooth; j++) {
+    const Pieces *p = o->pieces + j;
+    long number = piece_at(p, held[p->at], t);
+    const double *c = p->coefficients + number * p->powers * p->width;
+    for (long i = 0; i < p->width; i++) {
+      double value = 0.0;
+      for (long k = p->powers - 1; k >= 0; k--)
+        value = value * (t - p->times[number]) + c[k * p->width + i];
+      u[p->at + i] = value;
+    }
+  }
+}
+
 /* Accelerations and rates of internal states at a state. */
 static void evaluate(const Options *o, Run *r, double t, const double *q, const double *w,
                      double *out) {
-  double health, z[NOT_ZERO(NZ)];
+  double health, z[NOT_ZERO(NZ)], whole[NOT_ZERO(NU)];
+  const double *u = r->u;
+  if (NU && o->smooth) {
+    complete_inputs(o, r->u, t, whole);
+    u = whole;
+  }
   for (long i = 0; i < NZ; i++) z[i] = fmin(fmax(w[NV + i], o->lower[i]), o->upper[i]);
-  accelerate(&t, q, w, z, r->u, o->p, out, out + NV, &health, r->work);
+  accelerate(&t, q, w, z, u, o->p, out, out + NV, &health, r->work);
   r->evaluations += 1.0;
   if (health < r->health) r->health = health;
 }

@@ -71,8 +71,12 @@ class CompiledMethod(Integrator):
         internals = system.internals
         widths = np.minimum(internals.upper - internals.lower, 1.0)
         bounds = np.array([internals.lower, internals.upper, widths]).reshape(3, -1)
+        pairs = ((at, source.pieces()) for at, source in system.loads.sources.smooth)
+        smooth = [(at, pieces) for at, pieces in pairs if pieces is not None]
         run = NativeRun(
-            *(self.library, sizes, self.method, dt, bounds), least_health=traced.least_health
+            *(self.library, sizes, self.method, dt, bounds),
+            least_health=traced.least_health,
+            smooth=smooth,
         )
         return NativeStepper(run, plain, self._corrects(system), system.loads.idle)
 
@@ -109,5 +113,9 @@ class CompiledMethod(Integrator):
         corrects = stabilization.correct is not Stabilization.correct
         if system.held.rows and corrects and not self._stabilization.projects:
             raise Untraceable(f"stabilization {type_name(stabilization)} has no compiled form")
-        if system.loads.sources.smooth:
-            raise Untraceable("inputs that change within a step are asked from Python")
+        for at, source in system.loads.sources.smooth:
+            if source.pieces() is None:
+                name = type_name(type(source))
+                raise Untraceable(
+                    f"{name} gives u[{at.start}:{at.stop}] within steps, from Python"
+                )

@@ -10,7 +10,14 @@ import numpy as np
 from mbd_ros.compiled.build.library import Library
 from mbd_ros.compiled.runs.method_options import method_options
 from mbd_ros.compiled.runs.native_source import Sizes
-from mbd_ros.compiled.runs.native_types import Field, InputsOfC, Status, TimesOfC
+from mbd_ros.compiled.runs.native_types import (
+    Field,
+    InputsOfC,
+    Status,
+    TimesOfC,
+    pieces_of,
+)
+from mbd_ros.core.dynamics.sources import Pieces
 from mbd_ros.core.integration.blocks import HeldTable
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.simulation.sample_times import SampleTimes
@@ -43,6 +50,7 @@ class NativeRun:
         bounds: Least and largest internal states, and what counts as an error of one, (3, nz).
         p: Values of the parameters.
         least_health: Of rows: below it the run stops.
+        smooth: What inputs that change within steps are made of, with their places in u.
     """
 
     def __init__(
@@ -54,6 +62,7 @@ class NativeRun:
         bounds: Array,
         p: Array = NONE,
         least_health: float = 0.0,
+        smooth: Sequence[tuple[slice, Pieces]] = (),
     ) -> None:
         self.sizes, self._c = sizes, _bound(library.c)
         self._bounds, self._p = np.ascontiguousarray(bounds, np.float64), np.array(p, np.float64)
@@ -61,6 +70,8 @@ class NativeRun:
         options = self._options.value
         options.lower, options.upper, options.sizes = (row.ctypes.data for row in self._bounds)
         options.p, options.least_health = self._p.ctypes.data, least_health
+        self._pieces = pieces_of(smooth)
+        options.smooth, options.pieces = len(smooth), ctypes.addressof(self._pieces.value)
         self._o = ctypes.addressof(options)
         place = [self._c.place_of(field) for field in Field]
         self._at, self._row = place, place[Field.ROW]

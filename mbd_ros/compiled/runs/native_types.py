@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.core.dynamics.sources import Pieces
 from mbd_ros.core.integration.adams_turns import adams_weights
 from mbd_ros.core.integration.polynomial import powers
 from mbd_ros.core.integration.tableau import Tableau
@@ -86,11 +87,21 @@ class AdamsOfC(ctypes.Structure):
     ]
 
 
+class PiecesOfC(ctypes.Structure):
+    """Inputs that change within steps."""
+
+    _fields_ = [
+        *((name, _LONG) for name in ("at", "width", "count", "powers")),
+        *((name, _DOUBLES) for name in ("times", "coefficients", "jumps")),
+    ]
+
+
 class OptionsOfC(ctypes.Structure):
     """What stays the same in a run."""
 
     _fields_ = [
-        *((n, _LONG) for n in ("method", "is_adaptive")),
+        *((n, _LONG) for n in ("method", "is_adaptive", "smooth")),
+        ("pieces", ctypes.c_void_p),
         *((n, _DOUBLE) for n in ("dt", "tolerance", "closed", "least_health")),
         *((n, _DOUBLES) for n in ("lower", "upper", "sizes", "p")),
         ("tableau", TableauOfC),
@@ -147,6 +158,20 @@ def tableau_of(method: Tableau) -> Held:
         *(table.value for table in tables),
     )
     return Held(value, (c, *(one for table in tables for one in table.arrays)))
+
+
+def pieces_of(given: Sequence[tuple[slice, Pieces]]) -> Held:
+    """What smooth sources are made of, with their places in u, for C."""
+    arrays: list[NDArray[Any]] = []
+    found = (PiecesOfC * len(given))()
+    for one, (at, pieces) in zip(found, given, strict=True):
+        times, rows = (np.ascontiguousarray(each, np.float64) for each in pieces[:2])
+        jumps = np.ascontiguousarray(pieces.jumps, np.int64)
+        count, powers, width = rows.shape
+        one.at, one.width, one.count, one.powers = at.start, width, count, powers
+        one.times, one.coefficients, one.jumps = (a.ctypes.data for a in (times, rows, jumps))
+        arrays += [times, rows, jumps]
+    return Held(found, tuple(arrays))
 
 
 def adams_of(order: int, dt: float) -> Held:

@@ -4,12 +4,27 @@ import itertools
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import ModelError
+
+
+class Pieces(NamedTuple):
+    """Polynomials of the time since their beginning, each until the next one begins.
+
+    Attributes:
+        times: When each begins [s]; the first is continued before its beginning, shape (m,).
+        coefficients: Of each, by rising power, shape (m, powers, n).
+        jumps: Whether the values jump where it begins, shape (m,).
+    """
+
+    times: Array
+    coefficients: Array
+    jumps: NDArray[np.bool_]
 
 
 class Source:
@@ -38,6 +53,13 @@ class Source:
     def jumps(self, begin: float, end: float) -> Iterator[float]:
         """Times between two others at which it jumps [s], increasing."""
         return iter(())
+
+    def pieces(self) -> Pieces | None:
+        """What a smooth source is made of, for compiled runs; None where it is made of none.
+
+        Between two jumps, `since` is the polynomial that has begun last, of those in between.
+        """
+        return None
 
 
 class HeldTable(Source):
@@ -108,6 +130,15 @@ class LinearTable(Source):
         """Its ends, where the table is not zero there [s]."""
         return (t for t in (self._begin, self._end) if begin < t < end)
 
+    def pieces(self) -> Pieces:
+        """Straight lines between two pieces that are zero."""
+        rising = np.stack((self._values[:-1], self._slopes), axis=1)
+        zero = np.zeros((1, *rising.shape[1:]))
+        times = np.array([self._times[0] - 1.0, *self._times])
+        jumps = np.zeros(len(times), dtype=np.bool_)
+        jumps[1], jumps[-1] = math.isfinite(self._begin), math.isfinite(self._end)
+        return Pieces(times, np.concatenate((zero, rising, zero)), jumps)
+
     def _between(self, t: float) -> Array:
         i = min(max(bisect_right(self._times, t) - 1, 0), len(self._slopes) - 1)
         if t == self._times[-1]:
@@ -157,6 +188,11 @@ class Polynomials(Source):
     def jumps(self, begin: float, end: float) -> Iterator[float]:
         """Beginnings at which the piece before ends at other values [s]."""
         return (t for t in self._jumps if begin < t < end)
+
+    def pieces(self) -> Pieces:
+        """As they were given."""
+        jumps = np.isin(self._times, self._jumps)
+        return Pieces(np.array(self._times), self._coefficients, jumps)
 
     def _number(self, t: float) -> int:
         return max(bisect_right(self._times, t) - 1, 0)
