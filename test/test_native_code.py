@@ -110,3 +110,15 @@ def test_sines_and_cosines_are_right_to_the_last_place(real):
     native.arguments[0].flat[:3] = np.inf, np.nan, 0.0
     native()
     assert np.isnan(native.results[0].flat[:2]).all() and native.results[1].flat[2] == 1.0
+
+
+def test_numbers_that_share_a_divisor_cost_one_division():
+    x, y = ca.SX.sym("x", 5), ca.SX.sym("y", 2)
+    shared = ca.Function("shared", [x, y], [ca.vertcat(x / y[0], 1 / y[0], x[0] / y[1])])
+    source = emit([shared])
+    assert source.text.count(" / t") + source.text.count(" / i") == 2
+    native = load(source).function("shared")
+    native.arguments[0][:], native.arguments[1][:] = (3.0, -2.0, 0.0, 7.0, 1e300), (0.7, 0.0)
+    native()
+    wanted = np.array(shared(*native.arguments)).ravel()
+    np.testing.assert_allclose(native.results[0], wanted, rtol=3e-16)

@@ -142,7 +142,8 @@ def _key(source: Source, compiler: Compiler) -> str:
 
 def _linked(content: bytes) -> ctypes.CDLL:
     """A library in this process, from a place that nobody else can change."""
-    for place in (_in_memory, _in_a_file):
+    places = [_in_memory, _in_a_file] if hasattr(os, "memfd_create") else [_in_a_file]
+    for place in places:
         with place(content) as path:
             try:
                 return ctypes.CDLL(path)

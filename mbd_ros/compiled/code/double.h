@@ -19,3 +19,6 @@ static inline real real_or(real x, real y) { return x != 0 || y != 0; }
 static inline real real_not(real x) { return x == 0; }
 static inline real real_where(real x, real y) { return x != 0 ? y : 0.0; }
 static inline real real_sign(real x) { return x < 0 ? -1.0 : x > 0 ? 1.0 : x; }
+/* As in C: of a number and none, the number. */
+static inline real real_fmin(real x, real y) { return x < y || y != y ? x : y; }
+static inline real real_fmax(real x, real y) { return x > y || y != y ? x : y; }

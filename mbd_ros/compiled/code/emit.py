@@ -9,6 +9,7 @@ import casadi as ca
 from mbd_ros.compiled.code.chunks import Chunks, cut
 from mbd_ros.compiled.code.instructions import Instructions, Value, instructions
 from mbd_ros.compiled.code.operations import expression
+from mbd_ros.compiled.code.reciprocals import with_reciprocals
 from mbd_ros.compiled.code.turns import Turns, turns
 
 HERE = Path(__file__).parent
@@ -62,7 +63,7 @@ def emit(functions: Sequence[ca.Function], real: Literal["double"] | int = "doub
     ]
     operations, signatures = {}, {}
     for function in functions:
-        code = instructions(function)
+        code = with_reciprocals(instructions(function))
         early = turns(code)
         chunks = cut(code, early)
         pieces += _function(code, early, chunks)

@@ -33,3 +33,9 @@ static inline real real_where(real x, real y) { return kept(x != 0.0, y); }
 static inline real real_sign(real x) {
   return kept(x == 0.0, x) + one_where(x > 0.0) - one_where(x < 0.0);
 }
+static inline real chosen(whole mask, real x, real y) {
+  return (real)((mask & (whole)x) | (~mask & (whole)y));
+}
+/* As in C: of a number and none, the number. */
+static inline real real_fmin(real x, real y) { return chosen((x < y) | (y != y), x, y); }
+static inline real real_fmax(real x, real y) { return chosen((x > y) | (y != y), x, y); }
