@@ -1,4 +1,4 @@
-"""Divisions by the same number as products with its reciprocal: a division costs as much as ten."""
+"""Divisions by the same number as products with its reciprocal: a division costs ten products."""
 
 from collections import Counter
 
