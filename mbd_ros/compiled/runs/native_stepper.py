@@ -111,12 +111,14 @@ class NativeStepper(BlockStepper):
         """The memory of the native run, beside that of plain steps."""
         kept = {"run": self._run.memory(), "last": copied(self.state)}
         rest = {"is_plain": self._is_plain, "handed_over": self.handed_over}
-        return {**kept, **rest, "plain": self._plain.memory()}
+        return {**kept, **rest, "plain": self._plain.memory() if self.handed_over else None}
 
     def recall(self, memory: Memory, x: State) -> None:
         """As `Stepper.recall`."""
         self._run.recall(memory["run"])
-        self._plain.recall(memory["plain"], x)
+        self._plain.restart()
+        if memory["plain"] is not None:
+            self._plain.recall(memory["plain"], x)
         self._is_plain, self.handed_over = memory["is_plain"], memory["handed_over"]
         self._last = x if is_same(memory["last"], x) else memory["last"]
 

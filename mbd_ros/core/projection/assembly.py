@@ -58,8 +58,10 @@ def consistent(system: System, x: State) -> State:
     y = system.reduce(x)
     check_mass(system, y.q)
     if system.held.rows:
-        y = assemble(system, y)
-        check_mass(system, y.q)
+        moved = assemble(system, y)
+        if moved is not y:
+            check_mass(system, moved.q)
+        y = moved
     if system.layout.cones:
         from mbd_ros.core.projection.overlap import without_overlap
 

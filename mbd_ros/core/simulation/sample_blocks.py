@@ -51,21 +51,26 @@ class SampleBlocks:
         self._inputs = HeldInputs(system.loads.sources, times, at.held_since)
         self._idle = system.loads.idle
         stepper.begin_samples(at.y, at.sample, is_within=at.is_within)
-        self._begin(self._table(_FIRST))
-        self.progress = at
+        self._before: tuple[Memory, HeldTable] | None = None
+        self._seen, self.progress = 0, at
 
-    def rows(self, watch: StallWatch) -> Iterator[Array]:
+    def rows(
+        self, watch: StallWatch, most: int = _FIRST, *, is_remembered: bool = False
+    ) -> Iterator[Array]:
         """Blocks of samples, as of `SampleBlock.rows`.
 
         Args:
             watch: Looks at the pace of the steps.
+            most: Samples of the first block.
+            is_remembered: Whether `remembered` will be asked.
         """
-        stepper, times, most, look_at = self.stepper, self._times, _FIRST, WINDOW
+        stepper, times, most = self.stepper, self._times, min(most, _MOST)
         watch.begin(stepper.state.t)
         look_at, since = WINDOW, stepper.taken
-        held = self._before[1]
+        held = self._table(most)
         while stepper.newest < times.end:
-            self._begin(held)
+            if is_remembered:
+                self._before, self._seen = (stepper.memory(), held), 0
             block = stepper.samples(times, held, look_at - (stepper.taken - since), most)
             if len(block.rows):
                 yield block.rows
@@ -81,7 +86,7 @@ class SampleBlocks:
     def states(self, watch: StallWatch) -> Iterator[State]:
         """The same, a state of all joints at a time."""
         after_q, after_v = self._ends
-        for rows in self.rows(watch):
+        for rows in self.rows(watch, is_remembered=True):
             for self._seen, row in enumerate(rows, 1):
                 z = row[after_v:]
                 q, v = row[1:after_q], row[after_q:after_v]
@@ -89,7 +94,10 @@ class SampleBlocks:
 
     def remembered(self) -> tuple[Progress, int, Memory]:
         """How far the run is at the newest sample that was given, steps until then, memory."""
-        stepper, (memory, held) = self.stepper, self._before
+        stepper = self.stepper
+        if self._before is None:
+            return self.progress, stepper.taken, stepper.memory()
+        memory, held = self._before
         after = stepper.memory()
         stepper.recall(memory, memory["last"])
         block = stepper.samples(self._times, held, 2**62, self._seen)
@@ -102,10 +110,6 @@ class SampleBlocks:
         stepper = self.stepper
         now = held.until[-1] if interval == len(held.now) else held.now[interval]
         return Progress(self._origin, stepper.newest, stepper.state, stepper.is_within, float(now))
-
-    def _begin(self, held: HeldTable) -> None:
-        """Remember where a block begins."""
-        self._before, self._seen = (self.stepper.memory(), held), 0
 
     def _step_alone(self, held: HeldTable) -> None:
         """One step to the next sample at most, by whatever takes it."""

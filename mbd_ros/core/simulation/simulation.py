@@ -10,6 +10,7 @@ from mbd_ros.core.dynamics.overshoots import Overshoots
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.blocks import BlockStepper
 from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.memory import is_same
 from mbd_ros.core.projection.assembly import consistent
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.simulation.checkpoint import Checkpoint, Progress, refuse_other
@@ -68,6 +69,7 @@ class Simulation:
         self._made_by = type(integrator).__name__, dt, system.nq, system.nv, self._nz
         self._progress: Progress | None = None
         self._blocks: SampleBlocks | None = None
+        self._began: tuple[State, State] | None = None
 
     def start(self, x: State, u: Array | None = None) -> State:
         """The nearest consistent state of the integrated coordinates to a state of all joints.
@@ -83,7 +85,7 @@ class Simulation:
         """
         self.stepper.restart()
         self._blocks = None
-        y = consistent(self.system, x)
+        y = self._assembled(x)
         if self.overshoots is not None:
             self.overshoots.begin(y)
         if self._nz:
@@ -179,7 +181,7 @@ class Simulation:
         blocks = SampleBlocks(self.stepper, self.system, times, at, self._step)
         watch, before = StallWatch(self.system, self.dt), self.steps - self.stepper.taken
         row = np.concatenate(([first.t], *self.system.expand(first)[1:4]))[None]
-        rows = np.concatenate((row, *blocks.rows(watch)))
+        rows = np.concatenate((row, *blocks.rows(watch, most=times.end)))
         self.steps = before + self.stepper.taken
         self._progress = blocks.progress
         return rows
@@ -265,6 +267,14 @@ class Simulation:
     def passed_stops(self) -> list[str]:
         """Joints that went beyond stops since the start, one text each."""
         return [] if self.overshoots is None else [str(one) for one in self.overshoots.found()]
+
+    def _assembled(self, x: State) -> State:
+        """The nearest consistent state; that of the last start where it began from here, too."""
+        if self._began is not None and is_same(x, self._began[0]):
+            return self._began[1]
+        y = consistent(self.system, x)
+        self._began = x, y
+        return y
 
     def _progressed(self) -> Progress:
         if self._progress is None:
