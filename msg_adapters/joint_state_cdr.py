@@ -137,7 +137,7 @@ class JointStateCdrWriter:
     """
 
     def __init__(self, names: Sequence[str], fields: Sequence[str] = FIELDS) -> None:
-        message = _encode(names, [len(names) if field in fields else 0 for field in FIELDS])
+        message = encoded(names, [len(names) if field in fields else 0 for field in FIELDS])
         layout = layout_of(message)
         # So many bytes in front that the doubles are aligned in memory.
         self._buffer = bytearray(ENCAPSULATION) + message
@@ -171,8 +171,8 @@ class JointStateCdrWriter:
         return bytes(self._message)
 
 
-def _encode(names: Sequence[str], lengths: Sequence[int]) -> bytes:
-    """A JointState of zeros."""
+def encoded(names: Sequence[str], lengths: Sequence[int]) -> bytes:
+    """A JointState of zeros, its position, velocity and effort of these lengths."""
     body = bytearray(_STAMP.size)
     _append_text(body, "")
     body += _COUNT.pack(len(names))

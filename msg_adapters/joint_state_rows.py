@@ -1,6 +1,6 @@
-"""Many serialized sensor_msgs/JointState -> arrays, where all have one layout."""
+"""Many serialized sensor_msgs/JointState of one layout <-> arrays."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,7 +8,15 @@ from numpy.typing import NDArray
 
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointStateReader
-from msg_adapters.joint_state_cdr import ENCAPSULATION, LITTLE_ENDIAN, Layout, layout_of
+from msg_adapters.joint_state_cdr import (
+    ENCAPSULATION,
+    FIELDS,
+    LITTLE_ENDIAN,
+    Layout,
+    encoded,
+    layout_of,
+)
+from msg_adapters.rows import refilled
 from msg_adapters.time import NANOSECONDS
 
 _STAMP = 8  # bytes of sec and nanosec
@@ -69,8 +77,8 @@ class JointStateRowsReader:
         rest = stamps.view("<u4")[:, 1].astype(np.int64)
         if (rest >= NANOSECONDS).any():
             return None
-        names, values = ("position", "velocity", "effort"), []
-        for name, part in zip(names, layout.slices, strict=True):
+        values = []
+        for name, part in zip(FIELDS, layout.slices, strict=True):
             field = body[:, 8 * part.start : 8 * part.stop]
             doubles = np.ascontiguousarray(field).view("<f8")
             values.append(self._reader.picked(doubles, name))
@@ -84,3 +92,23 @@ def _is_one(rows: NDArray[np.uint8], layout: Layout) -> bool:
     for mark, _ in layout.marks:
         places.append(slice(ENCAPSULATION + mark.start, ENCAPSULATION + mark.stop))
     return all(bool((rows[:, place] == rows[0, place]).all()) for place in places)
+
+
+def joint_state_rows(
+    names: Sequence[str], stamps: NDArray[np.int64], fields: Mapping[str, NDArray[np.float64]]
+) -> NDArray[np.uint8]:
+    """Serialized messages, one a row.
+
+    Args:
+        names: Joint or constraint names, in the order of the columns.
+        stamps: Header stamps [ns], shape (n,).
+        fields: Those of position, velocity and effort that the messages carry, shape
+            (n, len(names)) each.
+
+    Raises:
+        MessageError: No message can carry a stamp.
+    """
+    template = encoded(names, [len(names) if field in fields else 0 for field in FIELDS])
+    places = zip(FIELDS, layout_of(template).slices, strict=True)
+    numbers = {ENCAPSULATION + 8 * at.start: fields[f] for f, at in places if f in fields}
+    return refilled(template, numbers, stamps)

@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msg_adapters.errors import MessageError, listed
-from msg_adapters.finite import require_finite
+from msg_adapters.finite import is_surely_finite, require_finite
+from msg_adapters.rows import refilled
 from msg_adapters.time import read_time, seconds_of
 
 _HEAD = bytes([0, 1, 0, 0])  # little endian
 _STAMP = struct.Struct("<iI")
 _DOUBLES = struct.Struct("<7d288x6d288x")
+_TWIST = 7 * 8 + 288  # its place behind that of the pose
 OFF_UNIT = 0.1  # by which a quaternion may miss its length of 1
 
 
@@ -99,3 +101,20 @@ class OdometryCdrWriter:
         require_finite(pose=pose, twist=twist)
         numbers = _DOUBLES.pack(*pose.tolist(), *twist.tolist())
         return _HEAD + _STAMP.pack(*seconds_of(stamp)) + self._texts + numbers
+
+    def rows(
+        self, stamps: NDArray[np.int64], pose: NDArray[np.float64], twist: NDArray[np.float64]
+    ) -> NDArray[np.uint8]:
+        """Many messages, one a row; arguments as those of `write`, one row each.
+
+        Raises:
+            MessageError: As `write`.
+        """
+        for values in (pose, twist):
+            if not is_surely_finite(values):
+                lost = np.flatnonzero(~np.isfinite(pose).all(axis=1) | ~np.isfinite(twist).all(1))
+                for row in lost[:1]:
+                    require_finite(pose=pose[row], twist=twist[row])
+        template = self.write(0, np.zeros(7), np.zeros(6))
+        begin = len(template) - _DOUBLES.size
+        return refilled(template, {begin: pose, begin + _TWIST: twist}, stamps)

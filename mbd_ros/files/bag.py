@@ -1,7 +1,6 @@
 """Bags: a rosbag2 folder, .mcap or .db3. Results are joint states and other columns."""
 
-import heapq
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.bag_recordings import Wanted, bag_motion
+from mbd_ros.files.bag_rows import Rows
 from mbd_ros.files.bag_streams import (
     BODY_FIELDS,
     FIELDS,
@@ -28,6 +28,7 @@ from msg_adapters.odometry import read_odometry
 DESCRIPTION, STRING = "/result", "std_msgs/msg/String"
 RECORDED = "recorded"  # metadata `stamps`: those of a motion that was read
 _WHOLE = 2**53  # up to which a float64 tells whole numbers apart
+_ROWS = 8192  # rows of tables whose messages are made at once
 _UNITS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "N·m or N"}
 
 
@@ -52,24 +53,23 @@ class Bag:
         Raises:
             DataError: A place that cannot be written to, or times that messages cannot hold.
         """
-        merged, starts, more = [], [], {}
+        timed, more = [], {}
         topics = result.metadata.get("topics")
         for name, table in result.tables.items():
             stamps = stamps_of(table) if TIME in table else np.arange(1, table.rows + 1)
             if result.metadata.get("stamps") != RECORDED:
                 stamps = np.where(stamps == 0, 1, stamps)
-            starts.append(stamps)
             plain = Table(column for column in table.columns if column.name != STAMP)
             streams, more[name] = streams_of(name, plain, topics)
             more[name][STAMP] = {"topic": streams[-1].topic, "field": "log_time", "at": 0}
-            merged += [_rows(path, k, s, stamps) for k, s in enumerate(streams, len(merged))]
+            timed.append((stamps, streams))
         said = new_message(STRING)
         said.data = describe(result, more)
-        first = min((int(one[0]) for one in starts if len(one)), default=1)
+        first = min((int(stamps[0]) for stamps, _ in timed if len(stamps)), default=1)
         with BagWriter(path) as bag:
             bag.write(DESCRIPTION, STRING, first, said)
-            for stamp, _, topic, msgtype, message in heapq.merge(*merged):
-                bag.write(topic, msgtype, stamp, message)
+            for parts in _parts(path, timed):
+                bag.write_rows(parts)
 
     def read(self, path: Path, topic: str = "/joint_states") -> Result:
         """The result that `write` wrote; of other bags the joint states of a topic.
@@ -100,13 +100,23 @@ class Bag:
             raise DataError(f"{path}: its messages do not fit {DESCRIPTION} ({error})") from error
 
 
-def _rows(path: Path, order: int, stream: Stream, stamps: Array) -> Iterator[tuple[Any, ...]]:
-    """Stamp, order, topic, type and message of every row, to be merged."""
-    try:
-        for stamp, message in stream.messages(stamps):
-            yield stamp, order, stream.topic, stream.msgtype, message
-    except MessageError as error:
-        raise DataError(f"{path}: topic {stream.topic}: {error}") from error
+def _parts(path: Path, timed: Sequence[tuple[Array, Sequence[Stream]]]) -> Iterator[list[Rows]]:
+    """Messages of all streams, in spans of time that follow each other."""
+    every = np.sort(np.concatenate([stamps for stamps, _ in timed] or [np.zeros(0)]))
+    edges = np.unique(every[::_ROWS])
+    for begin, end in zip(edges, [*edges[1:], None], strict=True):
+        parts = []
+        for stamps, streams in timed:
+            inside = stamps >= begin if end is None else (stamps >= begin) & (stamps < end)
+            rows = np.flatnonzero(inside)
+            if len(rows) and rows[-1] - rows[0] + 1 == len(rows):
+                rows = slice(rows[0], rows[-1] + 1)  # a view of them
+            for stream in streams:
+                try:
+                    parts.append(stream.rows(stamps[rows], rows))
+                except MessageError as error:
+                    raise DataError(f"{path}: topic {stream.topic}: {error}") from error
+        yield parts
 
 
 def _values(path: Path, topics: Mapping[str, str]) -> dict[tuple[str, str], Array]:

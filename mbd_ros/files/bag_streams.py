@@ -8,18 +8,21 @@ takes are in a Float64MultiArray on `/<table>`, whose layout labels are their na
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
+from mbd_ros.files.bag_rows import Rows
 from mbd_ros.files.bag_types import new_message, to_cdr
 from mbd_ros.files.body_columns import POSE, TWIST, names_of
 from mbd_ros.files.table import MAIN, Column, Table
-from msg_adapters.joint_state import JointStateWriter
+from msg_adapters.joint_state_rows import joint_state_rows
 from msg_adapters.odometry import OdometryCdrWriter
+from msg_adapters.rows import refilled
 
 JOINT_STATE, MULTI_ARRAY = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -44,33 +47,40 @@ class Stream(NamedTuple):
     names: tuple[str, ...]
     fields: Mapping[str, Array]
 
-    def messages(self, stamps: Array) -> Iterator[tuple[int, Any]]:
-        """Stamp and message, or its bytes, of every row; a message is refilled for the next."""
-        if self.msgtype == JOINT_STATE:
-            writer = JointStateWriter(new_message(JOINT_STATE), self.names, tuple(self.fields))
-            for i, stamp in enumerate(stamps.tolist()):
-                row = {field: values[i] for field, values in self.fields.items()}
-                yield stamp, writer.write(stamp, **row)
-            return
-        if self.msgtype == ODOMETRY:
-            body, rows = OdometryCdrWriter(*self.names), zip(*self.fields.values(), strict=True)
-            for stamp, (pose, twist) in zip(stamps.tolist(), rows, strict=True):
-                yield stamp, body.write(stamp, pose, twist)
-            return
-        head, data = self._head(), np.ascontiguousarray(self.fields["data"])
-        for stamp, row in zip(stamps.tolist(), data, strict=True):
-            yield stamp, head + row.tobytes()
+    def rows(self, stamps: NDArray[np.int64], chosen: slice | NDArray[np.intp]) -> Rows:
+        """Serialized messages of some rows.
 
-    def _head(self) -> bytes:
-        """A serialized message without its numbers, which are the same bytes at its end."""
-        message, width = new_message(MULTI_ARRAY), self.fields["data"].shape[1]
-        message.data = np.zeros(width)
+        Args:
+            stamps: Of the chosen rows [ns], shape (n,).
+            chosen: The rows.
+
+        Raises:
+            MessageError: What no message can carry.
+        """
+        fields = {name: values[chosen] for name, values in self.fields.items()}
+        if self.msgtype == JOINT_STATE:
+            cdr = joint_state_rows(self.names, stamps, fields)
+        elif self.msgtype == ODOMETRY:
+            cdr = OdometryCdrWriter(*self.names).rows(stamps, fields["pose"], fields["twist"])
+        else:
+            template = self._template()
+            cdr = refilled(template, {len(template) - 8 * self.width: fields["data"]})
+        return Rows(self.topic, self.msgtype, stamps, cdr)
+
+    @property
+    def width(self) -> int:
+        """Numbers in a row of the first field."""
+        return int(next(iter(self.fields.values())).shape[1])
+
+    def _template(self) -> bytes:
+        """A serialized Float64MultiArray of zeros, which stand at its end."""
+        message = new_message(MULTI_ARRAY)
+        message.data = np.zeros(self.width)
         for name in self.names:
             dimension = new_message("std_msgs/msg/MultiArrayDimension")
             dimension.label, dimension.size, dimension.stride = name, 1, 1
             message.layout.dim.append(dimension)
-        whole = bytes(to_cdr(message, MULTI_ARRAY))
-        return whole[: len(whole) - 8 * width]
+        return bytes(to_cdr(message, MULTI_ARRAY))
 
 
 def streams_of(

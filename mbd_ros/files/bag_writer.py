@@ -5,7 +5,7 @@ import shutil
 import sqlite3
 import struct
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -16,6 +16,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
 from mbd_ros.errors import DataError
 from mbd_ros.files.bag_paths import MARK, check_target
+from mbd_ros.files.bag_rows import Rows, append
 from mbd_ros.files.bag_types import TYPES, to_cdr
 
 _SHOWN = 40  # characters of a name in that of a temporary folder: names end at 255 bytes
@@ -76,6 +77,29 @@ class BagWriter:
         with self._failing():
             cdr = message if isinstance(message, bytes) else to_cdr(message, msgtype)
             self._writer.write(self._connection(topic, msgtype), log_time, cdr)
+
+    def write_rows(self, parts: Sequence[Rows]) -> None:
+        """Append messages of several topics, in the order of their log times.
+
+        Args:
+            parts: The messages; those of one time come in the order of the parts.
+        """
+        parts = [part for part in parts if len(part.log_times)]
+        for part in parts:
+            earliest = int(part.log_times.min())
+            if earliest < 0:
+                where = f"{self.path}: topic {part.topic}"
+                raise DataError(f"{where}: {earliest} ns is no time for a bag")
+        with self._failing():
+            known = [self._connection(part.topic, part.msgtype) for part in parts]
+            if not parts:
+                return
+            append(self._writer.storage, parts, [connection.id for connection in known])
+            for part, connection in zip(parts, known, strict=True):
+                times, writer = part.log_times, self._writer
+                writer.counts[connection.id] += len(times)
+                writer.min_timestamp = min(writer.min_timestamp, int(times.min()))
+                writer.max_timestamp = max(writer.max_timestamp, int(times.max()))
 
     def _connection(self, topic: str, msgtype: str) -> Connection:
         if topic not in self._connections:

@@ -67,7 +67,7 @@ def indexed(storage: McapReader, chunk: ChunkInfo, connections: Sequence[Any]) -
     fits = (heads["opcode"] == MESSAGE) & is_known & (heads["log_time"] == entries[:, 0])
     fits &= (sizes >= 0) & (sizes <= len(data) - starts)
     in_time = chunk.message_start_time <= times[0] and times[-1] <= chunk.message_end_time
-    if not (fits.all() and in_time and len(np.unique(at)) == len(at)):
+    if not (fits.all() and in_time and np.diff(np.sort(at)).all()):
         return None
     return times, data, starts, sizes
 
@@ -87,6 +87,15 @@ def pieces_of(data: NDArray[np.uint8], starts: NDArray[np.int64], size: int) -> 
     """Copies of pieces of one length that lie inside of `data`, shape (len(starts), size)."""
     every: NDArray[np.void] = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
     return every[starts].view(np.uint8).reshape(len(starts), size)
+
+
+def put_pieces(
+    data: NDArray[np.uint8], starts: NDArray[np.int64], pieces: NDArray[np.uint8]
+) -> None:
+    """Copy pieces of one length, one a row, to their places in `data`."""
+    size = pieces.shape[1]
+    every: NDArray[np.void] = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
+    every[starts] = np.ascontiguousarray(pieces).view(f"V{size}")[:, 0]
 
 
 def _unpacked(storage: McapReader, chunk: ChunkInfo) -> bytes:

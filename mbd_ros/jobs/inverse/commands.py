@@ -33,10 +33,10 @@ def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
     Raises:
         DataError: A command beyond the finite numbers.
     """
-    states = _states(scene, table)
     names: list[str] = []
     commands: list[Array] = []
     remarks = []
+    states = _states(scene, table) if scene.actuators else []
     for actuator, inputs in zip(scene.actuators, command_names(scene.actuators), strict=True):
         if not all(f"{name}.effort" in table for name in actuator.joints):
             continue

@@ -46,7 +46,7 @@ def close_loops(scene: Scene, where: str, recording: Recording) -> tuple[Recordi
         raise DataError(f"{where}: no sample has all of its joints")
     if not whole.all():
         recording.dropped["the position of a joint is missing"] += int((~whole).sum())
-    motion = _kept(recording.motion, whole)
+    motion = recording.motion if whole.all() else _kept(recording.motion, whole)
     if is_there.all():
         return recording._replace(motion=motion), []
     joints = [scene.robot.joint(name) for name in names]
