@@ -10,6 +10,7 @@ import pytest
 from mbd_ros.actuators.geared_motor import GearedMotor
 from mbd_ros.actuators.ideal import Ideal
 from mbd_ros.actuators.series_elastic import SeriesElastic
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
@@ -25,7 +26,7 @@ def torque(part, u, q=0.0, v=0.0, robot=FIXED):
     model = robot.model
     x = State(0.0, pin.neutral(model), np.zeros(model.nv))
     x.q[part.joint.q], x.v[part.joint.v] = q, v
-    tau = part.force(None, x, np.array([u]))
+    tau = part.force(Kinematics, x, np.array([u]))
     assert tau.shape == (model.nv,)
     assert not np.delete(tau, part.joint.v).any()
     return tau[part.joint.v]
@@ -38,7 +39,7 @@ def test_ideal_motors_give_what_is_asked_up_to_their_limit(robot):
     for limit, expected in ((math.inf, u), (100.0, [30.0, -100.0])):
         part = Ideal(robot, joints=["ankle", "hip_flexion"], limit=limit)
         assert part.joints == ("ankle", "hip_flexion")
-        tau = part.force(None, x, u)
+        tau = part.force(Kinematics, x, u)
         where = [robot.joint(name).v for name in part.joints]
         assert np.array_equal(tau[where], expected)
         assert not np.delete(tau, where).any()
@@ -128,7 +129,7 @@ def test_a_command_that_is_no_number_is_not_hidden_by_the_limit(robot):
         GearedMotor(robot, joint="ankle", ratio=9.0, efficiency=0.5, limit=1.0),
         SeriesElastic(robot, joint="ankle", stiffness=9.0, limit=1.0),
     ):
-        assert np.isnan(part.force(None, x, np.array([math.nan]))).any()
+        assert np.isnan(part.force(Kinematics, x, np.array([math.nan]))).any()
 
 
 ANKLE = {"joint": "ankle"}

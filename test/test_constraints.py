@@ -168,7 +168,7 @@ def jacobian(part, robot, x):
 
 def rate(part, robot, x):
     """g' of a state."""
-    return jacobian(part, robot, x) @ x.v + part.rate(None, x)
+    return jacobian(part, robot, x) @ x.v + part.rate(Kinematics, x)
 
 
 def slope(function, h=1e-4):
@@ -251,7 +251,7 @@ def test_multipliers_do_the_work_of_their_rows(robot, make):
     part, x = make(robot), random_state(robot, 5)
     k = refreshed(robot, x)
     J, lam = part.jacobian(k, x), np.random.default_rng(5).normal(size=len(part.rows))
-    v = x.v - np.linalg.pinv(J) @ (J @ x.v + part.rate(None, x))
+    v = x.v - np.linalg.pinv(J) @ (J @ x.v + part.rate(Kinematics, x))
     assert (J.T @ lam) @ v == pytest.approx(-lam @ part.rate(k, x), abs=1e-13)
 
 
@@ -389,7 +389,7 @@ def test_screw_moves_its_pitch_in_a_turn():
     part = Screw(LEG, joint="knee_slide_y", parent="knee", pitch=0.01, offset=-0.02)
     x = State(0.0, np.zeros(5), np.zeros(5))
     x.q[LEG.joint("knee").q], x.q[LEG.joint("knee_slide_y").q] = 4.0 * math.pi, 0.0
-    assert part.residual(None, x) == pytest.approx([0.0], abs=1e-16)
+    assert part.residual(Kinematics, x) == pytest.approx([0.0], abs=1e-16)
 
 
 def test_coupling_multipliers_are_those_of_inverse_dynamics():
@@ -401,9 +401,9 @@ def test_coupling_multipliers_are_those_of_inverse_dynamics():
     q[COUPLINGS.q_index], v[COUPLINGS.v_index], joint_a[COUPLINGS.v_index] = z, w, a
     COUPLINGS.expand(q, v, joint_a)
     rows, x = CouplingRows(robot, COUPLINGS), State(0.0, q, v)
-    assert rows.residual(None, x) == pytest.approx(np.zeros(3), abs=1e-15)
-    J = rows.jacobian(None, x)
-    assert J @ joint_a + rows.drift(None, x) == pytest.approx(np.zeros(3), abs=1e-14)
+    assert rows.residual(Kinematics, x) == pytest.approx(np.zeros(3), abs=1e-15)
+    J = rows.jacobian(Kinematics, x)
+    assert J @ joint_a + rows.drift(Kinematics, x) == pytest.approx(np.zeros(3), abs=1e-14)
     tau = np.zeros(5)
     tau[COUPLINGS.v_index] = solution.tau
     needed = pin.rnea(robot.model, robot.model.createData(), q, v, joint_a)
@@ -451,15 +451,15 @@ def test_stop_watches_the_end_that_the_joint_heads_for():
     ):
         x = State(0.0, np.zeros(5), np.zeros(5))
         x.q[joint.q], x.v[joint.v] = q, v
-        assert part.residual(None, x) == pytest.approx([gap])
-        assert part.jacobian(None, x)[0, joint.v] == sign
+        assert part.residual(Kinematics, x) == pytest.approx([gap])
+        assert part.jacobian(Kinematics, x)[0, joint.v] == sign
 
 
 def test_stop_with_one_end_and_those_of_the_description():
     part = JointStop(LEG, joints=["ankle", "knee"], upper=9.0)
     x = State(0.0, np.zeros(5), np.zeros(5))
     lower = [LEG.joint(name).lower for name in ("ankle", "knee")]
-    assert part.residual(None, x) == pytest.approx([-end for end in lower])
+    assert part.residual(Kinematics, x) == pytest.approx([-end for end in lower])
     assert JointStop(LEG, joints=["all"]).joints == tuple(j.name for j in LEG.joints)
     assert part.law == unilateral()
 
@@ -472,7 +472,7 @@ def test_stop_of_a_continuous_joint_needs_one_end_only():
         JointStop(spinner, joints=["all"])
     part = JointStop(spinner, joint="joint_1", upper=1.0)
     x = State(0.0, np.full(2, -50.0), np.zeros(2))
-    assert part.residual(None, x) == pytest.approx([51.0])
+    assert part.residual(Kinematics, x) == pytest.approx([51.0])
     assert part.quick_margin(x.q, x.v, x.v) == pytest.approx(51.0 * part.gains[0])
 
 

@@ -12,6 +12,7 @@ import yaml
 from mbd_ros.cli import main
 from mbd_ros.core.control.contract import Reference
 from mbd_ros.core.control.sliding import mismatch, sliding_variable
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.projection.observed_state import ObservedState
 from mbd_ros.core.state import NONE
 from mbd_ros.demo import topics
@@ -115,7 +116,7 @@ def test_the_plant_is_the_scene_with_the_disturbance_and_the_model_30_percent_li
         np.testing.assert_allclose(believed.toDynamicParameters(), expected, atol=1e-15)
     assert (len(plant.forces), plant.dt) == (len(scene.forces) + 1, 1 / RATE)
     x = scene.holding(forces=()).initial._replace(t=1.01)
-    torque = plant.forces[-1].force(None, x, NONE)[[j.v for j in task.truth.joints]]
+    torque = plant.forces[-1].force(Kinematics, x, NONE)[[j.v for j in task.truth.joints]]
     middle = (task.added.torque[50] + task.added.torque[51]) / 2
     np.testing.assert_allclose(torque, middle, atol=1e-9)
 

@@ -9,6 +9,7 @@ from mbd_ros.actuators.geared_motor import GearedMotor
 from mbd_ros.actuators.ideal import Ideal
 from mbd_ros.actuators.series_elastic import SeriesElastic
 from mbd_ros.cli import main
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.state import State
 from mbd_ros.files.csv import read_table, write_table
 from mbd_ros.scene.reader import load_scene
@@ -60,7 +61,7 @@ def test_demanded_commands_give_the_torque_whatever_the_losses(part):
     for scale in (1e-3, 1e-2, 1.0, 1.0, 1.0, 30.0) * 5:
         x = State(0.0, rng.normal(size=5), scale * rng.normal(size=5))
         tau = rng.normal(scale=20.0, size=1)
-        given = made.force(None, x, made.demanded(tau, x))[v_index]
+        given = made.force(Kinematics, x, made.demanded(tau, x))[v_index]
         assert given == pytest.approx(tau[0], rel=1e-12)
 
 

@@ -41,7 +41,7 @@ def test_scenes_that_share_parts_have_slots_of_their_own():
     u = np.array([3.0, 5.0, 0.1])
     loads = first.system().loads
     x = first.initial
-    tau = loads.actuator_torque(None, x, u)
+    tau = loads.actuator_torque(Kinematics, x, u)
     driven = [first.robot.joint(name).v for name in ("knee", "hip_flexion", "ankle")]
     assert tau[driven] == pytest.approx([3.0, 5.0, 30.0])
     assert loads.command(tau[driven], x) == pytest.approx(u)
@@ -62,10 +62,10 @@ def test_columns_are_the_slopes_of_an_affine_force_within_its_bounds(drive):
     lower, upper = (np.clip([c[i] for c in part.inputs], -9.0, 9.0) for i in (2, 3))
     for q, v in rng.normal(size=(20, 2, nv)):
         x, u = State(0.0, q, v), rng.uniform(lower, upper)
-        columns = part.columns(None, x)
+        columns = part.columns(Kinematics, x)
         assert columns.shape == (nv, len(part.inputs))
-        expected = part.force(None, x, np.zeros(len(u))) + columns @ u
-        np.testing.assert_allclose(part.force(None, x, u), expected, rtol=1e-13, atol=1e-12)
+        expected = part.force(Kinematics, x, np.zeros(len(u))) + columns @ u
+        np.testing.assert_allclose(part.force(Kinematics, x, u), expected, rtol=1e-13, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_columns_are_the_slopes_of_an_affine_force_within_its_bounds(drive):
 )
 def test_a_force_that_is_not_affine_has_no_columns(drive):
     (part,) = scene_of(f"{LEG}actuators: [{drive}]\n").actuators
-    assert part.columns(None, scene_of(LEG).initial) is None
+    assert part.columns(Kinematics, scene_of(LEG).initial) is None
 
 
 SLIDE = """<robot name="slide"><link name="world"/><link name="cart"><inertial><mass value="2"/>
@@ -205,7 +205,7 @@ def test_columns_of_a_wrench_are_its_slopes_and_its_force_that_of_inverse_dynami
 
 def test_a_wrench_with_a_threshold_has_no_columns():
     scene = scene_of(LEG + PLATE.replace("0.2]", "0.2], threshold: 5.0"))
-    assert scene.wrenches["plate"].columns(None, scene.initial) is None
+    assert scene.wrenches["plate"].columns(Kinematics, scene.initial) is None
 
 
 @pytest.mark.parametrize("more", ["", "couplings: {joint4: {parent: joint2, factor: 0.5}}\n"])

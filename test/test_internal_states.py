@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.integrate import simpson, solve_ivp
-from symbolic_kinematics import SymbolicKinematics
+from symbolic_numbers import Symbols
 
 from mbd_ros.actuators.series_elastic_drive import SeriesElasticDrive
 from mbd_ros.constraints.dry_friction import DryFriction
@@ -734,10 +734,10 @@ def test_a_motor_that_asks_for_short_steps_is_named():
 
 def test_the_drive_takes_symbols():
     robot = pendulum().robot
-    symbols, u = SymbolicKinematics(robot, nz=2), np.array([0.4])
+    symbols, u = Symbols(robot, nz=2), np.array([0.4])
     part = SeriesElasticDrive(robot, **{k: v for k, v in DRIVE.items() if k not in NOT_ITS_OWN})
-    traced = [method(symbols, symbols.x, u) for method in (part.force, part.rates)]
-    energy = part.potential(symbols, symbols.x)
+    traced = [method(symbols.k, symbols.x, u) for method in (part.force, part.rates)]
+    energy = part.potential(symbols.k, symbols.x)
     k = Kinematics(robot)
     for values in np.random.default_rng(4).normal(size=(5, 4)):
         x = State(0.0, values[:1], values[1:2], values[2:])

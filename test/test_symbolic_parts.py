@@ -5,8 +5,9 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from symbolic_kinematics import SymbolicKinematics
+from symbolic_numbers import Symbols
 
+from mbd_ros.compiled.symbols.scalar import column, number
 from mbd_ros.constraints.distance import Distance
 from mbd_ros.constraints.path_length import PathLength
 from mbd_ros.core.model.kinematics import Kinematics
@@ -83,9 +84,9 @@ def assert_same(found, expected):
 
 @pytest.mark.parametrize(("robot", "make", "entry"), FORCES.values(), ids=FORCES)
 def test_a_force_of_symbols_has_the_numbers_of_the_force(robot, make, entry):
-    part, symbols = make(robot, **entry), SymbolicKinematics(robot)
-    tau = part.force(symbols, symbols.x, NONE)
-    energy = part.potential(symbols, symbols.x)
+    part, symbols = make(robot, **entry), Symbols(robot)
+    tau = part.force(symbols.k, symbols.x, NONE)
+    energy = part.potential(symbols.k, symbols.x)
     for x in states(robot):
         assert_same(symbols.number(tau, x), part.force(at(robot, x), x, NONE))
         assert_same(symbols.number(energy, x), part.potential(at(robot, x), x))
@@ -93,41 +94,39 @@ def test_a_force_of_symbols_has_the_numbers_of_the_force(robot, make, entry):
 
 @pytest.mark.parametrize(("robot", "ends"), BARS.values(), ids=BARS)
 def test_rows_of_symbols_have_the_numbers_of_the_rows(robot, ends):
-    part, symbols = Distance(robot, **ends, **FAR, distance=0.7), SymbolicKinematics(robot)
+    part, symbols = Distance(robot, **ends, **FAR, distance=0.7), Symbols(robot)
     asked = part.residual, part.jacobian, part.drift
-    traced = [method(symbols, symbols.x) for method in asked]
-    slope = ca.jacobian(traced[0], symbols.x.q)
+    traced = [method(symbols.k, symbols.x) for method in asked]
     for x in states(robot):
         k = at(robot, x)
         for expression, method in zip(traced, asked, strict=True):
             assert_same(symbols.number(expression, x), method(k, x))
-        assert_same(symbols.number(slope, x), part.jacobian(k, x))
+        assert_same(symbols.slopes(traced[0], x), part.jacobian(k, x))
 
 
 @pytest.mark.parametrize("points", [VIA, SLIDING, SWITCHED], ids=["held", "moved", "switched"])
 def test_the_row_of_a_path_of_symbols_has_the_numbers_of_the_row(points):
     part = PathLength(ARM, path=through(ARM, points), length=0.7)
-    symbols = SymbolicKinematics(ARM)
+    symbols = Symbols(ARM)
     asked = part.residual, part.jacobian, part.drift
-    traced = [method(symbols, symbols.x) for method in asked]
-    slope = ca.jacobian(traced[0], symbols.x.q)
+    traced = [method(symbols.k, symbols.x) for method in asked]
     for x in states(ARM):
         k = at(ARM, x)
         for expression, method in zip(traced, asked, strict=True):
             assert_same(symbols.number(expression, x), method(k, x))
-        assert_same(symbols.number(slope, x), part.jacobian(k, x))
+        assert_same(symbols.slopes(traced[0], x), part.jacobian(k, x))
 
 
 def test_points_that_meet_have_the_same_direction_for_both():
     """The axis of a joint, once on either of its links."""
-    symbols, joint = SymbolicKinematics(ARM), ARM.model.getJointId(ARM.joints[3].urdf_name)
+    symbols, joint = Symbols(ARM), ARM.model.getJointId(ARM.joints[3].urdf_name)
     parent, child = (link_of(j) for j in (ARM.model.parents[joint], joint))
     ends = {"frame_a": parent, "frame_b": child}
     ends["point_a"] = ARM.model.jointPlacements[joint].translation.tolist()
     spring = PointSpring(ARM, **ends, stiffness=3.0, damping=1.0, length=0.1)
     bar = Distance(ARM, **ends, distance=0.5)
-    force = spring.force(symbols, symbols.x, NONE)
-    rows = bar.accelerations(symbols, symbols.x)
+    force = spring.force(symbols.k, symbols.x, NONE)
+    rows = bar.accelerations(symbols.k, symbols.x)
     for x in states(ARM):
         k = at(ARM, x)
         assert not spring.force(k, x, NONE).any()
@@ -147,9 +146,9 @@ def link_of(joint):
 
 def test_a_parameter_may_be_a_symbol():
     p, x = ca.SX.sym("p"), states(LEG)[0]
-    symbols = SymbolicKinematics(LEG)
-    traced = JointSpring(LEG, joint="knee", stiffness=p).force(symbols, symbols.x, NONE)
-    f = ca.Function("f", [p, symbols.x.q, symbols.x.v], [traced])
+    symbols = Symbols(LEG)
+    traced = JointSpring(LEG, joint="knee", stiffness=number(p)).force(symbols.k, symbols.x, NONE)
+    f = ca.Function("f", [p, *symbols.given[1:3]], [column(traced)])
     for stiffness in (3.0, 70.0):
         part = JointSpring(LEG, joint="knee", stiffness=stiffness)
         assert_same(np.array(f(stiffness, x.q, x.v)), part.force(at(LEG, x), x, NONE))

@@ -64,10 +64,10 @@ class GearedMotor(Actuator):
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,), of the motor torque [N·m], shape (1,)."""
-        tau = np.zeros(self._nv)
-        rate = float(x.v[self.joint.v])
-        lossless = self._ratio * max(min(u[self.u].item(), self._limit), -self._limit)
-        direction = math.copysign(math.tanh(rate / self._smoothing), lossless * rate)
+        tau, rate = k.zeros(self._nv), k.item(x.v, self.joint.v)
+        wanted = k.minimum(k.item(u, self.u.start or 0), self._limit)
+        lossless = self._ratio * k.maximum(wanted, -self._limit)
+        direction = k.copysign(k.tanh(rate / self._smoothing), lossless * rate)
         tau[self.joint.v] = lossless * self._efficiency**direction - self._viscous * rate
         return tau
 

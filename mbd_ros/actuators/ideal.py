@@ -51,9 +51,9 @@ class Ideal(Actuator):
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,), of the commands [N·m or N], shape (len(joints),)."""
-        tau, u = np.zeros(self._nv), u[self.u]
+        tau, u = k.zeros(self._nv), u[self.u]
         if self._limit < math.inf:
-            u = np.minimum(np.maximum(u, -self._limit), self._limit)
+            u = k.within(u, -self._limit, self._limit)
         tau[self._v] = u
         return tau
 

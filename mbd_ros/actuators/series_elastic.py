@@ -49,10 +49,10 @@ class SeriesElastic(Actuator):
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,), of the commanded position [rad or m], shape (1,)."""
-        tau = np.zeros(self._nv)
-        stretch, rate = float(u[self.u].item() - x.q[self.joint.q]), float(x.v[self.joint.v])
-        wanted = self._stiffness * stretch - self._damping * rate
-        tau[self.joint.v] = max(min(wanted, self._limit), -self._limit)
+        tau = k.zeros(self._nv)
+        stretch = k.item(u, self.u.start or 0) - k.item(x.q, self.joint.q)
+        wanted = self._stiffness * stretch - self._damping * k.item(x.v, self.joint.v)
+        tau[self.joint.v] = k.maximum(k.minimum(wanted, self._limit), -self._limit)
         return tau
 
     def columns(self, k: Kinematics, x: State) -> Array | None:

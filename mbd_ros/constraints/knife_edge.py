@@ -84,7 +84,7 @@ class KnifeEdge(Constraint):
         linear, omega, _ = seen.motion(seen.place())
         J = seen.jacobian(seen.placed(), _LINEAR)
         drift = n.dot(linear) + np.cross(omega, n).dot(J.dot(x.v))
-        return n.dot(J).reshape(1, -1), np.array((drift,))
+        return n.dot(J).reshape(1, -1), k.array((drift,))
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
         """The forces between the ground and the edge."""

@@ -12,10 +12,10 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import OptionalDuration, Positive, Unit, is_value
 from mbd_ros.core.row_laws import drive
 from mbd_ros.core.rows.constraint import Constraint, Row
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, State, is_symbol
 from mbd_ros.errors import ModelError
 
-Motion = Callable[[float], tuple[float, float, float]]
+Motion = Callable[[Kinematics, float], tuple[float, float, float]]
 _HARMONIC = ("amplitude", "angular_frequency", "offset", "phase")
 
 
@@ -101,7 +101,7 @@ class PrescribedMotion(Constraint):
 
     def residual(self, k: Kinematics, x: State) -> Array:
         """How far the joint is off its motion, q - f(t) [rad or m], shape (1,)."""
-        return np.array((x.q.item(self.joint.q) - self._motion(float(x.t))[0],))
+        return k.array((k.item(x.q, self.joint.q) - self._motion(k, x.t)[0],))
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
         """1 at the joint, shape (1, nv)."""
@@ -109,11 +109,11 @@ class PrescribedMotion(Constraint):
 
     def rate(self, k: Kinematics, x: State) -> Array:
         """-f', shape (1,)."""
-        return np.array((-self._motion(float(x.t))[1],))
+        return k.array((-self._motion(k, x.t)[1],))
 
     def drift(self, k: Kinematics, x: State) -> Array:
         """-f'', shape (1,)."""
-        return np.array((-self._motion(float(x.t))[2],))
+        return k.array((-self._motion(k, x.t)[2],))
 
 
 def _motion(
@@ -124,19 +124,23 @@ def _motion(
     if harmonic is not None:
         return _harmonic(harmonic)
     if spline is not None:
-        return natural_cubic_spline(spline["x"], spline["y"])
+        return _of_time(natural_cubic_spline(spline["x"], spline["y"]))
     assert polynomial is not None
-    return Polynomial(polynomial)
+    return _of_time(Polynomial(polynomial))
+
+
+def _of_time(function: Callable[[float], tuple[float, float, float]]) -> Motion:
+    return lambda k, t: function(t if is_symbol(t) else float(t))
 
 
 def _harmonic(given: Mapping[str, float]) -> Motion:
     amplitude, frequency = given["amplitude"], given["angular_frequency"]
     offset, phase = given.get("offset", 0.0), given.get("phase", 0.0)
 
-    def motion(t: float) -> tuple[float, float, float]:
+    def motion(k: Kinematics, t: float) -> tuple[float, float, float]:
         angle = frequency * t + phase
-        swing = amplitude * math.sin(angle)
-        slope = amplitude * frequency * math.cos(angle)
+        swing = amplitude * k.sin(angle)
+        slope = amplitude * frequency * k.cos(angle)
         return offset + swing, slope, -frequency * frequency * swing
 
     return motion

@@ -55,8 +55,8 @@ class Screw(Constraint):
 
     def residual(self, k: Kinematics, x: State) -> Array:
         """How far the slider is off the thread, g [m], shape (1,)."""
-        q = x.q
-        return np.array((q.item(self._slider) - self._lead * q.item(self._turner) - self._offset,))
+        slid, turned = k.item(x.q, self._slider), k.item(x.q, self._turner)
+        return k.array((slid - self._lead * turned - self._offset,))
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
         """Constant, shape (1, nv)."""

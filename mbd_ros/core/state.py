@@ -15,6 +15,11 @@ NONE: Array = np.zeros(0)
 NONE.setflags(write=False)
 
 
+def is_symbol(value: object) -> bool:
+    """Whether a number is an expression, as in a system that is traced."""
+    return hasattr(value, "piecewise")
+
+
 class State(NamedTuple):
     """All that the future depends on, at one time.
 

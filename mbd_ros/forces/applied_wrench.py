@@ -67,4 +67,4 @@ class AppliedWrench(Load):
         """
         if self._turns:
             return 0.0
-        return -float(self._wrench[:3].dot(k.position(self._point)))
+        return -k.dot(self._wrench[:3], k.position(self._point))

@@ -5,11 +5,12 @@ from typing import Annotated
 
 import numpy as np
 
+from mbd_ros.core.dynamics.sources import between_samples
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load
 from mbd_ros.core.ranges import Unit
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, State, is_symbol
 from mbd_ros.errors import ModelError
 
 
@@ -60,8 +61,10 @@ class PrescribedTorque(Load):
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force at the time of the state, shape (nv,)."""
-        tau, times = np.zeros(self._nv), self._times
-        if times[0] <= x.t <= times[-1]:
+        tau, times = k.zeros(self._nv), self._times
+        if is_symbol(x.t):
+            tau[self._index] = between_samples(x.t, times, self._torque)
+        elif times[0] <= x.t <= times[-1]:
             i = min(int(np.searchsorted(times, x.t, side="right")), len(times) - 1)
             share = (x.t - times[i - 1]) / (times[i] - times[i - 1])
             tau[self._index] = self._torque[i - 1] + share * (

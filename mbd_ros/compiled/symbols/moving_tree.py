@@ -3,7 +3,6 @@
 from typing import Any, NamedTuple
 
 import casadi as ca
-import numpy as np
 
 from mbd_ros.compiled.symbols import turns
 from mbd_ros.compiled.symbols.inertias import FREE, PRISMATIC
@@ -11,7 +10,6 @@ from mbd_ros.compiled.symbols.links import Link, Tree, cosine_and_sine
 from mbd_ros.compiled.symbols.turns import ONE, ZERO, Matrix, PlaneTurn, Turn, Vector
 
 _UP: Vector = (ZERO, ZERO, ONE)
-_EYE = turns.matrix(np.eye(3))
 
 
 class Placed(NamedTuple):
@@ -88,7 +86,7 @@ def in_world_axes(tree: Tree, q: Any) -> list[Placed]:
     """Every link in the axes of the world, about its own origin; for trees without free bodies."""
     found: list[Placed] = []
     for link, (turn, offset) in zip(tree.links, placements(tree, q), strict=True):
-        before = _EYE if link.parent < 0 else found[link.parent].R
+        before = turns.EYE if link.parent < 0 else found[link.parent].R
         assert before is not None
         R, way = turns.product(before, turn), turns.through(before, offset)
         h = turns.through(R, turns.vector(link.inertia.h))

@@ -11,8 +11,14 @@ from mbd_ros.core.dynamics.system import System
 
 ARGUMENTS = {  # of every function, in their order
     "accelerate": "tqvzup",
-    "expand": "tqv",
     "multipliers": "tqvzup",
+    "expand": "tqv",
+    "place": "tqp",
+    "settle": "tqvp",
+    "gap": "tqp",
+    "lift": "tqp",
+    "integrate": "qd",
+    "rate": "dv",
 }
 
 
@@ -27,6 +33,11 @@ class Traced:
     multipliers(t, q, v, z, u, p) -> (a_all, lam): of all joints, and in the order of
     `System.multiplier_rows`.
     expand(t, q, v) -> (q_all, v_all).
+    place(t, q, p) -> (dq, g, health): a step of Newton's method onto the rows of positions in the
+    mass metric.
+    settle(t, q, v, p) -> (dv, rate): onto all rows that velocities keep.
+    gap(t, q, p) -> g, lift(t, q, p) -> (M^-1 J' (J M^-1 J')^-1, health) of the rows of positions.
+    integrate(q, dq) -> q (+) dq, rate(dq, v) -> the rate of dq: for charts that are not flat.
 
     Args:
         equations: The expressions.
@@ -43,6 +54,7 @@ class Traced:
         nv_all: Size of their velocity.
         m: Number of multipliers.
         mg: Number of rows of positions that an integrator may have to keep.
+        mh: Number of rows that velocities keep.
         least_health: Below it, rows are too near to dependent for a factor without pivoting.
     """
 
@@ -54,7 +66,7 @@ class Traced:
         self.nq, self.nv = equations.nq, equations.nv
         self.nz, self.nu, self.np = equations.nz, equations.nu, len(equations.parameters)
         self.nq_all, self.nv_all = equations.tree.nq, equations.tree.nv
-        self.m, self.mg = equations.m, equations.mg
+        self.m, self.mg, self.mh = equations.m, equations.mg, equations.mh
         self._made: dict[str, Any] = {}
 
     @property
@@ -72,10 +84,16 @@ class Traced:
             if name not in ARGUMENTS:
                 raise Untraceable(f"no function '{name}'; there are {', '.join(ARGUMENTS)}")
             made: Callable[[], Sequence[Any]] = getattr(self._equations, name)
-            results = ca.cse([ca.densify(ca.SX(result)) for result in made()])
+            results = ca.cse([_dense(result) for result in made()])
             arguments = [self._equations.symbols[key] for key in ARGUMENTS[name]]
             self._made[name] = ca.Function(name, arguments, results)
         return self._made[name]
+
+
+def _dense(result: Any) -> Any:
+    """A result whose columns are there even where they are empty."""
+    found = ca.densify(ca.SX(result))
+    return found if found.shape[1] else ca.SX(found.shape[0], 1)
 
 
 def trace(system: System, parameters: Sequence[str] = ()) -> Traced:

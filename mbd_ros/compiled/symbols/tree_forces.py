@@ -68,9 +68,9 @@ def _moved(one: Placed, above: Any, v: Any, a: Any) -> tuple[Vector, Vector, Vec
     if link.kind == REVOLUTE:
         turning = plus(plus(turning, cross(spin, along)), added)
         spin = plus(spin, along)
-        return spin, turning, linear, _bend(spin, turning)
+        return spin, turning, linear, turns.bend(spin, turning)
     linear = plus(plus(linear, turns.times(ca.SX(2.0), cross(spin, along))), added)
-    return spin, turning, linear, _bend(spin, turning) if one.turn else U
+    return spin, turning, linear, turns.bend(spin, turning) if one.turn else U
 
 
 def _freed(one: Placed, falls: Vector, v: Any, a: Any) -> tuple[Vector, Vector, Vector, Matrix]:
@@ -79,18 +79,7 @@ def _freed(one: Placed, falls: Vector, v: Any, a: Any) -> tuple[Vector, Vector, 
     linear = plus(turns.into(one.turn, falls), cross(spin, tuple(v[:3])))
     if a:
         linear, turning = plus(linear, tuple(a[:3])), tuple(a[3:])
-    return spin, turning, linear, _bend(spin, turning)
-
-
-def _bend(w: Vector, b: Vector) -> Matrix:
-    """U of an angular velocity and its rate."""
-    xx, yy, zz = w[0] * w[0], w[1] * w[1], w[2] * w[2]
-    xy, xz, yz = w[0] * w[1], w[0] * w[2], w[1] * w[2]
-    return (
-        (-(yy + zz), xy - b[2], xz + b[1]),
-        (xy + b[2], -(xx + zz), yz - b[0]),
-        (xz - b[1], yz + b[0], -(xx + yy)),
-    )
+    return spin, turning, linear, turns.bend(spin, turning)
 
 
 def _needed(one: Placed, moved: Any) -> Needed:

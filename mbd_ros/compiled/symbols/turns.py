@@ -10,6 +10,7 @@ Matrix = tuple[Vector, Vector, Vector]
 
 ZERO, ONE = ca.SX(0.0), ca.SX(1.0)
 NO_VECTOR: Vector = (ZERO, ZERO, ZERO)
+EYE: Matrix = ((ONE, ZERO, ZERO), (ZERO, ONE, ZERO), (ZERO, ZERO, ONE))
 
 
 class PlaneTurn(NamedTuple):
@@ -176,6 +177,17 @@ def combined(A: Matrix, B: Matrix, sign: int = 1) -> Matrix:
     """A + B, or A - B."""
     rule = plus if sign > 0 else minus
     return rule(A[0], B[0]), rule(A[1], B[1]), rule(A[2], B[2])
+
+
+def bend(w: Vector, b: Vector) -> Matrix:
+    """U of an angular velocity and its rate."""
+    xx, yy, zz = w[0] * w[0], w[1] * w[1], w[2] * w[2]
+    xy, xz, yz = w[0] * w[1], w[0] * w[2], w[1] * w[2]
+    return (
+        (-(yy + zz), xy - b[2], xz + b[1]),
+        (xy + b[2], -(xx + zz), yz - b[0]),
+        (xz - b[1], yz + b[0], -(xx + yy)),
+    )
 
 
 def vector(values: Any) -> Vector:

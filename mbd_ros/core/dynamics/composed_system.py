@@ -54,7 +54,7 @@ class ComposedSystem:
     ) -> None:
         self._motion, self._rigid, self._build = motion, rigid, build
         self._mechanism, coordinates = motion.mechanism, motion.coordinates
-        self.held, self._coordinates = held, coordinates
+        self.held, self.coordinates = held, coordinates  # of what is integrated, and all joints
         self.tier, self.chart = motion.tier, coordinates.chart
         self.robot, self.loads = self._mechanism.robot, self._mechanism.loads
         self.model, self.k = self._mechanism.model, self._mechanism.k
@@ -105,7 +105,7 @@ class ComposedSystem:
             mechanism.mode, mechanism.z = (), NONE
 
     def _evaluated(self, x: State, u: Array | None) -> Evaluation:
-        motion, given, y = self._motion, self._given, self._coordinates.reduce(x)
+        motion, given, y = self._motion, self._given, self.coordinates.reduce(x)
         a, force = motion.accelerate(y.t, y.q, y.v, u), None
         if self.exact is not None:
             a = self.exact.accelerate(y.t, y.q, y.v, a, x.mode)
@@ -127,7 +127,7 @@ class ComposedSystem:
 
     def rates(self, y: State, u: Array | None = None) -> Array:
         """Rates z' of the internal states, shape (nz,)."""
-        x = self._coordinates.expand(y)
+        x = self.coordinates.expand(y)
         return self._rates(x._replace(z=self.internals.inside(y.z)), u)
 
     def applied_with(self, y: State, u: Array | None = None) -> Array:
@@ -162,16 +162,16 @@ class ComposedSystem:
 
     def mass(self, q: Array) -> Mass:
         """Mass matrix of what is integrated, as an operator."""
-        return Mass(self._coordinates.mass(q))
+        return Mass(self.coordinates.mass(q))
 
     def factorise(self, t: float, q: Array) -> RowFactor:
         """Factor of the bilateral rows of positions; brings `condition` up to date."""
         J = self._rigid.jacobian(t, q)
-        return self._rigid.factorise(self._coordinates.mass(q), J)
+        return self._rigid.factorise(self.coordinates.mass(q), J)
 
     def energy(self, y: State) -> float:
         """Kinetic and potential energy [J]; heights are counted from `Robot.origin`."""
-        return self._mechanism.energy(self._coordinates.expand(y))
+        return self._mechanism.energy(self.coordinates.expand(y))
 
     def _response(self, y: State) -> Callable[[Array], Array]:
         """The response to forces at a state that was just evaluated, until the next one."""
@@ -180,7 +180,7 @@ class ComposedSystem:
         def respond(forces: Array) -> Array:
             if self._mechanism.evaluations != stamp:
                 raise SolveError("respond was asked after a later evaluation of its system")
-            self._coordinates.expand(y)
+            self.coordinates.expand(y)
             return self._motion.respond(y.q, forces)
 
         return respond
@@ -211,7 +211,7 @@ class ComposedSystem:
 
     def _with_rates(self, write: Accelerator, mode: Mode) -> Accelerator:
         mechanism, inside = self._mechanism, self.internals.inside
-        expand = self._coordinates.expand
+        expand = self.coordinates.expand
 
         def accelerate(
             t: float, q: Array, v: Array, z: Array, u: Array | None, a_out: Array, z_out: Array

@@ -83,10 +83,18 @@ class ExternalWrench(Load):
 
     def force_of(self, k: Kinematics, wrench: Array) -> Array:
         """Generalized force of a load [N, N·m], shape (nv,)."""
-        if not (self.carrier.moves and wrench.any() and self.is_loaded(wrench)):
-            return np.zeros(self._nv)
-        tau: Array = self.in_body(k, wrench).dot(k.own_jacobian(self.carrier))
-        return tau
+        if not self.carrier.moves:
+            return k.zeros(self._nv)
+        return k.either(
+            self._acts(k, wrench),
+            lambda: k.dot(self.in_body(k, wrench), k.own_jacobian(self.carrier)),
+            lambda: k.zeros(self._nv),
+        )
+
+    def _acts(self, k: Kinematics, wrench: Array) -> bool:
+        if self.threshold > 0.0:
+            return k.hypot(wrench[:3]) > self.threshold
+        return k.any(wrench)
 
     def wrenches_of(self, k: Kinematics, wrench: Array) -> tuple[Wrench, ...]:
         """A load [N, N·m] on the link, about the origin of the joint that carries it."""

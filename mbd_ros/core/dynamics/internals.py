@@ -18,6 +18,7 @@ class Internals:
         parts: Parts that know where their internal states stand; those without any are left out.
 
     Attributes:
+        parts: Those that have any.
         nz: How many there are.
         names: `<part>`, or `<part>.<name>` where a part names them, in the order of z.
         units: In the same order.
@@ -32,10 +33,10 @@ class Internals:
     """
 
     def __init__(self, parts: Sequence[Part]) -> None:
-        self._parts = tuple(part for part in parts if part.internal)
-        self.reads = max((part.reads for part in self._parts), default=Reads.NOTHING)
+        self.parts = tuple(part for part in parts if part.internal)
+        self.reads = max((part.reads for part in self.parts), default=Reads.NOTHING)
         found: dict[int, tuple[str, Internal]] = {}
-        for part in self._parts:
+        for part in self.parts:
             for i, one in enumerate(part.internal, part.z.start or 0):
                 if i in found:
                     raise ModelError(
@@ -113,6 +114,6 @@ class Internals:
         if not self.nz:
             return NONE
         found = np.zeros(self.nz)
-        for part in self._parts:
+        for part in self.parts:
             found[part.z] = part.rates(k, x, u)
         return found

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.state import Array
+from mbd_ros.core.state import Array, is_symbol
 from mbd_ros.errors import ModelError
 
 MAX_COEFFICIENTS = 1000  # of a polynomial, which costs its length whenever it is evaluated
@@ -83,10 +83,13 @@ class PiecewisePolynomial:
         self._left_array, self._row_array = np.array(self._lefts), np.array(self._rows)
 
     def __call__(self, z: Any) -> tuple[Any, Any, Any]:
-        """f(z), f'(z) and f''(z); z is a float or an array."""
+        """f(z), f'(z) and f''(z); z is a float, an array or a symbol."""
         if isinstance(z, float):
             piece = bisect_right(self._inner, z)
             return _horner(self._rows[piece], z - self._lefts[piece])
+        if is_symbol(z):
+            left, *row = z.piecewise(self._inner, np.column_stack((self._lefts, self._rows)))
+            return _horner(row, z - left)
         pieces = np.searchsorted(self._inner, z, side="right")
         return _horner(self._row_array[pieces].T, z - self._left_array[pieces])
 

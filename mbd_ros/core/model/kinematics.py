@@ -49,8 +49,9 @@ class Kinematics:
     dot: Callable[..., Any] = staticmethod(np.ndarray.dot)
     array: Callable[..., Any] = staticmethod(np.array)
     sqrt = staticmethod(math.sqrt)
-    tanh = staticmethod(math.tanh)
-    maximum = staticmethod(max)
+    tanh, sin, cos = staticmethod(math.tanh), staticmethod(math.sin), staticmethod(math.cos)
+    copysign = staticmethod(math.copysign)
+    maximum, minimum = staticmethod(max), staticmethod(min)
 
     def __init__(self, robot: Robot, data: Any = None) -> None:
         model, places, rest = robot.model, robot.places, np.zeros(robot.model.nv)
@@ -144,9 +145,19 @@ class Kinematics:
         return vector.reshape(1, -1)
 
     @staticmethod
+    def any(values: Array) -> bool:
+        """Whether a value is not zero; where nobody can know, it may be so."""
+        return bool(values.any())
+
+    @staticmethod
     def hypot(vector: Array) -> float:
         """Length of a vector, exact where squares overflow or vanish."""
         return math.hypot(*vector.tolist())
+
+    @staticmethod
+    def within(values: Array, lower: float, upper: float) -> Array:
+        """The nearest values between two bounds, shape as `values`."""
+        return np.minimum(np.maximum(values, lower), upper)
 
     @staticmethod
     def where(condition: bool, first: Any, second: Any) -> Any:

@@ -7,11 +7,11 @@ sines and dot products of axes do. Their derivatives are exact up to there.
 """
 
 import math
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
-from mbd_ros.core.state import Array
+from mbd_ros.core.state import Array, is_symbol
 
 _OPPOSITE = 1.0e-9  # 1 + cos(theta) below which two axes count as opposite
 
@@ -60,7 +60,7 @@ class FullRotation:
         """Second derivative g'' at these angular velocities and accelerations, shape (3,)."""
         x, y, z, w = _quaternion(R)
         ax, ay, az = alpha.tolist()
-        bend = 0.5 * float(omega.dot(omega))
+        bend = 0.5 * omega.dot(omega)
         return np.array(
             (
                 w * ax + z * ay - y * az - bend * x,
@@ -99,7 +99,7 @@ class AxisRotation:
         k, c2, c3, s = self._axis(R)
         f = 0.5 * s / (1.0 + k)
         first, second, third = self._cycle
-        slope = np.empty((3, 3))
+        slope = np.empty((3, 3), dtype=R.dtype)
         slope[second, first], slope[third, first] = -s * c2, -s * c3
         slope[second, second], slope[third, third] = s * k + f * c3 * c3, s * k + f * c2 * c2
         slope[second, third] = slope[third, second] = -f * c2 * c3
@@ -127,10 +127,11 @@ class AxisRotation:
         first, second, third = self._cycle
         c = R[:, first].tolist()
         k, c2, c3 = c[first], c[second], c[third]
-        if k < _OPPOSITE - 1.0:  # no direction is the shortest way back: one is as good as another
+        # opposite, no direction is the shortest way back: one is as good as another
+        if not is_symbol(k) and k < _OPPOSITE - 1.0:
             k = _OPPOSITE - 1.0
             c2, c3 = math.sqrt(1.0 - k * k), 0.0
-        return k, c2, c3, math.sqrt(2.0 / (1.0 + k))
+        return k, c2, c3, _root(2.0 / (1.0 + k))
 
     def _rows(self, second: float, third: float) -> Array:
         """Components across the axis in the order of x, y, z."""
@@ -146,8 +147,8 @@ def _quaternion(R: Array) -> tuple[float, float, float, float]:
     """
     m = R.tolist()
     trace = m[0][0] + (m[1][1] + m[2][2])
-    if trace > 0.0:
-        root = math.sqrt(trace + 1.0)
+    if is_symbol(trace) or trace > 0.0:  # rows that are traced stay closed: NaN below -1
+        root = _root(trace + 1.0)
         t = 0.5 / root
         x, y, z = (m[2][1] - m[1][2]) * t, (m[0][2] - m[2][0]) * t, (m[1][0] - m[0][1]) * t
         return x, y, z, 0.5 * root
@@ -164,3 +165,7 @@ def _quaternion(R: Array) -> tuple[float, float, float, float]:
     e = [0.0, 0.0, 0.0]
     e[i], e[j], e[k] = 0.5 * root, (m[j][i] + m[i][j]) * t, (m[k][i] + m[i][k]) * t
     return sign * e[0], sign * e[1], sign * e[2], sign * w
+
+
+def _root(square: Any) -> Any:
+    return square.sqrt() if is_symbol(square) else math.sqrt(square)

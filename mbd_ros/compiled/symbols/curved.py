@@ -1,0 +1,128 @@
+"""Steps between configurations with free bodies, in symbols; see `core.dynamics.chart.Chart`."""
+
+from typing import Any
+
+import casadi as ca
+
+from mbd_ros.compiled.symbols import turns
+from mbd_ros.compiled.symbols.moving_tree import rotation_of
+from mbd_ros.compiled.symbols.turns import Vector, cross, dot, plus, times
+
+_BASE_V = 6
+_SMALL = 0.5  # square of a turn below which series serve [rad^2]
+_BERNOULLI = (  # B_2k / (2k)!
+    *(1 / 12, -1 / 720, 1 / 30240, -1 / 1209600, 1 / 47900160, -691 / 1307674368000),
+    *(1 / 74724249600, -3617 / 10670622842880000, 43867 / 5109094217170944000),
+)
+
+
+class CurvedChart:
+    """Configurations of which free bodies move along screws of their own frame.
+
+    Args:
+        model: Pinocchio model whose joints have these coordinates.
+    """
+
+    def __init__(self, model: Any) -> None:
+        self._model = model
+        self._bases = [joint for joint in model.joints if joint.nv == _BASE_V]
+
+    def integrate(self, q: Any, dq: Any) -> Any:
+        """The configuration q (+) dq, a column."""
+        values, steps = ca.vertsplit(q), ca.vertsplit(dq)
+        found = [ca.SX(0.0)] * self._model.nq
+        for joint in self._model.joints:
+            if joint.nv == 1:
+                found[joint.idx_q] = values[joint.idx_q] + steps[joint.idx_v]
+            elif joint.nv == _BASE_V:
+                at, v = joint.idx_q, joint.idx_v
+                found[at : at + 7] = _moved(values[at : at + 7], steps[v : v + 6])
+        return ca.vertcat(*found)
+
+    def rate(self, dq: Any, v: Any) -> Any:
+        """Rate of dq in q0 (+) dq while the configuration moves with v, a column."""
+        steps, rates = ca.vertsplit(dq), ca.vertsplit(v)
+        for joint in self._bases:
+            own = slice(joint.idx_v, joint.idx_v + _BASE_V)
+            rates[own] = _rate(steps[own], rates[own])
+        return ca.vertcat(*rates)
+
+
+def _moved(pose: list[Any], step: list[Any]) -> list[Any]:
+    """A pose after a screw; its quaternion keeps its side, as Pinocchio has it."""
+    R, x = rotation_of(pose[3:]), tuple(pose[3:6])
+    along, turn = tuple(step[:3]), tuple(step[3:])
+    square = dot(turn, turn)
+    root = ca.sqrt(_safe(square))
+    s, c = ca.sin(root), ca.cos(root)
+    first = _either(square, (1.0 - c) / _safe(square), _series(square, 2))
+    second = _either(square, (root - s) / (_safe(square) * root), _series(square, 3))
+    across = cross(turn, along)
+    way = plus(along, plus(times(first, across), times(second, cross(turn, across))))
+    place = plus(tuple(pose[:3]), turns.through(R, way))
+    half = _either(square, ca.sin(0.5 * root) / root, 0.5 * _series(0.25 * square, 1))
+    w = _either(square, ca.cos(0.5 * root), _series(0.25 * square, 0))
+    e = times(half, turn)
+    vector = plus(plus(times(w, x), times(pose[6], e)), cross(x, e))
+    whole = [*vector, pose[6] * w - dot(x, e)]
+    share = 0.5 * (3.0 - sum(one * one for one in whole))
+    return [*place, *(share * one for one in whole)]
+
+
+def _rate(step: list[Any], v: list[Any]) -> list[Any]:
+    """The inverse of the right Jacobian of SE(3) times v: v + ad v / 2 + a ad^2 v + b ad^4 v.
+
+    Higher powers follow from ad^5 + 2 s ad^3 + s^2 ad = 0, s the square of the turn. Source:
+    Iserles et al., Lie-group methods, Acta Numerica 9, 2000, sec. 2.6.
+    """
+    along, turn = tuple(step[:3]), tuple(step[3:])
+    s = dot(turn, turn)
+    root = ca.sqrt(_safe(s))
+    tangent = ca.tan(0.5 * root)
+    G = 0.5 * root / tangent
+    slope = 0.5 / tangent - 0.25 * root * (1.0 + 1.0 / (tangent * tangent))
+    D = -slope / (2.0 * root)
+    rest = (1.0 - D * s - G) / _safe(s)
+    small_a, small_b = ca.SX(_BERNOULLI[0]), ca.SX(0.0)
+    power = ca.SX(1.0)
+    for k, weight in enumerate(_BERNOULLI[1:], 2):
+        small_b += weight * (k - 1) * power
+        small_a += weight * (k - 2) * s * power
+        power = -s * power
+    a = _either(s, D + 2.0 * rest, small_a)
+    b = _either(s, rest / _safe(s), small_b)
+    first = _ad(along, turn, (tuple(v[:3]), tuple(v[3:])))
+    second = _ad(along, turn, first)
+    fourth = _ad(along, turn, _ad(along, turn, second))
+    return [
+        own + 0.5 * one + a * two + b * four
+        for own, one, two, four in zip(
+            v, *([*part[0], *part[1]] for part in (first, second, fourth)), strict=True
+        )
+    ]
+
+
+def _ad(along: Vector, turn: Vector, v: tuple[Vector, Vector]) -> tuple[Vector, Vector]:
+    linear, angular = v
+    return plus(cross(turn, linear), cross(along, angular)), cross(turn, angular)
+
+
+def _series(square: Any, first: int) -> Any:
+    """Sum of (-square)^k / (2 k + first)!."""
+    found, term = ca.SX(0.0), 1.0
+    for i in range(1, first + 1):
+        term /= i
+    power = ca.SX(1.0)
+    for k in range(9):
+        found += term * power
+        power = -square * power
+        term /= (2 * k + first + 1) * (2 * k + first + 2)
+    return found
+
+
+def _safe(square: Any) -> Any:
+    return ca.if_else(square > _SMALL, square, 1.0)
+
+
+def _either(square: Any, large: Any, small: Any) -> Any:
+    return ca.if_else(square > _SMALL, large, small)

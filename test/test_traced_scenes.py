@@ -1,0 +1,83 @@
+"""Scenes as expressions: what they say equals what the plain tier says."""
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from mbd_ros.compiled.symbols.trace import trace
+from mbd_ros.compiled.symbols.untraceable import Untraceable
+from mbd_ros.core.projection.assembly import assemble
+from mbd_ros.core.state import State
+from mbd_ros.errors import SolveError
+from mbd_ros.scene.reader import load_scene
+
+SCENES = Path(__file__).parents[1] / "config/scenes"
+EXACT = 1e-12
+DEPENDENT = {"a04_bricard", "x09_cranks", "x09_cranks_offset"}  # rows without a split of their own
+TRACED = (
+    *("arm7", "empty", "four_bar_leg", "free_flyer", "prosthetic_arm", "prosthetic_leg"),
+    "prosthetic_leg_stance",
+    *(f"benchmark/{path.stem}" for path in sorted((SCENES / "benchmark").glob("*.yaml"))),
+)
+KEPT_PLAIN = {"benchmark/s01_parabola": "switching_force", "benchmark/a02_four_bars_40": ""}
+
+
+def scene_of(name):
+    return load_scene(SCENES / f"{name}.yaml")
+
+
+def states(system, count=4):
+    """Consistent states, and inputs beside the safe ones."""
+    rng, found = np.random.default_rng(3), []
+    neutral = pin.neutral(system.chart.model)
+    while len(found) < count:
+        q = pin.integrate(system.chart.model, neutral, rng.uniform(-0.5, 0.5, system.nv))
+        z = system.internals.inside(rng.normal(size=system.internals.nz))
+        u = system.loads.idle + rng.normal(size=len(system.loads.idle))
+        try:
+            y = assemble(system, State(0.3, q, rng.normal(size=system.nv), z))
+        except SolveError:
+            continue
+        found.append((y, u))
+    return found
+
+
+def conditions(system, y):
+    """Condition of M, and of J M^-1 J' in the metric of both."""
+    M = np.array(system.mass(y.q).dense)
+    if not system.held.rows:
+        return np.linalg.cond(M)
+    J = system.held.jacobian(y.t, y.q)
+    return max(np.linalg.cond(M), np.linalg.cond(J @ np.linalg.solve(M, J.T)))
+
+
+def called(function, y, u):
+    found = function(y.t, y.q, y.v, y.z, u, np.zeros(0))
+    return [np.array(one).ravel() for one in found]
+
+
+@pytest.mark.parametrize("name", [name for name in TRACED if name not in KEPT_PLAIN])
+def test_accelerations_and_multipliers_are_those_of_the_plain_tier(name):
+    system = scene_of(name).system()
+    traced = trace(system)
+    for y, u in states(system):
+        expected = system.evaluate(system.expand(y), u)
+        a, lam = called(traced.function("multipliers"), y, u)
+        own, zdot, health = called(traced.function("accelerate"), y, u)
+        if Path(name).stem in DEPENDENT:
+            assert not abs(health.item()) > traced.least_health or not np.isfinite(own).all()
+            continue
+        bound = EXACT * max(1.0, conditions(system, y) / 100.0)
+        assert np.abs(a - expected.a).max() <= bound * np.abs(expected.a).max()
+        np.testing.assert_allclose(own, system.integrated(a), rtol=1e-12)
+        np.testing.assert_allclose(zdot, expected.zdot, rtol=1e-13, atol=1e-13)
+        if len(expected.lam):
+            assert health.item() > traced.least_health
+            assert np.abs(lam - expected.lam).max() <= bound * np.abs(expected.lam).max()
+
+
+def test_what_cannot_be_traced_is_named():
+    with pytest.raises(Untraceable, match="switching_force"):
+        trace(scene_of("benchmark/s01_parabola").system()).function("accelerate")
