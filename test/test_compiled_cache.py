@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import casadi as ca
@@ -169,6 +170,13 @@ def test_a_compiler_that_is_missing_is_named(cache, monkeypatch, tmp_path):
     monkeypatch.setattr("mbd_ros.compiled.build.compiler.find_spec", lambda name: None)
     with pytest.raises(BuildError, match=r"no C compiler found: none of cc, gcc, clang on the"):
         squared()
+
+
+@pytest.mark.skipif(find_spec("ziglang") is None, reason="ziglang is not installed")
+def test_ziglang_stands_in_where_there_is_no_compiler(cache, monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    said = []
+    assert squared(said) == 18.0 and said[0].endswith("-m ziglang cc")
 
 
 def test_a_library_for_another_processor_is_not_executed(cache, monkeypatch):

@@ -4,27 +4,22 @@ import os
 import platform
 import shlex
 import shutil
-import signal
-import subprocess
 import sys
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from mbd_ros.errors import MbdError
+from mbd_ros.compiled.build.side_by_side import BuildError, run_all
 
 NAMES = ("cc", "gcc", "clang")
 OPTIMIZE = ("-O2", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math")
-FLAGS = ("-std=gnu11", *OPTIMIZE, "-fPIC", "-shared", "-fvisibility=hidden", "-w")
-LONGEST = 900.0  # s that a compiler may take
+WIDTH = ("-mprefer-vector-width=512",) if platform.machine() == "x86_64" else ()
+FLAGS = ("-std=gnu11", *OPTIMIZE, *WIDTH, "-fPIC", "-fvisibility=hidden", "-w")
 _OF_A_CPU = {
     *("vendor_id", "cpu family", "model", "model name", "stepping", "flags", "Features"),
     *("CPU implementer", "CPU architecture", "CPU variant", "CPU part", "CPU revision"),
 }
-
-
-class BuildError(MbdError):
-    """Code that cannot be compiled or loaded: says by which program, where, and why not."""
 
 
 class Compiler(NamedTuple):
@@ -43,21 +38,29 @@ class Compiler(NamedTuple):
         """The command as people write it."""
         return shlex.join(self.words)
 
-    def build(self, text: str, folder: Path) -> Path:
-        """A shared library of C source.
+    def build(self, texts: Sequence[str], folder: Path) -> Path:
+        """A shared library of C sources, which are compiled side by side on the cores there are.
 
         Args:
-            text: The source.
+            texts: The sources.
             folder: Where it may write.
 
         Raises:
             BuildError: The compiler fails or does not end.
             OSError: The folder cannot be written.
         """
-        source, library = folder / "scene.c", folder / "scene.so"
-        source.write_text(text, encoding="utf-8")
-        environment = {**os.environ, "TMPDIR": str(folder), "LC_ALL": "C"}
-        _run((*self.words, *FLAGS, "-o", str(library), str(source), "-lm"), environment)
+        library = folder / "scene.so"
+        sources = [folder / f"scene_{k}.c" for k in range(len(texts))]
+        for source, text in zip(sources, texts, strict=True):
+            source.write_text(text, encoding="utf-8")
+        link = (*self.words, *FLAGS, "-shared", "-o", str(library))
+        if len(sources) > 1:
+            objects = [source.with_suffix(".o") for source in sources]
+            pairs = zip(objects, sources, strict=True)
+            each = [(*self.words, *FLAGS, "-c", "-o", str(o), str(source)) for o, source in pairs]
+            run_all(self.name, each, folder)
+            sources = objects
+        run_all(self.name, [(*link, *map(str, sources), "-lm")], folder)
         if not library.is_file():
             raise BuildError(f"{self.name} ended without an error and wrote nothing")
         return library
@@ -109,36 +112,3 @@ def _identity(program: Path) -> str:
     real = program.resolve()
     status = real.stat()
     return f"{real} {status.st_size} {status.st_mtime_ns}"
-
-
-def _run(words: tuple[str, ...], environment: dict[str, str]) -> None:
-    """A compiler, to its end; its children end with it.
-
-    Raises:
-        BuildError: It fails, does not start or does not end.
-    """
-    try:
-        child = subprocess.Popen(
-            words,
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
-    except OSError as error:
-        raise BuildError(f"{words[0]} does not start: {error.strerror}") from error
-    with child:
-        try:
-            said, _ = child.communicate(timeout=LONGEST)
-        except subprocess.TimeoutExpired as error:
-            raise BuildError(f"{words[0]} did not end within {LONGEST:g} s") from error
-        finally:
-            if child.returncode is None:
-                os.killpg(child.pid, signal.SIGKILL)
-    if child.returncode:
-        lines = said.decode(errors="replace").strip().splitlines()
-        ended = f"ended with exit code {child.returncode}"
-        if child.returncode < 0:
-            ended = f"was ended by signal {-child.returncode}"
-        raise BuildError("\n".join([f"{shlex.join(words[:-4])} {ended}", *lines[:10]]))

@@ -103,7 +103,7 @@ def load(source: Source, say: cache.Say = _silent, check: Check = _trusted) -> L
     def build(folder: Path) -> Path:
         say(f"compiling {sum(source.operations.values())} operations by {compiler.name}")
         start = time.perf_counter()
-        built = compiler.build(source.text, folder)
+        built = compiler.build((source.text, *source.units), folder)
         say(f"compiled in {time.perf_counter() - start:.1f} s")
         return built
 
@@ -136,7 +136,7 @@ def _not_kept(
 
 def _key(source: Source, compiler: Compiler) -> str:
     """Another one for all that makes another library: the text holds model, parts and numbers."""
-    told = (*compiler.words, compiler.identity, *FLAGS, cpu(), source.text)
+    told = (*compiler.words, compiler.identity, *FLAGS, cpu(), source.text, *source.units)
     return hashlib.sha256("\0".join(told).encode()).hexdigest()[:40]
 
 
