@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from complex_steps import slopes
 
 from mbd_ros.compiled.symbols.trace import trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable
@@ -81,3 +82,50 @@ def test_accelerations_and_multipliers_are_those_of_the_plain_tier(name):
 def test_what_cannot_be_traced_is_named():
     with pytest.raises(Untraceable, match="switching_force"):
         trace(scene_of("benchmark/s01_parabola").system()).function("accelerate")
+
+
+SLOPED = [name for name in TRACED if Path(name).stem not in {*DEPENDENT, "x06_chain"}]  # too long
+
+
+@pytest.mark.parametrize("name", [name for name in SLOPED if name not in KEPT_PLAIN])
+def test_derivatives_are_those_of_complex_steps(name):
+    system = scene_of(name).system()
+    traced, model = trace(system), system.chart.model
+    accelerate, derivatives = (traced.function(key) for key in ("accelerate", "derivatives"))
+    for y, u in states(system, 2):
+        given = np.array([y.t]), y.q, y.v, y.z, u, np.zeros(0)
+        found = [np.array(one) for one in derivatives(*given)]
+        for by, got in enumerate(found, 1):
+            expected = slopes(accelerate, by, *given)[: traced.nv + traced.nz]
+            if by == 1 and model.nq > model.nv:
+                expected = expected @ tangent(model, y.q)
+            size = np.abs(expected).max(initial=0.0)
+            assert np.abs(got - expected).max(initial=0.0) <= 1e-9 * size
+
+
+def test_derivatives_that_take_too_many_operations_are_refused():
+    with pytest.raises(Untraceable, match="derivatives take some"):
+        trace(scene_of("benchmark/x06_chain").system()).function("derivatives")
+
+
+def tangent(model, q):
+    """Rates of a configuration by steps in its tangent, by differences: they are linear."""
+    step = 1e-6
+    moved = [pin.integrate(model, q, step * one) for one in np.eye(model.nv)]
+    back = [pin.integrate(model, q, -step * one) for one in np.eye(model.nv)]
+    return (np.array(moved) - np.array(back)).T / (2.0 * step)
+
+
+@pytest.mark.parametrize("name", ["arm7", "free_flyer", "prosthetic_leg", "four_bar_leg"])
+def test_energies_and_charts_are_those_of_the_plain_tier(name):
+    system = scene_of(name).system()
+    traced, rng = trace(system), np.random.default_rng(8)
+    for y, _ in states(system):
+        both = traced.function("energy")(y.t, y.q, y.v, y.z, np.zeros(0))
+        assert float(sum(both)) == pytest.approx(system.energy(y), rel=1e-12)
+        for size in (1e-9, 1e-3, 0.3, 1.0):
+            d = size * rng.normal(size=system.nv)
+            moved = np.array(traced.function("integrate")(y.q, d)).ravel()
+            np.testing.assert_allclose(moved, system.chart.integrate(y.q, d), rtol=0, atol=3e-14)
+            rate = np.array(traced.function("rate")(d, y.v)).ravel()
+            np.testing.assert_allclose(rate, system.chart.rate(d, y.v), rtol=0, atol=1e-12)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.dynamics.sources import between_samples
+from mbd_ros.core.dynamics.symbolic_tables import between_samples
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load

@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from mbd_ros.compiled.symbols import implicit
 from mbd_ros.compiled.symbols.coordinates import Coordinates
 from mbd_ros.compiled.symbols.curved import CurvedChart
 from mbd_ros.compiled.symbols.dynamics import TreeDynamics, choices
@@ -14,7 +15,7 @@ from mbd_ros.compiled.symbols.kinematics import SymbolicKinematics
 from mbd_ros.compiled.symbols.links import tree_of
 from mbd_ros.compiled.symbols.motion import Held, Motion, Solution
 from mbd_ros.compiled.symbols.rows import Rows, rows_of
-from mbd_ros.compiled.symbols.scalar import column, numbers
+from mbd_ros.compiled.symbols.scalar import column, numbers, plain, scalars
 from mbd_ros.compiled.symbols.turns import ZERO
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
 from mbd_ros.compiled.symbols.usual_pivots import usual_pivots
@@ -53,7 +54,7 @@ class Equations:
         self.nu, self.m = len(system.loads.idle), len(system.multiplier_rows)
         self.mg, self.mh = len(system.rows), len(system.held.rows)
         sizes = {"t": 1, "q": self.nq, "v": self.nv, "z": self.nz, "u": self.nu}
-        sizes |= {"p": len(parameters), "d": self.nv}
+        sizes |= {"p": len(parameters), "d": self.nv, "a": self.nv, "l": self.mh}
         self.symbols: dict[str, Any] = {name: ca.SX.sym(name, n) for name, n in sizes.items()}
         t, q, v, z, self.u = (numbers(self.symbols[name]) for name in "tqvzu")
         couplings = getattr(system.coordinates, "couplings", None)
@@ -76,7 +77,7 @@ class Equations:
         for part in (*self.system.loads.actuators, *self.system.loads.forces):
             with tracing(part):
                 total = total + part.force(self.k, self.x, self.u)
-        return ca.vertsplit(column(total))
+        return scalars(column(total))
 
     @cached_property
     def rates(self) -> Any:
@@ -93,18 +94,22 @@ class Equations:
         return rows_of(self.system.held.constraints.blocks, self.k, self.x)
 
     @cached_property
+    def bias(self) -> list[Any]:
+        """The b of J a + b = 0, one SX scalar a row."""
+        return self.held.conditions(self.velocity, self.system.held.constraints.gains)
+
+    @cached_property
     def dynamics(self) -> list[TreeDynamics]:
         """In all axes that are worth a try."""
-        q, v = (ca.vertsplit(column(one)) for one in (self.coordinates.q, self.coordinates.v))
+        q, v = (scalars(column(one)) for one in (self.coordinates.q, self.coordinates.v))
         return choices(self.tree, q, v, has_rows=self.mh > 0)
 
     @cached_property
     def chosen(self) -> tuple[TreeDynamics, Solution]:
         """The form of the fewest operations."""
-        bias = self.held.conditions(self.velocity, self.system.held.constraints.gains)
         best, fewest = None, 0
         for dynamics in self.dynamics:
-            motion = Motion(dynamics, self.coordinates, self.tau, self.held, bias)
+            motion = Motion(dynamics, self.coordinates, self.tau, self.held, self.bias)
             for solution in motion.solutions():
                 count = self.operations(solution.a)
                 if best is None or count < fewest:
@@ -113,9 +118,14 @@ class Equations:
         return best
 
     @property
+    def column_of_velocity(self) -> Any:
+        """Velocity of all joints."""
+        return column(self.coordinates.v)
+
+    @property
     def velocity(self) -> list[Any]:
         """Of all joints, SX scalars."""
-        return list(ca.vertsplit(column(self.coordinates.v)))
+        return scalars(self.column_of_velocity)
 
     def operations(self, results: Sequence[Any]) -> int:
         """How many operations expressions take, common ones once."""
@@ -147,13 +157,13 @@ class Equations:
     def place(self) -> list[Any]:
         """A step of Newton's method onto the rows of positions, their g, and their health."""
         rows = self.held.of(Level.POSITION)
-        solution = self._beside(rows).solve([ZERO] * self.nv, [-g for g in rows.g])
+        solution = self.beside(rows).solve([ZERO] * self.nv, [-g for g in rows.g])
         return [ca.vertcat(*solution.a), ca.vertcat(*rows.g), self._health(solution)]
 
     def settle(self) -> list[Any]:
         """What leads velocities onto the rows, and the rates that are left."""
         rates = self.held.velocities(self.velocity)
-        solution = self._beside(self.held).solve([ZERO] * self.nv, [-one for one in rates])
+        solution = self.beside(self.held).solve([ZERO] * self.nv, [-one for one in rates])
         return [ca.vertcat(*solution.a), ca.vertcat(*rates)]
 
     def gap(self) -> list[Any]:
@@ -163,7 +173,7 @@ class Equations:
     def lift(self) -> list[Any]:
         """M^-1 J' (J M^-1 J')^-1 of the rows of positions, shape (nv, mg), and their health."""
         rows = self.held.of(Level.POSITION)
-        held, zero = self._beside(rows), [ZERO] * self.nv
+        held, zero = self.beside(rows), [ZERO] * self.nv
         ones = [[ca.SX(float(i == j)) for i in range(self.mg)] for j in range(self.mg)]
         solutions = [held.solve(zero, one) for one in ones]
         columns = [ca.vertcat(*one.a) for one in solutions]
@@ -178,7 +188,25 @@ class Equations:
         """The rate of d in q0 (+) d while q moves with v."""
         return [self.chart.rate(self.symbols["d"], self.symbols["v"])]
 
-    def _beside(self, rows: Rows) -> Held:
+    def derivatives(self) -> list[Any]:
+        """Slopes of accelerations and rates by q, v, z, u and p."""
+        return implicit.derivatives(self)
+
+    def residual(self) -> list[Any]:
+        """What the equations of motion leave of given accelerations and multipliers."""
+        a, lam = (scalars(self.symbols[key]) for key in "al")
+        return [implicit.residual(self, a, lam)]
+
+    def energy(self) -> list[Any]:
+        """Kinetic and potential energy [J]."""
+        kinetic, potential = implicit.energy(self)
+        for part in (*self.system.loads.actuators, *self.system.loads.forces):
+            with tracing(part):
+                potential += plain(part.potential(self.k, self.x))
+        return [kinetic, potential]
+
+    def beside(self, rows: Rows) -> Held:
+        """Factors of masses beside rows."""
         mass = self.coordinates.reduced_matrix(self.chosen[0].mass)
         return Held(mass, rows, self.nv)
 

@@ -115,6 +115,12 @@ class SymbolicKinematics:
         axes = self.frames.axes(link)
         return link, turns.through(axes, turns.vector(place.translation))
 
+    def place_of(self, link: int) -> tuple[Vector, Vector]:
+        """Where the origin of a link is, and mass times mass centre from there, world axes."""
+        frames, h = self.frames, self._tree.links[link].inertia.h
+        moment = turns.through(frames.axes(link), turns.vector(h))
+        return frames.from_link(WORLD, link, turns.NO_VECTOR), moment
+
     def axes(self, point: Point) -> Matrix:
         """From the axes of a point to those of the world."""
         link, place = self._seen(point)

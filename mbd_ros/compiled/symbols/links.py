@@ -113,10 +113,10 @@ def tree_of(model: Any) -> Tree:
 
 def axis_of(model: Any, joint: int) -> Array:
     """Axis of a joint with one coordinate, in its frame, shape (3,)."""
-    data = model.createData()
-    pin.forwardKinematics(model, data, pin.neutral(model), np.eye(model.nv)[model.idx_vs[joint]])
-    motion = data.v[joint]  # relative to a parent at rest
-    along = motion.angular if _kind(model.joints[joint]) == REVOLUTE else motion.linear
+    moves, data = model.joints[joint], model.joints[joint].createData()
+    moves.calc(data, pin.neutral(model))
+    motion = np.array(data.S).reshape(6)
+    along = motion[3:] if _kind(moves) == REVOLUTE else motion[:3]
     return along / np.linalg.norm(along)
 
 

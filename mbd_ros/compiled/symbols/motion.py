@@ -91,6 +91,11 @@ class Held:
         order = order_of(edges, nv + self._m, waits)
         self._factors = SparseLdl(entries, order)
 
+    @property
+    def size(self) -> int:
+        """Operations of a solution, about."""
+        return self._factors.size
+
     def solve(self, forces: Sequence[Any], rates: Sequence[Any]) -> Solution:
         """Accelerations and multipliers for f and b."""
         x = self._factors.solve([*map(ca.SX, forces), *rates])

@@ -151,9 +151,14 @@ def plain(value: Any) -> Any:
 def numbers(column: Any) -> Any:
     """A CasADi column as a numpy vector of objects."""
     found = np.empty(column.shape[0], dtype=object)
-    for i, one in enumerate(ca.vertsplit(column) if column.shape[0] else ()):
+    for i, one in enumerate(scalars(column)):
         found[i] = number(one)
     return found
+
+
+def scalars(column: Any) -> list[Any]:
+    """A CasADi column as SX scalars."""
+    return list(ca.vertsplit(column)) if column.shape[0] else []
 
 
 def column(values: Iterable[Number]) -> Any:

@@ -41,6 +41,11 @@ class SparseLdl:
                     value = rows[i].get(j, _ZERO) - factor * rows[k][j]
                     rows[i][j] = rows[j][i] = value
 
+    @property
+    def size(self) -> int:
+        """Operations of a solution, about."""
+        return 4 * sum(map(len, self._columns.values())) + len(self._order)
+
     def solve(self, right: Sequence[Any]) -> list[Any]:
         """The solution for one right side, an SX scalar a row."""
         x = list(right)

@@ -19,6 +19,9 @@ ARGUMENTS = {  # of every function, in their order
     "lift": "tqp",
     "integrate": "qd",
     "rate": "dv",
+    "energy": "tqvzp",
+    "derivatives": "tqvzup",
+    "residual": "tqvzupal",
 }
 
 
@@ -37,6 +40,9 @@ class Traced:
     mass metric.
     settle(t, q, v, p) -> (dv, rate): onto all rows that velocities keep.
     gap(t, q, p) -> g, lift(t, q, p) -> (M^-1 J' (J M^-1 J')^-1, health) of the rows of positions.
+    energy(t, q, v, z, p) -> (T, V).
+    derivatives(t, q, v, z, u, p) -> of (a, zdot) by steps of q, by v, z, u and p.
+    residual(t, q, v, z, u, p, a, lam): what the equations of motion leave, lam of held rows.
     integrate(q, dq) -> q (+) dq, rate(dq, v) -> the rate of dq: for charts that are not flat.
 
     Args:

@@ -4,11 +4,12 @@ import itertools
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.core.dynamics.symbolic_tables import between_samples
 from mbd_ros.core.state import NANOSECOND, Array, is_symbol
 from mbd_ros.errors import ModelError
 
@@ -254,21 +255,3 @@ def _table(times: Array, values: Array, least: int) -> tuple[Array, Array]:
 def _refuse_equal(stamps: Array) -> None:
     if not (np.diff(stamps) > 0).all():
         raise ModelError("times must be strictly increasing")
-
-
-def between_samples(t: Any, times: Array, values: Array) -> Array:
-    """Straight lines between the rows of a table at a time that is a symbol; zero outside.
-
-    Args:
-        t: The time [s].
-        times: [s], strictly increasing, shape (m,).
-        values: One row a time, shape (m, n).
-    """
-    slopes = np.diff(values, axis=0) / np.diff(times)[:, None]
-    pieces = np.column_stack((times[:-1], values[:-1], slopes))
-    ends = [*times[:-1].tolist(), np.nextafter(times[-1], np.inf)]
-    nothing = np.zeros((1, pieces.shape[1]))
-    begin, *row = t.piecewise(ends, np.concatenate((nothing, pieces, nothing)))
-    n = values.shape[1]
-    at = [value + (t - begin) * slope for value, slope in zip(row[:n], row[n:], strict=True)]
-    return np.array(at, dtype=object)
