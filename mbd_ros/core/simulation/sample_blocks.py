@@ -34,7 +34,6 @@ class SampleBlocks:
 
     Attributes:
         stepper: As given.
-        progress: How far the run was after the last block.
     """
 
     def __init__(
@@ -52,7 +51,8 @@ class SampleBlocks:
         self._idle = system.loads.idle
         stepper.begin_samples(at.y, at.sample, is_within=at.is_within)
         self._before: tuple[Memory, HeldTable] | None = None
-        self._seen, self.progress = 0, at
+        self._seen, self._at = 0, at
+        self._end: tuple[HeldTable, int] | None = None
 
     def rows(
         self, watch: StallWatch, most: int = _FIRST, *, is_remembered: bool = False
@@ -65,7 +65,7 @@ class SampleBlocks:
             is_remembered: Whether `remembered` will be asked.
         """
         stepper, times, most = self.stepper, self._times, min(most, _MOST)
-        watch.begin(stepper.state.t)
+        watch.begin(self._at.y.t)
         look_at, since = WINDOW, stepper.taken
         held = self._table(most)
         while stepper.newest < times.end:
@@ -74,7 +74,9 @@ class SampleBlocks:
             block = stepper.samples(times, held, look_at - (stepper.taken - since), most)
             if len(block.rows):
                 yield block.rows
-            self.progress = self._progress(held, block.intervals)
+            self._end = held, block.intervals
+            if stepper.newest == times.end:
+                break
             held = self._left(held, block, most)
             if block.is_stuck:
                 self._step_alone(held)
@@ -91,6 +93,11 @@ class SampleBlocks:
                 z = row[after_v:]
                 q, v = row[1:after_q], row[after_q:after_v]
                 yield State(float(row[0]), q, v, z if z.size else NONE)
+
+    @property
+    def progress(self) -> Progress:
+        """How far the run is after the last block."""
+        return self._at if self._end is None else self._progress(*self._end)
 
     def remembered(self) -> tuple[Progress, int, Memory]:
         """How far the run is at the newest sample that was given, steps until then, memory."""
