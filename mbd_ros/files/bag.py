@@ -1,6 +1,6 @@
 """Bags: a rosbag2 folder, .mcap or .db3. Results are joint states and other columns."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,10 @@ _ROWS = 8192  # rows of tables whose messages are made at once
 _UNITS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "N·m or N"}
 
 
+class DifferentPieceError(DataError):
+    """Pieces of a result that do not fit together."""
+
+
 class Bag:
     """Messages of ROS 2; the topic `/result` names their columns (String, JSON)."""
 
@@ -53,23 +57,33 @@ class Bag:
         Raises:
             DataError: A place that cannot be written to, or times that messages cannot hold.
         """
-        timed, more = [], {}
-        topics = result.metadata.get("topics")
-        for name, table in result.tables.items():
-            stamps = stamps_of(table) if TIME in table else np.arange(1, table.rows + 1)
-            if result.metadata.get("stamps") != RECORDED:
-                stamps = np.where(stamps == 0, 1, stamps)
-            plain = Table(column for column in table.columns if column.name != STAMP)
-            streams, more[name] = streams_of(name, plain, topics)
-            more[name][STAMP] = {"topic": streams[-1].topic, "field": "log_time", "at": 0}
-            timed.append((stamps, streams))
-        said = new_message(STRING)
-        said.data = describe(result, more)
-        first = min((int(stamps[0]) for stamps, _ in timed if len(stamps)), default=1)
+        self.write_blocks(path, [result])
+
+    def write_blocks(self, path: Path, results: Iterable[Result]) -> None:
+        """Write a result that comes piece by piece, in the order of time.
+
+        Args:
+            path: The bag.
+            results: The pieces, at least one; all have the columns and metadata of the first.
+
+        Raises:
+            DataError: As `write`.
+            DifferentPieceError: A piece has other columns or metadata.
+        """
+        whole = ""
         with BagWriter(path) as bag:
-            bag.write(DESCRIPTION, STRING, first, said)
-            for parts in _parts(path, timed):
-                bag.write_rows(parts)
+            for result in results:
+                timed, more = _streams(result)
+                described_here = describe(result, more)
+                if not whole:
+                    whole, said = described_here, new_message(STRING)
+                    said.data = whole
+                    first = min((int(times[0]) for times, _ in timed if len(times)), default=1)
+                    bag.write(DESCRIPTION, STRING, first, said)
+                if described_here != whole:
+                    raise DifferentPieceError(f"{path}: pieces of a result have other columns")
+                for parts in _parts(path, timed):
+                    bag.write_rows(parts)
 
     def read(self, path: Path, topic: str = "/joint_states") -> Result:
         """The result that `write` wrote; of other bags the joint states of a topic.
@@ -98,6 +112,22 @@ class Bag:
             )
         except (KeyError, ValueError, TypeError, IndexError) as error:  # a MessageError too
             raise DataError(f"{path}: its messages do not fit {DESCRIPTION} ({error})") from error
+
+
+def _streams(
+    result: Result,
+) -> tuple[list[tuple[Array, list[Stream]]], dict[str, dict[str, dict[str, Any]]]]:
+    """Stamps and streams of each table, and where its columns are."""
+    timed, more = [], {}
+    for name, table in result.tables.items():
+        stamps = stamps_of(table) if TIME in table else np.arange(1, table.rows + 1)
+        if result.metadata.get("stamps") != RECORDED:
+            stamps = np.where(stamps == 0, 1, stamps)
+        plain = Table(column for column in table.columns if column.name != STAMP)
+        streams, more[name] = streams_of(name, plain, result.metadata.get("topics"))
+        more[name][STAMP] = {"topic": streams[-1].topic, "field": "log_time", "at": 0}
+        timed.append((stamps, streams))
+    return timed, more
 
 
 def _parts(path: Path, timed: Sequence[tuple[Array, Sequence[Stream]]]) -> Iterator[list[Rows]]:

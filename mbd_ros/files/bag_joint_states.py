@@ -42,22 +42,22 @@ def joint_samples(
     path: Path, joints: Sequence[str], topic: str, needed: Sequence[str], dropped: Counter[str]
 ) -> Samples:
     """Position, velocity and effort of each JointState that can be used."""
-    joint_states = _JointStates(path, topic, joints, needed, dropped)
+    joint_states = JointStates(path, topic, joints, needed, dropped)
     parts = [joint_states.of(block) for block in raw_blocks(path, topic, JOINT_STATE)]
-    seen = joint_states.seen
-    lacking = [name for name in needed if name not in seen]
-    if lacking:
-        there = ", ".join(sorted(seen)) or "none"
-        raise DataError(
-            f"{path}: topic {topic}: no joint {', '.join(lacking)}; there are: {there}"
-        )
-    check_any(path, topic, [part for part in parts if len(part.stamps)], dropped)
+    joint_states.check([part for part in parts if len(part.stamps)])
+    return joined(parts)
+
+
+def joined(parts: Sequence[Samples]) -> Samples:
+    """Samples after each other."""
+    if len(parts) == 1:
+        return parts[0]
     fields = tuple(np.concatenate(each) for each in zip(*(p.fields for p in parts), strict=True))
     log_times, stamps = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
     return Samples(log_times, stamps, fields)
 
 
-class _JointStates:
+class JointStates:
     """Samples out of blocks of JointStates: whole blocks of one layout, else message by message.
 
     Args:
@@ -80,6 +80,7 @@ class _JointStates:
         dropped: Counter[str],
     ) -> None:
         self._where, self._dropped, self._joints = f"{path}: topic {topic}", dropped, joints
+        self._needed = needed
         self._reader = JointStateReader(joints)
         self._rows = JointStateRowsReader(self._reader, self._message)
         self._used = [self._reader.names.index(name) for name in needed]
@@ -93,6 +94,14 @@ class _JointStates:
             return self._one_by_one(block)
         self.seen.update(self._reader.carried)
         return Samples(block.log_times, found[0], found[1:])
+
+    def check(self, used: Sequence[object]) -> None:
+        """Raise DataError where a needed joint is in no message, or none can be used."""
+        lacking = [name for name in self._needed if name not in self.seen]
+        if lacking:
+            there = ", ".join(sorted(self.seen)) or "none"
+            raise DataError(f"{self._where}: no joint {', '.join(lacking)}; there are: {there}")
+        check_any(self._where, used, self._dropped)
 
     def _message(self, cdr: bytes) -> Any:
         try:
@@ -127,7 +136,7 @@ def times_of(samples: Sequence[Timed]) -> tuple[NDArray[np.int64], NDArray[np.in
     return log_times, stamps
 
 
-def check_any(path: Path, topic: str, samples: Sequence[object], dropped: Counter[str]) -> None:
+def check_any(where: str, samples: Sequence[object], dropped: Counter[str]) -> None:
     """Raise DataError where no message of a topic can be used."""
     if not samples:
-        raise DataError(f"{path}: topic {topic}: no usable message, dropped: {dict(dropped)}")
+        raise DataError(f"{where}: no usable message, dropped: {dict(dropped)}")

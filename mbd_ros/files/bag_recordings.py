@@ -14,6 +14,7 @@ from mbd_ros.core.state import Array, BodyMotion, Motion, WrenchSamples
 from mbd_ros.errors import DataError
 from mbd_ros.files.bag_joint_states import Samples, Timed, check_any, joint_samples, times_of
 from mbd_ros.files.bags import messages, topic_types
+from mbd_ros.files.motion_blocks import without_infinite
 from mbd_ros.files.recording import NO_BODIES, Recording
 from mbd_ros.files.topics import beside, by_member, joint_state_topic, odometry_topic
 from msg_adapters.errors import MessageError
@@ -83,9 +84,14 @@ def _motion(
     for body in wanted.bodies:
         pose, twist = kept[beside(topic, odometry_topic(body))]
         bodies.append(BodyMotion(body, with_steady_signs(pose), _absent_if_nan(twist)))
-    fields = _finite(position), _absent_if_nan(_finite(velocity)), None
+    fields = without_infinite(position), _absent_if_nan(without_infinite(velocity)), None
     return Motion(
-        wanted.joints, stamps, *fields, _absent_if_nan(_finite(effort)), None, tuple(bodies)
+        wanted.joints,
+        stamps,
+        *fields,
+        _absent_if_nan(without_infinite(effort)),
+        None,
+        tuple(bodies),
     )
 
 
@@ -127,7 +133,7 @@ def _body_samples(path: Path, topic: str, link: str, dropped: Counter[str]) -> S
             samples.append((log_time, read_odometry(msg, link)))
         except MessageError as error:
             dropped[f"{topic}: {str(error).partition(':')[0]}"] += 1
-    check_any(path, topic, samples, dropped)
+    check_any(f"{path}: topic {topic}", samples, dropped)
     fields = np.array([s.pose for _, s in samples]), np.array([s.twist for _, s in samples])
     return Samples(*times_of(samples), fields)
 
@@ -144,13 +150,6 @@ def _clock(
     if kept.size < stamps.size:
         dropped["stamp is not newer than all before"] += int(stamps.size - kept.size)
     return stamps[kept], kept, by_log_time
-
-
-def _finite(values: Array) -> Array:
-    """Values whose infinite ones are absent."""
-    if np.isinf(values).any():
-        values = np.where(np.isinf(values), np.nan, values)
-    return values
 
 
 def _absent_if_nan(values: Array) -> Array | None:
@@ -183,7 +182,7 @@ def _topic(path: Path, name: str, topic: str | None) -> str:
 def _wrench_samples(
     path: Path, topic: str, samples: list[Timed], dropped: Counter[str]
 ) -> WrenchSamples:
-    check_any(path, topic, samples, dropped)
+    check_any(f"{path}: topic {topic}", samples, dropped)
     frames = sorted({sample.frame_id for _, sample in samples})
     if len(frames) > 1:
         raise DataError(f"{path}: topic {topic}: frame_id changes between {', '.join(frames)}")

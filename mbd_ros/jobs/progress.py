@@ -37,23 +37,29 @@ def progress(iterable: Iterable[T], total: int, label: str) -> Iterator[T]:
         total: How many there will be.
         label: Name of the work.
 
-    Yields:
+    Returns:
         The items, unchanged.
     """
+    most = max(total, 1)
+    return progress_of(((done / most, item) for done, item in enumerate(iterable)), label)
+
+
+def progress_of(pairs: Iterable[tuple[float, T]], label: str) -> Iterator[T]:
+    """As `progress`, of items that come with the share that is done before them."""
     watch = _WATCH.get()
     # workers leave the line to the process that started them
     if watch is True and (not sys.stderr.isatty() or parent_process() is not None):
         watch = False
     if watch is False:
-        yield from iterable
+        yield from (item for _, item in pairs)
         return
     tell = _write if watch is True else watch
     due = 0.0
     try:
-        for done, item in enumerate(iterable):
+        for share, item in pairs:
             if time.monotonic() >= due:
                 due = time.monotonic() + PERIOD
-                tell(label, min(done / max(total, 1), 1.0))
+                tell(label, min(share, 1.0))
             yield item
     finally:
         if watch is True:

@@ -22,7 +22,7 @@ def observe(estimator: TorqueEstimator, motion: Motion, dropped: Counter[str]) -
         motion: The motion, NaN where a joint is absent.
         dropped: Counts the samples that cannot be used, by reason.
     """
-    blocks = [slice(0, 1), *_blocks(1, len(motion.stamps), _BLOCK)]  # the first is a beginning
+    blocks = _blocks(0, len(motion.stamps), _BLOCK)
     parts = []
     for block in progress(blocks, len(blocks), "filtering"):
         parts += _observed(estimator, motion, block, dropped)

@@ -1,25 +1,24 @@
 """Inverse dynamics of a recorded motion: `mbd-ros inverse`."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbd_ros.core.inverse.inverse_dynamics import TorqueComponents
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.recordings import Source, name_of
 from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result, Table
-from mbd_ros.files.times import TIME, time_columns
+from mbd_ros.files.times import time_columns
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse import loops, open_chains
 from mbd_ros.jobs.inverse.commands import commands_of
 from mbd_ros.jobs.inverse.derivatives import Derivatives, unexplained
 from mbd_ros.jobs.inverse.observed import Observed, Say, Task, observe_motion
-from mbd_ros.jobs.inverse.open_chains import violations
-from mbd_ros.jobs.metadata import metadata_of
+from mbd_ros.jobs.inverse.open_chains import Violations
+from mbd_ros.jobs.inverse.outcome import about_result, check_finite
+from mbd_ros.jobs.inverse.streamed import stream
 from mbd_ros.jobs.progress import Watch, watching
 from mbd_ros.scene.built_scene import Scene
 
@@ -94,9 +93,12 @@ def inverse_to(scene: Scene, task: Task, out: Path, say: Say) -> None:
     sources = [s for s in (task.motion, task.wrenches) if isinstance(s, Path)]
     refuse_overwriting(out, *sources)
     check_place(out)
-    result = run_inverse(scene, task, say)
-    result.to(out)
-    say(f"{result[MAIN].rows} samples, {task.derivatives.source} derivatives -> {out}")
+    rows = stream(scene, task, out, say)
+    if rows is None:
+        result = run_inverse(scene, task, say)
+        result.to(out)
+        rows = result[MAIN].rows
+    say(f"{rows} samples, {task.derivatives.source} derivatives -> {out}")
 
 
 def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
@@ -114,17 +116,18 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     asked = task.bounds if way is loops else task.parts
     columns, remarks = way.solve(scene, where, samples, wrenches, asked)
     table = Table([*time_columns(samples.stamps), *columns])
-    _check_finite(where, table)
+    check_finite(where, table)
     with about(where), np.errstate(over="ignore", invalid="ignore"):
         commands, beyond = commands_of(scene, table)
     table = Table([*table.columns, *commands])
-    for text in (*violations(scene, samples), *remarks, *beyond):
+    violations = Violations(scene)
+    violations.add(samples)
+    for text in (*violations.lines(), *remarks, *beyond):
         say(text)
     if observed.cutoff is not None:
         for text in unexplained(observed.motion, table, observed.cutoff):
             say(text)
-    about_it = metadata_of("inverse", scene, _inputs(task), _topics(way.topics(scene), task))
-    return Result({MAIN: table}, {**about_it, "stamps": "recorded"})
+    return Result({MAIN: table}, about_result(scene, task, way.topics(scene)))
 
 
 def _known_contacts(scene: Scene, task: Task, say: Say) -> "tuple[Scene, list[KnownContact]]":
@@ -147,26 +150,3 @@ def _with_contacts(
     loads, wrenches = contact_loads(scene, known, observed.motion, observed.samples)
     every = {**scene.wrenches, **loads}
     return scene.holding(external_wrenches=every), [*observed.wrenches, *wrenches]
-
-
-def _inputs(task: Task) -> dict[str, object]:
-    """What the metadata of the result says."""
-    source, cutoff, half_width = task.derivatives
-    asked = {"motion": task.motion, "wrenches": task.wrenches, "derivatives": source}
-    filters = {"cutoff": cutoff, "half_width": half_width}
-    return {**asked, **filters, "parts": task.parts, "bounds": task.bounds}
-
-
-def _topics(topics: Mapping[str, object], task: Task) -> dict[str, object]:
-    """Topics of a bag, see `files.bag_streams`."""
-    causes = TorqueComponents._fields if task.parts else ()
-    return {**topics, **{f"/joint_torques/{cause}": {"effort": cause} for cause in causes}}
-
-
-def _check_finite(where: str, table: Table) -> None:
-    """Refuse efforts and multipliers that are not."""
-    kinds = ("position", "velocity", "acceleration", TIME, "stamp")
-    found = [v for name, v in table.items() if name.rpartition(".")[2] not in kinds]
-    bad = [int(np.flatnonzero(~np.isfinite(v))[0]) for v in found if not np.isfinite(v).all()]
-    if bad:
-        raise DataError(f"{where}: torques at {table[TIME][min(bad)]} s are not finite")

@@ -48,46 +48,68 @@ def solve(
     Returns:
         Columns of motion and torques, and no remarks.
     """
-    solver, robot = scene.inverse_dynamics(), scene.robot
-    z, v, a = samples[1:4]
-    chunks = [slice(i, i + _CHUNK) for i in range(0, len(z), _CHUNK)]
-    solved = [
-        solver.batch(z[part], v[part], a[part], [w[part] for w in wrenches])
-        for part in progress(chunks, len(chunks), "solving")
-    ]
-    tau, multipliers = (np.concatenate([each[i] for each in solved]) for i in (0, 1))
-    residual = np.concatenate([each.residual.reshape(len(each.tau), -1) for each in solved])
-    at = IndependentCoordinates(robot, solver.couplings)
-    found = {"position": z, "velocity": v, "acceleration": a, "effort": tau}
-    if with_parts:
-        each = zip(z, v, a, *wrenches, strict=True)
-        rows = progress(each, len(z), "components")
-        causes = [solver.components(*row[:3], row[3:]) for row in rows]
-        for i, name in enumerate(TorqueComponents._fields):
-            found[name] = np.array([c[i] for c in causes])
-    free, columns = [robot.joint(name) for name in solver.couplings.independent], []
-    for field, values in found.items():
-        mine = at.joint_y if field == "position" else at.joint_w
-        columns += joint_columns(free, field, values[:, mine])
-    bodies = [(z[:, y], v[:, w], a[:, w]) for y, w in zip(at.body_y, at.body_w, strict=True)]
-    columns += [*body_columns(robot, bodies), *carried_columns(robot, residual)]
-    return [*columns, *_shown(scene, samples, multipliers)], []
+    return OpenChains(scene, with_parts).columns(samples, wrenches), []
 
 
-def _shown(scene: Scene, samples: Observations, multipliers: Array) -> list[Column]:
-    """Columns of multipliers and of what forces show."""
-    robot, couplings = scene.robot, scene.couplings
-    rows = [CouplingRows(robot, couplings)] if couplings.dependent else []
-    showing = Showing(Kinematics(robot), RowLayout(rows), scene.forces)
-    if len(showing.numbers) == multipliers.shape[1]:
-        return output_columns(showing.numbers, multipliers)
-    u, shown = Loads(robot.model.nv, scene.forces, scene.actuators).idle, []
-    for sample, lam in zip(samples.each(), multipliers, strict=True):
-        q, v, a = robot.neutral().copy(), np.zeros(robot.model.nv), np.zeros(robot.model.nv)
-        q[couplings.q_index], v[couplings.v_index], a[couplings.v_index] = sample[1:4]
-        couplings.expand(q, v, a)
-        shown.append(showing.at(State(sample.stamp * NANOSECOND, q, v), u, a, lam))
-    return output_columns(showing.numbers, np.array(shown))
+class OpenChains:
+    """Torques of a scene without loops.
+
+    Args:
+        scene: The scene.
+        with_parts: Also give the torque components.
+    """
+
+    def __init__(self, scene: Scene, with_parts: bool) -> None:
+        self._scene, self._with_parts = scene, with_parts
+        self._solver = scene.inverse_dynamics()
+        self._at = IndependentCoordinates(scene.robot, self._solver.couplings)
+        couplings = scene.couplings
+        rows = [CouplingRows(scene.robot, couplings)] if couplings.dependent else []
+        self._showing = Showing(Kinematics(scene.robot), RowLayout(rows), scene.forces)
+
+    def columns(self, samples: Observations, wrenches: Sequence[Array]) -> list[Column]:
+        """Columns of the motion and the torques; arguments as those of `solve`."""
+        solver, robot, at = self._solver, self._scene.robot, self._at
+        z, v, a = samples[1:4]
+        chunks = [slice(i, i + _CHUNK) for i in range(0, len(z), _CHUNK)]
+        solved = [
+            solver.batch(z[part], v[part], a[part], [w[part] for w in wrenches])
+            for part in progress(chunks, len(chunks), "solving")
+        ]
+        tau, multipliers = (np.concatenate([each[i] for each in solved]) for i in (0, 1))
+        residual = np.concatenate([each.residual.reshape(len(each.tau), -1) for each in solved])
+        found = {"position": z, "velocity": v, "acceleration": a, "effort": tau}
+        if self._with_parts:
+            found |= self._causes(samples, wrenches)
+        free, columns = [robot.joint(name) for name in solver.couplings.independent], []
+        for field, values in found.items():
+            mine = at.joint_y if field == "position" else at.joint_w
+            columns += joint_columns(free, field, values[:, mine])
+        bodies = [(z[:, y], v[:, w], a[:, w]) for y, w in zip(at.body_y, at.body_w, strict=True)]
+        columns += [*body_columns(robot, bodies), *carried_columns(robot, residual)]
+        return [*columns, *self._shown(samples, multipliers)]
+
+    def _causes(self, samples: Observations, wrenches: Sequence[Array]) -> dict[str, Array]:
+        """Torques by cause."""
+        each = zip(*samples[1:4], *wrenches, strict=True)
+        rows = progress(each, len(samples.stamps), "components")
+        causes = [self._solver.components(*row[:3], row[3:]) for row in rows]
+        names = TorqueComponents._fields
+        return {name: np.array([c[i] for c in causes]) for i, name in enumerate(names)}
+
+    def _shown(self, samples: Observations, multipliers: Array) -> list[Column]:
+        """Columns of multipliers and of what forces show."""
+        scene, showing = self._scene, self._showing
+        robot, couplings = scene.robot, scene.couplings
+        if len(showing.numbers) == multipliers.shape[1]:
+            return output_columns(showing.numbers, multipliers)
+        u, shown = Loads(robot.model.nv, scene.forces, scene.actuators).idle, []
+        for sample, lam in zip(samples.each(), multipliers, strict=True):
+            q, v, a = robot.neutral().copy(), np.zeros(robot.model.nv), np.zeros(robot.model.nv)
+            q[couplings.q_index], v[couplings.v_index], a[couplings.v_index] = sample[1:4]
+            couplings.expand(q, v, a)
+            shown.append(showing.at(State(sample.stamp * NANOSECOND, q, v), u, a, lam))
+        return output_columns(showing.numbers, np.array(shown))
 
 
 def topics(scene: Scene) -> dict[str, Any]:
@@ -99,18 +121,33 @@ def topics(scene: Scene) -> dict[str, Any]:
     }
 
 
-def violations(scene: Scene, samples: Observations) -> Iterator[str]:
-    """How far the dependent joints are off their couplings, or that nobody measured them."""
-    couplings = scene.couplings
-    if not couplings.dependent:
-        return
-    q = np.zeros((scene.robot.model.nq, len(samples.stamps)))
-    q[couplings.q_index] = samples.position.T
-    couplings.expand(q, np.zeros_like(q), np.zeros_like(q))
-    for i, name in enumerate(couplings.dependent):
-        measured = samples.dependent[:, i]
-        if np.isfinite(measured).all():
-            off = np.abs(measured - q[scene.robot.joint(name).q]).max()
-            yield f"{name} is off its coupling by at most {off:.3g}"
-        else:
-            yield f"{name} is reconstructed from {scene.coupling_kinds[name]}"
+class Violations:
+    """How far the dependent joints are off their couplings, or that nobody measured them.
+
+    Args:
+        scene: The scene.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._off = np.zeros(len(scene.couplings.dependent))  # NaN where not measured
+
+    def add(self, samples: Observations) -> None:
+        """Look at more samples."""
+        couplings, robot = self._scene.couplings, self._scene.robot
+        if not couplings.dependent:
+            return
+        q = np.zeros((robot.model.nq, len(samples.stamps)))
+        q[couplings.q_index] = samples.position.T
+        couplings.expand(q, np.zeros_like(q), np.zeros_like(q))
+        coupled = q[[robot.joint(name).q for name in couplings.dependent]].T
+        measured = np.where(np.isfinite(samples.dependent), samples.dependent, np.nan)
+        self._off = np.maximum(self._off, np.abs(measured - coupled).max(axis=0))
+
+    def lines(self) -> Iterator[str]:
+        """A line for each joint."""
+        for name, off in zip(self._scene.couplings.dependent, self._off, strict=True):
+            if np.isnan(off):
+                yield f"{name} is reconstructed from {self._scene.coupling_kinds[name]}"
+            else:
+                yield f"{name} is off its coupling by at most {off:.3g}"
