@@ -51,9 +51,11 @@ setup(
         "scipy",
     ],
     extras_require={
+        "compiled": ["casadi"],
         "dask": ["dask[distributed]"],
         "peers": ["drake", "mujoco"],
         "tables": ["pandas", "pyarrow"],
+        "ziglang": ["ziglang"],
         "dev": [
             "casadi",
             "daqp",

@@ -78,7 +78,10 @@ ALLOWED = {
     "msg_adapters": {"numpy", "msg_adapters"},
     CORE: {*MATH, "mbd_ros"},
     "mbd_ros.compiled": {*MATH, "casadi", "mbd_ros.errors", CORE, "mbd_ros.compiled"},
-    "mbd_ros.scene": {*MATH, "yaml", "mbd_ros.errors", CORE, "mbd_ros.scene"},
+    "mbd_ros.scene": {
+        *MATH,
+        *("yaml", "mbd_ros.errors", CORE, "mbd_ros.compiled", "mbd_ros.scene"),
+    },
 }
 UNNAMED = {  # by an empty scene: events, contacts, internal states, several robots, paths
     f"{CORE}.{module}"

@@ -18,7 +18,7 @@ from mbd_ros.report.precision.choices import Choice
 GRAVITY = 9.81
 PROBLEMS = {problem.name: problem for problem in problems(quick=False)}
 PEERS = {"MuJoCo": "mujoco", "Drake": "pydrake"}
-DOP853 = Choice("auto", None, {"type": "dop853", "tolerance": 1e-11}, 1e-2)
+DOP853 = Choice("plain", None, {"type": "dop853", "tolerance": 1e-11}, 1e-2)
 
 
 @pytest.mark.parametrize("dt", [0.2, 0.02])
@@ -137,7 +137,7 @@ def test_a_run_is_judged_by_its_largest_error():
 
 
 def planted(position, package="mbd_ros", **others):
-    choice = {"integrator": {"type": "moreau_jean"}, "solver": "auto", "stabilization": None}
+    choice = {"integrator": {"type": "moreau_jean"}, "solver": "plain", "stabilization": None}
     costs = {"seconds": 1e-3, "spread": None, "configuration": position, "penetration": 1e-12}
     run = {"package": package, "setup": "moreau_jean", "dt": 1e-3, "position": position}
     return {**run, **costs, **choice, **others}

@@ -60,7 +60,7 @@ def outcome_of(*costs):
     """One run a package, all equally precise; costs in ms per simulated s."""
     runs = []
     for package, cost in costs:
-        run = {"package": package, "setup": "x", "solver": "auto", "stabilization": None}
+        run = {"package": package, "setup": "x", "solver": "plain", "stabilization": None}
         run |= {"integrator": {"type": "rk4"}, "dt": 1e-3, "seconds": 1e-3 * cost, "spread": 0.0}
         runs.append(run | {"position": 5e-7, "configuration": 5e-7})
     facts = {"left": [], "refused": [], "setups": [], "span": 0.5, "quick": False, "own": True}

@@ -71,7 +71,7 @@ def test_errors_of_an_item_are_the_same_twice(rk4):
     first = timeless(outcome)
     assert json.dumps(first) == json.dumps(timeless(precision.run(work.spec)))
     done = [run for run in first if "position" in run]
-    assert {run["solver"] for run in done} == {"auto", "qp"}
+    assert {run["solver"] for run in done} == {"plain", "qp"}
     assert {run["stabilization"]["type"] for run in done} == {"projection", "baumgarte", "none"}
     assert min(run["position"] for run in done) < 1e-6
 
@@ -129,7 +129,7 @@ def test_choices_that_are_the_same_are_pasted_once():
 def test_what_a_scene_has_by_itself_is_not_said():
     entry = {"type": "adams", "order": 6}
     assert (
-        brief(Choice("auto", {"type": "projection"}, entry, 5e-3)) == "adams order 6, dt 0.005 s"
+        brief(Choice("plain", {"type": "projection"}, entry, 5e-3)) == "adams order 6, dt 0.005 s"
     )
     assert brief(Choice("qp", {"type": "baumgarte"}, entry, 5e-3)).endswith(", qp, baumgarte")
     assert [power(x) for x in (1e-3, 1e-12, 1.0, 2e-5)] == ["1e-3", "1e-12", "1e0", "2e-5"]
@@ -146,10 +146,10 @@ def test_snippet_names_a_formulation_that_is_not_the_usual_one():
 
 
 def test_formulations_are_those_that_differ():
-    assert formulations(load_scene(PENDULUM)) == ["auto", "qp"]
+    assert formulations(load_scene(PENDULUM)) == ["plain", "qp"]
     coupled = load_scene(f"{SCENES}/arm7_swing_coupled.yaml")
-    assert formulations(coupled) == ["auto", "kkt", "qp"]
-    assert formulations(load_scene(f"{SCENES}/arm7_swing.yaml")) == ["auto"]
+    assert formulations(coupled) == ["plain", "kkt", "qp"]
+    assert formulations(load_scene(f"{SCENES}/arm7_swing.yaml")) == ["plain"]
 
 
 @pytest.mark.parametrize("name", ["a01_pendulum_maximal", "x02_four_bar_1e-2"])

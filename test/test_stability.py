@@ -115,7 +115,7 @@ def test_a_soft_constraint_is_wrong(monkeypatch):
     monkeypatch.setattr(Projection, "correct", lambda self, system, x: x)
     row = next(row for row in extremes(False) if row.name == FOUR_BAR)
     case = Case(row.load(), Grid(0.02, 4))
-    for verdict in (equations(case, ["auto"]), judge(case, "rk4", 0.1)):
+    for verdict in (equations(case, ["plain"]), judge(case, "rk4", 0.1)):
         assert verdict.kind == "WRONG"
         assert "open" in verdict.text
 
@@ -299,7 +299,14 @@ def test_a_reference_that_stops_is_wrong_unless_it_is_expected_there(monkeypatch
 
 
 def test_a_map_in_which_most_runs_stop_is_wrong():
-    cell = {"method": "rk4", "factor": 0.1, "ran": 0.1, "dt": 0.1, "tier": "auto", "text": "t = 1"}
+    cell = {
+        "method": "rk4",
+        "factor": 0.1,
+        "ran": 0.1,
+        "dt": 0.1,
+        "tier": "plain",
+        "text": "t = 1",
+    }
     stopped, converged = ({**cell, "kind": k, "error": 0.1} for k in ("stopped", "converged"))
     item = Item("stability", "a", {"first": 1}, 1.0)
     for stops in (30, 31):

@@ -27,7 +27,7 @@ def stopped(solver, *forces, rows=()):
     )
 
 
-@pytest.mark.parametrize("solver", ["auto", "qp"])
+@pytest.mark.parametrize("solver", ["plain", "qp"])
 def test_a_start_beyond_a_stop_is_moved_to_it_with_the_loop_closed(solver):
     scene = stopped(solver)
     simulation = scene.simulation()
@@ -42,7 +42,7 @@ def test_a_start_beyond_a_stop_is_moved_to_it_with_the_loop_closed(solver):
 def test_solvers_with_and_without_a_qp_go_on_alike(forces):
     """Multipliers of the loop by elimination, and together with that of the stop by a QP."""
     ends = []
-    for solver in ("auto", "qp"):
+    for solver in ("plain", "qp"):
         scene = stopped(solver, *forces)
         simulation = scene.simulation()
         *_, x = simulation.run(scene.initial, 0.2)
@@ -53,7 +53,7 @@ def test_solvers_with_and_without_a_qp_go_on_alike(forces):
     np.testing.assert_allclose(ends[0].v, ends[1].v, atol=1e-8)
 
 
-@pytest.mark.parametrize("solver", ["auto", "qp"])
+@pytest.mark.parametrize("solver", ["plain", "qp"])
 def test_a_stop_that_other_rows_keep_out_of_reach_is_an_error_with_its_name(solver):
     scene = stopped(solver, rows=[{**HELD, "polynomial": [0.3]}])
     with pytest.raises(SolveError, match="hip_flexion_joint_stop"):

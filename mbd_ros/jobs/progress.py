@@ -46,10 +46,7 @@ def progress(iterable: Iterable[T], total: int, label: str) -> Iterator[T]:
 
 def progress_of(pairs: Iterable[tuple[float, T]], label: str) -> Iterator[T]:
     """As `progress`, of items that come with the share that is done before them."""
-    watch = _WATCH.get()
-    # workers leave the line to the process that started them
-    if watch is True and (not sys.stderr.isatty() or parent_process() is not None):
-        watch = False
+    watch = _watch()
     if watch is False:
         yield from (item for _, item in pairs)
         return
@@ -65,6 +62,21 @@ def progress_of(pairs: Iterable[tuple[float, T]], label: str) -> Iterator[T]:
         if watch is True:
             sys.stderr.write("\r\x1b[K")  # erase the line
             sys.stderr.flush()
+
+
+def announce(line: str) -> None:
+    """Say on a terminal what takes time from now on, unless somebody else listens."""
+    if _watch() is True:
+        sys.stderr.write(f"{line}\n")
+        sys.stderr.flush()
+
+
+def _watch() -> Watch:
+    """Who listens; workers leave the terminal to the process that started them."""
+    watch = _WATCH.get()
+    if watch is True and (not sys.stderr.isatty() or parent_process() is not None):
+        return False
+    return watch
 
 
 def _write(label: str, share: float) -> None:

@@ -1,7 +1,7 @@
 """A built scene, and the systems, solvers and simulations that it makes."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,6 +29,7 @@ from mbd_ros.scene.scene_parts import SceneParts
 DEFAULT_INTEGRATOR = {"type": "dopri5"}
 DEFAULT_STABLE = 1.3  # its `stable`, known without importing it
 _TIME_STEPPING = {"type": "moreau_jean"}
+Tell = Callable[[str], None]
 _NO_SOURCES: Mapping[str, Source] = {}
 
 
@@ -166,16 +167,23 @@ class Scene(SceneParts):
             SceneError: The tier cannot serve the scene, or a package is missing.
         """
         where = f"{self.name}: solver"
-        chosen = self.solver if solver is None else schema.call(Solver, dict(solver), where)
+        chosen = self._solver(solver)
         every = (*self.forces, *forces, *self.wrenches.values())
         try:
             given = self.inputs.sources(sources)
             loads = Loads(self.robot.model.nv, every, self.actuators, given)
             return build_system(
-                self.robot, self.couplings, self.constraints, loads, chosen.type, chosen.backend
+                self.robot, self.couplings, self.constraints, loads, chosen.tier, chosen.backend
             )
         except ModelError as error:
             raise SceneError(f"{where}: {error}") from error
+
+    def _solver(self, entry: Mapping[str, str] | None) -> Solver:
+        """The solver of an entry; without one that of the scene."""
+        if entry is None:
+            return self.solver
+        solver: Solver = schema.call(Solver, dict(entry), f"{self.name}: solver")
+        return solver
 
     def controlled_joints(self) -> ControlledJoints:
         """The actuated joints as a controller sees them, with their own Pinocchio data.
@@ -215,6 +223,7 @@ class Scene(SceneParts):
         solver: Mapping[str, str] | None = None,
         forces: Sequence[Load] = (),
         sources: Mapping[str, Source] = _NO_SOURCES,
+        tell: Tell | None = None,
     ) -> Simulation:
         """A simulation with its own Pinocchio data.
 
@@ -225,6 +234,7 @@ class Scene(SceneParts):
             solver: Entry that replaces that of the scene.
             forces: Force terms besides those of the scene.
             sources: What gives the inputs of parts, by name of the part.
+            tell: Is told what takes time while steps are compiled.
 
         Raises:
             SceneError: Names file and key.
@@ -239,6 +249,12 @@ class Scene(SceneParts):
             given = stabilization or {"type": "projection" if system.held.rows else "none"}
             correction = build_part("stabilization", given, f"{self.name}: stabilization")
         try:
-            return Simulation(system, method, correction, self.dt if dt is None else dt)
+            parts = system, method, correction, self.dt if dt is None else dt
+            chosen = self._solver(solver)
+            if not chosen.compiles:
+                return Simulation(*parts)
+            from mbd_ros.scene.compiling import compiled_simulation
+
+            return compiled_simulation(*parts, is_demanded=chosen.must_compile, tell=tell)
         except ModelError as error:
             raise SceneError(f"{self.name}: {error}") from error

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 MAX_PARTS = 1000  # in one section
 MAX_ROWS = 600  # of all constraints: a solve costs their number cubed
+SOLVERS = (*TIERS, "plain", "compiled")
 _WORD = "[A-Za-z_][A-Za-z0-9_]*"  # of a ROS 2 name
 _NAME, _TOPIC = re.compile(_WORD), re.compile(f"(~?/)?{_WORD}(/{_WORD})*")
 
@@ -41,17 +42,33 @@ class Solver:
     """The `solver` section.
 
     Attributes:
-        type: A tier of `mbd_ros.core.dynamics.tiers`.
+        type: A tier of `mbd_ros.core.dynamics.tiers`; or the cheapest one that serves, and how
+            its steps run: `plain`, `compiled`, or `auto`, compiled where they can be.
         backend: Solver of the QP: proxqp, or one that qpsolvers knows.
     """
 
-    type: str = "auto"
+    type: str = "plain"
     backend: str = "proxqp"
 
     def __post_init__(self) -> None:
-        if self.type not in TIERS:
-            raise ModelError(f"unknown solver type '{self.type}', accepted: {', '.join(TIERS)}")
+        if self.type not in SOLVERS:
+            raise ModelError(f"unknown solver type '{self.type}', accepted: {', '.join(SOLVERS)}")
         check_backend(self.backend)
+
+    @property
+    def tier(self) -> str:
+        """The tier that is asked for; `auto` for the cheapest one that serves."""
+        return self.type if self.type in TIERS else "auto"
+
+    @property
+    def compiles(self) -> bool:
+        """Whether steps are compiled where they can be."""
+        return self.type in ("auto", "compiled")
+
+    @property
+    def must_compile(self) -> bool:
+        """Whether it is an error where they cannot be."""
+        return self.type == "compiled"
 
 
 def build_wrenches(site: Site, entries: Any) -> dict[str, MeasuredWrench]:

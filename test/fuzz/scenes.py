@@ -76,7 +76,7 @@ def _fill(
         given["couplings"] = {child: {"parent": parent, **_law(rng, nastiness)}}
     if rng.random() < 0.2:
         backend = rng.choice(CHOICES["backend"])
-        kind = rng.choice(("auto", "qp", "kkt", "reduced", "aba"))
+        kind = rng.choice(("plain", "qp", "kkt", "reduced", "aba"))
         given["solver"] = {"type": kind, "backend": backend}
     if rng.random() < 0.1:
         given["external_wrenches"] = {

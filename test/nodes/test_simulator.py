@@ -248,7 +248,7 @@ def test_a_step_needs_a_pause(domain, tmp_path):
 # ---------------------------------------------------------------------- forces
 
 
-@pytest.mark.parametrize("solver", ["auto", "qp"])
+@pytest.mark.parametrize("solver", ["plain", "qp"])
 def test_constraint_forces_and_markers(domain, tmp_path, solver):
     """The loop of the four-bar leg: multipliers by row, an arrow for each of the two bodies.
 
@@ -296,7 +296,7 @@ def test_constraint_forces_and_markers(domain, tmp_path, solver):
         assert pull == pytest.approx(math.hypot(*force.effort[1:]), rel=1e-9)
         health = client.probe.wait_health(lambda h: h.level == OK)
         assert health.values["solver tier"] == (
-            "qp over kkt" if solver == "auto" else "qp over aba"
+            "qp over kkt" if solver == "plain" else "qp over aba"
         )
         assert float(health.values["drift of positions"]) < 1e-12
         assert float(health.values["drift of velocities"]) < 1e-11

@@ -17,6 +17,8 @@ from mbd_ros.compiled.code.emit import Signature, Source
 from mbd_ros.core.state import Array
 
 _ALIGNED = 64  # bytes, of the widest vectors
+_SECONDS = 12  # characters
+_FORMAT = "the library, then the seconds that it took"
 _loaded = itertools.count(1)
 
 
@@ -61,17 +63,21 @@ class Library:
     Args:
         source: What it was compiled from.
         content: The library.
+        compiler: What compiled it.
 
     Attributes:
         source: As given.
+        compiler: As given.
+        seconds: How long the compiler took, now or when the library was kept [s].
         c: Its other functions, by name; a call lets other threads run.
 
     Raises:
         BuildError: It cannot be loaded.
     """
 
-    def __init__(self, source: Source, content: bytes) -> None:
-        self.source, self.c = source, _linked(content)
+    def __init__(self, source: Source, content: bytes, compiler: str) -> None:
+        self.source, self.compiler, self.c = source, compiler, _linked(content)
+        self.seconds = float(content[-_SECONDS:])
         self._quick = ctypes.PyDLL(self.c._name, handle=self.c._handle)
 
     def function(self, name: str) -> NativeFunction:
@@ -104,14 +110,22 @@ def load(source: Source, say: cache.Say = _silent, check: Check = _trusted) -> L
         say(f"compiling {sum(source.operations.values())} operations by {compiler.name}")
         start = time.perf_counter()
         built = compiler.build((source.text, *source.units), folder)
-        say(f"compiled in {time.perf_counter() - start:.1f} s")
+        seconds = time.perf_counter() - start
+        with built.open("ab") as file:  # loaders read no further than the tables of the file say
+            file.write(f"{seconds:{_SECONDS}.2f}".encode())
+        say(f"compiled in {seconds:.1f} s")
         return built
 
     for again in (False, True):
         try:
-            library = Library(source, cache.kept(_key(source, compiler), build, say, again=again))
+            content = cache.kept(_key(source, compiler), build, say, again=again)
+            library = Library(source, content, compiler.name)
         except (OSError, BuildError) as error:
-            return _not_kept(source, build, check, say, str(error))
+            with cache.private() as folder:
+                library = Library(source, build(folder).read_bytes(), compiler.name)
+            say(f"not kept: {str(error).splitlines()[0]}")
+            check(library)
+            return library
         try:
             check(library)
         except BuildError as error:
@@ -123,20 +137,10 @@ def load(source: Source, say: cache.Say = _silent, check: Check = _trusted) -> L
     return library
 
 
-def _not_kept(
-    source: Source, build: cache.Build, check: Check, say: cache.Say, why: str
-) -> Library:
-    """A library that is compiled for this process alone."""
-    with cache.private() as folder:
-        library = Library(source, build(folder).read_bytes())
-    say(f"not kept: {why.splitlines()[0]}")
-    check(library)
-    return library
-
-
 def _key(source: Source, compiler: Compiler) -> str:
     """Another one for all that makes another library: the text holds model, parts and numbers."""
-    told = (*compiler.words, compiler.identity, *FLAGS, cpu(), source.text, *source.units)
+    told = (_FORMAT, *compiler.words, compiler.identity, *FLAGS, cpu())
+    told = (*told, source.text, *source.units)
     return hashlib.sha256("\0".join(told).encode()).hexdigest()[:40]
 
 

@@ -16,7 +16,7 @@ from mbd_ros.core.integration.linear_motion import LinearMotion
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.names import type_name
 from mbd_ros.core.projection.stabilizing import Stabilization
-from mbd_ros.core.simulation.stepper_of import prepared
+from mbd_ros.core.simulation.stepper_of import happenings, prepared
 
 Say = Callable[[str], None]
 
@@ -50,9 +50,37 @@ class CompiledMethod(Integrator):
         self.traced: Traced | None = None
         self.library: Library | None = None
 
+    @property
+    def title(self) -> str:
+        """That of the method, and that it is compiled."""
+        return f"compiled {self.method.title}"
+
     def growth(self, motion: LinearMotion, dt: float) -> float:
         """Factor by which a step multiplies a linear motion at most."""
         return self.method.growth(motion, dt)
+
+    def refuse(self, system: Any) -> None:
+        """Refuse what native runs do not do.
+
+        Raises:
+            Untraceable: Names it.
+        """
+        if not self.method.native:
+            name = type_name(type(self.method))
+            raise Untraceable(f"integrator {name} takes no compiled steps")
+        names = [name for names in happenings(system) for name in names]
+        if names:
+            raise Untraceable(f"steps stop at events of {', '.join(names)}")
+        stabilization = type(self._stabilization)
+        corrects = stabilization.correct is not Stabilization.correct
+        if system.held.rows and corrects and not self._stabilization.projects:
+            raise Untraceable(f"stabilization {type_name(stabilization)} has no compiled form")
+        for at, source in system.loads.sources.smooth:
+            if source.pieces() is None:
+                name = type_name(type(source))
+                raise Untraceable(
+                    f"{name} gives u[{at.start}:{at.stop}] within steps, from Python"
+                )
 
     def prepare(self, system: Any, dt: float) -> NativeStepper:
         """The stepper for one system and one step size [s].
@@ -62,7 +90,7 @@ class CompiledMethod(Integrator):
             BuildError: It cannot be compiled.
             ModelError: The method does not serve the system.
         """
-        self._refuse(system)
+        self.refuse(system)
         plain = prepared(self.method, system, dt)
         self.traced = traced = trace(system)
         sizes = self._sizes(system, traced)
@@ -99,23 +127,3 @@ class CompiledMethod(Integrator):
         if not self._is_projected(system):
             return lambda y: y
         return lambda y: self._stabilization.correct(system, y)
-
-    def _refuse(self, system: Any) -> None:
-        """Refuse what native runs do not do.
-
-        Raises:
-            Untraceable: Names it.
-        """
-        if not self.method.native:
-            name = type_name(type(self.method))
-            raise Untraceable(f"integrator {name} takes no compiled steps")
-        stabilization = type(self._stabilization)
-        corrects = stabilization.correct is not Stabilization.correct
-        if system.held.rows and corrects and not self._stabilization.projects:
-            raise Untraceable(f"stabilization {type_name(stabilization)} has no compiled form")
-        for at, source in system.loads.sources.smooth:
-            if source.pieces() is None:
-                name = type_name(type(source))
-                raise Untraceable(
-                    f"{name} gives u[{at.start}:{at.stop}] within steps, from Python"
-                )

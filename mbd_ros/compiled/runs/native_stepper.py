@@ -38,6 +38,11 @@ class NativeStepper(BlockStepper):
         self._is_plain = False
 
     @property
+    def evaluations(self) -> int:
+        """How often compiled accelerations were computed."""
+        return self._run.evaluations
+
+    @property
     def newest(self) -> int:
         """Number of the newest sample."""
         return self._run.sample

@@ -35,7 +35,18 @@ class SampleBlock(NamedTuple):
 
 
 class BlockStepper(Stepper):
-    """A stepper that takes many samples at a time, corrections after steps included."""
+    """A stepper that takes many samples at a time, corrections after steps included.
+
+    Attributes:
+        handed_over: Steps that were taken otherwise, since it could not.
+    """
+
+    handed_over: int = 0
+
+    @property
+    def evaluations(self) -> int:
+        """How often accelerations were computed, those of the system apart."""
+        raise NotImplementedError
 
     @property
     def newest(self) -> int:

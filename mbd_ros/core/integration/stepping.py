@@ -155,6 +155,11 @@ class Integrator:
     native: str = ""
     stable: float = 2.5
 
+    @property
+    def title(self) -> str:
+        """What people call it."""
+        return type(self).__name__
+
     def growth(self, motion: Any, dt: float) -> float:
         """Factor by which a step multiplies a linear motion at most, inf where it is not known.
 

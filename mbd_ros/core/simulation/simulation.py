@@ -41,6 +41,7 @@ class Simulation:
         dt: Step of a fixed-step method, and interval of the output [s], > 0.
 
     Attributes:
+        how: What code takes the steps, for people; empty where nobody asked for other code.
         steps: Steps taken so far.
         worst: Largest condition number of the rows after a step, inf where they are redundant,
             and its time [s]. Beyond some 1e6, near a toggle, multipliers are unreliable.
@@ -61,12 +62,12 @@ class Simulation:
         self.system: System = self.stepper.system or system
         self.guards, self.switches = self.stepper.guards, self.stepper.switches
         self._stride = getattr(self.stepper, "stride", None)  # several steps at once, if it can
-        self.steps, self.worst = 0, (1.0, 0.0)
+        self.how, self.steps, self.worst = "", 0, (1.0, 0.0)
         has_stops = any(block.part.stops for block in system.layout.smoothed)
         self.overshoots = Overshoots(system) if has_stops else None
         self._is_corrected = bool(system.held.rows) and not integrator.keeps_constraints
         self._nz = system.internals.nz
-        self._made_by = type(integrator).__name__, dt, system.nq, system.nv, self._nz
+        self._made_by = integrator.title, dt, system.nq, system.nv, self._nz
         self._progress: Progress | None = None
         self._blocks: SampleBlocks | None = None
         self._began: tuple[State, State] | None = None
@@ -248,6 +249,12 @@ class Simulation:
                 self.stepper.continue_from(y)
         self._progress = self._progressed()._replace(y=y)
         return y
+
+    @property
+    def evaluations(self) -> int:
+        """How often accelerations were computed so far."""
+        own = self.stepper.evaluations if isinstance(self.stepper, BlockStepper) else 0
+        return self.system.evaluations + own
 
     @property
     def events(self) -> "list[Event]":

@@ -22,15 +22,14 @@ def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
         ModelError: The method cannot stop at events, or surfaces stand beside smoothed rows; or it
             cannot move internal states; names them.
     """
-    rows = () if system.exact is None else system.exact.names
-    guards = [part.name for part in _parts(system) if part.guards]
+    rows, guards = happenings(system)
     surfaces = method.finds_surfaces and any(force.surfaces for force in system.loads.forces)
     if not (guards or surfaces) and (method.at_velocity_level or not rows):
         return prepared(method, system, dt)
     if not method.event_driven:
         way_out = "; or smoothed: true at these constraints" if rows and not guards else ""
         raise ModelError(
-            f"integrator {type(method).__name__} does not stop at events, which exact rows and "
+            f"integrator {method.title} does not stop at events, which exact rows and "
             f"guards need: {', '.join((*rows, *guards))}; accepted: rk4, dopri5, dop853, "
             f"filippov, gauss_legendre, adams, and moreau_jean without guards{way_out}"
         )
@@ -51,6 +50,12 @@ def _turned(method: Integrator, system: System, dt: float) -> Stepper:
 
     world = InWorldAxes(system)
     return TurnedSteps(world, prepared(method, world, dt))
+
+
+def happenings(system: System) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the exact rows that give way, and of parts with guards."""
+    rows = () if system.exact is None else tuple(system.exact.names)
+    return rows, tuple(part.name for part in _parts(system) if part.guards)
 
 
 def _refuse_kinks(method: Integrator, system: System) -> None:

@@ -40,7 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dt", type=float, help="step, and interval of the output [s] (default: of the scene)"
     )
-    parser.add_argument("--solver", help="tier in place of that of the scene")
+    parser.add_argument("--solver", help="entry type in place of that of the scene")
+    parser.add_argument(
+        "--compiled", action="store_true", help="steps in native code: --solver compiled"
+    )
     parser.add_argument("--from", dest="origin", type=path_word, help="CSV or bag with the state")
     parser.add_argument("--start", type=float, help="[s] (default: 0.0)")
     parser.add_argument(
@@ -81,6 +84,12 @@ def _asked(scene: "Scene", arguments: argparse.Namespace) -> "Run":
     words |= {name: getattr(arguments, name) for name in _RUN_ARGUMENTS}
     words = {name: word for name, word in words.items() if word is not None}
     given = {name: getattr(arguments, name) for name in _OPTIONS}
+    if arguments.compiled:
+        if given["solver"] not in (None, "compiled"):
+            raise DataError(
+                f"--compiled: beside --solver {given['solver']}; accepted: one of both"
+            )
+        given["solver"] = "compiled"
     replaced: dict[str, Any] = {}
     if arguments.task is not None:
         from mbd_ros.scene.task_reader import read_task

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbd_ros.core.dynamics.tiers import tier_of
+from mbd_ros.core.integration.blocks import BlockStepper
 from mbd_ros.core.ranges import SHORTEST_DT
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
@@ -19,7 +20,7 @@ from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.files.times import TIME
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.metadata import metadata_of
-from mbd_ros.jobs.progress import Watch, watching
+from mbd_ros.jobs.progress import Watch, announce, watching
 from mbd_ros.jobs.progress import progress as shown
 from mbd_ros.jobs.simulate.events import EVENTS, event_table
 from mbd_ros.jobs.simulate.inputs import drives, initial_state
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from mbd_ros.core.optimization.contact_problem import Residuals
 
 Say = Callable[[str], None]
+_HANDED_OVER = "compiled ones do not take rows near dependence, nor states that are not finite"
 
 
 class Interrupted(MbdError):
@@ -115,15 +117,16 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
         raise DataError(f"{scene.name}: no joint of the robot moves, so there is no motion")
     sources, forces, remarks = drives(scene, run)
     options = {**run.options, "dt": _interval(scene, run)}
-    simulation = scene.simulation(forces=forces, sources=sources, **options)
+    simulation = scene.simulation(forces=forces, sources=sources, tell=announce, **options)
     x, more = initial_state(scene, run)
     odd = (*scene.robot.doubts, *start_warnings(scene.robot, scene.constraints, x))
-    for text in (*remarks, *more, *(f"warning: {text}" for text in odd)):
+    how = (simulation.how,) if simulation.how else ()
+    for text in (*remarks, *more, *how, *(f"warning: {text}" for text in odd)):
         say(text)
     begin = time.perf_counter()
     states, residuals, forces, failure = _states(simulation, x, run)
     wall = time.perf_counter() - begin
-    evaluations = simulation.system.evaluations
+    evaluations = simulation.evaluations
     _say_windows(scene, simulation, states, say)
     table, of_samples, lost = table_of(simulation, states, forces)
     table, of_contacts = _with_residuals(table, residuals)
@@ -230,11 +233,13 @@ def _summary(simulation: Simulation, table: Table, wall: float, evaluations: int
     energy, position, velocity = (table[name] for name in BALANCE)
     change = float(np.abs(energy - energy[0]).max())
     per_step = evaluations / max(simulation.steps, 1)
-    method = type(simulation.integrator).__name__
+    method = simulation.integrator.title
     yield (
         f"{method}, tier {tier_of(simulation.system)}: {simulation.steps} steps, {evaluations} "
         f"evaluations ({per_step:.2f} a step)"
     )
+    if isinstance(simulation.stepper, BlockStepper) and simulation.stepper.handed_over:
+        yield f"{simulation.stepper.handed_over} of the steps were plain: {_HANDED_OVER}"
     yield f"{wall:.3f} s for {duration:g} s, real-time factor {duration / max(wall, 1e-9):.1f}"
     yield f"energy {energy[0]:.6g} J, largest change {change:.3g} J"
     yield f"largest violation: position {position.max():.2g}, velocity {velocity.max():.2g}"

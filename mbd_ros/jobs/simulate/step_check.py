@@ -76,7 +76,7 @@ def _stiffness(
         motion = _motion(system, x)
         if motion is not None:
             worst = min(worst, (longest_step(method, motion, dt), motion.rate, x.t))
-    (longest, rate, t), name = worst, type(method).__name__
+    (longest, rate, t), name = worst, method.title
     if not math.isfinite(rate):
         yield f"stiff: forces change too steeply at t = {t:.6g} s for any step of {name}"
     elif longest < math.inf:

@@ -62,6 +62,6 @@ def _outside(
                 known.update(new)
                 names = ", ".join(part.name for part in parts if part in new)
                 yield (
-                    f"{names}: too stiff at t = {x.t:.6g} s for steps of {type(method).__name__} "
+                    f"{names}: too stiff at t = {x.t:.6g} s for steps of {method.title} "
                     f"at dt {dt:g} s: they need dt < {longest(group, method, 1.0):.3g} s there"
                 )

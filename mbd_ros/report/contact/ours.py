@@ -66,11 +66,11 @@ def runs(problem: Problem, quick: bool) -> Iterator[OurContacts]:
     for dt in _STEPS[4:6] if quick else _STEPS:
         has_events = problem.is_smooth and dt >= _SHORTEST
         for kind in ("moreau_jean", *(("rk4",) if has_events else ())):
-            yield OurContacts(problem, Choice("auto", None, {"type": kind}, dt))
+            yield OurContacts(problem, Choice("plain", None, {"type": kind}, dt))
     if problem.is_smooth:
         for tolerance in _TOLERANCES[1:2] if quick else _TOLERANCES:
             entry = {"type": "dop853", "tolerance": tolerance}
-            yield OurContacts(problem, Choice("auto", None, entry, _LONGEST))
+            yield OurContacts(problem, Choice("plain", None, entry, _LONGEST))
 
 
 def scene_of(problem: Problem) -> Scene:

@@ -117,12 +117,12 @@ def _ours(scene: Scene, quick: bool) -> Iterator[Ours]:
 def _choices(scene: Scene, quick: bool) -> Iterator[Choice]:
     """Choices that `precision` found on the front of such scenes."""
     least = 5e-4 if scene.has_loops else 0.0  # s; below it a loop takes seconds
-    for stabilization in stabilizations(scene, "auto", "dop853")[: 1 if quick else 3 : 2]:
+    for stabilization in stabilizations(scene, "plain", "dop853")[: 1 if quick else 3 : 2]:
         for exponent in range(3, 13, 2 if quick else 1):
             entry = {"type": "dop853", "tolerance": float(f"1e-{exponent}")}
-            yield Choice("auto", stabilization, entry, 1e-2)
+            yield Choice("plain", stabilization, entry, 1e-2)
         for kind, order in (("dop853", 0), ("rk4", 0), *(("adams", k) for k in (6, 7, 8))):
             for dt in _STEPS[:: 2 if quick else 1]:
                 if max(_SMALLEST[kind], least) <= dt <= _LARGEST[kind]:
                     entry = {"type": kind} | ({"order": order} if order else {})
-                    yield Choice("auto", stabilization, entry, dt)
+                    yield Choice("plain", stabilization, entry, dt)

@@ -22,7 +22,7 @@ class Choice(NamedTuple):
     """One way to integrate a scene.
 
     Attributes:
-        solver: A tier of `mbd_ros.core.dynamics.tiers`, `auto` for the cheapest.
+        solver: A tier of `mbd_ros.core.dynamics.tiers`, `plain` for the cheapest.
         stabilization: Its entry; None where there is nothing to stabilize.
         integrator: Its entry.
         dt: Step, or with a tolerance longest first step [s].
@@ -65,14 +65,14 @@ def snippet(choice: Choice) -> str:
     lines = [f"integrator: {_entry(choice.integrator)}", f"dt: {_number(choice.dt)}"]
     if choice.stabilization is not None:
         lines.insert(0, f"stabilization: {_entry(choice.stabilization)}")
-    if choice.solver != "auto":
+    if choice.solver != "plain":
         lines.insert(0, f"solver: {{type: {choice.solver}}}")
     return "\n".join(lines)
 
 
 def formulations(scene: Scene) -> list[str]:
-    """`auto` and the tiers that solve the scene differently."""
-    seen, names = {_signature(scene, "auto")}, ["auto"]
+    """`plain` and the tiers that solve the scene differently."""
+    seen, names = {_signature(scene, "plain")}, ["plain"]
     for name in TIERS[1:]:
         try:
             signature = _signature(scene, name)

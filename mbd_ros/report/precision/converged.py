@@ -37,7 +37,7 @@ class Known(NamedTuple):
     Attributes:
         times: Samples [s].
         states: States of all joints there.
-        multipliers: Those of `System.multiplier_rows` in the tier `auto`, one row a sample.
+        multipliers: Those of `System.multiplier_rows` in the tier `plain`, one row a sample.
         energies: [J].
         method: Method that computed it.
         check: Second method that computed it; empty where none succeeded.
@@ -124,7 +124,7 @@ def problem_of(scene: Scene) -> Problem | None:
 
 def _choice(scene: Scene, integrator: Mapping[str, Any], steps: float) -> Choice:
     stabilization = {"type": "projection"} if scene.system().rows else None
-    return Choice("auto", stabilization, integrator, steps * scene.dt)
+    return Choice("plain", stabilization, integrator, steps * scene.dt)
 
 
 def _second(

@@ -129,7 +129,7 @@ def brief(choice: Choice) -> str:
     tolerance = choice.integrator.get("tolerance")
     kind = (choice.stabilization or {}).get("type", "projection")
     fineness = f"dt {choice.dt:g} s" if tolerance is None else f"tolerance {power(tolerance)}"
-    words = [choice.method, fineness, *([] if choice.solver == "auto" else [choice.solver])]
+    words = [choice.method, fineness, *([] if choice.solver == "plain" else [choice.solver])]
     words += {"projection": [], "none": ["no stabilization"]}.get(kind, [kind])
     return ", ".join(words)
 

@@ -111,7 +111,7 @@ def _series(runs: Sequence[Mapping[str, Any]]) -> dict[tuple[str, bool], list[in
 def _is_main(run: Mapping[str, Any]) -> bool:
     """Whether formulation and stabilization are those that the scene has by itself."""
     stabilization = (run["stabilization"] or {}).get("type", "projection")
-    return run["solver"] == "auto" and stabilization == "projection"
+    return run["solver"] == "plain" and stabilization == "projection"
 
 
 def _scale(axes: Any) -> None:

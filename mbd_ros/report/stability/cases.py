@@ -95,7 +95,7 @@ def applicable(scene: Scene) -> list[str]:
 def tiers(scene: Scene, method: str) -> list[str]:
     """Tiers that serve a scene with a method, and differ."""
     has_couplings = bool(scene.couplings.dependent)
-    found = ["auto"]
+    found = ["plain"]
     if has_couplings and not scene.constraints:
         found.append("kkt")
     keeps_rows = method in ("rattle", "generalized_alpha")

@@ -176,7 +176,7 @@ def _cell(
     method: str,
     verdict: Verdict,
     factor: float = 0.0,
-    tier: str = "auto",
+    tier: str = "plain",
     ran: float = 0.0,
     dt: float = 0.0,
 ) -> Outcome:

@@ -79,7 +79,7 @@ def run(spec: Spec) -> Outcome:
     samples: list[RunSample] = []
     try:
         entry = _METHODS[spec["method"]]
-        solver = "kkt" if spec["method"] in _KEEPERS and loaded.scene.coupling_kinds else "auto"
+        solver = "kkt" if spec["method"] in _KEEPERS and loaded.scene.coupling_kinds else "plain"
         simulation = scene.simulation(integrator=entry, dt=dt, solver={"type": solver})
         swing = _follow(simulation, scene.initial, steps, oracle, samples)
         found["fastest"] = float(f"{starting_rate(scene):.6g}")

@@ -36,7 +36,7 @@ class Motion(NamedTuple):
 
 
 def motion(
-    scene: Scene, method: Entry, dt: float, grid: Grid, solver: str = "auto", **others: Any
+    scene: Scene, method: Entry, dt: float, grid: Grid, solver: str = "plain", **others: Any
 ) -> Motion:
     """Run a scene and keep the states on a grid.
 

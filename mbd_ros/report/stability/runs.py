@@ -47,7 +47,7 @@ def every_method(factor: float, dt: float, repeats: bool, scene: Scene) -> list[
         scene: The scene.
     """
     return [
-        Run(method, factor, "auto", dt)
+        Run(method, factor, "plain", dt)
         for method in applicable(scene)
         if not (repeats and chooses_steps(method))
     ]

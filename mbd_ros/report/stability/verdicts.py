@@ -39,7 +39,7 @@ def judge(
     case: Case,
     method: str,
     factor: float = 1.0,
-    tier: str = "auto",
+    tier: str = "plain",
     dt: float = 0.0,
     **others: Any,
 ) -> Verdict:

@@ -1,0 +1,93 @@
+"""Simulations whose steps are compiled, where a scene asks for them."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.projection.stabilizing import Stabilization
+from mbd_ros.core.simulation.simulation import Simulation
+from mbd_ros.errors import ModelError, install_hint
+
+if TYPE_CHECKING:
+    from mbd_ros.compiled.runs.compiled_method import CompiledMethod
+
+Tell = Callable[[str], None]
+
+
+def _silent(line: str) -> None:
+    """Nobody is told."""
+
+
+def compiled_simulation(
+    system: System,
+    method: Integrator,
+    correction: Stabilization,
+    dt: float,
+    *,
+    is_demanded: bool,
+    tell: Tell | None = None,
+) -> Simulation:
+    """A simulation in compiled steps, or in plain ones where none are demanded and none can be.
+
+    Args:
+        system: As for `Simulation`.
+        method: As for `Simulation`.
+        correction: As for `Simulation`.
+        dt: As for `Simulation` [s].
+        is_demanded: Whether plain steps are refused.
+        tell: Is told what takes time.
+
+    Raises:
+        ModelError: Compiled steps are demanded and cannot be: says what keeps the scene from
+            them. Or the method does not serve the system.
+    """
+    try:
+        simulation = _compiled(system, method, correction, dt, tell or _silent)
+    except _Impossible as error:
+        if is_demanded:
+            raise ModelError(
+                f"solver compiled: {error}; accepted here: auto, which takes plain steps "
+                "then, or plain"
+            ) from error
+        simulation = Simulation(system, method, correction, dt)
+        simulation.how = f"not compiled: {error}"
+    return simulation
+
+
+class _Impossible(ModelError):
+    """Why there are no compiled steps."""
+
+
+def _compiled(
+    system: System, method: Integrator, correction: Stabilization, dt: float, tell: Tell
+) -> Simulation:
+    """A simulation in compiled steps.
+
+    Raises:
+        _Impossible: Says why there are none.
+    """
+    try:
+        from mbd_ros.compiled.build.compiler import BuildError
+        from mbd_ros.compiled.runs.compiled_method import CompiledMethod
+        from mbd_ros.compiled.symbols.untraceable import Untraceable
+    except ModuleNotFoundError as error:
+        hint = install_hint(str(error.name))
+        if not hint:
+            raise
+        raise _Impossible(hint) from error
+    try:
+        steps = CompiledMethod(method, correction, tell)
+        steps.refuse(system)  # in these words, before anything else speaks of the method
+        simulation = Simulation(system, steps, correction, dt)
+    except (Untraceable, BuildError) as error:
+        raise _Impossible(str(error)) from error
+    simulation.how = _described(steps)
+    return simulation
+
+
+def _described(steps: "CompiledMethod") -> str:
+    """What was compiled, and how long that took."""
+    library: Any = steps.library
+    count = sum(library.source.operations.values())
+    return f"compiled: {count} operations by {library.compiler} in {library.seconds:.1f} s"
