@@ -60,7 +60,7 @@ def test_what_has_no_form_in_c_is_named():
         emit([ca.Function("matrices", [m := ca.MX.sym("m")], [m])])
 
 
-@pytest.mark.parametrize("alone", [15_000, 2000])
+@pytest.mark.parametrize("alone", [8000, 2000])
 def test_long_functions_are_cut_and_give_the_same(monkeypatch, alone):
     """A recursion that keeps early values alive to its end: they wait in `work`."""
     monkeypatch.setattr("mbd_ros.compiled.code.emit.ALONE", alone)

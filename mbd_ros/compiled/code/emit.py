@@ -13,7 +13,7 @@ from mbd_ros.compiled.code.reciprocals import with_reciprocals
 
 HERE = Path(__file__).parent
 EXPORT = '#define EXPORT __attribute__((visibility("default")))\n'
-ALONE = 15_000  # operations beyond which a function has units of its own, and those of a unit
+ALONE = 4000  # operations beyond which a function has units of its own, and those of a unit
 
 
 class Signature(NamedTuple):
