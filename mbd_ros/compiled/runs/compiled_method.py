@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.compiled.build.library import Library, load
+from mbd_ros.compiled.build.verify import verify
 from mbd_ros.compiled.code.emit import emit
 from mbd_ros.compiled.runs.native_run import NativeRun
 from mbd_ros.compiled.runs.native_source import Sizes, with_integrators
@@ -95,7 +96,8 @@ class CompiledMethod(Integrator):
         self.traced = traced = trace(system)
         sizes = self._sizes(system, traced)
         functions = [traced.function(name) for name in sizes.functions]
-        self.library = load(with_integrators(emit(functions), sizes), self._say)
+        source = with_integrators(emit(functions), sizes)
+        self.library = load(source, self._say, lambda library: verify(library, traced, system))
         internals = system.internals
         widths = np.minimum(internals.upper - internals.lower, 1.0)
         bounds = np.array([internals.lower, internals.upper, widths]).reshape(3, -1)

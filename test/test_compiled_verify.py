@@ -1,0 +1,40 @@
+"""What is loaded is held against the plain tier before it is used."""
+
+from pathlib import Path
+
+import pytest
+
+from mbd_ros.compiled.build.compiler import BuildError
+from mbd_ros.compiled.build.library import load
+from mbd_ros.compiled.build.verify import verify
+from mbd_ros.compiled.code.emit import emit
+from mbd_ros.compiled.symbols.trace import trace
+from mbd_ros.scene.reader import load_scene
+
+SCENES = Path(__file__).parents[1] / "config/scenes"
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path_factory, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
+
+
+def compiled(system, real="double"):
+    traced = trace(system)
+    return load(emit([traced.function("accelerate")], real)), traced
+
+
+@pytest.mark.parametrize("real", ["double", 4])
+@pytest.mark.parametrize(
+    "name", ["prosthetic_leg", "free_flyer", "benchmark/x02_four_bar_1e-2", "benchmark/arm7_swing"]
+)
+def test_the_code_of_a_scene_is_accepted(name, real):
+    system = load_scene(SCENES / f"{name}.yaml").system()
+    verify(*compiled(system, real), system)
+
+
+def test_the_code_of_another_scene_is_refused():
+    system = load_scene(SCENES / "benchmark/arm7_swing.yaml").system()
+    other = load_scene(SCENES / "benchmark/arm7_swing.yaml").with_(gravity=[0.0, 0.0, -9.8])
+    with pytest.raises(BuildError, match=r"compiled accelerations differ by .* of the tier aba"):
+        verify(*compiled(system), other.system())
