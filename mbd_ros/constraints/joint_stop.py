@@ -133,22 +133,23 @@ class JointStop(Constraint):
     def residual(self, k: Kinematics, x: State) -> Array:
         """Gap to the end that every joint heads for [rad or m], shape (m,)."""
         q = x.q[self._q]
-        gap: Array = np.where(self._heads_down(x), q - self._lower, self._upper - q)
+        gap: Array = k.choose(*self._ahead_of_both(x), q - self._lower, self._upper - q)
         return gap
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
         """1 or -1 at the joint of every row, shape (m, nv)."""
-        J = np.zeros((len(self.rows), self._nv))
-        J[self._each, self._at] = np.where(self._heads_down(x), 1.0, -1.0)
+        J = k.zeros((len(self.rows), self._nv))
+        J[self._each, self._at] = k.choose(*self._ahead_of_both(x), 1.0, -1.0)
         return J
 
     def drift(self, k: Kinematics, x: State) -> Array:
         """Zero, shape (m,)."""
         return self._zero
 
-    def _heads_down(self, x: State) -> Any:
+    def _ahead_of_both(self, x: State) -> tuple[Array, Array]:
+        """Gaps to both ends that every joint heads for: the smaller one counts."""
         ahead = x.q[self._q] + self._ahead * x.v[self._v]
-        return ahead - self._lower <= self._upper - ahead
+        return ahead - self._lower, self._upper - ahead
 
 
 def _stopped(

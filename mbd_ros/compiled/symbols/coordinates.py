@@ -54,6 +54,14 @@ class Coordinates:
             found[column] = found[column] + plain(slope) * force
         return found
 
+    def reduced_row(self, row: dict[int, Any]) -> dict[int, Any]:
+        """The row J G of a row of J: entries by velocity."""
+        found: dict[int, Any] = {}
+        for j, value in row.items():
+            column, share = self._column[j], plain(self._slope[j]) * value
+            found[column] = found[column] + share if column in found else share
+        return found
+
     def reduced_matrix(self, M: Entries) -> Entries:
         """G' M G, of lower triangles of SX scalars."""
         found: Entries = {}

@@ -28,14 +28,14 @@ _BY = "qvzup"
 
 
 def residual(equations: "Equations", a: Sequence[Any], lam: Sequence[Any]) -> Any:
-    """The r, a column of size nv + mh.
+    """The r, a column of size nv + the number of rows that act.
 
     Args:
         equations: Of the system.
         a: The y'', SX scalars.
-        lam: Multipliers of the rows that are held, SX scalars.
+        lam: Multipliers of the rows that act, SX scalars.
     """
-    c, rows = equations.coordinates, equations.held
+    c, rows = equations.coordinates, equations.acting
     whole = [ca.SX(one) for one in c.lifted(a)]
     needed = equations.chosen[0].needed(whole)
     left = c.reduced([n - t for n, t in zip(needed, equations.tau, strict=True)])
@@ -49,10 +49,10 @@ def residual(equations: "Equations", a: Sequence[Any], lam: Sequence[Any]) -> An
 
 def derivatives(equations: "Equations") -> list[Any]:
     """Of accelerations and rates by q, v, z, u and p, each of shape (nv + nz, ..)."""
-    solution, nv, m = equations.chosen[1], equations.nv, equations.mh
+    solution, nv, m = equations.chosen[1], equations.nv, len(equations.acting.J)
     a, lam = ca.SX.sym("a", nv), ca.SX.sym("lam", m)
     r = residual(equations, scalars(a), scalars(lam))
-    held = equations.beside(equations.held)
+    held = equations.beside(equations.acting)
     count = held.size * sum(equations.symbols[letter].shape[0] for letter in _BY)
     if count > MOST:
         raise Untraceable(f"its derivatives take some {count} operations, accepted are {MOST}")

@@ -167,6 +167,19 @@ class SymbolicKinematics:
             found[i] = found[i] if _is_open(high) else cls.minimum(found[i], high)
         return found
 
+    @classmethod
+    def choose(cls, least: Any, most: Any, first: Any, second: Any) -> Any:
+        """As `Kinematics.choose`."""
+        columns = (cls.spread(one, len(least)) for one in (least, most, first, second))
+        chosen = [where(a <= b, one, other) for a, b, one, other in zip(*columns, strict=True)]
+        return np.array(chosen, dtype=object)
+
+    @staticmethod
+    def spread(value: Any, count: int) -> list[Any]:
+        """One number, or one each, as a list."""
+        given = np.asarray(value, dtype=object)
+        return np.broadcast_to(given, count).tolist()
+
     @staticmethod
     def row(one: Any) -> Any:
         """As `Kinematics.row`."""

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from mbd_ros.compiled.symbols.coordinates import Coordinates
 from mbd_ros.compiled.symbols.scalar import plain
 from mbd_ros.compiled.symbols.untraceable import tracing
 from mbd_ros.core.row_laws import Level
@@ -47,8 +48,19 @@ class Rows(NamedTuple):
 
     def of(self, level: Level) -> "Rows":
         """Those of one level."""
-        kept = [i for i, one in enumerate(self.level) if one is level]
+        return self.only([i for i, one in enumerate(self.level) if one is level])
+
+    def only(self, kept: Sequence[int]) -> "Rows":
+        """Some of them."""
         return Rows(*([column[i] for i in kept] for column in self))
+
+    def beside(self, others: "Rows") -> "Rows":
+        """These, then others."""
+        return Rows(*([*own, *more] for own, more in zip(self, others, strict=True)))
+
+    def reduced(self, coordinates: Coordinates) -> "Rows":
+        """The same with J by the velocities of what is integrated."""
+        return self._replace(J=[coordinates.reduced_row(row) for row in self.J])
 
 
 def rows_of(blocks: Sequence[RowBlock], k: Any, x: State) -> Rows:

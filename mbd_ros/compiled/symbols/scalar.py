@@ -4,6 +4,7 @@ They stand in numpy arrays of objects, so that parts index, stack and multiply t
 numbers. What is known stays a float, so zeros and ones cost nothing.
 """
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -32,7 +33,9 @@ class Scalar:
     def __add__(self, other: Any) -> Any:
         if isinstance(other, np.ndarray):
             return _each(other, lambda one: self + one)
-        return self if _is(other, 0.0) else number(self.sx + plain(other))
+        if _is(other, 0.0):
+            return self
+        return other if _is_infinite(other) else number(self.sx + plain(other))
 
     def __radd__(self, other: Any) -> Any:
         return self + other
@@ -40,12 +43,16 @@ class Scalar:
     def __sub__(self, other: Any) -> Any:
         if isinstance(other, np.ndarray):
             return _each(other, lambda one: self - one)
-        return self if _is(other, 0.0) else number(self.sx - plain(other))
+        if _is(other, 0.0):
+            return self
+        return -other if _is_infinite(other) else number(self.sx - plain(other))
 
     def __rsub__(self, other: Any) -> Any:
         if isinstance(other, np.ndarray):
             return _each(other, lambda one: one - self)
-        return -self if _is(other, 0.0) else number(plain(other) - self.sx)
+        if _is(other, 0.0):
+            return -self
+        return other if _is_infinite(other) else number(plain(other) - self.sx)
 
     def __mul__(self, other: Any) -> Any:
         if isinstance(other, np.ndarray):
@@ -83,16 +90,16 @@ class Scalar:
         return number(ca.fabs(self.sx))
 
     def __lt__(self, other: Any) -> Any:
-        return number(self.sx < plain(other))
+        return other > 0.0 if _is_infinite(other) else number(self.sx < plain(other))
 
     def __le__(self, other: Any) -> Any:
-        return number(self.sx <= plain(other))
+        return other > 0.0 if _is_infinite(other) else number(self.sx <= plain(other))
 
     def __gt__(self, other: Any) -> Any:
-        return number(self.sx > plain(other))
+        return other < 0.0 if _is_infinite(other) else number(self.sx > plain(other))
 
     def __ge__(self, other: Any) -> Any:
-        return number(self.sx >= plain(other))
+        return other < 0.0 if _is_infinite(other) else number(self.sx >= plain(other))
 
     def __eq__(self, other: object) -> Any:
         return number(self.sx == plain(other))
@@ -198,6 +205,11 @@ def function(casadi: Callable[..., Any], known: Callable[..., float]) -> Callabl
 
 def _is(value: Any, known: float) -> bool:
     return isinstance(value, float | int | np.floating) and value == known
+
+
+def _is_infinite(value: Any) -> bool:
+    """Whether a finite number changes nothing in it."""
+    return isinstance(value, float | np.floating) and math.isinf(value)
 
 
 def _each(array: Any, rule: Callable[[Any], Any]) -> Any:

@@ -5,9 +5,11 @@ from typing import Any
 
 import casadi as ca
 
+from mbd_ros.compiled.symbols.answers import Answers
 from mbd_ros.compiled.symbols.equations import Equations
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.state import Mode
 
 ARGUMENTS = {  # of every function, in their order
     "accelerate": "tqvzup",
@@ -22,6 +24,7 @@ ARGUMENTS = {  # of every function, in their order
     "energy": "tqvzp",
     "derivatives": "tqvzup",
     "residual": "tqvzupal",
+    "guards": "tqvzup",
 }
 
 
@@ -42,7 +45,9 @@ class Traced:
     gap(t, q, p) -> g, lift(t, q, p) -> (M^-1 J' (J M^-1 J')^-1, health) of the rows of positions.
     energy(t, q, v, z, p) -> (T, V).
     derivatives(t, q, v, z, u, p) -> of (a, zdot) by steps of q, by v, z, u and p.
-    residual(t, q, v, z, u, p, a, lam): what the equations of motion leave, lam of held rows.
+    residual(t, q, v, z, u, p, a, lam): what the equations of motion leave, lam of rows that act.
+    guards(t, q, v, z, u, p) -> margins of rows that give way in the mode, as `margins` lists them,
+    then the values of the guards of parts.
     integrate(q, dq) -> q (+) dq, rate(dq, v) -> the rate of dq: for charts that are not flat.
 
     Args:
@@ -67,13 +72,18 @@ class Traced:
     least_health = 1.0e-8
 
     def __init__(self, equations: Equations) -> None:
-        self._equations = equations
+        self._equations, self._answers = equations, Answers(equations)
         self.tier, self.parameters = equations.tier, equations.parameters
         self.nq, self.nv = equations.nq, equations.nv
         self.nz, self.nu, self.np = equations.nz, equations.nu, len(equations.parameters)
         self.nq_all, self.nv_all = equations.tree.nq, equations.tree.nv
         self.m, self.mg, self.mh = equations.m, equations.mg, equations.mh
         self._made: dict[str, Any] = {}
+
+    @property
+    def margins(self) -> tuple[tuple[int, int], ...]:
+        """Row, and 1 or -1 where its multiplier meets a bound: what `guards` begins with."""
+        return self._equations.margins
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -89,7 +99,7 @@ class Traced:
         if name not in self._made:
             if name not in ARGUMENTS:
                 raise Untraceable(f"no function '{name}'; there are {', '.join(ARGUMENTS)}")
-            made: Callable[[], Sequence[Any]] = getattr(self._equations, name)
+            made: Callable[[], Sequence[Any]] = getattr(self._answers, name)
             results = ca.cse([_dense(result) for result in made()])
             arguments = [self._equations.symbols[key] for key in ARGUMENTS[name]]
             self._made[name] = ca.Function(name, arguments, results)
@@ -102,14 +112,15 @@ def _dense(result: Any) -> Any:
     return found if found.shape[1] else ca.SX(found.shape[0], 1)
 
 
-def trace(system: System, parameters: Sequence[str] = ()) -> Traced:
+def trace(system: System, parameters: Sequence[str] = (), mode: Mode = ()) -> Traced:
     """The functions of a system.
 
     Args:
         system: The system.
         parameters: Names of numbers that stay arguments.
+        mode: Of rows that give way at events, as `State.mode`; needed where there are any.
 
     Raises:
         Untraceable: Names the part and why.
     """
-    return Traced(Equations(system, tuple(parameters)))
+    return Traced(Equations(system, tuple(parameters), mode))

@@ -160,6 +160,11 @@ class Kinematics:
         return np.minimum(np.maximum(values, lower), upper)
 
     @staticmethod
+    def choose(least: Array, most: Array, first: Any, second: Any) -> Array:
+        """Entry by entry the first value where `least` is not above `most`, else the second."""
+        return np.where(least <= most, first, second)
+
+    @staticmethod
     def where(condition: bool, first: Any, second: Any) -> Any:
         """The first value where a condition holds, else the second; both are evaluated."""
         return first if condition else second

@@ -1,0 +1,134 @@
+"""What the functions of a traced system give, one method a function."""
+
+from typing import Any
+
+import casadi as ca
+
+from mbd_ros.compiled.symbols import implicit
+from mbd_ros.compiled.symbols.equations import Equations
+from mbd_ros.compiled.symbols.scalar import column, numbers, plain, scalars
+from mbd_ros.compiled.symbols.turns import ZERO
+from mbd_ros.compiled.symbols.untraceable import tracing
+from mbd_ros.core.events.part_guards import guarding
+from mbd_ros.core.outputs import Now
+from mbd_ros.core.row_laws import Level
+
+
+class Answers:
+    """Expressions of functions; arguments and results are those that `Traced` names.
+
+    Args:
+        equations: Of the system.
+    """
+
+    def __init__(self, equations: Equations) -> None:
+        self._equations = equations
+
+    def accelerate(self) -> list[Any]:
+        """Accelerations, rates of the internal states, health of the rows."""
+        e = self._equations
+        solution = e.chosen[1]
+        return [ca.vertcat(*solution.a), e.rates, e.health(solution)]
+
+    def multipliers(self) -> list[Any]:
+        """Accelerations of all joints, and multipliers."""
+        e = self._equations
+        (dynamics, solution), (a, yielding) = e.chosen, e.solved
+        lam = [ZERO] * e.m
+        rigid = solution.lam[: e.mh]
+        couplings = getattr(e.system.coordinates, "couplings", None)
+        if couplings is not None:
+            on = e.yielding.pushes(
+                [lam if not way else ZERO for lam, way in zip(yielding, e.x.mode, strict=False)]
+            )
+            parts = zip(dynamics.needed(a), e.tau, on, strict=True)
+            needed = numbers(ca.vertcat(*(n - t - push for n, t, push in parts)))
+            slopes = [pair.function(e.x.q[pair.parent_q])[1] for pair in couplings.pairs]
+            rigid = scalars(column(couplings.reduce(needed, slopes)[1]))
+        blocks = (block.slots for block in e.system.layout.rigid)
+        places = [slot for slots in blocks for slot in range(slots.start, slots.stop)]
+        for slot, one in zip((*places, *e.yielding.slots), (*rigid, *yielding), strict=True):
+            lam[slot] = one
+        return [ca.vertcat(*a), ca.vertcat(*lam)]
+
+    def guards(self) -> list[Any]:
+        """Margins of the mode, then the values of the guards of parts."""
+        e = self._equations
+        a, lam = e.solved
+        margins = e.yielding.margins(a, lam, e.velocity)
+        return [ca.vertcat(*margins.values(), *self._part_guards())]
+
+    def _part_guards(self) -> list[Any]:
+        e = self._equations
+        a, lam = self.multipliers()
+        now, found = (numbers(one) for one in (a, lam)), list[Any]()
+        a, lam = now
+        for part, slots in guarding(e.system):
+            with tracing(part):
+                values = part.guard_values(e.k, e.x, e.u, Now(a, lam[slots]))
+                found += scalars(column(values))
+        return found
+
+    def expand(self) -> list[Any]:
+        """All positions and velocities."""
+        e = self._equations
+        return [column(e.coordinates.q), column(e.coordinates.v)]
+
+    def place(self) -> list[Any]:
+        """A step of Newton's method onto the rows of positions, their g, and their health."""
+        e = self._equations
+        rows = e.held.of(Level.POSITION)
+        solution = e.beside(rows).solve([ZERO] * e.nv, [-g for g in rows.g])
+        return [ca.vertcat(*solution.a), ca.vertcat(*rows.g), e.health(solution)]
+
+    def settle(self) -> list[Any]:
+        """What leads velocities onto the rows, and the rates that are left."""
+        e = self._equations
+        rates = e.held.velocities(e.velocity)
+        solution = e.beside(e.held).solve([ZERO] * e.nv, [-one for one in rates])
+        return [ca.vertcat(*solution.a), ca.vertcat(*rates)]
+
+    def gap(self) -> list[Any]:
+        """The g of the rows of positions."""
+        e = self._equations
+        return [ca.vertcat(*e.held.of(Level.POSITION).g)]
+
+    def lift(self) -> list[Any]:
+        """M^-1 J' (J M^-1 J')^-1 of the rows of positions, shape (nv, mg), and their health."""
+        e = self._equations
+        rows = e.held.of(Level.POSITION)
+        held, zero = e.beside(rows), [ZERO] * e.nv
+        ones = [[ca.SX(float(i == j)) for i in range(e.mg)] for j in range(e.mg)]
+        solutions = [held.solve(zero, one) for one in ones]
+        columns = [ca.vertcat(*one.a) for one in solutions]
+        health = e.health(solutions[0]) if solutions else ca.SX(1.0)
+        return [ca.horzcat(*columns) if columns else ca.SX(e.nv, 0), health]
+
+    def integrate(self) -> list[Any]:
+        """The configuration q (+) d."""
+        e = self._equations
+        return [e.chart.integrate(e.symbols["q"], e.symbols["d"])]
+
+    def rate(self) -> list[Any]:
+        """The rate of d in q0 (+) d while q moves with v."""
+        e = self._equations
+        return [e.chart.rate(e.symbols["d"], e.symbols["v"])]
+
+    def derivatives(self) -> list[Any]:
+        """Slopes of accelerations and rates by q, v, z, u and p."""
+        return implicit.derivatives(self._equations)
+
+    def residual(self) -> list[Any]:
+        """What the equations of motion leave of given accelerations and multipliers."""
+        e = self._equations
+        a, lam = (scalars(e.symbols[key]) for key in "al")
+        return [implicit.residual(e, a, lam)]
+
+    def energy(self) -> list[Any]:
+        """Kinetic and potential energy [J]."""
+        e = self._equations
+        kinetic, potential = implicit.energy(e)
+        for part in (*e.system.loads.actuators, *e.system.loads.forces):
+            with tracing(part):
+                potential += plain(part.potential(e.k, e.x))
+        return [kinetic, potential]

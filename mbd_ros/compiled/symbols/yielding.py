@@ -1,0 +1,132 @@
+"""Rows that give way, in a mode: those that are on are equations, the others known forces."""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+
+from mbd_ros.compiled.symbols.rows import Rows, rows_of
+from mbd_ros.compiled.symbols.scalar import plain
+from mbd_ros.compiled.symbols.turns import ZERO
+from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
+from mbd_ros.core.dynamics.row_heights import Reach
+from mbd_ros.core.row_laws import Kind
+from mbd_ros.core.state import Mode
+
+if TYPE_CHECKING:
+    from mbd_ros.compiled.symbols.equations import Equations
+
+Margin = tuple[int, int]  # number of the row, and 1 or -1 where its multiplier meets a bound
+
+
+class YieldingRows:
+    """Rows that give way at events, in one mode.
+
+    Args:
+        equations: Of the system.
+        mode: Begins with one entry a row: 0 on, 1 at the lower bound, -1 at the upper one.
+
+    Attributes:
+        on: Rows that are on, in what is integrated.
+        bias: The b of J y'' + b = 0 of these.
+
+    Raises:
+        Untraceable: Names what has no symbolic form.
+    """
+
+    def __init__(self, equations: "Equations", mode: Mode) -> None:
+        system, k, x = equations.system, equations.k, equations.x
+        if system.bounded is not None:
+            name = system.bounded.constraints.rows[0].name
+            raise Untraceable(f"row {name} is smoothed: its bounds are solved for everywhere")
+        self._reach: Sequence[Reach] = () if system.exact is None else system.exact.reach
+        blocks = () if system.exact is None else system.exact.solver.constraints.blocks
+        if len(mode) < len(self._reach):
+            raise Untraceable("rows that give way have a form in a mode only")
+        self._mode, self._c = mode[: len(self._reach)], equations.coordinates
+        for block in blocks:
+            if block.law.kind is Kind.CONE:
+                raise Untraceable(f"{block.part.name} is a contact with friction")
+        self._whole = rows_of(blocks, k, x)
+        self._conditions = [
+            _with_gains(self._whole, i, equations.velocity, gains)
+            for i, gains in enumerate(_gains(blocks))
+        ]
+        self._lower, self._upper = _bounds(blocks, k, x)
+        self.slots = [slot for b in blocks for slot in range(b.slots.start, b.slots.stop)]
+        chosen = [i for i, way in enumerate(self._mode) if way == 0]
+        self.on = self._whole.only(chosen).reduced(self._c)
+        drift = self._c.drift
+        self.bias = [
+            self._conditions[i] + sum(value * plain(drift[j]) for j, value in row.items())
+            for i, row in ((i, self._whole.J[i]) for i in chosen)
+        ]
+
+    def multipliers(self, lam: Sequence[Any]) -> list[Any]:
+        """Of all these rows, SX scalars, from those of the rows that are on."""
+        solved = iter(lam)
+        return [
+            next(solved) if not way else (self._lower if way == 1 else self._upper)[i]
+            for i, way in enumerate(self._mode)
+        ]
+
+    def pushes(self, lam: Sequence[Any]) -> list[Any]:
+        """Generalized forces of multipliers on all joints, SX scalars."""
+        tau = [ZERO] * len(self._c.v)
+        for row, force in zip(self._whole.J, lam, strict=True):
+            for j, value in row.items():
+                tau[j] = tau[j] + value * force
+        return tau
+
+    def known(self) -> list[Any]:
+        """Forces of rows at a bound, as `pushes`."""
+        return self.pushes(self.multipliers([ZERO] * len(self.on.J)))
+
+    def margins(self, a: Sequence[Any], lam: Sequence[Any], v: Sequence[Any]) -> dict[Margin, Any]:
+        """What is positive while the mode goes on, by row, as `ModeField.margins`.
+
+        Args:
+            a: Accelerations of all joints, SX scalars.
+            lam: Multipliers of these rows.
+            v: Velocity of all joints.
+        """
+        found: dict[Margin, Any] = {}
+        rates = self._whole.velocities(v)
+        for i, (way, reach) in enumerate(zip(self._mode, self._reach, strict=True)):
+            if not way:
+                if not _is_open(self._lower[i]):
+                    found[i, 1] = lam[i] - self._lower[i]
+                if not _is_open(self._upper[i]):
+                    found[i, -1] = self._upper[i] - lam[i]
+            elif reach is Reach.DEMAND:
+                left = sum((value * a[j] for j, value in self._whole.J[i].items()), ZERO)
+                found[i, 0] = way * (left + self._conditions[i])
+            else:
+                found[i, 0] = way * (self._whole.g[i] if reach is Reach.GAP else rates[i])
+        return found
+
+
+def _gains(blocks: Sequence[Any]) -> list[tuple[float, float]]:
+    return [
+        (float(kp), float(kd)) for block in blocks for kp, kd in zip(*block.gains, strict=True)
+    ]
+
+
+def _with_gains(rows: Rows, i: int, v: Sequence[Any], gains: tuple[float, float]) -> Any:
+    return rows.only([i]).conditions(v, gains)[0]
+
+
+def _bounds(blocks: Sequence[Any], k: Any, x: Any) -> tuple[list[Any], list[Any]]:
+    """Smallest and largest multipliers of all rows."""
+    found: tuple[list[Any], list[Any]] = [], []
+    for block in blocks:
+        with tracing(block.part):
+            for values, bound in zip(found, (block.law.lower, block.law.upper), strict=True):
+                given = k.spread(bound(k, x) if callable(bound) else bound, len(block.rows))
+                values.extend(ca.SX(plain(one)) for one in given)
+    return found
+
+
+def _is_open(bound: Any) -> bool:
+    return bool(bound.is_constant()) and math.isinf(float(bound))
