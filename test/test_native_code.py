@@ -50,7 +50,7 @@ def test_every_operation_is_that_of_casadi(real):
         np.testing.assert_allclose(native.results[0].reshape(-1, lanes), wanted, rtol=1e-14)
 
 
-def test_what_has_no_form_in_c_is_named():
+def test_what_cannot_be_code_is_named(monkeypatch):
     x = ca.SX.sym("x")
     with pytest.raises(CodeError, match=r"inverse has an operation without a form in C"):
         emit([ca.Function("inverse", [x], [ca.erfinv(x)])])
@@ -58,6 +58,9 @@ def test_what_has_no_form_in_c_is_named():
         emit([ca.Function("open", [x], [x * ca.SX.sym("y")], {"allow_free": True})])
     with pytest.raises(CodeError, match=r"matrices is no function of scalar symbols"):
         emit([ca.Function("matrices", [m := ca.MX.sym("m")], [m])])
+    monkeypatch.setattr("mbd_ros.compiled.code.emit.MOST", 40)
+    with pytest.raises(CodeError, match=r"the equations are \d+ operations; at most 40 are comp"):
+        emit([every_operation()])
 
 
 @pytest.mark.parametrize("alone", [8000, 2000])

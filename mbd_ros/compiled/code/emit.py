@@ -8,12 +8,13 @@ from typing import Literal, NamedTuple
 import casadi as ca
 
 from mbd_ros.compiled.code.c_function import c_function
-from mbd_ros.compiled.code.instructions import instructions
+from mbd_ros.compiled.code.instructions import CodeError, instructions
 from mbd_ros.compiled.code.reciprocals import with_reciprocals
 
 HERE = Path(__file__).parent
 EXPORT = '#define EXPORT __attribute__((visibility("default")))\n'
 ALONE = 4000  # operations beyond which a function has units of its own, and those of a unit
+MOST = 100_000  # operations that are compiled: more take minutes and do not fit into caches
 
 
 class Signature(NamedTuple):
@@ -55,7 +56,8 @@ def emit(functions: Sequence[ca.Function], real: Literal["double"] | int = "doub
         real: What a real is: a double, or a vector of that many lanes.
 
     Raises:
-        CodeError: A function has symbols or operations that C cannot have.
+        CodeError: A function has symbols or operations that C cannot have, or all of them are too
+            long.
     """
     files = ("double.h" if real == "double" else "lanes.h", "elementary.h", "sines.h")
     lanes = 1 if real == "double" else real
@@ -63,6 +65,7 @@ def emit(functions: Sequence[ca.Function], real: Literal["double"] | int = "doub
     head = "".join([EXPORT, f"#define LANES {lanes}\n", *texts])
     pieces, units = [head], []
     operations, signatures = {}, {}
+    _refuse_long(functions)
     for function in functions:
         code = with_reciprocals(instructions(function))
         written = c_function(code)
@@ -77,6 +80,17 @@ def emit(functions: Sequence[ca.Function], real: Literal["double"] | int = "doub
         operations[code.name] = code.operations
         signatures[code.name] = Signature(code.arguments, code.results, written.work)
     return Source("".join(pieces), tuple(units), lanes, operations, signatures)
+
+
+def _refuse_long(functions: Sequence[ca.Function]) -> None:
+    """Refuse code that no compiler ends with in useful time.
+
+    Raises:
+        CodeError: Says how long it is.
+    """
+    count = sum(function.n_nodes() for function in functions if function.is_a("SXFunction"))
+    if count > MOST:
+        raise CodeError(f"the equations are {count} operations; at most {MOST} are compiled")
 
 
 def _parted(chunks: list[str], count: int) -> list[list[str]]:

@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from mbd_ros.errors import MbdError
+from mbd_ros.compiled.symbols.untraceable import Untraceable
 
 COMMUTE = {ca.OP_ADD, ca.OP_MUL, ca.OP_FMIN, ca.OP_FMAX, ca.OP_AND, ca.OP_OR, ca.OP_EQ, ca.OP_NE}
 
 
-class CodeError(MbdError):
+class CodeError(Untraceable):
     """Symbols that cannot become code: names the function and the operation."""
 
 
