@@ -55,7 +55,7 @@ def conditions(system, y):
 
 
 def called(function, y, u):
-    found = function(y.t, y.q, y.v, y.z, u, np.zeros(0))
+    found = function.call([y.t, y.q, y.v, y.z, u, np.zeros(0)])
     return [np.array(one).ravel() for one in found]
 
 
