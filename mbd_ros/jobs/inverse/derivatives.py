@@ -164,13 +164,9 @@ def unexplained(motion: Motion, table: Table, cutoff: Array) -> Iterator[str]:
     from mbd_ros.jobs.inverse.zero_phase import low_passed
 
     theirs, ours = (list(column) for column in zip(*pairs, strict=True))
-    known, found = (
-        low_passed(motion.stamps, values, cutoff[theirs])
-        for values in (
-            effort[:, theirs],
-            np.column_stack([table[f"{name}.effort"] for name in ours]),
-        )
-    )
+    tau = np.column_stack([effort[:, theirs], *(table[f"{name}.effort"] for name in ours)])
+    passed = low_passed(motion.stamps, tau, np.tile(cutoff[theirs], 2))
+    known, found = np.split(passed, 2, axis=1)
     unit = np.abs([known, found]).max()  # squares of the efforts themselves may overflow
     if known.any() and np.isfinite(unit):
         total, off = (float(np.linalg.norm(tau / unit)) for tau in (known, found - known))

@@ -1,18 +1,20 @@
 """Low-pass of a whole recording that does not lag: smoothing splines with a cut-off in Hz."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy import sparse
-from scipy.interpolate import BSpline, make_interp_spline
-from scipy.linalg import solveh_banded
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, solveh_banded
 
 from mbd_ros.core.state import Array
+from mbd_ros.jobs.inverse.uniform_basis import DEGREE, UniformBasis
 
 FEWEST = 6  # samples in a row: a quintic through them
 HIGHEST = 0.4  # cut-off per sampling rate beyond which nothing is left to smooth
-_DEGREE, _ORDER = 5, 4  # of the pieces; of the derivative that is kept small
+_ORDER = 4  # of the derivative that is kept small
 _CELLS = 8  # polynomial pieces a period of the cut-off
+_HOLD = 1.0e-12  # share by which the main diagonal grows where rounding took its rank
 _HALF_POWER = np.sqrt(2.0) - 1.0
 _FLATTEST = 0.01  # periods of the cut-off in the recording: a cubic is all that is left by then
 
@@ -36,6 +38,22 @@ def rate_of(times: Array) -> float:
 def low_pass(times: Array, values: Array, cutoff: float, orders: Sequence[int]) -> list[Array]:
     """Signals below the cut-off, and their derivatives.
 
+    Args:
+        times: As `LowPassed`.
+        values: As `LowPassed`.
+        cutoff: As `LowPassed`.
+        orders: Derivatives wanted, up to 2.
+
+    Returns:
+        An array of the shape of `values` for each of `orders`.
+    """
+    passed = LowPassed(times, values, cutoff)
+    return [passed.derivative(order) for order in orders]
+
+
+class LowPassed:
+    """Signals below a cut-off.
+
     The quintic spline s that minimizes, over time and over the samples y,
 
         integral (s - y)^2 + (sqrt 2 - 1) (2 pi cutoff)^-8 (d^4 s / dt^4)^2 dt
@@ -48,36 +66,57 @@ def low_pass(times: Array, values: Array, cutoff: float, orders: Sequence[int]) 
         values: Shape (n, m).
         cutoff: Frequency of half power [Hz]; from `HIGHEST` times the rate on the spline passes
             through the samples.
-        orders: Derivatives wanted, up to 2.
-
-    Returns:
-        An array of the shape of `values` for each of `orders`.
 
     Source: P. H. C. Eilers, B. D. Marx, Stat. Sci. 11, 1996, 89 (penalty on differences);
         P. Craven, G. Wahba, Numer. Math. 31, 1979, 377 (smoothing splines as low-pass).
     """
-    if cutoff >= HIGHEST * rate_of(times):
-        return _at(make_interp_spline(times, values, k=_DEGREE, axis=0), times, orders)
-    span = float(times[-1] - times[0])
-    cutoff = max(cutoff, _FLATTEST / span)
-    cells = max(int(np.ceil(span * _CELLS * cutoff)), 1)
-    width, size = span / cells, cells + _DEGREE
-    knots = times[0] + width * np.arange(-_DEGREE, cells + _DEGREE + 1)
-    inside = np.clip(times, knots[_DEGREE], knots[-_DEGREE - 1])
-    basis = BSpline.design_matrix(inside, knots, _DEGREE).tocsr()
-    steps = np.gradient(times)
-    weighted = basis.multiply(np.minimum(steps, 4.0 * np.median(steps))[:, None]).tocsr()
-    differences = sparse.eye(size, format="csr")
-    for _ in range(_ORDER):
-        differences = differences[1:] - differences[:-1]
-    penalty = _HALF_POWER * (2.0 * np.pi * cutoff * width) ** (-2 * _ORDER) * width
-    normal = basis.T @ weighted + penalty * (differences.T @ differences)
-    banded = np.zeros((_DEGREE + 1, size))
-    for k in range(_DEGREE + 1):
-        banded[_DEGREE - k, k:] = normal.diagonal(k)
-    coefficients = solveh_banded(banded, weighted.T @ values, overwrite_ab=True)
-    return _at(BSpline(knots, coefficients, _DEGREE), times, orders)
+
+    def __init__(self, times: Array, values: Array, cutoff: float) -> None:
+        self._spline: Callable[[int, slice | NDArray[np.intp]], Array]
+        if cutoff >= HIGHEST * rate_of(times):
+            from scipy.interpolate import make_interp_spline  # only where nothing is smoothed
+
+            through = make_interp_spline(times, values, k=DEGREE, axis=0)
+            self._spline = lambda order, columns: through(times, nu=order)[:, columns]
+            return
+        span = float(times[-1] - times[0])
+        cutoff = max(cutoff, _FLATTEST / span)
+        cells = max(int(np.ceil(span * _CELLS * cutoff)), 1)
+        width = span / cells
+        basis = UniformBasis((times - times[0]) / width, cells)
+        steps = np.gradient(times)
+        weights = np.minimum(steps, 4.0 * np.median(steps))
+        penalty = _HALF_POWER * (2.0 * np.pi * cutoff * width) ** (-2 * _ORDER) * width
+        normal = basis.normal(weights)
+        for k, diagonal in enumerate(_penalty(cells + DEGREE)):
+            normal[DEGREE - k, k:] += penalty * diagonal
+        known = basis.projected(weights, values)
+        try:
+            coefficients = solveh_banded(normal, known)
+        except LinAlgError:  # a wide gap of many cells: nothing but the penalty holds them
+            normal[DEGREE] *= 1.0 + _HOLD
+            coefficients = solveh_banded(normal, known)
+        self._spline = lambda order, columns: (
+            basis.derivative(coefficients[:, columns], order) / width**order
+        )
+
+    def derivative(self, order: int, columns: slice | NDArray[np.intp] = slice(None)) -> Array:
+        """A derivative of some of the signals at the samples, shape (n, m).
+
+        Args:
+            order: 0, 1 or 2.
+            columns: Of the signals.
+        """
+        return self._spline(order, columns)
 
 
-def _at(spline: BSpline, times: Array, orders: Sequence[int]) -> list[Array]:
-    return [spline(times, nu=order) for order in orders]
+def _penalty(size: int) -> list[Array]:
+    """Diagonals, from the main one up, of the squares of fourth differences of `size` numbers."""
+    row = np.array([math.comb(_ORDER, j) * (-1.0) ** j for j in range(_ORDER + 1)])
+    diagonals = []
+    for k in range(min(_ORDER + 1, size)):
+        diagonal = np.zeros(size - k)
+        for j in range(_ORDER + 1 - k):
+            diagonal[j : j + size - _ORDER] += row[j] * row[j + k]
+        diagonals.append(diagonal)
+    return diagonals

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError
 from mbd_ros.jobs.inverse.cutoff import cutoffs
-from mbd_ros.jobs.inverse.low_pass import FEWEST, HIGHEST, low_pass, rate_of
+from mbd_ros.jobs.inverse.low_pass import FEWEST, HIGHEST, LowPassed, low_pass, rate_of
 
 _GAP = 0.5  # s without a sample, and as many usual steps as below: nothing leads across
 _GAP_STEPS = 20
@@ -73,14 +73,25 @@ def zero_phase(
     for part in parts:
         for f in np.unique(chosen):
             derived, given = (np.flatnonzero((chosen == f) & m) for m in (~measured, measured))
-            at = part, np.r_[derived, given]
-            found = low_pass(times[part], position[at], f, (0, 1, 2))
-            smooth[at], rate[at], push[at] = found
-            if velocity is not None and given.size:
-                at = part, given
-                rate[at], push[at] = low_pass(times[part], velocity[at], f, (0, 1))
+            columns = [position[part, derived], position[part, given]]
+            if velocity is not None:
+                columns.append(velocity[part, given])
+            passed = LowPassed(times[part], np.hstack(columns), f)
+            own, theirs, rates = _places(len(derived), len(given))
+            for at, order, found in ((derived, 0, smooth), (derived, 1, rate), (derived, 2, push)):
+                if at.size:
+                    found[part, at] = passed.derivative(order, own)
+            if given.size:
+                smooth[part, given] = passed.derivative(0, theirs)
+                rate[part, given] = passed.derivative(0, rates)
+                push[part, given] = passed.derivative(1, rates)
     highest = HIGHEST * rate_of(times)
     return ZeroPhase(smooth, rate, push, np.where(chosen < highest, chosen, np.inf))
+
+
+def _places(derived: int, given: int) -> tuple[slice, slice, slice]:
+    """Columns of positions to derive, of positions beside velocities, and of these."""
+    return slice(0, derived), slice(derived, derived + given), slice(derived + given, None)
 
 
 def low_passed(stamps: NDArray[np.int64], values: Array, cutoff: Array) -> Array:
