@@ -13,33 +13,38 @@
 #define FIXED_POINT 50
 #define SAME_VELOCITY 1.0e-10
 
+/* v = w - lift s, q = q0 (+) h v */
+static void move_with(Run *r, const double *lifts, double h, const double *w, double *v,
+                      double *q) {
+  double dq[NOT_ZERO(NV)];
+  for (long i = 0; i < NV; i++) {
+    v[i] = w[i];
+    for (long j = 0; j < NG; j++) v[i] -= lifts[i + j * NV] * r->s[j];
+    dq[i] = h * v[i];
+  }
+  move(r->q0, dq, q, r->work);
+}
+
 /* The s with g(t, q0 (+) h (w - lift s)) = 0; w and q become those of the step. */
 static int move_onto_rows(const Options *o, Run *r, const double *lifts, double h, double t,
                           double *w, double *q) {
-  double dq[NOT_ZERO(NV)], v[NOT_ZERO(NV)], g[NOT_ZERO(NG)], last = INFINITY;
-  for (long n = 0; n < CHORD; n++) {
-    for (long i = 0; i < NV; i++) {
-      v[i] = w[i];
-      for (long j = 0; j < NG; j++) v[i] -= lifts[i + j * NV] * r->s[j];
-      dq[i] = h * v[i];
-    }
-    move(r->q0, dq, q, r->work);
-    if (NG == 0) break;
+  double v[NOT_ZERO(NV)];
+  int status = DONE;
 #if NG
+  double g[NG], open, share = 1.0, last = INFINITY;
+  for (long n = 0; n < CHORD; n++) {
+    move_with(r, lifts, h, w, v, q);
     gap(&t, q, o->p, g, r->work);
-#endif
-    double open = largest(NG, g), share = open / last;
-    if (open <= o->closed || open * share <= FORESEEN * o->closed) {
-      copy(NV, v, w);
-      return DONE;
-    }
-    if (!(share < 0.5 || n == 0)) return OPEN;
+    open = largest(NG, g), share = open / last, last = open;
+    if (!(share < 0.5)) return OPEN;
     for (long j = 0; j < NG; j++) r->s[j] += g[j] / h;
-    last = open;
+    status = open <= o->closed || open * share <= FORESEEN * o->closed ? DONE : OPEN;
+    if (status == DONE) break;
   }
-  if (NG) return OPEN;
+#endif
+  move_with(r, lifts, h, w, v, q);
   copy(NV, v, w);
-  return DONE;
+  return status;
 }
 
 /* The velocity of the step, by iteration where forces depend on it. */

@@ -147,6 +147,17 @@ EXPORT int samples(const Options *o, Run *r, const Times *s, const Inputs *in, d
   return status;
 }
 
+/* A whole run from a state on: time, q, v, z. */
+EXPORT int sample_from(const Options *o, Run *r, const double *x, const Times *s, const Inputs *in,
+                       long steps, long *written, double *out) {
+  restart(r);
+  r->t = x[0];
+  copy(NQ, x + 1, r->q);
+  copy(NW, x + 1 + NQ, r->w);
+  r->sample = r->is_within = 0.0;
+  return samples(o, r, s, in, x[0], steps, s->end, written, out);
+}
+
 /* Steps until a time [s], at most so many. */
 EXPORT int advance(const Options *o, Run *r, const double *u, double end, long most) {
   double enough = r->steps + most;

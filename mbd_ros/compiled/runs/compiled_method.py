@@ -112,7 +112,7 @@ class CompiledMethod(Integrator):
 
     def _sizes(self, system: Any, traced: Traced) -> Sizes:
         is_projected = self._is_projected(system)
-        rows = len(system.rows), len(system.held.rows)
+        rows = traced.mg, traced.mh
         return Sizes(
             *(traced.nq, traced.nv, traced.nz, traced.nu, *rows, traced.nq_all, traced.nv_all),
             is_flat=system.chart.is_flat,

@@ -2,7 +2,7 @@
 
 import ctypes
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -168,6 +168,36 @@ class NativeRun:
         )
         return Block(rows[: self._written.value], Status(status))
 
+    def whole(
+        self, y: State, first: Array, times: SampleTimes, held: HeldTable, steps: int
+    ) -> Callable[[], Array | None]:
+        """What takes a run from its start to its end in one call, with as little else as can be.
+
+        It returns rows as those of a `Block`, and None where the run stopped earlier.
+
+        Args:
+            y: Where it starts.
+            first: The first row.
+            times: When samples are due.
+            held: Inputs of the whole run.
+            steps: How many steps may be taken.
+        """
+        start = np.concatenate(([y.t], y.q, y.v, y.z))
+        value = TimesOfC(*times[:3], times.resolution, times.slack, times.end, 0)
+        table = InputsOfC(len(held.until), held.until.ctypes.data, held.values.ctypes.data)
+        kept, shape, after_first = (value, table, held), (times.end + 1, self._row), 8 * self._row
+        given = self._o, self._r, start.ctypes.data, *map(ctypes.addressof, kept[:2]), steps
+        call, written = self._c.sample_from, ctypes.addressof(self._written)
+
+        def take() -> Array | None:
+            rows = np.empty(shape)
+            rows[0] = first
+            place = rows.__array_interface__["data"][0] + after_first
+            call(*given, written, place)
+            return rows if self._written.value == len(rows) - 1 and kept else None
+
+        return take
+
     def again(self, h: float, t: float) -> tuple[State, Status]:
         """The last step once more with another length [s], and the time it leads to [s]."""
         status = self._c.again(self._o, self._r, h, t, self._out.ctypes.data)
@@ -212,6 +242,7 @@ def _bound(c: Any) -> Any:
         ("leave", (pointer,)),
         ("touch", (pointer,)),
         ("place_of", (whole,)),
+        ("sample_from", (*(pointer,) * 5, whole, pointer, pointer)),
         ("advance", (pointer, pointer, pointer, number, whole)),
         ("samples", (*(pointer,) * 4, number, whole, whole, pointer, pointer)),
         ("again", (pointer, pointer, number, number, pointer)),

@@ -75,6 +75,18 @@ class NativeStepper(BlockStepper):
         rows, status = self._run.samples(times, held, steps, most)
         return SampleBlock(rows, self._run.interval, status not in _WENT_ON)
 
+    def whole(
+        self, y: State, first: Array, times: Any, held: HeldTable, steps: int
+    ) -> Callable[[], Array | None]:
+        """As `BlockStepper.whole`."""
+        take = self._run.whole(y, first, times, held, steps)
+
+        def taken() -> Array | None:
+            self._last, self._is_plain = None, False
+            return take()
+
+        return taken
+
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step; x itself at or after `end`."""
         return self.stride(x, u, end, 1)[0]

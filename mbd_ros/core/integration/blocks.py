@@ -1,5 +1,6 @@
 """Samples that a stepper takes many at a time, and the inputs that it needs for that."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from mbd_ros.core.integration.stepping import Stepper
@@ -86,5 +87,21 @@ class BlockStepper(Stepper):
             held: Inputs from where the run stands on.
             steps: How many steps may be taken.
             most: How many samples may be taken.
+        """
+        raise NotImplementedError
+
+    def whole(
+        self, y: State, first: Array, times: Any, held: HeldTable, steps: int
+    ) -> Callable[[], Array | None]:
+        """What takes a run from its start to its end at once, again and again.
+
+        Its rows are those of a `SampleBlock`; None where the run stopped earlier.
+
+        Args:
+            y: What is integrated at the start.
+            first: The first row.
+            times: The `SampleTimes` of the run.
+            held: Inputs of the whole run.
+            steps: How many steps may be taken.
         """
         raise NotImplementedError

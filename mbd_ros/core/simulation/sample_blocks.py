@@ -6,7 +6,7 @@ import numpy as np
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.blocks import BlockStepper, HeldTable, SampleBlock
-from mbd_ros.core.memory import Memory
+from mbd_ros.core.memory import Memory, is_same
 from mbd_ros.core.simulation.checkpoint import Progress
 from mbd_ros.core.simulation.held_inputs import HeldInputs
 from mbd_ros.core.simulation.sample_times import SampleTimes
@@ -52,7 +52,7 @@ class SampleBlocks:
         stepper.begin_samples(at.y, at.sample, is_within=at.is_within)
         self._before: tuple[Memory, HeldTable] | None = None
         self._seen, self._at = 0, at
-        self._end: tuple[HeldTable, int] | None = None
+        self._end: tuple[HeldTable, int | None] | None = None
 
     def rows(
         self, watch: StallWatch, most: int = _FIRST, *, is_remembered: bool = False
@@ -85,6 +85,19 @@ class SampleBlocks:
                 since = stepper.taken
             most = min(2 * most, _MOST)
 
+    def whole(self, first: Array) -> Callable[[], Array | None]:
+        """What takes the run from its start to its end at once, as `BlockStepper.whole`."""
+        held = self._table(self._times.end)
+        if held.until[-1] < self._times.last:
+            return lambda: None
+        take = self.stepper.whole(self._at.y, first, self._times, held, WINDOW)
+
+        def taken() -> Array | None:
+            self._end = held, None
+            return take()
+
+        return taken
+
     def states(self, watch: StallWatch) -> Iterator[State]:
         """The same, a state of all joints at a time."""
         after_q, after_v = self._ends
@@ -112,9 +125,11 @@ class SampleBlocks:
         stepper.recall(after, after["last"])
         return found
 
-    def _progress(self, held: HeldTable, interval: int) -> Progress:
+    def _progress(self, held: HeldTable, interval: int | None) -> Progress:
         """How far the run is, in an interval of held inputs or after the last one."""
         stepper = self.stepper
+        if interval is None:
+            interval = int(np.searchsorted(held.now, stepper.state.t, side="right")) - 1
         now = held.until[-1] if interval == len(held.now) else held.now[interval]
         return Progress(self._origin, stepper.newest, stepper.state, stepper.is_within, float(now))
 
@@ -149,3 +164,42 @@ class SampleBlocks:
                 break
             inputs.reach(inputs.end)
         return HeldTable(np.array(until), np.array(values).reshape(len(until), -1), np.array(now))
+
+
+class RunTable:
+    """A run from a start to its end as rows, taken again where it is asked for again.
+
+    Args:
+        x: State of all joints that it was asked for.
+        duration: [s].
+        first: The first sample.
+        begin: Begins the run.
+
+    Attributes:
+        blocks: The run as it was begun last.
+    """
+
+    def __init__(
+        self, x: State, duration: float, first: State, begin: Callable[[], SampleBlocks]
+    ) -> None:
+        self._x, self._duration, self._begin = x, duration, begin
+        self._first = np.concatenate(([first.t], *first[1:4]))
+        self.blocks = begin()
+        self._take = self.blocks.whole(self._first)
+
+    def serves(self, x: State, duration: float) -> bool:
+        """Whether it is the run of a start and a duration."""
+        return duration == self._duration and (x is self._x or is_same(x, self._x))
+
+    def rows(self, watch: StallWatch) -> Array:
+        """The samples, as of `SampleBlock.rows`.
+
+        Args:
+            watch: Looks at the pace of the steps.
+        """
+        rows = self._take()
+        if rows is None:
+            self.blocks.stepper.restart()
+            self.blocks = self._begin()
+            rows = np.concatenate((self._first[None], *self.blocks.rows(watch, _MOST)))
+        return rows

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,8 +17,8 @@ from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.simulation.checkpoint import Checkpoint, Progress, refuse_other
 from mbd_ros.core.simulation.divergence import divergence, last_finite
 from mbd_ros.core.simulation.held_inputs import HeldInputs
-from mbd_ros.core.simulation.sample_blocks import SampleBlocks
-from mbd_ros.core.simulation.sample_times import sample_times, step_end
+from mbd_ros.core.simulation.sample_blocks import RunTable, SampleBlocks
+from mbd_ros.core.simulation.sample_times import SampleTimes, sample_times, step_end
 from mbd_ros.core.simulation.stall import PATIENCE, WINDOW, Notice, StallWatch, refuse_crawl
 from mbd_ros.core.simulation.stepper_of import stepper_of
 from mbd_ros.core.state import Array, State
@@ -71,6 +72,7 @@ class Simulation:
         self._progress: Progress | None = None
         self._blocks: SampleBlocks | None = None
         self._began: tuple[State, State] | None = None
+        self._table: RunTable | None = None
 
     def start(self, x: State, u: Array | None = None) -> State:
         """The nearest consistent state of the integrated coordinates to a state of all joints.
@@ -128,7 +130,7 @@ class Simulation:
         """States of all joints at the samples after the newest one."""
         times, (origin, k, y, is_within, now) = sample_times(at.origin, duration, self.dt), at
         if isinstance(self.stepper, BlockStepper):
-            self._blocks = SampleBlocks(self.stepper, self.system, times, at, self._step)
+            self._blocks = self._begin_blocks(self.stepper, times, at)
             yield from self._in_blocks(self._blocks, StallWatch(self.system, self.dt, notice))
             return
         watch, look_at = StallWatch(self.system, self.dt, notice), self.steps + WINDOW
@@ -177,22 +179,26 @@ class Simulation:
         """
         if not isinstance(self.stepper, BlockStepper):
             return np.array([np.concatenate(([s.t], *s[1:4])) for s in self.run(x, duration)])
-        first = self.start(x, self.system.loads.sources.held(x.t))
-        times, at = sample_times(first.t, duration, self.dt), self._progressed()
-        blocks = SampleBlocks(self.stepper, self.system, times, at, self._step)
-        watch, before = StallWatch(self.system, self.dt), self.steps - self.stepper.taken
-        row = np.concatenate(([first.t], *self.system.expand(first)[1:4]))[None]
-        rows = np.concatenate((row, *blocks.rows(watch, most=times.end)))
-        self.steps = before + self.stepper.taken
-        self._progress = blocks.progress
+        if self._table is None or not self._table.serves(x, duration):
+            first = self.start(x, self.system.loads.sources.held(x.t))
+            times = sample_times(first.t, duration, self.dt)
+            begin = partial(self._begin_blocks, self.stepper, times, self._progressed())
+            self._table = RunTable(x, duration, self.system.expand(first), begin)
+        rows = self._table.rows(StallWatch(self.system, self.dt))
+        self.steps, self._blocks = self.stepper.taken, self._table.blocks
         return rows
+
+    def _begin_blocks(
+        self, stepper: BlockStepper, times: SampleTimes, at: Progress
+    ) -> SampleBlocks:
+        """The samples of a run, taken many at a time."""
+        return SampleBlocks(stepper, self.system, times, at, self._step)
 
     def _in_blocks(self, blocks: SampleBlocks, watch: StallWatch) -> Iterator[State]:
         """States of all joints at the samples that a stepper takes many at a time."""
         stepper = blocks.stepper
-        before = self.steps - stepper.taken
         for x in blocks.states(watch):
-            self.steps = before + stepper.taken
+            self.steps = stepper.taken
             yield x
         self._progress, self._blocks = blocks.progress, None
 
@@ -203,10 +209,10 @@ class Simulation:
             ModelError: Nothing was started yet.
         """
         stops = {} if self.overshoots is None else self.overshoots.memory()
-        progress, steps, memory = self._progressed(), self.steps, None
         if self._blocks is not None:
             progress, steps, memory = self._blocks.remembered()
-        memory = self.stepper.memory() if memory is None else memory
+        else:
+            progress, steps, memory = self._progressed(), self.steps, self.stepper.memory()
         return Checkpoint(self._made_by, progress, steps, self.worst, stops, memory)
 
     def resume(self, checkpoint: Checkpoint) -> State:
@@ -284,6 +290,8 @@ class Simulation:
         return y
 
     def _progressed(self) -> Progress:
+        if self._blocks is not None:
+            self._progress, self._blocks = self._blocks.progress, None
         if self._progress is None:
             raise ModelError("a simulation that has not started has no checkpoint")
         return self._progress
