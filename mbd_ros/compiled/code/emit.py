@@ -59,7 +59,12 @@ def emit(functions: Sequence[ca.Function], real: Literal["double"] | int = "doub
         CodeError: A function has symbols or operations that C cannot have, or all of them are too
             long.
     """
-    files = ("double.h" if real == "double" else "lanes.h", "elementary.h", "sines.h")
+    files = (
+        "double.h" if real == "double" else "lanes.h",
+        "elementary.h",
+        "sines.h",
+        "exponentials.h",
+    )
     lanes = 1 if real == "double" else real
     texts = [(HERE / name).read_text(encoding="utf-8") for name in files]
     head = "".join([EXPORT, f"#define LANES {lanes}\n", *texts])
