@@ -97,6 +97,6 @@ class GearedMotor(Actuator):
 
     def armature(self) -> Array:
         """Inertia of the rotor at the joint [kg·m^2 or kg], shape (nv,)."""
-        inertia = np.zeros(self._nv)
+        inertia = [0.0] * self._nv  # a list, which holds symbols, too
         inertia[self.joint.v] = self._inertia
-        return inertia
+        return np.array(inertia)

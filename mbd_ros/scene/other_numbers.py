@@ -13,7 +13,7 @@ from mbd_ros.scene.nearest import nearest
 from mbd_ros.scene.sections import SECTIONS, Form, Section, keys
 
 
-class _Place(NamedTuple):
+class Place(NamedTuple):
     """Where an entry stands: its section, and its place or key there, None where it is alone."""
 
     section: str
@@ -31,14 +31,14 @@ def with_numbers(scene: Scene, numbers: Mapping[str, Any]) -> Scene:
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    origin, places = changed_origin(scene), _places(scene)
-    entries, changed = dict(scene.entries), set[_Place]()
+    origin, places = changed_origin(scene), places_of(scene)
+    entries, changed = dict(scene.entries), set[Place]()
     for key, number in numbers.items():
-        place, path = _found(origin, places, key)
+        place, path = found_place(origin, places, key)
         value = plain(number, f"{origin.name}: {key}")
         if not _is_number(value):
             raise SceneError(f"{origin.name}: {key}: expected a number, got {value!r}")
-        _set(entries, place, path, value)
+        set_value(entries, place, path, value)
         changed.add(place)
     touched = [
         section for section in scene.sections if section.key in {p.section for p in changed}
@@ -54,21 +54,26 @@ def with_numbers(scene: Scene, numbers: Mapping[str, Any]) -> Scene:
     return rebuilt(scene, origin, entries, keys(touched), made)
 
 
-def _places(scene: Scene) -> dict[str, _Place]:
+def places_of(scene: Scene) -> dict[str, Place]:
     """Name -> place of every entry of which parts were built."""
-    found: dict[str, _Place] = {}
+    found: dict[str, Place] = {}
     for section in scene.sections:
         given, built = scene.entries.get(section.key, {}), scene.parts.get(section.key)
         if section.form is Form.SINGLE:
-            found.setdefault(section.key, _Place(section.key))
+            found.setdefault(section.key, Place(section.key))
         elif section.form is Form.NAMED:
-            found |= {name: _Place(section.key, name) for name in given}
+            found |= {name: Place(section.key, name) for name in given}
         elif built is not None and len(built) == len(given):  # else it holds parts of others
-            found |= {part.name: _Place(section.key, i) for i, part in enumerate(built)}
+            found |= {part.name: Place(section.key, i) for i, part in enumerate(built)}
     return found
 
 
-def _found(origin: Origin, places: Mapping[str, _Place], key: Any) -> tuple[_Place, list[str]]:
+def found_place(origin: Origin, places: Mapping[str, Place], key: Any) -> tuple[Place, list[str]]:
+    """Where the number of a key stands: its entry, and the way to it in there.
+
+    Raises:
+        SceneError: Nothing is called so; names what is close.
+    """
     name, *path = str(key).split(".")
     if not path or "" in path:
         raise SceneError(f"{origin.name}: expected <name>.<argument>, got {key!r}")
@@ -84,7 +89,7 @@ def _is_number(value: Any) -> bool:
     return type(value) in (int, float)
 
 
-def _set(entries: dict[str, Any], place: _Place, path: list[str], value: Any) -> None:
+def set_value(entries: dict[str, Any], place: Place, path: list[str], value: Any) -> None:
     """Write into copies of what holds the value; the entries of the other scene stay."""
     inner: Any = entries
     *steps, last = (place.section, *([] if place.at is None else [place.at]), *path)
@@ -95,11 +100,11 @@ def _set(entries: dict[str, Any], place: _Place, path: list[str], value: Any) ->
     inner[last] = value
 
 
-def _others(scene: Scene, section: Section, changed: set[_Place]) -> dict[Any, Any]:
+def _others(scene: Scene, section: Section, changed: set[Place]) -> dict[Any, Any]:
     """Parts of a section whose entries do not change."""
     if section.form is Form.SINGLE or not section.has_types:
         return {}
     built = scene.parts[section.key]
     places = built if isinstance(built, Mapping) else range(len(built))
     every = zip(places, parts_in(section, built), strict=True)
-    return {at: part for at, part in every if _Place(section.key, at) not in changed}
+    return {at: part for at, part in every if Place(section.key, at) not in changed}

@@ -154,7 +154,7 @@ def build_method(site: Site, given: Any) -> Any:
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    return _part(site.section, given, site.where)
+    return part_of(site.section, given, site.where)
 
 
 def build_part(kind: str, given: Any, where: str, *context: Any) -> Any:
@@ -179,14 +179,19 @@ def _named_parts(
     parts = tuple(
         site.kept[place]
         if place in site.kept
-        else _part(site.section, entry.given, entry.where, site)
+        else part_of(site.section, entry.given, entry.where, site)
         for place, entry in zip(places, entries, strict=True)
     )
     name_parts(site, entries, parts)
     return parts
 
 
-def _part(section: Section, given: Any, where: str, site: Site | None = None) -> Any:
+def part_of(section: Section, given: Any, where: str, site: Site | None = None) -> Any:
+    """The part of an entry of a section.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
     context = () if site is None else (site.robot,)
     return _typed(types_of(section), section.offers, given, where, context, site)
 

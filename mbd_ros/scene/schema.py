@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
 from mbd_ros.core.ranges import ANY_NUMBER, Within, described
+from mbd_ros.core.state import is_symbol
 from mbd_ros.errors import ModelError, SceneError
 
 _EXPECTED = {
@@ -64,10 +65,17 @@ def call(function: Callable[..., Any], entry: Any, where: str, *context: Any) ->
 
 def _check(function: Any, context: Sequence[Any], arguments: Mapping[str, Any]) -> None:
     check = getattr(function, "check", None) if inspect.isclass(function) else None
-    if check is not None:
+    if check is not None and not any(map(_has_symbols, arguments.values())):
         bound = inspect.signature(function).bind(*context, **arguments)
         bound.apply_defaults()
         check(*(bound.arguments[name] for name in inspect.signature(check).parameters))
+
+
+def _has_symbols(given: Any) -> bool:
+    inner = given.values() if isinstance(given, Mapping) else given
+    if isinstance(inner, list) or isinstance(given, Mapping):
+        return any(map(_has_symbols, inner))
+    return is_symbol(given)
 
 
 def value(given: Any, hint: Any, where: str, accepted: Within = ANY_NUMBER) -> Any:
@@ -82,6 +90,8 @@ def value(given: Any, hint: Any, where: str, accepted: Within = ANY_NUMBER) -> A
     Raises:
         SceneError: Names the key, what is expected and what was given.
     """
+    if is_symbol(given):
+        return given  # its range is that of the numbers that stand for it
     hint, within, _, length = described(hint)
     accepted = within or accepted
     origin, inner = typing.get_origin(hint), typing.get_args(hint)

@@ -63,7 +63,7 @@ class Answers:
         a, lam = self.multipliers()
         now, found = (numbers(one) for one in (a, lam)), list[Any]()
         a, lam = now
-        for part, slots in guarding(e.system):
+        for part, slots in ((e.own(part), slots) for part, slots in guarding(e.system)):
             with tracing(part):
                 values = part.guard_values(e.k, e.x, e.u, Now(a, lam[slots]))
                 found += scalars(column(values))
@@ -128,7 +128,7 @@ class Answers:
         """Kinetic and potential energy [J]."""
         e = self._equations
         kinetic, potential = implicit.energy(e)
-        for part in (*e.system.loads.actuators, *e.system.loads.forces):
+        for part in e.loads:
             with tracing(part):
                 potential += plain(part.potential(e.k, e.x))
         return [kinetic, potential]

@@ -134,7 +134,7 @@ def _pivot(one: Placed, inertia: Articulated, on: Needed, tau: Any) -> _Pivot:
     else:
         force, torque = turns.through(A, axis), turns.through(turns.transposed(B), axis)
         own, needs = dot(axis, force), dot(axis, on.force)
-    return _Pivot(force, torque, 1.0 / (own + float(one.link.armature[0])), tau - needs)
+    return _Pivot(force, torque, 1.0 / (own + one.link.armature[0]), tau - needs)
 
 
 def _left(one: Placed, inertia: Articulated, pivot: _Pivot) -> Articulated:
@@ -147,7 +147,7 @@ def _left(one: Placed, inertia: Articulated, pivot: _Pivot) -> Articulated:
     if not along:
         return Articulated(A, B, D)
     # along a known axis a joint carries what its armature takes, and nothing without one
-    k, kept = along[0], float(one.link.armature[0]) * pivot.share
+    k, kept = along[0], one.link.armature[0] * pivot.share
     if one.link.kind == REVOLUTE:
         D = _with_cross(D, k, [kept * inertia.D[k][i] for i in range(3)])
         column = [kept * inertia.B[i][k] for i in range(3)]
@@ -181,7 +181,7 @@ def _freed(link: Link, inertia: Articulated, on: Needed, tau: Any) -> list[Any]:
     upper = np.block([[np.array(A), np.array(B)], [np.array(B).T, np.array(D)]])
     entries = {(i, j): upper[i, j] for i in range(6) for j in range(i + 1)}
     for i in range(6):
-        entries[i, i] = entries[i, i] + float(link.armature[i])
+        entries[i, i] = entries[i, i] + link.armature[i]
     right = [t - needs for t, needs in zip(tau, (*on.force, *on.torque), strict=True)]
     return solved(entries, right, range(6))
 

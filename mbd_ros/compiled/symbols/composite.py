@@ -32,7 +32,7 @@ def mass_matrix(tree: Tree, placed: Sequence[Placed]) -> dict[tuple[int, int], A
             total = m + more[0], plus(h, more[1]), combined(about, more[2])
             beyond[link.parent] = total
     for link in tree.links:
-        for own, armature in enumerate(link.armature.tolist()):
+        for own, armature in enumerate(link.armature):
             M[link.v + own, link.v + own] += armature
     return M
 

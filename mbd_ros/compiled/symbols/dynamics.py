@@ -74,5 +74,9 @@ def choices(
     return found
 
 
-def _armature(link: Any) -> list[tuple[int, float]]:
-    return [(link.v + i, one) for i, one in enumerate(link.armature.tolist()) if one]
+def _is_zero(value: Any) -> bool:
+    return isinstance(value, float) and value == 0.0
+
+
+def _armature(link: Any) -> list[tuple[int, Any]]:
+    return [(link.v + i, one) for i, one in enumerate(link.armature) if not _is_zero(one)]

@@ -1,6 +1,6 @@
 """The equations of motion of a system as expressions of symbols."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -11,17 +11,19 @@ from mbd_ros.compiled.symbols.coordinates import Coordinates
 from mbd_ros.compiled.symbols.curved import CurvedChart
 from mbd_ros.compiled.symbols.dynamics import TreeDynamics, choices
 from mbd_ros.compiled.symbols.kinematics import SymbolicKinematics
-from mbd_ros.compiled.symbols.links import tree_of
+from mbd_ros.compiled.symbols.links import Tree, tree_of, with_armature
 from mbd_ros.compiled.symbols.motion import Held, Motion, Solution
 from mbd_ros.compiled.symbols.rows import Rows, rows_of
-from mbd_ros.compiled.symbols.scalar import column, numbers, scalars
+from mbd_ros.compiled.symbols.scalar import column, numbers, plain, scalars
 from mbd_ros.compiled.symbols.untraceable import tracing
 from mbd_ros.compiled.symbols.usual_pivots import usual_pivots
 from mbd_ros.compiled.symbols.yielding import Margin, YieldingRows
 from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Mode, State
 
 ARGUMENTS = "tqvzup"
+Made = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 
 class Equations:
@@ -31,6 +33,7 @@ class Equations:
         system: The system.
         parameters: Names of numbers that stay symbols.
         mode: Of rows that give way.
+        made: Makes parts of symbols, by name.
 
     Attributes:
         symbols: Argument -> its symbols, by letter.
@@ -42,15 +45,19 @@ class Equations:
         Untraceable: Names the part and why.
     """
 
-    def __init__(self, system: System, parameters: tuple[str, ...], mode: Mode) -> None:
+    def __init__(
+        self, system: System, parameters: tuple[str, ...], mode: Mode, made: Made
+    ) -> None:
         self.system, self.parameters, self.tier = system, parameters, system.tier
-        self.tree = tree_of(system.model)
+        self._symbolic = _parts(made, parameters, p := ca.SX.sym("p", len(parameters)))
+        self.tree = self._moved(tree_of(system.model))
         self.nq, self.nv, self.nz = system.nq, system.nv, system.internals.nz
         self.nu, self.m = len(system.loads.idle), len(system.multiplier_rows)
         self.mg, self.mh = len(system.rows), len(system.held.rows)
         sizes = {"t": 1, "q": self.nq, "v": self.nv, "z": self.nz, "u": self.nu}
-        sizes |= {"p": len(parameters), "d": self.nv, "a": self.nv}
+        sizes |= {"d": self.nv, "a": self.nv}
         self.symbols: dict[str, Any] = {name: ca.SX.sym(name, n) for name, n in sizes.items()}
+        self.symbols["p"] = p
         t, q, v, z, self.u = (numbers(self.symbols[name]) for name in "tqvzu")
         couplings = getattr(system.coordinates, "couplings", None)
         with tracing(couplings):
@@ -62,6 +69,28 @@ class Equations:
         self.yielding = YieldingRows(self, mode)
         self.symbols["l"] = ca.SX.sym("l", self.mh + len(self.yielding.on.J))
 
+    def own(self, part: Any) -> Any:
+        """The part with symbols for its parameters; itself where it has none."""
+        return self._symbolic.get(part.name, part)
+
+    @cached_property
+    def loads(self) -> list[Any]:
+        """Actuators, then forces."""
+        return [self.own(one) for one in (*self.system.loads.actuators, *self.system.loads.forces)]
+
+    def blocks(self, given: Sequence[RowBlock]) -> list[RowBlock]:
+        """Blocks of rows, with symbols for the parameters of their parts."""
+        return [_with_part(block, self.own(block.part)) for block in given]
+
+    def _moved(self, tree: Tree) -> Tree:
+        """The tree with what parameters change of the inertia of drives."""
+        changed = [one for one in self.system.loads.actuators if one.name in self._symbolic]
+        armature: Any = self.system.model.armature.astype(object)
+        for one in changed:
+            with tracing(one):
+                armature = armature + (self.own(one).armature() - one.armature())
+        return with_armature(tree, [plain(each) for each in armature]) if changed else tree
+
     @cached_property
     def chart(self) -> CurvedChart:
         """The chart of what is integrated."""
@@ -71,7 +100,7 @@ class Equations:
     def tau(self) -> list[Any]:
         """Loads, and rows at a bound, on all joints, SX scalars."""
         total: Any = self.k.zeros(self.tree.nv)
-        for part in (*self.system.loads.actuators, *self.system.loads.forces):
+        for part in self.loads:
             with tracing(part):
                 total = total + part.force(self.k, self.x, self.u)
         known = self.yielding.known()
@@ -81,7 +110,7 @@ class Equations:
     def rates(self) -> Any:
         """Rates of the internal states, a column."""
         found = self.k.zeros(self.nz)
-        for part in self.system.internals.parts:
+        for part in map(self.own, self.system.internals.parts):
             with tracing(part):
                 found[part.z] = part.rates(self.k, self.x, self.u)
         return column(found)
@@ -89,7 +118,7 @@ class Equations:
     @cached_property
     def held(self) -> Rows:
         """Rigid rows that accelerations and velocities keep."""
-        return rows_of(self.system.held.constraints.blocks, self.k, self.x)
+        return rows_of(self.blocks(self.system.held.constraints.blocks), self.k, self.x)
 
     @cached_property
     def bias(self) -> list[Any]:
@@ -163,3 +192,22 @@ class Equations:
             for pivot, size in zip(solution.pivots, np.asarray(usual).tolist(), strict=True):
                 health = ca.fmin(health, pivot * (1.0 / size if size else 0.0))
         return health
+
+
+def _parts(made: Made, parameters: Sequence[str], p: Any) -> Mapping[str, Any]:
+    """Parts of symbols by name; none without parameters."""
+    if not parameters:
+        return {}
+    given = dict(zip(parameters, numbers(p), strict=True))
+    with tracing(", ".join(parameters)):
+        return made(given)
+
+
+def _with_part(block: RowBlock, part: Any) -> RowBlock:
+    if part is block.part:
+        return block
+    given: Any = (np.asarray(one, dtype=object) for one in part.gains)
+    gains = tuple(np.broadcast_to(one, len(block.rows)) for one in given)
+    if not any(map(np.any, block.gains)):  # rows that are on exactly
+        gains = block.gains
+    return block._replace(part=part, law=part.law, gains=gains)

@@ -50,9 +50,11 @@ def residual(equations: "Equations", a: Sequence[Any], lam: Sequence[Any]) -> An
 def derivatives(equations: "Equations") -> list[Any]:
     """Of accelerations and rates by q, v, z, u and p, each of shape (nv + nz, ..)."""
     solution, nv, m = equations.chosen[1], equations.nv, len(equations.acting.J)
-    held = equations.beside(equations.acting)
-    count = held.size * sum(equations.symbols[letter].shape[0] for letter in _BY)
-    if count > MOST:
+    columns = sum(equations.symbols[letter].shape[0] for letter in _BY)
+    count = 8 * columns * nv  # at least, before any is made
+    held = None if count > MOST else equations.beside(equations.acting)
+    count = count if held is None else held.size * columns
+    if held is None or count > MOST:
         raise Untraceable(f"its derivatives take some {count} operations, accepted are {MOST}")
     a, lam = ca.SX.sym("a", nv), ca.SX.sym("lam", m)
     r = residual(equations, scalars(a), scalars(lam))

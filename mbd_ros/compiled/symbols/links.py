@@ -5,6 +5,7 @@ joint. Source: W. Khalil, J. Kleinfinger, A new geometric notation for open and 
 ICRA 1986.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,7 +41,7 @@ class Link(NamedTuple):
         gamma: Turn about z at the position 0 [rad].
         offset: Origin at the position 0, in axes of the parent [m], shape (3,).
         inertia: What is left to it.
-        armature: Added to the diagonal of M [kg·m^2 or kg], shape (1,) or (6,).
+        armature: Added to the diagonal of M [kg·m^2 or kg], one number or six.
         seat: Its axes in the frame of its Pinocchio joint: `pinocchio.SE3`.
     """
 
@@ -54,7 +55,7 @@ class Link(NamedTuple):
     gamma: float
     offset: Array
     inertia: Inertia
-    armature: Array
+    armature: Sequence[Any]
     seat: Any
 
     @property
@@ -104,11 +105,17 @@ def tree_of(model: Any) -> Tree:
     links = []
     for j in range(1, model.njoints):
         joint = model.joints[j]
-        armature = model.armature[joint.idx_v : joint.idx_v + joint.nv].copy()
+        armature = model.armature[joint.idx_v : joint.idx_v + joint.nv].tolist()
         where = j, int(model.parents[j]) - 1, _kind(joint), int(joint.idx_q), int(joint.idx_v)
         links.append(Link(*where, *placed[j], clean(inertias[j]), armature, seats[j]))
     gravity = model.gravity.linear.copy()
     return Tree(tuple(links), inertias[0], gravity, int(model.nq), int(model.nv))
+
+
+def with_armature(tree: Tree, armature: Sequence[Any]) -> Tree:
+    """The same links with other inertias of drives, one number a velocity."""
+    links = (link._replace(armature=armature[link.v : link.v + link.nv]) for link in tree.links)
+    return tree._replace(links=tuple(links))
 
 
 def axis_of(model: Any, joint: int) -> Array:

@@ -41,7 +41,7 @@ class Rows(NamedTuple):
     def conditions(self, v: Sequence[Any], gains: tuple[float, float]) -> list[Any]:
         """The b of J a + b = g'' + kd g' + kp g."""
         kp, kd = gains
-        if not (kp or kd):
+        if isinstance(kp, float) and kp == kd == 0.0:
             return self.drift
         parts = zip(self.drift, self.velocities(v), self.g, strict=True)
         return [drift + kd * rate + kp * g for drift, rate, g in parts]

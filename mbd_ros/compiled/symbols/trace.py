@@ -6,7 +6,7 @@ from typing import Any
 import casadi as ca
 
 from mbd_ros.compiled.symbols.answers import Answers
-from mbd_ros.compiled.symbols.equations import Equations
+from mbd_ros.compiled.symbols.equations import Equations, Made
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.state import Mode
@@ -112,15 +112,21 @@ def _dense(result: Any) -> Any:
     return found if found.shape[1] else ca.SX(found.shape[0], 1)
 
 
-def trace(system: System, parameters: Sequence[str] = (), mode: Mode = ()) -> Traced:
+def trace(
+    system: System,
+    parameters: Sequence[str] = (),
+    mode: Mode = (),
+    made: Made = dict,
+) -> Traced:
     """The functions of a system.
 
     Args:
         system: The system.
         parameters: Names of numbers that stay arguments.
         mode: Of rows that give way at events, as `State.mode`; needed where there are any.
+        made: Makes parts from symbols by parameter: name -> part; see `scene.symbolic_parts`.
 
     Raises:
         Untraceable: Names the part and why.
     """
-    return Traced(Equations(system, tuple(parameters), mode))
+    return Traced(Equations(system, tuple(parameters), mode, made))

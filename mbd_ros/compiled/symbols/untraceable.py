@@ -22,7 +22,7 @@ def tracing(part: Any) -> Iterator[None]:
         Untraceable: Names it.
     """
     kind, own = type(part).__name__, getattr(part, "name", "")
-    name = f"{own} ({kind})" if own else kind
+    name = part if isinstance(part, str) else f"{own} ({kind})" if own else kind
     try:
         yield
     except Untraceable as error:

@@ -41,7 +41,8 @@ class YieldingRows:
             name = system.bounded.constraints.rows[0].name
             raise Untraceable(f"row {name} is smoothed: its bounds are solved for everywhere")
         self._reach: Sequence[Reach] = () if system.exact is None else system.exact.reach
-        blocks = () if system.exact is None else system.exact.solver.constraints.blocks
+        given = () if system.exact is None else system.exact.solver.constraints.blocks
+        blocks = equations.blocks(given)
         if len(mode) < len(self._reach):
             raise Untraceable("rows that give way have a form in a mode only")
         self._mode, self._c = mode[: len(self._reach)], equations.coordinates
@@ -109,7 +110,7 @@ class YieldingRows:
 
 def _gains(blocks: Sequence[Any]) -> list[tuple[float, float]]:
     return [
-        (float(kp), float(kd)) for block in blocks for kp, kd in zip(*block.gains, strict=True)
+        (plain(kp), plain(kd)) for block in blocks for kp, kd in zip(*block.gains, strict=True)
     ]
 
 

@@ -34,7 +34,9 @@ class Polynomial:
         if len(coefficients) == 0:
             raise ModelError("polynomial has no coefficients")
         _check_count(len(coefficients))
-        self._highest_first = tuple(float(c) for c in reversed(coefficients))
+        self._highest_first = tuple(
+            c if is_symbol(c) else float(c) for c in reversed(coefficients)
+        )
 
     def __call__(self, z: Any) -> tuple[Any, Any, Any]:
         """f(z), f'(z) and f''(z); z is a float or an array."""
