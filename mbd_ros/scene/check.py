@@ -14,12 +14,13 @@ from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import State
 from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.errors import SolveError
-from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.built_scene import Scene, Tell
 from mbd_ros.scene.call_costs import forward_cost, inverse_cost
 from mbd_ros.scene.part_lines import line, member_lines, part_lines, type_name, unused_rubbing
 from mbd_ros.scene.start_check import start_warnings
 from mbd_ros.scene.step_lines import step_lines
 
+_PLAIN = {"type": "plain"}
 _TIERS = {
     "aba": "open chain, articulated-body algorithm",
     "reduced": "couplings eliminated exactly, q = F(z)",
@@ -27,20 +28,21 @@ _TIERS = {
 }
 
 
-def describe(scene: Scene) -> Iterator[str]:
+def describe(scene: Scene, tell: Tell | None = None) -> Iterator[str]:
     """The lines of `mbd-ros check`.
 
     Args:
         scene: A built scene.
+        tell: Is told what takes time.
 
     Yields:
         One line each, label then text.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        yield from _lines(scene)
+        yield from _lines(scene, tell)
 
 
-def _lines(scene: Scene) -> Iterator[str]:
+def _lines(scene: Scene, tell: Tell | None) -> Iterator[str]:
     robot, couplings = scene.robot, scene.couplings
     gravity = np.array2string(robot.model.gravity.linear, separator=", ")
     yield line("scene", scene.name)
@@ -50,7 +52,7 @@ def _lines(scene: Scene) -> Iterator[str]:
     fault = _mass_fault(scene, system)
     start, factor = _held_start(scene, system) if fault else _start(scene, system)
     if scene.integrator is not None:  # the default one takes every scene
-        scene.simulation()
+        scene.simulation(solver=_PLAIN if scene.solver.compiles else None)
     freedom = system.nv - (0 if factor is None else factor.rank)
     yield line("joints", f"{len(robot.joints)}, degrees of freedom {freedom}")
     yield line("independent", ", ".join(couplings.independent) or "none")
@@ -68,6 +70,10 @@ def _lines(scene: Scene) -> Iterator[str]:
     if scene.has_loops and not scene.unmeasured:
         yield from _reach(scene, system.expand(start))
     yield line("forward", f"refused: {fault}" if fault else _forward(scene, system))
+    if scene.solver.compiles:
+        from mbd_ros.scene.compiled_lines import compiled_lines
+
+        yield from compiled_lines(scene, not fault, tell)
     yield from (line("warning", text) for text in robot.doubts)
     yield from _warnings(scene, system, start, factor)
     if not fault:

@@ -49,6 +49,14 @@ class BlockStepper(Stepper):
         """How often accelerations were computed, those of the system apart."""
         raise NotImplementedError
 
+    def stride(self, x: State, u: Array | None, end: float, most: int) -> tuple[State, int]:
+        """Advance by several steps, as `Stepper.step`.
+
+        Returns:
+            The last state, and how many steps of at most `most` were taken.
+        """
+        raise NotImplementedError
+
     @property
     def newest(self) -> int:
         """Number of the newest sample."""
