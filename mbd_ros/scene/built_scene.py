@@ -253,8 +253,11 @@ class Scene(SceneParts):
             chosen = self._solver(solver)
             if not chosen.compiles:
                 return Simulation(*parts)
-            from mbd_ros.scene.compiling import compiled_simulation
+            from mbd_ros.scene.compiling import compiled_simulation, kept_for
 
-            return compiled_simulation(*parts, is_demanded=chosen.must_compile, tell=tell)
+            kept = None if forces else kept_for(self, chosen.backend)
+            return compiled_simulation(
+                *parts, is_demanded=chosen.must_compile, tell=tell, kept=kept
+            )
         except ModelError as error:
             raise SceneError(f"{self.name}: {error}") from error

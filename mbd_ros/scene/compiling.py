@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.stepping import Integrator
@@ -13,10 +14,16 @@ if TYPE_CHECKING:
     from mbd_ros.compiled.runs.compiled_method import CompiledMethod
 
 Tell = Callable[[str], None]
+_KEPT: WeakKeyDictionary[Any, dict[Any, dict[Any, Any]]] = WeakKeyDictionary()
 
 
 def _silent(line: str) -> None:
     """Nobody is told."""
+
+
+def kept_for(scene: Any, key: Any) -> dict[Any, Any]:
+    """What is kept while a scene lives, for systems of one key that differ in nothing else."""
+    return _KEPT.setdefault(scene, {}).setdefault(key, {})
 
 
 def compiled_simulation(
@@ -27,6 +34,7 @@ def compiled_simulation(
     *,
     is_demanded: bool,
     tell: Tell | None = None,
+    kept: dict[Any, Any] | None = None,
 ) -> Simulation:
     """A simulation in compiled steps, or in plain ones where none are demanded and none can be.
 
@@ -37,13 +45,14 @@ def compiled_simulation(
         dt: As for `Simulation` [s].
         is_demanded: Whether plain steps are refused.
         tell: Is told what takes time.
+        kept: As for `CompiledMethod`.
 
     Raises:
         ModelError: Compiled steps are demanded and cannot be: says what keeps the scene from
             them. Or the method does not serve the system.
     """
     try:
-        simulation = _compiled(system, method, correction, dt, tell or _silent)
+        simulation = _compiled(system, method, correction, dt, (tell or _silent, kept))
     except _Impossible as error:
         if is_demanded:
             raise ModelError(
@@ -60,7 +69,11 @@ class _Impossible(ModelError):
 
 
 def _compiled(
-    system: System, method: Integrator, correction: Stabilization, dt: float, tell: Tell
+    system: System,
+    method: Integrator,
+    correction: Stabilization,
+    dt: float,
+    more: tuple[Tell, dict[Any, Any] | None],
 ) -> Simulation:
     """A simulation in compiled steps.
 
@@ -77,7 +90,7 @@ def _compiled(
             raise
         raise _Impossible(hint) from error
     try:
-        steps = CompiledMethod(method, correction, tell)
+        steps = CompiledMethod(method, correction, *more)
         steps.refuse(system)  # in these words, before anything else speaks of the method
         simulation = Simulation(system, steps, correction, dt)
     except (Untraceable, BuildError) as error:

@@ -1,7 +1,7 @@
 """Methods of integration whose steps run in native code."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,20 @@ def _silent(line: str) -> None:
     """Nobody is told."""
 
 
+class Built(NamedTuple):
+    """A system in native code.
+
+    Attributes:
+        traced: Its symbolic form.
+        sizes: What the integrators are compiled for.
+        library: What it was compiled to.
+    """
+
+    traced: Traced
+    sizes: Sizes
+    library: Library
+
+
 class CompiledMethod(Integrator):
     """The steps of another method, and the projection after them, in native code.
 
@@ -33,6 +47,8 @@ class CompiledMethod(Integrator):
         method: The method.
         stabilization: What keeps the rows.
         say: Is told what takes time.
+        kept: What was built for a system of the same parts, and takes what is built here; another
+            dict for every system.
 
     Attributes:
         method: As given.
@@ -44,9 +60,14 @@ class CompiledMethod(Integrator):
     moves_internal = True
 
     def __init__(
-        self, method: Integrator, stabilization: Stabilization, say: Say = _silent
+        self,
+        method: Integrator,
+        stabilization: Stabilization,
+        say: Say = _silent,
+        kept: dict[Any, Built] | None = None,
     ) -> None:
         self.method, self._stabilization, self._say = method, stabilization, say
+        self._kept = {} if kept is None else kept
         self.order, self.stable = method.order, method.stable
         self.traced: Traced | None = None
         self.library: Library | None = None
@@ -93,11 +114,7 @@ class CompiledMethod(Integrator):
         """
         self.refuse(system)
         plain = prepared(self.method, system, dt)
-        self.traced = traced = trace(system)
-        sizes = self._sizes(system, traced)
-        functions = [traced.function(name) for name in sizes.functions]
-        source = with_integrators(emit(functions), sizes)
-        self.library = load(source, self._say, lambda library: verify(library, traced, system))
+        self.traced, sizes, self.library = built = self._built(system, dt)
         internals = system.internals
         widths = np.minimum(internals.upper - internals.lower, 1.0)
         bounds = np.array([internals.lower, internals.upper, widths]).reshape(3, -1)
@@ -105,10 +122,22 @@ class CompiledMethod(Integrator):
         smooth = [(at, pieces) for at, pieces in pairs if pieces is not None]
         run = NativeRun(
             *(self.library, sizes, self.method, dt, bounds),
-            least_health=traced.least_health,
+            least_health=built.traced.least_health,
             smooth=smooth,
         )
         return NativeStepper(run, plain, self._corrects(system), system.loads.idle)
+
+    def _built(self, system: Any, dt: float) -> Built:
+        """The native code of a system, made once."""
+        key = self.method.native, self._is_projected(system), self._stabilization.gains(dt)
+        if key not in self._kept:
+            traced = trace(system)
+            sizes = self._sizes(system, traced)
+            functions = [traced.function(name) for name in sizes.functions]
+            source = with_integrators(emit(functions), sizes)
+            library = load(source, self._say, lambda found: verify(found, traced, system))
+            self._kept[key] = Built(traced, sizes, library)
+        return self._kept[key]
 
     def _sizes(self, system: Any, traced: Traced) -> Sizes:
         is_projected = self._is_projected(system)

@@ -69,6 +69,7 @@ class Simulation:
         self._is_corrected = bool(system.held.rows) and not integrator.keeps_constraints
         self._nz = system.internals.nz
         self._made_by = integrator.title, dt, system.nq, system.nv, self._nz
+        self._evaluations = self.system.evaluations  # before the start
         self._progress: Progress | None = None
         self._blocks: SampleBlocks | None = None
         self._began: tuple[State, State] | None = None
@@ -260,7 +261,7 @@ class Simulation:
     def evaluations(self) -> int:
         """How often accelerations were computed so far."""
         own = self.stepper.evaluations if isinstance(self.stepper, BlockStepper) else 0
-        return self.system.evaluations + own
+        return self.system.evaluations - self._evaluations + own
 
     @property
     def events(self) -> "list[Event]":

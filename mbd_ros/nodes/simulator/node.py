@@ -52,7 +52,7 @@ class SimulatorNode(SceneNode):
 
     def build(self, description: str | None) -> None:
         """Build the scene."""
-        self._plant = Plant(self.parameters, description)
+        self._plant = Plant(self.parameters, description, self.get_logger().info)
 
     def replace(self, description: str) -> None:
         """Keep the robot of a simulation that has begun; the next one takes the new robot."""

@@ -1,6 +1,7 @@
 """A built scene between commands and the messages that show its motion."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.files.topics import WORLD, by_member
 from mbd_ros.nodes.shell.wrenches import read_load
 from mbd_ros.nodes.simulator.commands import command_reader
-from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.built_scene import Scene, Tell
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_motion import JointMotionWriter
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
@@ -34,6 +35,7 @@ class Plant:
     Args:
         values: Parameters of the node.
         description: URDF, where the scene takes it from a topic.
+        tell: Is told what takes time.
 
     Attributes:
         scene: The scene.
@@ -51,7 +53,7 @@ class Plant:
         MbdError: The scene, `joints` or `rate` do not fit.
     """
 
-    def __init__(self, values: Any, description: str | None) -> None:
+    def __init__(self, values: Any, description: str | None, tell: Tell | None = None) -> None:
         self.scene = scene = load_scene(values.scene, description)
         self.has_actuators = bool(scene.actuators)
         self.reader = command_reader(scene, values.joints)
@@ -59,8 +61,10 @@ class Plant:
         self.wrenches = {name: CommandWatch(*times) for name in scene.wrenches}
         heard = [(scene.wrenches[name].u, watch) for name, watch in self.wrenches.items()]
         watch = CommandWatch(*times)
+        solver = {"type": "compiled"} if values.compiled else None
+        build = partial(scene.simulation, solver=solver, tell=tell)
         self.live = LiveSimulation(
-            scene.simulation, scene.initial, 1.0 / values.rate, watch, scene.safe, heard
+            build, scene.initial, 1.0 / values.rate, watch, scene.safe, heard
         )
         names = [joint.name for joint in scene.robot.joints]
         self.bodies = [base.name for base in scene.robot.bases]
@@ -178,6 +182,8 @@ class Plant:
             "share of the safe command": "1" if watch.held is None else f"{watch.weight:.6g}",
             "safe command": str(self.scene.safe),
         }
+        if live.simulation.how:
+            details["steps"] = live.simulation.how
         if any(block.part.stops for block in system.layout.yielding):
             details["stops passed"] = "; ".join(live.simulation.passed_stops()) or "none"
         if live.showing.cones:
