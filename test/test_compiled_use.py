@@ -14,7 +14,7 @@ from mbd_ros.cli import main
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.errors import BAD_INPUT, SceneError
-from mbd_ros.files.reading import read_result
+from mbd_ros.files.csv import read_table
 from mbd_ros.jobs.simulate.job import simulate
 
 ROOT = Path(__file__).parents[1]
@@ -43,8 +43,8 @@ def run(capsys, *words):
 
 
 def table(path):
-    samples = read_result(path)["samples"]
-    return {name: np.asarray(values) for name, values in samples.items()}
+    read = read_table(path, lambda column: True)
+    return dict(zip(read.columns, read.values.T, strict=True))
 
 
 @pytest.mark.parametrize("scene", SCENES)
@@ -135,8 +135,8 @@ def expect_refusal(folder, capsys, *texts):
         ]}, "hinge"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_compiled_is_named(sections, why, tmp_path):
-    scene = scene_of(tmp_path, PENDULUM).with_(**sections)
+def test_what_cannot_be_compiled_is_named(sections, why):
+    scene = scene_of(PENDULUM).with_(**sections)
     with pytest.raises(SceneError, match=f"solver compiled: .*{why}.*accepted here: auto"):
         scene.simulation(solver=COMPILED)
     assert scene.simulation(solver={"type": "auto"}).how.startswith("not compiled: ")
