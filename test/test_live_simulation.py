@@ -206,9 +206,11 @@ def test_safe_commands_speak_the_language_of_the_actuator(scene):
         "- {type: ideal, joints: [wrist_rotation]}\n"
         "initial: {position: {shoulder_flexion: 0.4}, velocity: {shoulder_flexion: 0.7}}\n"
     )
-    loads = loaded.system().loads
+    system = loaded.system()
+    loads = system.loads
     wanted = np.array([0.3, -2.0, 0.01])
-    tau = loads.actuator_torque(None, loaded.initial, loads.command(wanted, loaded.initial))
+    u = loads.command(wanted, loaded.initial)
+    tau = loads.actuator_torque(system.k, loaded.initial, u)
     joints = [loaded.robot.joint(name).v for name in loads.commands]
     np.testing.assert_allclose(tau[joints], wanted, rtol=1e-12)
 

@@ -23,12 +23,6 @@ PARAMETERS = (
         high=1e3,
         read_only=False,
     ),
-    Parameter(
-        "compiled",
-        bool,
-        "Ticks run in native code, as with solver compiled; false is as the scene says.",
-        False,
-    ),
     Parameter("publish_clock", bool, "Publish /clock, and stamp with simulated time.", False),
     Parameter("paused", bool, "Start paused.", False),
     Parameter(
@@ -75,5 +69,11 @@ PARAMETERS = (
         low=0.0,
         high=1e3,
         read_only=False,
+    ),
+    Parameter(
+        "compiled",
+        bool,
+        "Ticks run in native code, as with solver compiled; false is as the scene says.",
+        False,
     ),
 )
