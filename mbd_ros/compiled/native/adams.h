@@ -6,7 +6,7 @@
  */
 
 /* A place before the newest acceleration for the next one. */
-static double *next_acceleration(const Options *o, Run *r) {
+static real *next_acceleration(const Options *o, Run *r) {
   if (r->head == 0.0) {
     memcpy(r->history[HISTORY], r->history[0], o->adams.order * sizeof r->history[0]);
     r->head = HISTORY;
@@ -38,10 +38,10 @@ static int start_adams(const Options *o, Run *r, double h, double t) {
 /* One step of length h [s] that ends at t [s]. */
 static int adams_step(const Options *o, Run *r, double h, double t) {
   if (h != o->dt || r->known < o->adams.needed) return start_adams(o, r, h, t);
-  double *a = next_acceleration(o, r), dq[NW], dv[NW];
+  real *a = next_acceleration(o, r), dq[NW], dv[NW];
   evaluate(o, r, r->t, r->q, r->w, a);
-  if (r->health < o->least_health) return ILL_CONDITIONED;
-  const double(*rows)[NW] = (const double(*)[NW])a;
+  if (is_ill(o, r)) return ILL_CONDITIONED;
+  const real(*rows)[NW] = (const real(*)[NW])a;
   sum_history(o->adams.position, 0, 1.0, rows, dq);
   sum_history(o->adams.velocity, 0, 1.0, rows, dv);
   keep_start(r);
@@ -54,23 +54,24 @@ static int adams_step(const Options *o, Run *r, double h, double t) {
 }
 
 /* State inside the last step, of the order of the method. */
-static void adams_at(const Options *o, Run *r, double t, double *q, double *w) {
+static void adams_at(const Options *o, Run *r, double t, real *q, real *w) {
   if (!r->is_adams || t == r->t1) {
     runge_kutta_at(o, r, t, q, w);
     return;
   }
   long order = o->adams.order;
-  const double(*rows)[NW] = (const double(*)[NW])r->history[(long)r->head];
+  const real(*rows)[NW] = (const real(*)[NW])r->history[(long)r->head];
   if (!r->is_dense) {
     for (long i = 0; i < order; i++) {
-      double d[NW];
+      real d[NW];
       sum_history(o->adams.positions, i, r->h * r->h, rows, d);
       copy(NV, d, r->dense[i]);
       sum_history(o->adams.velocities, i, r->h, rows, r->dense[i] + NV);
     }
     r->is_dense = 1.0;
   }
-  double theta = (t - r->t0) / r->h, d[NR];
+  double theta = (t - r->t0) / r->h;
+  real d[NR];
   memset(d, 0, sizeof d);
   for (long i = order - 1; i >= 0; i--)
     for (long k = 0; k < NR; k++) d[k] = theta * (d[k] + r->dense[i][k]);

@@ -10,7 +10,9 @@
 #define QUADRATIC 1.0e-8
 #define MOST_OPEN 1.0e-6
 #define MOST_STEP 0.5
+#endif
 
+#if LANES == 1 && (IS_PROJECTED || IS_RATTLE)
 #if IS_PROJECTED
 static int place_configuration(const Options *o, Run *r, double t, double *q) {
 #if NG

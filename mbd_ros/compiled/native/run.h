@@ -2,6 +2,7 @@
  * the scene:
  *
  *   NQ NV NZ NU NP       sizes of q, v, z, u and p
+ *   LANES                how many scenes run side by side; a real has one number of each
  *   NG NH                numbers of the rows of positions, and of all that velocities keep
  *   NQ_ALL NV_ALL        the same of all joints
  *   IS_FLAT              whether q' = v on a vector space
@@ -19,7 +20,7 @@
 #define MOST_RATES 16
 #define MOST_TERMS 8
 #define MOST_HELD 8      /* accelerations that an Adams method uses */
-#define HISTORY 64       /* steps after which they are moved */
+#define HISTORY (LANES > 1 ? 8 : 64) /* steps after which they are moved */
 
 enum status {
   DONE = 0,
@@ -69,35 +70,41 @@ typedef struct {
   const Pieces *pieces;
   double dt, tolerance, closed, least_health;
   const double *lower, *upper, *sizes;  /* of internal states: bounds, errors that count as one */
-  const double *p;
+  const real *p;
   Tableau tableau;                      /* of the method, or of the steps that start it */
   AdamsWeights adams;
 } Options;
 
 /* What later steps depend on, then what they do not. */
 typedef struct {
-  double t, q[NOT_ZERO(NQ)], w[NOT_ZERO(NW)];     /* from where the next step starts */
-  double t0, q0[NOT_ZERO(NQ)], w0[NOT_ZERO(NW)];  /* where the last step started */
-  double t1, q1[NOT_ZERO(NQ)], w1[NOT_ZERO(NW)];  /* where it ended, before corrections */
-  double u[NOT_ZERO(NU)];
+  double t;  /* from where the next step starts */
+  real q[NOT_ZERO(NQ)], w[NOT_ZERO(NW)];
+  double t0;  /* where the last step started */
+  real q0[NOT_ZERO(NQ)], w0[NOT_ZERO(NW)];
+  double t1;  /* where it ended, before corrections */
+  real q1[NOT_ZERO(NQ)], w1[NOT_ZERO(NW)];
+  real u[NOT_ZERO(NU)];
   double h, done, is_after, is_dense;  /* rates known; the state is the end of the last step */
   double length, last_error;           /* of adaptive steps */
   double head, known, is_started, is_adams;
   double sample, is_within, steps;
   double s[NOT_ZERO(NG)], s_before[NOT_ZERO(NG)];  /* corrections of RATTLE */
-  double force[NOT_ZERO(NW)], is_forced;           /* rates at the state, as RATTLE left them */
-  double rates[MOST_RATES][NR];
-  double dense[MOST_TERMS][NR];
-  double history[HISTORY + MOST_HELD][NW];
+  real force[NOT_ZERO(NW)];  /* rates at the state, as RATTLE left them */
+  double is_forced;
+  real rates[MOST_RATES][NR];
+  real dense[MOST_TERMS][NR];
+  real history[HISTORY + MOST_HELD][NW];
   double end_of_memory;
-  double health, evaluations, interval;
-  double work[NOT_ZERO(WORK)];
+  real health;
+  double evaluations, interval;
+  real work[NOT_ZERO(WORK)];
 } Run;
 
-static void copy(long n, const double *from, double *to) {
+static void copy(long n, const real *from, real *to) {
   if (n) memcpy(to, from, n * sizeof *to);
 }
 
+#if LANES == 1
 static int are_same(long n, const double *a, const double *b) {
   return !n || !memcmp(a, b, n * sizeof *a);
 }
@@ -118,6 +125,16 @@ static int is_finite(const double *q, const double *w) {
   for (long i = 0; i < NW; i++) sum += w[i] * w[i];
   return sum <= DBL_MAX;
 }
+#endif
+
+/* Whether rows are too near to dependent: where lanes are several, each is asked after a step. */
+static int is_ill(const Options *o, const Run *r) {
+#if LANES == 1
+  return r->health < o->least_health;
+#else
+  return 0;
+#endif
+}
 
 /* The step starts where the run stands. */
 static void keep_start(Run *r) {
@@ -126,6 +143,12 @@ static void keep_start(Run *r) {
   copy(NW, r->w, r->w0);
 }
 
+/* An internal state inside its bounds. */
+static real inside(const Options *o, long i, real z) {
+  return real_fmin(real_fmax(z, R(o->lower[i])), R(o->upper[i]));
+}
+
+#if LANES == 1
 /* The piece that has begun last at a time, of those up to the next jump. */
 static long piece_at(const Pieces *p, double jump, double t) {
   long from = 0, below = p->count;
@@ -159,23 +182,28 @@ static void complete_inputs(const Options *o, const double *held, double t, doub
   }
 }
 
+#endif
+
 /* Accelerations and rates of internal states at a state. */
-static void evaluate(const Options *o, Run *r, double t, const double *q, const double *w,
-                     double *out) {
-  double health, z[NOT_ZERO(NZ)], whole[NOT_ZERO(NU)];
-  const double *u = r->u;
+static void evaluate(const Options *o, Run *r, double t, const real *q, const real *w,
+                     real *out) {
+  real health, z[NOT_ZERO(NZ)];
+  const real *u = r->u, now = R(t);
+#if LANES == 1
+  double all[NOT_ZERO(NU)];
   if (NU && o->smooth) {
-    complete_inputs(o, r->u, t, whole);
-    u = whole;
+    complete_inputs(o, r->u, t, all);
+    u = all;
   }
-  for (long i = 0; i < NZ; i++) z[i] = fmin(fmax(w[NV + i], o->lower[i]), o->upper[i]);
-  accelerate(&t, q, w, z, u, o->p, out, out + NV, &health, r->work);
+#endif
+  for (long i = 0; i < NZ; i++) z[i] = inside(o, i, w[NV + i]);
+  accelerate(&now, q, w, z, u, o->p, out, out + NV, &health, r->work);
   r->evaluations += 1.0;
-  if (health < r->health) r->health = health;
+  r->health = real_fmin(health, r->health);
 }
 
 /* q1 = q (+) dq */
-static void move(const double *q, const double *dq, double *q1, double *work) {
+static void move(const real *q, const real *dq, real *q1, real *work) {
 #if IS_FLAT
   for (long i = 0; i < NQ; i++) q1[i] = q[i] + dq[i];
 #else
@@ -184,7 +212,7 @@ static void move(const double *q, const double *dq, double *q1, double *work) {
 }
 
 /* Rate of dq while q (+) dq moves with v. */
-static void chart_rate(const double *dq, const double *v, double *out, double *work) {
+static void chart_rate(const real *dq, const real *v, real *out, real *work) {
 #if IS_FLAT
   copy(NV, v, out);
 #else
@@ -192,13 +220,15 @@ static void chart_rate(const double *dq, const double *v, double *out, double *w
 #endif
 }
 
-/* Internal states inside their bounds; whether one was outside. */
-static int clamp(const Options *o, double *z) {
-  int was_outside = 0;
+/* Internal states inside their bounds; whether one may have been outside. */
+static int clamp(const Options *o, real *z) {
+  int was_outside = LANES > 1;
   for (long i = 0; i < NZ; i++) {
-    double inside = fmin(fmax(z[i], o->lower[i]), o->upper[i]);
-    was_outside |= inside != z[i];
-    z[i] = inside;
+    real within = inside(o, i, z[i]);
+#if LANES == 1
+    was_outside |= within != z[i];
+#endif
+    z[i] = within;
   }
   return was_outside;
 }

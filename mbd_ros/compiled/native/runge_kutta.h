@@ -16,9 +16,9 @@
 #define PROBE 0.01        /* in dt */
 
 /* The state that weights of the rates make: q0 (+) dq, w0 + dw; dq too. */
-static void stage(Run *r, Weights by, long row, double *dq, double *q, double *w) {
-  double d[NR];
-  sum_rates(by, row, r->h, (const double (*)[NR])r->rates, d);
+static void stage(Run *r, Weights by, long row, real *dq, real *q, real *w) {
+  real d[NR];
+  sum_rates(by, row, r->h, (const real (*)[NR])r->rates, d);
   copy(NV, d, dq);
   move(r->q0, d, q, r->work);
   for (long i = 0; i < NW; i++) w[i] = r->w0[i] + d[NV + i];
@@ -27,7 +27,7 @@ static void stage(Run *r, Weights by, long row, double *dq, double *q, double *w
 /* Rates up to `count`, which may be beyond those of the step. */
 static void complete(const Options *o, Run *r, long count) {
   for (long i = (long)r->done; i < count; i++) {
-    double dq[NOT_ZERO(NV)], q[NOT_ZERO(NQ)], w[NOT_ZERO(NW)];
+    real dq[NOT_ZERO(NV)], q[NOT_ZERO(NQ)], w[NOT_ZERO(NW)];
     stage(r, o->tableau.a, i, dq, q, w);
     chart_rate(dq, w, r->rates[i], r->work);
     evaluate(o, r, r->t0 + r->h * o->tableau.c[i], q, w, r->rates[i] + NV);
@@ -51,7 +51,7 @@ static void begin_step(const Options *o, Run *r) {
 
 /* End of a step of length h [s] from where it began; t is its time [s]. */
 static void advance_step(const Options *o, Run *r, double h, double t) {
-  double dq[NOT_ZERO(NV)];
+  real dq[NOT_ZERO(NV)];
   r->h = h, r->done = 1.0, r->is_dense = 0.0;
   complete(o, r, o->tableau.stages);
   stage(r, o->tableau.a, o->tableau.stages, dq, r->q1, r->w1);
@@ -67,7 +67,7 @@ static void accept_step(Run *r) {
 }
 
 /* State inside the last step by the dense output. */
-static void runge_kutta_at(const Options *o, Run *r, double t, double *q, double *w) {
+static void runge_kutta_at(const Options *o, Run *r, double t, real *q, real *w) {
   const Tableau *m = &o->tableau;
   if (t == r->t1) {
     copy(NQ, r->q1, q);
@@ -77,10 +77,11 @@ static void runge_kutta_at(const Options *o, Run *r, double t, double *q, double
   if (!r->is_dense) {
     complete(o, r, m->all);
     for (long i = 0; i < m->terms; i++)
-      sum_rates(m->dense, i, r->h, (const double (*)[NR])r->rates, r->dense[i]);
+      sum_rates(m->dense, i, r->h, (const real (*)[NR])r->rates, r->dense[i]);
     r->is_dense = 1.0;
   }
-  double theta = (t - r->t0) / r->h, d[NR];
+  double theta = (t - r->t0) / r->h;
+  real d[NR];
   memset(d, 0, sizeof d);
   for (long i = m->terms - 1; i >= 0; i--) {  /* theta (F0 + (1 - theta) (F1 + theta (..))) */
     double part = i % 2 ? 1.0 - theta : theta;
@@ -90,6 +91,7 @@ static void runge_kutta_at(const Options *o, Run *r, double t, double *q, double
   for (long i = 0; i < NW; i++) w[i] = r->w0[i] + d[NV + i];
 }
 
+#if LANES == 1
 /* Size of an error that counts as one; infinite for the integrals of internal states. */
 static void error_sizes(const Options *o, const Run *r, double *scale) {
   for (long i = 0; i < NV; i++) {
@@ -110,10 +112,10 @@ static double mean_square(const double *e, const double *scale) {
 static double step_error(const Options *o, Run *r, const double *scale) {
   double e[NR], square;
   complete(o, r, o->tableau.weighed);
-  sum_rates(o->tableau.error, 0, r->h, (const double (*)[NR])r->rates, e);
+  sum_rates(o->tableau.error, 0, r->h, (const real (*)[NR])r->rates, e);
   square = mean_square(e, scale);
   if (o->tableau.errors == 2) {
-    sum_rates(o->tableau.error, 1, r->h, (const double (*)[NR])r->rates, e);
+    sum_rates(o->tableau.error, 1, r->h, (const real (*)[NR])r->rates, e);
     double whole = square + 0.01 * mean_square(e, scale);
     if (whole) square = square * square / whole;
   }
@@ -169,12 +171,13 @@ static int adaptive_step(const Options *o, Run *r, double end) {
   accept_step(r);
   return DONE;
 }
+#endif
 
 /* One step of length h [s] that ends at t [s]. */
 static int runge_kutta_step(const Options *o, Run *r, double h, double t) {
   begin_step(o, r);
   advance_step(o, r, h, t);
-  if (r->health < o->least_health) return ILL_CONDITIONED;
+  if (is_ill(o, r)) return ILL_CONDITIONED;
   accept_step(r);
   return DONE;
 }

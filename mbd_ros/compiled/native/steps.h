@@ -13,9 +13,9 @@ static double step_length(double t, double dt, double end, double *after) {
 
 /* v+ = v + h a(q, v),   q+ = q (+) h v+ */
 static int semi_implicit_euler_step(const Options *o, Run *r, double h, double t) {
-  double a[NOT_ZERO(NW)], dq[NOT_ZERO(NV)];
+  real a[NOT_ZERO(NW)], dq[NOT_ZERO(NV)];
   evaluate(o, r, r->t, r->q, r->w, a);
-  if (r->health < o->least_health) return ILL_CONDITIONED;
+  if (is_ill(o, r)) return ILL_CONDITIONED;
   keep_start(r);
   for (long i = 0; i < NW; i++) r->w[i] += h * a[i];
   for (long i = 0; i < NV; i++) dq[i] = h * r->w[i];
@@ -26,7 +26,9 @@ static int semi_implicit_euler_step(const Options *o, Run *r, double h, double t
 
 static int method_step(const Options *o, Run *r, double end) {
   double t, h;
+#if LANES == 1
   if (o->method == RUNGE_KUTTA && o->is_adaptive) return adaptive_step(o, r, end);
+#endif
   h = step_length(r->t, o->dt, end, &t);
   if (o->method == ADAMS) return adams_step(o, r, h, t);
 #if IS_RATTLE
@@ -36,6 +38,7 @@ static int method_step(const Options *o, Run *r, double end) {
   return semi_implicit_euler_step(o, r, h, t);
 }
 
+#if LANES == 1
 /* What the method kept of the last step does not hold for other inputs. */
 static void hold(Run *r, const double *u) {
   if (are_same(NU, u, r->u)) return;
@@ -76,3 +79,4 @@ static void state_at(const Options *o, Run *r, double t, double *q, double *w) {
     runge_kutta_at(o, r, t, q, w);
   clamp(o, w + NV);
 }
+#endif

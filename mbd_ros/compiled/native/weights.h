@@ -4,10 +4,10 @@ typedef double Chunk __attribute__((vector_size(8 * CHUNK), aligned(8)));
 
 #define SUM(name, width)                                                                      \
   static inline __attribute__((always_inline)) void name(Weights by, long row, double factor, \
-                                                         const double (*rows)[width],         \
-                                                         double *restrict out) {              \
+                                                         const real (*rows)[width],           \
+                                                         real *restrict out) {                \
     long first = by.begin[row], last = by.begin[row + 1], k = 0;                              \
-    for (; k + CHUNK <= (width); k += CHUNK) {                                                \
+    for (; LANES == 1 && k + CHUNK <= (width); k += CHUNK) {                                  \
       Chunk sum = {0.0};                                                                      \
       for (long j = first; j < last; j++) {                                                   \
         Chunk rate;                                                                           \
@@ -18,7 +18,7 @@ typedef double Chunk __attribute__((vector_size(8 * CHUNK), aligned(8)));
       memcpy(out + k, &sum, sizeof sum);                                                      \
     }                                                                                         \
     for (; k < (width); k++) {                                                                \
-      double sum = 0.0;                                                                       \
+      real sum = R(0.0);                                                                      \
       for (long j = first; j < last; j++) sum += by.value[j] * rows[by.column[j]][k];         \
       out[k] = factor * sum;                                                                  \
     }                                                                                         \

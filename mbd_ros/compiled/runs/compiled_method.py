@@ -132,14 +132,15 @@ class CompiledMethod(Integrator):
         key = self.method.native, self._is_projected(system), self._stabilization.gains(dt)
         if key not in self._kept:
             traced = trace(system)
-            sizes = self._sizes(system, traced)
+            sizes = self.sizes(system, traced)
             functions = [traced.function(name) for name in sizes.functions]
             source = with_integrators(emit(functions), sizes)
             library = load(source, self._say, lambda found: verify(found, traced, system))
             self._kept[key] = Built(traced, sizes, library)
         return self._kept[key]
 
-    def _sizes(self, system: Any, traced: Traced) -> Sizes:
+    def sizes(self, system: Any, traced: Traced) -> Sizes:
+        """What native steps are compiled for."""
         is_projected = self._is_projected(system)
         rows = traced.mg, traced.mh
         return Sizes(
@@ -148,6 +149,7 @@ class CompiledMethod(Integrator):
             is_whole=system.nv == system.model.nv,
             is_projected=is_projected,
             is_rattle=self.method.native == "rattle",
+            np=traced.np,
         )
 
     def _is_projected(self, system: Any) -> bool:

@@ -6,16 +6,8 @@ from typing import NamedTuple
 from mbd_ros.compiled.code.emit import Source
 
 NATIVE = Path(__file__).parents[1] / "native"
-_FILES = (
-    "run.h",
-    "weights.h",
-    "runge_kutta.h",
-    "adams.h",
-    "projection.h",
-    "rattle.h",
-    "steps.h",
-    "run.c",
-)
+_FILES = ("run.h", "weights.h", "runge_kutta.h", "adams.h", "projection.h", "rattle.h", "steps.h")
+_LAST = {False: "run.c", True: "lanes.c"}  # by whether a real is several numbers
 
 
 class Sizes(NamedTuple):
@@ -34,6 +26,7 @@ class Sizes(NamedTuple):
         is_whole: Whether all joints are integrated.
         is_projected: Whether every step is followed by a projection onto the rows.
         is_rattle: Whether the method is RATTLE.
+        np: Parameters.
     """
 
     nq: int
@@ -48,6 +41,7 @@ class Sizes(NamedTuple):
     is_whole: bool
     is_projected: bool = False
     is_rattle: bool = False
+    np: int = 0
 
     @property
     def functions(self) -> tuple[str, ...]:
@@ -70,7 +64,7 @@ def with_integrators(functions: Source, sizes: Sizes) -> Source:
     """The source of a library that takes whole runs.
 
     Args:
-        functions: What `emit` made of `Sizes.functions`, with real numbers.
+        functions: What `emit` made of `Sizes.functions`; of vectors for runs side by side.
         sizes: Of the scene.
     """
     work = max(one.work for one in functions.signatures.values())
@@ -78,6 +72,7 @@ def with_integrators(functions: Source, sizes: Sizes) -> Source:
         **{name.upper(): int(value) for name, value in sizes._asdict().items()},
         "WORK": work,
     }
+    files = (*_FILES, _LAST[functions.lanes > 1])
     lines = [f"#define {name} {value}\n" for name, value in numbers.items()]
-    texts = [(NATIVE / name).read_text(encoding="utf-8") for name in _FILES]
+    texts = [(NATIVE / name).read_text(encoding="utf-8") for name in files]
     return functions._replace(text="".join((functions.text, *lines, *texts)))
