@@ -272,6 +272,18 @@ def test_a_cache_folder_that_cannot_be_made_is_passed_by(cache):
     assert "Not a directory" in said[-1] or "File exists" in said[-1]
 
 
+def test_what_was_not_used_for_long_is_removed(cache, monkeypatch):
+    squared()
+    used = entry(cache)
+    os.utime(used, (0, time.time() - 80 * 86400))
+    squared()
+    assert time.time() - used.stat().st_mtime < 60
+    os.utime(used, (0, time.time() - 100 * 86400))
+    monkeypatch.setattr(building, "cpu", lambda: "another processor")
+    squared()
+    assert entry(cache) != used
+
+
 def test_what_a_check_refuses_is_compiled_again_once(cache):
     x, asked, said = ca.SX.sym("x"), [], []
     source = emit([ca.Function("f", [x], [2 * x * x])])

@@ -12,8 +12,9 @@ import os
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mbd_ros.compiled.build.compiler import BuildError
@@ -21,6 +22,7 @@ from mbd_ros.compiled.build.compiler import BuildError
 Say = Callable[[str], None]
 Build = Callable[[Path], Path]
 _DIGEST = 64  # characters
+_UNUSED = 90 * 86400.0  # s after which a library is removed when another one is built
 
 
 def cache_folder() -> Path:
@@ -58,6 +60,7 @@ def kept(key: str, build: Build, say: Say, *, again: bool = False) -> bytes:
             return found
         for left in folder.glob(f"{key}.*.part"):  # of a process that was killed
             shutil.rmtree(left, ignore_errors=True)
+        _remove_unused(folder)
         part = Path(tempfile.mkdtemp(prefix=f"{key}.", suffix=".part", dir=folder))
         try:
             return _put(build(part), library, key)
@@ -104,7 +107,20 @@ def _intact(library: Path, key: str) -> bytes | None:
     others = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
     own = stat.S_ISREG(status.st_mode) and status.st_uid == os.geteuid() and not others
     found, digest = content[:-_DIGEST], content[-_DIGEST:]
-    return found if own and digest == _digest(key, found) else None
+    if not own or digest != _digest(key, found):
+        return None
+    with suppress(OSError):
+        os.utime(library)
+    return found
+
+
+def _remove_unused(folder: Path) -> None:
+    """Removes what nobody has loaded for long."""
+    before = time.time() - _UNUSED
+    for path in (*folder.glob("*.so"), *folder.glob("*.lock")):
+        with suppress(OSError):
+            if path.stat().st_mtime < before:
+                path.unlink()
 
 
 def _digest(key: str, content: bytes) -> bytes:

@@ -21,19 +21,10 @@ static inline int any(wide_mask mask) {
   return found != 0;
 }
 
-static __attribute__((noinline, cold)) void sines_far(wide x, wide *sine, wide *cosine) {
-  for (int k = 0; k < WIDE; ++k) {
-    (*sine)[k] = sin(x[k]);
-    (*cosine)[k] = cos(x[k]);
-  }
-}
+static inline wide_mask is_far(wide x) { return ~((x <= FAR) & (x >= -FAR)); }
 
+/* Of numbers that are not far. */
 static inline void sines(wide x, wide *sine, wide *cosine) {
-  const wide_mask near = (x <= FAR) & (x >= -FAR);
-  if (__builtin_expect(any(~near), 0)) {
-    sines_far(x, sine, cosine);
-    return;
-  }
   const wide shifted = x * 0x1.45f306dc9c883p-1 + 0x1.8p+52;
   const wide_mask quarter = (wide_mask)shifted;
   const wide turns = shifted - 0x1.8p+52;
@@ -57,28 +48,47 @@ static inline void sines(wide x, wide *sine, wide *cosine) {
   *cosine = (wide)(((swap & (wide_mask)s) | (~swap & (wide_mask)c)) ^ for_cosine);
 }
 
+static __attribute__((noinline, cold)) void sines_far(int n, const double *x, double *sine,
+                                                      double *cosine) {
+  for (int k = 0; k < n; ++k) {
+    sine[k] = sin(x[k]);
+    cosine[k] = cos(x[k]);
+  }
+}
+
 /* n sines and cosines; the arrays have room for the next multiple of SINES_ROOM. */
 static __attribute__((noinline)) void sines_of(int n, const real *x, real *sine, real *cosine) {
+  wide_mask far = {};
   for (int k = 0; k < n; k += WIDE / LANES) {
+    const wide angle = *(const wide_anywhere *)(x + k);
     wide s, c;
-    sines(*(const wide_anywhere *)(x + k), &s, &c);
+    sines(angle, &s, &c);
     *(wide_anywhere *)(sine + k) = s;
     *(wide_anywhere *)(cosine + k) = c;
+    far |= is_far(angle);
   }
+  if (__builtin_expect(any(far), 0))
+    sines_far(n * LANES, (const double *)x, (double *)sine, (double *)cosine);
 }
 
 #if LANES > 1
 static __attribute__((noinline)) real real_sin(real x) {
   real sine, cosine;
-  sines(x, &sine, &cosine);
+  sines_of(1, &x, &sine, &cosine);
   return sine;
 }
 static __attribute__((noinline)) real real_cos(real x) {
   real sine, cosine;
-  sines(x, &sine, &cosine);
+  sines_of(1, &x, &sine, &cosine);
   return cosine;
 }
+static __attribute__((noinline)) real real_tan(real x) {
+  real sine, cosine;
+  sines_of(1, &x, &sine, &cosine);
+  return sine / cosine;
+}
 #else
-EACH_OF_ONE(sin)
 EACH_OF_ONE(cos)
+EACH_OF_ONE(sin)
+EACH_OF_ONE(tan)
 #endif
