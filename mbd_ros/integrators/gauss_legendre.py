@@ -27,8 +27,8 @@ class GaussLegendre(Integrator):
     integrated and not the momentum. Stable for every decaying motion at any step; what decays
     faster than the step is damped slowly (the factor tends to -1 or 1, not to 0). On a floating
     base the stages live in a chart about the middle of the step, which keeps the method symmetric.
-    Simplified Newton with derivatives by differences, kept over steps; forces that jump within a
-    step may keep it from converging.
+    Simplified Newton with the derivatives of the system, by differences where it is not compiled,
+    kept over steps; forces that jump within a step may keep it from converging.
 
     Args:
         stages: 1 (implicit midpoint), 2 or 3; the order is twice that.
@@ -43,6 +43,7 @@ class GaussLegendre(Integrator):
     dense: ClassVar[bool] = True
     event_driven: ClassVar[bool] = True
     is_explicit = False
+    asks = ("accelerate", "derivatives")
     example = {"stages": 2}
 
     def __init__(self, *, stages: int = 2, tolerance: float = 1.0e-10) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.dynamics.linearization import Linearization
+from mbd_ros.core.dynamics.balance import balance_of
 from mbd_ros.core.integration.newton import FAILED, SLOW, converge, refuse_bounded_rows
 from mbd_ros.core.integration.step_length import clip
 from mbd_ros.core.integration.stepping import Integrator, Stepper
@@ -41,6 +41,7 @@ class GeneralizedAlpha(Integrator):
     order = 2
     keeps_constraints = True
     is_explicit = False
+    asks = ("accelerate", "balance", "balance_slopes")
     example = {"spectral_radius": 0.9}
 
     def __init__(self, *, spectral_radius: float = 0.9, tolerance: float = 1.0e-10) -> None:
@@ -77,7 +78,7 @@ class _Steps(Stepper):
         self._a0, self._vdot0, self._of_q = np.zeros((3, nv))
         self._lam0, self._of_g = np.zeros((2, size - nv))
         self._inverse, self._r = np.eye(size), np.zeros(size)
-        self._linearization = Linearization(system, self._write_balance)
+        self._balance = balance_of(system)
         self.restart()
 
     def restart(self) -> None:
@@ -141,28 +142,19 @@ class _Steps(Stepper):
         self._accelerate(x.t, x.q, x.v, u, a)
         return a
 
-    def _write_balance(self, t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-        out[...] = self._balance(t, q, v, u)
-
-    def _balance(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
-        """Force that lacks for the equation of motion, shape (nv,)."""
-        system = self._system
-        force = system.applied(t, q, v, u) - system.mass(q).dot(self._vdot)
-        return force + self._lam.dot(self._kept.jacobian(t, q)) if self._kept.rows else force
-
     def _refresh(self, x: State, u: Array | None, t: float) -> None:
         """Inverse of the scaled matrix of positions and multipliers at the predicted state."""
         system, n, hh = self._system, self._system.nv, self._beta * self._h**2
         self._evaluate(x)
-        at, M = self._linearization, system.mass(self._q).dense
-        at.update(t, self._q, self._v, u)
+        M = system.mass(self._q).dense
+        stiffness, damping = self._balance.slopes(t, self._q, self._v, u, self._vdot, self._lam)
         J = self._kept.jacobian(t, self._q) if self._kept.rows else np.zeros((0, n))
         self._of_q = 1.0 / np.sqrt(M.diagonal())
         J = J * self._of_q
         size = np.sqrt((J * J).sum(axis=1))
         self._of_g = 1.0 / np.where(size > 0.0, size, 1.0)
         J = self._of_g[:, None] * J
-        K = self._ratio * M - (self._gamma * self._h) * at.damping - hh * at.stiffness
+        K = self._ratio * M - (self._gamma * self._h) * damping - hh * stiffness
         matrix = np.zeros((n + len(J), n + len(J)))
         matrix[:n, :n] = self._of_q[:, None] * K * self._of_q
         matrix[:n, n:], matrix[n:, :n] = -J.T, J
@@ -177,7 +169,8 @@ class _Steps(Stepper):
 
         def correct() -> float:
             self._evaluate(x)
-            r[:n] = force_scale * self._balance(t, self._q, self._v, u)
+            force = self._balance.force(t, self._q, self._v, u, self._vdot, self._lam)
+            r[:n] = force_scale * force
             if self._kept.rows:
                 r[n:] = -self._of_g * self._off(t)
             z = self._inverse.dot(r)

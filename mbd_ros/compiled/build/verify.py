@@ -31,8 +31,8 @@ def verify(library: Library, traced: Traced, system: System, p: Array = NONE) ->
     """
     native, rng = library.function("accelerate"), np.random.default_rng(_SEED)
     for _ in range(_STATES):
-        y = _state(system, rng)
-        held, u = _inputs(system, y.t, rng)
+        y = some_state(system, rng)
+        held, u = some_inputs(system, y.t, rng)
         for argument, value in zip(native.arguments, (y.t, y.q, y.v, y.z, u, p), strict=True):
             argument.T[...] = value
         native()
@@ -40,7 +40,7 @@ def verify(library: Library, traced: Traced, system: System, p: Array = NONE) ->
         if not (health > _SOUND).all():
             continue
         try:
-            wanted = _plain(system, y, held)
+            wanted = plain_rates(system, y, held)
         except MbdError:
             continue
         if not np.isfinite(wanted).all():
@@ -54,7 +54,7 @@ def verify(library: Library, traced: Traced, system: System, p: Array = NONE) ->
             )
 
 
-def _state(system: System, rng: np.random.Generator) -> State:
+def some_state(system: System, rng: np.random.Generator) -> State:
     """A state of what is integrated."""
     robot, internals = system.robot, system.internals
     z = internals.inside(np.nan_to_num(internals.initial))
@@ -63,7 +63,7 @@ def _state(system: System, rng: np.random.Generator) -> State:
     return y._replace(z=internals.inside(y.z))
 
 
-def _inputs(system: System, t: float, rng: np.random.Generator) -> tuple[Array, Array]:
+def some_inputs(system: System, t: float, rng: np.random.Generator) -> tuple[Array, Array]:
     """Inputs as the plain tier takes them, and the same completed by sources."""
     sources = system.loads.sources
     held = sources.held(t)
@@ -72,7 +72,7 @@ def _inputs(system: System, t: float, rng: np.random.Generator) -> tuple[Array, 
     return held, sources.complete(held, t)
 
 
-def _plain(system: System, y: State, u: Array) -> Array:
+def plain_rates(system: System, y: State, u: Array) -> Array:
     """Accelerations, then rates of internal states, shape (nv + nz,)."""
     a, zdot = np.zeros(system.nv), np.zeros(len(y.z))
     accelerate = system.accelerator(y.mode)

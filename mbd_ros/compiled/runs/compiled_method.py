@@ -22,7 +22,7 @@ from mbd_ros.core.simulation.stepper_of import happenings, prepared
 Say = Callable[[str], None]
 
 
-def _silent(line: str) -> None:
+def silent(line: str) -> None:
     """Nobody is told."""
 
 
@@ -63,7 +63,7 @@ class CompiledMethod(Integrator):
         self,
         method: Integrator,
         stabilization: Stabilization,
-        say: Say = _silent,
+        say: Say = silent,
         kept: dict[Any, Built] | None = None,
     ) -> None:
         self.method, self._stabilization, self._say = method, stabilization, say

@@ -4,7 +4,7 @@ from typing import Any
 
 import casadi as ca
 
-from mbd_ros.compiled.symbols import implicit
+from mbd_ros.compiled.symbols import balance, implicit
 from mbd_ros.compiled.symbols.equations import Equations
 from mbd_ros.compiled.symbols.scalar import column, numbers, plain, scalars
 from mbd_ros.compiled.symbols.turns import ZERO
@@ -123,6 +123,14 @@ class Answers:
         e = self._equations
         a, lam = (scalars(e.symbols[key]) for key in "al")
         return [implicit.residual(e, a, lam)]
+
+    def balance(self) -> list[Any]:
+        """The force that lacks for given accelerations and multipliers, and rates."""
+        return balance.balance(self._equations)
+
+    def balance_slopes(self) -> list[Any]:
+        """Slopes of the balance and of rates by q, v and z."""
+        return balance.slopes(self._equations)
 
     def energy(self) -> list[Any]:
         """Kinetic and potential energy [J]."""

@@ -61,8 +61,8 @@ def derivatives(equations: "Equations") -> list[Any]:
     found = []
     for letter in _BY:
         by = equations.symbols[letter]
-        slopes = _in_tangent(equations, letter, ca.jacobian(r, by))
-        rates = _in_tangent(equations, letter, ca.jacobian(equations.rates, by))
+        slopes = in_tangent(equations, letter, ca.jacobian(r, by))
+        rates = in_tangent(equations, letter, ca.jacobian(equations.rates, by))
         given = [ca.vertcat(*solution.a), ca.vertcat(*solution.lam)]
         slopes = ca.substitute([slopes], [a, lam], given)[0]
         columns = [_solved(held, slopes[:, j], nv, m) for j in range(slopes.shape[1])]
@@ -77,7 +77,7 @@ def _solved(held: Any, slope: Any, nv: int, m: int) -> Any:
     return ca.vertcat(*solved.a)
 
 
-def _in_tangent(equations: "Equations", letter: str, slopes: Any) -> Any:
+def in_tangent(equations: "Equations", letter: str, slopes: Any) -> Any:
     """Slopes by steps in the tangent of q; those by anything else as they are."""
     model = equations.system.chart.model
     if letter != "q" or model.nq == model.nv:

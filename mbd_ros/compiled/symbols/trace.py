@@ -24,6 +24,8 @@ ARGUMENTS = {  # of every function, in their order
     "energy": "tqvzp",
     "derivatives": "tqvzup",
     "residual": "tqvzupal",
+    "balance": "tqvzupal",
+    "balance_slopes": "tqvzupal",
     "guards": "tqvzup",
 }
 
@@ -46,6 +48,8 @@ class Traced:
     energy(t, q, v, z, p) -> (T, V).
     derivatives(t, q, v, z, u, p) -> of (a, zdot) by steps of q, by v, z, u and p.
     residual(t, q, v, z, u, p, a, lam): what the equations of motion leave, lam of rows that act.
+    balance(t, q, v, z, u, p, a, lam) -> (tau - h - M a + J' lam, zdot), and
+    balance_slopes(the same) -> of both, stacked, by steps of q, by v and by z.
     guards(t, q, v, z, u, p) -> margins of rows that give way in the mode, as `margins` lists them,
     then the values of the guards of parts.
     integrate(q, dq) -> q (+) dq, rate(dq, v) -> the rate of dq: for charts that are not flat.

@@ -146,7 +146,7 @@ class ComposedSystem:
         if self._whole is None:
             return linear.derivatives(y, u, inputs=inputs)
         n, x = self.nv, self._whole.joined(y)
-        by_q, by_v, _, by_u, _ = linear.derivatives(x, u, inputs=inputs)
+        by_q, by_v, _, by_u, *_ = linear.derivatives(x, u, inputs=inputs)
         rates = Derivatives(by_q[n:, :n], by_v[n:, :n], by_v[n:, n:], by_u[n:])
         return Derivatives(by_q[:n, :n], by_v[:n, :n], by_v[:n, n:], by_u[:n], rates)
 

@@ -36,6 +36,7 @@ class Derivatives(NamedTuple):
         z: By the internal states, shape (nv, nz).
         u: By the inputs, shape (nv, nu).
         rates: The same of the rates z', (nz,) instead of (nv,); None without internal states.
+        p: By the parameters of a compiled system, shape (nv, np); None where it is not compiled.
     """
 
     q: Array
@@ -43,6 +44,7 @@ class Derivatives(NamedTuple):
     z: Array
     u: Array
     rates: "Derivatives | None" = None
+    p: Array | None = None
 
     @property
     def of_velocities(self) -> tuple[Array, Array]:

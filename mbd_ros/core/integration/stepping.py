@@ -138,6 +138,8 @@ class Integrator:
         native: What compiled runs call its steps: `runge_kutta`, which have a `tableau` and may
             have a `tolerance`, `adams`, `rattle` or `semi_implicit_euler`; empty where they know
             no such steps.
+        asks: Functions of a compiled scene that its steps in Python gain by, as
+            `compiled/symbols/trace.py` names them; empty where they gain nothing.
         stable: Largest rate times dt, with the rate of `linear_motion.fastest_rate`, at which no
             oscillation and no decay grows, however it is damped; beyond it `growth` decides. inf
             where the method chooses its steps.
@@ -145,7 +147,7 @@ class Integrator:
 
     order: int
     dense: ClassVar[bool] = False
-    keeps_constraints: ClassVar[bool] = False
+    keeps_constraints: bool = False
     keeps_internal: ClassVar[bool] = True
     moves_internal: ClassVar[bool] = False
     is_explicit: ClassVar[bool] = True
@@ -153,6 +155,7 @@ class Integrator:
     at_velocity_level: ClassVar[bool] = False
     finds_surfaces: ClassVar[bool] = False
     native: str = ""
+    asks: tuple[str, ...] = ()
     stable: float = 2.5
 
     @property

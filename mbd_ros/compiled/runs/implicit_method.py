@@ -1,0 +1,103 @@
+"""Implicit methods in Python whose accelerations and exact derivatives are native code."""
+
+from typing import Any
+
+from mbd_ros.compiled.build.library import Library, load
+from mbd_ros.compiled.build.verify import verify
+from mbd_ros.compiled.code.emit import emit
+from mbd_ros.compiled.runs.compiled_method import Say, silent
+from mbd_ros.compiled.runs.compiled_system import CompiledSystem
+from mbd_ros.compiled.runs.verify_slopes import verify_slopes
+from mbd_ros.compiled.symbols.trace import Traced, trace
+from mbd_ros.compiled.symbols.untraceable import Untraceable
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.integration.linear_motion import LinearMotion
+from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.simulation.stepper_of import happenings, prepared
+
+EXACT = "accelerate", "derivatives"  # what exact derivatives of a system need
+
+
+class ImplicitMethod(Integrator):
+    """The steps of a method that solves by Newton's method, over a compiled system.
+
+    Args:
+        method: The method.
+        say: Is told what takes time.
+
+    Attributes:
+        method: As given.
+        traced: The symbolic form of the system that was prepared last.
+        library: What it was compiled to.
+    """
+
+    moves_internal = True
+    is_explicit = False
+
+    def __init__(self, method: Integrator, say: Say = silent) -> None:
+        self.method, self._say = method, say
+        self.order, self.stable = method.order, method.stable
+        self.keeps_constraints = method.keeps_constraints
+        self.traced: Traced | None = None
+        self.library: Library | None = None
+
+    @property
+    def title(self) -> str:
+        """That of the method, and that it is compiled."""
+        return f"compiled {self.method.title}"
+
+    def growth(self, motion: LinearMotion, dt: float) -> float:
+        """Factor by which a step multiplies a linear motion at most."""
+        return self.method.growth(motion, dt)
+
+    def refuse(self, system: Any) -> None:
+        """Refuse what stops steps.
+
+        Raises:
+            Untraceable: Names it.
+        """
+        names = [name for names in happenings(system) for name in names]
+        if names:
+            raise Untraceable(f"steps stop at events of {', '.join(names)}")
+
+    def prepare(self, system: Any, dt: float) -> Stepper:
+        """The stepper for one system and one step size [s].
+
+        Raises:
+            Untraceable: Something in the system has no compiled form; names it.
+            BuildError: It cannot be compiled.
+            ModelError: The method does not serve the system.
+        """
+        self.refuse(system)
+        prepared(self.method, system, dt)  # the method speaks before the compiler works
+        compiled, self.traced, self.library = _compiled(system, self.method.asks, self._say)
+        return prepared(self.method, compiled, dt)
+
+
+def compiled_system(system: System, say: Say = silent) -> CompiledSystem:
+    """A system whose `derivatives` are exact.
+
+    Args:
+        system: The system.
+        say: Is told what takes time.
+
+    Raises:
+        Untraceable: Something in the system has no compiled form; names it.
+        BuildError: It cannot be compiled.
+    """
+    return _compiled(system, EXACT, say)[0]
+
+
+def _compiled(
+    system: System, names: tuple[str, ...], say: Say
+) -> tuple[CompiledSystem, Traced, Library]:
+    if system.bounded is not None or system.exact is not None:
+        raise Untraceable("rows that give way have no derivatives across their bounds")
+    traced = trace(system)
+
+    def check(library: Library) -> None:
+        verify(library, traced, system)
+        verify_slopes(CompiledSystem(system, traced, library), names)
+
+    library = load(emit([traced.function(name) for name in names]), say, check)
+    return CompiledSystem(system, traced, library), traced, library
