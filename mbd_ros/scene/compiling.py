@@ -12,6 +12,7 @@ from mbd_ros.errors import ModelError, install_hint
 
 if TYPE_CHECKING:
     from mbd_ros.compiled.runs.compiled_method import CompiledMethod
+    from mbd_ros.compiled.runs.implicit_method import ImplicitMethod
 
 Tell = Callable[[str], None]
 _KEPT: WeakKeyDictionary[Any, dict[Any, dict[Any, Any]]] = WeakKeyDictionary()
@@ -83,6 +84,7 @@ def _compiled(
     try:
         from mbd_ros.compiled.build.compiler import BuildError
         from mbd_ros.compiled.runs.compiled_method import CompiledMethod
+        from mbd_ros.compiled.runs.implicit_method import ImplicitMethod
         from mbd_ros.compiled.symbols.untraceable import Untraceable
     except ModuleNotFoundError as error:
         hint = install_hint(str(error.name))
@@ -90,7 +92,8 @@ def _compiled(
             raise
         raise _Impossible(hint) from error
     try:
-        steps = CompiledMethod(method, correction, *more)
+        method_of: Callable[..., Any] = ImplicitMethod if method.asks else CompiledMethod
+        steps: CompiledMethod | ImplicitMethod = method_of(method, correction, *more)
         steps.refuse(system)  # in these words, before anything else speaks of the method
         simulation = Simulation(system, steps, correction, dt)
     except (Untraceable, BuildError) as error:
@@ -99,7 +102,7 @@ def _compiled(
     return simulation
 
 
-def _described(steps: "CompiledMethod") -> str:
+def _described(steps: "CompiledMethod | ImplicitMethod") -> str:
     """What was compiled, and how long that took."""
     library: Any = steps.library
     count = sum(library.source.operations.values())

@@ -13,6 +13,7 @@ from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.linear_motion import LinearMotion
 from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.simulation.stepper_of import happenings, prepared
 
 EXACT = "accelerate", "derivatives"  # what exact derivatives of a system need
@@ -23,7 +24,9 @@ class ImplicitMethod(Integrator):
 
     Args:
         method: The method.
+        stabilization: What keeps the rows.
         say: Is told what takes time.
+        kept: As for `CompiledMethod`.
 
     Attributes:
         method: As given.
@@ -34,8 +37,15 @@ class ImplicitMethod(Integrator):
     moves_internal = True
     is_explicit = False
 
-    def __init__(self, method: Integrator, say: Say = silent) -> None:
-        self.method, self._say = method, say
+    def __init__(
+        self,
+        method: Integrator,
+        stabilization: Stabilization,
+        say: Say = silent,
+        kept: dict[Any, Any] | None = None,
+    ) -> None:
+        self.method, self._stabilization, self._say = method, stabilization, say
+        self._kept = {} if kept is None else kept
         self.order, self.stable = method.order, method.stable
         self.keeps_constraints = method.keeps_constraints
         self.traced: Traced | None = None
@@ -70,7 +80,11 @@ class ImplicitMethod(Integrator):
         """
         self.refuse(system)
         prepared(self.method, system, dt)  # the method speaks before the compiler works
-        compiled, self.traced, self.library = _compiled(system, self.method.asks, self._say)
+        key = self.method.asks, self._stabilization.gains(dt)
+        if key not in self._kept:
+            self._kept[key] = _compiled(system, self.method.asks, self._say)
+        self.traced, self.library = self._kept[key]
+        compiled = CompiledSystem(system, self.traced, self.library)
         return prepared(self.method, compiled, dt)
 
 
@@ -85,12 +99,10 @@ def compiled_system(system: System, say: Say = silent) -> CompiledSystem:
         Untraceable: Something in the system has no compiled form; names it.
         BuildError: It cannot be compiled.
     """
-    return _compiled(system, EXACT, say)[0]
+    return CompiledSystem(system, *_compiled(system, EXACT, say))
 
 
-def _compiled(
-    system: System, names: tuple[str, ...], say: Say
-) -> tuple[CompiledSystem, Traced, Library]:
+def _compiled(system: System, names: tuple[str, ...], say: Say) -> tuple[Traced, Library]:
     if system.bounded is not None or system.exact is not None:
         raise Untraceable("rows that give way have no derivatives across their bounds")
     traced = trace(system)
@@ -99,5 +111,4 @@ def _compiled(
         verify(library, traced, system)
         verify_slopes(CompiledSystem(system, traced, library), names)
 
-    library = load(emit([traced.function(name) for name in names]), say, check)
-    return CompiledSystem(system, traced, library), traced, library
+    return traced, load(emit([traced.function(name) for name in names]), say, check)
