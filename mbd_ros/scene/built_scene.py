@@ -256,8 +256,7 @@ class Scene(SceneParts):
             from mbd_ros.scene.compiling import compiled_simulation, kept_for
 
             kept = None if forces else kept_for(self, chosen.backend)
-            return compiled_simulation(
-                *parts, is_demanded=chosen.must_compile, tell=tell, kept=kept
-            )
+            wish = {"start": self.initial, "is_demanded": chosen.must_compile}
+            return compiled_simulation(*parts, tell=tell, kept=kept, **wish)
         except ModelError as error:
             raise SceneError(f"{self.name}: {error}") from error

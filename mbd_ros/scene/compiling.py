@@ -6,9 +6,11 @@ from weakref import WeakKeyDictionary
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.simulation.simulation import Simulation
-from mbd_ros.errors import ModelError, install_hint
+from mbd_ros.core.state import State
+from mbd_ros.errors import ModelError, SolveError, install_hint
 
 if TYPE_CHECKING:
     from mbd_ros.compiled.runs.compiled_method import CompiledMethod
@@ -33,6 +35,7 @@ def compiled_simulation(
     correction: Stabilization,
     dt: float,
     *,
+    start: State,
     is_demanded: bool,
     tell: Tell | None = None,
     kept: dict[Any, Any] | None = None,
@@ -44,6 +47,7 @@ def compiled_simulation(
         method: As for `Simulation`.
         correction: As for `Simulation`.
         dt: As for `Simulation` [s].
+        start: Where simulations usually begin, a state of all joints.
         is_demanded: Whether plain steps are refused.
         tell: Is told what takes time.
         kept: As for `CompiledMethod`.
@@ -53,6 +57,8 @@ def compiled_simulation(
             them. Or the method does not serve the system.
     """
     try:
+        if not is_demanded:
+            _refuse_dependent(system, start)
         simulation = _compiled(system, method, correction, dt, (tell or _silent, kept))
     except _Impossible as error:
         if is_demanded:
@@ -67,6 +73,24 @@ def compiled_simulation(
 
 class _Impossible(ModelError):
     """Why there are no compiled steps."""
+
+
+def _refuse_dependent(system: System, start: State) -> None:
+    """Refuse rows of which all compiled steps would be handed over.
+
+    Raises:
+        _Impossible: Says how many are independent at the start.
+    """
+    rows = len(system.held.rows)
+    if not rows:
+        return
+    try:
+        y = assemble(system, system.reduce(start))
+        rank = system.held.factor_at(y.t, y.q).rank
+    except SolveError:  # the start itself says it, if it is this one
+        return
+    if rank < rows:
+        raise _Impossible(f"{rank} of {rows} rows are independent, plain steps solve by rank")
 
 
 def _compiled(
