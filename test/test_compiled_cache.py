@@ -272,6 +272,14 @@ def test_a_cache_folder_that_cannot_be_made_is_passed_by(cache):
     assert "Not a directory" in said[-1] or "File exists" in said[-1]
 
 
+def test_a_user_without_a_home_compiles_each_time(cache, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative/is/not/meant")
+    monkeypatch.setenv("HOME", "relative")
+    said = []
+    assert squared(said) == 18.0
+    assert said[-1] == "not kept: no home folder of the user, and no XDG_CACHE_HOME"
+
+
 def test_what_was_not_used_for_long_is_removed(cache, monkeypatch):
     squared()
     used = entry(cache)

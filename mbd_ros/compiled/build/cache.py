@@ -26,9 +26,16 @@ _UNUSED = 90 * 86400.0  # s after which a library is removed when another one is
 
 
 def cache_folder() -> Path:
-    """Where libraries are kept; it need not exist."""
+    """Where libraries are kept; it need not exist.
+
+    Raises:
+        OSError: The user has no home.
+    """
     named = os.environ.get("XDG_CACHE_HOME", "")
-    root = Path(named) if named.startswith("/") else Path("~/.cache").expanduser()
+    home = os.path.expanduser("~")
+    if not (named.startswith("/") or home.startswith("/")):
+        raise OSError("no home folder of the user, and no XDG_CACHE_HOME")
+    root = Path(named) if named.startswith("/") else Path(home) / ".cache"
     return root / "mbd_ros" / "compiled"
 
 
