@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mbd_ros.core.control.contract import ControlledJoints
 from mbd_ros.core.dynamics.loads import Loads
@@ -25,6 +25,9 @@ from mbd_ros.scene import schema
 from mbd_ros.scene.building import parts_in
 from mbd_ros.scene.part_entries import Solver, build_part
 from mbd_ros.scene.scene_parts import SceneParts
+
+if TYPE_CHECKING:
+    from mbd_ros.scene.batch import Batch
 
 DEFAULT_INTEGRATOR = {"type": "dopri5"}
 DEFAULT_STABLE = 1.3  # its `stable`, known without importing it
@@ -167,7 +170,7 @@ class Scene(SceneParts):
             SceneError: The tier cannot serve the scene, or a package is missing.
         """
         where = f"{self.name}: solver"
-        chosen = self._solver(solver)
+        chosen = self.chosen_solver(solver)
         every = (*self.forces, *forces, *self.wrenches.values())
         try:
             given = self.inputs.sources(sources)
@@ -178,12 +181,26 @@ class Scene(SceneParts):
         except ModelError as error:
             raise SceneError(f"{where}: {error}") from error
 
-    def _solver(self, entry: Mapping[str, str] | None) -> Solver:
+    def chosen_solver(self, entry: Mapping[str, str] | None) -> Solver:
         """The solver of an entry; without one that of the scene."""
         if entry is None:
             return self.solver
         solver: Solver = schema.call(Solver, dict(entry), f"{self.name}: solver")
         return solver
+
+    def batch(self, count: int, **options: Any) -> "Batch":
+        """Many runs side by side, from other starts and with other numbers.
+
+        Args:
+            count: How many.
+            **options: As for `Batch`.
+
+        Raises:
+            SceneError: Names what is wrong and what is accepted.
+        """
+        from mbd_ros.scene.batch import Batch
+
+        return Batch(self, count, **options)
 
     def controlled_joints(self) -> ControlledJoints:
         """The actuated joints as a controller sees them, with their own Pinocchio data.
@@ -250,7 +267,7 @@ class Scene(SceneParts):
             correction = build_part("stabilization", given, f"{self.name}: stabilization")
         try:
             parts = system, method, correction, self.dt if dt is None else dt
-            chosen = self._solver(solver)
+            chosen = self.chosen_solver(solver)
             if not chosen.compiles:
                 return Simulation(*parts)
             from mbd_ros.scene.compiling import compiled_simulation, kept_for

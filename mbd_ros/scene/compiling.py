@@ -1,7 +1,7 @@
 """Simulations whose steps are compiled, where a scene asks for them."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import WeakKeyDictionary
 
 from mbd_ros.core.dynamics.system import System
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from mbd_ros.compiled.runs.compiled_method import CompiledMethod
     from mbd_ros.compiled.runs.implicit_method import ImplicitMethod
 
+T = TypeVar("T")
 Tell = Callable[[str], None]
 _KEPT: WeakKeyDictionary[Any, dict[Any, dict[Any, Any]]] = WeakKeyDictionary()
 
@@ -60,7 +61,7 @@ def compiled_simulation(
         if not is_demanded:
             _refuse_dependent(system, start)
         simulation = _compiled(system, method, correction, dt, (tell or _silent, kept))
-    except _Impossible as error:
+    except Impossible as error:
         if is_demanded:
             raise ModelError(
                 f"solver compiled: {error}; accepted here: auto, which takes plain steps "
@@ -71,7 +72,7 @@ def compiled_simulation(
     return simulation
 
 
-class _Impossible(ModelError):
+class Impossible(ModelError):
     """Why there are no compiled steps."""
 
 
@@ -103,27 +104,45 @@ def _compiled(
     """A simulation in compiled steps.
 
     Raises:
-        _Impossible: Says why there are none.
+        Impossible: Says why there are none.
     """
-    try:
-        from mbd_ros.compiled.build.compiler import BuildError
+
+    def take() -> "tuple[CompiledMethod | ImplicitMethod, Simulation]":
         from mbd_ros.compiled.runs.compiled_method import CompiledMethod
         from mbd_ros.compiled.runs.implicit_method import ImplicitMethod
-        from mbd_ros.compiled.symbols.untraceable import Untraceable
-    except ModuleNotFoundError as error:
-        hint = install_hint(str(error.name))
-        if not hint:
-            raise
-        raise _Impossible(hint) from error
-    try:
+
         method_of: Callable[..., Any] = ImplicitMethod if method.asks else CompiledMethod
         steps: CompiledMethod | ImplicitMethod = method_of(method, correction, *more)
         steps.refuse(system)  # in these words, before anything else speaks of the method
-        simulation = Simulation(system, steps, correction, dt)
-    except (Untraceable, BuildError) as error:
-        raise _Impossible(str(error)) from error
+        return steps, Simulation(system, steps, correction, dt)
+
+    steps, simulation = attempted(take)
     simulation.how = _described(steps)
     return simulation
+
+
+def attempted(take: Callable[[], T]) -> T:
+    """What a function compiles.
+
+    Raises:
+        Impossible: Says why there is nothing.
+    """
+    try:
+        from mbd_ros.compiled.build.compiler import BuildError
+        from mbd_ros.compiled.symbols.untraceable import Untraceable
+    except ModuleNotFoundError as error:
+        raise _lacking(error) from error
+    try:
+        return take()
+    except ModuleNotFoundError as error:
+        raise _lacking(error) from error
+    except (Untraceable, BuildError) as error:
+        raise Impossible(str(error)) from error
+
+
+def _lacking(error: ModuleNotFoundError) -> Exception:
+    hint = install_hint(str(error.name))
+    return Impossible(hint) if hint else error
 
 
 def _described(steps: "CompiledMethod | ImplicitMethod") -> str:

@@ -1,10 +1,10 @@
 """Workers: processes of this machine, or of a Dask cluster."""
 
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from typing import Protocol
 
+from mbd_ros.compiled.build.side_by_side import cores
 from mbd_ros.workers.task import Result, Task
 
 
@@ -49,10 +49,3 @@ def open_workers(scheduler: str | None, count: int | None) -> AbstractContextMan
     from mbd_ros.workers.processes import Processes
 
     return Processes(count or cores())
-
-
-def cores() -> int:
-    """How many processors this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

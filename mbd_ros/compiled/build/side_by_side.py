@@ -43,7 +43,7 @@ def run_all(name: str, commands: Sequence[Sequence[str]], folder: Path) -> None:
     end = time.monotonic() + LONGEST
     try:
         while waiting or running:
-            while waiting and len(running) < _cores():
+            while waiting and len(running) < cores():
                 running.append(_started(name, waiting.pop(0), folder))
             time.sleep(_LOOK)
             for one in [one for one in running if one.child.poll() is not None]:
@@ -57,7 +57,7 @@ def run_all(name: str, commands: Sequence[Sequence[str]], folder: Path) -> None:
             one.child.wait()
 
 
-def _cores() -> int:
+def cores() -> int:
     """Cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
