@@ -80,7 +80,7 @@ def _refuse_dependent(system: System, start: State) -> None:
     """Refuse rows of which all compiled steps would be handed over.
 
     Raises:
-        _Impossible: Says how many are independent at the start.
+        Impossible: Says how many are independent at the start.
     """
     rows = len(system.held.rows)
     if not rows:
@@ -91,7 +91,7 @@ def _refuse_dependent(system: System, start: State) -> None:
     except SolveError:  # the start itself says it, if it is this one
         return
     if rank < rows:
-        raise _Impossible(f"{rank} of {rows} rows are independent, plain steps solve by rank")
+        raise Impossible(f"{rank} of {rows} rows are independent, plain steps solve by rank")
 
 
 def _compiled(
