@@ -1,6 +1,6 @@
 """Samples of a recorded motion with velocity and acceleration."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,6 @@ from mbd_ros.core.state import Array, BodyMotion, Motion
 from mbd_ros.errors import DataError
 from mbd_ros.files.body_columns import ACCELERATION as ACCELERATION_WORDS
 from mbd_ros.files.body_columns import TWIST as TWIST_WORDS
-from mbd_ros.files.table import Table
 from mbd_ros.jobs.inverse.body_signals import BodySignals
 from mbd_ros.scene.built_scene import Scene
 
@@ -142,39 +141,6 @@ def _without_lag(
     bodies = [] if signals is None else signals.motions(*(values[:, n:] for values in whole))
     own = (values[:, :n] for values in whole)
     return *own, bodies, cutoff, said
-
-
-def unexplained(motion: Motion, table: Table, cutoff: Array) -> Iterator[str]:
-    """How far the torques are off the measured ones, both behind the low-pass of the motion.
-
-    Args:
-        motion: With the measured efforts; joints without are left out.
-        table: With the torques.
-        cutoff: Of the low-pass of each of the first joints of the motion [Hz].
-    """
-    names = motion.names[: len(cutoff)]
-    driven = [name.removesuffix(".effort") for name in table if name.endswith(".effort")]
-    pairs = [(names.index(name), name) for name in driven if name in names]
-    if motion.effort is None or table.rows != len(motion.stamps):
-        return
-    effort = motion.effort
-    pairs = [(j, name) for j, name in pairs if np.isfinite(effort[:, j]).all()]
-    if not pairs:
-        return
-    from mbd_ros.jobs.inverse.zero_phase import low_passed
-
-    theirs, ours = (list(column) for column in zip(*pairs, strict=True))
-    tau = np.column_stack([effort[:, theirs], *(table[f"{name}.effort"] for name in ours)])
-    passed = low_passed(motion.stamps, tau, np.tile(cutoff[theirs], 2))
-    known, found = np.split(passed, 2, axis=1)
-    unit = np.abs([known, found]).max()  # squares of the efforts themselves may overflow
-    if known.any() and np.isfinite(unit):
-        total, off = (float(np.linalg.norm(tau / unit)) for tau in (known, found - known))
-        share = 100.0 * off / total
-        yield (
-            f"off the measured effort by {share:.3g} % (norm of differences over norm of efforts, "
-            "all behind the same low-pass)"
-        )
 
 
 def _given(scene: Scene, where: str, position: Array, values: Array | None, field: str) -> Array:

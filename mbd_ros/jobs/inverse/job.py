@@ -14,7 +14,7 @@ from mbd_ros.files.times import time_columns
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse import loops, open_chains
 from mbd_ros.jobs.inverse.commands import commands_of
-from mbd_ros.jobs.inverse.derivatives import Derivatives, unexplained
+from mbd_ros.jobs.inverse.derivatives import Derivatives
 from mbd_ros.jobs.inverse.observed import Observed, Say, Task, observe_motion
 from mbd_ros.jobs.inverse.open_chains import Violations
 from mbd_ros.jobs.inverse.outcome import about_result, check_finite
@@ -125,6 +125,8 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     for text in (*violations.lines(), *remarks, *beyond):
         say(text)
     if observed.cutoff is not None:
+        from mbd_ros.jobs.inverse.unexplained import unexplained  # loads scipy
+
         for text in unexplained(observed.motion, table, observed.cutoff):
             say(text)
     return Result({MAIN: table}, about_result(scene, task, way.topics(scene)))

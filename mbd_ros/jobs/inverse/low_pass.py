@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from mbd_ros.jobs.inverse.uniform_basis import DEGREE, UniformBasis
 
 FEWEST = 6  # samples in a row: a quintic through them
 HIGHEST = 0.4  # cut-off per sampling rate beyond which nothing is left to smooth
+PERIODS = 14  # of the cut-off until the end of a window is forgotten: exp(-2.7 PERIODS)
 _ORDER = 4  # of the derivative that is kept small
 _CELLS = 8  # polynomial pieces a period of the cut-off
 _HOLD = 1.0e-12  # share by which the main diagonal grows where rounding took its rank
@@ -51,6 +53,28 @@ def low_pass(times: Array, values: Array, cutoff: float, orders: Sequence[int]) 
     return [passed.derivative(order) for order in orders]
 
 
+class Stretch(NamedTuple):
+    """A recording without gaps, of which signals are a window.
+
+    Attributes:
+        begin: Of its first sample [s].
+        end: Of its last one [s].
+        usual: Median of the steps around each sample [s].
+        rate: Usual number of samples a second [Hz].
+    """
+
+    begin: float
+    end: float
+    usual: float
+    rate: float
+
+    @classmethod
+    def of(cls, times: Array) -> "Stretch":
+        """That of its times [s], shape (n,)."""
+        usual = float(np.median(np.gradient(times)))
+        return cls(float(times[0]), float(times[-1]), usual, rate_of(times))
+
+
 class LowPassed:
     """Signals below a cut-off.
 
@@ -66,26 +90,33 @@ class LowPassed:
         values: Shape (n, m).
         cutoff: Frequency of half power [Hz]; from `HIGHEST` times the rate on the spline passes
             through the samples.
+        whole: What the samples are a window of; without it they are the whole. `PERIODS` of the
+            cut-off from the ends of a window the result is that of the whole, to rounding.
 
     Source: P. H. C. Eilers, B. D. Marx, Stat. Sci. 11, 1996, 89 (penalty on differences);
         P. Craven, G. Wahba, Numer. Math. 31, 1979, 377 (smoothing splines as low-pass).
     """
 
-    def __init__(self, times: Array, values: Array, cutoff: float) -> None:
+    def __init__(
+        self, times: Array, values: Array, cutoff: float, whole: Stretch | None = None
+    ) -> None:
+        whole = whole or Stretch.of(times)
         self._spline: Callable[[int, slice | NDArray[np.intp]], Array]
-        if cutoff >= HIGHEST * rate_of(times):
+        if cutoff >= HIGHEST * whole.rate:
             from scipy.interpolate import make_interp_spline  # only where nothing is smoothed
 
             through = make_interp_spline(times, values, k=DEGREE, axis=0)
             self._spline = lambda order, columns: through(times, nu=order)[:, columns]
             return
-        span = float(times[-1] - times[0])
+        span = whole.end - whole.begin
         cutoff = max(cutoff, _FLATTEST / span)
-        cells = max(int(np.ceil(span * _CELLS * cutoff)), 1)
-        width = span / cells
-        basis = UniformBasis((times - times[0]) / width, cells)
-        steps = np.gradient(times)
-        weights = np.minimum(steps, 4.0 * np.median(steps))
+        most = max(int(np.ceil(span * _CELLS * cutoff)), 1)
+        width = span / most
+        places = (times - whole.begin) / width
+        first = min(int(places[0]), most - 1)
+        cells = max(min(math.ceil(places[-1]), most) - first, 1)
+        basis = UniformBasis(places - first, cells)
+        weights = np.minimum(np.gradient(times), 4.0 * whole.usual)
         penalty = _HALF_POWER * (2.0 * np.pi * cutoff * width) ** (-2 * _ORDER) * width
         normal = basis.normal(weights)
         for k, diagonal in enumerate(_penalty(cells + DEGREE)):
