@@ -240,7 +240,7 @@ def test_inverse_says_the_cutoff_and_how_far_it_is_off_the_measured_effort(tmp_p
     assert rms(ours - efforts) < 0.03 * rms(efforts)
 
 
-@pytest.mark.parametrize("rate", [200, 1000])
+@pytest.mark.parametrize("rate", [200, 400])
 def test_windows_of_a_long_recording_are_smoothed_as_the_whole(monkeypatch, rate):
     """Stamps that jitter, a gap, cut-offs of their own; one joint with a measured velocity."""
     rng = np.random.default_rng(8)
@@ -257,5 +257,5 @@ def test_windows_of_a_long_recording_are_smoothed_as_the_whole(monkeypatch, rate
     assert (found.cutoff == whole.cutoff).all() and np.isfinite(whole.cutoff).any()
     for ours, theirs in zip(found[:3], whole[:3], strict=True):
         off = np.abs(ours - theirs).max(axis=0) / np.abs(theirs).max()
-        # through samples without noise the second derivative is rounded by 1e-16 / dt^2
-        assert (off <= np.where(np.isfinite(found.cutoff), 1e-10, 1e-8)).all()
+        # without noise the cut-off is high, and rounding of a position grows by its square
+        assert (off <= np.where(found.cutoff < 20.0, 1e-10, 1e-8)).all()
