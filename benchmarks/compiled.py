@@ -32,7 +32,7 @@ SCENES = "package://mbd_ros/config/scenes/benchmark"
 STEPS = (0.1, 0.05, 0.02, 0.01, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5)
 SHARES = (2.0, 1.0, 0.7, 0.5, 0.4, 0.38)
 OTHERS = ("EULER", "IMPLICIT", "IMPLICITFAST")
-GRID, ROUNDS, LONG = 0.1, 40, 0.02
+GRID, ROUNDS, SHORT, LONG = 0.1, 40, 2e-3, 0.02
 Run = Callable[[], tuple[Array, float]]
 
 
@@ -131,7 +131,8 @@ def rungs(runs: Iterator[tuple[str, Run]], known: Array) -> Iterator[Rung]:
         except MbdError:
             continue
         off = float(np.abs(found - known[:: (len(known) - 1) // (len(found) - 1)]).max())
-        times = [taken, *(run()[1] for _ in range(2 if taken < 0.1 else 0))]
+        more = 20 if taken < SHORT else 2 if taken < 0.1 else 0
+        times = [taken, *(run()[1] for _ in range(more))]
         yield Rung(name, run, off, min(times))
 
 
@@ -180,7 +181,7 @@ def has_rows(scene: Scene) -> bool:
 
 def our_methods(interval: float) -> Iterator[tuple[dict[str, Any], float]]:
     """Methods and their steps, parts of the interval of the samples [s]."""
-    for exponent in np.arange(-12.0, -1.0, 0.5):
+    for exponent in np.arange(-12.0, -1.0, 0.25):
         for kind in ("dopri5", "dop853"):
             yield {"type": kind, "tolerance": float(f"{10.0**exponent:.3g}")}, interval
     for parts in (1, 2, 5):

@@ -103,13 +103,33 @@ def test_other_tiers_and_stabilizations_give_the_same_samples(name):
     assert compiled.stepper.handed_over == 0
 
 
-def test_redundant_rows_are_those_of_the_plain_tier():
-    """Native code has no solver that finds ranks: every step is handed over."""
+@pytest.mark.parametrize("name", ["rk4", "adaptive dop853"])
+def test_redundant_rows_stay_on_the_plain_tier(name):
+    """Native code has no solver that finds ranks."""
     scene = load_scene(f"{BENCHMARK}/x09_cranks.yaml")
-    compiled, plain = simulations(scene, Rk4(), scene.dt)
+    compiled, plain = simulations(scene, METHODS[name][0], scene.dt)
     states, others = (list(each.run(scene.initial, 10 * scene.dt)) for each in (compiled, plain))
     assert off(states, others) == 0.0
-    assert compiled.stepper.handed_over == 10
+    assert compiled.stepper.handed_over == compiled.steps == plain.steps
+
+
+def test_steps_near_a_toggle_are_handed_over_and_back():
+    """A threshold in the middle of the motion stands for a toggle that is passed closely."""
+    scene = load_scene(f"{BENCHMARK}/x02_four_bar_1e-2.yaml")
+    compiled, plain = simulations(scene, Dopri5(tolerance=1e-8), scene.dt)
+    run = compiled.stepper._run
+    list(compiled.run(scene.initial, 1.0))
+    healths = [run.health(x, np.zeros(0)) for x in plain.run(scene.initial, 1.0)]
+    run.least_health = run._options.value.least_health = float(np.quantile(healths, 0.3))
+    assert healths[0] > run.least_health
+    states, others = (list(each.run(scene.initial, 1.0)) for each in (compiled, plain))
+    assert 0 < compiled.stepper.handed_over < len(states)
+    assert off(states, others) < 1e-6
+    kept = compiled.run(scene.initial, 1.0)
+    for _ in range(700):
+        next(kept)
+    again = bits(compiled.run(compiled.checkpoint(), 1.0))
+    assert again == bits(states)[700:]
 
 
 def test_no_run_leaves_the_branch_at_a_toggle():

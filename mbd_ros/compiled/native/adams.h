@@ -70,11 +70,10 @@ static void adams_at(const Options *o, Run *r, double t, real *q, real *w) {
     }
     r->is_dense = 1.0;
   }
-  double theta = (t - r->t0) / r->h;
+  double theta = (t - r->t0) / r->h, parts[MOST_TERMS];
   real d[NR];
-  memset(d, 0, sizeof d);
-  for (long i = order - 1; i >= 0; i--)
-    for (long k = 0; k < NR; k++) d[k] = theta * (d[k] + r->dense[i][k]);
+  for (long i = 0; i < order; i++) parts[i] = theta;
+  sum_nested(order, parts, (const real (*)[NR])r->dense, d);
   for (long i = 0; i < NQ && i < NV; i++)
     q[i] = r->q0[i] + theta * (r->h * r->w0[i] + d[i]);
   for (long i = 0; i < NW; i++) w[i] = r->w0[i] + d[NV + i];

@@ -80,13 +80,10 @@ static void runge_kutta_at(const Options *o, Run *r, double t, real *q, real *w)
       sum_rates(m->dense, i, r->h, (const real (*)[NR])r->rates, r->dense[i]);
     r->is_dense = 1.0;
   }
-  double theta = (t - r->t0) / r->h;
+  double theta = (t - r->t0) / r->h, parts[MOST_TERMS];
   real d[NR];
-  memset(d, 0, sizeof d);
-  for (long i = m->terms - 1; i >= 0; i--) {  /* theta (F0 + (1 - theta) (F1 + theta (..))) */
-    double part = i % 2 ? 1.0 - theta : theta;
-    for (long k = 0; k < NR; k++) d[k] = part * (d[k] + r->dense[i][k]);
-  }
+  for (long i = 0; i < m->terms; i++) parts[i] = i % 2 ? 1.0 - theta : theta;
+  sum_nested(m->terms, parts, (const real (*)[NR])r->dense, d);
   move(r->q0, d, q, r->work);
   for (long i = 0; i < NW; i++) w[i] = r->w0[i] + d[NV + i];
 }

@@ -26,3 +26,23 @@ typedef double Chunk __attribute__((vector_size(8 * CHUNK), aligned(8)));
 
 SUM(sum_rates, NR)
 SUM(sum_history, NW)
+
+/* out = factor_0 (rows_0 + factor_1 (rows_1 + ..)), of width NR. */
+static inline void sum_nested(long count, const double *factors, const real (*rows)[NR],
+                              real *restrict out) {
+  long k = 0;
+  for (; LANES == 1 && k + CHUNK <= NR; k += CHUNK) {
+    Chunk sum = {0.0};
+    for (long i = count - 1; i >= 0; i--) {
+      Chunk row;
+      memcpy(&row, &rows[i][k], sizeof row);
+      sum = factors[i] * (sum + row);
+    }
+    memcpy(out + k, &sum, sizeof sum);
+  }
+  for (; k < NR; k++) {
+    real sum = R(0.0);
+    for (long i = count - 1; i >= 0; i--) sum = factors[i] * (sum + rows[i][k]);
+    out[k] = sum;
+  }
+}

@@ -64,7 +64,7 @@ class NativeRun:
         least_health: float = 0.0,
         smooth: Sequence[tuple[slice, Pieces]] = (),
     ) -> None:
-        self.sizes, self._c = sizes, _bound(library.c)
+        self.sizes, self.least_health, self._c = sizes, least_health, _bound(library.c)
         self._bounds, self._p = np.ascontiguousarray(bounds, np.float64), np.array(p, np.float64)
         self._options = method_options(method, dt)
         options = self._options.value
@@ -82,6 +82,7 @@ class NativeRun:
         self._v = self._numbers[place[Field.W] :][:nv]
         self._z = self._numbers[place[Field.W] + nv :][:nz]
         self._out, self._u = np.zeros(nq + nv + nz), np.zeros(max(sizes.nu, 1))
+        self._rates = np.zeros(nv + nz + 1)
         self._written = ctypes.c_long(0)
         self.restart()
 
@@ -142,6 +143,13 @@ class NativeRun:
         """Say which sample is the newest, and whether the last step has others inside."""
         self._numbers[self._at[Field.SAMPLE]] = sample
         self._numbers[self._at[Field.IS_WITHIN]] = is_within
+
+    def health(self, x: State, u: Array) -> float:
+        """Smallest pivot of the rows at a state over its usual size, as runs look at it."""
+        at = np.concatenate((x.q, x.v, x.z))
+        self._u[: len(u)] = u
+        pointers = at.ctypes.data, self._u.ctypes.data, self._rates.ctypes.data
+        return float(self._c.evaluate_at(self._o, self._r, x.t, *pointers))
 
     def advance(self, u: Array | None, end: float, most: int = _MANY) -> Status:
         """Steps until a time [s], at most so many, with held inputs."""
@@ -245,11 +253,12 @@ def _bound(c: Any) -> Any:
         ("sample_from", (*(pointer,) * 5, whole, pointer, pointer)),
         ("advance", (pointer, pointer, pointer, number, whole)),
         ("samples", (*(pointer,) * 4, number, whole, whole, pointer, pointer)),
+        ("evaluate_at", (pointer, pointer, number, pointer, pointer, pointer)),
         ("again", (pointer, pointer, number, number, pointer)),
         ("interpolate", (pointer, pointer, number, pointer)),
     ):
         getattr(c, name).argtypes = arguments
-    c.place_of.restype = whole
+    c.place_of.restype, c.evaluate_at.restype = whole, number
     for name in ("restart", "leave", "touch"):
         getattr(c, name).restype = None
     return c

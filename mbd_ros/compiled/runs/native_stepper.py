@@ -103,6 +103,8 @@ class NativeStepper(BlockStepper):
         Returns:
             The last state, and how many steps were taken.
         """
+        if not self.takes_blocks:
+            return self._step_plainly(x, u, end), 1
         self._enter(x)
         before = self._run.steps
         status = self._run.advance(self._idle if u is None else u, end, most)
@@ -118,6 +120,17 @@ class NativeStepper(BlockStepper):
             return self._last, count
         return self._step_plainly(x, u, end), 1
 
+    def settle(self, x: State, u: Array | None) -> State:
+        """The first state itself; where its rows depend on one another, all steps are plain ones.
+
+        Args:
+            x: State from which the first step starts.
+            u: Inputs there; None without any.
+        """
+        health = self._run.health(x, self._idle if u is None else u)
+        self.takes_blocks = not health < self._run.least_health
+        return x
+
     def restart(self) -> None:
         """Forget everything that was kept from earlier steps."""
         self._run.restart()
@@ -128,6 +141,7 @@ class NativeStepper(BlockStepper):
         """The memory of the native run, beside that of plain steps."""
         kept = {"run": self._run.memory(), "last": copied(self.state)}
         rest = {"is_plain": self._is_plain, "handed_over": self.handed_over}
+        rest["takes_blocks"] = self.takes_blocks
         return {**kept, **rest, "plain": self._plain.memory() if self.handed_over else None}
 
     def recall(self, memory: Memory, x: State) -> None:
@@ -137,6 +151,7 @@ class NativeStepper(BlockStepper):
         if memory["plain"] is not None:
             self._plain.recall(memory["plain"], x)
         self._is_plain, self.handed_over = memory["is_plain"], memory["handed_over"]
+        self.takes_blocks = memory["takes_blocks"]
         self._last = x if is_same(memory["last"], x) else memory["last"]
 
     def again(self, h: float, t: float) -> State:
@@ -169,6 +184,8 @@ class NativeStepper(BlockStepper):
 
     def _step_plainly(self, x: State, u: Array | None, end: float) -> State:
         after = self._plain.step(x, u, end)
+        if after is x:
+            return x
         if np.isfinite(after.q).all() and np.isfinite(after.v).all():
             after = self._correct(after)
         self.handed_over += 1

@@ -40,9 +40,11 @@ class BlockStepper(Stepper):
 
     Attributes:
         handed_over: Steps that were taken otherwise, since it could not.
+        takes_blocks: Whether it does so in this run, or steps have to be taken one by one.
     """
 
     handed_over: int = 0
+    takes_blocks: bool = True
 
     @property
     def evaluations(self) -> int:

@@ -18,7 +18,7 @@ from mbd_ros.core.simulation.checkpoint import Checkpoint, Progress, refuse_othe
 from mbd_ros.core.simulation.divergence import divergence, last_finite
 from mbd_ros.core.simulation.held_inputs import HeldInputs
 from mbd_ros.core.simulation.sample_blocks import RunTable, SampleBlocks
-from mbd_ros.core.simulation.sample_times import SampleTimes, sample_times, step_end
+from mbd_ros.core.simulation.sample_times import sample_times, step_end
 from mbd_ros.core.simulation.stall import PATIENCE, WINDOW, Notice, StallWatch, refuse_crawl
 from mbd_ros.core.simulation.stepper_of import stepper_of
 from mbd_ros.core.state import Array, State
@@ -130,9 +130,13 @@ class Simulation:
     def _samples(self, at: Progress, duration: float, notice: Notice | None) -> Iterator[State]:
         """States of all joints at the samples after the newest one."""
         times, (origin, k, y, is_within, now) = sample_times(at.origin, duration, self.dt), at
-        if isinstance(self.stepper, BlockStepper):
-            self._blocks = self._begin_blocks(self.stepper, times, at)
-            yield from self._in_blocks(self._blocks, StallWatch(self.system, self.dt, notice))
+        stepper = self.stepper
+        if isinstance(stepper, BlockStepper) and stepper.takes_blocks:
+            self._blocks = SampleBlocks(stepper, self.system, times, at, self._step)
+            for x in self._blocks.states(StallWatch(self.system, self.dt, notice)):
+                self.steps = stepper.taken
+                yield x
+            self._progress, self._blocks = self._blocks.progress, None
             return
         watch, look_at = StallWatch(self.system, self.dt, notice), self.steps + WINDOW
         watch.begin(y.t)
@@ -178,30 +182,18 @@ class Simulation:
             DivergedError: As `run`.
             SolveError: As `run`.
         """
-        if not isinstance(self.stepper, BlockStepper):
-            return np.array([np.concatenate(([s.t], *s[1:4])) for s in self.run(x, duration)])
+        stepper = self.stepper
         if self._table is None or not self._table.serves(x, duration):
             first = self.start(x, self.system.loads.sources.held(x.t))
-            times = sample_times(first.t, duration, self.dt)
-            begin = partial(self._begin_blocks, self.stepper, times, self._progressed())
+            if not (isinstance(stepper, BlockStepper) and stepper.takes_blocks):
+                return np.array([np.concatenate(([s.t], *s[1:4])) for s in self.run(x, duration)])
+            times, at = sample_times(first.t, duration, self.dt), self._progressed()
+            begin = partial(SampleBlocks, stepper, self.system, times, at, self._step)
             self._table = RunTable(x, duration, self.system.expand(first), begin)
         rows = self._table.rows(StallWatch(self.system, self.dt))
-        self.steps, self._blocks = self.stepper.taken, self._table.blocks
+        self._blocks = self._table.blocks
+        self.steps = self._blocks.stepper.taken
         return rows
-
-    def _begin_blocks(
-        self, stepper: BlockStepper, times: SampleTimes, at: Progress
-    ) -> SampleBlocks:
-        """The samples of a run, taken many at a time."""
-        return SampleBlocks(stepper, self.system, times, at, self._step)
-
-    def _in_blocks(self, blocks: SampleBlocks, watch: StallWatch) -> Iterator[State]:
-        """States of all joints at the samples that a stepper takes many at a time."""
-        stepper = blocks.stepper
-        for x in blocks.states(watch):
-            self.steps = stepper.taken
-            yield x
-        self._progress, self._blocks = blocks.progress, None
 
     def checkpoint(self) -> Checkpoint:
         """All that the samples after the newest one depend on, beside the scene and its inputs.
