@@ -29,11 +29,13 @@ def scene_of(name):
     return load_scene(SCENES / f"{name}.yaml")
 
 
-def states(system, count=4):
-    """Consistent states, and inputs beside the safe ones."""
+def states(system, count=4, patience=100):
+    """Consistent states, and inputs beside the safe ones; as many as that many tries find."""
     rng, found = np.random.default_rng(3), []
     neutral = pin.neutral(system.chart.model)
-    while len(found) < count:
+    for _ in range(patience):
+        if len(found) == count:
+            break
         q = pin.integrate(system.chart.model, neutral, rng.uniform(-0.5, 0.5, system.nv))
         z = system.internals.inside(rng.normal(size=system.internals.nz))
         u = system.loads.idle + rng.normal(size=len(system.loads.idle))

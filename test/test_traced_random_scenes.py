@@ -1,0 +1,97 @@
+"""Random scenes as expressions, beside the plain tier and beside complex steps."""
+
+import numpy as np
+import pytest
+from complex_steps import slopes
+from test_traced_scenes import EXACT, called, conditions, states, tangent
+
+from mbd_ros.compiled.symbols.trace import trace
+from mbd_ros.core.thresholds import NEAR_TOGGLE
+from mbd_ros.report.stability.random_scenes import random_scene
+from mbd_ros.report.stability.scene_text import load
+
+BODY = {"shape": {"box": [0.1, 0.2, 0.3]}, "mass": 1.5}
+
+
+def scene_of(seed):
+    """A random mechanism, with drives, loads on points, free bodies and a far origin at times."""
+    scene, rng = load(random_scene(seed)).scene, np.random.default_rng([7, seed])
+    rigid = [e for e in scene.entries.get("constraints") or () if not e.get("smoothed")]
+    links = [f"b{i}" for i in range(len(scene.robot.joints))]
+    names = [joint.name for joint in scene.robot.joints]
+    frame, joint = str(rng.choice(links)), str(rng.choice(names))
+    forces = list(scene.entries.get("forces") or ())
+    chosen = rng.random(6) < 0.4
+    point, force = rng.normal(size=(2, 3)).round(3).tolist()
+    axes = str(rng.choice(["world", "frame"]))
+    if chosen[0]:
+        wrench = {"frame": frame, "force": force, "torque": point, "point": force}
+        forces.append({"type": "applied_wrench", **wrench, "expressed_in": axes})
+    if chosen[1]:
+        ends = {"frame_a": "world", "frame_b": frame, "point_a": point, "point_b": [0.1, 0.2, 0.3]}
+        forces.append({"type": "point_spring", **ends, "stiffness": 80.0, "damping": 2.0})
+    if chosen[2]:
+        ends = [{"frame": "world", "xyz": point}, {"frame": frame, "xyz": [0.05, 0.0, 0.1]}]
+        path = {"points": ends, "joints": {joint: [0.0, 0.1, 0.02]}}
+        forces.append({"type": "cable", "path": path, "stiffness": 200.0, "slack_length": 0.4})
+    more = {"constraints": rigid or None, "forces": forces or None}
+    if chosen[3]:
+        drive = {"type": "series_elastic_drive", "joint": joint, "stiffness": 300.0}
+        more["actuators"] = [{**drive, "rotor_inertia": 1e-4, "ratio": 50.0, "damping": 0.4}]
+    elif chosen[4]:
+        motor = {"type": "geared_motor", "joint": joint, "ratio": -30.0, "rotor_inertia": 1e-5}
+        more["actuators"] = [{**motor, "efficiency": 0.8, "viscous": 1e-5, "limit": 0.5}]
+    return scene.with_(**more)
+
+
+def is_regular(system, y):
+    """Whether rows are independent enough for their multipliers."""
+    if not system.held.rows:
+        return True
+    return system.held.factor_at(y.t, system.expand(y).q).condition < 0.03 * NEAR_TOGGLE
+
+
+def check(seed):
+    system = scene_of(seed).system()
+    traced, model = trace(system), system.chart.model
+    for y, u in states(system, 2, patience=8):
+        expected = system.evaluate(system.expand(y), u)
+        a, lam = called(traced.function("multipliers"), y, u)
+        _, zdot, health = called(traced.function("accelerate"), y, u)
+        condition = conditions(system, y)
+        bound = EXACT * max(1.0, condition / 100.0)
+        if not health.item() > traced.least_health:
+            assert condition > 1e6  # what hands over to the plain tier has a reason
+            continue
+        size = max(np.abs(expected.a).max(), weight(system, y))
+        assert np.abs(a - expected.a).max() <= bound * size, seed
+        np.testing.assert_allclose(zdot, expected.zdot, rtol=1e-12, atol=1e-12)
+        if len(expected.lam) and is_regular(system, y):
+            most = max(np.abs(expected.lam).max(), 1.0)
+            assert np.abs(lam - expected.lam).max() <= bound * most, seed
+        given = np.array([y.t]), y.q, y.v, y.z, u, np.zeros(0)
+        found = [np.array(one) for one in traced.function("derivatives")(*given)]
+        for by, got in enumerate(found, 1):
+            steps = slopes(traced.function("accelerate"), by, *given)[: traced.nv + traced.nz]
+            if by == 1 and model.nq > model.nv:
+                steps = steps @ tangent(model, y.q)
+            most = np.abs(steps).max(initial=0.0)
+            assert np.abs(got - steps).max(initial=0.0) <= max(1e-9, bound) * most, (seed, by)
+
+
+def weight(system, y):
+    """Size of the accelerations that cancel in the sum: those of a free fall."""
+    return float(np.linalg.norm(system.model.gravity.linear))
+
+
+@pytest.mark.parametrize("block", range(5))
+def test_random_scenes_are_those_of_the_plain_tier(block):
+    for seed in range(8 * block, 8 * block + 8):
+        check(seed)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("block", range(50))
+def test_many_random_scenes_are_those_of_the_plain_tier(block):
+    for seed in range(10 * block, 10 * block + 10):
+        check(seed)
