@@ -15,6 +15,7 @@ from mbd_ros.core.integration.linear_motion import LinearMotion
 from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.simulation.stepper_of import happenings, prepared
+from mbd_ros.core.state import NONE, Array
 
 EXACT = "accelerate", "derivatives"  # what exact derivatives of a system need
 
@@ -82,33 +83,44 @@ class ImplicitMethod(Integrator):
         prepared(self.method, system, dt)  # the method speaks before the compiler works
         key = self.method.asks, self._stabilization.gains(dt)
         if key not in self._kept:
-            self._kept[key] = _compiled(system, self.method.asks, self._say)
+            traced = _traced(system)
+            library = _compiled(system, traced, self.method.asks, self._say)
+            self._kept[key] = traced, library
         self.traced, self.library = self._kept[key]
         compiled = CompiledSystem(system, self.traced, self.library)
         return prepared(self.method, compiled, dt)
 
 
-def compiled_system(system: System, say: Say = silent) -> CompiledSystem:
+def compiled_system(
+    system: System, traced: Traced | None = None, p: Array = NONE, say: Say = silent
+) -> CompiledSystem:
     """A system whose `derivatives` are exact.
 
     Args:
         system: The system.
+        traced: Its symbolic form, with parameters; one without any by default.
+        p: Values of the parameters, those with which the system was built, shape (np,).
         say: Is told what takes time.
 
     Raises:
         Untraceable: Something in the system has no compiled form; names it.
         BuildError: It cannot be compiled.
     """
-    return CompiledSystem(system, *_compiled(system, EXACT, say))
+    form = _traced(system) if traced is None else traced
+    return CompiledSystem(system, form, _compiled(system, form, EXACT, say, p), p)
 
 
-def _compiled(system: System, names: tuple[str, ...], say: Say) -> tuple[Traced, Library]:
+def _traced(system: System) -> Traced:
     if system.bounded is not None or system.exact is not None:
         raise Untraceable("rows that give way have no derivatives across their bounds")
-    traced = trace(system)
+    return trace(system)
 
+
+def _compiled(
+    system: System, traced: Traced, names: tuple[str, ...], say: Say, p: Array = NONE
+) -> Library:
     def check(library: Library) -> None:
-        verify(library, traced, system)
-        verify_slopes(CompiledSystem(system, traced, library), names)
+        verify(library, traced, system, p)
+        verify_slopes(CompiledSystem(system, traced, library, p), names)
 
-    return traced, load(emit([traced.function(name) for name in names]), say, check)
+    return load(emit([traced.function(name) for name in names]), say, check)
