@@ -110,9 +110,18 @@ def compiled_system(
     return CompiledSystem(system, form, _compiled(system, form, EXACT, say, p), p)
 
 
-def _traced(system: System) -> Traced:
+def refuse_bounds(system: System) -> None:
+    """Refuse rows that give way.
+
+    Raises:
+        Untraceable: There are some.
+    """
     if system.bounded is not None or system.exact is not None:
         raise Untraceable("rows that give way have no derivatives across their bounds")
+
+
+def _traced(system: System) -> Traced:
+    refuse_bounds(system)
     return trace(system)
 
 
