@@ -15,7 +15,7 @@ from mbd_ros.compiled.symbols.trace import trace
 from mbd_ros.core.dynamics.balance import Balance
 from mbd_ros.core.integration.newton import converge
 from mbd_ros.errors import ModelError
-from mbd_ros.scene.compiling import compiled_system
+from mbd_ros.scene.compiled_system import compiled_system
 
 DRIVE = {
     "type": "series_elastic_drive", "joint": "knee", "stiffness": 300.0, "rotor_inertia": 1e-4,
