@@ -1,6 +1,7 @@
 """Runs in native code against the plain tier, which integrates the same equations in Python."""
 
 import pickle
+import time
 
 import numpy as np
 import pytest
@@ -208,3 +209,34 @@ def test_what_has_no_native_steps_is_named():
     scene = load_scene(SWING)
     with pytest.raises(Untraceable, match="gauss_legendre"):
         CompiledMethod(GaussLegendre(), Projection()).prepare(scene.system(), 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "mujoco_steps", "error", "ratio"),
+    [
+        ("arm7_swing", Dop853(tolerance=1e-7), (2e-4, 2.0, False), 1e-6, 10.0),
+        ("a02_four_bars_2", Dop853(tolerance=5e-9), (1e-3, 0.7, True), 1e-8, 50.0),
+    ],
+)
+def test_runs_take_less_than_those_of_mujoco(name, kind, mujoco_steps, error, ratio):
+    """Half of what `benchmarks/compiled.py` finds at the same error, of CPU time."""
+    peers = pytest.importorskip("mbd_ros.report.peers.mujoco_peer")
+    from mbd_ros.report.peers.translation import common_ground, task_of
+
+    scene = load_scene(f"{BENCHMARK}/{name}.yaml")
+    none = STABILIZATIONS["none"]
+    compiled = Simulation(scene.system(), CompiledMethod(kind, none), none, 1.0 / 400)
+    plain = scene.simulation(integrator={"type": "dop853", "tolerance": 1e-12}, dt=0.1)
+    known = np.array([x.q for x in plain.run(scene.initial, 1.0)])
+    peer = peers.MujocoRun(task_of(common_ground(scene)), "mjINT_RK4", *mujoco_steps)
+    times = {"ours": [], "theirs": []}
+    for _ in range(5):
+        begin = time.process_time()
+        rows = compiled.sampled(scene.initial, 1.0)
+        times["ours"].append(time.process_time() - begin)
+        states, used = peer.run((np.arange(1, 11) * 0.1).tolist())
+        times["theirs"].append(used)
+    assert rows.shape[0] == 401
+    assert np.abs(rows[::40, 1 : 1 + known.shape[1]] - known).max() < error
+    assert np.abs(np.array([x.q for x in states]) - known[1:]).max() > 0.1 * error
+    assert min(times["theirs"]) > ratio * min(times["ours"])
