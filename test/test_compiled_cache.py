@@ -108,6 +108,16 @@ def test_a_process_killed_during_compilation_leaves_nothing_that_counts(cache, s
     assert not list(cache.glob("*.part")) and entry(cache)
 
 
+def test_an_interrupted_compilation_ends_its_compiler(cache, slow):
+    child = start()
+    until(lambda: (slow / "calls").exists())
+    child.send_signal(signal.SIGINT)
+    child.communicate()
+    (slow / "hold").unlink()
+    time.sleep(0.2)  # a compiler that goes on would write now
+    assert not list(cache.glob("*.part")) and not list(cache.glob("*.so"))
+
+
 def test_two_processes_that_want_the_same_scene_compile_it_once(cache, slow):
     first = start()
     until(lambda: (slow / "calls").exists())
