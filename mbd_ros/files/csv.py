@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mbd_ros.errors import DataError
 from mbd_ros.files.replacing import replacing
 from mbd_ros.files.table import MAIN, Column, Result, Table
-from mbd_ros.files.times import STAMP
+from mbd_ros.files.times import RUN, STAMP, TIME
 
 NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 # Besides digits only the letters of "nan" pass: float() would take inf, 1_000 and foreign digits.
@@ -79,12 +79,19 @@ class Numbers(NamedTuple):
     values: NDArray[np.float64]
 
 
-def read_table(path: str | Path, nan_allowed: Callable[[str], bool] | None = None) -> Numbers:
+def read_table(
+    path: str | Path,
+    nan_allowed: Callable[[str], bool] | None = None,
+    *,
+    has_times: bool = True,
+) -> Numbers:
     """Read a table whose cells are all plain finite numbers, block by block.
 
     Args:
         path: A .csv file, or .csv.gz.
         nan_allowed: Says by name which columns may hold `nan`; none without it.
+        has_times: Whether the first column is the time, or the run of many that follow one
+            another.
 
     Raises:
         DataError: File, line and column of what is not acceptable, or what is too large.
@@ -92,14 +99,16 @@ def read_table(path: str | Path, nan_allowed: Callable[[str], bool] | None = Non
     path = Path(path)
     with _reading(path) as file:
         lines = _lines(path, file)
-        columns = _columns(path, next(lines, b""))
+        columns = _columns(path, next(lines, b""), has_times)
+        has_times = columns[0] == TIME
         may_lack = np.array([(nan_allowed or _never)(name) for name in columns])
         blocks: list[NDArray[np.float64]] = []
         count, last = 0, -math.inf
         rows = max(1, min(BLOCK, BLOCK_CELLS // len(columns)))
         while block := list(itertools.islice(lines, rows)):
             values = _values(path, columns, block, count + 2, may_lack)
-            _check_times(path, np.concatenate(([last], values[:, 0])), count + 1)
+            if has_times:
+                _check_times(path, np.concatenate(([last], values[:, 0])), count + 1)
             blocks.append(values)
             count, last = count + len(block), float(values[-1, 0])
             if count * len(columns) > MAX_CELLS:
@@ -137,14 +146,15 @@ def _lines(path: Path, file: Any) -> Iterator[bytes]:
         yield line.removesuffix(b"\n").removesuffix(b"\r")
 
 
-def _columns(path: Path, header: bytes) -> tuple[str, ...]:
+def _columns(path: Path, header: bytes, has_times: bool) -> tuple[str, ...]:
+    begin = " that begins with time" if has_times else ""
     if not header.strip():
-        raise DataError(f"{path}: is empty, expected a header line that begins with time")
+        raise DataError(f"{path}: is empty, expected a header line{begin}")
     try:
         columns = header.decode("utf-8-sig").split(",")
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: line 1 is not text, expected a CSV header") from error
-    if columns[0] != "time":
+    if has_times and columns[0] not in (TIME, RUN):
         raise DataError(f"{path}: line 1: first column is {columns[0][:40]!r}, expected 'time'")
     if len(columns) > MAX_COLUMNS:
         raise DataError(f"{path}: {len(columns)} columns, accepted are {MAX_COLUMNS}")

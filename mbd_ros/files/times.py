@@ -8,6 +8,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.table import Column, Table
 
 TIME, STAMP = "time", "stamp"
+RUN = "run"  # in a table of many runs, its first column
 _HEADER = 1  # lines above the rows of a table
 TIME_LIMIT = 9e9  # s: int64 nanoseconds end at 9.22e9 s
 

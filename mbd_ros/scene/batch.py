@@ -107,7 +107,7 @@ class Batch:
         try:
             self._lanes = attempted(lambda: self._compiled(scene, p))
             self.how = f"compiled, {self._lanes.lanes} runs an instruction"
-        except Impossible as error:
+        except (Impossible, SceneError) as error:
             self._take_alone(str(error))
 
     def _take_alone(self, why: str) -> None:
@@ -120,6 +120,16 @@ class Batch:
         entry = {**self._options["solver"], "type": "compiled" if self._must else "auto"}
         self._alone = self.scene.simulation(**self._options | {"solver": entry}, tell=self._tell)
         self.how = f"run after run, {self._alone.how}; side by side: {why}"
+
+    def prepare(self, parameters: Array) -> None:
+        """Compile before anything runs, from values of the parameters, a row a run.
+
+        Raises:
+            SceneError: A value that a part does not take: names the run. Or it cannot be compiled
+                and must be.
+        """
+        if self._may:
+            self._prepare(self._scene(0, parameters[0]), parameters[0])
 
     @property
     def is_side_by_side(self) -> bool:
@@ -142,7 +152,7 @@ class Batch:
             duration: [s].
             positions: Configurations of all joints, shape (n, nq); those of the scene by default.
             velocities: Of all joints, shape (n, nv).
-            internals: Internal states, shape (n, nz).
+            internals: Internal states, shape (n, nz); NaN for their equilibrium.
             parameters: Values of the parameters of the batch, shape (n, number of them).
 
         Raises:
@@ -171,7 +181,7 @@ class Batch:
             raise SceneError(
                 f"{self.scene.name}: batch: {name}: shape {rows.shape}, expected {default.shape}"
             )
-        if not np.isfinite(rows).all():
+        if name != "internals" and not np.isfinite(rows).all():
             run = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
             raise SceneError(f"{self.scene.name}: batch: {name} of run {run} are not finite")
         return rows

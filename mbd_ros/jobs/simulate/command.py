@@ -7,12 +7,14 @@ from mbd_ros.errors import OK, DataError
 from mbd_ros.jobs.arguments import add_scene
 from mbd_ros.jobs.lines import say
 from mbd_ros.scene.locate import path_word
+from mbd_ros.workers.arguments import add_workers
 
 if TYPE_CHECKING:
     from mbd_ros.jobs.simulate.run import Run
     from mbd_ros.scene.built_scene import Scene
 
 _OPTIONS = ("dt", "integrator", "tolerance", "solver")
+_NOT_OF_MANY = ("start", "efforts", "wrenches", "events", "task")
 _RUN_ARGUMENTS = ("origin", "start", "efforts", "wrenches")
 
 
@@ -53,6 +55,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--wrenches", type=path_word, help="CSV or bag of the external loads")
     parser.add_argument(
+        "--ensemble",
+        type=path_word,
+        help="CSV, a run a row: initial states <joint>.position, .velocity, and numbers of parts "
+        "<part>.<argument>; all runs go into one table",
+    )
+    add_workers(parser)
+    parser.add_argument(
         "--events", type=path_word, help="the same kinds of file, for the table of events alone"
     )
     parser.add_argument(
@@ -68,7 +77,25 @@ def run(arguments: argparse.Namespace) -> int:
     from mbd_ros.scene.reader import load_scene
 
     scene = load_scene(arguments.scene)
+    if arguments.ensemble is not None:
+        return _run_ensemble(scene, arguments)
+    for name in ("workers", "scheduler"):
+        if getattr(arguments, name) is not None:
+            raise DataError(f"--{name}: goes with --ensemble")
     simulate_to(scene, _asked(scene, arguments), arguments.out, say, arguments.events)
+    return OK
+
+
+def _run_ensemble(scene: "Scene", arguments: argparse.Namespace) -> int:
+    """Many runs into one table; the exit code."""
+    from mbd_ros.jobs.simulate.ensemble import ensemble_to
+
+    for name, option in (("origin", "from"), *((n, n) for n in _NOT_OF_MANY)):
+        if getattr(arguments, name) is not None:
+            raise DataError(f"--{option}: does not go with --ensemble")
+    where = arguments.workers, arguments.scheduler
+    asked = _asked(scene, arguments)
+    ensemble_to(scene, asked, arguments.ensemble, arguments.out, say, *where)
     return OK
 
 
