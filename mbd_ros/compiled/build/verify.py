@@ -1,12 +1,14 @@
 """Compiled equations of motion beside those of the plain tier."""
 
+from typing import Any
+
 import numpy as np
 
 from mbd_ros.compiled.build.compiler import BuildError
 from mbd_ros.compiled.build.library import Library
 from mbd_ros.compiled.symbols.trace import Traced
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.state import NONE, Array, State
+from mbd_ros.core.state import NONE, Array, Mode, State
 from mbd_ros.errors import MbdError
 
 _STATES, _SEED = 3, 20
@@ -31,9 +33,11 @@ def verify(library: Library, traced: Traced, system: System, p: Array = NONE) ->
     """
     native, rng = library.function("accelerate"), np.random.default_rng(_SEED)
     for _ in range(_STATES):
-        y = some_state(system, rng)
+        mode = () if system.exact is None else _mode(system.exact, rng)
+        y = some_state(system, rng)._replace(mode=mode)
         held, u = some_inputs(system, y.t, rng)
-        for argument, value in zip(native.arguments, (y.t, y.q, y.v, y.z, u, p), strict=True):
+        given = y.t, y.q, y.v, y.z, u, np.append(p, mode)
+        for argument, value in zip(native.arguments, given, strict=True):
             argument.T[...] = value
         native()
         a, zdot, health = (np.atleast_2d(result.T) for result in native.results)
@@ -61,6 +65,13 @@ def some_state(system: System, rng: np.random.Generator) -> State:
     y = system.reduce(State(0.0, robot.neutral(), np.zeros(system.model.nv), z))
     y = system.chart.plus(y, rng.normal(0.0, _SPREAD, 2 * system.nv + internals.nz))
     return y._replace(z=internals.inside(y.z))
+
+
+def _mode(exact: Any, rng: np.random.Generator) -> Mode:
+    """Any mode in which rows without an upper bound are not at it."""
+    upper = exact.solver.constraints.upper.tolist()
+    ways = zip(rng.integers(-1, 2, len(upper)).tolist(), upper, strict=True)
+    return tuple(abs(way) if np.isinf(bound) else way for way, bound in ways)
 
 
 def some_inputs(system: System, t: float, rng: np.random.Generator) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ typedef struct {
 
 enum field {
   SIZE, MEMORY, T, Q, W, T0, Q0, W0, SAMPLE, IS_WITHIN, STEPS, LENGTH, INTERVAL, HEALTH,
-  EVALUATIONS, ROW
+  EVALUATIONS, LEFT, ROW
 };
 
 #define PLACE(field) ((long)(offsetof(Run, field) / sizeof(double)))
@@ -38,6 +38,7 @@ EXPORT long place_of(long field) {
     case INTERVAL: return PLACE(interval);
     case HEALTH: return PLACE(health);
     case EVALUATIONS: return PLACE(evaluations);
+    case LEFT: return PLACE(left);
     default: return 1 + NQ_NV_ALL + NZ;
   }
 }
@@ -46,6 +47,7 @@ EXPORT long place_of(long field) {
 EXPORT void restart(Run *r) {
   forget_history(r);
   r->done = r->is_dense = r->is_forced = r->length = r->is_adams = 0.0;
+  r->is_looked = 0.0;
   r->last_error = SMALL_ERROR;
   memset(r->s, 0, sizeof r->s);
   memset(r->s_before, 0, sizeof r->s_before);
@@ -59,7 +61,7 @@ EXPORT void touch(Run *r) {
 /* Go on from another state than that of the last step. */
 EXPORT void leave(Run *r) {
   forget_history(r);
-  r->is_forced = 0.0;
+  r->is_forced = r->is_looked = 0.0;
 }
 
 /* Time that the step after a sample should not pass, so that samples are dt apart. */
@@ -123,7 +125,7 @@ EXPORT int samples(const Options *o, Run *r, const Times *s, const Inputs *in, d
     double due = due_time(s, r->sample + 1.0), until = in->until[(long)r->interval];
     if (!r->is_within) {
       if (r->steps >= enough) return PAUSED;
-      status = one_step(o, r, fmin(step_end(o, r, s, now, due), until));
+      status = step_in_mode(o, r, fmin(step_end(o, r, s, now, due), until));
       if (status != DONE) return status;
       double off = fabs(r->t - due);
       if (off > 0.0 && off <= s->resolution && s->resolution == s->slack)
@@ -165,11 +167,24 @@ EXPORT int advance(const Options *o, Run *r, const double *u, double end, long m
   r->health = 1.0;
   hold(r, u);
   while (r->t < end && r->steps < enough) {
-    status = one_step(o, r, end);
+    status = step_in_mode(o, r, end);
     if (status == DONE) status = correct(o, r);
     if (status != DONE) return status;
   }
   return r->t < end ? PAUSED : DONE;
+}
+
+/* One step that nothing looks at or corrects. */
+EXPORT int step_alone(const Options *o, Run *r, const double *u, double end) {
+  r->health = 1.0, r->is_looked = 0.0;
+  hold(r, u);
+  return one_step(o, r, end);
+}
+
+/* State inside the last step as its dense output has it, [q; v; z]. */
+EXPORT int inside(const Options *o, Run *r, double t, double *out) {
+  state_at(o, r, t, out, out + NQ);
+  return DONE;
 }
 
 /* The last step once more with another length; `out` is [q; v; z] there. */

@@ -9,6 +9,10 @@
  *   IS_WHOLE             whether all joints are integrated
  *   IS_PROJECTED         whether every step is followed by a projection onto the rows
  *   IS_RATTLE            whether the method is RATTLE
+ *   MODES                rows that give way, whose modes stand in p behind the parameters
+ *   ANSWERS GAPS STAYS   margins of their forces; gaps; rows that velocities keep where they are on
+ *   HAS_DEMANDS          whether margins of forces are asked for while no row is on
+ *   ASKS_ALWAYS          the same, or rates of slips
  *   WORK                 most numbers that a function of the scene keeps in between
  */
 #include <float.h>
@@ -94,6 +98,8 @@ typedef struct {
   real rates[MOST_RATES][NR];
   real dense[MOST_TERMS][NR];
   real history[HISTORY + MOST_HELD][NW];
+  double approach[NOT_ZERO(MODES)], is_looked;  /* rates of heights at the state, where known */
+  double left[NOT_ZERO(MODES)];  /* rows that are just being left: rounding does not count there */
   double end_of_memory;
   real health;
   double evaluations, interval;

@@ -44,7 +44,7 @@ static void hold(Run *r, const double *u) {
   if (are_same(NU, u, r->u)) return;
   copy(NU, u, r->u);
   forget_history(r);
-  r->is_forced = 0.0;
+  r->is_forced = r->is_looked = 0.0;
 }
 
 /* One step, not beyond `end`, and the corrections after it. */
@@ -56,20 +56,6 @@ static int one_step(const Options *o, Run *r, double end) {
   if (!is_finite(r->q, r->w)) return NOT_FINITE;
   if (NZ && clamp(o, r->w + NV)) r->is_after = 0.0;
   return DONE;
-}
-
-/* A state moved onto the rows, where that is the stabilization. */
-static int correct_at(const Options *o, Run *r, double t, double *q, double *w) {
-#if IS_PROJECTED
-  return project(o, r, t, q, w);
-#else
-  return DONE;
-#endif
-}
-
-static int correct(const Options *o, Run *r) {
-  if (IS_PROJECTED) r->is_after = 0.0;
-  return correct_at(o, r, r->t, r->q, r->w);
 }
 
 static void state_at(const Options *o, Run *r, double t, double *q, double *w) {

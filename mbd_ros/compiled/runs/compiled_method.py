@@ -8,11 +8,14 @@ import numpy as np
 from mbd_ros.compiled.build.library import Library, load
 from mbd_ros.compiled.build.verify import verify
 from mbd_ros.compiled.code.emit import emit
+from mbd_ros.compiled.runs.event_stepper import EventStepper
+from mbd_ros.compiled.runs.mode_stepper import ModeStepper
 from mbd_ros.compiled.runs.native_run import NativeRun
 from mbd_ros.compiled.runs.native_source import Sizes, with_integrators
 from mbd_ros.compiled.runs.native_stepper import NativeStepper
 from mbd_ros.compiled.symbols.trace import Traced, trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable
+from mbd_ros.core.dynamics.row_heights import Reach
 from mbd_ros.core.integration.linear_motion import LinearMotion
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.names import type_name
@@ -57,6 +60,7 @@ class CompiledMethod(Integrator):
     """
 
     keeps_constraints = True
+    event_steps = EventStepper
     moves_internal = True
 
     def __init__(
@@ -69,6 +73,7 @@ class CompiledMethod(Integrator):
         self.method, self._stabilization, self._say = method, stabilization, say
         self._kept = {} if kept is None else kept
         self.order, self.stable = method.order, method.stable
+        self.event_driven, self.finds_surfaces = method.event_driven, method.finds_surfaces
         self.traced: Traced | None = None
         self.library: Library | None = None
 
@@ -90,9 +95,9 @@ class CompiledMethod(Integrator):
         if not self.method.native:
             name = type_name(type(self.method))
             raise Untraceable(f"integrator {name} takes no compiled steps")
-        names = [name for names in happenings(system) for name in names]
-        if names:
-            raise Untraceable(f"steps stop at events of {', '.join(names)}")
+        rows, guards = happenings(system)
+        if guards or (rows and not self.method.event_driven):
+            raise Untraceable(f"steps stop at events of {', '.join((*rows, *guards))}")
         stabilization = type(self._stabilization)
         corrects = stabilization.correct is not Stabilization.correct
         if system.held.rows and corrects and not self._stabilization.projects:
@@ -121,17 +126,18 @@ class CompiledMethod(Integrator):
         pairs = ((at, source.pieces()) for at, source in system.loads.sources.smooth)
         smooth = [(at, pieces) for at, pieces in pairs if pieces is not None]
         run = NativeRun(
-            *(self.library, sizes, self.method, dt, bounds),
+            *(self.library, sizes, self.method, dt, bounds, np.ones(sizes.modes)),
             least_health=built.traced.least_health,
             smooth=smooth,
         )
-        return NativeStepper(run, plain, self._corrects(system), system.loads.idle)
+        given = run, plain, self._corrects(system), system.loads.idle
+        return ModeStepper(*given) if sizes.modes else NativeStepper(*given)
 
     def _built(self, system: Any, dt: float) -> Built:
         """The native code of a system, made once."""
         key = self.method.native, self._is_projected(system), self._stabilization.gains(dt)
         if key not in self._kept:
-            traced = trace(system)
+            traced = trace(system, mode=None if system.exact else ())
             sizes = self.sizes(system, traced)
             functions = [traced.function(name) for name in sizes.functions]
             source = with_integrators(emit(functions), sizes)
@@ -150,6 +156,7 @@ class CompiledMethod(Integrator):
             is_projected=is_projected,
             is_rattle=self.method.native == "rattle",
             np=traced.np,
+            **_modes(system, traced),
         )
 
     def _is_projected(self, system: Any) -> bool:
@@ -160,3 +167,20 @@ class CompiledMethod(Integrator):
         if not self._is_projected(system):
             return lambda y: y
         return lambda y: self._stabilization.correct(system, y)
+
+
+def _modes(system: Any, traced: Traced) -> dict[str, int]:
+    """What a source has to know of rows that give way at events."""
+    if not traced.switches:
+        return {}
+    reach = system.exact.reach
+    counts = {kind: reach.count(kind) for kind in Reach}
+    slips, demands = counts[Reach.SLIP], counts[Reach.DEMAND]
+    return {
+        "modes": traced.switches,
+        "answers": int(traced.function("answers").size1_out(0)),
+        "gaps": counts[Reach.GAP],
+        "stays": counts[Reach.GAP] + slips,
+        "has_demands": demands > 0,
+        "asks_always": slips + demands > 0,
+    }

@@ -51,7 +51,15 @@ class NativeRun:
         p: Values of the parameters.
         least_health: Of rows: below it the run stops.
         smooth: What inputs that change within steps are made of, with their places in u.
+
+    Attributes:
+        sizes: As given.
+        row: Numbers of a sample.
+        left: 1 where rows are just being left and rounding does not count, one entry a mode.
+        ends_at_samples: Whether steps that follow one which ended early end at the next sample.
     """
+
+    ends_at_samples = False
 
     def __init__(
         self,
@@ -75,12 +83,14 @@ class NativeRun:
         self._o = ctypes.addressof(options)
         place = [self._c.place_of(field) for field in Field]
         self._at, self._row = place, place[Field.ROW]
+        self.row = self._row
         self._numbers = _aligned(place[Field.SIZE])
         self._r = self._numbers.ctypes.data
         nq, nv, nz = sizes.nq, sizes.nv, sizes.nz
         self._q = self._numbers[place[Field.Q] :][:nq]
         self._v = self._numbers[place[Field.W] :][:nv]
         self._z = self._numbers[place[Field.W] + nv :][:nz]
+        self.left = self._numbers[place[Field.LEFT] :][: sizes.modes]
         self._out, self._u = np.zeros(nq + nv + nz), np.zeros(max(sizes.nu, 1))
         self._rates = np.zeros(nv + nz + 1)
         self._written = ctypes.c_long(0)
@@ -157,6 +167,12 @@ class NativeRun:
             self._u[: len(u)] = u
         return Status(self._c.advance(self._o, self._r, self._u.ctypes.data, end, most))
 
+    def step_alone(self, u: Array | None, end: float) -> Status:
+        """One step that nothing looks at or corrects, with held inputs, until a time [s]."""
+        if u is not None:
+            self._u[: len(u)] = u
+        return Status(self._c.step_alone(self._o, self._r, self._u.ctypes.data, end))
+
     def samples(self, times: SampleTimes, held: HeldTable, steps: int, most: int) -> Block:
         """The samples after the newest one.
 
@@ -168,7 +184,8 @@ class NativeRun:
         """
         most = min(most, times.end - self.sample)
         rows = np.empty((most, self._row))
-        value = TimesOfC(*times[:3], times.resolution, times.slack, times.end, 0)
+        given = *times[:3], times.resolution, times.slack, times.end, self.ends_at_samples
+        value = TimesOfC(*given)
         table = InputsOfC(len(held.until), held.until.ctypes.data, held.values.ctypes.data)
         status = self._c.samples(
             *(self._o, self._r, ctypes.addressof(value), ctypes.addressof(table)),
@@ -216,6 +233,23 @@ class NativeRun:
         status = self._c.interpolate(self._o, self._r, t, self._out.ctypes.data)
         return self._given(t), Status(status)
 
+    def inside(self, t: float) -> State:
+        """State inside the last step, as its dense output has it."""
+        self._c.inside(self._o, self._r, t, self._out.ctypes.data)
+        return self._given(t)
+
+    def began(self) -> State:
+        """Where the last step began, fresh."""
+        nq, nv, nz = self.sizes.nq, self.sizes.nv, self.sizes.nz
+        q = self._numbers[self._at[Field.Q0] :][:nq].copy()
+        v, z = np.split(self._numbers[self._at[Field.W0] :][: nv + nz].copy(), [nv])
+        return State(float(self._numbers[self._at[Field.T0]]), q, v, z if z.size else NONE)
+
+    def switch(self, mode: Sequence[int]) -> None:
+        """Go on in another mode of rows that give way; nothing of earlier steps holds in it."""
+        self._p[len(self._p) - self.sizes.modes :] = mode[: self.sizes.modes]
+        self._c.leave(self._r)
+
     def memory(self) -> Array:
         """All that later steps and samples depend on, fresh."""
         return self._numbers[: self._at[Field.MEMORY]].copy()
@@ -255,6 +289,8 @@ def _bound(c: Any) -> Any:
         ("samples", (*(pointer,) * 4, number, whole, whole, pointer, pointer)),
         ("evaluate_at", (pointer, pointer, number, pointer, pointer, pointer)),
         ("again", (pointer, pointer, number, number, pointer)),
+        ("step_alone", (pointer, pointer, pointer, number)),
+        ("inside", (pointer, pointer, number, pointer)),
         ("interpolate", (pointer, pointer, number, pointer)),
     ):
         getattr(c, name).argtypes = arguments

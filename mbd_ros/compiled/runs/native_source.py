@@ -6,7 +6,7 @@ from typing import NamedTuple
 from mbd_ros.compiled.code.emit import Source
 
 NATIVE = Path(__file__).parents[1] / "native"
-_FILES = ("run.h", "weights.h", "runge_kutta.h", "adams.h", "projection.h", "rattle.h", "steps.h")
+_FILES = ("run.h", "weights.h", "runge_kutta.h", "adams.h", "projection.h", "rattle.h", "steps.h", "events.h")
 _LAST = {False: "run.c", True: "lanes.c"}  # by whether a real is several numbers
 
 
@@ -27,6 +27,12 @@ class Sizes(NamedTuple):
         is_projected: Whether every step is followed by a projection onto the rows.
         is_rattle: Whether the method is RATTLE.
         np: Parameters.
+        modes: Rows that give way at events, whose modes stand behind the parameters.
+        answers: Margins of their forces.
+        gaps: How many of them are gaps.
+        stays: How many have a rate that is none where they are on.
+        has_demands: Whether some of them are drives, whose demands are looked at in any mode.
+        asks_always: Whether accelerations are, for these or for the rates of slips.
     """
 
     nq: int
@@ -42,6 +48,12 @@ class Sizes(NamedTuple):
     is_projected: bool = False
     is_rattle: bool = False
     np: int = 0
+    modes: int = 0
+    answers: int = 0
+    gaps: int = 0
+    stays: int = 0
+    has_demands: bool = False
+    asks_always: bool = False
 
     @property
     def functions(self) -> tuple[str, ...]:
@@ -57,6 +69,9 @@ class Sizes(NamedTuple):
             names += ["gap", "lift"]
         if (self.is_projected or self.is_rattle) and self.nh:
             names.append("settle")
+        if self.modes:
+            names += ["heights", "answers"]
+        names += ["land"] * bool(self.gaps) + ["stay"] * bool(self.stays)
         return tuple(names)
 
 

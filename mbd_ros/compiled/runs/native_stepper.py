@@ -66,7 +66,7 @@ class NativeStepper(BlockStepper):
 
     def begin_samples(self, y: State, sample: int, *, is_within: bool) -> None:
         """As `BlockStepper.begin_samples`."""
-        self._enter(y)
+        self.enter(y)
         self._run.begin_samples(sample, is_within=is_within)
 
     def samples(self, times: Any, held: HeldTable, steps: int, most: int) -> SampleBlock:
@@ -105,9 +105,9 @@ class NativeStepper(BlockStepper):
         """
         if not self.takes_blocks:
             return self._step_plainly(x, u, end), 1
-        self._enter(x)
+        self.enter(x)
         before = self._run.steps
-        status = self._run.advance(self._idle if u is None else u, end, most)
+        status = self._run.advance(self.filled(u), end, most)
         count = self._run.steps - before
         if status in _WENT_ON:
             self._is_plain = False
@@ -177,10 +177,15 @@ class NativeStepper(BlockStepper):
             return self._correct(self._plain.interpolate(t))
         return self._run.interpolate(t)[0]
 
-    def _enter(self, x: State) -> None:
+    def enter(self, x: State) -> None:
+        """Let the run stand at a state."""
         if x is not self._last:
             self._run.load(x)
             self._last = x
+
+    def filled(self, u: Array | None) -> Array:
+        """Inputs where none are given, too."""
+        return self._idle if u is None else u
 
     def _step_plainly(self, x: State, u: Array | None, end: float) -> State:
         after = self._plain.step(x, u, end)

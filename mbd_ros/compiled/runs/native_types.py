@@ -58,7 +58,8 @@ class Field(IntEnum):
     INTERVAL = 12
     HEALTH = 13
     EVALUATIONS = 14
-    ROW = 15
+    LEFT = 15
+    ROW = 16
 
 
 class WeightsOfC(ctypes.Structure):

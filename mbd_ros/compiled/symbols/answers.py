@@ -1,14 +1,18 @@
 """What the functions of a traced system give, one method a function."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 
 from mbd_ros.compiled.symbols import balance, implicit
 from mbd_ros.compiled.symbols.equations import Equations
+from mbd_ros.compiled.symbols.rows import Rows
 from mbd_ros.compiled.symbols.scalar import column, numbers, plain, scalars
+from mbd_ros.compiled.symbols.switched import SwitchedRows
 from mbd_ros.compiled.symbols.turns import ZERO
-from mbd_ros.compiled.symbols.untraceable import tracing
+from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
+from mbd_ros.core.dynamics.row_heights import Reach
 from mbd_ros.core.events.part_guards import guarding
 from mbd_ros.core.outputs import Now
 from mbd_ros.core.row_laws import Level
@@ -57,6 +61,44 @@ class Answers:
         a, lam = e.solved
         margins = e.yielding.margins(a, lam, e.velocity)
         return [ca.vertcat(*margins.values(), *self._part_guards())]
+
+    def heights(self) -> list[Any]:
+        """Margins of heights and rates of gaps, one a row that gives way."""
+        e = self._equations
+        return [ca.vertcat(*one) for one in self._switched.heights(e.velocity)]
+
+    def answers(self) -> list[Any]:
+        """Margins of multipliers and demands; rates of slips, one a row that gives way."""
+        return [ca.vertcat(*one) for one in self._switched.answers(*self._equations.solved)]
+
+    def land(self) -> list[Any]:
+        """A step of Newton's method onto the gaps that are on, and their g."""
+        e, rows = self._equations, self._switched
+        chosen = rows.of(Reach.GAP)
+        on, held = rows.masked(chosen), e.held.of(Level.POSITION)
+        a = self._moved(held, on, rows.slack_of(chosen), on.g)
+        return [ca.vertcat(*a), ca.vertcat(*on.g)]
+
+    def stay(self) -> list[Any]:
+        """What ends the g' of rows that are on, and these."""
+        e, rows = self._equations, self._switched
+        chosen, rates = rows.of(Reach.GAP, Reach.SLIP), rows.rates(e.velocity)
+        left = [rates[i] for i in chosen]
+        a = self._moved(e.held, rows.masked(chosen), rows.slack_of(chosen), left)
+        return [ca.vertcat(*a), ca.vertcat(*left)]
+
+    def _moved(self, held: Rows, on: Rows, slack: Sequence[Any], left: Sequence[Any]) -> list[Any]:
+        """The smallest motion that ends what is left of rows and moves no rigid one."""
+        e, still = self._equations, [ZERO] * len(held.J)
+        factors = e.beside(held.beside(on), [*still, *slack])
+        return factors.solve([ZERO] * e.nv, [*still, *(-one for one in left)]).a
+
+    @property
+    def _switched(self) -> SwitchedRows:
+        rows = self._equations.yielding
+        if not isinstance(rows, SwitchedRows):
+            raise Untraceable("rows that give way are looked at where all modes are traced")
+        return rows
 
     def _part_guards(self) -> list[Any]:
         e = self._equations

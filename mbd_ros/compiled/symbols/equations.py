@@ -15,6 +15,8 @@ from mbd_ros.compiled.symbols.links import Tree, tree_of, with_armature
 from mbd_ros.compiled.symbols.motion import Held, Motion, Solution
 from mbd_ros.compiled.symbols.rows import Rows, rows_of
 from mbd_ros.compiled.symbols.scalar import column, numbers, plain, scalars
+from mbd_ros.compiled.symbols.switched import SwitchedRows
+from mbd_ros.compiled.symbols.turns import ZERO
 from mbd_ros.compiled.symbols.untraceable import tracing
 from mbd_ros.compiled.symbols.usual_pivots import usual_pivots
 from mbd_ros.compiled.symbols.yielding import Margin, YieldingRows
@@ -32,7 +34,7 @@ class Equations:
     Args:
         system: The system.
         parameters: Names of numbers that stay symbols.
-        mode: Of rows that give way.
+        mode: Of rows that give way; None for all modes at once, as `SwitchedRows` has them.
         made: Makes parts of symbols, by name.
 
     Attributes:
@@ -40,16 +42,20 @@ class Equations:
         tree: The links of all joints.
         k: Kinematics of symbols.
         x: State of all joints.
+        switches: How many entries of a mode stand behind the parameters.
+        yielding: Rows that give way.
 
     Raises:
         Untraceable: Names the part and why.
     """
 
     def __init__(
-        self, system: System, parameters: tuple[str, ...], mode: Mode, made: Made
+        self, system: System, parameters: tuple[str, ...], mode: Mode | None, made: Made
     ) -> None:
         self.system, self.parameters, self.tier = system, parameters, system.tier
-        self._symbolic = _parts(made, parameters, p := ca.SX.sym("p", len(parameters)))
+        self.switches = len(system.exact.names) if mode is None and system.exact else 0
+        p = ca.SX.sym("p", len(parameters) + self.switches)
+        self._symbolic = _parts(made, parameters, p[: len(parameters)])
         self.tree = self._moved(tree_of(system.model))
         self.nq, self.nv, self.nz = system.nq, system.nv, system.internals.nz
         self.nu, self.m = len(system.loads.idle), len(system.multiplier_rows)
@@ -65,9 +71,14 @@ class Equations:
         c, internals = self.coordinates, system.internals
         self.k = SymbolicKinematics(system.robot, self.tree, c.q, c.v)
         inside = self.k.within(z, internals.lower, internals.upper)
-        self.x = State(t[0], c.q, c.v, inside, mode)
-        self.yielding = YieldingRows(self, mode)
+        self.x = State(t[0], c.q, c.v, inside, mode or ())
+        self.yielding = self._yielding(mode)
         self.symbols["l"] = ca.SX.sym("l", self.mh + len(self.yielding.on.J))
+
+    def _yielding(self, mode: Mode | None) -> YieldingRows:
+        if mode is not None or not self.switches:
+            return YieldingRows(self, mode or ())
+        return SwitchedRows(self, scalars(self.symbols["p"])[-self.switches :])
 
     def own(self, part: Any) -> Any:
         """The part with symbols for its parameters; itself where it has none."""
@@ -127,6 +138,11 @@ class Equations:
         return [*rigid, *self.yielding.bias]
 
     @cached_property
+    def slack(self) -> list[Any]:
+        """The s of J a + s lam + b = 0; empty where all are none."""
+        return [*[ZERO] * self.mh, *self.yielding.slack] if self.yielding.slack else []
+
+    @cached_property
     def acting(self) -> Rows:
         """Rigid rows, then those that are on in the mode, in what is integrated."""
         return self.held.beside(self.yielding.on)
@@ -142,7 +158,9 @@ class Equations:
         """The form of the fewest operations."""
         best, fewest = None, 0
         for dynamics in self.dynamics:
-            motion = Motion(dynamics, self.coordinates, self.tau, self.acting, self.bias)
+            motion = Motion(
+                dynamics, self.coordinates, self.tau, self.acting, self.bias, self.slack
+            )
             for solution in motion.solutions():
                 count = self.operations(solution.a)
                 if best is None or count < fewest:
@@ -179,18 +197,21 @@ class Equations:
         a, lam = self.solved
         return tuple(self.yielding.margins(a, lam, self.velocity))
 
-    def beside(self, rows: Rows) -> Held:
+    def beside(self, rows: Rows, slack: Sequence[Any] = ()) -> Held:
         """Factors of masses beside rows."""
         mass = self.coordinates.reduced_matrix(self.chosen[0].mass)
-        return Held(mass, rows, self.nv)
+        return Held(mass, rows, self.nv, slack)
 
     def health(self, solution: Solution) -> Any:
         """The smallest pivot of the rows over its usual size."""
-        health = ca.SX(1.0)
+        health, off = ca.SX(1.0), self.slack or [ZERO] * len(solution.pivots)
         if solution.pivots:
-            usual = usual_pivots(self.system, self.symbols, ca.vertcat(*solution.pivots))
-            for pivot, size in zip(solution.pivots, np.asarray(usual).tolist(), strict=True):
-                health = ca.fmin(health, pivot * (1.0 / size if size else 0.0))
+            pivots = ca.vertcat(*solution.pivots)
+            usual = usual_pivots(self.system, self.symbols, pivots, self.switches)
+            each = zip(solution.pivots, off, np.asarray(usual).tolist(), strict=True)
+            for pivot, slack, size in each:
+                share = pivot * (1.0 / size if size else 0.0)
+                health = ca.fmin(health, share + slack * (1.0 - share))
         return health
 
 

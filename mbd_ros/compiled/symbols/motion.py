@@ -36,6 +36,7 @@ class Motion:
         tau: Generalized forces on all joints, SX scalars.
         rows: Those that hold.
         bias: The b of J a + b = 0, SX scalars, one a row.
+        slack: As for `Held`.
     """
 
     def __init__(
@@ -45,9 +46,10 @@ class Motion:
         tau: Sequence[Any],
         rows: Rows,
         bias: Sequence[Any],
+        slack: Sequence[Any] = (),
     ) -> None:
         self._dynamics, self._coordinates, self._tau = dynamics, coordinates, tau
-        self._rows, self._bias = rows, bias
+        self._rows, self._bias, self._slack = rows, bias, slack
 
     def solutions(self) -> list[Solution]:
         """The same accelerations by all forms that are worth a try."""
@@ -67,25 +69,26 @@ class Motion:
         if drift is not None:
             h = self._dynamics.needed(drift)
         left = c.reduced([force - bias for force, bias in zip(self._tau, h, strict=True)])
-        held = Held(c.reduced_matrix(self._dynamics.mass), self._rows, c.nv)
+        held = Held(c.reduced_matrix(self._dynamics.mass), self._rows, c.nv, self._slack)
         return held.solve(left, [-one for one in self._bias])
 
 
 class Held:
-    """Masses beside rows, factorised: M a - J' lam = f, J a = b.
+    """Masses beside rows, factorised: M a - J' lam = f, J a + s lam = b.
 
     Args:
         mass: The lower triangle of M, SX scalars.
         rows: The rows.
         nv: Size of a velocity.
+        slack: The s of each row, SX scalars; none where nothing is given.
     """
 
-    def __init__(self, mass: Entries, rows: Rows, nv: int) -> None:
+    def __init__(self, mass: Entries, rows: Rows, nv: int, slack: Sequence[Any] = ()) -> None:
         self._nv, self._m = nv, len(rows.J)
         entries = dict(mass)
-        for i, row in enumerate(rows.J, nv):
-            entries.update({(i, j): value for j, value in row.items()})
-            entries[i, i] = ZERO
+        for i, row in enumerate(rows.J):
+            entries.update({(nv + i, j): value for j, value in row.items()})
+            entries[nv + i, nv + i] = -slack[i] if slack else ZERO
         edges = [at for at, value in entries.items() if not value.is_zero()]
         waits = {i: set(row) for i, row in enumerate(rows.J, nv)}
         order = order_of(edges, nv + self._m, waits)

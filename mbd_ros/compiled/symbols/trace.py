@@ -27,6 +27,10 @@ ARGUMENTS = {  # of every function, in their order
     "balance": "tqvzupal",
     "balance_slopes": "tqvzupal",
     "guards": "tqvzup",
+    "heights": "tqvp",
+    "answers": "tqvzup",
+    "land": "tqp",
+    "stay": "tqvp",
 }
 
 
@@ -52,6 +56,9 @@ class Traced:
     balance_slopes(the same) -> of both, stacked, by steps of q, by v and by z.
     guards(t, q, v, z, u, p) -> margins of rows that give way in the mode, as `margins` lists them,
     then the values of the guards of parts.
+    heights(t, q, v, p), answers(t, q, v, z, u, p) -> (margins, rates) of rows that give way, in
+    all modes: margins of heights and of multipliers, positive while a mode goes on.
+    land(t, q, p) -> (dq, g), stay(t, q, v, p) -> (dv, rate) onto the rows that are on.
     integrate(q, dq) -> q (+) dq, rate(dq, v) -> the rate of dq: for charts that are not flat.
 
     Args:
@@ -70,6 +77,7 @@ class Traced:
         m: Number of multipliers.
         mg: Number of rows of positions that an integrator may have to keep.
         mh: Number of rows that velocities keep.
+        switches: How many entries of a mode stand behind the parameters in p.
         least_health: Below it, rows are too near to dependent for a factor without pivoting.
     """
 
@@ -82,6 +90,7 @@ class Traced:
         self.nz, self.nu, self.np = equations.nz, equations.nu, len(equations.parameters)
         self.nq_all, self.nv_all = equations.tree.nq, equations.tree.nv
         self.m, self.mg, self.mh = equations.m, equations.mg, equations.mh
+        self.switches = equations.switches
         self._made: dict[str, Any] = {}
 
     @property
@@ -119,7 +128,7 @@ def _dense(result: Any) -> Any:
 def trace(
     system: System,
     parameters: Sequence[str] = (),
-    mode: Mode = (),
+    mode: Mode | None = (),
     made: Made = dict,
 ) -> Traced:
     """The functions of a system.
@@ -127,7 +136,8 @@ def trace(
     Args:
         system: The system.
         parameters: Names of numbers that stay arguments.
-        mode: Of rows that give way at events, as `State.mode`; needed where there are any.
+        mode: Of rows that give way at events, as `State.mode`; needed where there are any. None
+            for all modes at once: p ends with the mode then.
         made: Makes parts from symbols by parameter: name -> part; see `scene.symbolic_parts`.
 
     Raises:

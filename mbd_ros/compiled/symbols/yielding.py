@@ -30,12 +30,25 @@ class YieldingRows:
     Attributes:
         on: Rows that are on, in what is integrated.
         bias: The b of J y'' + b = 0 of these.
+        slack: The s of J y'' + s lam + b = 0, empty where all are none.
 
     Raises:
         Untraceable: Names what has no symbolic form.
     """
 
+    slack: Sequence[Any] = ()
+
     def __init__(self, equations: "Equations", mode: Mode) -> None:
+        self._ask(equations)
+        if len(mode) < len(self._reach):
+            raise Untraceable("rows that give way have a form in a mode only")
+        self._mode = mode[: len(self._reach)]
+        chosen = [i for i, way in enumerate(self._mode) if way == 0]
+        self.on = self._whole.only(chosen).reduced(self._c)
+        self.bias = [self._biased(i) for i in chosen]
+
+    def _ask(self, equations: "Equations") -> None:
+        """What all modes share."""
         system, k, x = equations.system, equations.k, equations.x
         if system.bounded is not None:
             name = system.bounded.constraints.rows[0].name
@@ -43,9 +56,7 @@ class YieldingRows:
         self._reach: Sequence[Reach] = () if system.exact is None else system.exact.reach
         given = () if system.exact is None else system.exact.solver.constraints.blocks
         blocks = equations.blocks(given)
-        if len(mode) < len(self._reach):
-            raise Untraceable("rows that give way have a form in a mode only")
-        self._mode, self._c = mode[: len(self._reach)], equations.coordinates
+        self._c = equations.coordinates
         for block in blocks:
             if block.law.kind is Kind.CONE:
                 raise Untraceable(f"{block.part.name} is a contact with friction")
@@ -56,13 +67,11 @@ class YieldingRows:
         ]
         self._lower, self._upper = _bounds(blocks, k, x)
         self.slots = [slot for b in blocks for slot in range(b.slots.start, b.slots.stop)]
-        chosen = [i for i, way in enumerate(self._mode) if way == 0]
-        self.on = self._whole.only(chosen).reduced(self._c)
+
+    def _biased(self, i: int) -> Any:
         drift = self._c.drift
-        self.bias = [
-            self._conditions[i] + sum(value * plain(drift[j]) for j, value in row.items())
-            for i, row in ((i, self._whole.J[i]) for i in chosen)
-        ]
+        own = (value * plain(drift[j]) for j, value in self._whole.J[i].items())
+        return self._conditions[i] + sum(own)
 
     def multipliers(self, lam: Sequence[Any]) -> list[Any]:
         """Of all these rows, SX scalars, from those of the rows that are on."""
@@ -96,9 +105,9 @@ class YieldingRows:
         rates = self._whole.velocities(v)
         for i, (way, reach) in enumerate(zip(self._mode, self._reach, strict=True)):
             if not way:
-                if not _is_open(self._lower[i]):
+                if not is_open(self._lower[i]):
                     found[i, 1] = lam[i] - self._lower[i]
-                if not _is_open(self._upper[i]):
+                if not is_open(self._upper[i]):
                     found[i, -1] = self._upper[i] - lam[i]
             elif reach is Reach.DEMAND:
                 left = sum((value * a[j] for j, value in self._whole.J[i].items()), ZERO)
@@ -129,5 +138,6 @@ def _bounds(blocks: Sequence[Any], k: Any, x: Any) -> tuple[list[Any], list[Any]
     return found
 
 
-def _is_open(bound: Any) -> bool:
+def is_open(bound: Any) -> bool:
+    """Whether a bound is none."""
     return bool(bound.is_constant()) and math.isinf(float(bound))

@@ -132,6 +132,8 @@ class Integrator:
         is_explicit: Whether stiff forces limit the step.
         event_driven: Whether its steps can be taken again with another length, so that they end
             at events; other methods refuse exact rows that give way, and guards.
+        event_steps: What takes its steppers from event to event, called as `EventSteps`; None for
+            that.
         at_velocity_level: Whether its steps solve for rows that give way with their rates at the
             end of the step, impacts included, exact or smoothed, and for internal states.
         finds_surfaces: Whether surfaces of switching forces are events, too.
@@ -151,9 +153,10 @@ class Integrator:
     keeps_internal: ClassVar[bool] = True
     moves_internal: ClassVar[bool] = False
     is_explicit: ClassVar[bool] = True
-    event_driven: ClassVar[bool] = False
+    event_driven: bool = False
+    event_steps: Any = None
     at_velocity_level: ClassVar[bool] = False
-    finds_surfaces: ClassVar[bool] = False
+    finds_surfaces: bool = False
     native: str = ""
     asks: tuple[str, ...] = ()
     stable: float = 2.5

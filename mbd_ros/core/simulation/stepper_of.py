@@ -38,9 +38,10 @@ def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
     from mbd_ros.core.events.mode_field import ModeField
 
     field = ModeField(system, surfaces)
+    steps = method.event_steps or EventSteps
     if field.has_contacts and not system.chart.is_flat:
-        return EventSteps(field, _turned(method, field.system, dt), dt)
-    return EventSteps(field, prepared(method, field.system, dt), dt)
+        return steps(field, _turned(method, field.system, dt), dt)
+    return steps(field, prepared(method, field.system, dt), dt)
 
 
 def _turned(method: Integrator, system: System, dt: float) -> Stepper:

@@ -1,0 +1,86 @@
+"""Native steps in a mode of rows that give way, as event location takes them."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from mbd_ros.compiled.runs.native_run import NativeRun
+from mbd_ros.compiled.runs.native_stepper import NativeStepper
+from mbd_ros.compiled.runs.native_types import Status
+from mbd_ros.core.integration.stepping import Stepper
+from mbd_ros.core.state import Array, Mode, State
+
+
+class ModeStepper(NativeStepper):
+    """Steps of which nothing is corrected; a mode that is not compiled has plain ones.
+
+    Args:
+        run: The integration.
+        plain: The same method in Python.
+        correct: What stabilization makes of a state after a step.
+        idle: Inputs where none are given.
+
+    Attributes:
+        run: As given.
+        mode: What it follows.
+        is_compiled: Whether that is compiled.
+    """
+
+    def __init__(
+        self, run: NativeRun, plain: Stepper, correct: Callable[[State], State], idle: Array
+    ) -> None:
+        super().__init__(run, plain, correct, idle)
+        self.run, self.correct = run, correct
+        self.mode: Mode = ()
+        self.is_compiled = False
+
+    def follow(self, accelerate: Any, mode: Mode = ()) -> None:
+        """As `Stepper.follow`."""
+        self._plain.follow(accelerate, mode)
+        self.mode, self.is_compiled = mode, bool(mode)
+        if mode:
+            self.run.switch(mode)
+        self._last = None
+
+    def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
+        """As `Stepper.step`."""
+        if self.is_compiled:
+            self.enter(x)
+            before = self.run.steps
+            status = self.run.step_alone(self.filled(u), end)
+            if status == Status.DONE:
+                if self.run.steps == before:
+                    return x
+                self._is_plain = False
+                return self.newest_state()
+            self.run.load(x)
+        after = self._plain.step(x, u, end)
+        if after is not x:
+            self._is_plain, self._last = True, None
+            self.handed_over += 1
+        return after
+
+    def newest_state(self) -> State:
+        """What is integrated after the last native step, in its mode."""
+        self._last = after = self.run.state()._replace(mode=self.mode)
+        return after
+
+    def again(self, h: float, t: float) -> State:
+        """As `Stepper.again`."""
+        if self._is_plain:
+            return self._plain.again(h, t)
+        self._last = after = super().again(h, t)._replace(mode=self.mode)
+        return after
+
+    def interpolate(self, t: float) -> State:
+        """State inside the last step, uncorrected."""
+        if self._is_plain:
+            return self._plain.interpolate(t)
+        return self.run.inside(t)._replace(mode=self.mode)
+
+    def continue_from(self, x: State) -> None:
+        """As `Stepper.continue_from`."""
+        if self._is_plain:
+            self._plain.continue_from(x)
+        else:
+            super().continue_from(x)

@@ -1,0 +1,130 @@
+"""Rows that give way, in a mode that is an argument: one compiled function serves all modes.
+
+The square of an entry m of a mode, 0 where a row is on and 1 or -1 at a bound, switches between
+its equation and nothing, beside which its force at a bound is known:
+
+    (1 - m^2) (J a + b) + m^2 lam = 0
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import casadi as ca
+
+from mbd_ros.compiled.symbols.rows import Rows
+from mbd_ros.compiled.symbols.scalar import plain
+from mbd_ros.compiled.symbols.turns import ZERO
+from mbd_ros.compiled.symbols.yielding import YieldingRows, is_open
+from mbd_ros.core.dynamics.row_heights import Reach
+
+if TYPE_CHECKING:
+    from mbd_ros.compiled.symbols.equations import Equations
+
+_PASSED = 1.0  # a margin that never ends
+
+
+class Looks(NamedTuple):
+    """What is looked at after a step; SX scalars, one a row.
+
+    Attributes:
+        margins: Positive while the mode goes on.
+        rates: Rates of the margins of rows that are off, 0 where they have no height.
+    """
+
+    margins: list[Any]
+    rates: list[Any]
+
+
+class SwitchedRows(YieldingRows):
+    """Rows that give way at events, in every mode.
+
+    Args:
+        equations: Of the system.
+        ways: The mode, one SX scalar a row.
+
+    Raises:
+        Untraceable: Names what has no symbolic form.
+    """
+
+    def __init__(self, equations: "Equations", ways: Sequence[Any]) -> None:
+        self._ask(equations)
+        self._ways = ways
+        self._off = [way * way for way in ways]
+        self.slack = self._off
+        self._open = self._whole.reduced(self._c)
+        self.on = self.masked(range(len(ways)))
+        self.bias = [(1.0 - off) * self._biased(i) for i, off in enumerate(self._off)]
+
+    def masked(self, chosen: Sequence[int]) -> Rows:
+        """Some rows in what is integrated, all zero where they are off."""
+        rows = self._open.only(chosen)
+        on = [1.0 - self._off[i] for i in chosen]
+        J = [
+            {j: one * value for j, value in row.items()}
+            for one, row in zip(on, rows.J, strict=True)
+        ]
+        g = [one * value for one, value in zip(on, rows.g, strict=True)]
+        return rows._replace(J=J, g=g)
+
+    def slack_of(self, chosen: Sequence[int]) -> list[Any]:
+        """The s of some rows."""
+        return [self._off[i] for i in chosen]
+
+    def of(self, *kinds: Reach) -> list[int]:
+        """Rows of some kinds."""
+        return [i for i, one in enumerate(self._reach) if one in kinds]
+
+    def multipliers(self, lam: Sequence[Any]) -> list[Any]:
+        """Of all rows, SX scalars, from the multipliers of those that are on."""
+        found = []
+        each = zip(self._ways, self._off, self._lower, self._upper, lam, strict=True)
+        for way, off, lower, upper, solved in each:
+            low, high = (ZERO if is_open(one) else one for one in (lower, upper))
+            found.append(
+                (1.0 - off) * solved + 0.5 * way * ((way + 1.0) * low + (way - 1.0) * high)
+            )
+        return found
+
+    def rates(self, v: Sequence[Any]) -> list[Any]:
+        """The g' of rows that are on, SX scalars, 0 for others.
+
+        Args:
+            v: Velocity of all joints.
+        """
+        pairs = zip(self._off, self._whole.velocities(v), strict=True)
+        return [(1.0 - off) * rate for off, rate in pairs]
+
+    def heights(self, v: Sequence[Any]) -> Looks:
+        """Heights of rows that are off, and rates of gaps."""
+        margins, found, rates = [], [], self._whole.velocities(v)
+        for i, (way, off) in enumerate(zip(self._ways, self._off, strict=True)):
+            reach = self._reach[i]
+            height = self._whole.g[i] if reach is Reach.GAP else rates[i]
+            has_height = reach in (Reach.GAP, Reach.SLIP)
+            margins.append(way * height + (1.0 - off) * _PASSED if has_height else ca.SX(_PASSED))
+            found.append(way * rates[i] if reach is Reach.GAP else ZERO)
+        return Looks(margins, found)
+
+    def answers(self, a: Sequence[Any], lam: Sequence[Any]) -> Looks:
+        """What multipliers are within their bounds, demands at a limit, and rates of slips.
+
+        Args:
+            a: Accelerations of all joints, SX scalars.
+            lam: Multipliers of these rows.
+        """
+        margins, rates = [], []
+        for i, (way, off) in enumerate(zip(self._ways, self._off, strict=True)):
+            left = sum((value * plain(a[j]) for j, value in self._whole.J[i].items()), ZERO)
+            left = left + self._conditions[i]
+            room = [(1.0 - off) * one + off * _PASSED for one in self._room(i, lam[i])]
+            if self._reach[i] is Reach.DEMAND:
+                room.append(way * left + (1.0 - off) * _PASSED)
+            margins.extend(room)
+            rates.append(way * left if self._reach[i] is Reach.SLIP else ZERO)
+        return Looks(margins, rates)
+
+    def _room(self, i: int, lam: Any) -> list[Any]:
+        """What is left of a multiplier to its bounds."""
+        lower, upper = self._lower[i], self._upper[i]
+        ends = (None if is_open(lower) else lam - lower, None if is_open(upper) else upper - lam)
+        return [one for one in ends if one is not None]
