@@ -32,7 +32,7 @@ class Answers:
         """Accelerations, rates of the internal states, health of the rows."""
         e = self._equations
         solution = e.chosen[1]
-        return [ca.vertcat(*solution.a), e.rates, e.health(solution)]
+        return [ca.vertcat(*solution.a), e.rates, e.health(solution, switches=True)]
 
     def multipliers(self) -> list[Any]:
         """Accelerations of all joints, and multipliers."""

@@ -202,12 +202,18 @@ class Equations:
         mass = self.coordinates.reduced_matrix(self.chosen[0].mass)
         return Held(mass, rows, self.nv, slack)
 
-    def health(self, solution: Solution) -> Any:
-        """The smallest pivot of the rows over its usual size."""
-        health, off = ca.SX(1.0), self.slack or [ZERO] * len(solution.pivots)
+    def health(self, solution: Solution, *, switches: bool = False) -> Any:
+        """The smallest pivot of the rows over its usual size.
+
+        Args:
+            solution: Beside rows, those that give way last.
+            switches: Whether there are any of these whose mode is an argument.
+        """
+        count, health = self.switches if switches else 0, ca.SX(1.0)
+        off = self.slack if count else [ZERO] * len(solution.pivots)
         if solution.pivots:
             pivots = ca.vertcat(*solution.pivots)
-            usual = usual_pivots(self.system, self.symbols, pivots, self.switches)
+            usual = usual_pivots(self.system, self.symbols, pivots, count)
             each = zip(solution.pivots, off, np.asarray(usual).tolist(), strict=True)
             for pivot, slack, size in each:
                 share = pivot * (1.0 / size if size else 0.0)

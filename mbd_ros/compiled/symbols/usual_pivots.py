@@ -29,7 +29,8 @@ def usual_pivots(system: Any, symbols: dict[str, Any], pivots: Any, switches: in
         kept = np.where(np.isfinite(found), found, 0.0)
         return np.asarray(np.median(kept, axis=0))
 
-    rest[3][first:] = 1.0
+    if switches:
+        rest[3][first:] = 1.0
     usual = medians()
     for i in range(switches):
         rest[3][first:] = np.arange(switches) != i
