@@ -182,7 +182,7 @@ EXPORT int step_alone(const Options *o, Run *r, const double *u, double end) {
 }
 
 /* State inside the last step as its dense output has it, [q; v; z]. */
-EXPORT int inside(const Options *o, Run *r, double t, double *out) {
+EXPORT int state_within(const Options *o, Run *r, double t, double *out) {
   state_at(o, r, t, out, out + NQ);
   return DONE;
 }

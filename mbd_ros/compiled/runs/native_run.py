@@ -235,7 +235,7 @@ class NativeRun:
 
     def inside(self, t: float) -> State:
         """State inside the last step, as its dense output has it."""
-        self._c.inside(self._o, self._r, t, self._out.ctypes.data)
+        self._c.state_within(self._o, self._r, t, self._out.ctypes.data)
         return self._given(t)
 
     def began(self) -> State:
@@ -290,7 +290,7 @@ def _bound(c: Any) -> Any:
         ("evaluate_at", (pointer, pointer, number, pointer, pointer, pointer)),
         ("again", (pointer, pointer, number, number, pointer)),
         ("step_alone", (pointer, pointer, pointer, number)),
-        ("inside", (pointer, pointer, number, pointer)),
+        ("state_within", (pointer, pointer, number, pointer)),
         ("interpolate", (pointer, pointer, number, pointer)),
     ):
         getattr(c, name).argtypes = arguments

@@ -6,7 +6,16 @@ from typing import NamedTuple
 from mbd_ros.compiled.code.emit import Source
 
 NATIVE = Path(__file__).parents[1] / "native"
-_FILES = ("run.h", "weights.h", "runge_kutta.h", "adams.h", "projection.h", "rattle.h", "steps.h", "events.h")
+_FILES = (
+    "run.h",
+    "weights.h",
+    "runge_kutta.h",
+    "adams.h",
+    "projection.h",
+    "rattle.h",
+    "steps.h",
+    "events.h",
+)
 _LAST = {False: "run.c", True: "lanes.c"}  # by whether a real is several numbers
 
 
