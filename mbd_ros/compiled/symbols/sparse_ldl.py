@@ -5,6 +5,8 @@ from typing import Any
 
 import casadi as ca
 
+from mbd_ros.compiled.symbols.untraceable import Untraceable
+
 Entries = Mapping[tuple[int, int], Any]  # of the lower triangle, (i, j) with i >= j
 
 
@@ -17,6 +19,9 @@ class SparseLdl:
 
     Attributes:
         pivots: Diagonal of D by row.
+
+    Raises:
+        Untraceable: A pivot vanishes in every state.
     """
 
     def __init__(self, entries: Entries, order: Iterable[int]) -> None:
@@ -31,6 +36,8 @@ class SparseLdl:
         left = set(self._order)
         for k in self._order:
             left.discard(k)
+            if k not in rows[k]:
+                raise Untraceable("masses or rows are singular in every state")
             pivot = self.pivots[k] = rows[k][k]
             share = self._shares[k] = 1.0 / pivot
             touched = sorted(i for i in rows[k] if i in left)
