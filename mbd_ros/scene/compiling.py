@@ -58,14 +58,14 @@ def compiled_simulation(
             them. Or the method does not serve the system.
     """
     try:
-        if not is_demanded:
-            _refuse_dependent(system, start)
+        if not is_demanded and (why := _dependence(system, start)):
+            raise Impossible(why)
         simulation = _compiled(system, method, correction, dt, (tell or _silent, kept))
     except Impossible as error:
         if is_demanded:
             raise ModelError(
-                f"solver compiled: {error}; accepted here: auto, which takes plain steps "
-                "then, or plain"
+                f"solver compiled: {_dependence(system, start) or error}; accepted here: auto, "
+                "which takes plain steps then, or plain"
             ) from error
         simulation = Simulation(system, method, correction, dt)
         simulation.how = f"not compiled: {error}"
@@ -76,22 +76,20 @@ class Impossible(ModelError):
     """Why there are no compiled steps."""
 
 
-def _refuse_dependent(system: System, start: State) -> None:
-    """Refuse rows of which all compiled steps would be handed over.
+def _dependence(system: System, start: State) -> str:
+    """How many rows are independent at the start, where not all are.
 
-    Raises:
-        Impossible: Says how many are independent at the start.
+    Compiled steps would be handed over, all of them.
     """
     rows = len(system.held.rows)
     if not rows:
-        return
+        return ""
     try:
         y = assemble(system, system.reduce(start))
         rank = system.held.factor_at(y.t, y.q).rank
     except SolveError:  # the start itself says it, if it is this one
-        return
-    if rank < rows:
-        raise Impossible(f"{rank} of {rows} rows are independent, plain steps solve by rank")
+        return ""
+    return f"{rank} of {rows} rows are independent, plain steps solve by rank" * (rank < rows)
 
 
 def _compiled(
