@@ -24,13 +24,13 @@ from mbd_ros.report.peers.translation import common_ground, task_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 
-RUNS, DURATION, GRID, ROUNDS = 64, 1.0, 0.1, 7
+RUNS, DURATION, GRID, ROUNDS = 64, 1.0, 0.1, 3
 SPREAD = 0.1  # of the starts around that of the scene [rad, rad/s]
 METHODS = [{"type": "adams", "order": order} for order in (3, 4, 6, 8)]
 METHODS += [{"type": kind} for kind in ("rk4", "dopri5", "dop853")]
-INTERVALS = (0.02, 0.01, 5e-3, 2.5e-3, 2e-3, 1.25e-3, 1e-3, 5e-4)
-STEPS = (0.02, 0.01, 5e-3, 2.5e-3, 2e-3, 1e-3, 5e-4, 2.5e-4)
-TARGETS = (1e-3, 1e-6, 1e-8)
+INTERVALS = (5e-3, 2e-3, 1e-3, 5e-4, 2e-4)
+STEPS = (2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5)
+TARGETS = (1e-3, 1e-6)
 Take = Callable[[], Array]
 
 
