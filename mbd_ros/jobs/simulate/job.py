@@ -3,21 +3,18 @@
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbd_ros.core.dynamics.tiers import tier_of
-from mbd_ros.core.integration.blocks import BlockStepper
 from mbd_ros.core.ranges import SHORTEST_DT
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.thresholds import SAME_TIME, TOGGLE
+from mbd_ros.core.thresholds import SAME_TIME
 from mbd_ros.errors import FAILED, DataError, DivergedError, MbdError, SolveError
 from mbd_ros.files.recordings import Source
 from mbd_ros.files.table import MAIN, Result, Table
-from mbd_ros.files.times import TIME
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.jobs.progress import Watch, announce, watching
@@ -26,7 +23,8 @@ from mbd_ros.jobs.simulate.events import EVENTS, event_table
 from mbd_ros.jobs.simulate.inputs import drives, initial_state
 from mbd_ros.jobs.simulate.run import Run, check_words, options_of
 from mbd_ros.jobs.simulate.step_check import step_warnings
-from mbd_ros.jobs.simulate.table import BALANCE, table_of, topics_of
+from mbd_ros.jobs.simulate.summary import summary
+from mbd_ros.jobs.simulate.table import table_of, topics_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.start_check import start_warnings
 
@@ -34,7 +32,6 @@ if TYPE_CHECKING:
     from mbd_ros.core.optimization.contact_problem import Residuals
 
 Say = Callable[[str], None]
-_HANDED_OVER = "compiled ones do not take rows near dependence, nor states that are not finite"
 
 
 class Interrupted(MbdError):
@@ -139,7 +136,7 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     if failure is not None:
         return _ended(scene, result, failure)
     with about(scene.name):
-        said = [*_summary(simulation, table, wall, evaluations), *of_contacts, *of_samples]
+        said = [*summary(simulation, table, wall, evaluations), *of_contacts, *of_samples]
         found = step_warnings(
             simulation.system, simulation.integrator, simulation.dt, states, simulation.events
         )
@@ -226,27 +223,3 @@ def _with_residuals(table: Table, found: "list[Residuals]") -> tuple[Table, list
     from mbd_ros.jobs.simulate.residuals import residual_line, with_residuals
 
     return with_residuals(table, found), [residual_line(found)]
-
-
-def _summary(simulation: Simulation, table: Table, wall: float, evaluations: int) -> Iterator[str]:
-    duration = table[TIME][-1] - table[TIME][0]
-    energy, position, velocity = (table[name] for name in BALANCE)
-    change = float(np.abs(energy - energy[0]).max())
-    per_step = evaluations / max(simulation.steps, 1)
-    method = simulation.integrator.title
-    yield (
-        f"{method}, tier {tier_of(simulation.system)}: {simulation.steps} steps, {evaluations} "
-        f"evaluations ({per_step:.2f} a step)"
-    )
-    if isinstance(simulation.stepper, BlockStepper) and simulation.stepper.handed_over:
-        yield f"{simulation.stepper.handed_over} of the steps were plain: {_HANDED_OVER}"
-    yield f"{wall:.3f} s for {duration:g} s, real-time factor {duration / max(wall, 1e-9):.1f}"
-    yield f"energy {energy[0]:.6g} J, largest change {change:.3g} J"
-    yield f"largest violation: position {position.max():.2g}, velocity {velocity.max():.2g}"
-    condition, t = simulation.worst
-    if 1.0 < condition < np.inf:
-        doubt = "; near a toggle, multipliers there are unreliable" if condition > TOGGLE else ""
-        yield f"condition number of the rows up to {condition:.2g}, at t = {t:g} s{doubt}"
-    if simulation.system.bounded is not None:
-        s = simulation.system.bounded.qp.statistics
-        yield f"QP: {s.solves} solves, {s.cold} cold, {s.damped} damped, {s.failed} failed"
