@@ -1,30 +1,21 @@
-"""A built scene, and the systems, solvers and simulations that it makes."""
+"""A built scene, and the systems and simulations that it makes."""
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from mbd_ros.core.control.contract import ControlledJoints
 from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.dynamics.mass_check import check_mass_anywhere
 from mbd_ros.core.dynamics.sources import Source
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.core.inverse.efforts import joint_efforts
-from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
-from mbd_ros.core.inverse.observed_loops import ObservedLoops
-from mbd_ros.core.inverse.torques import SampleSolver
 from mbd_ros.core.parts import Load
-from mbd_ros.core.rows.row_layout import rigid
 from mbd_ros.core.simulation.simulation import Simulation
-from mbd_ros.errors import ModelError, SceneError, SolveError
+from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import parts_in
+from mbd_ros.scene.measured_scene import MeasuredScene
 from mbd_ros.scene.part_entries import Solver, build_part
-from mbd_ros.scene.scene_parts import SceneParts
 
 if TYPE_CHECKING:
     from mbd_ros.scene.batch import Batch
@@ -36,7 +27,7 @@ Tell = Callable[[str], None]
 _NO_SOURCES: Mapping[str, Source] = {}
 
 
-class Scene(SceneParts):
+class Scene(MeasuredScene):
     """A built scene, which makes systems, solvers and simulations."""
 
     def with_(self, numbers: Mapping[str, Any] | None = None, /, **sections: Any) -> "Scene":
@@ -98,61 +89,6 @@ class Scene(SceneParts):
         entries = {**self.entries, "initial": {**initial, "internal": values}}
         return replace(self, parts=parts, entries=entries)
 
-    def inverse_dynamics(self, *, with_bounds: bool = False) -> SampleSolver:
-        """A solver with its own Pinocchio data, for the independent joints.
-
-        Without loops and bounds it is an `InverseDynamics`, which takes many samples at once.
-
-        Args:
-            with_bounds: As for `closed_loop`.
-        """
-        self._refuse_internal("inverse dynamics")
-        if self.has_loops or with_bounds:
-            return ObservedLoops(self.closed_loop(with_bounds=with_bounds))
-        loads = tuple(self.wrenches.values())
-        return InverseDynamics(self.robot, self.couplings, loads, self.forces)
-
-    def closed_loop(self, *, with_bounds: bool = False) -> ClosedLoopInverseDynamics:
-        """A solver for the efforts of `actuated` and all multipliers, with its own data.
-
-        Args:
-            with_bounds: Whether efforts keep the limits of their actuators, and stops, dry
-                friction and limited drives exert what their law lets them.
-
-        Raises:
-            SceneError: An actuated joint is unknown or repeated.
-        """
-        self._refuse_internal("inverse dynamics")
-        loads = tuple(self.wrenches.values())
-        parts = self.robot, self.couplings, self.constraints
-        try:
-            efforts = joint_efforts(self.robot, self.actuated, self._effort_limits())
-            return ClosedLoopInverseDynamics(
-                *parts, efforts, loads, self.forces, with_bounds=with_bounds
-            )
-        except ModelError as error:
-            raise SceneError(f"{self.name}: {error}") from error
-
-    def _refuse_internal(self, who: str) -> None:
-        """Refuse states that no measured motion shows, besides those of actuators.
-
-        Raises:
-            SceneError: Names the parts.
-        """
-        if self.unmeasured:
-            parts = ", ".join(self.unmeasured)
-            raise SceneError(
-                f"{self.name}: {who} knows no internal states, which {parts} has; leave it out"
-            )
-
-    def _effort_limits(self) -> list[float]:
-        """Largest effort of each of `actuated` [N·m or N], inf without actuators."""
-        limits = dict.fromkeys(self.actuated, 0.0 if self.actuators else math.inf)
-        for actuator in self.actuators:
-            for name, limit in zip(actuator.joints, actuator.limits().tolist(), strict=True):
-                limits[name] += limit
-        return list(limits.values())
-
     def system(
         self,
         forces: Sequence[Load] = (),
@@ -201,21 +137,6 @@ class Scene(SceneParts):
         from mbd_ros.scene.batch import Batch
 
         return Batch(self, count, **options)
-
-    def controlled_joints(self) -> ControlledJoints:
-        """The actuated joints as a controller sees them, with their own Pinocchio data.
-
-        Raises:
-            SceneError: No joint can be controlled, or one moves nothing with mass.
-        """
-        self._refuse_internal("a controller")
-        loads = Loads(self.robot.model.nv, self.forces, (), self.inputs.sources({}))
-        try:
-            system = build_system(self.robot, self.couplings, rigid(self.constraints), loads)
-            check_mass_anywhere(system)
-            return ControlledJoints(system, self.actuated)
-        except (ModelError, SolveError) as error:
-            raise SceneError(f"{self.name}: {error}") from error
 
     @property
     def default_integrator(self) -> Mapping[str, Any]:

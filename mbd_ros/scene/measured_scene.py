@@ -1,0 +1,90 @@
+"""What a scene makes for motion that is measured: solvers for efforts, and joints to control."""
+
+import math
+
+from mbd_ros.core.control.contract import ControlledJoints
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.mass_check import check_mass_anywhere
+from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.inverse.efforts import joint_efforts
+from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
+from mbd_ros.core.inverse.observed_loops import ObservedLoops
+from mbd_ros.core.inverse.torques import SampleSolver
+from mbd_ros.core.rows.row_layout import rigid
+from mbd_ros.errors import ModelError, SceneError, SolveError
+from mbd_ros.scene.scene_parts import SceneParts
+
+
+class MeasuredScene(SceneParts):
+    """The parts of a scene, and what they make where its motion is measured."""
+
+    def inverse_dynamics(self, *, with_bounds: bool = False) -> SampleSolver:
+        """A solver with its own Pinocchio data, for the independent joints.
+
+        Without loops and bounds it is an `InverseDynamics`, which takes many samples at once.
+
+        Args:
+            with_bounds: As for `closed_loop`.
+        """
+        self._refuse_internal("inverse dynamics")
+        if self.has_loops or with_bounds:
+            return ObservedLoops(self.closed_loop(with_bounds=with_bounds))
+        loads = tuple(self.wrenches.values())
+        return InverseDynamics(self.robot, self.couplings, loads, self.forces)
+
+    def closed_loop(self, *, with_bounds: bool = False) -> ClosedLoopInverseDynamics:
+        """A solver for the efforts of `actuated` and all multipliers, with its own data.
+
+        Args:
+            with_bounds: Whether efforts keep the limits of their actuators, and stops, dry
+                friction and limited drives exert what their law lets them.
+
+        Raises:
+            SceneError: An actuated joint is unknown or repeated.
+        """
+        self._refuse_internal("inverse dynamics")
+        loads = tuple(self.wrenches.values())
+        parts = self.robot, self.couplings, self.constraints
+        try:
+            efforts = joint_efforts(self.robot, self.actuated, self._effort_limits())
+            return ClosedLoopInverseDynamics(
+                *parts, efforts, loads, self.forces, with_bounds=with_bounds
+            )
+        except ModelError as error:
+            raise SceneError(f"{self.name}: {error}") from error
+
+    def controlled_joints(self) -> ControlledJoints:
+        """The actuated joints as a controller sees them, with their own Pinocchio data.
+
+        Raises:
+            SceneError: No joint can be controlled, or one moves nothing with mass.
+        """
+        self._refuse_internal("a controller")
+        loads = Loads(self.robot.model.nv, self.forces, (), self.inputs.sources({}))
+        try:
+            system = build_system(self.robot, self.couplings, rigid(self.constraints), loads)
+            check_mass_anywhere(system)
+            return ControlledJoints(system, self.actuated)
+        except (ModelError, SolveError) as error:
+            raise SceneError(f"{self.name}: {error}") from error
+
+    def _refuse_internal(self, who: str) -> None:
+        """Refuse states that no measured motion shows, besides those of actuators.
+
+        Raises:
+            SceneError: Names the parts.
+        """
+        if self.unmeasured:
+            parts = ", ".join(self.unmeasured)
+            raise SceneError(
+                f"{self.name}: {who} knows no internal states, which {parts} has; leave it out"
+            )
+
+    def _effort_limits(self) -> list[float]:
+        """Largest effort of each of `actuated` [N·m or N], inf without actuators."""
+        limits = dict.fromkeys(self.actuated, 0.0 if self.actuators else math.inf)
+        for actuator in self.actuators:
+            for name, limit in zip(actuator.joints, actuator.limits().tolist(), strict=True):
+                limits[name] += limit
+        return list(limits.values())
