@@ -1,16 +1,16 @@
 """Many runs of a scene side by side, from other starts and with other numbers."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbd_ros.compiled.build.side_by_side import cores
 from mbd_ros.core.simulation.sample_times import sample_times
 from mbd_ros.core.simulation.simulation import Simulation
-from mbd_ros.core.state import Array, State
-from mbd_ros.errors import DivergedError, MbdError, SceneError, SolveError
+from mbd_ros.core.state import Array
+from mbd_ros.errors import MbdError, SceneError
+from mbd_ros.scene.batch_runs import Runs, Starts, run_alone
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.compiling import Impossible, attempted
 
@@ -20,32 +20,6 @@ if TYPE_CHECKING:
 
 def _silent(line: str) -> None:
     """Nobody is told."""
-
-
-class Runs(NamedTuple):
-    """What a batch returns.
-
-    Attributes:
-        states: Time [s], positions, velocities of all joints and internal states, as the rows of
-            `Simulation.sampled`; shape (n, samples, 1 + nq + nv + nz). NaN after a run has ended.
-        known: How many samples each run has, shape (n,).
-        failures: Run -> why it ended early.
-    """
-
-    states: Array
-    known: NDArray[np.int64]
-    failures: dict[int, MbdError]
-
-
-class _Starts(NamedTuple):
-    """Configurations, velocities of all joints and internal states, a row a run."""
-
-    q: Array
-    v: Array
-    z: Array
-
-    def state(self, run: int, t: float) -> State:
-        return State(t, *(rows[run] for rows in self))
 
 
 class Batch:
@@ -164,7 +138,7 @@ class Batch:
             raise SceneError(f"{self.scene.name}: batch: parameters: are missing")
         scenes = [self._scene(i, row) for i, row in enumerate(p)] if self.parameters else []
         first = [scene.initial for scene in scenes] or [self.scene.initial] * self.count
-        starts = _Starts(
+        starts = Starts(
             self._rows("positions", positions, np.array([x.q for x in first])),
             self._rows("velocities", velocities, np.array([x.v for x in first])),
             self._rows("internals", internals, np.array([x.z for x in first])),
@@ -195,7 +169,7 @@ class Batch:
         except MbdError as error:
             raise type(error)(f"run {run}: {error}") from error
 
-    def _all(self, duration: float, scenes: Sequence[Scene], x: _Starts, p: Array) -> Runs:
+    def _all(self, duration: float, scenes: Sequence[Scene], x: Starts, p: Array) -> Runs:
         t = self.scene.initial.t
         times = sample_times(t, duration, self._simulation.dt)
         due = [times.due(k) for k in range(times.end + 1)]
@@ -214,13 +188,13 @@ class Batch:
             left = np.flatnonzero((known < len(due)) & (known > 0))
         for i in left.tolist():  # also what left the lanes: the plain tier says why, or goes on
             simulation = self._alone or scenes[i].simulation(**self._options)
-            known[i], failure = _one(simulation, x.state(i, t), duration, states[i])
+            known[i], failure = run_alone(simulation, x.state(i, t), duration, states[i])
             if failure is not None:
                 failures[i] = failure
         return Runs(states, known, dict(sorted(failures.items())))
 
     def _begun(
-        self, scenes: Sequence[Scene], x: _Starts, t: float, failures: dict[int, MbdError]
+        self, scenes: Sequence[Scene], x: Starts, t: float, failures: dict[int, MbdError]
     ) -> Array:
         """Where what is integrated starts, a row a run; NaN where a run fails."""
         simulation = self._simulation
@@ -248,17 +222,3 @@ class Batch:
             lambda: traced(scene, one.system, self.parameters),
             *(p, self._tell),
         )
-
-
-def _one(
-    simulation: Simulation, x: State, duration: float, out: Array
-) -> tuple[int, MbdError | None]:
-    """A run into rows; how many there are, and why it ended early."""
-    out[...], count = np.nan, 0
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):  # a divergence says so itself
-            for each in simulation.run(x, duration):
-                out[count], count = np.concatenate(([each.t], *each[1:4])), count + 1
-    except (DivergedError, SolveError) as error:
-        return count, error
-    return count, None

@@ -18,7 +18,8 @@ from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.jobs.simulate.ensemble_starts import Starts, read_starts
 from mbd_ros.jobs.simulate.job import Interrupted, Say
 from mbd_ros.jobs.simulate.run import Run, check_words
-from mbd_ros.scene.batch import Batch, Runs
+from mbd_ros.scene.batch import Batch
+from mbd_ros.scene.batch_runs import Runs
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.workers.opening import cores, do_all, open_workers
