@@ -1,0 +1,93 @@
+"""Every registered part, asked with symbols: the numbers of the part, or why there are none."""
+
+import numpy as np
+import pytest
+from symbolic_numbers import Symbols
+from test_part_contracts import OF_A_ROBOT, arguments, moments
+
+from mbd_ros.compiled.symbols.trace import trace
+from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
+from mbd_ros.core.row_laws import Level
+from mbd_ros.scene.from_python import scene_from
+from mbd_ros.scene.registry import PARTS
+
+EXACT = 1e-13  # of the largest entry, or of 1 where that is a difference of larger ones
+REFUSED = {  # part -> why
+    ("contacts", "compliant"): "needs the value of a number that depends on the state",
+    ("contacts", "rigid"): "contact with friction",
+    ("forces", "switching_force"): "branches on a number that depends on the state",
+}
+SMOOTHED = {
+    "dry_friction": {"smoothed": True},
+    "joint_stop": {"smoothed": True, "restitution": 0.0},
+    "prescribed_motion": {"smoothed": True},
+    "rope": {"smoothed": True, "restitution": 0.0},
+}
+ALL = [(section, name) for section in OF_A_ROBOT for name in PARTS[section]]
+TRACED = [pair for pair in ALL if pair not in REFUSED]
+
+
+def other(value, factor):
+    """The numbers of an argument, all times one factor; whole ones and words stay."""
+    if isinstance(value, dict):
+        return {key: other(one, factor) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [other(one, factor) for one in value]
+    return factor * value if isinstance(value, float) else value
+
+
+def scene_with(section, name, base, rng, **more):
+    """The leg, free or not, with one part of random numbers."""
+    given = arguments(section, name).items()
+    entry = {key: other(value, rng.uniform(0.7, 1.0)) for key, value in given}
+    parts = {section: [{"type": name, **entry, **more}]}
+    return scene_from({"robot": {"base": base}, **parts}, urdf="prosthetic_leg")
+
+
+def methods_of(section, part):
+    """What an equation of motion asks of a part."""
+    if section == "constraints":
+        yield from (part.jacobian, part.drift, part.rate, part.pushes)
+        yield lambda k, x: np.vstack([part.accelerations(k, x)[0].T, part.accelerations(k, x)[1]])
+        if part.level is Level.POSITION:
+            yield part.residual
+
+
+@pytest.mark.parametrize("base", ["fixed", "floating"])
+@pytest.mark.parametrize(("section", "name"), TRACED)
+def test_a_part_of_symbols_has_the_numbers_of_the_part(section, name, base):
+    for seed in range(2):
+        rng = np.random.default_rng([11, seed])
+        scene = scene_with(section, name, base, rng)
+        ((part,),) = [scene.parts[key] for key in OF_A_ROBOT if key in scene.parts]
+        nu = len(scene.inputs.channels)
+        symbols, u = Symbols(scene.robot, scene.internals.nz, nu), rng.normal(size=nu)
+        asked = [(method, ()) for method in methods_of(section, part)]
+        if section != "constraints":
+            asked = [(part.force, (symbols.u,)), (part.potential, ())]
+            asked += [(part.rates, (symbols.u,))] if part.internal else []
+        with tracing(part):
+            expressions = [method(symbols.k, symbols.x, *given) for method, given in asked]
+        for k, x in moments(scene, 3):
+            for expression, (method, given) in zip(expressions, asked, strict=True):
+                expected = np.asarray(method(k, x, *[u for _ in given]), dtype=float)
+                found = symbols.number(expression, x, u).reshape(expected.shape)
+                size = max(1.0, np.abs(expected).max(initial=0.0))
+                assert np.abs(found - expected).max(initial=0.0) <= EXACT * size, method
+
+
+@pytest.mark.parametrize("pair", REFUSED)
+def test_a_part_without_a_form_is_named_with_its_reason(pair):
+    scene = scene_with(*pair, "floating", np.random.default_rng(4))
+    name = scene.parts[pair[0]][0].name
+    system = scene.system()
+    mode = None if system.exact else ()
+    with pytest.raises(Untraceable, match=f"{name}.*{REFUSED[pair]}"):
+        trace(system, mode=mode).function("accelerate")
+
+
+@pytest.mark.parametrize("name", SMOOTHED)
+def test_rows_that_are_smoothed_are_named_with_their_reason(name):
+    scene = scene_with("constraints", name, "fixed", np.random.default_rng(4), **SMOOTHED[name])
+    with pytest.raises(Untraceable, match=f"{scene.constraints[0].name}.*smoothed"):
+        trace(scene.system()).function("accelerate")
