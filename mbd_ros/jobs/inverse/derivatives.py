@@ -132,7 +132,8 @@ def _without_lag(
         fitted = local_polynomials(stamps, position, velocity, half_width=width)
         whole, cutoff, said = (position, *fitted), None, list[str]()
     else:
-        from mbd_ros.jobs.inverse.zero_phase import cutoff_lines, zero_phase
+        from mbd_ros.jobs.inverse.cutoff_lines import cutoff_lines
+        from mbd_ros.jobs.inverse.zero_phase import zero_phase
 
         *found, cutoffs = zero_phase(stamps, position, velocity, cutoff=derivatives.cutoff)
         chosen = derivatives.cutoff is None

@@ -14,9 +14,10 @@ from mbd_ros.files.recordings import name_of
 from mbd_ros.files.spool import Columns, Spool
 from mbd_ros.files.table import Table
 from mbd_ros.jobs.error_source import about
+from mbd_ros.jobs.inverse.cutoff_lines import cutoff_lines
 from mbd_ros.jobs.inverse.observed import Task
 from mbd_ros.jobs.inverse.unexplained import driven, off_the_effort
-from mbd_ros.jobs.inverse.zero_phase import chosen_cutoffs, cutoff_lines, smoothed, stated
+from mbd_ros.jobs.inverse.zero_phase import chosen_cutoffs, smoothed, stated
 from mbd_ros.scene.built_scene import Scene
 
 _PIECE = 16_384  # samples that are solved and written at once

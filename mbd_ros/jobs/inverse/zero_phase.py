@@ -14,10 +14,7 @@ from mbd_ros.jobs.inverse.low_pass import FEWEST, HIGHEST, PERIODS, LowPassed, S
 
 _GAP = 0.5  # s without a sample, and as many usual steps as below: nothing leads across
 _GAP_STEPS = 20
-_TELLING = 32  # samples from which on a spectrum has bands enough to show noise
 _PIECE, _PIECES = 25_000, 4  # samples that the cut-off is chosen from
-
-
 _WINDOW = 200_000  # samples that are smoothed at once, those around them not counted
 _BESIDE = 200  # samples around them at least: a spline through samples forgets in fewer
 _SLOWEST = 0.01  # periods of a cut-off in a recording, the least that a low-pass knows
@@ -183,31 +180,6 @@ def _windows(
                 slice(part.start + i, part.start + j) for i, j in ((begin, end), (first, last))
             )
             yield core, wide, times[first:last], stretch
-
-
-def cutoff_lines(cutoff: Array, names: Sequence[str], chosen: bool, samples: int) -> Iterator[str]:
-    """Lines about the low-pass of each joint.
-
-    Args:
-        cutoff: That of the result of `zero_phase`.
-        names: Of the joints.
-        chosen: Whether the recording asked for it, not the user.
-        samples: Number of them.
-    """
-    source = "from the noise of the recording" if chosen else "as asked for"
-    smoothed = np.flatnonzero(np.isfinite(cutoff))
-    if smoothed.size:
-        low, high = (pick(smoothed, key=cutoff.__getitem__) for pick in (min, max))
-        span = f"{cutoff[low]:.3g} Hz"
-        if cutoff[high] > cutoff[low]:
-            span += f" ({names[low]}) to {cutoff[high]:.3g} Hz ({names[high]})"
-        yield f"zero-phase derivatives: low-pass of half power at {span}, {source}"
-    sharp = [name for name, f in zip(names, cutoff, strict=True) if np.isinf(f)]
-    if sharp:
-        why = "no noise is found" if chosen else "the sampling rate is too low for that cut-off"
-        if chosen and samples < _TELLING:
-            why = f"{samples} samples are too few to tell noise from motion (--cutoff smooths)"
-        yield f"zero-phase derivatives: not smoothed, since {why}: {', '.join(sharp)}"
 
 
 def _parts(stamps: NDArray[np.int64]) -> list[slice]:
