@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from typing import Annotated
 
-import numpy as np
-
 from mbd_ros.core.geometry.contact_show import ContactShow
 from mbd_ros.core.geometry.pairing import contact_pair
 from mbd_ros.core.geometry.shapes import Between
@@ -86,7 +84,7 @@ class Rigid(Constraint):
 
     def residual(self, k: Kinematics, x: State) -> Array:
         """Gaps [m], each before two zeros: along tangents any place will do, shape (3 n,)."""
-        residual = np.zeros(len(self.rows))
+        residual = k.zeros(len(self.rows))
         residual[::3] = self.pair.gaps(k)
         return residual
 

@@ -2,11 +2,14 @@
 
 from typing import TYPE_CHECKING, Any
 
+import casadi as ca
 import numpy as np
 
 from mbd_ros.compiled.symbols import turns
 from mbd_ros.compiled.symbols.arrays import matrix, vector
+from mbd_ros.compiled.symbols.scalar import column, numbers
 from mbd_ros.compiled.symbols.turns import Vector, cross, minus, plus
+from mbd_ros.core.model.pair_motion import OfPose, Pose
 from mbd_ros.core.model.points import Pair
 
 if TYPE_CHECKING:
@@ -35,6 +38,10 @@ class SymbolicPairMotion:
         columns = turns.transposed(self._k.axes(self._pair.b))
         turned = [turns.through(self._to_a, column) for column in columns]
         return matrix(turns.transposed(tuple(turned)))  # type: ignore[arg-type]
+
+    def pose(self) -> Any:
+        """As `PairMotion.pose`."""
+        return Pose(self.rotation(), self.offset())
 
     def placed(self) -> Any:
         """None for an observer at rest."""
@@ -70,10 +77,30 @@ class SymbolicPairMotion:
 
     def motion(self, placed: Any) -> tuple[Any, Any, Any]:
         """As `PairMotion.motion`."""
-        _, linear, spin, turning = self._relative()
-        seen = (turns.through(self._to_a, part) for part in (linear, spin, turning))
-        first, second, third = map(vector, seen)
-        return first, second, third
+        _, a, omega, alpha = self.moving(placed)
+        return a, omega, alpha
+
+    def moving(self, placed: Any) -> tuple[Any, Any, Any, Any]:
+        """As `PairMotion.moving`."""
+        seen = (vector(turns.through(self._to_a, part)) for part in self._relative())
+        v, a, omega, alpha = seen
+        return v, a, omega, alpha
+
+    def along(
+        self, function: OfPose, pose: Pose, rates: Pose
+    ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        """As `PairMotion.along`, by derivatives of the function."""
+        at, along = ca.SX.sym("at", 12), ca.SX.sym("along", 12)
+        rotation, translation = numbers(at[:9]).reshape(3, 3), numbers(at[9:])
+        found = [np.asarray(one, dtype=object) for one in function(Pose(rotation, translation))]
+        values = column(np.concatenate([one.ravel() for one in found]))
+        slopes = ca.jtimes(values, at, along)
+        asked = ca.Function("along", [at, along], [ca.densify(values), ca.densify(slopes)])
+        answers = asked(
+            *(column([*one.rotation.ravel(), *one.translation]) for one in (pose, rates))
+        )
+        first, second = (_like(found, numbers(answer)) for answer in answers)
+        return first, second
 
     def _relative(self) -> tuple[Vector, Vector, Vector, Vector]:
         """Velocity, acceleration, angular velocity and its rate of b past a, world axes.
@@ -91,6 +118,13 @@ class SymbolicPairMotion:
         spin = minus(b.spin, a.spin)
         turning = minus(minus(b.turning, a.turning), cross(a.spin, spin))
         return moved, linear, spin, turning
+
+
+def _like(shapes: list[Any], flat: Any) -> tuple[Any, ...]:
+    """Arrays of given shapes out of one column."""
+    ends = np.cumsum([one.size for one in shapes])
+    parts = np.split(flat, ends[:-1])
+    return tuple(part.reshape(one.shape) for part, one in zip(parts, shapes, strict=True))
 
 
 def _velocity(moving: Any, offset: Vector) -> Vector:

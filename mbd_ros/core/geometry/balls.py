@@ -9,7 +9,7 @@ from mbd_ros.core.geometry.meeting import Meeting, Touch
 from mbd_ros.core.geometry.shapes import Balls
 from mbd_ros.core.model.pair_motion import PairMotion
 from mbd_ros.core.model.points import Pair
-from mbd_ros.core.state import Array
+from mbd_ros.core.state import Array, is_symbol
 
 _ALL = slice(0, 6)
 _ORDER = [2, 0, 1]
@@ -41,7 +41,7 @@ class BallsOnPlane(Meeting):
     def gaps(self, seen: PairMotion) -> Array:
         """Distances of the surfaces [m], shape (n,)."""
         if self._radius is not None:
-            return np.array((float(seen.offset()[2]) - self._radius,))
+            return np.array((seen.offset()[2] - self._radius,))
         pose = seen.pose()
         gaps: Array = self._centres.dot(pose.rotation[2]) + (pose.translation[2] - self._radii)
         return gaps
@@ -53,40 +53,47 @@ class BallsOnPlane(Meeting):
 
     def jacobian(self, seen: PairMotion) -> Array:
         """From joint velocities to those of the features, shape (3 n, nv)."""
+        rows = self._rows
         if self._radius is None:
-            self._level(self._centres.dot(seen.rotation().T))
-        jacobian: Array = self._rows.reshape(-1, 6).dot(seen.jacobian(seen.placed(), _ALL))
+            rows = self._level(self._centres.dot(seen.rotation().T))
+        jacobian: Array = rows.reshape(-1, 6).dot(seen.jacobian(seen.placed(), _ALL))
         return jacobian
 
     def accelerations(self, seen: PairMotion) -> tuple[Array, Array]:
         """Both `jacobian` and `drift`."""
-        drift = self.drift(seen)
-        jacobian: Array = self._rows.reshape(-1, 6).dot(seen.jacobian(seen.placed(), _ALL))
+        rows, drift = self._drift(seen)
+        jacobian: Array = rows.reshape(-1, 6).dot(seen.jacobian(seen.placed(), _ALL))
         return jacobian, drift
 
     def drift(self, seen: PairMotion) -> Array:
         """J' v, shape (3 n,); frames are at rest and centres are carried by the body."""
+        return self._drift(seen)[1]
+
+    def _drift(self, seen: PairMotion) -> tuple[Array, Array]:
+        """The rows of the features, shape (n, 3, 6), and `drift`."""
         a, omega, alpha = seen.motion(seen.place())
-        rows = self._rows.reshape(-1, 6)
         drift: Array
         if self._radius is not None:
-            drift = rows.dot(np.concatenate((a, alpha)))
-            return drift
+            drift = self._rows.reshape(-1, 6).dot(np.concatenate((a, alpha)))
+            return self._rows, drift
         carried = self._centres.dot(seen.rotation().T)
-        self._level(carried)
-        drift = rows.dot(np.concatenate((a, alpha)))
+        rows = self._level(carried)
+        drift = rows.reshape(-1, 6).dot(np.concatenate((a, alpha)))
         spinning = np.outer(omega, omega[_ORDER])
         spinning -= omega.dot(omega) * PLANE_AXES.T
         drift += carried.dot(spinning).ravel()
-        return drift
+        return rows, drift
 
-    def _level(self, carried: Array) -> None:
-        """Bring the levers of the rows to centres in the axes of the plane, from their body."""
+    def _level(self, carried: Array) -> Array:
+        """Rows whose levers reach to centres in the axes of the plane, from their body."""
         x, y, z = (carried + self._down).T
         levers = self._rows
+        if is_symbol(z[0]):
+            levers = levers.astype(object)
         levers[:, 0, 3], levers[:, 0, 4] = y, -x
         levers[:, 1, 4], levers[:, 1, 5] = z, -y
         levers[:, 2, 3], levers[:, 2, 5] = -z, x
+        return levers
 
 
 class BallsOnBalls(Meeting):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mbd_ros.core.state import Array
+from mbd_ros.core.state import Array, is_symbol
 
 _OPPOSITE = 1.0e-12  # half the square of a sum of unit vectors that are opposite
 _CORNERS = np.stack([np.roll(np.eye(3), -axis, axis=0) for axis in range(3)])
@@ -37,6 +37,9 @@ def directions(vectors: Array, length: Array, otherwise: Array) -> Array:
         length: Their lengths, shape (n,).
         otherwise: Direction of those without length, shape (3,) or (n, 3).
     """
+    if is_symbol(length.flat[0]):  # where two points meet, expressions have no direction
+        symbolic: Array = vectors / length[:, None]
+        return symbolic
     some = length.real > 0.0
     return np.where(some[:, None], vectors / np.where(some, length, 1.0)[:, None], otherwise)
 
@@ -63,7 +66,8 @@ def framed(normal: Array, basis: Array) -> Array:
     """
     total = normal + basis[..., 0, :]
     square = dotted(total, total) / 2.0
-    is_opposite = square.real < _OPPOSITE
+    is_traced = is_symbol(square.flat[0])
+    is_opposite = np.zeros(len(square), np.bool_) if is_traced else square.real < _OPPOSITE
     share = dotted(basis[..., 1:, :], normal[:, None])
     share = share / np.where(is_opposite, 1.0, square)[:, None]
     axes = np.empty((len(normal), 3, 3), dtype=total.dtype)

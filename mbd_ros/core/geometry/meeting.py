@@ -7,35 +7,20 @@ frame,
     w = e . u,   u = v + omega x rho,   w' = e . (a + alpha x rho + omega x rho') + e' . u
 
 Source: F. Pfeiffer, C. Glocker, Multibody Dynamics with Unilateral Contacts, 1996, ch. 4. The
-derivatives rho' and e' along the motion are complex steps: J. R. R. A. Martins, P. Sturdza, J. J.
-Alonso, The complex-step derivative approximation, ACM TOMS 29, 2003.
+derivatives rho' and e' along the motion are those of `PairMotion.along`.
 """
 
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from mbd_ros.core.geometry.frames import crossed
-from mbd_ros.core.model.pair_motion import PairMotion
+from mbd_ros.core.model.pair_motion import PairMotion, Pose
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array
 
 _ALL = slice(0, 6)
-_STEP = 1.0e-30  # imaginary, so small that its square vanishes beside every real part
-
-
-class Pose(NamedTuple):
-    """Where the moving body is; `pinocchio.SE3` has the same attributes.
-
-    Attributes:
-        rotation: From its axes to those of the shape at rest, shape (3, 3).
-        translation: Of its origin [m], shape (3,).
-    """
-
-    rotation: Array
-    translation: Array
 
 
 class Touch(NamedTuple):
@@ -74,7 +59,7 @@ class Meeting:
         self.pair, self.features = pair, features
 
     def touch(self, pose: Any) -> Touch:
-        """Gaps, contact points and frames at a `Pose` of real or of complex numbers."""
+        """Gaps, contact points and frames at a `Pose` of real, complex or symbolic numbers."""
         raise NotImplementedError
 
     def gaps(self, seen: PairMotion) -> Array:
@@ -101,15 +86,13 @@ class Meeting:
     def accelerations(self, seen: PairMotion) -> tuple[Array, Array]:
         """Both `jacobian` and `drift`, for the contact points and frames of one."""
         placed = seen.placed()
-        velocity, rate = seen.spatial(placed or seen.place())
-        pose, v, omega = seen.pose(), velocity.linear, velocity.angular
-        turned = pose.rotation + 1j * _STEP * crossed(omega, pose.rotation.T).T
-        touch = self.touch(Pose(turned, pose.translation + 1j * _STEP * v))
-        lever, axes = touch.lever.real, touch.axes.real
-        lever_rate, axes_rate = touch.lever.imag / _STEP, _unspun(axes, touch.axes.imag / _STEP)
+        v, a, omega, alpha = seen.moving(placed or seen.place())
+        pose = seen.pose()
+        rates = Pose(crossed(omega, pose.rotation.T).T, v)
+        (_, lever, axes), (_, lever_rate, turning) = seen.along(self.touch, pose, rates)
+        axes_rate = _unspun(axes, turning)
         slip = v + crossed(omega, lever)
-        a = pin.classicAcceleration(velocity, rate)
-        a = a + crossed(rate.angular, lever) + crossed(omega, lever_rate)
+        a = a + crossed(alpha, lever) + crossed(omega, lever_rate)
         drift = np.einsum("nij,nj->ni", axes, a) + np.einsum("nij,nj->ni", axes_rate, slip)
         return _rows(lever, axes).dot(seen.jacobian(placed, _ALL)), drift.ravel()
 

@@ -1,5 +1,6 @@
 """Motion of a point with axes, seen by an observer on another body."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -10,6 +11,22 @@ from mbd_ros.core.model.points import Place
 from mbd_ros.core.state import Array
 
 _WORLD, _LOCAL = pin.LOCAL_WORLD_ALIGNED, pin.LOCAL
+_STEP = 1.0e-30  # imaginary, so small that its square vanishes beside every real part
+
+
+class Pose(NamedTuple):
+    """Where b is; `pinocchio.SE3` has the same attributes.
+
+    Attributes:
+        rotation: From its axes to those of a, shape (3, 3).
+        translation: Of its origin [m], shape (3,).
+    """
+
+    rotation: Array
+    translation: Array
+
+
+OfPose = Callable[[Pose], tuple[Array, ...]]
 
 
 class Placed(NamedTuple):
@@ -99,8 +116,31 @@ class PairMotion:
 
     def motion(self, placed: Placed) -> tuple[Array, Array, Array]:
         """Acceleration as above, angular velocity and its derivative, shape (3,) each."""
+        _, a, omega, alpha = self.moving(placed)
+        return a, omega, alpha
+
+    def moving(self, placed: Placed) -> tuple[Array, Array, Array, Array]:
+        """The velocity of the origin of b, then what `motion` gives, shape (3,) each."""
         velocity, rate = self.spatial(placed)
-        return pin.classicAcceleration(velocity, rate), velocity.angular, rate.angular
+        a = pin.classicAcceleration(velocity, rate)
+        return velocity.linear, a, velocity.angular, rate.angular
+
+    def along(
+        self, function: OfPose, pose: Any, rates: Pose
+    ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        """What a function of the pose gives, and its rates along a motion, by a complex step.
+
+        Source: J. R. R. A. Martins, P. Sturdza, J. J. Alonso, The complex-step derivative
+        approximation, ACM TOMS 29, 2003.
+
+        Args:
+            function: Goes with complex numbers.
+            pose: The pose.
+            rates: Of its entries.
+        """
+        turned = pose.rotation + 1j * _STEP * rates.rotation
+        found = function(Pose(turned, pose.translation + 1j * _STEP * rates.translation))
+        return tuple(one.real for one in found), tuple(one.imag / _STEP for one in found)
 
     def spatial(self, placed: Placed) -> tuple[Any, Any]:
         """Velocity and acceleration of b, at zero joint acceleration: two `pinocchio.Motion`.
