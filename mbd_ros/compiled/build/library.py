@@ -9,14 +9,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
-
 from mbd_ros.compiled.build import cache
+from mbd_ros.compiled.build.aligned import aligned
 from mbd_ros.compiled.build.compiler import FLAGS, BuildError, Compiler, cpu, find_compiler
 from mbd_ros.compiled.code.emit import Signature, Source
-from mbd_ros.core.state import Array
 
-_ALIGNED = 64  # bytes, of the widest vectors
 _SECONDS = 12  # characters
 _FORMAT = "the library, then the seconds that it took"
 _loaded = itertools.count(1)
@@ -44,9 +41,9 @@ class NativeFunction:
     """
 
     def __init__(self, function: ctypes._CFuncPtr, signature: Signature, lanes: int) -> None:
-        self.arguments = tuple(_aligned(size, lanes) for size in signature.arguments)
-        self.results = tuple(_aligned(size, lanes) for size in signature.results)
-        self._work = _aligned(signature.work, lanes)
+        self.arguments = tuple(aligned(size, lanes) for size in signature.arguments)
+        self.results = tuple(aligned(size, lanes) for size in signature.results)
+        self._work = aligned(signature.work, lanes)
         arrays = (*self.arguments, *self.results, self._work)
         self._at = (ctypes.c_void_p * len(arrays))(*(array.ctypes.data for array in arrays))
         self._address = ctypes.addressof(self._at)
@@ -179,12 +176,3 @@ def _in_a_file(content: bytes) -> Iterator[str]:
         path = folder / "scene.so"
         path.write_bytes(content)
         yield str(path)
-
-
-def _aligned(size: int, lanes: int) -> Array:
-    """Zeros where vectors may stand."""
-    spare = _ALIGNED // 8
-    room = np.zeros(size * lanes + spare)
-    first = -room.ctypes.data % _ALIGNED // 8
-    values = room[first : first + size * lanes]
-    return values if lanes == 1 else values.reshape(size, lanes)

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.compiled.build.aligned import aligned
 from mbd_ros.compiled.build.library import Library
 from mbd_ros.compiled.runs.method_options import method_options
 from mbd_ros.compiled.runs.native_source import Sizes
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.state import Array
 
-_ALIGNED = 64  # bytes, of the widest vectors
 _AT_ONCE = 4  # times the lanes: runs that a thread takes together
 
 
@@ -96,18 +96,12 @@ class LaneRuns:
 
     def _some(self, y: Array, p: Array, due: Array, rows: Array, known: Any) -> None:
         """Runs of one thread; the library lets others go on meanwhile."""
-        run = _aligned(self._size)
+        run = aligned(self._size)
         self._many(
             *(ctypes.addressof(self._options.value), run.ctypes.data, len(y), y.ctypes.data),
             *(p.ctypes.data, self._u.ctypes.data, due.ctypes.data, len(due)),
             *(rows.ctypes.data, known.ctypes.data),
         )
-
-
-def _aligned(size: int) -> Array:
-    room = np.zeros(size + _ALIGNED // 8)
-    first = -room.ctypes.data % _ALIGNED // 8
-    return room[first : first + size]
 
 
 def _bound(c: Any) -> Any:

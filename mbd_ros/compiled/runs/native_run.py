@@ -3,20 +3,21 @@
 import ctypes
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from mbd_ros.compiled.build.library import Library
 from mbd_ros.compiled.runs.method_options import method_options
+from mbd_ros.compiled.runs.native_calls import bound
 from mbd_ros.compiled.runs.native_source import Sizes
 from mbd_ros.compiled.runs.native_types import (
-    Field,
     InputsOfC,
     Status,
     TimesOfC,
     pieces_of,
 )
+from mbd_ros.compiled.runs.run_memory import RunMemory
 from mbd_ros.core.dynamics.sources import Pieces
 from mbd_ros.core.integration.blocks import HeldTable
 from mbd_ros.core.integration.stepping import Integrator
@@ -24,7 +25,6 @@ from mbd_ros.core.simulation.sample_times import SampleTimes
 from mbd_ros.core.state import NONE, Array, State
 
 _MANY = 2**62
-_ALIGNED = 8  # numbers, as wide as the widest vectors
 
 
 class Block(NamedTuple):
@@ -39,7 +39,7 @@ class Block(NamedTuple):
     status: Status
 
 
-class NativeRun:
+class NativeRun(RunMemory):
     """Integrations of one compiled scene by one method; not for two threads.
 
     Args:
@@ -53,9 +53,6 @@ class NativeRun:
         smooth: What inputs that change within steps are made of, with their places in u.
 
     Attributes:
-        sizes: As given.
-        row: Numbers of a sample.
-        left: 1 where rows are just being left and rounding does not count, one entry a mode.
         ends_at_samples: Whether steps that follow one which ended early end at the next sample.
     """
 
@@ -72,7 +69,8 @@ class NativeRun:
         least_health: float = 0.0,
         smooth: Sequence[tuple[slice, Pieces]] = (),
     ) -> None:
-        self.sizes, self.least_health, self._c = sizes, least_health, _bound(library.c)
+        super().__init__(bound(library.c), sizes)
+        self.least_health = least_health
         self._bounds, self._p = np.ascontiguousarray(bounds, np.float64), np.array(p, np.float64)
         self._options = method_options(method, dt)
         options = self._options.value
@@ -81,78 +79,9 @@ class NativeRun:
         self._pieces = pieces_of(smooth)
         options.smooth, options.pieces = len(smooth), ctypes.addressof(self._pieces.value)
         self._o = ctypes.addressof(options)
-        place = [self._c.place_of(field) for field in Field]
-        self._at, self._row = place, place[Field.ROW]
-        self.row = self._row
-        self._numbers = _aligned(place[Field.SIZE])
-        self._r = self._numbers.ctypes.data
-        nq, nv, nz = sizes.nq, sizes.nv, sizes.nz
-        self._q = self._numbers[place[Field.Q] :][:nq]
-        self._v = self._numbers[place[Field.W] :][:nv]
-        self._z = self._numbers[place[Field.W] + nv :][:nz]
-        self.left = self._numbers[place[Field.LEFT] :][: sizes.modes]
-        self._out, self._u = np.zeros(nq + nv + nz), np.zeros(max(sizes.nu, 1))
-        self._rates = np.zeros(nv + nz + 1)
+        self._out, self._u = np.zeros(sizes.nq + sizes.nv + sizes.nz), np.zeros(max(sizes.nu, 1))
+        self._rates = np.zeros(sizes.nv + sizes.nz + 1)
         self._written = ctypes.c_long(0)
-        self.restart()
-
-    @property
-    def t(self) -> float:
-        """Time of the state [s]."""
-        return float(self._numbers[self._at[Field.T]])
-
-    @property
-    def steps(self) -> int:
-        """Steps taken so far."""
-        return int(self._numbers[self._at[Field.STEPS]])
-
-    @property
-    def sample(self) -> int:
-        """Number of the newest sample."""
-        return int(self._numbers[self._at[Field.SAMPLE]])
-
-    @property
-    def is_within(self) -> bool:
-        """Whether the last step has samples inside that are still to come."""
-        return bool(self._numbers[self._at[Field.IS_WITHIN]])
-
-    @property
-    def interval(self) -> int:
-        """Rows of held inputs that the last block has left behind."""
-        return int(self._numbers[self._at[Field.INTERVAL]])
-
-    @property
-    def evaluations(self) -> int:
-        """How often accelerations were computed so far."""
-        return int(self._numbers[self._at[Field.EVALUATIONS]])
-
-    def state(self) -> State:
-        """Where the run stands, fresh."""
-        return State(
-            self.t, self._q.copy(), self._v.copy(), self._z.copy() if self._z.size else NONE
-        )
-
-    def restart(self) -> None:
-        """Forget everything that was kept from earlier steps."""
-        self._c.restart(self._r)
-
-    def load(self, x: State, *, keeps_history: bool = False) -> None:
-        """Go on from a state.
-
-        Args:
-            x: State of what is integrated.
-            keeps_history: Whether it is the last one but for corrections.
-        """
-        self._numbers[self._at[Field.T]] = x.t
-        self._q[...], self._v[...] = x.q, x.v
-        if self._z.size:
-            self._z[...] = x.z
-        (self._c.touch if keeps_history else self._c.leave)(self._r)
-
-    def begin_samples(self, sample: int, *, is_within: bool) -> None:
-        """Say which sample is the newest, and whether the last step has others inside."""
-        self._numbers[self._at[Field.SAMPLE]] = sample
-        self._numbers[self._at[Field.IS_WITHIN]] = is_within
 
     def health(self, x: State, u: Array) -> float:
         """Smallest pivot of the rows at a state over its usual size, as runs look at it."""
@@ -183,7 +112,7 @@ class NativeRun:
             most: How many samples may be written.
         """
         most = min(most, times.end - self.sample)
-        rows = np.empty((most, self._row))
+        rows = np.empty((most, self.row))
         given = *times[:3], times.resolution, times.slack, times.end, self.ends_at_samples
         value = TimesOfC(*given)
         table = InputsOfC(len(held.until), held.until.ctypes.data, held.values.ctypes.data)
@@ -210,7 +139,7 @@ class NativeRun:
         start = np.concatenate(([y.t], y.q, y.v, y.z))
         value = TimesOfC(*times[:3], times.resolution, times.slack, times.end, 0)
         table = InputsOfC(len(held.until), held.until.ctypes.data, held.values.ctypes.data)
-        kept, shape, after_first = (value, table, held), (times.end + 1, self._row), 8 * self._row
+        kept, shape, after_first = (value, table, held), (times.end + 1, self.row), 8 * self.row
         given = self._o, self._r, start.ctypes.data, *map(ctypes.addressof, kept[:2]), steps
         call, written = self._c.sample_from, ctypes.addressof(self._written)
 
@@ -238,25 +167,10 @@ class NativeRun:
         self._c.state_within(self._o, self._r, t, self._out.ctypes.data)
         return self._given(t)
 
-    def began(self) -> State:
-        """Where the last step began, fresh."""
-        nq, nv, nz = self.sizes.nq, self.sizes.nv, self.sizes.nz
-        q = self._numbers[self._at[Field.Q0] :][:nq].copy()
-        v, z = np.split(self._numbers[self._at[Field.W0] :][: nv + nz].copy(), [nv])
-        return State(float(self._numbers[self._at[Field.T0]]), q, v, z if z.size else NONE)
-
     def switch(self, mode: Sequence[int]) -> None:
         """Go on in another mode of rows that give way; nothing of earlier steps holds in it."""
         self._p[len(self._p) - self.sizes.modes :] = mode[: self.sizes.modes]
         self._c.leave(self._r)
-
-    def memory(self) -> Array:
-        """All that later steps and samples depend on, fresh."""
-        return self._numbers[: self._at[Field.MEMORY]].copy()
-
-    def recall(self, memory: Array) -> None:
-        """Go on as after the step at which a memory was taken."""
-        self._numbers[: len(memory)] = memory
 
     def _given(self, t: float) -> State:
         nq, nv = self.sizes.nq, self.sizes.nv
@@ -268,33 +182,3 @@ def held_inputs(u: Array | Sequence[float], now: float) -> HeldTable:
     """Inputs that never change from a time [s] on."""
     values = np.array(u, dtype=np.float64).reshape(1, -1)
     return HeldTable(np.array([math.inf]), values, np.array([now]))
-
-
-def _aligned(size: int) -> Array:
-    room = np.zeros(size + _ALIGNED)
-    first = -room.ctypes.data % (8 * _ALIGNED) // 8
-    return room[first : first + size]
-
-
-def _bound(c: Any) -> Any:
-    """The functions of a library with the types of their arguments."""
-    pointer, number, whole = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
-    for name, arguments in (
-        ("restart", (pointer,)),
-        ("leave", (pointer,)),
-        ("touch", (pointer,)),
-        ("place_of", (whole,)),
-        ("sample_from", (*(pointer,) * 5, whole, pointer, pointer)),
-        ("advance", (pointer, pointer, pointer, number, whole)),
-        ("samples", (*(pointer,) * 4, number, whole, whole, pointer, pointer)),
-        ("evaluate_at", (pointer, pointer, number, pointer, pointer, pointer)),
-        ("again", (pointer, pointer, number, number, pointer)),
-        ("step_alone", (pointer, pointer, pointer, number)),
-        ("state_within", (pointer, pointer, number, pointer)),
-        ("interpolate", (pointer, pointer, number, pointer)),
-    ):
-        getattr(c, name).argtypes = arguments
-    c.place_of.restype, c.evaluate_at.restype = whole, number
-    for name in ("restart", "leave", "touch"):
-        getattr(c, name).restype = None
-    return c

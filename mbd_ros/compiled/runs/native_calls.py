@@ -1,0 +1,28 @@
+"""The functions of a library that take runs, as ctypes calls them."""
+
+import ctypes
+from typing import Any
+
+
+def bound(c: Any) -> Any:
+    """The functions of a library with the types of their arguments."""
+    pointer, number, whole = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
+    for name, arguments in (
+        ("restart", (pointer,)),
+        ("leave", (pointer,)),
+        ("touch", (pointer,)),
+        ("place_of", (whole,)),
+        ("sample_from", (*(pointer,) * 5, whole, pointer, pointer)),
+        ("advance", (pointer, pointer, pointer, number, whole)),
+        ("samples", (*(pointer,) * 4, number, whole, whole, pointer, pointer)),
+        ("evaluate_at", (pointer, pointer, number, pointer, pointer, pointer)),
+        ("again", (pointer, pointer, number, number, pointer)),
+        ("step_alone", (pointer, pointer, pointer, number)),
+        ("state_within", (pointer, pointer, number, pointer)),
+        ("interpolate", (pointer, pointer, number, pointer)),
+    ):
+        getattr(c, name).argtypes = arguments
+    c.place_of.restype, c.evaluate_at.restype = whole, number
+    for name in ("restart", "leave", "touch"):
+        getattr(c, name).restype = None
+    return c
