@@ -139,6 +139,17 @@ def test_a_demand_is_held_against_the_best_peer(cost, judged):
         assert "Demands" not in [table.title for table in other.tables]
 
 
+def test_native_code_is_no_peer_and_has_demands_of_its_own():
+    outcome = outcome_of(("mbd_ros", 1.0), ("mbd_ros, compiled", 0.1), ("MuJoCo", 4.0))
+    tables = {table.title: table.rows for table in compose([("arm7_swing", outcome)], []).tables}
+    assert tables["Demands"] == [
+        ["arm7_swing", "1e-6", "4.0", "3", "holds"],
+        ["arm7_swing, compiled", "1e-6", "40.0", "20", "holds"],
+    ]
+    alone = outcome_of(("mbd_ros", 1.0), ("mbd_ros, compiled", 0.1))
+    assert "arm: no peer finished a run" in compose([("arm", alone)], []).text
+
+
 def test_a_section_says_what_is_not_compared():
     told = outcome_of(("mbd_ros", 1.0), ("MuJoCo", 2.0))
     told |= {"left": ["forces[1] (switching_force)"], "refused": ["Drake: no splines"]}
@@ -380,7 +391,7 @@ def test_a_report_of_peers_compares_the_scene_of_a_user_or_fails(tmp_path, capsy
     assert main([*words, str(tmp_path / "first")]) == 0
     sections = json.loads((tmp_path / "first/report.json").read_text())["sections"]
     packages = sections["peers"]["tables"][0][1]
-    assert packages[3:5] == ["mbd_ros", "MuJoCo"]
+    assert packages[3:6] == ["mbd_ros", "mbd_ros, compiled", "MuJoCo"]
     machine_file(
         tmp_path, ROBOT + "couplings: {out: {parent: second, spline: {x: [0, 1], y: [0, 1]}}}"
     )

@@ -10,7 +10,7 @@ from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.report.items import Item
 from mbd_ros.report.left_out import kind as left_out
 from mbd_ros.report.precision import kind as precision
-from mbd_ros.report.precision.choices import Choice, formulations, snippet
+from mbd_ros.report.precision.choices import Choice, compiles, formulations, snippet
 from mbd_ros.report.precision.converged import known
 from mbd_ros.report.precision.ladders import between
 from mbd_ros.report.precision.pareto import Point, cheapest, cost_at, front
@@ -40,6 +40,24 @@ def item(family, quick=True):
 def rk4():
     work = item("rk4")
     return work, json.loads(json.dumps(precision.run(work.spec)))
+
+
+def test_compiled_runs_stand_beside_plain_ones_and_agree():
+    """Same steps, so the same errors; what takes no native steps has none."""
+    runs = precision.run(item("dop853").spec)["runs"]
+    errors = {
+        solver: {
+            (run["dt"], run["integrator"].get("tolerance")): run["position"]
+            for run in runs
+            if run["solver"] == solver and run["stabilization"] == {"type": "projection"}
+        }
+        for solver in ("plain", "compiled")
+    }
+    both = errors["plain"].keys() & errors["compiled"].keys()
+    assert len(both) >= 4
+    for key in both:
+        assert errors["compiled"][key] == pytest.approx(errors["plain"][key], rel=1e-3, abs=1e-11)
+    assert not compiles(load_scene(PENDULUM), {"type": "shake"})
 
 
 def test_front_keeps_what_nothing_beats():

@@ -18,7 +18,7 @@ import mbd_ros
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.locate import find_file
 
-VERSIONS = ("numpy", "pin", "proxsuite", "scipy", "mujoco", "drake")
+VERSIONS = ("numpy", "pin", "proxsuite", "scipy", "casadi", "mujoco", "drake")
 _REPORT = "mbd_ros.report"
 _REGISTRY = f"{_REPORT}.items"  # names all parts, of which none loads another one
 _MODULE = re.compile(rf"{re.escape(_REPORT)}(\.\w+)+", re.ASCII)
@@ -47,7 +47,7 @@ def program_now(module: str) -> str:
     """
     root = Path(mbd_ros.__path__[0])
     files = {path for path in root.rglob("*.py") if _computes(path.relative_to(root))}
-    files |= {*root.glob("report/**/*.json"), *_needed(module)}
+    files |= {*root.glob("report/**/*.json"), *root.glob("compiled/**/*.[ch]"), *_needed(module)}
     config = find_file(Path(), _EMPTY, "report").parents[1]
     files |= {path for path in config.rglob("*") if path.is_file()}
     parts = [f"{name} {version}" for name, version in versions().items()]

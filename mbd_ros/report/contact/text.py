@@ -4,7 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from mbd_ros.report.items import Section, Table
-from mbd_ros.report.peers.text import OURS, Group, costs, groups_of
+from mbd_ros.report.peers.contenders import OURS
+from mbd_ros.report.peers.text import Group, costs, groups_of
 from mbd_ros.report.precision.text import finished, power, repeatable, shown
 from mbd_ros.report.precision.work_precision import diagram
 

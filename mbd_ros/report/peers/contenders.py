@@ -10,12 +10,13 @@ import numpy as np
 
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError
-from mbd_ros.report.precision.choices import Choice
+from mbd_ros.report.precision.choices import COMPILED, Choice
 from mbd_ros.report.precision.converged import Known, distance, problem_of
 from mbd_ros.report.precision.reference_problems import error
 from mbd_ros.report.precision.rungs import Record, timed
 from mbd_ros.scene.built_scene import Scene
 
+OURS, NATIVE = "mbd_ros", "mbd_ros, compiled"
 _LONG = 0.3  # s; runs are not repeated beyond that
 USELESS = 1.0e2  # error of a run that says nothing [rad or m]
 Found = TypeVar("Found")
@@ -26,7 +27,7 @@ class Contender(Protocol[Found_co]):
     """One package with one set-up.
 
     Attributes:
-        package: Its name, `mbd_ros` for this one.
+        package: Its name, `OURS` and `NATIVE` for this one.
         setup: Name of this set-up among others, without the step.
         record: Its record for JSON.
     """
@@ -52,9 +53,8 @@ class Ours:
         choice: How it is run.
     """
 
-    package = "mbd_ros"
-
     def __init__(self, scene: Scene, choice: Choice) -> None:
+        self.package = NATIVE if choice.solver == COMPILED else OURS
         self._scene, self._choice = scene, choice
         self.record: Record = dict(choice._asdict())
         self.setup = choice.method

@@ -10,7 +10,7 @@ from mbd_ros.report.items import Item, Outcome, Section, Spec
 from mbd_ros.report.peers.contenders import Contender, Ours, compete
 from mbd_ros.report.peers.text import compose
 from mbd_ros.report.peers.translation import common_ground, task_of
-from mbd_ros.report.precision.choices import Choice, stabilizations
+from mbd_ros.report.precision.choices import COMPILED, Choice, compiles, stabilizations
 from mbd_ros.report.precision.converged import motion_of
 from mbd_ros.report.subjects import failures, is_own, subjects
 from mbd_ros.scene.built_scene import Scene
@@ -112,6 +112,9 @@ def section(outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
 def _ours(scene: Scene, quick: bool) -> Iterator[Ours]:
     for choice in _choices(scene, quick):
         yield Ours(scene, choice)
+    if compiles(scene, {"type": "dop853"}):
+        for choice in _native_choices(scene, quick):
+            yield Ours(scene, choice)
 
 
 def _choices(scene: Scene, quick: bool) -> Iterator[Choice]:
@@ -126,3 +129,15 @@ def _choices(scene: Scene, quick: bool) -> Iterator[Choice]:
                 if max(_SMALLEST[kind], least) <= dt <= _LARGEST[kind]:
                     entry = {"type": kind} | ({"order": order} if order else {})
                     yield Choice("plain", stabilization, entry, dt)
+
+
+def _native_choices(scene: Scene, quick: bool) -> Iterator[Choice]:
+    """Choices for native code, where an evaluation costs little and a call from Python much."""
+    for stabilization in stabilizations(scene, "plain", "dop853")[: 1 if quick else 3 : 2]:
+        for kind in ("dop853",) if quick else ("dopri5", "dop853"):
+            for exponent in range(2, 13, 2 if quick else 1):
+                entry = {"type": kind, "tolerance": float(f"1e-{exponent}")}
+                yield Choice(COMPILED, stabilization, entry, 5e-2)
+        for order in () if quick else (4, 6, 8):
+            for dt in _STEPS[4:]:
+                yield Choice(COMPILED, stabilization, {"type": "adams", "order": order}, dt)

@@ -15,6 +15,7 @@ STABILIZATIONS: tuple[Mapping[str, Any], ...] = (
     {"type": "none"},
 )
 WANTED = (1.0e-3, 1.0e-6, 1.0e-9)  # errors for which a choice is offered [rad or m]
+COMPILED = "compiled"  # the plain tier in native code
 KEEPERS = ("rattle", "shake", "generalized_alpha")  # keep rows themselves
 
 
@@ -22,7 +23,8 @@ class Choice(NamedTuple):
     """One way to integrate a scene.
 
     Attributes:
-        solver: A tier of `mbd_ros.core.dynamics.tiers`, `plain` for the cheapest.
+        solver: A tier of `mbd_ros.core.dynamics.tiers`, `plain` for the cheapest, `compiled` for
+            the cheapest in native code.
         stabilization: Its entry; None where there is nothing to stabilize.
         integrator: Its entry.
         dt: Step, or with a tolerance longest first step [s].
@@ -82,6 +84,12 @@ def formulations(scene: Scene) -> list[str]:
             seen.add(signature)
             names.append(name)
     return names
+
+
+def compiles(scene: Scene, integrator: Mapping[str, Any]) -> bool:
+    """Whether `auto` takes compiled steps; not where extra or compiler are missing."""
+    simulation = scene.simulation(integrator=integrator, solver={"type": "auto"})
+    return simulation.how.startswith(COMPILED)
 
 
 def stabilizations(scene: Scene, solver: str, kind: str) -> Sequence[Mapping[str, Any] | None]:

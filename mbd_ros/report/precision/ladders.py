@@ -7,8 +7,10 @@ from typing import Any, NamedTuple
 
 from mbd_ros.core.events.switching import DiscontinuousForce
 from mbd_ros.report.precision.choices import (
+    COMPILED,
     WANTED,
     Choice,
+    compiles,
     formulations,
     of_record,
     stabilizations,
@@ -75,8 +77,10 @@ def climb(scene: Scene, family: str, motion: Known, quick: bool) -> list[Record]
     report has the same runs.
     """
     records = []
-    for solver, stabilization, is_main in _variants(scene, family):
+    for solver, stabilization, is_main in _variants(scene, family, quick):
         for ladder in FAMILIES[family]:
+            if solver == COMPILED and not compiles(scene, ladder.integrator):
+                continue
             thin = 1 if is_main and not quick else 2
             climbed = _climb(scene, ladder, (solver, stabilization), motion, thin, quick)
             records += climbed
@@ -111,13 +115,16 @@ def _inside(low: float, high: float) -> list[float]:
     return [dt for dt in steps if low < dt < high]
 
 
-def _variants(scene: Scene, family: str) -> Iterator[tuple[str, Any, bool]]:
-    """Formulations and stabilizations; the first is what a scene has by itself."""
+def _variants(scene: Scene, family: str, quick: bool) -> Iterator[tuple[str, Any, bool]]:
+    """Formulations and stabilizations; the first is what a scene has by itself, then compiled."""
     kind = FAMILIES[family][0].integrator["type"]
     for i, solver in enumerate(formulations(scene)):
         for k, stabilization in enumerate(stabilizations(scene, solver, kind)):
             if family == CROSSED or i == 0 or k == 0:
                 yield solver, stabilization, i == k == 0
+    if not quick or family in REFINED:
+        for k, stabilization in enumerate(stabilizations(scene, "plain", kind)[::2]):
+            yield COMPILED, stabilization, k == 0
 
 
 def _climb(
@@ -141,7 +148,8 @@ def _climb(
             if "ModelError" in record["stopped"] or "more than" in record["stopped"]:
                 break
             continue
-        predicted = ratio * record["evaluations"]
+        steps = record["steps"] * ladder.evaluations  # native code does not count evaluations
+        predicted = ratio * (steps if variant[0] == COMPILED else record["evaluations"])
         misses = 0 if record["configuration"] < 0.5 * best else misses + 1
         best = min(best, record["configuration"])
         if misses == 2 or best < 1e-13:
@@ -179,12 +187,12 @@ def _evaluation(scene: Scene, solver: str) -> float:
     seconds = 2e-6 + 3e-7 * nv + 8e-6 * len(scene.forces)
     if rows:
         seconds += 1e-5 + 4e-6 * rows + 1.2e-7 * rows * nv
-    return seconds * (3.0 if solver == "qp" else 1.0)
+    return seconds * {"qp": 3.0, COMPILED: 0.1}.get(solver, 1.0)
 
 
 def planned(scene: Scene, family: str, quick: bool) -> float:
     """About how long `climb` takes [s]."""
     per_run = 0.05 if quick else 0.2
-    main, others = len(FAMILIES[family]), len(list(_variants(scene, family))) - 1
+    main, others = len(FAMILIES[family]), len(list(_variants(scene, family, quick))) - 1
     rungs = 6.0 if family in REFINED and not quick else 4.0
     return per_run * (rungs * main + 1.5 * others * main) + 1.0

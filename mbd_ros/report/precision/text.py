@@ -27,7 +27,9 @@ _TEXT = (
     "assembling and output: best of two or three runs, with the median above it as spread.",
     "Every formulation meets every stabilization with rk4; the other integrators take one of the "
     "two as the scene has it by itself, and those ladders have every other rung. RATTLE, SHAKE "
-    "and generalized-alpha keep the rows themselves. A ladder ends at rounding or where the next "
+    "and generalized-alpha keep the rows themselves. `compiled` is the scene as it is by itself "
+    "in native code, where it can be compiled, without the time that takes. A ladder ends at "
+    "rounding or where the next "
     "run would take too many evaluations; what was left out or stopped is in report.json.",
     "The converged motion is that of DOP853 at its smallest tolerance; a second method computes "
     "it again (agreement: the largest difference of the two), the published solution is a third, "

@@ -27,7 +27,7 @@ _LOOKS = {  # integrator -> colour, marker
     "shake": ("#555555", ">"),
     "moreau_jean": ("#009E73", "d"),
 }
-_PEER, _PEER_MARKERS, _FRONT = "#D55E00", "*hd", "#F0E442"
+_PEER, _PEER_MARKERS, _FRONT = "#D55E00", "*hdp", "#F0E442"
 _SIZE = (6.2, 6.2)  # inches: below the width from which a page pans instead of scaling
 _FONT = 12  # points: 9 pixels where the picture is 330 wide
 _WORST = 10.0  # [rad or m]: what is worse needs no room
@@ -62,10 +62,10 @@ def diagram(
     axes.plot(*_columns(best), color=_FRONT, lw=9, **_RINGS, mew=0, zorder=1)
     axes.plot(*_columns(best), color="black", lw=0, **_RINGS, mew=0.7, fillstyle="none")
     _integrators(axes, runs, points)
-    for theirs, marker in zip((peers or {}).values(), cycle(_PEER_MARKERS), strict=False):
+    for (name, theirs), marker in zip((peers or {}).items(), cycle(_PEER_MARKERS), strict=False):
         mine, rest = _split(theirs)
-        axes.plot(*_columns(mine), marker=marker, **_PEER_LINE)
-        axes.plot(*_columns(rest), color=_PEER, **_DOTS, alpha=0.45, zorder=1.5)
+        axes.plot(*_columns(mine), marker=marker, **{**_PEER_LINE, "color": _peer(name)})
+        axes.plot(*_columns(rest), color=_peer(name), **_DOTS, alpha=0.45, zorder=1.5)
     _scale(axes)
     axes.set_title(title, fontsize=_FONT)
     look = {"fontsize": _FONT - 1, "handlelength": 1.6, "columnspacing": 1.4, "frameon": False}
@@ -86,6 +86,11 @@ def _integrators(axes: Any, runs: Sequence[Mapping[str, Any]], points: Sequence[
         alone = [p for p in rest if p in best]
         axes.plot(*_columns(alone), **look, ms=_LINE["ms"], lw=0)
         axes.plot(*_columns(rest), color=color, **_DOTS, alpha=0.45, zorder=1.5)
+
+
+def _peer(name: str) -> str:
+    """Colour of another package; black for this one in native code."""
+    return "#000000" if name.startswith("mbd_ros") else _PEER
 
 
 def _split(points: Sequence[Point]) -> tuple[list[Point], list[Point]]:
@@ -146,7 +151,8 @@ def _legend(runs: Sequence[Mapping[str, Any]], peers: Mapping[str, Any]) -> list
         color, marker = _LOOKS[kind]
         handles.append(Line2D([], [], color=color, marker=marker, **_LINE, label=kind))
     for package, marker in zip(peers, cycle(_PEER_MARKERS), strict=False):
-        handles.append(Line2D([], [], marker=marker, **_PEER_LINE, label=package))
+        look = {**_PEER_LINE, "color": _peer(package)}
+        handles.append(Line2D([], [], marker=marker, **look, label=package))
     if any(is_adaptive for _, is_adaptive in kinds):
         look = {"color": "gray", "marker": "o", "mfc": "white", "ls": "--"}
         handles.append(Line2D([], [], **look, **_LINE, label="with tolerance"))
