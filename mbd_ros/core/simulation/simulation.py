@@ -3,36 +3,27 @@
 import math
 from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbd_ros.core.dynamics.overshoots import Overshoots
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.blocks import BlockStepper
 from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.memory import is_same
-from mbd_ros.core.projection.assembly import consistent
 from mbd_ros.core.projection.stabilizing import Stabilization
+from mbd_ros.core.simulation.checked_steps import CheckedSteps
 from mbd_ros.core.simulation.checkpoint import Checkpoint, Progress, refuse_other
-from mbd_ros.core.simulation.divergence import divergence, last_finite
 from mbd_ros.core.simulation.held_inputs import HeldInputs
 from mbd_ros.core.simulation.sample_blocks import RunTable, SampleBlocks
 from mbd_ros.core.simulation.sample_times import sample_times, step_end
 from mbd_ros.core.simulation.stall import PATIENCE, WINDOW, Notice, StallWatch, refuse_crawl
-from mbd_ros.core.simulation.stepper_of import stepper_of
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SAME_TIME
-from mbd_ros.errors import DivergedError, ModelError, SolveError
-
-if TYPE_CHECKING:
-    from mbd_ros.core.events.event import Event
-    from mbd_ros.core.optimization.contact_problem import Residuals
+from mbd_ros.errors import ModelError
 
 _STRIDE = 16  # steps after which a state must be finite
 
 
-class Simulation:
+class Simulation(CheckedSteps):
     """Predicts motion from forces and commands.
 
     Args:
@@ -43,36 +34,15 @@ class Simulation:
 
     Attributes:
         how: What code takes the steps, for people; empty where nobody asked for other code.
-        steps: Steps taken so far.
-        worst: Largest condition number of the rows after a step, inf where they are redundant,
-            and its time [s]. Beyond some 1e6, near a toggle, multipliers are unreliable.
-        overshoots: How far joints went beyond their stops; None without any.
-        guards: Names of what may happen at one time, in the order of the scene.
-        switches: Names of what a mode has an entry for, in that order.
     """
 
     def __init__(
         self, system: System, integrator: Integrator, stabilization: Stabilization, dt: float
     ) -> None:
-        if not dt > 0:
-            raise ModelError(f"dt {dt:g} s must be > 0")
-        system = system.with_gains(*stabilization.gains(dt))
-        self.integrator, self.dt = integrator, dt
-        self.stabilization = stabilization
-        self.stepper = stepper_of(integrator, system, dt)
-        self.system: System = self.stepper.system or system
-        self.guards, self.switches = self.stepper.guards, self.stepper.switches
-        self._stride = getattr(self.stepper, "stride", None)  # several steps at once, if it can
-        self.how, self.steps, self.worst = "", 0, (1.0, 0.0)
-        has_stops = any(block.part.stops for block in system.layout.smoothed)
-        self.overshoots = Overshoots(system) if has_stops else None
-        self._is_corrected = bool(system.held.rows) and not integrator.keeps_constraints
-        self._nz = system.internals.nz
-        self._made_by = integrator.title, dt, system.nq, system.nv, self._nz
-        self._evaluations = self.system.evaluations  # before the start
+        super().__init__(system, integrator, stabilization, dt)
+        self.how = ""
         self._progress: Progress | None = None
         self._blocks: SampleBlocks | None = None
-        self._began: tuple[State, State] | None = None
         self._table: RunTable | None = None
 
     def start(self, x: State, u: Array | None = None) -> State:
@@ -249,67 +219,9 @@ class Simulation:
         self._progress = self._progressed()._replace(y=y)
         return y
 
-    @property
-    def evaluations(self) -> int:
-        """How often accelerations were computed so far."""
-        own = self.stepper.evaluations if isinstance(self.stepper, BlockStepper) else 0
-        return self.system.evaluations - self._evaluations + own
-
-    @property
-    def events(self) -> "list[Event]":
-        """What happened since the start or the last `take_events`, in the order of time."""
-        return list(self.stepper.events)
-
-    def take_events(self) -> "tuple[Event, ...]":
-        """The same, and forget it: a simulation without end has no list without end."""
-        return tuple(self.stepper.take_events())
-
-    def take_residuals(self) -> "Residuals | None":
-        """The worst residuals of contacts in steps since the last call; None without contacts."""
-        worst: Residuals | None = self.stepper.residuals
-        self.stepper.forget_residuals()
-        return worst
-
-    def passed_stops(self) -> list[str]:
-        """Joints that went beyond stops since the start, one text each."""
-        return [] if self.overshoots is None else [str(one) for one in self.overshoots.found()]
-
-    def _assembled(self, x: State) -> State:
-        """The nearest consistent state; that of the last start where it began from here, too."""
-        if self._began is not None and is_same(x, self._began[0]):
-            return self._began[1]
-        y = consistent(self.system, x)
-        self._began = x, y
-        return y
-
     def _progressed(self) -> Progress:
         if self._blocks is not None:
             self._progress, self._blocks = self._blocks.progress, None
         if self._progress is None:
             raise ModelError("a simulation that has not started has no checkpoint")
         return self._progress
-
-    def _corrected(self, y: State) -> State:
-        if not self._is_corrected:
-            return y
-        corrected = self.stabilization.correct(self.system, y)
-        if self.system.condition > self.worst[0]:
-            self.worst = self.system.condition, y.t
-        return corrected
-
-    def _step(self, y: State, u: Array | None, end: float, most: int = 1) -> State:
-        """One step, or up to `most` that nothing looks at in between."""
-        try:
-            if most == 1 or self._stride is None:
-                after, count = self.stepper.step(y, u, end), 1
-            else:
-                after, count = self._stride(y, u, end, most)
-        except (DivergedError, SolveError) as error:
-            raise type(error)(f"{error}; {last_finite(self.system, y)}") from error
-        self.steps += count
-        is_finite = math.isfinite(after.v.dot(after.v)) and math.isfinite(after.q.dot(after.q))
-        if is_finite and (not self._nz or math.isfinite(after.z.dot(after.z))):
-            if self.overshoots is not None:
-                self.overshoots.look(y, after)
-            return after
-        raise divergence(self.system, y, after)
