@@ -1,10 +1,16 @@
 """Many runs of a scene side by side: each is the run alone."""
 
+import platform
+
 import numpy as np
+import pinocchio
 import pytest
 
+from mbd_ros.actuators.series_elastic_drive import SeriesElasticDrive
 from mbd_ros.api import load_scene
+from mbd_ros.compiled.runs import lane_method
 from mbd_ros.errors import DivergedError, SceneError
+from mbd_ros.scene.batch_runs import Starts
 
 SWING = "package://mbd_ros/config/scenes/benchmark/arm7_swing.yaml"
 LOOPS = "package://mbd_ros/config/scenes/benchmark/a02_four_bars_2.yaml"
@@ -147,3 +153,73 @@ def test_arrays_that_do_not_fit_are_named(swing):
         batch.run(0.1, np.zeros((2, 7)))
     with pytest.raises(SceneError, match="velocities of run 1 are not finite"):
         batch.run(0.1, velocities=np.array([[0.0] * 7, [np.nan] * 7, [0.0] * 7]))
+
+
+@pytest.mark.parametrize(("lanes", "word"), [(2, "-mno-avx"), (4, "-mno-avx512f")])
+def test_older_processors_give_each_run_too(swing, monkeypatch, lanes, word):
+    """The compiler is kept from instructions that SSE2 and AVX2 do not have."""
+    monkeypatch.setenv("CC", f"cc {word}" if platform.machine() == "x86_64" else "cc")
+    monkeypatch.setattr(lane_method, "lanes", lambda: lanes)
+    options = {"integrator": {"type": "rk4"}, "dt": 1e-3}
+    batch = swing.batch(5, solver={"type": "compiled"}, **options)
+    assert batch.how == f"compiled, {lanes} runs an instruction"
+    q, v = starts(swing, 5)
+    v[4] *= 1e150
+    found = batch.run(0.02, q, v)
+    assert list(found.failures) == [4]
+    for i in range(4):
+        expected = alone(swing, q[i], v[i], 0.02, **options)
+        assert np.abs(found.states[i] - expected).max() < 1e-11
+
+
+def test_free_bodies_turn_in_each_run():
+    scene = load_scene("free_flyer")
+    options = {"integrator": {"type": "rk4"}, "dt": 2e-3}
+    batch = scene.batch(3, solver={"type": "compiled"}, **options)
+    rng = np.random.default_rng(5)
+    v = rng.normal(0.0, 1.0, (3, scene.robot.model.nv))
+    q = np.array([pinocchio.integrate(scene.robot.model, scene.initial.q, 0.3 * w) for w in v])
+    found = batch.run(0.1, q, v)
+    assert batch.is_side_by_side and not found.failures
+    for i in range(3):
+        expected = alone(scene, q[i], v[i], 0.1, **options)
+        assert np.abs(found.states[i] - expected).max() < 1e-11
+
+
+def test_internal_states_start_and_end_as_in_runs_alone():
+    """Given ones, and those that are left open."""
+    drive = {"type": "series_elastic_drive", **SeriesElasticDrive.example, "joint": "joint2"}
+    scene = load_scene(SWING).with_(actuators=[drive])
+    options = {"integrator": {"type": "rk4"}, "dt": 1e-3}
+    batch = scene.batch(3, solver={"type": "compiled"}, **options)
+    z = np.random.default_rng(2).normal(0.0, 0.1, (3, scene.internals.nz))
+    z[2] = np.nan
+    assert z.size
+    found = batch.run(0.03, internals=z)
+    assert batch.is_side_by_side and not found.failures
+    simulation = scene.simulation(solver={"type": "plain"}, **options)
+    for i in range(3):
+        expected = simulation.sampled(scene.initial._replace(z=z[i]), 0.03)
+        assert np.abs(found.states[i] - expected).max() < 1e-11 * np.abs(expected).max()
+
+
+def test_a_run_near_dependent_rows_goes_to_the_plain_tier():
+    """A threshold between the healths of two runs stands for a toggle that one of them passes."""
+    scene = load_scene(LOOPS)
+    options = {"integrator": {"type": "rk4"}, "dt": 2e-3}
+    batch = scene.batch(4, solver={"type": "compiled"}, **options)
+    q, v = starts(scene, 4, 0.05)
+    before = batch.run(0.1, q, v)
+    lanes = batch._lanes
+    known = []
+    for least in np.geomspace(1e-3, 1.0, 40):
+        lanes._options.value.least_health = least
+        due = before.states[0, :, 0]
+        y = batch._begun([scene] * 4, Starts(q, v, np.zeros((4, 0))), 0.0, {})
+        known = lanes.samples(y, np.zeros((4, 0)), due, 1).known
+        if (known < len(due)).any():
+            break
+    assert 0 < known.min() < len(due)  # at least one run leaves its lane on the way
+    found = batch.run(0.1, q, v)
+    assert not found.failures and (found.known == len(due)).all()
+    assert np.abs(found.states - before.states).max() < 1e-10
