@@ -42,9 +42,13 @@ def simulate(tmp_path, capsys):
         ("--compiled",),
         ("--solver", "plain", "--workers", "1"),
         ("--solver", "plain", "--workers", "2"),
+        ("--solver", "plain", "--scheduler", "local:2"),
+        ("--compiled", "--scheduler", "local:1"),
     ],
 )
 def test_each_row_is_a_run(simulate, words):
+    if "--scheduler" in words:
+        pytest.importorskip("distributed")
     code, table, _ = simulate(ROWS, *words)
     assert code == 0
     assert list(table)[:2] == ["run", "time"] and table["run"].tolist() == sorted([0, 1, 2] * 21)
