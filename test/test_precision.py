@@ -9,6 +9,7 @@ from report_runs import RUNS, run_of
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.report.items import Item
 from mbd_ros.report.left_out import kind as left_out
+from mbd_ros.report.left_out.operations import operations
 from mbd_ros.report.precision import kind as precision
 from mbd_ros.report.precision.choices import Choice, compiles, formulations, snippet
 from mbd_ros.report.precision.converged import known
@@ -196,4 +197,17 @@ def test_left_out_measures_parts_and_imports():
     outcome = json.loads(json.dumps(left_out.run(work.spec)))
     assert "distance" in " ".join(outcome["parts"]) and "rclpy" not in outcome["libraries"]
     assert 0 < outcome["rows"] < outcome["step"] and outcome["aba"] < outcome["evaluation"]
-    assert isinstance(work, Item) and left_out.section([(work, outcome)]).tables[0].rows
+    assert outcome["operations_loads"] == 0 < outcome["operations_rows"] < outcome["operations"]
+    assert isinstance(work, Item)
+    (row,) = left_out.section([(work, outcome)]).tables[0].rows
+    assert row[-2:] == ["0", str(outcome["operations_rows"])]
+
+
+def test_operations_are_those_of_parts_that_are_named():
+    leg = load_scene("package://mbd_ros/config/scenes/four_bar_leg.yaml")
+    found, bare = operations(leg), operations(leg.without(("forces", "constraints")))
+    assert found["operations_loads"] > 0 and found["operations_rows"] > 0
+    assert bare["operations_loads"] == bare["operations_rows"] == 0
+    assert bare["operations"] < found["operations"] - found["operations_rows"]
+    untraced = operations(load_scene(f"{SCENES}/s01_parabola.yaml"))
+    assert set(untraced) == {"uncounted"}

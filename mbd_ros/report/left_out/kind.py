@@ -15,6 +15,7 @@ from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.projection.assembly import project
 from mbd_ros.errors import MbdError, ModelError
 from mbd_ros.report.items import Item, Outcome, Section, Spec, Table
+from mbd_ros.report.left_out.operations import operations
 from mbd_ros.report.left_out.probe import LIBRARIES
 from mbd_ros.report.subjects import failures, subjects
 from mbd_ros.scene.built_scene import Scene
@@ -32,6 +33,9 @@ _TEXT = (
     "microseconds of CPU for one step of semi-implicit Euler, that is one evaluation.",
     "The parts add up to less than a step where the tier has more to do than they: mass matrix, "
     "factorisation and the loop of the simulation. A dash stands for a part that is not there.",
+    "Operations are those of one evaluation in straight-line code, additions to sines, and those "
+    "that go away with all loads or all constraints: what a scene does not name adds none. A dash "
+    "stands there for a scene that cannot be traced; report.json says why.",
 )
 _COLUMNS = (
     "scene",
@@ -47,6 +51,9 @@ _COLUMNS = (
     "step",
     "everything on",
     "factor",
+    "operations",
+    "of loads",
+    "of rows",
 )
 _SHORT = 1.0e-9  # s: so short that the motion stays where it is
 
@@ -72,6 +79,7 @@ def run(spec: Spec) -> Outcome:
         return {"failed": probe.stderr.strip().splitlines()[-1][:200]}
     try:
         found: Outcome = {**json.loads(probe.stdout.splitlines()[-1]), **costs(path, calls)}
+        found |= operations(load_scene(path))
     except MbdError as error:
         return {"failed": f"{type(error).__name__}: {error}"}
     return found
@@ -162,4 +170,5 @@ def _row(name: str, outcome: Outcome) -> list[str]:
         ", ".join(unused),
         *times,
         outcome.get("refused", "-") if factor is None else f"{factor:.1f}",
+        *(str(outcome.get(f"operations{of}", "-")) for of in ("", "_loads", "_rows")),
     ]
