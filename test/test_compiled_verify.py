@@ -38,3 +38,15 @@ def test_the_code_of_another_scene_is_refused():
     other = load_scene(SCENES / "benchmark/arm7_swing.yaml").with_(gravity=[0.0, 0.0, -9.8])
     with pytest.raises(BuildError, match=r"compiled accelerations differ by .* of the tier aba"):
         verify(*compiled(system), other.system())
+
+
+def test_the_code_of_every_function_is_looked_at():
+    scene = load_scene(SCENES / "benchmark/x02_four_bar_1e-2.yaml")
+    given = {**scene.entries["robot"], "gravity": [0.0, 0.0, -9.8]}
+    system, heavier = scene.system(), scene.with_(robot=given)
+    traced, other = trace(system), trace(heavier.system())
+    names = "accelerate", "place", "settle", "expand"
+    wrong = other.function("energy")
+    library = load(emit([*(traced.function(name) for name in names), wrong]))
+    with pytest.raises(BuildError, match=r"values of 'energy' differ by .* from its expressions"):
+        verify(library, traced, system)

@@ -11,7 +11,10 @@ from mbd_ros.core.thresholds import NEAR_TOGGLE
 from mbd_ros.report.stability.random_scenes import random_scene
 from mbd_ros.report.stability.scene_text import load
 
-BODY = {"shape": {"box": [0.1, 0.2, 0.3]}, "mass": 1.5}
+BODY = {"shape": {"box": [0.1, 0.2, 0.3]}, "mass": 1.5, "pose": {"xyz": [0.4, -0.7, 1.1]}}
+ENDS = ("frame", "frame_a", "frame_b", "plane_frame")
+ROOT = (2.0, [0.1, 0.0, 0.05], np.diag([0.02, 0.03, 0.04]))  # of a free base, without mass else
+SECOND = "package://mbd_ros/config/robots/prosthetic_leg.urdf"
 
 
 def scene_of(seed):
@@ -43,6 +46,30 @@ def scene_of(seed):
         motor = {"type": "geared_motor", "joint": joint, "ratio": -30.0, "rotor_inertia": 1e-5}
         more["actuators"] = [{**motor, "efficiency": 0.8, "viscous": 1e-5, "limit": 0.5}]
     return scene.with_(**more)
+
+
+def elsewhere(seed):
+    """The same mechanism, turned, 100 m away or on a free base, or with a body or a second robot.
+
+    Rows that hold it to the world stay behind, its pose would break them.
+    """
+    scene, rng = scene_of(seed), np.random.default_rng([8, seed])
+    given, n = dict(scene.entries["robot"]), seed % 4
+    far = (100.0 * rng.choice([-1.0, 1.0], 3)).tolist()
+    given["pose"] = {"xyz": far, "rpy": rng.uniform(-3.0, 3.0, 3).round(3).tolist()}
+    given["gravity"] = (9.81 * rng.choice([-0.6, 0.48, 0.64], 3)).round(4).tolist()
+    given["base"] = "floating" if n in (1, 3) else "fixed"
+    rows = scene.entries.get("constraints") or ()
+    rows = [row for row in rows if "world" not in [row.get(key) for key in ENDS]]
+    more = {"robot": given, "constraints": rows or None}
+    if n in (2, 3):
+        more["bodies"] = {"box": BODY}
+    if n == 2:
+        more["robots"] = {"second": {"urdf": SECOND, "pose": {"xyz": far[::-1]}}}
+        tie = {"type": "point_spring", "frame_a": "box", "frame_b": "b0", "stiffness": 40.0}
+        more["forces"] = [*(scene.entries.get("forces") or ()), tie]
+    moved = scene.with_(**more)
+    return moved.with_inertias({"world": ROOT}) if given["base"] == "floating" else moved
 
 
 def is_regular(system, y):
@@ -106,6 +133,19 @@ def weight(system, y, lam):
 def test_random_scenes_are_those_of_the_plain_tier(block):
     for seed in range(8 * block, 8 * block + 8):
         check(seed)
+
+
+@pytest.mark.parametrize("block", range(2))
+def test_random_scenes_elsewhere_are_those_of_the_plain_tier(block):
+    for seed in range(4 * block, 4 * block + 4):
+        compare(elsewhere(seed).system(), seed)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("block", range(20))
+def test_many_random_scenes_elsewhere_are_those_of_the_plain_tier(block):
+    for seed in range(10 * block, 10 * block + 10):
+        compare(elsewhere(seed).system(), seed)
 
 
 @pytest.mark.soak

@@ -1,12 +1,13 @@
 """Compiled equations of motion beside those of the plain tier."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from mbd_ros.compiled.build.compiler import BuildError
 from mbd_ros.compiled.build.library import Library
-from mbd_ros.compiled.symbols.trace import Traced
+from mbd_ros.compiled.symbols.trace import ARGUMENTS, Traced
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.state import NONE, Array, Mode, State
 from mbd_ros.errors import MbdError
@@ -18,9 +19,10 @@ _SOUND = 1.0e-4  # health of rows below which two exact methods may differ by mo
 
 
 def verify(library: Library, traced: Traced, system: System, p: Array = NONE) -> None:
-    """Compares accelerations at random states around that of all joints at 0.
+    """Compares accelerations and all other functions at random states around all joints at 0.
 
-    States at which the plain tier has no solution say nothing.
+    Accelerations are held against the plain tier, every function against its expressions, there
+    with other parameters too. States at which the plain tier has no solution say nothing.
 
     Args:
         library: Has the function `accelerate`.
@@ -29,33 +31,62 @@ def verify(library: Library, traced: Traced, system: System, p: Array = NONE) ->
         p: Values of the parameters that the system was built with, shape (np,).
 
     Raises:
-        BuildError: They differ.
+        BuildError: They differ; names the function.
     """
-    native, rng = library.function("accelerate"), np.random.default_rng(_SEED)
+    rng = np.random.default_rng(_SEED)
     for _ in range(_STATES):
         mode = () if system.exact is None else _mode(system.exact, rng)
         y = some_state(system, rng)._replace(mode=mode)
         held, u = some_inputs(system, y.t, rng)
-        given = y.t, y.q, y.v, y.z, u, np.append(p, mode)
-        for argument, value in zip(native.arguments, given, strict=True):
-            argument.T[...] = value
-        native()
-        a, zdot, health = (np.atleast_2d(result.T) for result in native.results)
+        values = y.t, y.q, y.v, y.z, u, np.append(p, mode)
+        a, zdot, health = _native(library, "accelerate", values)
         if not (health > _SOUND).all():
             continue
         try:
             wanted = plain_rates(system, y, held)
         except MbdError:
             continue
-        if not np.isfinite(wanted).all():
-            continue
-        found = np.hstack((a, zdot))
-        apart = np.abs(found - wanted).max(initial=0.0)
-        if not apart <= _CLOSE * (1.0 + np.abs(wanted).max(initial=0.0)):
-            raise BuildError(
-                f"compiled accelerations differ by {apart:.3g} from those of the tier "
-                f"{traced.tier}"
-            )
+        _refuse(np.hstack((a, zdot)), wanted, "accelerations", f"those of the tier {traced.tier}")
+        given = dict(zip("tqvzu", values[:5], strict=True))
+        given["p"] = np.append(p * rng.uniform(0.9, 1.1, len(p)), mode)
+        for name in library.source.signatures:
+            _verify_code(library, traced.function(name), given, rng)
+
+
+def _native(library: Library, name: str, values: Sequence[Any]) -> list[Array]:
+    """Results of a function, shapes (lanes, size)."""
+    native = library.function(name)
+    for argument, value in zip(native.arguments, values, strict=True):
+        argument.T[...] = value
+    native()
+    return [np.atleast_2d(result.T) for result in native.results]
+
+
+def _verify_code(
+    library: Library, function: Any, given: Mapping[str, Any], rng: np.random.Generator
+) -> None:
+    """Holds the code of one function against its expressions, as CasADi evaluates them.
+
+    Arguments that are not given, steps and multipliers, are random.
+    """
+    name, values = function.name(), []
+    for i, letter in enumerate(ARGUMENTS[name]):
+        some = rng.normal(0.0, _SPREAD, function.size1_in(i))
+        values.append(given.get(letter, some))
+    for found, expected in zip(_native(library, name, values), function.call(values), strict=True):
+        _refuse(found, np.array(expected).ravel("F"), f"values of '{name}'", "its expressions")
+
+
+def _refuse(found: Array, wanted: Array, what: str, beside: str) -> None:
+    """Refuse numbers that differ from those wanted where these are finite.
+
+    Raises:
+        BuildError: They do.
+    """
+    known = np.isfinite(wanted)
+    apart = np.abs(found - wanted)[:, known].max(initial=0.0)
+    if not apart <= _CLOSE * (1.0 + np.abs(wanted[known]).max(initial=0.0)):
+        raise BuildError(f"compiled {what} differ by {apart:.3g} from {beside}")
 
 
 def some_state(system: System, rng: np.random.Generator) -> State:
