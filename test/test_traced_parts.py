@@ -13,9 +13,9 @@ from mbd_ros.scene.registry import PARTS
 
 EXACT = 1e-13  # of the largest entry, or of 1 where that is a difference of larger ones
 REFUSED = {  # part -> why
-    ("contacts", "compliant"): "needs the value of a number that depends on the state",
+    ("contacts", "compliant"): "a number that depends on the state",
     ("contacts", "rigid"): "contact with friction",
-    ("forces", "switching_force"): "branches on a number that depends on the state",
+    ("forces", "switching_force"): "a number that depends on the state",
 }
 SMOOTHED = {
     "dry_friction": {"smoothed": True},
