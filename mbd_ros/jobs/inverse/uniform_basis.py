@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from mbd_ros.core.state import Array
@@ -46,22 +45,32 @@ class UniformBasis:
         self._u = places - self._at
         self._starts = np.flatnonzero(np.diff(self._at, prepend=-1))
         self._used = self._at[self._starts]  # cells that hold a sample
+        small = _WIDTH * len(places) + cells < np.iinfo(np.int32).max
+        kind = np.int32 if small else np.int64  # scipy takes 32 bits as they are
+        self._indices = (self._at.astype(kind)[:, None] + np.arange(_WIDTH, dtype=kind)).ravel()
+        self._rows = np.arange(0, _WIDTH * self._n + 1, _WIDTH, dtype=kind)
         self._values = self._polynomials(_PIECES)
+        self._matrix = self._matrix_of(self._values)
 
     def normal(self, weights: Array) -> Array:
         """Sums of weight b_i b_j over the samples, upper banded form, (DEGREE + 1, splines)."""
         found = np.zeros((_WIDTH, self._cells + DEGREE))
         splines = np.ascontiguousarray(self._values.T)
+        several, every = len(self._starts) < self._n, np.zeros(self._cells)
         for p, left in enumerate(splines):
             weighted = weights * left
             for q in range(p, _WIDTH):
-                sums = np.add.reduceat(weighted * splines[q], self._starts)
-                found[DEGREE - (q - p), self._used + q] += sums
+                products = weighted * splines[q]
+                sums = np.add.reduceat(products, self._starts) if several else products
+                if len(sums) < self._cells:
+                    every[self._used] = sums
+                    sums = every
+                found[DEGREE - (q - p), q : q + self._cells] += sums
         return found
 
     def projected(self, weights: Array, values: Array) -> Array:
         """Sums of weight b_i y over the samples; values of shape (n, m), result (splines, m)."""
-        projected: Array = self._matrix(self._values).T @ (weights[:, None] * values)
+        projected: Array = self._matrix.T @ (weights[:, None] * values)
         return projected
 
     def derivative(self, coefficients: Array, order: int) -> Array:
@@ -71,9 +80,11 @@ class UniformBasis:
             coefficients: Shape (splines, m).
             order: Of the derivative, 0 for the sums themselves.
         """
-        factors = np.array([math.perm(k, order) for k in range(order, _WIDTH)])
-        values = self._polynomials(_PIECES[:, order:] * factors) if order else self._values
-        derivative: Array = self._matrix(values) @ np.ascontiguousarray(coefficients)
+        matrix = self._matrix
+        if order:
+            factors = np.array([math.perm(k, order) for k in range(order, _WIDTH)])
+            matrix = self._matrix_of(self._polynomials(_PIECES[:, order:] * factors))
+        derivative: Array = matrix @ np.ascontiguousarray(coefficients)
         return derivative
 
     def _polynomials(self, coefficients: Array) -> Array:
@@ -86,9 +97,7 @@ class UniformBasis:
                 row += coefficient
         return np.ascontiguousarray(found.T)
 
-    def _matrix(self, values: Array) -> csr_array:
+    def _matrix_of(self, values: Array) -> csr_array:
         """Splines, or derivatives of them, at the samples: shape (n, splines)."""
-        indices: NDArray[np.intp] = (self._at[:, None] + np.arange(_WIDTH)).ravel()
-        rows = np.arange(0, _WIDTH * self._n + 1, _WIDTH)
         shape = self._n, self._cells + DEGREE
-        return csr_array((np.ascontiguousarray(values).ravel(), indices, rows), shape=shape)
+        return csr_array((values.ravel(), self._indices, self._rows), shape=shape)
