@@ -53,7 +53,7 @@ setup(
     extras_require={
         "compiled": ["casadi"],
         "dask": ["dask[distributed]"],
-        "peers": ["drake", "mujoco"],
+        "peers": ["drake", "exudyn", "mujoco"],
         "tables": ["pandas", "pyarrow"],
         "ziglang": ["ziglang"],
         "dev": [

@@ -69,7 +69,10 @@ class DivergedError(MbdError):
 _ROS = "ros-jazzy-rclpy ros-jazzy-common-interfaces ros-jazzy-rmw-fastrtps-cpp"
 _MESSAGES = "diagnostic geometry lifecycle rosgraph sensor std trajectory visualization"
 PACKAGES = {  # module -> what pip calls the package that brings it
-    **{name: name for name in ("apsw", "matplotlib", "mujoco", "numpy", "pandas", "pyarrow")},
+    **{
+        name: name
+        for name in ("apsw", "exudyn", "matplotlib", "mujoco", "numpy", "pandas", "pyarrow")
+    },
     **{name: name for name in ("proxsuite", "qpsolvers", "rosbags", "scipy")},
     **dict.fromkeys(("rclpy", "rcl_interfaces", "std_srvs"), _ROS),
     **{f"{name}_msgs": _ROS for name in _MESSAGES.split()},

@@ -24,6 +24,10 @@ needs_mujoco = pytest.mark.skipif(
 needs_drake = pytest.mark.skipif(
     importlib.util.find_spec("pydrake") is None, reason="drake is not installed: pip install drake"
 )
+needs_exudyn = pytest.mark.skipif(
+    importlib.util.find_spec("exudyn") is None,
+    reason="exudyn is not installed: pip install exudyn",
+)
 TIMES = (0.05, 0.1)
 
 
@@ -47,6 +51,7 @@ def test_a_peer_that_is_missing_is_named_with_its_install_line(monkeypatch):
     assert section.tables == () and section.headline == ()
     text = " ".join(section.text)
     assert "pip install mujoco" in text and "pip install drake" in text
+    assert "pip install exudyn" in text
 
 
 def test_ratio_is_taken_at_equal_error():
@@ -371,6 +376,30 @@ def test_fixed_steps_are_fixed():
     arm = task("arm7_swing")
     coarse, fine = (off("arm7_swing", DrakeRun(arm, "runge_kutta5", dt=dt)) for dt in (0.01, 5e-3))
     assert 2**4 < coarse / fine < 2**7
+
+
+@needs_exudyn
+@pytest.mark.parametrize("index", [3, 2])
+@pytest.mark.parametrize("name", ["arm7_swing_coupled", "x02_four_bar_1e-2"])
+def test_exudyn_runs_the_same_scene_with_order_2(name, index):
+    from mbd_ros.report.peers.exudyn_peer import ExudynRun
+
+    coarse, fine = (off(name, ExudynRun(task(name), 1.0, dt, index)) for dt in (1e-3, 5e-4))
+    assert coarse < 1e-4 and coarse / fine == pytest.approx(4.0, rel=0.1)
+
+
+@needs_exudyn
+def test_exudyn_takes_loads_of_a_scene_of_a_user_and_names_what_it_lacks():
+    from mbd_ros.report.peers.exudyn_peer import ExudynRun
+
+    loads = LOADS[: LOADS.index("- {type: point_spring")]
+    scene = machine(ROBOT + START + loads)
+    told = task_of(common_ground(scene))
+    assert furthest(scene, ExudynRun(told, 1.0, 2e-4)) < 1e-5
+    for text, what in ((LOADS, "springs between points, inertias of drives"), ("", "free bodies")):
+        robot = ROBOT if text else ROBOT.replace("{urdf", "{base: floating, urdf")
+        with pytest.raises(SceneError, match=what):
+            ExudynRun(task_of(common_ground(machine(robot + START + text))), 1.0, 1e-3)
 
 
 @needs_drake

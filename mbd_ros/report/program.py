@@ -18,7 +18,7 @@ import mbd_ros
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.locate import find_file
 
-VERSIONS = ("numpy", "pin", "proxsuite", "scipy", "casadi", "mujoco", "drake")
+VERSIONS = ("numpy", "pin", "proxsuite", "scipy", "casadi", "mujoco", "drake", "exudyn")
 _REPORT = "mbd_ros.report"
 _REGISTRY = f"{_REPORT}.items"  # names all parts, of which none loads another one
 _MODULE = re.compile(rf"{re.escape(_REPORT)}(\.\w+)+", re.ASCII)

@@ -19,8 +19,9 @@ from mbd_ros.scene.reader import load_scene
 PEERS = {
     "mujoco": "mbd_ros.report.peers.mujoco_peer",
     "pydrake": "mbd_ros.report.peers.drake_peer",
+    "exudyn": "mbd_ros.report.peers.exudyn_peer",
 }
-_SHOWN = {"mujoco": "MuJoCo", "pydrake": "Drake"}
+_SHOWN = {"mujoco": "MuJoCo", "pydrake": "Drake", "exudyn": "Exudyn"}
 _SCENES = (
     "arm7_swing",
     "arm7_release",

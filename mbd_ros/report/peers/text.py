@@ -30,7 +30,7 @@ _NATIVE_RATIOS = {  # the same in native code
 _MINE = OURS, NATIVE
 _LOOSE = 3.0  # times more precise than asked
 _FAINT = 0.1  # a ratio that needs more than one decimal
-_INSTALL = {"mujoco": "mujoco", "pydrake": "drake"}
+_INSTALL = {"mujoco": "mujoco", "pydrake": "drake", "exudyn": "exudyn"}
 _TEXT = (
     "The same robots, initial states and samples in every package, all contenders in one "
     "process, in turn; `mbd_ros, compiled` is this one in native code. Times are CPU time of one "
