@@ -63,6 +63,7 @@ class ModeStepper(NativeStepper):
     def newest_state(self) -> State:
         """What is integrated after the last native step, in its mode."""
         self._last = after = self.run.state()._replace(mode=self.mode)
+        self._is_plain = False  # the event stepper runs native steps by itself, too
         return after
 
     def again(self, h: float, t: float) -> State:
