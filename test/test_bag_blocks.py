@@ -225,7 +225,7 @@ def both_ways(path, out, scene="arm7", source="causal", parts=False):
     """Result and lines of a bag piece by piece, and as a whole."""
     scene, lines, whole_lines = load_scene(SCENES / f"{scene}.yaml"), [], []
     task = Task(path, Derivatives(source), None, TOPIC, parts)
-    assert streamed.stream(scene, task, out, lines.append) in (None, 2500, 3500)
+    assert streamed.stream(scene, task, path, out, lines.append) in (None, 2500, 3500)
     inverse_to(scene, task, out, lines.clear() or lines.append)
     whole = run_inverse(scene, task, whole_lines.append)
     return Bag().read(out), lines[:-1], whole, whole_lines
@@ -273,9 +273,9 @@ def test_a_stamp_of_zero_makes_the_whole_be_read(tmp_path):
 
 def test_what_is_not_one_topic_is_not_streamed(tmp_path):
     for scene in ("four_bar_leg", "free_flyer", "leg_dropped"):
-        task = Task(tmp_path / "bag", Derivatives("causal"))
-        scene = load_scene(SCENES / f"{scene}.yaml")
-        assert streamed.stream(scene, task, tmp_path / "out", pytest.fail) is None
+        path, out = tmp_path / "bag", tmp_path / "out"
+        scene, task = load_scene(SCENES / f"{scene}.yaml"), Task(path, Derivatives("causal"))
+        assert streamed.stream(scene, task, path, out, pytest.fail) is None
 
 
 def test_bag_to_bag_costs_about_what_a_copy_costs(tmp_path):

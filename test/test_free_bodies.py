@@ -1,7 +1,6 @@
 """Free bodies in simulations, recordings and inverse dynamics: poses, twists, root wrenches."""
 
 from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
+from simulator_plant import plant
 
 from mbd_ros.errors import DataError
 from mbd_ros.files.bags import BagWriter, messages, topic_types
@@ -18,7 +18,6 @@ from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.jobs.inverse.job import inverse
 from mbd_ros.jobs.simulate.job import simulate
 from mbd_ros.nodes.inverse_dynamics.whole_samples import MOST, WholeSamples
-from mbd_ros.nodes.simulator.plant import Plant
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
@@ -290,17 +289,11 @@ def test_a_body_without_any_joint_goes_everywhere(tmp_path):
     found = inverse(scene, tmp_path / "bag", derivatives="zero-phase")
     roots = [f"box.residual.{word}_{axis}" for word in ("force", "torque") for axis in "xyz"]
     assert np.abs(values(found, roots)[20:-20]).max() < 1e-6
-    plant = Plant(plant_values(tmp_path / "scene.yaml"), None)
-    plant.live.tick()
-    assert plant.joint_states(1) == []
-    (sent,) = (read_odometry(deserialize_message(c, Odometry)) for c in plant.odometry(1))
+    there = plant(tmp_path / "scene.yaml", rate=1000.0)
+    there.live.tick()
+    assert there.joint_states(1) == []
+    (sent,) = (read_odometry(deserialize_message(c, Odometry)) for c in there.odometry(1))
     assert sent.pose[0] == run["samples"]["box.position.x"][1]
-
-
-def plant_values(path):
-    """Parameters of a simulator."""
-    times = {"rate": 1000.0, "command_timeout": 1.0, "safe_ramp": 0.1}
-    return SimpleNamespace(scene=str(path), joints=(), **times)
 
 
 # ---------------------------------------------------------------------- several robots
@@ -392,19 +385,19 @@ def test_a_second_free_body_first_or_last_changes_no_digit_of_inverse_dynamics(t
 
 def test_the_simulator_publishes_each_robot_by_itself(two_arms):
     path, joints = two_arms
-    plant = Plant(plant_values(path), None)
-    plant.live.tick()
-    pairs = zip(plant.members, plant.joint_states(5), strict=True)
+    there = plant(path)
+    there.live.tick()
+    pairs = zip(there.members, there.joint_states(5), strict=True)
     sent = {member: deserialize_message(cdr, JointState) for member, cdr in pairs}
     assert {member: tuple(message.name) for member, message in sent.items()} == {
         "left": JOINTS,
         "right": JOINTS,
     }
     position = [*sent["left"].position, *sent["right"].position]
-    assert position == plant.live.now.position.tolist()
-    assert joints == [joint.name for joint in plant.scene.robot.joints]
-    assert plant.bodies == ["left", "box"]
-    assert [len(cdr) for cdr in plant.odometry(5)] == [len(cdr) for cdr in plant.odometry(6)]
+    assert position == there.live.now.position.tolist()
+    assert joints == [joint.name for joint in there.scene.robot.joints]
+    assert there.bodies == ["left", "box"]
+    assert [len(cdr) for cdr in there.odometry(5)] == [len(cdr) for cdr in there.odometry(6)]
 
 
 # ---------------------------------------------------------------------- parts of a sample, live

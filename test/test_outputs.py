@@ -1,10 +1,9 @@
 """Columns, topics, arrows and plots of what parts show."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
+from simulator_plant import plant
 from std_msgs.msg import Float64MultiArray
 
 import mbd_ros as mbd
@@ -14,7 +13,6 @@ from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.errors import DataError, ModelError
 from mbd_ros.files.formats import read_result
-from mbd_ros.nodes.simulator.plant import Plant
 from mbd_ros.scene.code_permission import permitting
 from mbd_ros.scene.renamed import renamed
 
@@ -136,15 +134,12 @@ def test_the_simulator_publishes_what_parts_show(tmp_path):
     )
     robot = "robot: {urdf: 'package://mbd_ros/config/robots/prosthetic_leg.urdf'}"
     (tmp_path / "scene.yaml").write_text(f"{robot}\n{text}\n", encoding="utf-8")
-    values = SimpleNamespace(
-        scene=str(tmp_path / "scene.yaml"), joints=[], rate=100.0, command_timeout=1, safe_ramp=1
-    )
     with permitting(True):
-        plant = Plant(values, None)
-    message = deserialize_message(plant.outputs(), Float64MultiArray)
-    assert [one.label for one in message.layout.dim] == plant.shown
-    assert plant.shown == ["ankle_strap.stretch", *(f"ankle_strap.way_{i}" for i in "xyz")]
-    assert message.data[:3].tolist() == [0.3, 1.0, 2.0] and not plant.rows
+        there = plant(tmp_path / "scene.yaml", rate=100.0)
+    message = deserialize_message(there.outputs(), Float64MultiArray)
+    assert [one.label for one in message.layout.dim] == there.shown
+    assert there.shown == ["ankle_strap.stretch", *(f"ankle_strap.way_{i}" for i in "xyz")]
+    assert message.data[:3].tolist() == [0.3, 1.0, 2.0] and not there.rows
 
 
 def test_a_wrench_needs_a_place():

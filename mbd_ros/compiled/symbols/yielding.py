@@ -132,9 +132,9 @@ def _bounds(blocks: Sequence[Any], k: Any, x: Any) -> tuple[list[Any], list[Any]
     found: tuple[list[Any], list[Any]] = [], []
     for block in blocks:
         with tracing(block.part):
-            for values, bound in zip(found, (block.law.lower, block.law.upper), strict=True):
-                given = k.spread(bound(k, x) if callable(bound) else bound, len(block.rows))
-                values.extend(ca.SX(plain(one)) for one in given)
+            for values, given in zip(found, block.limits(k, x), strict=True):
+                every = k.spread(given, len(block.rows))
+                values.extend(ca.SX(plain(one)) for one in every)
     return found
 
 

@@ -102,10 +102,8 @@ class ConstraintRows:
             SolveError: A lower bound is above the upper one; names the row.
         """
         for block, mine in zip(self.blocks, self.slices, strict=True):
-            law = block.law
-            if law.varies:
-                self.lower[mine] = law.lower(k, x) if callable(law.lower) else law.lower
-                self.upper[mine] = law.upper(k, x) if callable(law.upper) else law.upper
+            if block.law.varies:
+                self.lower[mine], self.upper[mine] = block.limits(k, x)
         ordered = self.lower <= self.upper
         if not ordered.all():
             row = self.rows[int(ordered.argmin())].name

@@ -3,14 +3,15 @@
 import itertools
 from collections import Counter
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.names import label
 from mbd_ros.core.row_laws import Kind, Law, Level
 from mbd_ros.core.rows.constraint import Constraint, Row
-from mbd_ros.core.state import Array, Mode
+from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import ModelError
 
 
@@ -52,6 +53,14 @@ class RowBlock(NamedTuple):
     gains: tuple[Array, Array]
     smoothed: bool
     slips: bool
+
+    def limits(self, k: Kinematics, x: State) -> tuple[Any, Any]:
+        """Smallest and largest multiplier at a state: one number or one a row, each."""
+        lower, upper = self.law.lower, self.law.upper
+        return (
+            lower(k, x) if callable(lower) else lower,
+            upper(k, x) if callable(upper) else upper,
+        )
 
     def cones(self, first: int | None = None) -> list[Cone]:
         """One entry a contact with friction.

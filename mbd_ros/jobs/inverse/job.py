@@ -7,6 +7,7 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
+from mbd_ros.files.formats import is_bag
 from mbd_ros.files.recordings import Source, name_of
 from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result, Table
@@ -18,7 +19,6 @@ from mbd_ros.jobs.inverse.derivatives import Derivatives
 from mbd_ros.jobs.inverse.observed import Observed, Say, Task, observe_motion
 from mbd_ros.jobs.inverse.open_chains import Violations
 from mbd_ros.jobs.inverse.outcome import about_result, check_finite
-from mbd_ros.jobs.inverse.streamed import stream
 from mbd_ros.jobs.progress import Watch, watching
 from mbd_ros.scene.built_scene import Scene
 
@@ -93,12 +93,21 @@ def inverse_to(scene: Scene, task: Task, out: Path, say: Say) -> None:
     sources = [s for s in (task.motion, task.wrenches) if isinstance(s, Path)]
     refuse_overwriting(out, *sources)
     check_place(out)
-    rows = stream(scene, task, out, say)
+    rows = _in_pieces(scene, task, out, say)
     if rows is None:
         result = run_inverse(scene, task, say)
         result.to(out)
         rows = result[MAIN].rows
     say(f"{rows} samples, {task.derivatives.source} derivatives -> {out}")
+
+
+def _in_pieces(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
+    """Number of samples written from bag to bag; None where that takes the whole motion."""
+    if not (isinstance(task.motion, Path) and is_bag(task.motion) and is_bag(out)):
+        return None
+    from mbd_ros.jobs.inverse.streamed import stream  # loads rosbags
+
+    return stream(scene, task, task.motion, out, say)
 
 
 def run_inverse(scene: Scene, task: Task, say: Say) -> Result:

@@ -10,7 +10,6 @@ import numpy as np
 
 from mbd_ros.core.estimation.torque_estimator import Observations, TorqueEstimator, Tuning
 from mbd_ros.errors import DataError
-from mbd_ros.files.formats import is_bag
 from mbd_ros.files.motion_blocks import MotionBlocks, WholeNeededError
 from mbd_ros.files.recordings import name_of
 from mbd_ros.files.table import MAIN, Result, Table
@@ -24,12 +23,13 @@ from mbd_ros.jobs.progress import watching
 from mbd_ros.scene.built_scene import Scene
 
 
-def stream(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
+def stream(scene: Scene, task: Task, motion: Path, out: Path, say: Say) -> int | None:
     """Write the torques of a bag into a bag.
 
     Args:
         scene: The scene.
         task: What is asked for.
+        motion: The bag of its motion.
         out: The bag to write.
         say: Is told what was done and left out, a line each.
 
@@ -37,8 +37,6 @@ def stream(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
         Number of samples; None, and nothing is done or said, where the motion has to be read as
         a whole.
     """
-    if not (isinstance(task.motion, Path) and is_bag(task.motion) and is_bag(out)):
-        return None
     source, _, half_width = task.derivatives
     if source == "given" or half_width or task.bounds or not _is_plain(scene):
         return None
@@ -51,12 +49,12 @@ def stream(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
         with ExitStack() as stack:
             samples: Source
             if source == "causal":
-                samples = CausalSource(scene, task, task.motion)
+                samples = CausalSource(scene, task, motion)
             else:
                 from mbd_ros.jobs.inverse.smoothed import SmoothedSource  # loads scipy
 
                 samples = stack.enter_context(
-                    SmoothedSource(scene, task, task.motion, out.absolute().parent)
+                    SmoothedSource(scene, task, motion, out.absolute().parent)
                 )
             pieces = _Pieces(scene, task, samples)
             Bag().write_blocks(out, pieces)
