@@ -20,6 +20,7 @@ from trajectory_msgs.msg import JointTrajectory
 from mbd_ros.scene.code_permission import permitting
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import JointSample, read_joint_state, write_joint_state
+from msg_adapters.multi_array import read_answered
 
 KINDS = {"sliding": "sliding_mode_controller", "qp": "qp_controller"}
 POSE = np.array([0.5, 0.3, 0.2, 0.1])  # of JOINTS
@@ -32,6 +33,7 @@ class ControlClient:
     Attributes:
         commands: Vectors of ~/commands, as they came.
         arrivals: When they came, on the clock of `perf_counter` [s].
+        answered: Stamps of the joint states that they answer [ns]; None without one.
         states: Messages of ~/state.
         sent: When the last joint state was sent, on the same clock [s].
     """
@@ -48,6 +50,7 @@ class ControlClient:
         self.scene = load_scene(scene)
         self.commands: list[Any] = []
         self.arrivals: list[float] = []
+        self.answered: list[int | None] = []
         self.states: list[JointSample] = []
         create, publish = probe.node.create_subscription, probe.node.create_publisher
         self.hear()
@@ -159,6 +162,7 @@ class ControlClient:
     def _keep(self, message: Any) -> None:
         self.arrivals.append(time.perf_counter())
         self.commands.append(np.array(message.data))
+        self.answered.append(read_answered(message))
 
     def _keep_state(self, message: Any) -> None:
         self.states.append(read_joint_state(message))
