@@ -131,7 +131,10 @@ class CompiledMethod(Integrator):
             smooth=smooth,
         )
         given = run, plain, self._corrects(system), system.loads.idle
-        return ModeStepper(*given) if sizes.modes else NativeStepper(*given)
+        if not sizes.modes:
+            return NativeStepper(*given)
+        contacts = system.exact.contacts
+        return ModeStepper(*given, () if contacts is None else tuple(contacts.normals))
 
     def _built(self, system: Any, dt: float) -> Built:
         """The native code of a system, made once."""
@@ -180,7 +183,7 @@ def _modes(system: Any, traced: Traced) -> dict[str, int]:
         "modes": traced.switches,
         "answers": int(traced.function("answers").size1_out(0)),
         "gaps": counts[Reach.GAP],
-        "stays": counts[Reach.GAP] + slips,
+        "stays": counts[Reach.GAP] + slips + counts[Reach.FRICTION],
         "has_demands": demands > 0,
         "asks_always": slips + demands > 0,
     }

@@ -1,7 +1,7 @@
 """Native steps in a mode of rows that give way, as event location takes them."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from mbd_ros.compiled.runs.native_run import NativeRun
@@ -19,6 +19,8 @@ class ModeStepper(NativeStepper):
         plain: The same method in Python.
         correct: What stabilization makes of a state after a step.
         idle: Inputs where none are given.
+        normals: Rows of the normals of contacts, tangents behind them. Those that slip have plain
+            steps.
 
     Attributes:
         run: As given.
@@ -27,9 +29,15 @@ class ModeStepper(NativeStepper):
     """
 
     def __init__(
-        self, run: NativeRun, plain: Stepper, correct: Callable[[State], State], idle: Array
+        self,
+        run: NativeRun,
+        plain: Stepper,
+        correct: Callable[[State], State],
+        idle: Array,
+        normals: Sequence[int],
     ) -> None:
         super().__init__(run, plain, correct, idle)
+        self._normals = normals
         self.run, self.correct = run, correct
         self.mode: Mode = ()
         self.is_compiled = False
@@ -37,8 +45,8 @@ class ModeStepper(NativeStepper):
     def follow(self, accelerate: Any, mode: Mode = ()) -> None:
         """As `Stepper.follow`."""
         self._plain.follow(accelerate, mode)
-        self.mode, self.is_compiled = mode, bool(mode)
-        if mode:
+        self.mode, self.is_compiled = mode, bool(mode) and not slips(mode, self._normals)
+        if self.is_compiled:
             self.run.switch(mode)
         self._last = None
 
@@ -85,3 +93,13 @@ class ModeStepper(NativeStepper):
             self._plain.continue_from(x)
         else:
             super().continue_from(x)
+
+
+def slips(mode: Mode, normals: Sequence[int]) -> bool:
+    """Whether a contact slips in a mode.
+
+    Args:
+        mode: One entry a row.
+        normals: Rows of the normals of contacts.
+    """
+    return any(mode[i] == 0 and any(mode[i + 1 : i + 3]) for i in normals)

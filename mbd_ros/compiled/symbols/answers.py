@@ -82,7 +82,7 @@ class Answers:
     def stay(self) -> list[Any]:
         """What ends the g' of rows that are on, and these."""
         e, rows = self._equations, self._switched
-        chosen, rates = rows.of(Reach.GAP, Reach.SLIP), rows.rates(e.velocity)
+        chosen, rates = rows.of(Reach.GAP, Reach.SLIP, Reach.FRICTION), rows.rates(e.velocity)
         left = [rates[i] for i in chosen]
         a = self._moved(e.held, rows.masked(chosen), rows.slack_of(chosen), left)
         return [ca.vertcat(*a), ca.vertcat(*left)]

@@ -116,15 +116,17 @@ class SwitchedRows(YieldingRows):
         for i, (way, off) in enumerate(zip(self._ways, self._off, strict=True)):
             left = sum((value * plain(a[j]) for j, value in self._whole.J[i].items()), ZERO)
             left = left + self._conditions[i]
-            room = [(1.0 - off) * one + off * _PASSED for one in self._room(i, lam[i])]
+            room = [(1.0 - off) * one + off * _PASSED for one in self._room(i, lam)]
             if self._reach[i] is Reach.DEMAND:
                 room.append(way * left + (1.0 - off) * _PASSED)
             margins.extend(room)
             rates.append(way * left if self._reach[i] is Reach.SLIP else ZERO)
         return Looks(margins, rates)
 
-    def _room(self, i: int, lam: Any) -> list[Any]:
+    def _room(self, i: int, every: Sequence[Any]) -> list[Any]:
         """What is left of a multiplier to its bounds."""
-        lower, upper = self._lower[i], self._upper[i]
+        if self._reach[i] is Reach.FRICTION:
+            return [self._grip(i - 1, every)] if i - 1 in self._mu else []
+        lam, lower, upper = every[i], self._lower[i], self._upper[i]
         ends = (None if is_open(lower) else lam - lower, None if is_open(upper) else upper - lam)
         return [one for one in ends if one is not None]

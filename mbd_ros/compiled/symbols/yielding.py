@@ -43,6 +43,10 @@ class YieldingRows:
         if len(mode) < len(self._reach):
             raise Untraceable("rows that give way have a form in a mode only")
         self._mode = mode[: len(self._reach)]
+        if not all(abs(way) <= 1 for way in self._mode) or any(
+            not self._mode[i] and any(self._mode[i + 1 : i + 3]) for i in self._mu
+        ):
+            raise Untraceable("contacts that slip have no form in their mode")
         chosen = [i for i, way in enumerate(self._mode) if way == 0]
         self.on = self._whole.only(chosen).reduced(self._c)
         self.bias = [self._biased(i) for i in chosen]
@@ -58,8 +62,9 @@ class YieldingRows:
         blocks = equations.blocks(given)
         self._c = equations.coordinates
         for block in blocks:
-            if block.law.kind is Kind.CONE:
-                raise Untraceable(f"{block.part.name} is a contact with friction")
+            if block.law.kind is Kind.CONE and not system.chart.is_flat:
+                raise Untraceable(f"{block.part.name} is a contact with friction of free bodies")
+        self._mu = _frictions(blocks)
         self._whole = rows_of(blocks, k, x)
         self._conditions = [
             _with_gains(self._whole, i, equations.velocity, gains)
@@ -104,7 +109,10 @@ class YieldingRows:
         found: dict[Margin, Any] = {}
         rates = self._whole.velocities(v)
         for i, (way, reach) in enumerate(zip(self._mode, self._reach, strict=True)):
-            if not way:
+            if reach is Reach.FRICTION:
+                if not way and i - 1 in self._mu:
+                    found[i, 1] = self._grip(i - 1, lam)
+            elif not way:
                 if not is_open(self._lower[i]):
                     found[i, 1] = lam[i] - self._lower[i]
                 if not is_open(self._upper[i]):
@@ -116,11 +124,25 @@ class YieldingRows:
                 found[i, 0] = way * (self._whole.g[i] if reach is Reach.GAP else rates[i])
         return found
 
+    def _grip(self, normal: int, lam: Sequence[Any]) -> Any:
+        """What is left of friction that sticks to its largest, by the row of the normal."""
+        push, x, y = lam[normal : normal + 3]
+        return self._mu[normal] * push - ca.hypot(x, y)
+
 
 def _gains(blocks: Sequence[Any]) -> list[tuple[float, float]]:
     return [
         (plain(kp), plain(kd)) for block in blocks for kp, kd in zip(*block.gains, strict=True)
     ]
+
+
+def _frictions(blocks: Sequence[Any]) -> dict[int, float]:
+    """Coefficients of contacts, by the rows of their normals."""
+    first, found = 0, dict[int, float]()
+    for block in blocks:
+        found |= {cone.slots.start: cone.mu for cone in block.cones(first)}
+        first += len(block.rows)
+    return found
 
 
 def _with_gains(rows: Rows, i: int, v: Sequence[Any], gains: tuple[float, float]) -> Any:
@@ -131,6 +153,10 @@ def _bounds(blocks: Sequence[Any], k: Any, x: Any) -> tuple[list[Any], list[Any]
     """Smallest and largest multipliers of all rows."""
     found: tuple[list[Any], list[Any]] = [], []
     for block in blocks:
+        if block.law.kind is Kind.CONE:  # friction depends on the normal
+            found[0].extend([ZERO] * len(block.rows))
+            found[1].extend([ca.SX(math.inf), ZERO, ZERO] * (len(block.rows) // 3))
+            continue
         with tracing(block.part):
             for values, given in zip(found, block.limits(k, x), strict=True):
                 every = k.spread(given, len(block.rows))
