@@ -16,8 +16,10 @@ from mbd_ros.compiled.runs.native_stepper import NativeStepper
 from mbd_ros.compiled.symbols.trace import Traced, trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.core.dynamics.row_heights import Reach
+from mbd_ros.core.dynamics.world_axes import InWorldAxes
 from mbd_ros.core.integration.linear_motion import LinearMotion
 from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.integration.turned_steps import TurnedSteps
 from mbd_ros.core.names import type_name
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.simulation.stepper_of import happenings, prepared
@@ -62,6 +64,7 @@ class CompiledMethod(Integrator):
     keeps_constraints = True
     event_steps = EventStepper
     moves_internal = True
+    turns = True
 
     def __init__(
         self,
@@ -118,7 +121,9 @@ class CompiledMethod(Integrator):
             ModelError: The method does not serve the system.
         """
         self.refuse(system)
-        plain = prepared(self.method, system, dt)
+        plain, form = prepared(self.method, system, dt), None
+        if isinstance(system, InWorldAxes):
+            plain, form = TurnedSteps(system, plain), system
         self.traced, sizes, self.library = built = self._built(system, dt)
         internals = system.internals
         widths = np.minimum(internals.upper - internals.lower, 1.0)
@@ -129,6 +134,7 @@ class CompiledMethod(Integrator):
             *(self.library, sizes, self.method, dt, bounds, np.ones(sizes.modes)),
             least_health=built.traced.least_health,
             smooth=smooth,
+            form=form,
         )
         given = run, plain, self._corrects(system), system.loads.idle
         if not sizes.modes:
@@ -140,7 +146,9 @@ class CompiledMethod(Integrator):
         """The native code of a system, made once."""
         key = self.method.native, self._is_projected(system), self._stabilization.gains(dt)
         if key not in self._kept:
-            traced = trace(system, mode=None if system.exact else ())
+            in_world = isinstance(system, InWorldAxes)
+            own, mode = system.system if in_world else system, None if system.exact else ()
+            traced = trace(own, mode=mode, in_world=in_world)
             sizes = self.sizes(system, traced)
             functions = [traced.function(name) for name in sizes.functions]
             source = with_integrators(emit(functions), sizes)
@@ -155,7 +163,7 @@ class CompiledMethod(Integrator):
         return Sizes(
             *(traced.nq, traced.nv, traced.nz, traced.nu, *rows, traced.nq_all, traced.nv_all),
             is_flat=system.chart.is_flat,
-            is_whole=system.nv == system.model.nv,
+            is_whole=system.nv == system.model.nv and not isinstance(system, InWorldAxes),
             is_projected=is_projected,
             is_rattle=self.method.native == "rattle",
             np=traced.np,
@@ -169,7 +177,8 @@ class CompiledMethod(Integrator):
     def _corrects(self, system: Any) -> Any:
         if not self._is_projected(system):
             return lambda y: y
-        return lambda y: self._stabilization.correct(system, y)
+        own = system.system if isinstance(system, InWorldAxes) else system
+        return lambda y: self._stabilization.correct(own, y)
 
 
 def _modes(system: Any, traced: Traced) -> dict[str, int]:

@@ -19,6 +19,7 @@ from mbd_ros.compiled.runs.native_types import (
 )
 from mbd_ros.compiled.runs.run_memory import RunMemory
 from mbd_ros.core.dynamics.sources import Pieces
+from mbd_ros.core.dynamics.world_axes import InWorldAxes
 from mbd_ros.core.integration.blocks import HeldTable
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.simulation.sample_times import SampleTimes
@@ -51,6 +52,7 @@ class NativeRun(RunMemory):
         p: Values of the parameters.
         least_health: Of rows: below it the run stops.
         smooth: What inputs that change within steps are made of, with their places in u.
+        form: As for `RunMemory`.
 
     Attributes:
         ends_at_samples: Whether steps that follow one which ended early end at the next sample.
@@ -68,8 +70,9 @@ class NativeRun(RunMemory):
         p: Array = NONE,
         least_health: float = 0.0,
         smooth: Sequence[tuple[slice, Pieces]] = (),
+        form: InWorldAxes | None = None,
     ) -> None:
-        super().__init__(bound(library.c), sizes)
+        super().__init__(bound(library.c), sizes, form)
         self.least_health = least_health
         self._bounds, self._p = np.ascontiguousarray(bounds, np.float64), np.array(p, np.float64)
         self._options = method_options(method, dt)
@@ -174,8 +177,7 @@ class NativeRun(RunMemory):
 
     def _given(self, t: float) -> State:
         nq, nv = self.sizes.nq, self.sizes.nv
-        q, v, z = np.split(self._out.copy(), (nq, nq + nv))
-        return State(t, q, v, z if z.size else NONE)
+        return self._turned_back(t, *np.split(self._out.copy(), (nq, nq + nv)))
 
 
 def held_inputs(u: Array | Sequence[float], now: float) -> HeldTable:

@@ -7,6 +7,7 @@ import numpy as np
 from mbd_ros.compiled.build.aligned import aligned
 from mbd_ros.compiled.runs.native_source import Sizes
 from mbd_ros.compiled.runs.native_types import Field
+from mbd_ros.core.dynamics.world_axes import InWorldAxes
 from mbd_ros.core.state import NONE, Array, State
 
 
@@ -16,6 +17,8 @@ class RunMemory:
     Args:
         c: The functions of the library, see `bound`.
         sizes: What it was compiled for.
+        form: What turns states into the form that was compiled and back, in which velocities of
+            free bodies stand in the axes of the world; None where there is no other.
 
     Attributes:
         sizes: As given.
@@ -23,8 +26,8 @@ class RunMemory:
         left: 1 where rows are just being left and rounding does not count, one entry a mode.
     """
 
-    def __init__(self, c: Any, sizes: Sizes) -> None:
-        self.sizes, self._c = sizes, c
+    def __init__(self, c: Any, sizes: Sizes, form: InWorldAxes | None = None) -> None:
+        self.sizes, self._c, self._form = sizes, c, form
         self._at = place = [c.place_of(field) for field in Field]
         self.row = place[Field.ROW]
         self._numbers = aligned(place[Field.SIZE])
@@ -68,9 +71,7 @@ class RunMemory:
 
     def state(self) -> State:
         """Where the run stands, fresh."""
-        return State(
-            self.t, self._q.copy(), self._v.copy(), self._z.copy() if self._z.size else NONE
-        )
+        return self._turned_back(self.t, self._q.copy(), self._v.copy(), self._z.copy())
 
     def restart(self) -> None:
         """Forget everything that was kept from earlier steps."""
@@ -83,6 +84,8 @@ class RunMemory:
             x: State of what is integrated.
             keeps_history: Whether it is the last one but for corrections.
         """
+        if self._form is not None:
+            x = self._form.turned(x)
         self._numbers[self._at[Field.T]] = x.t
         self._q[...], self._v[...] = x.q, x.v
         if self._z.size:
@@ -99,7 +102,7 @@ class RunMemory:
         nq, nv, nz = self.sizes.nq, self.sizes.nv, self.sizes.nz
         q = self._numbers[self._at[Field.Q0] :][:nq].copy()
         v, z = np.split(self._numbers[self._at[Field.W0] :][: nv + nz].copy(), [nv])
-        return State(float(self._numbers[self._at[Field.T0]]), q, v, z if z.size else NONE)
+        return self._turned_back(float(self._numbers[self._at[Field.T0]]), q, v, z)
 
     def memory(self) -> Array:
         """All that later steps and samples depend on, fresh."""
@@ -108,3 +111,8 @@ class RunMemory:
     def recall(self, memory: Array) -> None:
         """Go on as after the step at which a memory was taken."""
         self._numbers[: len(memory)] = memory
+
+    def _turned_back(self, t: float, q: Array, v: Array, z: Array) -> State:
+        """A state of the system from numbers of the run, which it keeps."""
+        x = State(t, q, v, z if z.size else NONE)
+        return x if self._form is None else self._form.turned_back(x)

@@ -32,7 +32,7 @@ class Answers:
         """Accelerations, rates of the internal states, health of the rows."""
         e = self._equations
         solution = e.chosen[1]
-        return [ca.vertcat(*solution.a), e.rates, e.health(solution, switches=True)]
+        return [e.speeding(solution.a), e.rates, e.health(solution, switches=True)]
 
     def multipliers(self) -> list[Any]:
         """Accelerations of all joints, and multipliers."""
@@ -77,7 +77,7 @@ class Answers:
         chosen = rows.of(Reach.GAP)
         on, held = rows.masked(chosen), e.held.of(Level.POSITION)
         a = self._moved(held, on, rows.slack_of(chosen), on.g)
-        return [ca.vertcat(*a), ca.vertcat(*on.g)]
+        return [e.moving(a), ca.vertcat(*on.g)]
 
     def stay(self) -> list[Any]:
         """What ends the g' of rows that are on, and these."""
@@ -85,7 +85,7 @@ class Answers:
         chosen, rates = rows.of(Reach.GAP, Reach.SLIP, Reach.FRICTION), rows.rates(e.velocity)
         left = [rates[i] for i in chosen]
         a = self._moved(e.held, rows.masked(chosen), rows.slack_of(chosen), left)
-        return [ca.vertcat(*a), ca.vertcat(*left)]
+        return [e.moving(a), ca.vertcat(*left)]
 
     def _moved(self, held: Rows, on: Rows, slack: Sequence[Any], left: Sequence[Any]) -> list[Any]:
         """The smallest motion that ends what is left of rows and moves no rigid one."""
@@ -121,14 +121,14 @@ class Answers:
         e = self._equations
         rows = e.held.of(Level.POSITION)
         solution = e.beside(rows).solve([ZERO] * e.nv, [-g for g in rows.g])
-        return [ca.vertcat(*solution.a), ca.vertcat(*rows.g), e.health(solution)]
+        return [e.moving(solution.a), ca.vertcat(*rows.g), e.health(solution)]
 
     def settle(self) -> list[Any]:
         """What leads velocities onto the rows, and the rates that are left."""
         e = self._equations
         rates = e.held.velocities(e.velocity)
         solution = e.beside(e.held).solve([ZERO] * e.nv, [-one for one in rates])
-        return [ca.vertcat(*solution.a), ca.vertcat(*rates)]
+        return [e.moving(solution.a), ca.vertcat(*rates)]
 
     def gap(self) -> list[Any]:
         """The g of the rows of positions."""

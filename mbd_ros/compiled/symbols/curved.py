@@ -36,7 +36,7 @@ class CurvedChart:
                 found[joint.idx_q] = values[joint.idx_q] + steps[joint.idx_v]
             elif joint.nv == _BASE_V:
                 at, v = joint.idx_q, joint.idx_v
-                found[at : at + 7] = _moved(values[at : at + 7], steps[v : v + 6])
+                found[at : at + 7] = self._moved(values[at : at + 7], steps[v : v + 6])
         return ca.vertcat(*found)
 
     def rate(self, dq: Any, v: Any) -> Any:
@@ -44,13 +44,19 @@ class CurvedChart:
         steps, rates = ca.vertsplit(dq), ca.vertsplit(v)
         for joint in self._bases:
             own = slice(joint.idx_v, joint.idx_v + _BASE_V)
-            rates[own] = _rate(steps[own], rates[own])
+            rates[own] = self._rate(steps[own], rates[own])
         return ca.vertcat(*rates)
+
+    def _moved(self, pose: list[Any], step: list[Any]) -> list[Any]:
+        return _moved(pose, step)
+
+    def _rate(self, step: list[Any], v: list[Any]) -> list[Any]:
+        return _rate(step, v)
 
 
 def _moved(pose: list[Any], step: list[Any]) -> list[Any]:
     """A pose after a screw; its quaternion keeps its side, as Pinocchio has it."""
-    R, x = rotation_of(pose[3:]), tuple(pose[3:6])
+    R = rotation_of(pose[3:])
     along, turn = tuple(step[:3]), tuple(step[3:])
     square = dot(turn, turn)
     root = ca.sqrt(_safe(square))
@@ -60,13 +66,40 @@ def _moved(pose: list[Any], step: list[Any]) -> list[Any]:
     across = cross(turn, along)
     way = plus(along, plus(times(first, across), times(second, cross(turn, across))))
     place = plus(tuple(pose[:3]), turns.through(R, way))
+    return [*place, *turned(pose[3:], turn)]
+
+
+def turned(quaternion: list[Any], turn: Vector, *, in_world: bool = False) -> list[Any]:
+    """A unit quaternion after a turn about its own axes, or about those of the world."""
+    x, y = tuple(quaternion[:3]), quaternion[3]
+    square = dot(turn, turn)
+    root = ca.sqrt(_safe(square))
     half = _either(square, ca.sin(0.5 * root) / root, 0.5 * _series(0.25 * square, 1))
     w = _either(square, ca.cos(0.5 * root), _series(0.25 * square, 0))
     e = times(half, turn)
-    vector = plus(plus(times(w, x), times(pose[6], e)), cross(x, e))
-    whole = [*vector, pose[6] * w - dot(x, e)]
+    across = cross(e, x) if in_world else cross(x, e)
+    vector = plus(plus(times(w, x), times(y, e)), across)
+    whole = [*vector, y * w - dot(x, e)]
     share = 0.5 * (3.0 - sum(one * one for one in whole))
-    return [*place, *(share * one for one in whole)]
+    return [share * one for one in whole]
+
+
+def turn_rate(turn: Vector, spin: Vector) -> Vector:
+    """Rate of a rotation vector whose body spins, both in the axes of the world.
+
+    Source: Iserles et al., Lie-group methods, Acta Numerica 9, 2000, app. B: the inverse of the
+    left Jacobian of SO(3).
+    """
+    square = dot(turn, turn)
+    half = 0.5 * ca.sqrt(_safe(square))
+    large = (1.0 - half / ca.tan(half)) / _safe(square)
+    small, power = ca.SX(0.0), ca.SX(1.0)
+    for weight in _BERNOULLI:  # 1 - h cot h, h = |turn| / 2
+        small += abs(weight) * power
+        power = square * power
+    across = cross(turn, spin)
+    bent = times(_either(square, large, small), cross(turn, across))
+    return plus(spin, plus(times(ca.SX(-0.5), across), bent))
 
 
 def _rate(step: list[Any], v: list[Any]) -> list[Any]:

@@ -1,6 +1,6 @@
 """The equations of motion of a system as expressions of symbols."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -13,19 +13,20 @@ from mbd_ros.compiled.symbols.dynamics import TreeDynamics, choices
 from mbd_ros.compiled.symbols.kinematics import SymbolicKinematics
 from mbd_ros.compiled.symbols.links import Tree, tree_of, with_armature
 from mbd_ros.compiled.symbols.motion import Held, Motion, Solution
+from mbd_ros.compiled.symbols.parts_of import Made, parts_of, with_part
 from mbd_ros.compiled.symbols.rows import Rows, rows_of
 from mbd_ros.compiled.symbols.scalar import column, numbers, plain, scalars
 from mbd_ros.compiled.symbols.switched import SwitchedRows
 from mbd_ros.compiled.symbols.turns import ZERO
 from mbd_ros.compiled.symbols.untraceable import tracing
 from mbd_ros.compiled.symbols.usual_pivots import usual_pivots
+from mbd_ros.compiled.symbols.world_axes import WorldAxes, WorldChart
 from mbd_ros.compiled.symbols.yielding import Margin, YieldingRows
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Mode, State
 
 ARGUMENTS = "tqvzup"
-Made = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 
 class Equations:
@@ -36,6 +37,7 @@ class Equations:
         parameters: Names of numbers that stay symbols.
         mode: Of rows that give way; None for all modes at once, as `SwitchedRows` has them.
         made: Makes parts of symbols, by name.
+        in_world: Whether velocities of free bodies stand in the axes of the world.
 
     Attributes:
         symbols: Argument -> its symbols, by letter.
@@ -44,18 +46,25 @@ class Equations:
         x: State of all joints.
         switches: How many entries of a mode stand behind the parameters.
         yielding: Rows that give way.
+        axes: Of free bodies whose velocities stand in those of the world; None without any.
 
     Raises:
         Untraceable: Names the part and why.
     """
 
     def __init__(
-        self, system: System, parameters: tuple[str, ...], mode: Mode | None, made: Made
+        self,
+        system: System,
+        parameters: tuple[str, ...],
+        mode: Mode | None,
+        made: Made,
+        *,
+        in_world: bool = False,
     ) -> None:
         self.system, self.parameters, self.tier = system, parameters, system.tier
         self.switches = len(system.exact.names) if mode is None and system.exact else 0
         p = ca.SX.sym("p", len(parameters) + self.switches)
-        self._symbolic = _parts(made, parameters, p[: len(parameters)])
+        self._symbolic = parts_of(made, parameters, p[: len(parameters)])
         self.tree = self._moved(tree_of(system.model))
         self.nq, self.nv, self.nz = system.nq, system.nv, system.internals.nz
         self.nu, self.m = len(system.loads.idle), len(system.multiplier_rows)
@@ -65,6 +74,9 @@ class Equations:
         self.symbols: dict[str, Any] = {name: ca.SX.sym(name, n) for name, n in sizes.items()}
         self.symbols["p"] = p
         t, q, v, z, self.u = (numbers(self.symbols[name]) for name in "tqvzu")
+        self.axes = WorldAxes(system.chart.model, scalars(self.symbols["q"])) if in_world else None
+        if self.axes is not None:
+            v = numbers(ca.vertcat(*self.axes.in_own_axes(scalars(self.symbols["v"]))))
         couplings = getattr(system.coordinates, "couplings", None)
         with tracing(couplings):
             self.coordinates = Coordinates(couplings, self.tree.nq, self.tree.nv, q, v)
@@ -91,7 +103,7 @@ class Equations:
 
     def blocks(self, given: Sequence[RowBlock]) -> list[RowBlock]:
         """Blocks of rows, with symbols for the parameters of their parts."""
-        return [_with_part(block, self.own(block.part)) for block in given]
+        return [with_part(block, self.own(block.part)) for block in given]
 
     def _moved(self, tree: Tree) -> Tree:
         """The tree with what parameters change of the inertia of drives."""
@@ -105,7 +117,16 @@ class Equations:
     @cached_property
     def chart(self) -> CurvedChart:
         """The chart of what is integrated."""
-        return CurvedChart(self.system.chart.model)
+        return (WorldChart if self.axes else CurvedChart)(self.system.chart.model)
+
+    def moving(self, way: Sequence[Any]) -> Any:
+        """A small motion of what is integrated, or a change of its velocity, a column."""
+        return ca.vertcat(*(self.axes.in_world(way) if self.axes else way))
+
+    def speeding(self, a: Sequence[Any]) -> Any:
+        """Rates of the velocities that are integrated, a column."""
+        v = scalars(self.symbols["v"])
+        return ca.vertcat(*(self.axes.rate(a, v) if self.axes else a))
 
     @cached_property
     def tau(self) -> list[Any]:
@@ -219,22 +240,3 @@ class Equations:
                 share = pivot * (1.0 / size if size else 0.0)
                 health = ca.fmin(health, share + slack * (1.0 - share))
         return health
-
-
-def _parts(made: Made, parameters: Sequence[str], p: Any) -> Mapping[str, Any]:
-    """Parts of symbols by name; none without parameters."""
-    if not parameters:
-        return {}
-    given = dict(zip(parameters, numbers(p), strict=True))
-    with tracing(", ".join(parameters)):
-        return made(given)
-
-
-def _with_part(block: RowBlock, part: Any) -> RowBlock:
-    if part is block.part:
-        return block
-    given: Any = (np.asarray(one, dtype=object) for one in part.gains)
-    gains = tuple(np.broadcast_to(one, len(block.rows)) for one in given)
-    if not any(map(np.any, block.gains)):  # rows that are on exactly
-        gains = block.gains
-    return block._replace(part=part, law=part.law, gains=gains)

@@ -6,7 +6,8 @@ from typing import Any
 import casadi as ca
 
 from mbd_ros.compiled.symbols.answers import Answers
-from mbd_ros.compiled.symbols.equations import Equations, Made
+from mbd_ros.compiled.symbols.equations import Equations
+from mbd_ros.compiled.symbols.parts_of import Made
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.state import Mode
@@ -130,6 +131,8 @@ def trace(
     parameters: Sequence[str] = (),
     mode: Mode | None = (),
     made: Made = dict,
+    *,
+    in_world: bool = False,
 ) -> Traced:
     """The functions of a system.
 
@@ -139,8 +142,10 @@ def trace(
         mode: Of rows that give way at events, as `State.mode`; needed where there are any. None
             for all modes at once: p ends with the mode then.
         made: Makes parts from symbols by parameter: name -> part; see `scene.symbolic_parts`.
+        in_world: Whether velocities of free bodies stand in the axes of the world, for functions
+            that runs call; accelerations are their rates then.
 
     Raises:
         Untraceable: Names the part and why.
     """
-    return Traced(Equations(system, tuple(parameters), mode, made))
+    return Traced(Equations(system, tuple(parameters), mode, made, in_world=in_world))

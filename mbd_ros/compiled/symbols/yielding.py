@@ -61,9 +61,6 @@ class YieldingRows:
         given = () if system.exact is None else system.exact.solver.constraints.blocks
         blocks = equations.blocks(given)
         self._c = equations.coordinates
-        for block in blocks:
-            if block.law.kind is Kind.CONE and not system.chart.is_flat:
-                raise Untraceable(f"{block.part.name} is a contact with friction of free bodies")
         self._mu = _frictions(blocks)
         self._whole = rows_of(blocks, k, x)
         self._conditions = [

@@ -134,6 +134,8 @@ class Integrator:
             at events; other methods refuse exact rows that give way, and guards.
         event_steps: What takes its steppers from event to event, called as `EventSteps`; None for
             that.
+        turns: Whether its steppers turn the velocities of a system in the axes of the world, and
+            back, themselves.
         at_velocity_level: Whether its steps solve for rows that give way with their rates at the
             end of the step, impacts included, exact or smoothed, and for internal states.
         finds_surfaces: Whether surfaces of switching forces are events, too.
@@ -155,6 +157,7 @@ class Integrator:
     is_explicit: ClassVar[bool] = True
     event_driven: bool = False
     event_steps: Any = None
+    turns: ClassVar[bool] = False
     at_velocity_level: ClassVar[bool] = False
     finds_surfaces: bool = False
     native: str = ""

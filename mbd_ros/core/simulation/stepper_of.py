@@ -50,7 +50,8 @@ def _turned(method: Integrator, system: System, dt: float) -> Stepper:
     from mbd_ros.core.integration.turned_steps import TurnedSteps
 
     world = InWorldAxes(system)
-    return TurnedSteps(world, prepared(method, world, dt))
+    inner = prepared(method, world, dt)
+    return inner if method.turns else TurnedSteps(world, inner)
 
 
 def happenings(system: System) -> tuple[tuple[str, ...], tuple[str, ...]]:
