@@ -143,24 +143,3 @@ def test_events_cost_less_than_half_of_the_plain_tier():
             best = min(best, time.process_time() - begin)
         seconds.append(best)
     assert 2.5 * seconds[0] < seconds[1]
-
-
-def reaching(friction, height):
-    """An arm whose flange falls onto an inclined plane."""
-    plane = {"half_space": [0.1, 0.0, 1.0], "xyz": [0.0, 0.0, height]}
-    between = [{"frame": "flange", "sphere": 0.05}, plane]
-    contact = {"type": "rigid", "between": between, "friction": friction, "restitution": 0.3}
-    stiffness, damping = (6, 1, 1, 1, 1, 1, 0.5), (2, 2, 1, 0.5, 0.02, 0.01, 0.0005)
-    springs = [
-        {"type": "joint_spring", "joint": f"joint{i}", "stiffness": k, "damping": d}
-        for i, (k, d) in enumerate(zip(stiffness, damping, strict=True), 1)
-    ]
-    start = {"joint1": 0.3, "joint2": 0.6, "joint3": 0.5, "joint4": 1.2, "joint6": 0.8}
-    entries = {"contacts": [contact], "forces": springs, "initial": {"position": start}}
-    return scene_from({"robot": {"urdf": ROBOTS + "arm7.urdf"}, **entries})
-
-
-@pytest.mark.parametrize(("friction", "height"), [(0.8, 0.9), (3.0, 0.9), (0.8, 0.6)])
-def test_an_arm_that_meets_a_plane_bounces_sticks_and_slips_as_in_plain_steps(friction, height):
-    """Flight and sticking are native code, slips plain steps."""
-    compared(reaching(friction, height), Rk4(), 1e-3, 0.6)

@@ -1,0 +1,88 @@
+"""Compiled runs with contacts from event to event against the plain tier."""
+
+import pytest
+from test_compiled_events import ROBOTS, simulations, table
+
+from mbd_ros.api import load_scene
+from mbd_ros.integrators.dop853 import Dop853
+from mbd_ros.integrators.dopri5 import Dopri5
+from mbd_ros.integrators.rk4 import Rk4
+from mbd_ros.scene.from_python import scene_from
+
+SCENES = "package://mbd_ros/config/scenes/"
+METHODS = {
+    "rk4": Rk4(),
+    "dop853": Dop853(),
+    "dop853 adaptive": Dop853(tolerance=1e-10),
+    "dopri5 adaptive": Dopri5(tolerance=1e-9),
+}
+
+
+def compared(scene, method, dt, duration, near=1e-9):
+    """Runs of both: the same events and states near one another; returns the compiled one."""
+    compiled, plain = simulations(scene, method, dt)
+    rows, wanted = (table(each.run(scene.initial, duration)) for each in (compiled, plain))
+    assert [kind(e) for e in compiled.events] == [kind(e) for e in plain.events]
+    assert len(plain.events) > 0
+    times, those = ([e.t for e in each.events] for each in (compiled, plain))
+    assert times == pytest.approx(those, abs=1e-10, rel=0)
+    for mine, other in zip(compiled.events, plain.events, strict=True):
+        assert mine.impulse == pytest.approx(other.impulse, abs=near)
+    assert rows.shape == wanted.shape
+    for joint in compiled.system.model.joints:
+        if joint.nq == 7:  # a quaternion and its negative are one turn
+            at = slice(joint.idx_q + 4, joint.idx_q + 8)
+            turned = (rows[:, at] * wanted[:, at]).sum(axis=1) < 0.0
+            rows[turned, at] *= -1.0
+    assert rows == pytest.approx(wanted, abs=near)
+    return compiled
+
+
+def kind(event):
+    """What happened; directions of slips in a mode differ by rounding."""
+    return event.guards, [way != 0 for way in event.after.mode]
+
+
+def thrown(restitution=0.5, friction=0.3):
+    """A ball with spin that is thrown onto an incline, where it bounces, slides and rolls."""
+    plane = {"half_space": [0.0, 0.0, 1.0], "rpy": [0.1, -0.2, 0.0]}
+    contact = {"type": "rigid", "between": ["ball", plane], "friction": friction}
+    twist = {"linear": [1.0, 0.5, -1.0], "angular": [3.0, -20.0, 5.0]}
+    ball = {"shape": {"sphere": 0.1}, "mass": 0.5, "pose": {"xyz": [0.3, 0.2, 0.4]}}
+    return scene_from(
+        {
+            "bodies": {"ball": ball},
+            "contacts": [{**contact, "restitution": restitution}],
+            "initial": {"twist": {"ball": twist}},
+        }
+    )
+
+
+@pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+def test_a_thrown_ball_bounces_slides_and_rolls_as_in_plain_steps(method):
+    compared(thrown(), method, 0.01, 1.5)
+
+
+@pytest.mark.parametrize("name", ["bouncing_ball", "sphere_on_plane", "block_on_incline"])
+def test_scenes_of_free_bodies_have_the_same_events(name):
+    scene = load_scene(f"{SCENES}{name}.yaml")
+    compared(scene, Rk4(), 0.01, 1.5)
+
+
+def reaching(friction, height):
+    """An arm whose flange falls onto an inclined plane."""
+    plane = {"half_space": [0.1, 0.0, 1.0], "xyz": [0.0, 0.0, height]}
+    between = [{"frame": "flange", "sphere": 0.05}, plane]
+    contact = {"type": "rigid", "between": between, "friction": friction, "restitution": 0.3}
+    stiffness, damping = (6, 1, 1, 1, 1, 1, 0.5), (2, 2, 1, 0.5, 0.02, 0.01, 0.0005)
+    springs = [
+        {"type": "joint_spring", "joint": f"joint{i}", "stiffness": k, "damping": d}
+        for i, (k, d) in enumerate(zip(stiffness, damping, strict=True), 1)
+    ]
+    start = {"joint1": 0.3, "joint2": 0.6, "joint3": 0.5, "joint4": 1.2, "joint6": 0.8}
+    entries = {"contacts": [contact], "forces": springs, "initial": {"position": start}}
+    return scene_from({"robot": {"urdf": ROBOTS + "arm7.urdf"}, **entries})
+
+
+def test_an_arm_that_meets_a_rough_plane_bounces_and_sticks_as_in_plain_steps():
+    compared(reaching(3.0, 0.9), Rk4(), 1e-3, 0.6)
