@@ -8,12 +8,18 @@ import re
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from scipy.linalg import solveh_banded
 from test_offline import SCENES
 
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
 from mbd_ros.files.csv import read_table, write_table
-from mbd_ros.jobs.inverse.zero_phase import low_passed, zero_phase
+from mbd_ros.files.spool import Spool, StampSpool
+from mbd_ros.jobs.inverse.banded import solve_banded
+from mbd_ros.jobs.inverse.cell_basis import CellBasis
+from mbd_ros.jobs.inverse.spectrum import spectrum
+from mbd_ros.jobs.inverse.uniform_basis import UniformBasis
+from mbd_ros.jobs.inverse.zero_phase import chosen_cutoffs, low_passed, smoothed, zero_phase
 
 SECOND = 1_000_000_000
 TURN = 2 * np.pi
@@ -251,11 +257,88 @@ def test_windows_of_a_long_recording_are_smoothed_as_the_whole(monkeypatch, rate
     x, v = x + noise[0], v + noise[1]
     v[:, 1:] = np.nan
     whole = zero_phase(stamps_of(t), x, v)
-    monkeypatch.setattr("mbd_ros.jobs.inverse.zero_phase._WINDOW", 8 * rate)
-    monkeypatch.setattr("mbd_ros.jobs.inverse.zero_phase._BESIDE", 100)
+    monkeypatch.setattr("mbd_ros.jobs.inverse.long_stamps._WINDOW", 8 * rate)
+    monkeypatch.setattr("mbd_ros.jobs.inverse.long_stamps._BESIDE", 100)
     found = zero_phase(stamps_of(t), x, v)
     assert (found.cutoff == whole.cutoff).all() and np.isfinite(whole.cutoff).any()
     for ours, theirs in zip(found[:3], whole[:3], strict=True):
         off = np.abs(ours - theirs).max(axis=0) / np.abs(theirs).max()
         # without noise the cut-off is high, and rounding of a position grows by its square
         assert (off <= np.where(found.cutoff < 20.0, 1e-10, 1e-8)).all()
+
+
+@pytest.mark.parametrize("count", [1, 3, 12, 61, 640, 5000])
+def test_banded_equations_are_solved_as_by_lapack(count):
+    """Squares of a band are positive definite; 1 keeps their condition small."""
+    rng = np.random.default_rng(count)
+    whole = np.zeros((6, count + 5))
+    for row in rng.normal(size=(count, 6)):
+        k = int(rng.integers(0, count))
+        for d in range(6):
+            whole[5 - d, k + d : k + 6] += row[: 6 - d] * row[d:]
+    whole[5] += 1.0
+    known = rng.normal(size=(count + 5, 3))
+    found, expected = solve_banded(whole, known), solveh_banded(whole, known)
+    assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
+    whole[5, count // 2] = -1.0
+    with pytest.raises(np.linalg.LinAlgError):
+        solve_banded(whole, known)
+
+
+@pytest.mark.parametrize("uneven", [0.0, 0.3, 5.0])
+def test_sums_cell_by_cell_are_those_sample_by_sample(uneven):
+    """Cells with as many samples each, with a few more or less, with very many and none."""
+    rng = np.random.default_rng(2)
+    places = np.arange(0, 40, 0.1) + 0.04
+    if uneven:
+        places = np.sort(np.r_[places + uneven * rng.uniform(size=400), 7 + rng.uniform(size=90)])
+        places = places[(places < 20) | (places > 23)]
+    weights, values = rng.uniform(0.5, 1.0, len(places)), rng.normal(size=(len(places), 3))
+    ours, theirs = (kind(places, 45) for kind in (CellBasis, UniformBasis))
+    coefficients = rng.normal(size=(50, 3))
+    pairs = [(ours.normal(weights), theirs.normal(weights))]
+    pairs += [(ours.projected(weights, values), theirs.projected(weights, values))]
+    pairs += [(b.derivative(coefficients, k) for b in (ours, theirs)) for k in range(3)]
+    for found, expected in pairs:
+        assert np.abs(found - expected).max() <= 1e-13 * np.abs(expected).max()
+
+
+def test_density_of_white_noise_below_a_motion_of_which_it_is_a_trillionth():
+    """1e-7 rad at 1 kHz are 2e-17 rad^2/Hz; 3 rad that end in the middle of a swing, 1e12 more."""
+    t, rng = np.arange(0, 30, 1e-3), np.random.default_rng(3)
+    x = 3.0 * motion(((1.0, 0.21),), t) + 1e-7 * rng.normal(size=(len(t), 4))
+    found = spectrum([(t, x)])
+    for low, high in ((5, 10), (50, 100), (300, 499)):
+        own = (found.frequency > low) & (found.frequency < high)
+        assert found.density[own].mean(axis=0) == pytest.approx(2e-17, rel=0.35)
+    jitter = t + rng.uniform(0, 3e-4, len(t))
+    jitter[1::9] += 2e-4
+    x = 3.0 * motion(((1.0, 0.21),), jitter) + 1e-7 * rng.normal(size=(len(t), 4))
+    found = spectrum([(jitter[:17000], x[:17000]), (jitter[17000:], x[17000:])])
+    own = (found.frequency > 50) & (found.frequency < 100)
+    assert found.density[own].mean(axis=0) == pytest.approx(2e-17, rel=0.35)
+
+
+def test_stamps_in_a_file_are_as_good_as_in_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr("mbd_ros.jobs.inverse.long_stamps._TELLING", 1024)
+    monkeypatch.setattr("mbd_ros.jobs.inverse.long_stamps._WINDOW", 1500)
+    rng = np.random.default_rng(4)
+    t = np.arange(0, 12, 2e-3) + rng.uniform(0, 5e-4, 6000)
+    t[3500:] += 3.0
+    x = motion(SLOW, t) + 1e-4 * rng.normal(size=(6000, 2))
+    whole = zero_phase(stamps_of(t), x)
+    with Spool(tmp_path, 1, np.int64) as stamps, Spool(tmp_path, 2) as position:
+        for i in range(0, 6000, 700):
+            stamps.append(stamps_of(t)[i : i + 700])
+            position.append(x[i : i + 700])
+
+        class Moving:
+            def __getitem__(self, rows):
+                return position[rows], None
+
+        given = StampSpool(stamps), Moving(), np.zeros(2, dtype=bool)
+        cutoff = chosen_cutoffs(*given, None)
+        rows = [found for _, *found in smoothed(*given, cutoff)]
+    assert (cutoff == whole.cutoff).all() and len(rows) > 2
+    for k, theirs in enumerate(whole[:3]):
+        assert (np.concatenate([each[k] for each in rows]) == theirs).all()

@@ -5,10 +5,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 
 
@@ -18,33 +19,36 @@ class Spool:
     Args:
         folder: Where there is room.
         width: Numbers in a row.
+        kind: Of the numbers.
 
     Attributes:
+        width: As given.
         rows: How many there are.
 
     Raises:
         DataError: The folder has no room.
     """
 
-    def __init__(self, folder: Path, width: int) -> None:
-        self._folder, self._width, self.rows = folder, width, 0
+    def __init__(self, folder: Path, width: int, kind: type[np.generic] = np.float64) -> None:
+        self._folder, self.width, self._kind, self.rows = folder, width, np.dtype(kind), 0
         with self._failing():
             self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 closed on leaving
 
-    def append(self, values: Array) -> None:
+    def append(self, values: NDArray[Any]) -> None:
         """Add rows, shape (n, width)."""
         with self._failing():
             self._file.seek(0, 2)
-            self._file.write(np.ascontiguousarray(values, dtype=np.float64).data)
+            self._file.write(np.ascontiguousarray(values, dtype=self._kind).data)
         self.rows += len(values)
 
-    def __getitem__(self, rows: slice) -> Array:
+    def __getitem__(self, rows: slice) -> NDArray[Any]:
         """Some rows that follow each other, shape (n, width)."""
         begin, end, _ = rows.indices(self.rows)
+        size = self._kind.itemsize * self.width
         with self._failing():
-            self._file.seek(8 * self._width * begin)
-            data = self._file.read(8 * self._width * max(end - begin, 0))
-        return np.frombuffer(data).reshape(-1, self._width)
+            self._file.seek(size * begin)
+            data = self._file.read(size * max(end - begin, 0))
+        return np.frombuffer(data, self._kind).reshape(-1, self.width)
 
     def __enter__(self) -> "Spool":
         return self
@@ -68,17 +72,23 @@ class Spool:
             ) from error
 
 
-class Columns:
-    """Some columns of a spool, by rows.
+class StampSpool:
+    """Stamps [ns] in a spool of one number a row.
 
     Args:
-        spool: The whole.
-        columns: Those that are given.
+        spool: The numbers, of the kind int64.
     """
 
-    def __init__(self, spool: Spool, columns: slice) -> None:
-        self._spool, self._columns = spool, columns
+    def __init__(self, spool: Spool) -> None:
+        self._spool = spool
 
-    def __getitem__(self, rows: slice) -> Array:
-        """Some rows, shape (n, m)."""
-        return self._spool[rows][:, self._columns]
+    def append(self, stamps: NDArray[np.int64]) -> None:
+        """Add some, shape (n,)."""
+        self._spool.append(stamps)
+
+    def __len__(self) -> int:
+        return self._spool.rows
+
+    def __getitem__(self, rows: slice) -> NDArray[np.int64]:
+        """Some that follow each other, shape (n,)."""
+        return self._spool[rows][:, 0]

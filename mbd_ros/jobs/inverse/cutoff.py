@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
-from mbd_ros.jobs.inverse.low_pass import HIGHEST, low_pass, rate_of, response
+from mbd_ros.jobs.inverse.low_pass import HIGHEST, rate_of, response
+from mbd_ros.jobs.inverse.spectrum import FEWEST_TELLING, Spectrum, spectrum
 
 LOWEST = 2.0  # Hz: below, even a poor encoder gives no acceleration worth mentioning
 _RATIO = np.sqrt(2.0)  # from band to band
@@ -26,6 +27,8 @@ _SHARE = 0.005  # largest share of the variance that noise has, unless it is whi
 _WHITE = 6  # bands up to the last that make noise white
 _RENEWED = 1 / 8  # largest cut-off per rate of new values, where samples are repeated
 _HELD = 4  # samples a level, from which on a few levels are steps of an encoder
+_AT_END = 3.49, 1.053  # of positions and velocities: the low-pass of t^4 / 4! on a grid
+_EXACT = 1.0e-14  # noise per largest value that is rounding of numbers
 _GENEROUS = 2.0  # times the least expected square error: motion lost is worse than noise left
 
 
@@ -38,6 +41,8 @@ class Bands(NamedTuple):
         acceleration: Mean square of the accelerations [rad^2/s^4 or m^2/s^4], shape (k, m).
         width: Of each band [Hz], shape (k,).
         gain: Acceleration in each from noise of density 1 [1/s^4 Hz], shape (k,).
+        order: 0 of positions, 1 of velocities.
+        span: Of a piece that they are from [s].
     """
 
     cutoff: Array
@@ -45,6 +50,8 @@ class Bands(NamedTuple):
     acceleration: Array
     width: Array
     gain: Array
+    order: int
+    span: float
 
 
 def cutoffs(pieces: Sequence[tuple[Array, Array]], order: int) -> Array:
@@ -55,19 +62,16 @@ def cutoffs(pieces: Sequence[tuple[Array, Array]], order: int) -> Array:
         order: 0 for positions, 1 for velocities.
 
     Returns:
-        [Hz], shape (m,); inf where there is no noise.
+        [Hz], shape (m,); inf where there is no noise, or too little to tell.
     """
     longest = max(pieces, key=lambda piece: len(piece[0]))[0]
-    frequencies = _frequencies(longest)
-    split = [_bands(times, values, order, frequencies) for times, values in pieces]
-    sizes = np.array([len(times) for times, _ in pieces], dtype=np.float64)
-    bands = split[0]._replace(
-        density=np.average([b.density for b in split], axis=0, weights=sizes),
-        acceleration=np.average([b.acceleration for b in split], axis=0, weights=sizes),
-    )
     signals = np.concatenate([values for _, values in pieces]).T
+    if len(longest) < FEWEST_TELLING:
+        return np.full(len(signals), np.inf)
+    bands = _bands(spectrum(pieces), order, _frequencies(longest))
     rounding = [0.0 if order else _step(signal) ** 2 / 12.0 for signal in signals]
-    best = np.array([_best(bands, column, r) for column, r in enumerate(rounding)])
+    each = zip(np.abs(signals).max(axis=1), rounding, strict=True)
+    best = np.array([_best(bands, column, *sizes) for column, sizes in enumerate(each)])
     fresh = np.array([_renewals(signal) for signal in signals]) * rate_of(longest)
     return np.minimum(best, np.maximum(_RENEWED * fresh, LOWEST))
 
@@ -80,23 +84,17 @@ def _frequencies(times: Array) -> Array:
     return frequencies
 
 
-def _bands(times: Array, values: Array, order: int, cutoff: Array) -> Bands:
-    """The part that every cut-off passes and the one before does not."""
-    grid = np.geomspace(cutoff[0] / 16.0, rate_of(times) / 2.0, 4000)
-    step, turn = np.gradient(grid), 2.0 * np.pi * grid
-    orders = (0, 2 - order)
-    below, passed_below = low_pass(times, values, cutoff[0], orders), response(grid, cutoff[0])
-    density, acceleration, width, gain = [], [], [], []
-    for upper in (*cutoff[1:], np.inf):
-        above, passed = low_pass(times, values, upper, orders), response(grid, upper)
-        share = (passed - passed_below) ** 2 * step
-        energy, force = (((a - b) ** 2).mean(axis=0) for a, b in zip(above, below, strict=True))
-        density.append(energy / (share @ turn ** (2 * order)))
-        acceleration.append(force)
-        width.append(share.sum())
-        gain.append(share @ turn**4)
-        below, passed_below = above, passed
-    return Bands(cutoff, *(np.array(column) for column in (density, acceleration, width, gain)))
+def _bands(found: Spectrum, order: int, cutoff: Array) -> Bands:
+    """The part that the low-pass of a cut-off does not pass and that of the next does."""
+    turn = 2.0 * np.pi * found.frequency
+    passed = np.array([*(response(found.frequency, f) for f in cutoff), np.ones_like(turn)])
+    share = np.diff(passed, axis=0) ** 2 * found.frequency[0]
+    energy, force = (
+        share @ found.density,
+        share @ (turn[:, None] ** (4 - 2 * order) * found.density),
+    )
+    density = energy / (share @ turn ** (2 * order))[:, None]
+    return Bands(cutoff, density, force, share.sum(axis=1), share @ turn**4, order, found.span)
 
 
 def _step(signal: Array) -> float:
@@ -121,10 +119,14 @@ def _renewals(signal: Array) -> float:
     return 1.0 / usual if usual > 1.0 else np.inf
 
 
-def _best(bands: Bands, column: int, rounding: float) -> float:
+def _best(bands: Bands, column: int, size: float, rounding: float) -> float:
+    """Cut-off of the signal in a column, of its largest size and the variance of its rounding."""
     density, acceleration = bands.density[:, column], bands.acceleration[:, column]
     first = _first_of_noise(bands, density, rounding)
     if first is None:
+        return np.inf
+    at_first = density[first] * (2.0 * np.pi * bands.cutoff[first]) ** (2 * bands.order)
+    if at_first * bands.cutoff[-1] <= (_EXACT * size) ** 2:
         return np.inf
     noise = np.minimum(density, density[first])
     noise[:first] = density[first]
@@ -132,8 +134,22 @@ def _best(bands: Bands, column: int, rounding: float) -> float:
     lost = np.maximum(acceleration - passed, 0.0)
     lost[first:] = 0.0
     error = np.cumsum(lost[::-1])[::-1] + np.r_[0.0, np.cumsum(passed)[:-1]]
+    error += _lost_at_ends(bands, lost)
     best = bands.cutoff[np.flatnonzero(error <= _GENEROUS * error.min())[-1]]
     return max(float(best), LOWEST)
+
+
+def _lost_at_ends(bands: Bands, lost: Array) -> Array:
+    """Mean square of the accelerations that a cut-off loses about both ends, shape (k,).
+
+    There a smoothing spline has no derivatives from the fourth on. What a signal with the fourth
+    derivative y4 loses decays within a period; the integral of its square is
+    factor * y4^2 / (2 pi f)^(5 + 2 order).
+    """
+    order, turn = bands.order, 2.0 * np.pi * bands.cutoff
+    y4 = lost @ turn ** (4 + 2 * order)  # mean square
+    both: Array = 2.0 * _AT_END[order] * y4 / turn ** (5 + 2 * order) / bands.span
+    return both
 
 
 def _first_of_noise(bands: Bands, density: Array, rounding: float) -> int | None:

@@ -5,8 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from mbd_ros.core.state import Array
-
-_TELLING = 32  # samples from which on a spectrum has bands enough to show noise
+from mbd_ros.jobs.inverse.spectrum import FEWEST_TELLING
 
 
 def cutoff_lines(cutoff: Array, names: Sequence[str], chosen: bool, samples: int) -> Iterator[str]:
@@ -29,6 +28,6 @@ def cutoff_lines(cutoff: Array, names: Sequence[str], chosen: bool, samples: int
     sharp = [name for name, f in zip(names, cutoff, strict=True) if np.isinf(f)]
     if sharp:
         why = "no noise is found" if chosen else "the sampling rate is too low for that cut-off"
-        if chosen and samples < _TELLING:
+        if chosen and samples < FEWEST_TELLING:
             why = f"{samples} samples are too few to tell noise from motion (--cutoff smooths)"
         yield f"zero-phase derivatives: not smoothed, since {why}: {', '.join(sharp)}"

@@ -1,15 +1,16 @@
 """Low-pass of a whole recording that does not lag: smoothing splines with a cut-off in Hz."""
 
 import math
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, solveh_banded
 
 from mbd_ros.core.state import Array
-from mbd_ros.jobs.inverse.uniform_basis import DEGREE, UniformBasis
+from mbd_ros.jobs.inverse.banded import solve_banded
+from mbd_ros.jobs.inverse.cell_basis import CellBasis
+from mbd_ros.jobs.inverse.spline_pieces import DEGREE
 
 FEWEST = 6  # samples in a row: a quintic through them
 HIGHEST = 0.4  # cut-off per sampling rate beyond which nothing is left to smooth
@@ -17,6 +18,7 @@ PERIODS = 14  # of the cut-off until the end of a window is forgotten: exp(-2.7 
 _ORDER = 4  # of the derivative that is kept small
 _CELLS = 8  # polynomial pieces a period of the cut-off
 _HOLD = 1.0e-12  # share by which the main diagonal grows where rounding took its rank
+_SEVERAL = 4  # samples a cell, from which on sums go cell by cell
 _HALF_POWER = np.sqrt(2.0) - 1.0
 _FLATTEST = 0.01  # periods of the cut-off in the recording: a cubic is all that is left by then
 
@@ -37,20 +39,20 @@ def rate_of(times: Array) -> float:
     return 1.0 / float(np.median(np.diff(times)))
 
 
-def low_pass(times: Array, values: Array, cutoff: float, orders: Sequence[int]) -> list[Array]:
-    """Signals below the cut-off, and their derivatives.
+class Basis(Protocol):
+    """Splines at samples, see `UniformBasis`."""
 
-    Args:
-        times: As `LowPassed`.
-        values: As `LowPassed`.
-        cutoff: As `LowPassed`.
-        orders: Derivatives wanted, up to 2.
+    def normal(self, weights: Array, /) -> Array:
+        """Sums of weight b_i b_j."""
+        ...
 
-    Returns:
-        An array of the shape of `values` for each of `orders`.
-    """
-    passed = LowPassed(times, values, cutoff)
-    return [passed.derivative(order) for order in orders]
+    def projected(self, weights: Array, values: Array, /) -> Array:
+        """Sums of weight b_i y."""
+        ...
+
+    def derivative(self, coefficients: Array, order: int, /) -> Array:
+        """Derivative of sums of splines."""
+        ...
 
 
 class Stretch(NamedTuple):
@@ -69,10 +71,12 @@ class Stretch(NamedTuple):
     rate: float
 
     @classmethod
-    def of(cls, times: Array) -> "Stretch":
-        """That of its times [s], shape (n,)."""
-        usual = float(np.median(np.gradient(times)))
-        return cls(float(times[0]), float(times[-1]), usual, rate_of(times))
+    def of(cls, times: Array, *more: Array) -> "Stretch":
+        """That of its times [s], of pieces that tell it, the first and the last of them among."""
+        pieces = times, *more
+        usual = float(np.median(np.concatenate([np.gradient(piece) for piece in pieces])))
+        steps = np.concatenate([np.diff(piece) for piece in pieces])
+        return cls(float(times[0]), float(pieces[-1][-1]), usual, 1.0 / float(np.median(steps)))
 
 
 class LowPassed:
@@ -115,7 +119,7 @@ class LowPassed:
         places = (times - whole.begin) / width
         first = min(int(places[0]), most - 1)
         cells = max(min(math.ceil(places[-1]), most) - first, 1)
-        basis = UniformBasis(places - first, cells)
+        basis, solve = _tools(places - first, cells)
         weights = np.minimum(np.gradient(times), 4.0 * whole.usual)
         penalty = _HALF_POWER * (2.0 * np.pi * cutoff * width) ** (-2 * _ORDER) * width
         normal = basis.normal(weights)
@@ -123,12 +127,12 @@ class LowPassed:
             normal[DEGREE - k, k:] += penalty * diagonal
         known = basis.projected(weights, values)
         try:
-            coefficients = solveh_banded(normal, known)
-        except LinAlgError:  # a wide gap of many cells: nothing but the penalty holds them
+            coefficients = solve(normal, known)
+        except np.linalg.LinAlgError:  # a wide gap of many cells: only the penalty holds them
             normal[DEGREE] *= 1.0 + _HOLD
-            coefficients = solveh_banded(normal, known)
-        self._spline = lambda order, columns: (
-            basis.derivative(coefficients[:, columns], order) / width**order
+            coefficients = solve(normal, known)
+        self._spline = lambda order, columns: basis.derivative(
+            coefficients[:, columns] / width**order, order
         )
 
     def derivative(self, order: int, columns: slice | NDArray[np.intp] = slice(None)) -> Array:
@@ -139,6 +143,17 @@ class LowPassed:
             columns: Of the signals.
         """
         return self._spline(order, columns)
+
+
+def _tools(places: Array, cells: int) -> tuple[Basis, Callable[[Array, Array], Array]]:
+    """Splines at places [cells], and what solves their banded equations."""
+    if _SEVERAL * cells <= len(places):
+        return CellBasis(places, cells), solve_banded
+    from scipy.linalg import solveh_banded  # loaded where its time counts little
+
+    from mbd_ros.jobs.inverse.uniform_basis import UniformBasis
+
+    return UniformBasis(places, cells), solveh_banded
 
 
 def _penalty(size: int) -> list[Array]:

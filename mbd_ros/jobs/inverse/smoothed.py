@@ -8,10 +8,10 @@ from types import TracebackType
 import numpy as np
 
 from mbd_ros.core.estimation.torque_estimator import Observations
-from mbd_ros.core.state import Motion
+from mbd_ros.core.state import Array, Motion
 from mbd_ros.files.motion_blocks import MotionBlocks
 from mbd_ros.files.recordings import name_of
-from mbd_ros.files.spool import Columns, Spool
+from mbd_ros.files.spool import Spool, StampSpool
 from mbd_ros.files.table import Table
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse.cutoff_lines import cutoff_lines
@@ -42,9 +42,14 @@ class SmoothedSource:
         self._measured, self._driven = np.ones((2, self._n), dtype=np.bool_)
 
     def __enter__(self) -> "SmoothedSource":
-        self._motion = self._stack.enter_context(Spool(self._folder, 3 * len(self._names)))
+        n, m = self._n, len(self._names)
+        self._stamps = StampSpool(self._spool(1, np.int64))
+        self._moving, self._effort = _Moving(self._spool(n + m), n), self._spool(m)
         self._tau: Spool | None = None
         return self
+
+    def _spool(self, width: int, kind: type[np.generic] = np.float64) -> Spool:
+        return self._stack.enter_context(Spool(self._folder, width, kind))
 
     def __exit__(
         self,
@@ -55,28 +60,29 @@ class SmoothedSource:
         self._stack.close()
 
     def __iter__(self) -> Iterator[Observations]:
-        self._stamps = np.concatenate([self._kept(motion) for motion in self._blocks])
-        m = len(self._names)
-        position = Columns(self._motion, slice(0, self._n))
-        velocity = Columns(self._motion, slice(m, m + self._n))
+        for motion in self._blocks:
+            self._keep(motion)
         cutoff = self._task.derivatives.cutoff
         with about(self._where), np.errstate(over="ignore", invalid="ignore"):
-            given = self._stamps, position, velocity, self._measured
+            given = self._stamps, self._moving, self._measured
             self._cutoff = chosen_cutoffs(*given, cutoff)
             for rows, *smooth in smoothed(*given, self._cutoff):
-                dependent = self._motion[rows][:, self._n : m]
+                dependent = self._moving.dependent(rows)
                 whole = Observations(self._stamps[rows], *smooth, dependent)
                 for i in range(0, len(whole.stamps), _PIECE):
                     yield Observations(*(field[i : i + _PIECE] for field in whole))
 
-    def _kept(self, motion: Motion) -> np.ndarray:
-        """Put a piece of the motion aside; its stamps."""
-        unknown = np.full_like(motion.position, np.nan)
-        fields = [unknown if one is None else one for one in (motion.velocity, motion.effort)]
-        for every, values in zip((self._measured, self._driven), fields, strict=True):
-            every &= np.isfinite(values[:, : self._n]).all(axis=0)
-        self._motion.append(np.hstack([motion.position, *fields]))
-        return motion.stamps
+    def _keep(self, motion: Motion) -> None:
+        """Put a piece of the motion aside."""
+        n, (velocity, effort) = self._n, (motion.velocity, motion.effort)
+        for every, values in ((self._measured, velocity), (self._driven, effort)):
+            every &= False if values is None else np.isfinite(values[:, :n]).all(axis=0)
+        self._stamps.append(motion.stamps)
+        unknown = np.full_like(motion.position[:, :n], np.nan)
+        moving = unknown if velocity is None else velocity[:, :n]
+        self._moving.spool.append(np.hstack([moving, motion.position]))
+        if self._driven.any():
+            self._effort.append(effort)
 
     def taken(self, table: Table) -> None:
         """Keep the torques beside the measured efforts of their joints."""
@@ -85,9 +91,8 @@ class SmoothedSource:
         if not self._pairs:
             return
         if self._tau is None:
-            self._tau = self._stack.enter_context(Spool(self._folder, 2 * len(self._pairs)))
-        rows = slice(self._tau.rows, self._tau.rows + table.rows)
-        effort = self._motion[rows][:, 2 * len(self._names) :]
+            self._tau = self._spool(2 * len(self._pairs))
+        effort = self._effort[self._tau.rows : self._tau.rows + table.rows]
         known = [effort[:, j] for j, _ in self._pairs]
         self._tau.append(np.column_stack([*known, *(table[name] for _, name in self._pairs)]))
 
@@ -105,3 +110,26 @@ class SmoothedSource:
         if self._tau is not None:
             cutoff = self._cutoff[[j for j, _ in self._pairs]]
             yield from off_the_effort(self._stamps, self._tau, cutoff)
+
+
+class _Moving:
+    """Velocities of the independent joints and positions of all, by rows.
+
+    Attributes:
+        spool: Holds them.
+    """
+
+    def __init__(self, spool: Spool, independent: int) -> None:
+        self.spool, self._n = spool, independent
+
+    def __getitem__(self, rows: slice) -> tuple[Array, Array]:
+        """Positions and velocities of the independent joints."""
+        values, n = self.spool[rows], self._n
+        return values[:, n : 2 * n], values[:, :n]
+
+    def dependent(self, rows: slice) -> Array:
+        """Positions of the other joints."""
+        none = self.spool.width == 2 * self._n
+        return (
+            np.zeros((rows.stop - rows.start, 0)) if none else self.spool[rows][:, 2 * self._n :]
+        )

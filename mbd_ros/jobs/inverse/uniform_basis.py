@@ -6,26 +6,10 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from mbd_ros.core.state import Array
+from mbd_ros.jobs.inverse.spline_pieces import DEGREE, pieces
 
-DEGREE = 5
 _WIDTH = DEGREE + 1  # splines that are not 0 in a cell
-
-
-def _pieces() -> Array:
-    """Coefficients of u^k, k = 0 .. 5, of the six splines of a cell, shape (spline, k).
-
-    b_p(u) = 1/5! sum_j (-1)^j C(6, j) (u + 5 - p - j)^5 over the terms that are positive.
-    """
-    n, found = DEGREE, np.zeros((_WIDTH, _WIDTH))
-    for p in range(n + 1):
-        for j in range(n + 1 - p):
-            shift, sign = n - p - j, (-1.0) ** j * math.comb(n + 1, j) / math.factorial(n)
-            for k in range(n + 1):
-                found[p, k] += sign * math.comb(n, k) * float(shift) ** (n - k)
-    return found
-
-
-_PIECES = _pieces()
+_PIECES = pieces(0.0)
 
 
 class UniformBasis:
@@ -34,8 +18,6 @@ class UniformBasis:
     Args:
         places: In cells from the beginning on, increasing, shape (n,).
         cells: Number of cells; there are `cells + DEGREE` splines.
-
-    Source: C. de Boor, A Practical Guide to Splines, 1978, chapter IX (truncated powers).
     """
 
     def __init__(self, places: Array, cells: int) -> None:

@@ -10,14 +10,10 @@ from numpy.typing import NDArray
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError
 from mbd_ros.jobs.inverse.cutoff import cutoffs
-from mbd_ros.jobs.inverse.low_pass import FEWEST, HIGHEST, PERIODS, LowPassed, Stretch, rate_of
+from mbd_ros.jobs.inverse.long_stamps import Stamps, parts_of, times_of, usual_step, windows
+from mbd_ros.jobs.inverse.low_pass import HIGHEST, LowPassed
 
-_GAP = 0.5  # s without a sample, and as many usual steps as below: nothing leads across
-_GAP_STEPS = 20
 _PIECE, _PIECES = 25_000, 4  # samples that the cut-off is chosen from
-_WINDOW = 200_000  # samples that are smoothed at once, those around them not counted
-_BESIDE = 200  # samples around them at least: a spline through samples forgets in fewer
-_SLOWEST = 0.01  # periods of a cut-off in a recording, the least that a low-pass knows
 
 
 class Rows(Protocol):
@@ -26,6 +22,25 @@ class Rows(Protocol):
     def __getitem__(self, rows: slice, /) -> Array:
         """Some rows, shape (n, m)."""
         ...
+
+
+class Moving(Protocol):
+    """Positions and velocities by rows, in memory or in a file."""
+
+    def __getitem__(self, rows: slice, /) -> tuple[Array, Array | None]:
+        """Some rows of either, shape (n, m); None where no velocity is measured."""
+        ...
+
+
+class _InMemory:
+    """See `Moving`."""
+
+    def __init__(self, position: Array, velocity: Array | None) -> None:
+        self._position, self._velocity = position, velocity
+
+    def __getitem__(self, rows: slice) -> tuple[Array, Array | None]:
+        velocity = None if self._velocity is None else self._velocity[rows]
+        return self._position[rows], velocity
 
 
 class ZeroPhase(NamedTuple):
@@ -71,71 +86,63 @@ def zero_phase(
     measured = np.zeros(position.shape[1], dtype=np.bool_)
     if velocity is not None:
         measured = ~np.isnan(velocity).any(axis=0)
-    chosen = chosen_cutoffs(stamps, position, velocity, measured, cutoff)
+    moving = _InMemory(position, velocity)
+    chosen = chosen_cutoffs(stamps, moving, measured, cutoff)
     found = tuple(np.empty_like(position) for _ in range(3))
-    for rows, *smooth in smoothed(stamps, position, velocity, measured, chosen):
+    for rows, *smooth in smoothed(stamps, moving, measured, chosen):
         for whole, values in zip(found, smooth, strict=True):
             whole[rows] = values
     return ZeroPhase(*found, stated(stamps, chosen))
 
 
 def chosen_cutoffs(
-    stamps: NDArray[np.int64],
-    position: Rows,
-    velocity: Rows | None,
-    measured: NDArray[np.bool_],
-    cutoff: float | None,
+    stamps: Stamps, moving: Moving, measured: NDArray[np.bool_], cutoff: float | None
 ) -> Array:
-    """Cut-off of each joint [Hz], shape (m,), see `zero_phase`."""
+    """Cut-off of each joint [Hz], shape (m,), see `zero_phase`; arguments as `smoothed`."""
     if cutoff is not None and not (np.isfinite(cutoff) and cutoff > 0):
         raise DataError(f"cutoff {cutoff} Hz must be finite and > 0")
-    parts, times = _parts(stamps), (stamps - stamps[0]) * NANOSECOND
+    parts = parts_of(stamps)
     if cutoff is None:
-        return _chosen(times, parts, position, velocity, measured)
+        return _chosen(stamps, parts, moving, measured)
     return np.full(len(measured), cutoff)
 
 
-def stated(stamps: NDArray[np.int64], chosen: Array) -> Array:
+def stated(stamps: Stamps, chosen: Array) -> Array:
     """Cut-offs for people: inf where nothing is smoothed."""
-    highest = HIGHEST * rate_of((stamps - stamps[0]) * NANOSECOND)
+    highest = HIGHEST / (usual_step(stamps) * NANOSECOND)
     return np.where(chosen < highest, chosen, np.inf)
 
 
 def smoothed(
-    stamps: NDArray[np.int64],
-    position: Rows,
-    velocity: Rows | None,
-    measured: NDArray[np.bool_],
-    cutoff: Array,
+    stamps: Stamps, moving: Moving, measured: NDArray[np.bool_], cutoff: Array
 ) -> Iterator[tuple[slice, Array, Array, Array]]:
     """Rows, and position, velocity and acceleration of these, window by window.
 
     Args:
-        stamps: Of all rows [ns], shape (n,).
-        position: All rows, shape (n, m), or what gives some of them.
-        velocity: The same; None where nothing is measured.
+        stamps: Of all rows [ns].
+        moving: Positions and velocities of m joints.
         measured: Joints whose velocity is used, shape (m,).
         cutoff: That of `chosen_cutoffs`.
     """
-    for core, wide, times, stretch in _windows(stamps, cutoff):
-        own = slice(core.start - wide.start, core.stop - wide.start)
-        placed, moving = position[wide], None if velocity is None else velocity[wide]
-        smooth, rate, push = (np.empty((core.stop - core.start, len(cutoff))) for _ in range(3))
+    for window in windows(stamps, cutoff):
+        position, velocity = moving[window.wide]
+        rows = window.core.stop - window.core.start
+        smooth, rate, push = (np.empty((rows, len(cutoff))) for _ in range(3))
         for f in np.unique(cutoff):
             derived, given = (np.flatnonzero((cutoff == f) & m) for m in (~measured, measured))
-            columns = [placed[:, derived], placed[:, given]]
-            if moving is not None:
-                columns.append(moving[:, given])
-            passed = LowPassed(times, np.hstack(columns), f, stretch)
+            columns = [position[:, derived], position[:, given]]
+            if velocity is not None:
+                columns.append(velocity[:, given])
+            passed = LowPassed(window.times, np.hstack(columns), f, window.stretch)
             ours, theirs, rates = _places(len(derived), len(given))
             if derived.size:
                 for order, found in enumerate((smooth, rate, push)):
-                    found[:, derived] = passed.derivative(order, ours)[own]
+                    found[:, derived] = passed.derivative(order, ours)[window.own]
             if given.size:
-                smooth[:, given] = passed.derivative(0, theirs)[own]
-                rate[:, given] = passed.derivative(0, rates)[own]
-                push[:, given] = passed.derivative(1, rates)[own]
-        yield core, smooth, rate, push
+                smooth[:, given] = passed.derivative(0, theirs)[window.own]
+                rate[:, given] = passed.derivative(0, rates)[window.own]
+                push[:, given] = passed.derivative(1, rates)[window.own]
+        yield window.core, smooth, rate, push
 
 
 def _places(derived: int, given: int) -> tuple[slice, slice, slice]:
@@ -143,7 +150,7 @@ def _places(derived: int, given: int) -> tuple[slice, slice, slice]:
     return slice(0, derived), slice(derived, derived + given), slice(derived + given, None)
 
 
-def low_passed(stamps: NDArray[np.int64], values: Rows, cutoff: Array) -> Iterator[Array]:
+def low_passed(stamps: Stamps, values: Rows, cutoff: Array) -> Iterator[Array]:
     """Signals of the joints through the low-pass of their motion, window by window.
 
     Args:
@@ -151,76 +158,31 @@ def low_passed(stamps: NDArray[np.int64], values: Rows, cutoff: Array) -> Iterat
         values: One a joint, shape (n, m), or what gives some rows of them.
         cutoff: That of the result of `zero_phase`.
     """
-    for core, wide, times, stretch in _windows(stamps, cutoff):
-        own = slice(core.start - wide.start, core.stop - wide.start)
-        signals = values[wide]
-        passed = np.empty((core.stop - core.start, len(cutoff)))
+    for window in windows(stamps, cutoff):
+        signals = values[window.wide]
+        passed = np.empty((window.core.stop - window.core.start, len(cutoff)))
         for f in np.unique(cutoff):
             at = np.flatnonzero(cutoff == f)
-            passed[:, at] = LowPassed(times, signals[:, at], f, stretch).derivative(0)[own]
+            found = LowPassed(window.times, signals[:, at], f, window.stretch)
+            passed[:, at] = found.derivative(0)[window.own]
         yield passed
 
 
-def _windows(
-    stamps: NDArray[np.int64], cutoff: Array
-) -> Iterator[tuple[slice, slice, Array, Stretch]]:
-    """Rows to find, rows around them to look at, the times of these [s], and their stretch."""
-    lowest = float(cutoff.min(initial=np.inf))
-    for part in _parts(stamps):
-        times = (stamps[part] - stamps[0]) * NANOSECOND
-        stretch = Stretch.of(times)
-        beside = PERIODS / max(lowest, _SLOWEST / (times[-1] - times[0]))
-        beside = max(beside, _BESIDE / stretch.rate)
-        size = max(_WINDOW, int(2.0 * beside * stretch.rate))
-        edges = np.linspace(0, len(times), -(-len(times) // size) + 1).astype(np.intp).tolist()
-        for begin, end in itertools.pairwise(edges):
-            first = int(np.searchsorted(times, times[begin] - beside))
-            last = int(np.searchsorted(times, times[end - 1] + beside, side="right"))
-            core, wide = (
-                slice(part.start + i, part.start + j) for i, j in ((begin, end), (first, last))
-            )
-            yield core, wide, times[first:last], stretch
-
-
-def _parts(stamps: NDArray[np.int64]) -> list[slice]:
-    """Stretches without gaps."""
-    steps = np.diff(stamps)
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    gap = max(_GAP / NANOSECOND, _GAP_STEPS * usual)
-    ends = [0, *(np.flatnonzero(steps > gap) + 1).tolist(), len(stamps)]
-    parts = [slice(*pair) for pair in itertools.pairwise(ends)]
-    for part in parts:
-        count = part.stop - part.start
-        if count < FEWEST and len(parts) == 1:
-            raise DataError(
-                f"zero-phase derivatives need at least {FEWEST} samples, there are {count}"
-            )
-        if count < FEWEST:
-            raise DataError(
-                f"zero-phase derivatives need at least {FEWEST} samples in a row, from "
-                f"{stamps[part.start] * NANOSECOND:.9g} s there are {count} between gaps of more "
-                f"than {gap * NANOSECOND:.3g} s: cut them off, or choose --derivatives causal"
-            )
-    return parts
-
-
 def _chosen(
-    times: Array,
-    parts: Sequence[slice],
-    position: Rows,
-    velocity: Rows | None,
-    measured: NDArray[np.bool_],
+    stamps: Stamps, parts: Sequence[slice], moving: Moving, measured: NDArray[np.bool_]
 ) -> Array:
     """Cut-off of every joint, from its measured velocity or from its position."""
     cut = [piece for part in parts for piece in _pieces(part)]
     longest = max(piece.stop - piece.start for piece in cut)
     whole = [piece for piece in cut if 2 * (piece.stop - piece.start) > longest]
-    every = -(-len(whole) // _PIECES)
+    taken = whole[:: -(-len(whole) // _PIECES)]
+    times, signals = [times_of(stamps, piece) for piece in taken], [moving[p] for p in taken]
     chosen = np.full(len(measured), np.inf)
-    for order, signals, mine in ((0, position, ~measured), (1, velocity, measured)):
-        if signals is not None and mine.any():
-            taken = [(times[p], signals[p][:, mine]) for p in whole[::every]]
-            chosen[mine] = cutoffs(taken, order)
+    for order, mine in ((0, ~measured), (1, measured)):
+        if mine.any():
+            own = [pair[order] for pair in signals]
+            pieces = [values[:, mine] for values in own if values is not None]
+            chosen[mine] = cutoffs(list(zip(times, pieces, strict=True)), order)
     return chosen
 
 
