@@ -11,6 +11,19 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # what shells do to backg
     signal.signal(signal.SIGINT, signal.default_int_handler)  # processes of tests inherit it
 
 
+@pytest.fixture(scope="session", autouse=True)
+def cache_of_the_run(tmp_path_factory):
+    """One cache folder for all workers and processes of a run, empty at its beginning.
+
+    What one test compiles serves the next one, and nothing of the user's cache is used.
+    """
+    base = tmp_path_factory.getbasetemp()
+    root = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(root / "cache"))
+        yield
+
+
 @pytest.fixture(scope="session")
 def data_dir():
     """Folder of the recorded data, which is no part of the package."""

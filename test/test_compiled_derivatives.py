@@ -25,13 +25,6 @@ WEIGHTS = np.array([2100.0, -600.0, 150.0, -25.0, 2.0]) / 2520.0  # of differenc
 NAMES = ("arm7", "prosthetic_arm", "four_bar_leg", "free_flyer", "driven")
 
 
-@pytest.fixture(scope="module", autouse=True)
-def own_cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 def given(name):
     """A scene; `driven` has internal states, and a joint that bends with another one."""
     if name == "driven":

@@ -30,12 +30,6 @@ initial: {{position: {{hinge: 0.3}}}}
 """
 
 
-@pytest.fixture(autouse=True)
-def cache(tmp_path_factory, monkeypatch):
-    """One for all tests of this file: what one compiles serves the next."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
-
-
 def run(capsys, *words):
     """What the command line says, which must accept the words."""
     assert main([str(word) for word in words]) == 0, capsys.readouterr().err

@@ -14,11 +14,6 @@ from mbd_ros.scene.reader import load_scene
 SCENES = Path(__file__).parents[1] / "config/scenes"
 
 
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path_factory, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
-
-
 def compiled(system, real="double"):
     traced = trace(system)
     return load(emit([traced.function("accelerate")], real)), traced
