@@ -1,5 +1,6 @@
 """What several test files need."""
 
+import gc
 import os
 import signal
 from pathlib import Path
@@ -9,6 +10,12 @@ import pytest
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # as the command line does, before OpenMP is loaded
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # what shells do to background jobs
     signal.signal(signal.SIGINT, signal.default_int_handler)  # processes of tests inherit it
+
+
+def pytest_collection_finish():
+    """What is loaded by now is no garbage: tests that collect garbage need not look at it."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

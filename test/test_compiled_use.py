@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from mechanisms import scene_of
 
+import mbd_ros.compiled
 from mbd_ros.api import load_scene
 from mbd_ros.cli import main
 from mbd_ros.core.simulation.command_watch import CommandWatch
@@ -92,6 +93,7 @@ def test_two_solvers_are_refused(tmp_path, capsys):
 
 
 def test_without_casadi(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(mbd_ros, "compiled", mbd_ros.compiled)  # which imports replace
     for name in [name for name in sys.modules if name.startswith(("casadi", "mbd_ros.compiled"))]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "casadi", None)

@@ -9,13 +9,6 @@ from mbd_ros.compiled.code.emit import emit
 from mbd_ros.compiled.code.instructions import CodeError
 
 
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path_factory, monkeypatch):
-    """One cache folder for all tests, which nobody else has."""
-    folder = tmp_path_factory.getbasetemp() / "cache"
-    monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
-
-
 def every_operation():
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     one = [ca.sqrt, ca.sin, ca.cos, ca.tan, ca.exp, ca.log, ca.asinh, ca.sinh, ca.cosh, ca.tanh]
