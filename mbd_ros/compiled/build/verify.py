@@ -99,12 +99,13 @@ def some_state(system: System, rng: np.random.Generator) -> State:
 
 
 def _mode(exact: Any, rng: np.random.Generator) -> Mode:
-    """Any mode in which rows without an upper bound are not at it, and no contact slips."""
+    """Any mode in which rows without an upper bound are not at it, contacts in all of theirs."""
     upper = exact.solver.constraints.upper.tolist()
     ways = zip(rng.integers(-1, 2, len(upper)).tolist(), upper, strict=True)
     mode = [abs(way) if np.isinf(bound) else way for way, bound in ways]
     for i in () if exact.contacts is None else exact.contacts.normals:
-        mode[i + 1 : i + 3] = mode[i], mode[i]
+        names = ((mode[i],) * 2, (mode[i],) * 2, (3, -1), (-15, 5), (2**51 + 1, 2**52 + 1))
+        mode[i + 1 : i + 3] = names[0 if mode[i] else rng.integers(len(names))]
     return tuple(mode)
 
 

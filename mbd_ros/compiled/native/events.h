@@ -22,22 +22,26 @@ static double rounding(const double *q, const double *w) {
   return ON_SURFACE * (1.0 + fmax(largest(NQ, q), largest(NV, w)));
 }
 
-/* Whether the margins of a state are those of the mode; `margins` of heights, rates of these. */
+/* Inputs and internal states as functions of the scene take them; `u` may be used for them. */
+static const double *given(const Options *o, Run *r, double t, const double *w, double *z,
+                           double *u) {
+  for (long i = 0; i < NZ; i++) z[i] = fmin(fmax(w[NV + i], o->lower[i]), o->upper[i]);
+  if (!NU || !o->smooth) return r->u;
+  complete_inputs(o, r->u, t, u);
+  return u;
+}
+
+/* Whether the margins of a state are those of the mode; `spans` of rows, rates of heights. */
 static int is_in_mode(const Options *o, Run *r, double t, const double *q, const double *w,
-                      double *margins, double *rates) {
-  double slack = rounding(q, w), of_forces[NOT_ZERO(ANSWERS)], more[MODES];
-  double whole[NOT_ZERO(NU)], z[NOT_ZERO(NZ)];
+                      double *spans, double *rates) {
+  double slack = rounding(q, w), of_forces[NOT_ZERO(ANSWERS)], more[MODES], margins[MODES];
+  double whole[NOT_ZERO(NU)], z[NOT_ZERO(NZ)], names;
   int is_kept = 1;
-  heights(&t, q, w, o->p, margins, rates, r->work);
+  heights(&t, q, w, o->p, margins, rates, spans, &names, r->work);
   for (long i = 0; i < MODES; i++)
     if (!(margins[i] >= (r->left[i] ? -slack : 0.0))) is_kept = 0;
   if (ASKS_ALWAYS || has_on(o)) {
-    const double *u = r->u;
-    if (NU && o->smooth) {
-      complete_inputs(o, r->u, t, whole);
-      u = whole;
-    }
-    for (long i = 0; i < NZ; i++) z[i] = fmin(fmax(w[NV + i], o->lower[i]), o->upper[i]);
+    const double *u = given(o, r, t, w, z, whole);
     answers(&t, q, w, z, u, o->p, of_forces, more, r->work);
     for (long i = 0; i < ANSWERS; i++)
       if (!(of_forces[i] >= 0.0)) is_kept = 0;
@@ -50,24 +54,41 @@ static int is_in_mode(const Options *o, Run *r, double t, const double *q, const
  * or since a row was approached and then left.
  */
 static int look(const Options *o, Run *r) {
-  double margins[MODES], last[MODES], rates[MODES], q[NOT_ZERO(NQ)], w[NOT_ZERO(NW)];
+  double spans[MODES], last[MODES], rates[MODES], q[NOT_ZERO(NQ)], w[NOT_ZERO(NW)];
   double slack = rounding(r->q0, r->w0);
-  if (!r->is_looked) is_in_mode(o, r, r->t0, r->q0, r->w0, margins, r->approach);
+  if (!r->is_looked) is_in_mode(o, r, r->t0, r->q0, r->w0, spans, r->approach);
   r->is_looked = 0.0;
   if (HAS_DEMANDS || has_on(o)) {
     double middle = r->t0 + 0.5 * (r->t - r->t0);
     state_at(o, r, middle, q, w);
-    if (!is_in_mode(o, r, middle, q, w, margins, rates)) return GUARD;
+    if (!is_in_mode(o, r, middle, q, w, spans, rates)) return GUARD;
   }
-  if (!is_in_mode(o, r, r->t, r->q, r->w, margins, last)) return GUARD;
+  if (!is_in_mode(o, r, r->t, r->q, r->w, spans, last)) return GUARD;
   for (long i = 0; i < MODES; i++) {
     int is_beside = WAYS(o)[i] != 0.0 && !r->left[i];
     if (is_beside && !(r->approach[i] >= -slack) && !(last[i] <= 0.0)) return GUARD;
   }
   slack = rounding(r->q, r->w);
-  for (long i = 0; i < MODES; i++) r->left[i] = r->left[i] && fabs(margins[i]) <= slack;
+  for (long i = 0; i < MODES; i++) r->left[i] = r->left[i] && fabs(spans[i]) <= slack;
   copy(MODES, last, r->approach);
   r->is_looked = 1.0;
+  return DONE;
+}
+
+/* Ends a step where slips that turn have changed by much; they may need other names before it. */
+static int follow_slips(const Options *o, Run *r, double *end) {
+#if CONTACTS
+  double margins[MODES], rates[MODES], spans[MODES], names, length;
+  double whole[NOT_ZERO(NU)], z[NOT_ZERO(NZ)];
+  if (!has_on(o)) return DONE;
+  heights(&r->t, r->q, r->w, o->p, margins, rates, spans, &names, r->work);
+  if (names == 0.0) return RENAMED;
+  if (names > 1.0) {
+    const double *u = given(o, r, r->t, r->w, z, whole);
+    longest(&r->t, r->q, r->w, z, u, o->p, &length, r->work);
+    *end = fmin(*end, r->t + length);
+  }
+#endif
   return DONE;
 }
 
@@ -126,7 +147,13 @@ static int correct(const Options *o, Run *r) {
 /* One step in which the mode does not end; it stands behind the step where it may have ended. */
 static int step_in_mode(const Options *o, Run *r, double end) {
   double before = r->steps;
+#if MODES
+  int status = follow_slips(o, r, &end);
+  if (status != DONE) return status;
+  status = one_step(o, r, end);
+#else
   int status = one_step(o, r, end);
+#endif
 #if MODES
   if (status != DONE || r->steps == before) return status;
   status = look(o, r);

@@ -14,7 +14,7 @@ typedef struct {
 
 enum field {
   SIZE, MEMORY, T, Q, W, T0, Q0, W0, SAMPLE, IS_WITHIN, STEPS, LENGTH, INTERVAL, HEALTH,
-  EVALUATIONS, LEFT, ROW
+  EVALUATIONS, LEFT, U, ROW
 };
 
 #define PLACE(field) ((long)(offsetof(Run, field) / sizeof(double)))
@@ -39,6 +39,7 @@ EXPORT long place_of(long field) {
     case HEALTH: return PLACE(health);
     case EVALUATIONS: return PLACE(evaluations);
     case LEFT: return PLACE(left);
+    case U: return PLACE(u);
     default: return 1 + NQ_NV_ALL + NZ;
   }
 }

@@ -12,6 +12,7 @@
  *   MODES                rows that give way, whose modes stand in p behind the parameters
  *   ANSWERS GAPS STAYS   margins of their forces; gaps; rows that velocities keep where they are on
  *   HAS_DEMANDS          whether margins of forces are asked for while no row is on
+ *   CONTACTS             how many of them are normals of contacts with friction
  *   ASKS_ALWAYS          the same, or rates of slips
  *   WORK                 most numbers that a function of the scene keeps in between
  */
@@ -34,7 +35,8 @@ enum status {
   GUARD = 4,            /* a guard changed its sign in the last step */
   TOO_SHORT = 5,        /* no step is short enough for the tolerance */
   OPEN = 6,             /* rows do not close */
-  NO_INPUTS = 7         /* the table of inputs has come to its end */
+  NO_INPUTS = 7,        /* the table of inputs has come to its end */
+  RENAMED = 8           /* a slip should have another name in the mode */
 };
 
 enum method { RUNGE_KUTTA, ADAMS, SEMI_IMPLICIT_EULER, RATTLE };

@@ -137,10 +137,7 @@ class CompiledMethod(Integrator):
             form=form,
         )
         given = run, plain, self._corrects(system), system.loads.idle
-        if not sizes.modes:
-            return NativeStepper(*given)
-        contacts = system.exact.contacts
-        return ModeStepper(*given, () if contacts is None else tuple(contacts.normals))
+        return ModeStepper(*given) if sizes.modes else NativeStepper(*given)
 
     def _built(self, system: Any, dt: float) -> Built:
         """The native code of a system, made once."""
@@ -193,6 +190,7 @@ def _modes(system: Any, traced: Traced) -> dict[str, int]:
         "answers": int(traced.function("answers").size1_out(0)),
         "gaps": counts[Reach.GAP],
         "stays": counts[Reach.GAP] + slips + counts[Reach.FRICTION],
+        "contacts": counts[Reach.FRICTION] // 2,
         "has_demands": demands > 0,
         "asks_always": slips + demands > 0,
     }

@@ -1,7 +1,7 @@
 """Native steps in a mode of rows that give way, as event location takes them."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from mbd_ros.compiled.runs.native_run import NativeRun
@@ -19,8 +19,6 @@ class ModeStepper(NativeStepper):
         plain: The same method in Python.
         correct: What stabilization makes of a state after a step.
         idle: Inputs where none are given.
-        normals: Rows of the normals of contacts, tangents behind them. Those that slip have plain
-            steps.
 
     Attributes:
         run: As given.
@@ -29,15 +27,9 @@ class ModeStepper(NativeStepper):
     """
 
     def __init__(
-        self,
-        run: NativeRun,
-        plain: Stepper,
-        correct: Callable[[State], State],
-        idle: Array,
-        normals: Sequence[int],
+        self, run: NativeRun, plain: Stepper, correct: Callable[[State], State], idle: Array
     ) -> None:
         super().__init__(run, plain, correct, idle)
-        self._normals = normals
         self.run, self.correct = run, correct
         self.mode: Mode = ()
         self.is_compiled = False
@@ -45,7 +37,7 @@ class ModeStepper(NativeStepper):
     def follow(self, accelerate: Any, mode: Mode = ()) -> None:
         """As `Stepper.follow`."""
         self._plain.follow(accelerate, mode)
-        self.mode, self.is_compiled = mode, bool(mode) and not slips(mode, self._normals)
+        self.mode, self.is_compiled = mode, bool(mode)
         if self.is_compiled:
             self.run.switch(mode)
         self._last = None
@@ -78,8 +70,18 @@ class ModeStepper(NativeStepper):
         """As `Stepper.again`."""
         if self._is_plain:
             return self._plain.again(h, t)
-        self._last = after = super().again(h, t)._replace(mode=self.mode)
+        after, status = self.run.again(h, t)
+        if status != Status.DONE:
+            return self._again_plainly(h, t)
+        self._last = after = after._replace(mode=self.mode)
         return after
+
+    def _again_plainly(self, h: float, t: float) -> State:
+        """The same where native code has no accelerations, from there on in plain steps."""
+        x = self.run.began()._replace(mode=self.mode)
+        self._plain.step(x, self.run.inputs, x.t + h)
+        self._is_plain = True
+        return self._plain.again(h, t)
 
     def interpolate(self, t: float) -> State:
         """State inside the last step, uncorrected."""
@@ -93,13 +95,3 @@ class ModeStepper(NativeStepper):
             self._plain.continue_from(x)
         else:
             super().continue_from(x)
-
-
-def slips(mode: Mode, normals: Sequence[int]) -> bool:
-    """Whether a contact slips in a mode.
-
-    Args:
-        mode: One entry a row.
-        normals: Rows of the normals of contacts.
-    """
-    return any(mode[i] == 0 and any(mode[i + 1 : i + 3]) for i in normals)

@@ -40,6 +40,7 @@ class Sizes(NamedTuple):
         answers: Margins of their forces.
         gaps: How many of them are gaps.
         stays: How many have a rate that is none where they are on.
+        contacts: How many of them are normals of contacts with friction.
         has_demands: Whether some of them are drives, whose demands are looked at in any mode.
         asks_always: Whether accelerations are, for these or for the rates of slips.
     """
@@ -61,6 +62,7 @@ class Sizes(NamedTuple):
     answers: int = 0
     gaps: int = 0
     stays: int = 0
+    contacts: int = 0
     has_demands: bool = False
     asks_always: bool = False
 
@@ -80,6 +82,7 @@ class Sizes(NamedTuple):
             names.append("settle")
         if self.modes:
             names += ["heights", "answers"]
+        names += ["longest"] * bool(self.contacts)
         names += ["land"] * bool(self.gaps) + ["stay"] * bool(self.stays)
         return tuple(names)
 

@@ -29,6 +29,7 @@ class Status(IntEnum):
     TOO_SHORT = 5
     OPEN = 6
     NO_INPUTS = 7
+    RENAMED = 8
 
 
 class Method(IntEnum):
@@ -59,7 +60,8 @@ class Field(IntEnum):
     HEALTH = 13
     EVALUATIONS = 14
     LEFT = 15
-    ROW = 16
+    U = 16
+    ROW = 17
 
 
 class WeightsOfC(ctypes.Structure):

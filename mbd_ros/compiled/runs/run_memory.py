@@ -45,6 +45,11 @@ class RunMemory:
         return float(self._numbers[self._at[Field.T]])
 
     @property
+    def inputs(self) -> Array:
+        """Those that are held, fresh."""
+        return self._numbers[self._at[Field.U] :][: self.sizes.nu].copy()
+
+    @property
     def steps(self) -> int:
         """Steps taken so far."""
         return int(self._numbers[self._at[Field.STEPS]])

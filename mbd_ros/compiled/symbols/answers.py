@@ -9,6 +9,7 @@ from mbd_ros.compiled.symbols import balance, implicit
 from mbd_ros.compiled.symbols.equations import Equations
 from mbd_ros.compiled.symbols.rows import Rows
 from mbd_ros.compiled.symbols.scalar import column, numbers, plain, scalars
+from mbd_ros.compiled.symbols.soundness import health
 from mbd_ros.compiled.symbols.switched import SwitchedRows
 from mbd_ros.compiled.symbols.turns import ZERO
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
@@ -32,7 +33,7 @@ class Answers:
         """Accelerations, rates of the internal states, health of the rows."""
         e = self._equations
         solution = e.chosen[1]
-        return [e.speeding(solution.a), e.rates, e.health(solution, switches=True)]
+        return [e.speeding(solution.a), e.rates, health(e, solution, switches=True)]
 
     def multipliers(self) -> list[Any]:
         """Accelerations of all joints, and multipliers."""
@@ -63,20 +64,25 @@ class Answers:
         return [ca.vertcat(*margins.values(), *self._part_guards())]
 
     def heights(self) -> list[Any]:
-        """Margins of heights and rates of gaps, one a row that gives way."""
-        e = self._equations
-        return [ca.vertcat(*one) for one in self._switched.heights(e.velocity)]
+        """Margins of heights and slips, rates of gaps, spans; names of slips."""
+        rows, v = self._switched, self._equations.velocity
+        looks = [*rows.heights(v), rows.spans(v)]
+        return [*(ca.vertcat(*one) for one in looks), rows.names()]
 
     def answers(self) -> list[Any]:
         """Margins of multipliers and demands; rates of slips, one a row that gives way."""
         return [ca.vertcat(*one) for one in self._switched.answers(*self._equations.solved)]
+
+    def longest(self) -> list[Any]:
+        """Length of a step in which directions of slips are followed."""
+        return [self._switched.longest(self._equations.solved[0])]
 
     def land(self) -> list[Any]:
         """A step of Newton's method onto the gaps that are on, and their g."""
         e, rows = self._equations, self._switched
         chosen = rows.of(Reach.GAP)
         on, held = rows.masked(chosen), e.held.of(Level.POSITION)
-        a = self._moved(held, on, rows.slack_of(chosen), on.g)
+        a = self._moved(held, on, chosen, on.g)
         return [e.moving(a), ca.vertcat(*on.g)]
 
     def stay(self) -> list[Any]:
@@ -84,14 +90,20 @@ class Answers:
         e, rows = self._equations, self._switched
         chosen, rates = rows.of(Reach.GAP, Reach.SLIP, Reach.FRICTION), rows.rates(e.velocity)
         left = [rates[i] for i in chosen]
-        a = self._moved(e.held, rows.masked(chosen), rows.slack_of(chosen), left)
+        a = self._moved(e.held, rows.masked(chosen), chosen, left)
         return [e.moving(a), ca.vertcat(*left)]
 
-    def _moved(self, held: Rows, on: Rows, slack: Sequence[Any], left: Sequence[Any]) -> list[Any]:
-        """The smallest motion that ends what is left of rows and moves no rigid one."""
+    def _moved(
+        self, held: Rows, on: Rows, chosen: Sequence[int], left: Sequence[Any]
+    ) -> list[Any]:
+        """The smallest motion that ends what is left of chosen rows and moves no rigid one."""
         e, still = self._equations, [ZERO] * len(held.J)
-        factors = e.beside(held.beside(on), [*still, *slack])
-        return factors.solve([ZERO] * e.nv, [*still, *(-one for one in left)]).a
+        slack, soft = [*still, *self._switched.slack_of(chosen)], list[float]()
+        if e.soft:
+            soft = [*[0.0] * len(still), *(e.soft[e.mh + i] for i in chosen)]
+        factors = e.beside(held.beside(on), slack, soft)
+        given = [ZERO] * e.nv, [*still, *(-one for one in left)]
+        return (factors.balanced(*given) if any(soft) else factors.solve(*given)).a
 
     @property
     def _switched(self) -> SwitchedRows:
@@ -121,7 +133,7 @@ class Answers:
         e = self._equations
         rows = e.held.of(Level.POSITION)
         solution = e.beside(rows).solve([ZERO] * e.nv, [-g for g in rows.g])
-        return [e.moving(solution.a), ca.vertcat(*rows.g), e.health(solution)]
+        return [e.moving(solution.a), ca.vertcat(*rows.g), health(e, solution)]
 
     def settle(self) -> list[Any]:
         """What leads velocities onto the rows, and the rates that are left."""
@@ -143,8 +155,8 @@ class Answers:
         ones = [[ca.SX(float(i == j)) for i in range(e.mg)] for j in range(e.mg)]
         solutions = [held.solve(zero, one) for one in ones]
         columns = [ca.vertcat(*one.a) for one in solutions]
-        health = e.health(solutions[0]) if solutions else ca.SX(1.0)
-        return [ca.horzcat(*columns) if columns else ca.SX(e.nv, 0), health]
+        share = health(e, solutions[0]) if solutions else ca.SX(1.0)
+        return [ca.horzcat(*columns) if columns else ca.SX(e.nv, 0), share]
 
     def integrate(self) -> list[Any]:
         """The configuration q (+) d."""

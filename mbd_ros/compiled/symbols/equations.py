@@ -5,21 +5,20 @@ from functools import cached_property
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from mbd_ros.compiled.symbols.coordinates import Coordinates
 from mbd_ros.compiled.symbols.curved import CurvedChart
 from mbd_ros.compiled.symbols.dynamics import TreeDynamics, choices
 from mbd_ros.compiled.symbols.kinematics import SymbolicKinematics
 from mbd_ros.compiled.symbols.links import Tree, tree_of, with_armature
-from mbd_ros.compiled.symbols.motion import Held, Motion, Solution
+from mbd_ros.compiled.symbols.motion import Held, Motion, Pushes, Solution
 from mbd_ros.compiled.symbols.parts_of import Made, parts_of, with_part
 from mbd_ros.compiled.symbols.rows import Rows, rows_of
 from mbd_ros.compiled.symbols.scalar import column, numbers, plain, scalars
+from mbd_ros.compiled.symbols.soundness import softness
 from mbd_ros.compiled.symbols.switched import SwitchedRows
 from mbd_ros.compiled.symbols.turns import ZERO
 from mbd_ros.compiled.symbols.untraceable import tracing
-from mbd_ros.compiled.symbols.usual_pivots import usual_pivots
 from mbd_ros.compiled.symbols.world_axes import WorldAxes, WorldChart
 from mbd_ros.compiled.symbols.yielding import Margin, YieldingRows
 from mbd_ros.core.dynamics.system import System
@@ -164,6 +163,16 @@ class Equations:
         return [*[ZERO] * self.mh, *self.yielding.slack] if self.yielding.slack else []
 
     @cached_property
+    def soft(self) -> list[float]:
+        """As `soundness.softness`."""
+        return softness(self)
+
+    @cached_property
+    def pushing(self) -> Pushes:
+        """Rows that push otherwise than they hold, as `Held.pushes`."""
+        return {self.mh + i: push for i, push in self.yielding.pushing.items()}
+
+    @cached_property
     def acting(self) -> Rows:
         """Rigid rows, then those that are on in the mode, in what is integrated."""
         return self.held.beside(self.yielding.on)
@@ -179,9 +188,8 @@ class Equations:
         """The form of the fewest operations."""
         best, fewest = None, 0
         for dynamics in self.dynamics:
-            motion = Motion(
-                dynamics, self.coordinates, self.tau, self.acting, self.bias, self.slack
-            )
+            more = self.slack, self.pushing, self.soft
+            motion = Motion(dynamics, self.coordinates, self.tau, self.acting, self.bias, *more)
             for solution in motion.solutions():
                 count = self.operations(solution.a)
                 if best is None or count < fewest:
@@ -218,25 +226,7 @@ class Equations:
         a, lam = self.solved
         return tuple(self.yielding.margins(a, lam, self.velocity))
 
-    def beside(self, rows: Rows, slack: Sequence[Any] = ()) -> Held:
+    def beside(self, rows: Rows, slack: Sequence[Any] = (), soft: Sequence[float] = ()) -> Held:
         """Factors of masses beside rows."""
         mass = self.coordinates.reduced_matrix(self.chosen[0].mass)
-        return Held(mass, rows, self.nv, slack)
-
-    def health(self, solution: Solution, *, switches: bool = False) -> Any:
-        """The smallest pivot of the rows over its usual size.
-
-        Args:
-            solution: Beside rows, those that give way last.
-            switches: Whether there are any of these whose mode is an argument.
-        """
-        count, health = self.switches if switches else 0, ca.SX(1.0)
-        off = self.slack if count else [ZERO] * len(solution.pivots)
-        if solution.pivots:
-            pivots = ca.vertcat(*solution.pivots)
-            usual = usual_pivots(self.system, self.symbols, pivots, count)
-            each = zip(solution.pivots, off, np.asarray(usual).tolist(), strict=True)
-            for pivot, slack, size in each:
-                share = pivot * (1.0 / size if size else 0.0)
-                health = ca.fmin(health, share + slack * (1.0 - share))
-        return health
+        return Held(mass, rows, self.nv, slack, soft=soft)

@@ -1,6 +1,7 @@
 """Accelerations of what a tier integrates, from dynamics, joint forces and rows."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -12,6 +13,13 @@ from mbd_ros.compiled.symbols.rows import Rows
 from mbd_ros.compiled.symbols.sparse_ldl import SparseLdl
 from mbd_ros.compiled.symbols.turns import ZERO
 
+SOFT = 1.0e-8  # of the usual size of a row: what is added to it where rows may be dependent
+_AGAIN = 2  # solutions for what that leaves
+_OPEN = 1.0e-8  # of rates: what dependent rows that contradict one another leave
+_IDLE = 1.0e-8  # of the energy of multipliers: what those that change no rate may have
+Pushes = Mapping[int, Mapping[int, Any]]
+NO_PUSHES: Pushes = {}
+
 
 class Solution(NamedTuple):
     """What holds at a state.
@@ -20,11 +28,13 @@ class Solution(NamedTuple):
         a: Accelerations of what is integrated, SX scalars.
         lam: Multipliers of the rows, SX scalars.
         pivots: What rows leave of themselves: -(J M^-1 J') without those before, SX scalars.
+        sound: Positive where rows that may depend on one another are solved; no SX without any.
     """
 
     a: list[Any]
     lam: list[Any]
     pivots: list[Any]
+    sound: Any = None
 
 
 class Motion:
@@ -37,6 +47,8 @@ class Motion:
         rows: Those that hold.
         bias: The b of J a + b = 0, SX scalars, one a row.
         slack: As for `Held`.
+        pushes: As for `Held`.
+        soft: As for `Held`.
     """
 
     def __init__(
@@ -47,9 +59,12 @@ class Motion:
         rows: Rows,
         bias: Sequence[Any],
         slack: Sequence[Any] = (),
+        pushes: Pushes = NO_PUSHES,
+        soft: Sequence[float] = (),
     ) -> None:
         self._dynamics, self._coordinates, self._tau = dynamics, coordinates, tau
-        self._rows, self._bias, self._slack = rows, bias, slack
+        self._rows, self._bias = rows, bias
+        self._more = slack, pushes, soft
 
     def solutions(self) -> list[Solution]:
         """The same accelerations by all forms that are worth a try."""
@@ -69,38 +84,102 @@ class Motion:
         if drift is not None:
             h = self._dynamics.needed(drift)
         left = c.reduced([force - bias for force, bias in zip(self._tau, h, strict=True)])
-        held = Held(c.reduced_matrix(self._dynamics.mass), self._rows, c.nv, self._slack)
-        return held.solve(left, [-one for one in self._bias])
+        held = Held(c.reduced_matrix(self._dynamics.mass), self._rows, c.nv, *self._more)
+        rates = [-one for one in self._bias]
+        return held.balanced(left, rates) if any(self._more[2]) else held.solve(left, rates)
 
 
 class Held:
-    """Masses beside rows, factorised: M a - J' lam = f, J a + s lam = b.
+    """Masses beside rows, factorised: M a - D' lam = f, J a + s lam = b.
 
     Args:
         mass: The lower triangle of M, SX scalars.
         rows: The rows.
         nv: Size of a velocity.
         slack: The s of each row, SX scalars; none where nothing is given.
+        pushes: The D of rows by their numbers, where it is not J.
+        soft: What is added to each s, so that rows may depend on one another, for `balanced`.
     """
 
-    def __init__(self, mass: Entries, rows: Rows, nv: int, slack: Sequence[Any] = ()) -> None:
-        self._nv, self._m = nv, len(rows.J)
+    def __init__(
+        self,
+        mass: Entries,
+        rows: Rows,
+        nv: int,
+        slack: Sequence[Any] = (),
+        pushes: Pushes = NO_PUSHES,
+        soft: Sequence[float] = (),
+    ) -> None:
+        self._nv, self._m, self._rows, self._mass = nv, len(rows.J), rows, mass
+        self._slack = list(slack) or [ZERO] * self._m
+        self._soft = list(soft) or [0.0] * self._m
         entries = dict(mass)
         for i, row in enumerate(rows.J):
             entries.update({(nv + i, j): value for j, value in row.items()})
-            entries[nv + i, nv + i] = -slack[i] if slack else ZERO
-        edges = [at for at, value in entries.items() if not value.is_zero()]
-        waits = {i: set(row) for i, row in enumerate(rows.J, nv)}
+            entries[nv + i, nv + i] = -(self._slack[i] + self._soft[i])
+        upper = {(nv + i, j): one for i, push in pushes.items() for j, one in push.items()}
+        edges = [at for at, value in (entries | upper).items() if not value.is_zero()]
+        waits = {i: {*row, *pushes.get(i - nv, ())} for i, row in enumerate(rows.J, nv)}
         order = order_of(edges, nv + self._m, waits)
-        self._factors = SparseLdl(entries, order)
+        self._factors = SparseLdl(entries, order, upper)
 
     @property
     def size(self) -> int:
         """Operations of a solution, about."""
         return self._factors.size
 
+    @property
+    def pivots(self) -> list[Any]:
+        """As those of a `Solution`."""
+        return [-self._factors.pivots[i] for i in range(self._nv, self._nv + self._m)]
+
     def solve(self, forces: Sequence[Any], rates: Sequence[Any]) -> Solution:
         """Accelerations and multipliers for f and b."""
         x = self._factors.solve([*map(ca.SX, forces), *rates])
-        pivots = [-self._factors.pivots[i] for i in range(self._nv, self._nv + self._m)]
-        return Solution(x[: self._nv], [-one for one in x[self._nv :]], pivots)
+        return Solution(x[: self._nv], [-one for one in x[self._nv :]], self.pivots)
+
+    def balanced(self, forces: Sequence[Any], rates: Sequence[Any]) -> Solution:
+        """The same where rows may depend on one another: about the least multipliers.
+
+        What softness leaves of rates is solved for again. It is sound if nothing is left then, and
+        if multipliers that change no rate move nothing, as different slips would let them.
+        """
+        found, still = self.solve(forces, rates), [ZERO] * self._nv
+        for _ in range(_AGAIN):
+            more = self.solve(still, self._left(found, rates))
+            pairs = zip(found[:2], more[:2], strict=True)
+            a, lam = ([x + y for x, y in zip(*pair, strict=True)] for pair in pairs)
+            found = found._replace(a=a, lam=lam)
+        open_by = largest(self._left(found, rates))
+        shares = [size * one for size, one in zip(self._soft, found.lam, strict=True)]
+        scale = ca.fmax(largest(rates), largest(shares) / SOFT)
+        some = [size * math.cos(1.0 + i) for i, size in enumerate(self._soft)]
+        idle = self.solve(still, [ca.SX(one) for one in some]).a
+        is_open, moves = (
+            open_by > _OPEN * scale,
+            self._energy(idle) > _IDLE / SOFT * sum(map(abs, some)),
+        )
+        return found._replace(sound=ca.logic_not(ca.logic_or(is_open, moves)))
+
+    def _left(self, found: Solution, rates: Sequence[Any]) -> list[Any]:
+        """What is left of b."""
+        each = zip(self._rows.J, self._slack, found.lam, rates, strict=True)
+        return [
+            rate - slack * lam - sum((one * found.a[j] for j, one in row.items()), ZERO)
+            for row, slack, lam, rate in each
+        ]
+
+    def _energy(self, a: Sequence[Any]) -> Any:
+        """Twice the kinetic energy of velocities a."""
+        return sum(
+            ((2.0 if i != j else 1.0) * a[i] * one * a[j] for (i, j), one in self._mass.items()),
+            ZERO,
+        )
+
+
+def largest(values: Sequence[Any]) -> Any:
+    """The largest size among SX scalars, 0 where there are none."""
+    found = ZERO
+    for value in values:
+        found = ca.fmax(found, ca.fabs(value))
+    return found

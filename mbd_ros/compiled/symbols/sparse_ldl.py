@@ -11,11 +11,12 @@ Entries = Mapping[tuple[int, int], Any]  # of the lower triangle, (i, j) with i 
 
 
 class SparseLdl:
-    """Factors of a symmetric matrix whose pivots do not vanish in an order.
+    """Factors of a matrix whose pivots do not vanish in an order, symmetric but for some entries.
 
     Args:
         entries: The lower triangle, SX scalars; what is absent is zero.
         order: Rows in the order of their elimination.
+        upper: Entries (j, i) of the upper triangle that differ, as (i, j) with i > j.
 
     Attributes:
         pivots: Diagonal of D by row.
@@ -24,15 +25,15 @@ class SparseLdl:
         Untraceable: A pivot vanishes in every state.
     """
 
-    def __init__(self, entries: Entries, order: Iterable[int]) -> None:
+    def __init__(
+        self, entries: Entries, order: Iterable[int], upper: Entries | None = None
+    ) -> None:
         self._order = list(order)
-        rows: dict[int, dict[int, Any]] = {i: {} for i in self._order}
-        for (i, j), value in entries.items():
-            if not value.is_zero():
-                rows[i][j] = rows[j][i] = value
+        rows = self._rows = _square(entries, upper or {}, self._order)
         self.pivots: dict[int, Any] = {}
         self._shares: dict[int, Any] = {}
         self._columns: dict[int, list[tuple[int, Any]]] = {}
+        self._beside: dict[int, list[tuple[int, Any]]] = {}
         left = set(self._order)
         for k in self._order:
             left.discard(k)
@@ -41,12 +42,24 @@ class SparseLdl:
             pivot = self.pivots[k] = rows[k][k]
             share = self._shares[k] = 1.0 / pivot
             touched = sorted(i for i in rows[k] if i in left)
-            column = [(i, share * rows[k][i]) for i in touched]
-            self._columns[k] = column
-            for at, (i, factor) in enumerate(column):
-                for j in touched[at:]:
-                    value = rows[i].get(j, _ZERO) - factor * rows[k][j]
-                    rows[i][j] = rows[j][i] = value
+            self._columns[k] = [(i, share * rows[i][k]) for i in touched]
+            self._beside[k] = [
+                (i, own if rows[i][k] is rows[k][i] else share * rows[k][i])
+                for i, own in self._columns[k]
+            ]
+            self._eliminate(k)
+
+    def _eliminate(self, k: int) -> None:
+        """Take a row from those that it touches."""
+        rows, column = self._rows, self._columns[k]
+        for at, (i, factor) in enumerate(column):
+            for j, other in column[at:]:
+                own, across = rows[i].get(j, _ZERO), rows[j].get(i, _ZERO)
+                is_same = own is across or i == j
+                is_same = is_same and rows[i][k] is rows[k][i] and rows[j][k] is rows[k][j]
+                rows[i][j] = value = own - factor * rows[k][j]
+                if i != j:
+                    rows[j][i] = value if is_same else across - other * rows[k][i]
 
     @property
     def size(self) -> int:
@@ -62,9 +75,21 @@ class SparseLdl:
                     x[i] = x[i] - factor * x[k]
         for k in reversed(self._order):
             x[k] = self._shares[k] * x[k]
-            for i, factor in self._columns[k]:
+            for i, factor in self._beside[k]:
                 x[k] = x[k] - factor * x[i]
         return x
+
+
+def _square(entries: Entries, upper: Entries, order: Sequence[int]) -> dict[int, dict[int, Any]]:
+    """Both triangles by rows; the same object stands in both where they do not differ."""
+    rows: dict[int, dict[int, Any]] = {i: {} for i in order}
+    for (i, j), value in entries.items():
+        if not value.is_zero():
+            rows[i][j] = rows[j][i] = value
+    for (i, j), value in upper.items():
+        rows[j][i] = value
+        rows[i].setdefault(j, _ZERO)
+    return rows
 
 
 def solved(entries: Entries, right: Sequence[Any], order: Iterable[int]) -> list[Any]:

@@ -11,10 +11,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 
+from mbd_ros.compiled.symbols.motion import largest
 from mbd_ros.compiled.symbols.rows import Rows
 from mbd_ros.compiled.symbols.scalar import plain
-from mbd_ros.compiled.symbols.turns import ZERO
+from mbd_ros.compiled.symbols.slips import LONG, Slip, slip_of
+from mbd_ros.compiled.symbols.turns import ONE, ZERO
 from mbd_ros.compiled.symbols.yielding import YieldingRows, is_open
+from mbd_ros.core.dynamics.contact_modes import PASSED
 from mbd_ros.core.dynamics.row_heights import Reach
 
 if TYPE_CHECKING:
@@ -49,11 +52,39 @@ class SwitchedRows(YieldingRows):
     def __init__(self, equations: "Equations", ways: Sequence[Any]) -> None:
         self._ask(equations)
         self._ways = ways
-        self._off = [way * way for way in ways]
-        self.slack = self._off
+        self._slips = self._slipping(equations.velocity)
+        tangents = {i + j for i in self._slips for j in (1, 2)}
+        self._off = [way != 0.0 if i in tangents else way * way for i, way in enumerate(ways)]
+        self.slack, self.touching = self._off, list(self._slips)
         self._open = self._whole.reduced(self._c)
         self.on = self.masked(range(len(ways)))
         self.bias = [(1.0 - off) * self._biased(i) for i, off in enumerate(self._off)]
+        self._rubs = {i: self._rub(i, slip) for i, slip in self._slips.items()}
+        self.pushing = {i: self._pushed(i, rub) for i, rub in self._rubs.items()}
+        for slip in self._slips.values():
+            self.directed = ca.fmin(self.directed, slip.is_directed)
+
+    def _slipping(self, v: Sequence[Any]) -> dict[int, Slip]:
+        """Contacts by the rows of their normals."""
+        rates, speed = self._whole.velocities(v), largest(v) if self._mu else ZERO
+        found = {}
+        for i in self._mu:
+            name, along = self._ways[i + 1 : i + 3], rates[i + 1 : i + 3]
+            found[i] = slip_of(self._ways[i], (name[0], name[1]), (along[0], along[1]), speed)
+        return found
+
+    def _rub(self, i: int, slip: Slip) -> tuple[Any, Any]:
+        """Friction against a slip, of the force of its normal."""
+        x, y = slip.direction
+        return self._mu[i] * slip.is_on * x, self._mu[i] * slip.is_on * y
+
+    def _pushed(self, i: int, rub: tuple[Any, Any]) -> dict[int, Any]:
+        """What the normal of a contact pushes along, its friction included."""
+        push, own = dict(self.on.J[i]), self._open.J
+        for share, row in zip(rub, own[i + 1 : i + 3], strict=True):
+            for j, value in row.items():
+                push[j] = push.get(j, ZERO) - share * value
+        return push
 
     def masked(self, chosen: Sequence[int]) -> Rows:
         """Some rows in what is integrated, all zero where they are off."""
@@ -83,6 +114,11 @@ class SwitchedRows(YieldingRows):
             found.append(
                 (1.0 - off) * solved + 0.5 * way * ((way + 1.0) * low + (way - 1.0) * high)
             )
+        for i, rub in self._rubs.items():
+            found[i + 1 : i + 3] = (
+                own - share * found[i]
+                for own, share in zip(found[i + 1 : i + 3], rub, strict=True)
+            )
         return found
 
     def rates(self, v: Sequence[Any]) -> list[Any]:
@@ -95,15 +131,32 @@ class SwitchedRows(YieldingRows):
         return [(1.0 - off) * rate for off, rate in pairs]
 
     def heights(self, v: Sequence[Any]) -> Looks:
-        """Heights of rows that are off, and rates of gaps."""
-        margins, found, rates = [], [], self._whole.velocities(v)
+        """Heights of rows that are off, ends of slips, and rates of gaps."""
+        margins, rates = self.spans(v), self._whole.velocities(v)
+        for i, slip in self._slips.items():
+            margins[i + 1 : i + 3] = slip.ends if self._mu[i] else (ONE, ONE)
+        each = zip(self._ways, rates, self._reach, strict=True)
+        found = [way * rate if reach is Reach.GAP else ZERO for way, rate, reach in each]
+        return Looks(margins, found)
+
+    def spans(self, v: Sequence[Any]) -> list[Any]:
+        """How far rows that are off are from where they would be on."""
+        found, rates = [], self._whole.velocities(v)
         for i, (way, off) in enumerate(zip(self._ways, self._off, strict=True)):
             reach = self._reach[i]
             height = self._whole.g[i] if reach is Reach.GAP else rates[i]
             has_height = reach in (Reach.GAP, Reach.SLIP)
-            margins.append(way * height + (1.0 - off) * _PASSED if has_height else ca.SX(_PASSED))
-            found.append(way * rates[i] if reach is Reach.GAP else ZERO)
-        return Looks(margins, found)
+            found.append(way * height + (1.0 - off) * _PASSED if has_height else ca.SX(_PASSED))
+        for i, slip in self._slips.items():
+            found[i + 1] = slip.size
+        return found
+
+    def names(self) -> Any:
+        """0 where a slip should have another name, 2 where one follows its velocity, else 1."""
+        kept, turns = ONE, ZERO
+        for slip in self._slips.values():
+            kept, turns = ca.fmin(kept, slip.keeps_name), ca.fmax(turns, slip.turns)
+        return kept * (1.0 + turns)
 
     def answers(self, a: Sequence[Any], lam: Sequence[Any]) -> Looks:
         """What multipliers are within their bounds, demands at a limit, and rates of slips.
@@ -112,16 +165,31 @@ class SwitchedRows(YieldingRows):
             a: Accelerations of all joints, SX scalars.
             lam: Multipliers of these rows.
         """
-        margins, rates = [], []
+        margins, rates, left = [], [], self.left(a)
+        passed = PASSED * largest(lam) if self._slips else ZERO
         for i, (way, off) in enumerate(zip(self._ways, self._off, strict=True)):
-            left = sum((value * plain(a[j]) for j, value in self._whole.J[i].items()), ZERO)
-            left = left + self._conditions[i]
-            room = [(1.0 - off) * one + off * _PASSED for one in self._room(i, lam)]
+            more = passed if i in self._slips or self._reach[i] is Reach.FRICTION else ZERO
+            room = [(1.0 - off) * (one + more) + off * _PASSED for one in self._room(i, lam)]
             if self._reach[i] is Reach.DEMAND:
-                room.append(way * left + (1.0 - off) * _PASSED)
+                room.append(way * left[i] + (1.0 - off) * _PASSED)
             margins.extend(room)
-            rates.append(way * left if self._reach[i] is Reach.SLIP else ZERO)
+            rates.append(way * left[i] if self._reach[i] is Reach.SLIP else ZERO)
         return Looks(margins, rates)
+
+    def left(self, a: Sequence[Any]) -> list[Any]:
+        """The w of all rows, by accelerations of all joints, SX scalars."""
+        each = zip(self._whole.J, self._conditions, strict=True)
+        return [
+            sum((value * plain(a[j]) for j, value in row.items()), ZERO) + more
+            for row, more in each
+        ]
+
+    def longest(self, a: Sequence[Any]) -> Any:
+        """Length of a step in which slips that turn do not change by much [s]."""
+        found, left = ca.SX(LONG), self.left(a)
+        for i, slip in self._slips.items():
+            found = ca.fmin(found, slip.longest(left[i + 1 : i + 3]))
+        return found
 
     def _room(self, i: int, every: Sequence[Any]) -> list[Any]:
         """What is left of a multiplier to its bounds."""

@@ -1,11 +1,12 @@
 """Rows that give way, in a mode: those that are on are equations, the others known forces."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
+from mbd_ros.compiled.symbols.motion import NO_PUSHES
 from mbd_ros.compiled.symbols.rows import Rows, rows_of
 from mbd_ros.compiled.symbols.scalar import plain
 from mbd_ros.compiled.symbols.turns import ZERO
@@ -31,12 +32,18 @@ class YieldingRows:
         on: Rows that are on, in what is integrated.
         bias: The b of J y'' + b = 0 of these.
         slack: The s of J y'' + s lam + b = 0, empty where all are none.
+        pushing: What rows that are on push along otherwise than by J, by their numbers.
+        touching: Normals of contacts among rows that may depend on one another.
+        directed: Whether slips are fast enough to have a direction.
 
     Raises:
         Untraceable: Names what has no symbolic form.
     """
 
     slack: Sequence[Any] = ()
+    pushing: Mapping[int, Mapping[int, Any]] = NO_PUSHES
+    touching: Sequence[int] = ()
+    directed: Any = 1.0
 
     def __init__(self, equations: "Equations", mode: Mode) -> None:
         self._ask(equations)
@@ -124,7 +131,7 @@ class YieldingRows:
     def _grip(self, normal: int, lam: Sequence[Any]) -> Any:
         """What is left of friction that sticks to its largest, by the row of the normal."""
         push, x, y = lam[normal : normal + 3]
-        return self._mu[normal] * push - ca.hypot(x, y)
+        return self._mu[normal] * push - ca.sqrt(x * x + y * y)
 
 
 def _gains(blocks: Sequence[Any]) -> list[tuple[float, float]]:
@@ -137,7 +144,7 @@ def _frictions(blocks: Sequence[Any]) -> dict[int, float]:
     """Coefficients of contacts, by the rows of their normals."""
     first, found = 0, dict[int, float]()
     for block in blocks:
-        found |= {cone.slots.start: cone.mu for cone in block.cones(first)}
+        found |= {cone.slots.start: float(cone.mu) for cone in block.cones(first)}
         first += len(block.rows)
     return found
 

@@ -19,8 +19,8 @@ from mbd_ros.core.thresholds import TINY
 OPEN: Mode = (1, 1, 1)
 STICKS: Mode = (0, 0, 0)
 _SHARED = 1.0e-9  # of the largest multiplier: what a share at the end of a law may leave
-_PASSED = 2.0e-12  # the same: by which rounding may pass a law, where it is met for long
-_CHANGE = 0.5  # of a slip, in a step: so steps get short with it, and keep their order
+PASSED = 2.0e-12  # the same: by which rounding may pass a law, where it is met for long
+CHANGE = 0.5  # of a slip, in a step: so steps get short with it, and keep their order
 _TOGETHER = 2.0e4  # times the slip that counts as none: slips as slow as that end together
 
 
@@ -88,7 +88,7 @@ class ContactModes:
 
     def _left(self, margin: float, most: float) -> float:
         is_shared = self._contacts.forces.split is Split.LAWFUL
-        return most if is_shared and margin < _SHARED * most else margin + _PASSED * most
+        return most if is_shared and margin < _SHARED * most else margin + PASSED * most
 
     def leaving(self, lam: Array, left: Array, slack: Array, mode: Mode) -> dict[int, int]:
         """Modes in which contacts that shared their force go on, where no share is left.
@@ -170,7 +170,7 @@ class ContactModes:
             slip = self._contacts.moving[c]
             if slip is not None and not is_fine(mode[i + 1 : i + 3]):
                 rate = math.hypot(*left[i + 1 : i + 3])
-                length = min(length, _CHANGE * math.hypot(*slip) / max(rate, TINY))
+                length = min(length, CHANGE * math.hypot(*slip) / max(rate, TINY))
         return length
 
     def renamed(self, left: Array, slack: Array, chosen: Collection[int]) -> dict[int, int]:

@@ -15,24 +15,25 @@ import numpy as np
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.core.thresholds import ON_SURFACE
 
-_NO_SLIP = 100.0 * ON_SURFACE  # of 1 + the largest velocity: how slow a slip may end
-_SLOW = 1.0e4  # times that: from where the direction of a slip that ends is that of its name
-_FAST = 8.0  # times that: where a slip that did not end follows its velocity again
-_TURNED = 0.8  # cosine of the angle from which a direction is named anew
-_GROWN = 5  # factor of the names of slips that are not slow
-_ENDING, _STRAIGHT = 2**30, 2**51  # how long names are of slips that end, and of straight ones
+NO_SLIP = 100.0 * ON_SURFACE  # of 1 + the largest velocity: how slow a slip may end
+SLOW = 1.0e4  # times that: from where the direction of a slip that ends is that of its name
+FAST = 8.0  # times that: where a slip that did not end follows its velocity again
+TURNED = 0.8  # cosine of the angle from which a direction is named anew
+COARSE = 3  # the largest number of a name that is not fine
+GROWN = 5  # factor of the names of slips that are not slow
+_ENDING, STRAIGHT = 2**30, 2**51  # how long names are of slips that end, and of straight ones
 _NO_TURN = 0.01  # of the slack of a rate: one across a slip that leaves it straight
-_STRAY = 1.0e-9  # of a straight slip: how fast it may be across the direction of its name
+STRAY = 1.0e-9  # of a straight slip: how fast it may be across the direction of its name
 
 
 def slowest(x: State) -> float:
     """Slip velocity that counts as none."""
-    return _NO_SLIP * (1.0 + float(np.abs(x.v).max()))
+    return NO_SLIP * (1.0 + float(np.abs(x.v).max()))
 
 
 def begun(along: Array) -> Mode:
     """Name of a slip that begins along an acceleration, shape (2,): it is straight at first."""
-    return _finely(along, _STRAIGHT) if along.any() else (1, 1)
+    return _finely(along, STRAIGHT) if along.any() else (1, 1)
 
 
 def named(slip: Array, rate: Array, slack: float, slow: float) -> Mode:
@@ -46,15 +47,15 @@ def named(slip: Array, rate: Array, slack: float, slow: float) -> Mode:
     """
     size = math.hypot(*slip)
     if abs(float(slip[0] * rate[1] - slip[1] * rate[0])) <= _NO_TURN * slack * size:
-        return _finely(slip, _STRAIGHT)
-    if size > 2.0 * _SLOW * slow:
-        return tuple(_GROWN * each for each in _coarsely(slip))
+        return _finely(slip, STRAIGHT)
+    if size > 2.0 * SLOW * slow:
+        return tuple(GROWN * each for each in _coarsely(slip))
     return _finely(slip, _ENDING) if slip.dot(rate) < 0.0 else _coarsely(slip)
 
 
 def is_fine(name: Mode) -> bool:
     """Whether the direction of a slip is that of its name."""
-    return max(abs(name[0]), abs(name[1])) > 3 * _GROWN
+    return max(abs(name[0]), abs(name[1])) > COARSE * GROWN
 
 
 def direction(slip: Array, name: Mode) -> Array:
@@ -75,11 +76,11 @@ def ends(slip: Array, name: Mode, x: State) -> tuple[float, ...]:
     size, none = math.hypot(*name), slowest(x)
     along = float(slip.dot(name)) / size
     if not is_fine(name):
-        return (along - _SLOW * none if _is_grown(name) else along,)
-    if size < _STRAIGHT:
-        return along, _FAST * _SLOW * none - along
+        return (along - SLOW * none if _is_grown(name) else along,)
+    if size < STRAIGHT:
+        return along, FAST * SLOW * none - along
     across = float(slip[0] * name[1] - slip[1] * name[0]) / size
-    return along, none + _STRAY * abs(along) - abs(across)
+    return along, none + STRAY * abs(along) - abs(across)
 
 
 def has_turned(slip: Array, name: Mode, slow: float) -> bool:
@@ -88,14 +89,14 @@ def has_turned(slip: Array, name: Mode, slow: float) -> bool:
     if is_fine(name) or size <= slow:
         return False
     is_grown = _is_grown(name)
-    if size > 2.0 * _SLOW * slow and not is_grown:
+    if size > 2.0 * SLOW * slow and not is_grown:
         return True
-    return bool(slip.dot(name) < _TURNED * size * math.hypot(*name))
+    return bool(slip.dot(name) < TURNED * size * math.hypot(*name))
 
 
 def _coarsely(slip: Array) -> Mode:
     size = math.hypot(*slip)
-    return tuple(min(2 * math.floor(2.0 * float(each) / size) + 1, 3) for each in slip)
+    return tuple(min(2 * math.floor(2.0 * float(each) / size) + 1, COARSE) for each in slip)
 
 
 def _finely(slip: Array, length: int) -> Mode:
@@ -104,4 +105,4 @@ def _finely(slip: Array, length: int) -> Mode:
 
 
 def _is_grown(name: Mode) -> bool:
-    return name[0] % _GROWN == 0 and name[1] % _GROWN == 0
+    return name[0] % GROWN == 0 and name[1] % GROWN == 0
