@@ -3,7 +3,6 @@
 import re
 import time
 
-import numpy as np
 import pytest
 from test_compiled_events import ROBOTS, simulations, table
 
@@ -43,8 +42,8 @@ def compared(scene, method, dt, duration, near=1e-9):
 
 
 def kind(event):
-    """What happened. Directions of slips differ by rounding; so does which vertex is the first."""
-    return {re.sub(r"vertex_\d", "vertex", one) for one in event.guards}, [
+    """What happened. Directions of slips differ by rounding; so does which point is the first."""
+    return {re.sub(r"point_\d", "point", one) for one in event.guards}, [
         way != 0 for way in event.after.mode
     ]
 
@@ -69,19 +68,20 @@ def test_a_thrown_ball_bounces_slides_and_rolls_as_in_plain_steps(method):
     compared(thrown(), method, 0.01, 1.5)
 
 
-@pytest.mark.parametrize("name", ["bouncing_ball", "sphere_on_plane", "block_on_incline"])
-def test_scenes_of_free_bodies_have_the_same_events(name):
-    scene = load_scene(f"{SCENES}{name}.yaml")
-    compiled = compared(scene, Rk4(), 0.01, 1.5)
-    assert compiled.stepper.handed_over <= len(compiled.events) + 1
-
-
-def test_a_table_whose_legs_share_a_load_stands_in_native_steps():
-    scene = load_scene(f"{SCENES}four_legged_table.yaml")
-    compiled, plain = simulations(scene, Dop853(), 0.01)
-    rows, wanted = (table(each.run(scene.initial, 0.3)) for each in (compiled, plain))
-    assert rows == pytest.approx(wanted, abs=1e-15)
-    assert not compiled.stepper.handed_over
+def test_a_block_slides_on_four_feet_and_stays_where_it_stops():
+    """Three feet of them carry it as well: statics does not say how they share its weight."""
+    down = {
+        "frame": "block",
+        "points": [[x, y, -0.05] for x in (-0.1, 0.1) for y in (-0.05, 0.05)],
+    }
+    turn = [0.0, -0.3490658503988659, 0.0]
+    pose = {"xyz": [-0.017101007166283436, 0.0, 0.04698463103929542], "rpy": turn}
+    block = {"shape": {"box": [0.2, 0.1, 0.1]}, "mass": 2.0, "pose": pose}
+    plane = {"half_space": [0, 0, 1], "rpy": turn}
+    entries = {"contacts": [{"type": "rigid", "between": [down, plane], "friction": 0.5}]}
+    entries["initial"] = {"twist": {"block": {"linear": [3.0, 0.0, 0.0]}}}
+    compiled = compared(scene_from({"bodies": {"block": block}, **entries}), Rk4(), 0.01, 0.6)
+    assert compiled.stepper.handed_over <= 2
 
 
 def test_a_stool_on_three_feet_turns_as_it_slides():
@@ -91,20 +91,17 @@ def test_a_stool_on_three_feet_turns_as_it_slides():
     twist = {"linear": [1.5, 0.3, 0.0], "angular": [0.0, 0.0, 3.0]}
     entries = {"contacts": [{**contact, "friction": 0.3, "restitution": 0.2}]}
     entries["initial"] = {"twist": {"stool": twist}}
-    compared(scene_from({"bodies": {"stool": box}, **entries}), Rk4(), 0.01, 1.0)
+    compared(scene_from({"bodies": {"stool": box}, **entries}), Rk4(), 0.01, 0.5)
 
 
-def test_contacts_cost_less_than_a_third_of_the_plain_tier():
+def test_a_sphere_begins_to_roll_at_a_third_of_the_cost_of_plain_steps():
     """Measured: 14 times less; a shared machine needs some margin."""
-    scene = load_scene(f"{SCENES}sphere_on_plane.yaml")
-    seconds = []
+    scene, seconds = load_scene(f"{SCENES}sphere_on_plane.yaml"), []
+    assert compared(scene, Rk4(), 0.01, 1.5).stepper.handed_over <= 2
     for simulation in simulations(scene, Rk4(), 0.01):
-        best = np.inf
-        for _ in range(2):
-            begin = time.process_time()
-            list(simulation.run(scene.initial, 1.5))
-            best = min(best, time.process_time() - begin)
-        seconds.append(best)
+        begin = time.process_time()
+        list(simulation.run(scene.initial, 1.5))
+        seconds.append(time.process_time() - begin)
     assert 3.0 * seconds[0] < seconds[1]
 
 
@@ -124,4 +121,4 @@ def reaching(friction, height):
 
 
 def test_an_arm_that_meets_a_rough_plane_bounces_and_sticks_as_in_plain_steps():
-    compared(reaching(3.0, 0.9), Rk4(), 1e-3, 0.6)
+    compared(reaching(3.0, 0.9), Rk4(), 1e-3, 0.3)

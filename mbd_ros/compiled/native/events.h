@@ -22,27 +22,34 @@ static double rounding(const double *q, const double *w) {
   return ON_SURFACE * (1.0 + fmax(largest(NQ, q), largest(NV, w)));
 }
 
-/* Inputs and internal states as functions of the scene take them; `u` may be used for them. */
-static const double *given(const Options *o, Run *r, double t, const double *w, double *z,
-                           double *u) {
+/* What forces say of the mode at a state: margins, rates of slips, and how long a step may be. */
+static void ask_forces(const Options *o, Run *r, double t, const double *q, const double *w,
+                       double *margins, double *rates, double *length) {
+  double whole[NOT_ZERO(NU)], z[NOT_ZERO(NZ)], a[NOT_ZERO(NW)];
+  const double *u = r->u;
+  double health = r->health;
+  evaluate(o, r, t, q, w, a);
+  r->health = health;  /* that of steps counts */
+  r->evaluations -= 1.0;
   for (long i = 0; i < NZ; i++) z[i] = fmin(fmax(w[NV + i], o->lower[i]), o->upper[i]);
-  if (!NU || !o->smooth) return r->u;
-  complete_inputs(o, r->u, t, u);
-  return u;
+  if (NU && o->smooth) {
+    complete_inputs(o, r->u, t, whole);
+    u = whole;
+  }
+  answers(&t, q, w, z, u, o->p, a, r->pushes, margins, rates, length, r->work);
 }
 
 /* Whether the margins of a state are those of the mode; `spans` of rows, rates of heights. */
 static int is_in_mode(const Options *o, Run *r, double t, const double *q, const double *w,
                       double *spans, double *rates) {
   double slack = rounding(q, w), of_forces[NOT_ZERO(ANSWERS)], more[MODES], margins[MODES];
-  double whole[NOT_ZERO(NU)], z[NOT_ZERO(NZ)], names;
+  double names, length;
   int is_kept = 1;
   heights(&t, q, w, o->p, margins, rates, spans, &names, r->work);
   for (long i = 0; i < MODES; i++)
     if (!(margins[i] >= (r->left[i] ? -slack : 0.0))) is_kept = 0;
   if (ASKS_ALWAYS || has_on(o)) {
-    const double *u = given(o, r, t, w, z, whole);
-    answers(&t, q, w, z, u, o->p, of_forces, more, r->work);
+    ask_forces(o, r, t, q, w, of_forces, more, &length);
     for (long i = 0; i < ANSWERS; i++)
       if (!(of_forces[i] >= 0.0)) is_kept = 0;
     for (long i = 0; i < MODES; i++) rates[i] += more[i];
@@ -78,14 +85,13 @@ static int look(const Options *o, Run *r) {
 /* Ends a step where slips that turn have changed by much; they may need other names before it. */
 static int follow_slips(const Options *o, Run *r, double *end) {
 #if CONTACTS
-  double margins[MODES], rates[MODES], spans[MODES], names, length;
-  double whole[NOT_ZERO(NU)], z[NOT_ZERO(NZ)];
+  double margins[MODES], rates[MODES], spans[MODES], of_forces[NOT_ZERO(ANSWERS)];
+  double names, length;
   if (!has_on(o)) return DONE;
   heights(&r->t, r->q, r->w, o->p, margins, rates, spans, &names, r->work);
   if (names == 0.0) return RENAMED;
   if (names > 1.0) {
-    const double *u = given(o, r, r->t, r->w, z, whole);
-    longest(&r->t, r->q, r->w, z, u, o->p, &length, r->work);
+    ask_forces(o, r, r->t, r->q, r->w, of_forces, rates, &length);
     *end = fmin(*end, r->t + length);
   }
 #endif

@@ -104,6 +104,7 @@ typedef struct {
   double left[NOT_ZERO(MODES)];  /* rows that are just being left: rounding does not count there */
   double end_of_memory;
   real health;
+  real pushes[NOT_ZERO(NH + MODES)];  /* multipliers of rows, as evaluated last, where some give way */
   double evaluations, interval;
   real work[NOT_ZERO(WORK)];
 } Run;
@@ -205,7 +206,11 @@ static void evaluate(const Options *o, Run *r, double t, const real *q, const re
   }
 #endif
   for (long i = 0; i < NZ; i++) z[i] = inside(o, i, w[NV + i]);
+#if MODES
+  accelerate(&now, q, w, z, u, o->p, out, out + NV, &health, r->pushes, r->work);
+#else
   accelerate(&now, q, w, z, u, o->p, out, out + NV, &health, r->work);
+#endif
   r->evaluations += 1.0;
   r->health = real_fmin(health, r->health);
 }

@@ -82,7 +82,6 @@ class Sizes(NamedTuple):
             names.append("settle")
         if self.modes:
             names += ["heights", "answers"]
-        names += ["longest"] * bool(self.contacts)
         names += ["land"] * bool(self.gaps) + ["stay"] * bool(self.stays)
         return tuple(names)
 

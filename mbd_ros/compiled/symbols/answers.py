@@ -30,10 +30,11 @@ class Answers:
         self._equations = equations
 
     def accelerate(self) -> list[Any]:
-        """Accelerations, rates of the internal states, health of the rows."""
+        """Accelerations, rates of internal states, health; multipliers if rows switch."""
         e = self._equations
         solution = e.chosen[1]
-        return [e.speeding(solution.a), e.rates, health(e, solution, switches=True)]
+        found = [e.speeding(solution.a), e.rates, health(e, solution, switches=True)]
+        return [*found, ca.vertcat(*solution.lam)] if e.switches else found
 
     def multipliers(self) -> list[Any]:
         """Accelerations of all joints, and multipliers."""
@@ -70,12 +71,14 @@ class Answers:
         return [*(ca.vertcat(*one) for one in looks), rows.names()]
 
     def answers(self) -> list[Any]:
-        """Margins of multipliers and demands; rates of slips, one a row that gives way."""
-        return [ca.vertcat(*one) for one in self._switched.answers(*self._equations.solved)]
-
-    def longest(self) -> list[Any]:
-        """Length of a step in which directions of slips are followed."""
-        return [self._switched.longest(self._equations.solved[0])]
+        """Margins of multipliers and demands, rates of slips; the length of a step."""
+        e, rows = self._equations, self._switched
+        a, lam = (scalars(e.symbols[key]) for key in "al")
+        if e.axes is not None:
+            a = e.axes.slowing(a, scalars(e.symbols["v"]))
+        a = [ca.SX(one) for one in e.coordinates.lifted(a)]
+        looks = rows.answers(a, rows.multipliers(lam[e.mh :]))
+        return [*(ca.vertcat(*one) for one in looks), rows.longest(a)]
 
     def land(self) -> list[Any]:
         """A step of Newton's method onto the gaps that are on, and their g."""
@@ -102,8 +105,7 @@ class Answers:
         if e.soft:
             soft = [*[0.0] * len(still), *(e.soft[e.mh + i] for i in chosen)]
         factors = e.beside(held.beside(on), slack, soft)
-        given = [ZERO] * e.nv, [*still, *(-one for one in left)]
-        return (factors.balanced(*given) if any(soft) else factors.solve(*given)).a
+        return factors.solve([ZERO] * e.nv, [*still, *(-one for one in left)]).a
 
     @property
     def _switched(self) -> SwitchedRows:

@@ -29,8 +29,7 @@ ARGUMENTS = {  # of every function, in their order
     "balance_slopes": "tqvzupal",
     "guards": "tqvzup",
     "heights": "tqvp",
-    "answers": "tqvzup",
-    "longest": "tqvzup",
+    "answers": "tqvzupal",
     "land": "tqp",
     "stay": "tqvp",
 }
@@ -58,10 +57,11 @@ class Traced:
     balance_slopes(the same) -> of both, stacked, by steps of q, by v and by z.
     guards(t, q, v, z, u, p) -> margins of rows that give way in the mode, as `margins` lists them,
     then the values of the guards of parts.
-    heights(t, q, v, p) -> (margins, rates, spans, names), answers(t, q, v, z, u, p) -> (margins,
-    rates) of rows that give way, in all modes: margins of heights and slips, and of multipliers,
-    positive while a mode goes on. Names are 0 where a slip should have another one, 2 where one
-    turns with its velocity: longest(t, q, v, z, u, p) is the length of a step then.
+    heights(t, q, v, p) -> (margins, rates, spans, names), answers(t, q, v, z, u, p, a, lam) ->
+    (margins, rates, length) of rows that give way, in all modes: margins of heights and slips, and
+    of multipliers, positive while a mode goes on. Names are 0 where a slip should have another
+    one, 2 where one turns with its velocity: length [s] is how long a step may be then. `a` and
+    `lam` are those of `accelerate`, which gives `lam` as its fourth result then.
     land(t, q, p) -> (dq, g), stay(t, q, v, p) -> (dv, rate) onto the rows that are on.
     integrate(q, dq) -> q (+) dq, rate(dq, v) -> the rate of dq: for charts that are not flat.
 

@@ -9,7 +9,7 @@ from typing import Any
 from mbd_ros.compiled.symbols import turns
 from mbd_ros.compiled.symbols.curved import CurvedChart, turn_rate, turned
 from mbd_ros.compiled.symbols.moving_tree import rotation_of
-from mbd_ros.compiled.symbols.turns import Vector, cross, plus, through, transposed
+from mbd_ros.compiled.symbols.turns import Vector, cross, minus, plus, through, transposed
 
 
 class WorldChart(CurvedChart):
@@ -64,6 +64,14 @@ class WorldAxes:
             turning = cross(tuple(v[at + 3 : at + 6]), along)
             found[at : at + 3] = plus(tuple(found[at : at + 3]), turning)
         return found
+
+    def slowing(self, a: Sequence[Any], v: Sequence[Any]) -> list[Any]:
+        """The reverse of `rate`."""
+        found = list(a)
+        for at in self._axes:
+            turning = cross(tuple(v[at + 3 : at + 6]), tuple(v[at : at + 3]))
+            found[at : at + 3] = minus(tuple(a[at : at + 3]), turning)
+        return self.in_own_axes(found)
 
     def _vectors(self) -> Iterator[tuple[int, turns.Matrix]]:
         for at, R in self._axes.items():
