@@ -164,17 +164,25 @@ def test_a_simulation_that_is_too_slow_says_so_and_stretches_no_step(domain, tmp
 
 
 def played(client, bag, out, by_service):
-    """Play a bag of commands in lock step, a tick a command; record the joint states."""
+    """Play a bag of commands in lock step, a tick a command; record the joint states once each."""
     first = len(client.states)
+
+    def ticks():
+        """Stamp -> state; before the first tick, and without a command, states are repeated."""
+        found = {
+            client.sample(k).stamp: client.states[k] for k in range(first, len(client.states))
+        }
+        return {stamp: state for stamp, state in found.items() if stamp >= MS}
+
     commands = [m for _, _, m in messages(bag, {f"{NAME}/commands": VECTOR})]
     for message in commands:
         client.command(message.data)
         if by_service:
             client.step()
-    client.probe.spin_until(lambda: len(client.states) >= first + len(commands))
+    client.probe.spin_until(lambda: len(ticks()) >= len(commands))
     with BagWriter(out) as writer:
-        for k in range(first, len(client.states)):
-            writer.write("/joint_states", STATE, client.sample(k).stamp, client.states[k])
+        for stamp, state in ticks().items():
+            writer.write("/joint_states", STATE, stamp, state)
     return [(raw.log_time, raw.cdr) for raw in raw_messages(out)]
 
 
