@@ -15,8 +15,9 @@ from mbd_ros.cli import main
 from mbd_ros.errors import DataError
 from mbd_ros.files.csv import read_table, write_table
 from mbd_ros.files.spool import Spool, StampSpool
-from mbd_ros.jobs.inverse.banded import solve_banded
+from mbd_ros.jobs.inverse.banded import Banded
 from mbd_ros.jobs.inverse.cell_basis import CellBasis
+from mbd_ros.jobs.inverse.long_stamps import Windows
 from mbd_ros.jobs.inverse.spectrum import spectrum
 from mbd_ros.jobs.inverse.uniform_basis import UniformBasis
 from mbd_ros.jobs.inverse.zero_phase import chosen_cutoffs, low_passed, smoothed, zero_phase
@@ -203,7 +204,8 @@ def test_cutoff_is_the_frequency_of_half_power_without_lag(rate):
         share, lag = np.linalg.lstsq(np.column_stack(basis), got[inner, 0], rcond=None)[0]
         assert share == pytest.approx(np.sqrt(0.5), abs=0.03)
         assert abs(lag) < 1e-5
-    (passed,) = low_passed(stamps_of(t), motion(((1.0, 3.0),), t), found.cutoff)
+    windows = Windows(stamps_of(t), found.cutoff)
+    (passed,) = low_passed(windows, motion(((1.0, 3.0),), t), found.cutoff)
     assert passed == pytest.approx(found.position, abs=1e-12)
 
 
@@ -278,11 +280,11 @@ def test_banded_equations_are_solved_as_by_lapack(count):
             whole[5 - d, k + d : k + 6] += row[: 6 - d] * row[d:]
     whole[5] += 1.0
     known = rng.normal(size=(count + 5, 3))
-    found, expected = solve_banded(whole, known), solveh_banded(whole, known)
+    found, expected = Banded(whole).solve(known), solveh_banded(whole, known)
     assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
     whole[5, count // 2] = -1.0
     with pytest.raises(np.linalg.LinAlgError):
-        solve_banded(whole, known)
+        Banded(whole)
 
 
 @pytest.mark.parametrize("uneven", [0.0, 0.3, 5.0])
@@ -294,11 +296,16 @@ def test_sums_cell_by_cell_are_those_sample_by_sample(uneven):
         places = np.sort(np.r_[places + uneven * rng.uniform(size=400), 7 + rng.uniform(size=90)])
         places = places[(places < 20) | (places > 23)]
     weights, values = rng.uniform(0.5, 1.0, len(places)), rng.normal(size=(len(places), 3))
-    ours, theirs = (kind(places, 45) for kind in (CellBasis, UniformBasis))
+    ours, theirs = (kind(places, 45, weights) for kind in (CellBasis, UniformBasis))
     coefficients = rng.normal(size=(50, 3))
-    pairs = [(ours.normal(weights), theirs.normal(weights))]
-    pairs += [(ours.projected(weights, values), theirs.projected(weights, values))]
-    pairs += [(b.derivative(coefficients, k) for b in (ours, theirs)) for k in range(3)]
+    pairs = [(ours.normal(), theirs.normal())]
+    pairs += [(ours.projected(values), theirs.projected(values))]
+    for basis in (ours, theirs):
+        found = np.full((3, len(places) - 20, 4), np.nan)
+        wanted = [(k, slice(1, 3), found[k], np.array([3, 0])) for k in range(3)]
+        basis.put(coefficients, 2.0, wanted, slice(5, len(places) - 15))
+        pairs += [(found[..., [3, 0]], found[..., [3, 0]])]
+    pairs[2:] = [(pairs[2][0], pairs[3][0])]
     for found, expected in pairs:
         assert np.abs(found - expected).max() <= 1e-13 * np.abs(expected).max()
 
@@ -336,9 +343,10 @@ def test_stamps_in_a_file_are_as_good_as_in_memory(tmp_path, monkeypatch):
             def __getitem__(self, rows):
                 return position[rows], None
 
-        given = StampSpool(stamps), Moving(), np.zeros(2, dtype=bool)
-        cutoff = chosen_cutoffs(*given, None)
-        rows = [found for _, *found in smoothed(*given, cutoff)]
+        moving = Moving(), np.zeros(2, dtype=bool)
+        cutoff = chosen_cutoffs(StampSpool(stamps), *moving, None)
+        windows = Windows(StampSpool(stamps), cutoff)
+        rows = [found for _, *found in smoothed(windows, *moving, cutoff)]
     assert (cutoff == whole.cutoff).all() and len(rows) > 2
     for k, theirs in enumerate(whole[:3]):
         assert (np.concatenate([each[k] for each in rows]) == theirs).all()

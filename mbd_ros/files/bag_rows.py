@@ -87,7 +87,9 @@ def _append(
         put_pieces(data, at + RECORD.itemsize, part.cdr)
     index: dict[int, list[Any]] = {c: [found] for c, found in storage.chunk.msgs.items()}
     for part, channel, at in zip(parts, channels, each, strict=True):
-        index.setdefault(channel, []).append(np.stack((part.log_times, at), axis=1))
+        by_place = np.argsort(at, kind="stable")
+        own = np.stack((part.log_times[by_place], at[by_place]), axis=1)
+        index.setdefault(channel, []).append(own)
     entries = {channel: np.concatenate(found) for channel, found in index.items()}
     for begin, end in itertools.pairwise(_ends_of_chunks(ends)):
         _write_chunk(storage, data[begin:end], list(_within(entries, begin, end)))
@@ -113,9 +115,9 @@ def _within(
 ) -> Iterator[tuple[int, NDArray[np.int64]]]:
     """Channels and entries of the messages of a chunk."""
     for channel, entries in index.items():
-        inside = entries[(entries[:, 1] >= begin) & (entries[:, 1] < end)]
-        if len(inside):
-            yield channel, inside - (0, begin)
+        first, last = np.searchsorted(entries[:, 1], (begin, end))
+        if last > first:
+            yield channel, entries[first:last] - (0, begin)
 
 
 def _write_chunk(

@@ -86,6 +86,7 @@ class InverseDynamics:
         self._floats = robot.floating
         self._is_free = not (couplings.dependent or wrenches or forces)
         self._loads = BodyLoads(robot, self.wrenches)
+        self._pool: Any = None  # of models, made for the first batch
 
     def solve(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
@@ -139,9 +140,13 @@ class InverseDynamics:
             tau = np.array([s.tau for s in solved]).reshape(n, velocity.shape[1])
             multipliers = np.array([s.multipliers for s in solved]).reshape(n, dependent)
             return self._torques(tau, multipliers)
-        chunks, pool = range(0, max(len(position), 1), _CHUNK), pin.ModelPool(self._model, 1)
+        chunks = range(0, max(len(position), 1), _CHUNK)
+        if self._pool is None:
+            self._pool = pin.ModelPool(self._model, 1)
         chunked = [
-            self._chunk(pool, *(x[i : i + _CHUNK] for x in (position, velocity, acceleration)))
+            self._chunk(
+                self._pool, *(x[i : i + _CHUNK] for x in (position, velocity, acceleration))
+            )
             for i in chunks
         ]
         tau, multipliers = (np.concatenate(each) for each in zip(*chunked, strict=True))
@@ -158,12 +163,12 @@ class InverseDynamics:
         """Unloaded torques of so many samples that they stay in the cache."""
         n, couplings = len(position), self.couplings
         nq, nv = self._model.nq, self._model.nv
-        q, v, a = np.empty((nq, n)), np.empty((nv, n)), np.empty((nv, n))
+        q, v, a = (np.empty((size, n), order="F") for size in (nq, nv, nv))
         q[couplings.q_index] = position.T
         v[couplings.v_index], a[couplings.v_index] = velocity.T, acceleration.T
         slopes = couplings.expand(q, v, a)
         tau = np.empty((nv, n), order="F")
-        pin.rneaInParallel(1, pool, *map(np.asfortranarray, (q, v, a)), tau)
+        pin.rneaInParallel(1, pool, q, v, a, tau)
         reduced, multipliers = couplings.reduce(tau, slopes)
         return reduced.T, multipliers.T
 

@@ -11,89 +11,113 @@ _GROUP = 4  # blocks, the last of which stays for the next round
 _FEW = 12  # blocks that are solved at once
 
 
-def solve_banded(band: Array, known: Array) -> Array:
-    """Solution x of A x = b, A symmetric and positive definite.
+class Banded:
+    """A x = b, A symmetric and positive definite, prepared for several b.
 
     Args:
         band: A in upper banded form: row k - d has the diagonal d above the main one, from column
             d on; shape (k + 1, n).
-        known: b, shape (n, m).
-
-    Returns:
-        Shape (n, m).
 
     Raises:
         numpy.linalg.LinAlgError: A is not positive definite.
     """
-    k, n = len(band) - 1, band.shape[1]
-    count = -(-n // k)
-    rows = np.zeros((k + 1, count * k + k))
-    rows[0, n:] = 1.0
-    for d in range(k + 1):
-        rows[d, : max(n - d, 0)] = band[k - d, d:]
-    diagonal, beside = np.zeros((2, count, k, k))
-    for i in range(k):
+
+    def __init__(self, band: Array) -> None:
+        k, self._n = len(band) - 1, band.shape[1]
+        count = -(-self._n // k)
+        rows = np.zeros((k + 1, count * k))
+        rows[0, self._n :] = 1.0
         for d in range(k + 1):
-            of_block, j = rows[d, i : count * k : k], i + d
-            if j < k:
-                diagonal[:, i, j] = diagonal[:, j, i] = of_block
-            else:
-                beside[:, i, j - k] = of_block
-    padded = np.zeros((count * k, known.shape[1]))
-    padded[:n] = known
-    solved = _solved(diagonal, beside[:-1], padded.reshape(count, k, -1))
-    return solved.reshape(count * k, -1)[:n]
+            rows[d, : max(self._n - d, 0)] = band[k - d, d:]
+        diagonal, beside = np.zeros((2, count, k, k))
+        for i in range(k):
+            for d in range(k + 1):
+                j = i + d
+                if j < k:
+                    diagonal[:, i, j] = diagonal[:, j, i] = rows[d, i::k]
+                else:
+                    beside[:, i, j - k] = rows[d, i::k]
+        self._blocks = _blocks(diagonal, beside[:-1])
+
+    def solve(self, known: Array) -> Array:
+        """Solution for b of shape (n, m), same shape."""
+        count, k = self._blocks.shape
+        padded = np.zeros((count * k, known.shape[1]))
+        padded[: self._n] = known
+        return self._blocks.solve(padded.reshape(count, k, -1)).reshape(count * k, -1)[: self._n]
 
 
-def _solved(diagonal: Array, beside: Array, known: Array) -> Array:
-    """Solution of symmetric equations in blocks, each coupled with the next alone.
-
-    Of each group the last block stays; what is eliminated between them is all alike in size.
+def _blocks(diagonal: Array, beside: Array) -> "_Groups | _Dense":
+    """Symmetric equations in blocks, each coupled with the next alone.
 
     Args:
         diagonal: Blocks of the diagonal, shape (n, k, k).
         beside: Blocks that couple each with the next, shape (n - 1, k, k).
-        known: Shape (n, k, m).
     """
-    n, k, m = known.shape
-    if n <= _FEW:
-        return _dense(diagonal, beside, known)
-    count = -(-n // _GROUP)
-    lacking = count * _GROUP - n
-    diagonal = np.concatenate([diagonal, np.broadcast_to(np.eye(k), (lacking, k, k))])
-    beside = np.concatenate([beside, np.zeros((lacking + 1, k, k))])
-    known = np.concatenate([known, np.zeros((lacking, k, m))])
-    D, E, b = (a.reshape(count, _GROUP, k, -1) for a in (diagonal, beside, known))
-    inside, width = np.zeros((count, _GROUP - 1, k, _GROUP - 1, k)), (_GROUP - 1) * k
-    for i in range(_GROUP - 1):
-        inside[:, i, :, i] = D[:, i]
-    for i in range(_GROUP - 2):
-        inside[:, i, :, i + 1], inside[:, i + 1, :, i] = E[:, i], E[:, i].mT
-    couplings = np.zeros((count, _GROUP - 1, k, 2 * k))  # with the group before, and the last
-    couplings[1:, 0, :, :k] = E[:-1, -1].mT
-    couplings[:, -1, :, k:] = E[:, -2]
-    couplings = couplings.reshape(count, width, 2 * k)
-    sides = np.concatenate([couplings, b[:, :-1].reshape(count, width, m)], axis=2)
-    inside = inside.reshape(count, width, width)
-    np.linalg.cholesky(inside)  # raises
-    found = np.linalg.solve(inside, sides)
-    handed = couplings.mT @ found
-    left, right = D[:, -1] - handed[:, k:, k : 2 * k], b[:, -1] - handed[:, k:, 2 * k :]
-    left[:-1] -= handed[1:, :k, :k]
-    right[:-1] -= handed[1:, :k, 2 * k :]
-    last = _solved(left, -handed[1:, :k, k : 2 * k], right)
-    around = np.concatenate([np.concatenate([np.zeros_like(last[:1]), last[:-1]]), last], axis=1)
-    within = (found[:, :, 2 * k :] - found[:, :, : 2 * k] @ around).reshape(count, -1, k, m)
-    return np.concatenate([within, last[:, None]], axis=1).reshape(-1, k, m)[:n]
+    return (_Dense if len(diagonal) <= _FEW else _Groups)(diagonal, beside)
 
 
-def _dense(diagonal: Array, beside: Array, known: Array) -> Array:
-    n, k, m = known.shape
-    whole = np.zeros((n, k, n, k))
-    for i in range(n):
-        whole[i, :, i] = diagonal[i]
-    for i in range(n - 1):
-        whole[i, :, i + 1], whole[i + 1, :, i] = beside[i], beside[i].T
-    matrix = whole.reshape(n * k, n * k)
-    np.linalg.cholesky(matrix)  # raises
-    return np.linalg.solve(matrix, known.reshape(n * k, m)).reshape(n, k, m)
+class _Groups:
+    """Of each group the last block stays; what is eliminated between them is alike in size."""
+
+    def __init__(self, diagonal: Array, beside: Array) -> None:
+        n, k, _ = diagonal.shape
+        self.shape = n, k
+        count = -(-n // _GROUP)
+        lacking = count * _GROUP - n
+        identities = np.broadcast_to(np.eye(k), (lacking, k, k))
+        D = np.concatenate([diagonal, identities]).reshape(count, _GROUP, k, k)
+        E = np.concatenate([beside, np.zeros((lacking + 1, k, k))]).reshape(D.shape)
+        width = (_GROUP - 1) * k
+        inside = np.zeros((count, _GROUP - 1, k, _GROUP - 1, k))
+        for i in range(_GROUP - 1):
+            inside[:, i, :, i] = D[:, i]
+        for i in range(_GROUP - 2):
+            inside[:, i, :, i + 1], inside[:, i + 1, :, i] = E[:, i], E[:, i].mT
+        inside = inside.reshape(count, width, width)
+        np.linalg.cholesky(inside)  # raises
+        sides = np.zeros((count, _GROUP - 1, k, 2 * k))  # with the group before, and the last
+        sides[1:, 0, :, :k] = E[:-1, -1].mT
+        sides[:, -1, :, k:] = E[:, -2]
+        self._sides = sides.reshape(count, width, 2 * k)
+        self._inverse = np.linalg.inv(inside)
+        self._found = self._inverse @ self._sides
+        handed = self._sides.mT @ self._found
+        left = D[:, -1] - handed[:, k:, k:]
+        left[:-1] -= handed[1:, :k, :k]
+        self._left = _blocks(left, -handed[1:, :k, k:])
+
+    def solve(self, known: Array) -> Array:
+        """Solution for blocks of shape (n, k, m)."""
+        (n, k), m, count = self.shape, known.shape[2], len(self._inverse)
+        b = np.concatenate([known, np.zeros((count * _GROUP - n, k, m))])
+        b = b.reshape(count, _GROUP * k, m)
+        inside = self._inverse @ b[:, :-k]
+        handed = self._sides.mT @ inside
+        right = b[:, -k:] - handed[:, k:]
+        right[:-1] -= handed[1:, :k]
+        last = self._left.solve(right)
+        around = np.zeros((count, 2 * k, m))
+        around[1:, :k], around[:, k:] = last[:-1], last
+        inside -= self._found @ around
+        return np.concatenate([inside, last], axis=1).reshape(-1, k, m)[:n]
+
+
+class _Dense:
+    """All at once."""
+
+    def __init__(self, diagonal: Array, beside: Array) -> None:
+        n, k, _ = diagonal.shape
+        self.shape = n, k
+        whole = np.zeros((n, k, n, k))
+        for i in range(n):
+            whole[i, :, i] = diagonal[i]
+        for i in range(n - 1):
+            whole[i, :, i + 1], whole[i + 1, :, i] = beside[i], beside[i].T
+        self._whole = whole.reshape(n * k, n * k)
+        np.linalg.cholesky(self._whole)  # raises
+
+    def solve(self, known: Array) -> Array:
+        """See `_Groups`."""
+        solved = np.linalg.solve(self._whole, known.reshape(len(self._whole), -1))
+        return solved.reshape(known.shape)

@@ -2,7 +2,7 @@
 
 Within a cell every spline is a polynomial of u, the place from the middle of the cell on. So sums
 over the samples of a cell are those of powers of u, and values are polynomials of each cell: small
-products of matrices, a cell each.
+products of matrices, a cell each. A block of samples at a time stays in the cache.
 """
 
 import itertools
@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
-from mbd_ros.jobs.inverse.spline_pieces import DEGREE, pieces
+from mbd_ros.jobs.inverse.spline_pieces import DEGREE, Wanted, pieces
 
 _WIDTH = DEGREE + 1  # splines that are not 0 in a cell
 _LOOSE = 2.0  # places that rows of one length may take, per sample
+_BLOCK = 8192  # samples
 _MIDDLE = 0.5
 _PIECES = pieces(_MIDDLE)
 _UPPER = tuple(itertools.combinations_with_replacement(range(_WIDTH), 2))
@@ -25,93 +26,129 @@ _PAIRS = np.array([np.outer(_PIECES[p], _PIECES[q]).ravel() for p, q in _UPPER])
 class CellBasis:
     """What `UniformBasis` is, quicker where cells hold several samples.
 
-    Samples of a cell stand in one row, or in several where cells differ much.
-
     Args:
         places: In cells from the beginning on, increasing, shape (n,).
         cells: Number of cells; there are `cells + DEGREE` splines.
+        weights: Of the samples, shape (n,).
     """
 
-    def __init__(self, places: Array, cells: int) -> None:
-        places = np.clip(places, 0.0, cells)
-        self._cells, n = cells, len(places)
+    def __init__(self, places: Array, cells: int, weights: Array) -> None:
+        self._cells, self._blocks = cells, list[tuple[slice, _Block]]()
+        for begin in range(0, len(places), _BLOCK):
+            rows = slice(begin, min(begin + _BLOCK, len(places)))
+            block = _Block(np.clip(places[rows], 0.0, cells), cells, weights[rows])
+            self._blocks.append((rows, block))
+
+    def normal(self) -> Array:
+        """Sums of weight b_i b_j over the samples, upper banded form, (DEGREE + 1, splines)."""
+        found = np.zeros((_WIDTH, self._cells + DEGREE))
+        for _, block in self._blocks:
+            products = block.of_cells(block.weighted @ block.powers.transpose(1, 2, 0))
+            sums = _PAIRS @ products.reshape(-1, _WIDTH * _WIDTH).T
+            for (p, q), row in zip(_UPPER, sums, strict=True):
+                found[DEGREE - (q - p), block.own(q)] += row
+        return found
+
+    def projected(self, values: Array) -> Array:
+        """Sums of weight b_i y over the samples; values of shape (n, m), result (splines, m)."""
+        m = values.shape[1]
+        projected = np.zeros((self._cells + DEGREE, m))
+        for rows, block in self._blocks:
+            placed = block.placed(values[rows])
+            moments = block.of_cells(block.weighted @ placed)
+            sums = _PIECES @ moments.swapaxes(0, 1).reshape(_WIDTH, -1)
+            for p, of_cells in enumerate(sums.reshape(_WIDTH, -1, m)):
+                projected[block.own(p)] += of_cells
+        return projected
+
+    def put(self, coefficients: Array, width: float, wanted: Wanted, rows: slice) -> None:
+        """Derivatives of sums of splines at some samples.
+
+        Args:
+            coefficients: Shape (splines, m).
+            width: Of a cell [s].
+            wanted: See `spline_pieces.Wanted`.
+            rows: The samples.
+        """
+        for part, block in self._blocks:
+            own = slice(max(part.start, rows.start), min(part.stop, rows.stop))
+            if own.start >= own.stop:
+                continue
+            into = slice(own.start - rows.start, own.stop - rows.start)
+            each = np.stack([coefficients[block.own(p)] for p in range(_WIDTH)])
+            polynomials = (_PIECES.T @ each.reshape(_WIDTH, -1)).reshape(each.shape)
+            polynomials = block.of_rows(polynomials)
+            for order, columns, target, places in wanted:
+                factors = np.array([math.perm(k, order) for k in range(order, _WIDTH)])
+                factors = factors / width**order
+                those = polynomials[order:, :, columns] * factors[:, None, None]
+                powers = block.powers[: _WIDTH - order].transpose(1, 2, 0)
+                values = block.taken(powers @ those.swapaxes(0, 1))
+                inside = values[own.start - part.start : own.stop - part.start]
+                for column, place in zip(inside.T, places, strict=True):
+                    target[into, place] = column
+
+
+class _Block:
+    """Samples in rows of one length; a row belongs to a cell, a cell may have several.
+
+    Rows that are too long repeat the last sample of their cell, without weight.
+
+    Attributes:
+        powers: Of u, shape (6, rows, length).
+        weighted: The same times the weights, shape (rows, 6, length).
+    """
+
+    def __init__(self, places: Array, cells: int, weights: Array) -> None:
+        n = len(places)
         at = np.minimum(places.astype(np.intp), cells - 1)
         starts = np.flatnonzero(np.diff(at, prepend=-1))
         self._used = at[starts]  # cells that hold a sample
-        counts = np.diff(starts, append=n)
+        ends = np.append(starts[1:], n)
+        counts = ends - starts
         length = int(counts.max())
         if length * len(counts) > _LOOSE * n:
             length = max(n // len(counts), 1)
         self._of_cell = -(-counts // length)  # rows
         self._first = np.cumsum(self._of_cell) - self._of_cell
-        self._shape = int(self._of_cell.sum()), length
         self._places = np.repeat(self._first * length - starts, counts) + np.arange(n)
-        size = self._shape[0] * length
-        self._full = size == n  # every place of every row holds a sample
-        self._powers = np.zeros((_WIDTH, size))
-        self._powers[0, self._places] = 1.0
-        self._powers[1, self._places] = places - at - _MIDDLE
+        self._several = int(self._of_cell.max()) > 1
+        if self._several:
+            steps = np.arange(int(self._of_cell.sum())) - np.repeat(self._first, self._of_cell)
+            starts = np.repeat(starts, self._of_cell) + length * steps
+            ends = np.repeat(ends, self._of_cell)
+        samples = starts[:, None] + np.arange(length)
+        is_sample = samples < ends[:, None]
+        self._samples = np.minimum(samples, ends[:, None] - 1)
+        first, last = int(self._used[0]), int(self._used[-1])
+        self._span = slice(first, last + 1) if last - first + 1 == len(self._used) else None
+        self.powers = np.ones((_WIDTH, *samples.shape))
+        np.take(places - at - _MIDDLE, self._samples, out=self.powers[1])
         for k in range(2, _WIDTH):
-            np.multiply(self._powers[k - 1], self._powers[1], out=self._powers[k])
+            np.multiply(self.powers[k - 1], self.powers[1], out=self.powers[k])
+        weighted = self.powers * (np.take(weights, self._samples) * is_sample)
+        self.weighted = weighted.swapaxes(0, 1)
 
-    def normal(self, weights: Array) -> Array:
-        """Sums of weight b_i b_j over the samples, upper banded form, (DEGREE + 1, splines)."""
-        found = np.zeros((_WIDTH, self._cells + DEGREE))
-        products = self._by_cells(self._weighted(weights) @ self._by_rows(self._powers).mT)
-        sums = _PAIRS @ products.reshape(-1, _WIDTH * _WIDTH).T
-        for (p, q), row in zip(_UPPER, sums, strict=True):
-            found[DEGREE - (q - p), self._own(q)] += row
-        return found
+    def placed(self, values: Array) -> Array:
+        """Values of the samples, shape (n, m), in their places, shape (rows, length, m)."""
+        return np.take(values, self._samples, axis=0)
 
-    def projected(self, weights: Array, values: Array) -> Array:
-        """Sums of weight b_i y over the samples; values of shape (n, m), result (splines, m)."""
-        m = values.shape[1]
-        projected = np.zeros((self._cells + DEGREE, m))
-        placed = values
-        if not self._full:
-            placed = np.zeros((self._powers.shape[1], m))
-            placed[self._places] = values
-        moments = self._by_cells(self._weighted(weights) @ placed.reshape(*self._shape, m))
-        sums = _PIECES @ moments.swapaxes(0, 1).reshape(_WIDTH, -1)
-        for p, of_cells in enumerate(sums.reshape(_WIDTH, -1, m)):
-            projected[self._own(p)] += of_cells
-        return projected
+    def taken(self, placed: Array) -> Array:
+        """The other way round."""
+        return np.take(placed.reshape(-1, placed.shape[2]), self._places, axis=0)
 
-    def derivative(self, coefficients: Array, order: int) -> Array:
-        """Derivative by the place of sums of splines at the samples, shape (n, m).
+    def own(self, p: int) -> slice | NDArray[np.intp]:
+        """The spline p of each cell."""
+        span = self._span
+        return self._used + p if span is None else slice(span.start + p, span.stop + p)
 
-        Args:
-            coefficients: Shape (splines, m).
-            order: Of the derivative, 0 for the sums themselves.
-        """
-        m = coefficients.shape[1]
-        own = np.stack([coefficients[self._own(p)] for p in range(_WIDTH)]).reshape(_WIDTH, -1)
-        factors = np.array([math.perm(k, order) for k in range(order, _WIDTH)], dtype=np.float64)
-        polynomials = ((_PIECES[:, order:] * factors).T @ own).reshape(len(factors), -1, m)
-        if len(self._used) < self._shape[0]:
-            polynomials = np.repeat(polynomials, self._of_cell, axis=1)
-        powers = self._by_rows(self._powers[: _WIDTH - order])
-        values: Array = (powers.mT @ polynomials.swapaxes(0, 1)).reshape(-1, m)
-        return values if self._full else values[self._places]
-
-    def _own(self, p: int) -> slice | NDArray[np.intp]:
-        """The spline p of each cell that is used."""
-        every = len(self._used) == self._cells
-        return slice(p, p + self._cells) if every else self._used + p
-
-    def _weighted(self, weights: Array) -> Array:
-        """Powers times weights, shape (rows, 6, length)."""
-        placed = np.zeros(self._powers.shape[1])
-        placed[self._places] = weights
-        return self._by_rows(self._powers * placed)
-
-    def _by_rows(self, powers: Array) -> Array:
-        """A view of powers, shape (rows, powers, length)."""
-        return powers.reshape(-1, *self._shape).swapaxes(0, 1)
-
-    def _by_cells(self, sums: Array) -> Array:
-        """Sums of the rows of each cell that is used."""
-        if len(self._used) == self._shape[0]:
+    def of_cells(self, sums: Array) -> Array:
+        """Sums of rows, shape (rows, ..), to those of cells."""
+        if not self._several:
             return sums
-        by_cells: Array = np.add.reduceat(sums, self._first, axis=0)
-        return by_cells
+        of_cells: Array = np.add.reduceat(sums, self._first, axis=0)
+        return of_cells
+
+    def of_rows(self, polynomials: Array) -> Array:
+        """Polynomials of cells, shape (6, cells, m), for each row."""
+        return np.repeat(polynomials, self._of_cell, axis=1) if self._several else polynomials

@@ -65,7 +65,7 @@ def cutoffs(pieces: Sequence[tuple[Array, Array]], order: int) -> Array:
         [Hz], shape (m,); inf where there is no noise, or too little to tell.
     """
     longest = max(pieces, key=lambda piece: len(piece[0]))[0]
-    signals = np.concatenate([values for _, values in pieces]).T
+    signals = np.concatenate([values.T for _, values in pieces], axis=1)
     if len(longest) < FEWEST_TELLING:
         return np.full(len(signals), np.inf)
     bands = _bands(spectrum(pieces), order, _frequencies(longest))
@@ -114,7 +114,10 @@ def _renewals(signal: Array) -> float:
     A joint that rests in between does not repeat samples: most runs of equal samples count, not
     most samples.
     """
-    runs = np.diff(np.flatnonzero(np.diff(signal)))
+    changes = np.flatnonzero(np.diff(signal))
+    if len(changes) == len(signal) - 1:
+        return np.inf
+    runs = np.diff(changes)
     usual = float(np.median(runs)) if len(runs) else 1.0
     return 1.0 / usual if usual > 1.0 else np.inf
 

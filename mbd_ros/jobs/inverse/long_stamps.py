@@ -3,18 +3,18 @@
 import bisect
 import itertools
 from collections.abc import Iterator
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError
-from mbd_ros.jobs.inverse.low_pass import FEWEST, PERIODS, Stretch
+from mbd_ros.jobs.inverse.low_pass import FEWEST, PERIODS, LowPass, Stretch
 
 _GAP = 0.5  # s without a sample, and as many usual steps as below: nothing leads across
 _GAP_STEPS = 20
-_WINDOW = 200_000  # samples that are smoothed at once, those around them not counted
+_WINDOW = 100_000  # samples that are smoothed at once, those around them not counted
 _BESIDE = 200  # samples around them at least: a spline through samples forgets in fewer
 _SLOWEST = 0.01  # periods of a cut-off in a recording, the least that a low-pass knows
 _TELLING, _BLOCKS = 1 << 20, 16  # stamps that tell the usual step of more, in so many blocks
@@ -30,25 +30,48 @@ class Stamps(Protocol):
         ...
 
 
-class Window(NamedTuple):
+class Window:
     """Rows that are smoothed at once.
 
-    Attributes:
+    Args:
         core: Those to find.
         wide: Those to look at.
         times: Of `wide` [s].
         stretch: What they are a window of.
     """
 
-    core: slice
-    wide: slice
-    times: Array
-    stretch: Stretch
+    def __init__(self, core: slice, wide: slice, times: Array, stretch: Stretch) -> None:
+        self.core, self.wide = core, wide
+        self.own = slice(core.start - wide.start, core.stop - wide.start)  # of `wide`
+        self._times, self._stretch = times, stretch
+        self._low_passes: dict[float, LowPass] = {}
 
-    @property
-    def own(self) -> slice:
-        """Rows to find, of those to look at."""
-        return slice(self.core.start - self.wide.start, self.core.stop - self.wide.start)
+    def low_pass(self, cutoff: float) -> LowPass:
+        """That of a cut-off [Hz]."""
+        if cutoff not in self._low_passes:
+            self._low_passes[cutoff] = LowPass(self._times, cutoff, self._stretch)
+        return self._low_passes[cutoff]
+
+
+class Windows:
+    """All rows, piece by piece, with those around them that cut-offs need.
+
+    Args:
+        stamps: Of all rows [ns].
+        cutoff: Cut-offs [Hz].
+    """
+
+    def __init__(self, stamps: Stamps, cutoff: Array) -> None:
+        self._given, self._kept = (stamps, cutoff), list[Window]()
+
+    def __iter__(self) -> Iterator[Window]:
+        """The windows; where there is but one, it is the same again."""
+        if self._kept:
+            yield from self._kept
+            return
+        for k, window in enumerate(_windows(*self._given)):
+            self._kept = [] if k else [window]
+            yield window
 
 
 def times_of(stamps: Stamps, rows: slice) -> Array:
@@ -74,8 +97,7 @@ def _telling(part: slice) -> list[slice]:
     return [slice(start, start + size) for start in starts]
 
 
-def windows(stamps: Stamps, cutoff: Array) -> Iterator[Window]:
-    """All rows, piece by piece, with those around them that cut-offs [Hz] need."""
+def _windows(stamps: Stamps, cutoff: Array) -> Iterator[Window]:
     lowest = float(cutoff.min(initial=np.inf))
     for part in parts_of(stamps):
         stretch = Stretch.of(*(times_of(stamps, rows) for rows in _telling(part)))

@@ -5,12 +5,11 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
-from mbd_ros.jobs.inverse.banded import solve_banded
+from mbd_ros.jobs.inverse.banded import Banded
 from mbd_ros.jobs.inverse.cell_basis import CellBasis
-from mbd_ros.jobs.inverse.spline_pieces import DEGREE
+from mbd_ros.jobs.inverse.spline_pieces import DEGREE, Wanted
 
 FEWEST = 6  # samples in a row: a quintic through them
 HIGHEST = 0.4  # cut-off per sampling rate beyond which nothing is left to smooth
@@ -30,7 +29,8 @@ def response(frequency: Array, cutoff: float) -> Array:
         frequency: f [Hz].
         cutoff: Frequency of half power [Hz].
     """
-    passed: Array = 1.0 / (1.0 + _HALF_POWER * (frequency / cutoff) ** (2 * _ORDER))
+    squared = np.square(frequency / cutoff)
+    passed: Array = 1.0 / (1.0 + _HALF_POWER * np.square(np.square(squared)))
     return passed
 
 
@@ -39,19 +39,22 @@ def rate_of(times: Array) -> float:
     return 1.0 / float(np.median(np.diff(times)))
 
 
+Solve = Callable[[Array], Array]
+
+
 class Basis(Protocol):
     """Splines at samples, see `UniformBasis`."""
 
-    def normal(self, weights: Array, /) -> Array:
+    def normal(self) -> Array:
         """Sums of weight b_i b_j."""
         ...
 
-    def projected(self, weights: Array, values: Array, /) -> Array:
+    def projected(self, values: Array, /) -> Array:
         """Sums of weight b_i y."""
         ...
 
-    def derivative(self, coefficients: Array, order: int, /) -> Array:
-        """Derivative of sums of splines."""
+    def put(self, coefficients: Array, width: float, wanted: Wanted, rows: slice, /) -> None:
+        """Derivatives of sums of splines."""
         ...
 
 
@@ -79,8 +82,8 @@ class Stretch(NamedTuple):
         return cls(float(times[0]), float(pieces[-1][-1]), usual, 1.0 / float(np.median(steps)))
 
 
-class LowPassed:
-    """Signals below a cut-off.
+class LowPass:
+    """What passes signals below a cut-off.
 
     The quintic spline s that minimizes, over time and over the samples y,
 
@@ -91,7 +94,6 @@ class LowPassed:
 
     Args:
         times: [s], increasing, at least `FEWEST`, shape (n,).
-        values: Shape (n, m).
         cutoff: Frequency of half power [Hz]; from `HIGHEST` times the rate on the spline passes
             through the samples.
         whole: What the samples are a window of; without it they are the whole. `PERIODS` of the
@@ -101,59 +103,62 @@ class LowPassed:
         P. Craven, G. Wahba, Numer. Math. 31, 1979, 377 (smoothing splines as low-pass).
     """
 
-    def __init__(
-        self, times: Array, values: Array, cutoff: float, whole: Stretch | None = None
-    ) -> None:
+    def __init__(self, times: Array, cutoff: float, whole: Stretch | None = None) -> None:
         whole = whole or Stretch.of(times)
-        self._spline: Callable[[int, slice | NDArray[np.intp]], Array]
+        self._times, self._basis = times, None
         if cutoff >= HIGHEST * whole.rate:
-            from scipy.interpolate import make_interp_spline  # only where nothing is smoothed
-
-            through = make_interp_spline(times, values, k=DEGREE, axis=0)
-            self._spline = lambda order, columns: through(times, nu=order)[:, columns]
             return
         span = whole.end - whole.begin
         cutoff = max(cutoff, _FLATTEST / span)
         most = max(int(np.ceil(span * _CELLS * cutoff)), 1)
-        width = span / most
+        self._width = width = span / most
         places = (times - whole.begin) / width
         first = min(int(places[0]), most - 1)
         cells = max(min(math.ceil(places[-1]), most) - first, 1)
-        basis, solve = _tools(places - first, cells)
         weights = np.minimum(np.gradient(times), 4.0 * whole.usual)
+        self._basis, prepare = _tools(places - first, cells, weights)
         penalty = _HALF_POWER * (2.0 * np.pi * cutoff * width) ** (-2 * _ORDER) * width
-        normal = basis.normal(weights)
+        normal = self._basis.normal()
         for k, diagonal in enumerate(_penalty(cells + DEGREE)):
             normal[DEGREE - k, k:] += penalty * diagonal
-        known = basis.projected(weights, values)
         try:
-            coefficients = solve(normal, known)
+            self._solve = prepare(normal)
         except np.linalg.LinAlgError:  # a wide gap of many cells: only the penalty holds them
             normal[DEGREE] *= 1.0 + _HOLD
-            coefficients = solve(normal, known)
-        self._spline = lambda order, columns: basis.derivative(
-            coefficients[:, columns] / width**order, order
-        )
+            self._solve = prepare(normal)
 
-    def derivative(self, order: int, columns: slice | NDArray[np.intp] = slice(None)) -> Array:
-        """A derivative of some of the signals at the samples, shape (n, m).
+    def put(self, values: Array, wanted: Wanted, rows: slice) -> None:
+        """Put derivatives of passed signals where they are wanted.
 
         Args:
-            order: 0, 1 or 2.
-            columns: Of the signals.
+            values: Signals, shape (n, m).
+            wanted: See `spline_pieces.Wanted`; orders are 0, 1 or 2.
+            rows: The samples that are wanted.
         """
-        return self._spline(order, columns)
+        if self._basis is None:
+            from scipy.interpolate import make_interp_spline  # only where nothing is smoothed
+
+            through = make_interp_spline(self._times, values, k=DEGREE, axis=0)
+            for order, columns, target, places in wanted:
+                target[:, places] = through(self._times[rows], nu=order)[:, columns]
+            return
+        coefficients = self._solve(self._basis.projected(values))
+        self._basis.put(coefficients, self._width, wanted, rows)
 
 
-def _tools(places: Array, cells: int) -> tuple[Basis, Callable[[Array, Array], Array]]:
-    """Splines at places [cells], and what solves their banded equations."""
+def _tools(places: Array, cells: int, weights: Array) -> tuple[Basis, Callable[[Array], Solve]]:
+    """Splines at places [cells], and what prepares their banded equations."""
     if _SEVERAL * cells <= len(places):
-        return CellBasis(places, cells), solve_banded
-    from scipy.linalg import solveh_banded  # loaded where its time counts little
+        return CellBasis(places, cells, weights), lambda normal: Banded(normal).solve
+    from scipy.linalg import cho_solve_banded, cholesky_banded  # its time counts little here
 
     from mbd_ros.jobs.inverse.uniform_basis import UniformBasis
 
-    return UniformBasis(places, cells), solveh_banded
+    def prepare(normal: Array) -> Solve:
+        factor = cholesky_banded(normal)
+        return lambda known: np.asarray(cho_solve_banded((factor, False), known))
+
+    return UniformBasis(places, cells, weights), prepare
 
 
 def _penalty(size: int) -> list[Array]:

@@ -15,6 +15,7 @@ from mbd_ros.files.spool import Spool, StampSpool
 from mbd_ros.files.table import Table
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse.cutoff_lines import cutoff_lines
+from mbd_ros.jobs.inverse.long_stamps import Windows
 from mbd_ros.jobs.inverse.observed import Task
 from mbd_ros.jobs.inverse.unexplained import driven, off_the_effort
 from mbd_ros.jobs.inverse.zero_phase import chosen_cutoffs, smoothed, stated
@@ -64,9 +65,10 @@ class SmoothedSource:
             self._keep(motion)
         cutoff = self._task.derivatives.cutoff
         with about(self._where), np.errstate(over="ignore", invalid="ignore"):
-            given = self._stamps, self._moving, self._measured
-            self._cutoff = chosen_cutoffs(*given, cutoff)
-            for rows, *smooth in smoothed(*given, self._cutoff):
+            moving = self._moving, self._measured
+            self._cutoff = chosen_cutoffs(self._stamps, *moving, cutoff)
+            self._windows = Windows(self._stamps, self._cutoff)
+            for rows, *smooth in smoothed(self._windows, *moving, self._cutoff):
                 dependent = self._moving.dependent(rows)
                 whole = Observations(self._stamps[rows], *smooth, dependent)
                 for i in range(0, len(whole.stamps), _PIECE):
@@ -78,9 +80,10 @@ class SmoothedSource:
         for every, values in ((self._measured, velocity), (self._driven, effort)):
             every &= False if values is None else np.isfinite(values[:, :n]).all(axis=0)
         self._stamps.append(motion.stamps)
-        unknown = np.full_like(motion.position[:, :n], np.nan)
-        moving = unknown if velocity is None else velocity[:, :n]
-        self._moving.spool.append(np.hstack([moving, motion.position]))
+        moving = np.empty((len(motion.stamps), self._moving.spool.width))
+        moving[:, :n] = np.nan if velocity is None else velocity[:, :n]
+        moving[:, n:] = motion.position
+        self._moving.spool.append(moving)
         if self._driven.any():
             self._effort.append(effort)
 
@@ -93,8 +96,10 @@ class SmoothedSource:
         if self._tau is None:
             self._tau = self._spool(2 * len(self._pairs))
         effort = self._effort[self._tau.rows : self._tau.rows + table.rows]
-        known = [effort[:, j] for j, _ in self._pairs]
-        self._tau.append(np.column_stack([*known, *(table[name] for _, name in self._pairs)]))
+        tau, k = np.empty((table.rows, self._tau.width)), len(self._pairs)
+        for i, (j, name) in enumerate(self._pairs):
+            tau[:, i], tau[:, k + i] = effort[:, j], table[name]
+        self._tau.append(tau)
 
     def lines(self) -> Iterator[str]:
         """See `streamed.Source`."""
@@ -109,7 +114,7 @@ class SmoothedSource:
         """How far the torques are off the measured efforts."""
         if self._tau is not None:
             cutoff = self._cutoff[[j for j, _ in self._pairs]]
-            yield from off_the_effort(self._stamps, self._tau, cutoff)
+            yield from off_the_effort(self._windows, self._tau, cutoff)
 
 
 class _Moving:

@@ -8,6 +8,7 @@ Source: P. D. Welch, IEEE Trans. Audio Electroacoust. 15, 1967, 70 (mean of peri
     tapered pieces); F. J. Harris, Proc. IEEE 66, 1978, 51, section V (powers of sines).
 """
 
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -48,22 +49,32 @@ def spectrum(pieces: Sequence[tuple[Array, Array]]) -> Spectrum:
     even = [_even(times, values, step) for times, values in pieces]
     size = _good(max(len(values) for values in even))
     total = sum(len(values) for values in even)
-    density = sum(len(values) / total * _periodogram(values, size) for values in even)
-    assert isinstance(density, np.ndarray)
-    frequency = np.arange(1, len(density) + 1) / (size * step)
-    return Spectrum(frequency, 2.0 * step * density, float(longest[-1] - longest[0]))
+    density = np.zeros((pieces[0][1].shape[1], size // 2))
+    for values in even:
+        density += len(values) / total * _periodogram(values, size)
+    frequency = np.arange(1, size // 2 + 1) / (size * step)
+    return Spectrum(frequency, 2.0 * step * density.T, float(longest[-1] - longest[0]))
 
 
 def _periodogram(values: Array, size: int) -> Array:
     """Squares of the Fourier transform of tapered values per sum of squares of the taper."""
-    n = len(values)
-    places = (np.arange(n) + 0.5) / n
-    taper = np.sin(np.pi * places) ** _POWER
-    cubics, _ = np.linalg.qr(taper[:, None] * (places[:, None] - 0.5) ** np.arange(_CUBIC))
-    faded = values.T * taper
+    taper, cubics = _taper(len(values))
+    faded = np.ascontiguousarray(values.T)
+    faded = faded * taper
     faded -= (faded @ cubics) @ cubics.T
     transformed = np.fft.rfft(faded, size)[:, 1:]
-    return (transformed.real**2 + transformed.imag**2).T / (taper @ taper)
+    powers: Array = transformed.real**2 + transformed.imag**2
+    return powers / (taper @ taper)
+
+
+@functools.lru_cache(maxsize=2)  # pieces are about as long as each other
+def _taper(n: int) -> tuple[Array, Array]:
+    """Taper, shape (n,), and tapered cubics, orthonormal, shape (n, 4)."""
+    places = (np.arange(n) + 0.5) / n
+    squared = np.square(np.sin(np.pi * places))
+    taper = squared ** (_POWER // 2)
+    cubics, _ = np.linalg.qr(taper[:, None] * (places[:, None] - 0.5) ** np.arange(_CUBIC))
+    return taper, cubics
 
 
 def _good(size: int) -> int:

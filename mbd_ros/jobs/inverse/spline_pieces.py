@@ -1,12 +1,17 @@
 """Quintic B-splines of uniform knots as polynomials within a cell."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
 
 DEGREE = 5
+
+# order of a derivative, columns of the coefficients, where its values go, and in which columns
+Wanted = Sequence[tuple[int, slice, Array, NDArray[np.intp]]]
 
 
 def pieces(origin: float) -> Array:

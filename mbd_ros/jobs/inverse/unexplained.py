@@ -8,7 +8,10 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array, Motion
 from mbd_ros.files.table import Table
+from mbd_ros.jobs.inverse.long_stamps import Windows
 from mbd_ros.jobs.inverse.zero_phase import Rows, low_passed
+
+_BLOCK = 8192  # samples that stay in the cache
 
 
 def unexplained(motion: Motion, table: Table, cutoff: Array) -> Iterator[str]:
@@ -26,7 +29,8 @@ def unexplained(motion: Motion, table: Table, cutoff: Array) -> Iterator[str]:
     if not pairs:
         return
     tau = [*(effort[:, j] for j, _ in pairs), *(table[name] for _, name in pairs)]
-    yield from off_the_effort(motion.stamps, np.column_stack(tau), cutoff[[j for j, _ in pairs]])
+    cutoff = cutoff[[j for j, _ in pairs]]
+    yield from off_the_effort(Windows(motion.stamps, cutoff), np.column_stack(tau), cutoff)
 
 
 def driven(
@@ -39,26 +43,25 @@ def driven(
     return [(j, name) for j, name in found if measured[j]]
 
 
-def off_the_effort(stamps: NDArray[np.int64], tau: Rows, cutoff: Array) -> Iterator[str]:
+def off_the_effort(windows: Windows, tau: Rows, cutoff: Array) -> Iterator[str]:
     """A line, where measured efforts are not 0.
 
     Args:
-        stamps: Of all rows [ns], shape (n,).
+        windows: Of all stamps and the cut-offs.
         tau: Measured efforts, then torques, of the same m joints, shape (n, 2 m).
         cutoff: Of the low-pass of each joint [Hz], shape (m,).
     """
     total, off = 0.0, 0.0
-    for passed in low_passed(stamps, tau, np.tile(cutoff, 2)):
-        known, found = np.split(passed, 2, axis=1)
-        unit = np.abs([known, found]).max()  # squares of the efforts themselves may overflow
-        if not np.isfinite(unit):
-            return
-        if unit > 0.0:
-            norms = (float(np.linalg.norm(each / unit)) for each in (known, found - known))
-            total, off = (
-                math.hypot(sum_, unit * norm)
-                for sum_, norm in zip((total, off), norms, strict=True)
-            )
+    for passed in low_passed(windows, tau, np.tile(cutoff, 2)):
+        for begin in range(0, len(passed), _BLOCK):
+            known, found = np.split(passed[begin : begin + _BLOCK].T, 2)
+            unit = max(np.abs(known).max(), np.abs(found).max())  # squares may overflow
+            if not np.isfinite(unit):
+                return
+            if unit > 0.0:
+                known, found = known / unit, found / unit
+                total = math.hypot(total, unit * float(np.linalg.norm(known)))
+                off = math.hypot(off, unit * float(np.linalg.norm(found - known)))
     if total > 0.0 and math.isfinite(off):
         yield (
             f"off the measured effort by {100.0 * off / total:.3g} % (norm of differences over "

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from mbd_ros.core.state import Array
-from mbd_ros.jobs.inverse.spline_pieces import DEGREE, pieces
+from mbd_ros.jobs.inverse.spline_pieces import DEGREE, Wanted, pieces
 
 _WIDTH = DEGREE + 1  # splines that are not 0 in a cell
 _PIECES = pieces(0.0)
@@ -18,9 +18,11 @@ class UniformBasis:
     Args:
         places: In cells from the beginning on, increasing, shape (n,).
         cells: Number of cells; there are `cells + DEGREE` splines.
+        weights: Of the samples, shape (n,).
     """
 
-    def __init__(self, places: Array, cells: int) -> None:
+    def __init__(self, places: Array, cells: int, weights: Array) -> None:
+        self._weights = weights
         places = np.clip(places, 0.0, cells)
         self._cells, self._n = cells, len(places)
         self._at = np.minimum(places.astype(np.intp), cells - 1)
@@ -34,13 +36,13 @@ class UniformBasis:
         self._values = self._polynomials(_PIECES)
         self._matrix = self._matrix_of(self._values)
 
-    def normal(self, weights: Array) -> Array:
+    def normal(self) -> Array:
         """Sums of weight b_i b_j over the samples, upper banded form, (DEGREE + 1, splines)."""
         found = np.zeros((_WIDTH, self._cells + DEGREE))
         splines = np.ascontiguousarray(self._values.T)
         several, every = len(self._starts) < self._n, np.zeros(self._cells)
         for p, left in enumerate(splines):
-            weighted = weights * left
+            weighted = self._weights * left
             for q in range(p, _WIDTH):
                 products = weighted * splines[q]
                 sums = np.add.reduceat(products, self._starts) if several else products
@@ -50,24 +52,27 @@ class UniformBasis:
                 found[DEGREE - (q - p), q : q + self._cells] += sums
         return found
 
-    def projected(self, weights: Array, values: Array) -> Array:
+    def projected(self, values: Array) -> Array:
         """Sums of weight b_i y over the samples; values of shape (n, m), result (splines, m)."""
-        projected: Array = self._matrix.T @ (weights[:, None] * values)
+        projected: Array = self._matrix.T @ (self._weights[:, None] * values)
         return projected
 
-    def derivative(self, coefficients: Array, order: int) -> Array:
-        """Derivative by the place of sums of splines at the samples, shape (n, m).
+    def put(self, coefficients: Array, width: float, wanted: Wanted, rows: slice) -> None:
+        """Derivatives of sums of splines at some samples.
 
         Args:
             coefficients: Shape (splines, m).
-            order: Of the derivative, 0 for the sums themselves.
+            width: Of a cell [s].
+            wanted: See `spline_pieces.Wanted`.
+            rows: The samples.
         """
-        matrix = self._matrix
-        if order:
-            factors = np.array([math.perm(k, order) for k in range(order, _WIDTH)])
-            matrix = self._matrix_of(self._polynomials(_PIECES[:, order:] * factors))
-        derivative: Array = matrix @ np.ascontiguousarray(coefficients)
-        return derivative
+        for order, columns, target, places in wanted:
+            matrix = self._matrix
+            if order:
+                factors = np.array([math.perm(k, order) for k in range(order, _WIDTH)])
+                matrix = self._matrix_of(self._polynomials(_PIECES[:, order:] * factors))
+            own = np.ascontiguousarray(coefficients[:, columns]) / width**order
+            target[:, places] = (matrix @ own)[rows]
 
     def _polynomials(self, coefficients: Array) -> Array:
         """Values of polynomials of u, one a row of coefficients, shape (n, rows)."""

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError
 from mbd_ros.jobs.inverse.cutoff import cutoffs
-from mbd_ros.jobs.inverse.long_stamps import Stamps, parts_of, times_of, usual_step, windows
-from mbd_ros.jobs.inverse.low_pass import HIGHEST, LowPassed
+from mbd_ros.jobs.inverse.long_stamps import Stamps, Windows, parts_of, times_of, usual_step
+from mbd_ros.jobs.inverse.low_pass import HIGHEST
 
 _PIECE, _PIECES = 25_000, 4  # samples that the cut-off is chosen from
 
@@ -89,7 +89,7 @@ def zero_phase(
     moving = _InMemory(position, velocity)
     chosen = chosen_cutoffs(stamps, moving, measured, cutoff)
     found = tuple(np.empty_like(position) for _ in range(3))
-    for rows, *smooth in smoothed(stamps, moving, measured, chosen):
+    for rows, *smooth in smoothed(Windows(stamps, chosen), moving, measured, chosen):
         for whole, values in zip(found, smooth, strict=True):
             whole[rows] = values
     return ZeroPhase(*found, stated(stamps, chosen))
@@ -98,7 +98,7 @@ def zero_phase(
 def chosen_cutoffs(
     stamps: Stamps, moving: Moving, measured: NDArray[np.bool_], cutoff: float | None
 ) -> Array:
-    """Cut-off of each joint [Hz], shape (m,), see `zero_phase`; arguments as `smoothed`."""
+    """Cut-off of each joint [Hz], shape (m,), see `zero_phase` and `smoothed`."""
     if cutoff is not None and not (np.isfinite(cutoff) and cutoff > 0):
         raise DataError(f"cutoff {cutoff} Hz must be finite and > 0")
     parts = parts_of(stamps)
@@ -114,34 +114,31 @@ def stated(stamps: Stamps, chosen: Array) -> Array:
 
 
 def smoothed(
-    stamps: Stamps, moving: Moving, measured: NDArray[np.bool_], cutoff: Array
+    windows: Windows, moving: Moving, measured: NDArray[np.bool_], cutoff: Array
 ) -> Iterator[tuple[slice, Array, Array, Array]]:
     """Rows, and position, velocity and acceleration of these, window by window.
 
     Args:
-        stamps: Of all rows [ns].
+        windows: Of all stamps and the cut-offs.
         moving: Positions and velocities of m joints.
         measured: Joints whose velocity is used, shape (m,).
         cutoff: That of `chosen_cutoffs`.
     """
-    for window in windows(stamps, cutoff):
+    for window in windows:
         position, velocity = moving[window.wide]
         rows = window.core.stop - window.core.start
-        smooth, rate, push = (np.empty((rows, len(cutoff))) for _ in range(3))
+        smooth, rate, push = found = np.empty((3, len(cutoff), rows)).swapaxes(1, 2)
         for f in np.unique(cutoff):
             derived, given = (np.flatnonzero((cutoff == f) & m) for m in (~measured, measured))
             columns = [position[:, derived], position[:, given]]
             if velocity is not None:
                 columns.append(velocity[:, given])
-            passed = LowPassed(window.times, np.hstack(columns), f, window.stretch)
             ours, theirs, rates = _places(len(derived), len(given))
-            if derived.size:
-                for order, found in enumerate((smooth, rate, push)):
-                    found[:, derived] = passed.derivative(order, ours)[window.own]
+            wanted = [(k, ours, found[k], derived) for k in range(3) if derived.size]
             if given.size:
-                smooth[:, given] = passed.derivative(0, theirs)[window.own]
-                rate[:, given] = passed.derivative(0, rates)[window.own]
-                push[:, given] = passed.derivative(1, rates)[window.own]
+                wanted += [(0, theirs, smooth, given)]
+                wanted += [(0, rates, rate, given), (1, rates, push, given)]
+            window.low_pass(f).put(np.hstack(columns), wanted, window.own)
         yield window.core, smooth, rate, push
 
 
@@ -150,21 +147,21 @@ def _places(derived: int, given: int) -> tuple[slice, slice, slice]:
     return slice(0, derived), slice(derived, derived + given), slice(derived + given, None)
 
 
-def low_passed(stamps: Stamps, values: Rows, cutoff: Array) -> Iterator[Array]:
+def low_passed(windows: Windows, values: Rows, cutoff: Array) -> Iterator[Array]:
     """Signals of the joints through the low-pass of their motion, window by window.
 
     Args:
-        stamps: Those of `zero_phase`.
+        windows: Of all stamps and the cut-offs.
         values: One a joint, shape (n, m), or what gives some rows of them.
         cutoff: That of the result of `zero_phase`.
     """
-    for window in windows(stamps, cutoff):
+    for window in windows:
         signals = values[window.wide]
-        passed = np.empty((window.core.stop - window.core.start, len(cutoff)))
+        passed = np.empty((len(cutoff), window.core.stop - window.core.start)).T
         for f in np.unique(cutoff):
             at = np.flatnonzero(cutoff == f)
-            found = LowPassed(window.times, signals[:, at], f, window.stretch)
-            passed[:, at] = found.derivative(0)[window.own]
+            wanted = [(0, slice(None), passed, at)]
+            window.low_pass(f).put(signals[:, at], wanted, window.own)
         yield passed
 
 
