@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
+from mbd_ros.jobs.inverse.products import product
 from mbd_ros.jobs.inverse.spline_pieces import DEGREE, Wanted, pieces
 
 _WIDTH = DEGREE + 1  # splines that are not 0 in a cell
@@ -43,8 +44,10 @@ class CellBasis:
         """Sums of weight b_i b_j over the samples, upper banded form, (DEGREE + 1, splines)."""
         found = np.zeros((_WIDTH, self._cells + DEGREE))
         for _, block in self._blocks:
-            products = block.of_cells(block.weighted @ block.powers.transpose(1, 2, 0))
-            sums = _PAIRS @ products.reshape(-1, _WIDTH * _WIDTH).T
+            products = block.of_cells(
+                block.weighted().swapaxes(0, 1) @ block.powers().transpose(1, 2, 0)
+            )
+            sums = product(_PAIRS, products.reshape(-1, _WIDTH * _WIDTH).T)
             for (p, q), row in zip(_UPPER, sums, strict=True):
                 found[DEGREE - (q - p), block.own(q)] += row
         return found
@@ -55,8 +58,8 @@ class CellBasis:
         projected = np.zeros((self._cells + DEGREE, m))
         for rows, block in self._blocks:
             placed = block.placed(values[rows])
-            moments = block.of_cells(block.weighted @ placed)
-            sums = _PIECES @ moments.swapaxes(0, 1).reshape(_WIDTH, -1)
+            moments = block.of_cells(block.weighted().swapaxes(0, 1) @ placed)
+            sums = product(_PIECES, moments.swapaxes(0, 1).reshape(_WIDTH, -1))
             for p, of_cells in enumerate(sums.reshape(_WIDTH, -1, m)):
                 projected[block.own(p)] += of_cells
         return projected
@@ -76,14 +79,14 @@ class CellBasis:
                 continue
             into = slice(own.start - rows.start, own.stop - rows.start)
             each = np.stack([coefficients[block.own(p)] for p in range(_WIDTH)])
-            polynomials = (_PIECES.T @ each.reshape(_WIDTH, -1)).reshape(each.shape)
-            polynomials = block.of_rows(polynomials)
+            polynomials = product(_PIECES.T, each.reshape(_WIDTH, -1)).reshape(each.shape)
+            polynomials, powers = block.of_rows(polynomials), block.powers()
             for order, columns, target, places in wanted:
                 factors = np.array([math.perm(k, order) for k in range(order, _WIDTH)])
                 factors = factors / width**order
                 those = polynomials[order:, :, columns] * factors[:, None, None]
-                powers = block.powers[: _WIDTH - order].transpose(1, 2, 0)
-                values = block.taken(powers @ those.swapaxes(0, 1))
+                of_order = powers[: _WIDTH - order].transpose(1, 2, 0)
+                values = block.taken(of_order @ those.swapaxes(0, 1))
                 inside = values[own.start - part.start : own.stop - part.start]
                 for column, place in zip(inside.T, places, strict=True):
                     target[into, place] = column
@@ -93,10 +96,6 @@ class _Block:
     """Samples in rows of one length; a row belongs to a cell, a cell may have several.
 
     Rows that are too long repeat the last sample of their cell, without weight.
-
-    Attributes:
-        powers: Of u, shape (6, rows, length).
-        weighted: The same times the weights, shape (rows, 6, length).
     """
 
     def __init__(self, places: Array, cells: int, weights: Array) -> None:
@@ -122,12 +121,24 @@ class _Block:
         self._samples = np.minimum(samples, ends[:, None] - 1)
         first, last = int(self._used[0]), int(self._used[-1])
         self._span = slice(first, last + 1) if last - first + 1 == len(self._used) else None
-        self.powers = np.ones((_WIDTH, *samples.shape))
-        np.take(places - at - _MIDDLE, self._samples, out=self.powers[1])
-        for k in range(2, _WIDTH):
-            np.multiply(self.powers[k - 1], self.powers[1], out=self.powers[k])
-        weighted = self.powers * (np.take(weights, self._samples) * is_sample)
-        self.weighted = weighted.swapaxes(0, 1)
+        self._u = np.take(places - at - _MIDDLE, self._samples)
+        self._weights = np.take(weights, self._samples) * is_sample
+
+    def powers(self) -> Array:
+        """Powers of u, shape (6, rows, length): cheaper to find again than to keep."""
+        powers = np.empty((_WIDTH, *self._u.shape))
+        powers[0] = 1.0
+        for k in range(1, _WIDTH):
+            np.multiply(powers[k - 1], self._u, out=powers[k])
+        return powers
+
+    def weighted(self) -> Array:
+        """Powers times weights, the same shape."""
+        weighted = np.empty((_WIDTH, *self._u.shape))
+        weighted[0] = self._weights
+        for k in range(1, _WIDTH):
+            np.multiply(weighted[k - 1], self._u, out=weighted[k])
+        return weighted
 
     def placed(self, values: Array) -> Array:
         """Values of the samples, shape (n, m), in their places, shape (rows, length, m)."""

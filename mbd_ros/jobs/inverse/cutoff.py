@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
 from mbd_ros.jobs.inverse.low_pass import HIGHEST, rate_of, response
+from mbd_ros.jobs.inverse.products import product
 from mbd_ros.jobs.inverse.spectrum import FEWEST_TELLING, Spectrum, spectrum
 
 LOWEST = 2.0  # Hz: below, even a poor encoder gives no acceleration worth mentioning
@@ -89,12 +90,12 @@ def _bands(found: Spectrum, order: int, cutoff: Array) -> Bands:
     turn = 2.0 * np.pi * found.frequency
     passed = np.array([*(response(found.frequency, f) for f in cutoff), np.ones_like(turn)])
     share = np.diff(passed, axis=0) ** 2 * found.frequency[0]
-    energy, force = (
-        share @ found.density,
-        share @ (turn[:, None] ** (4 - 2 * order) * found.density),
+    energy = product(share, found.density)
+    force = product(share * turn ** (4 - 2 * order), found.density)
+    density = energy / (share * turn ** (2 * order)).sum(axis=1)[:, None]
+    return Bands(
+        cutoff, density, force, share.sum(axis=1), (share * turn**4).sum(axis=1), order, found.span
     )
-    density = energy / (share @ turn ** (2 * order))[:, None]
-    return Bands(cutoff, density, force, share.sum(axis=1), share @ turn**4, order, found.span)
 
 
 def _step(signal: Array) -> float:

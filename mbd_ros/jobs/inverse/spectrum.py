@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.state import Array
+from mbd_ros.jobs.inverse.products import product
 
 FEWEST_TELLING = 32  # samples in a piece, from which on noise can be told from motion
 _POWER = 4  # of the sine
@@ -61,20 +62,21 @@ def _periodogram(values: Array, size: int) -> Array:
     taper, cubics = _taper(len(values))
     faded = np.ascontiguousarray(values.T)
     faded = faded * taper
-    faded -= (faded @ cubics) @ cubics.T
+    faded -= product(product(faded, cubics.T), cubics)
     transformed = np.fft.rfft(faded, size)[:, 1:]
     powers: Array = transformed.real**2 + transformed.imag**2
-    return powers / (taper @ taper)
+    return powers / np.square(taper).sum()
 
 
 @functools.lru_cache(maxsize=2)  # pieces are about as long as each other
 def _taper(n: int) -> tuple[Array, Array]:
-    """Taper, shape (n,), and tapered cubics, orthonormal, shape (n, 4)."""
+    """Taper, shape (n,), and tapered cubics, orthonormal, shape (4, n)."""
     places = (np.arange(n) + 0.5) / n
     squared = np.square(np.sin(np.pi * places))
     taper = squared ** (_POWER // 2)
-    cubics, _ = np.linalg.qr(taper[:, None] * (places[:, None] - 0.5) ** np.arange(_CUBIC))
-    return taper, cubics
+    cubics = np.array([taper * (2.0 * places - 1.0) ** k for k in range(_CUBIC)])
+    factor = np.linalg.cholesky(product(cubics, cubics.T))
+    return taper, product(np.linalg.inv(factor), cubics)
 
 
 def _good(size: int) -> int:

@@ -60,8 +60,8 @@ def off_the_effort(windows: Windows, tau: Rows, cutoff: Array) -> Iterator[str]:
                 return
             if unit > 0.0:
                 known, found = known / unit, found / unit
-                total = math.hypot(total, unit * float(np.linalg.norm(known)))
-                off = math.hypot(off, unit * float(np.linalg.norm(found - known)))
+                total = math.hypot(total, unit * math.sqrt(np.square(known).sum()))
+                off = math.hypot(off, unit * math.sqrt(np.square(found - known).sum()))
     if total > 0.0 and math.isfinite(off):
         yield (
             f"off the measured effort by {100.0 * off / total:.3g} % (norm of differences over "
