@@ -214,12 +214,12 @@ def test_what_has_no_native_steps_is_named():
 @pytest.mark.parametrize(
     ("name", "kind", "mujoco_steps", "error", "ratio"),
     [
-        ("arm7_swing", Dop853(tolerance=1e-7), (2e-4, 2.0, False), 1e-6, 10.0),
-        ("a02_four_bars_2", Dop853(tolerance=5e-9), (1e-3, 0.7, True), 1e-8, 25.0),
+        ("arm7_swing", Dop853(tolerance=1e-7), (2e-4, 2.0, False), 1e-6, 40.0),
+        ("a02_four_bars_2", Dop853(tolerance=5e-9), (1e-3, 0.7, True), 1e-8, 50.0),
     ],
 )
 def test_runs_take_less_than_those_of_mujoco(name, kind, mujoco_steps, error, ratio):
-    """Less than half of what it is on an idle machine, so that it holds beside other load."""
+    """Measured 92 to 102 and 68 to 93, beside other load too."""
     peers = pytest.importorskip("mbd_ros.report.peers.mujoco_peer")
     from mbd_ros.report.peers.translation import common_ground, task_of
 
