@@ -8,13 +8,13 @@ from test_part_contracts import OF_A_ROBOT, arguments, moments
 from mbd_ros.compiled.symbols.trace import trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
 from mbd_ros.core.row_laws import Level
+from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.registry import PARTS
 
 EXACT = 1e-13  # of the largest entry, or of 1 where that is a difference of larger ones
 REFUSED = {  # part -> why
     ("contacts", "compliant"): "a number that depends on the state",
-    ("contacts", "rigid"): "contact with friction",
     ("forces", "switching_force"): "a number that depends on the state",
 }
 SMOOTHED = {
@@ -44,9 +44,9 @@ def scene_with(section, name, base, rng, **more):
     return scene_from({"robot": {"base": base}, **parts}, urdf="prosthetic_leg")
 
 
-def methods_of(section, part):
+def methods_of(part):
     """What an equation of motion asks of a part."""
-    if section == "constraints":
+    if isinstance(part, Constraint):
         yield from (part.jacobian, part.drift, part.rate, part.pushes)
         yield lambda k, x: np.vstack([part.accelerations(k, x)[0].T, part.accelerations(k, x)[1]])
         if part.level is Level.POSITION:
@@ -62,8 +62,8 @@ def test_a_part_of_symbols_has_the_numbers_of_the_part(section, name, base):
         ((part,),) = [scene.parts[key] for key in OF_A_ROBOT if key in scene.parts]
         nu = len(scene.inputs.channels)
         symbols, u = Symbols(scene.robot, scene.internals.nz, nu), rng.normal(size=nu)
-        asked = [(method, ()) for method in methods_of(section, part)]
-        if section != "constraints":
+        asked = [(method, ()) for method in methods_of(part)]
+        if not isinstance(part, Constraint):
             asked = [(part.force, (symbols.u,)), (part.potential, ())]
             asked += [(part.rates, (symbols.u,))] if part.internal else []
         with tracing(part):
