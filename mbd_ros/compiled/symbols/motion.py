@@ -13,10 +13,11 @@ from mbd_ros.compiled.symbols.rows import Rows
 from mbd_ros.compiled.symbols.sparse_ldl import SparseLdl
 from mbd_ros.compiled.symbols.turns import ZERO
 
-SOFT = 1.0e-8  # of the usual size of a row: what is added to it where rows may be dependent
+SOFT = 1.0e-9  # of the usual size of a row: what is added to it where rows may be dependent
 _AGAIN = 2  # solutions for what that leaves
-_OPEN = 1.0e-8  # of rates: what dependent rows that contradict one another leave
-_IDLE = 1.0e-8  # of the energy of multipliers: what those that change no rate may have
+_SHRUNK = 1.0e-4  # of what softness left: more is left where dependent rows contradict
+_OPEN = 1.0e-13  # of 1 + the largest rate: rounding
+_IDLE = 1.0e-11  # of multipliers that change no rate: what they may move
 Pushes = Mapping[int, Mapping[int, Any]]
 NO_PUSHES: Pushes = {}
 
@@ -145,20 +146,21 @@ class Held:
         if multipliers that change no rate move nothing, as different slips would let them.
         """
         found, still = self.solve(forces, rates), [ZERO] * self._nv
+        least = largest(self._left(found, rates))
         for _ in range(_AGAIN):
             more = self.solve(still, self._left(found, rates))
             pairs = zip(found[:2], more[:2], strict=True)
             a, lam = ([x + y for x, y in zip(*pair, strict=True)] for pair in pairs)
             found = found._replace(a=a, lam=lam)
-        open_by = largest(self._left(found, rates))
-        shares = [size * one for size, one in zip(self._soft, found.lam, strict=True)]
-        scale = ca.fmax(largest(rates), largest(shares) / SOFT)
-        some = [size * math.cos(1.0 + i) for i, size in enumerate(self._soft)]
-        idle = self.solve(still, [ca.SX(one) for one in some]).a
-        is_open, moves = (
-            open_by > _OPEN * scale,
-            self._energy(idle) > _IDLE / SOFT * sum(map(abs, some)),
+        is_open = largest(self._left(found, rates)) > _SHRUNK * least + _OPEN * (
+            1.0 + largest(rates)
         )
+        idle = [ca.SX(math.cos(1.0 + i)) for i in range(self._m)]
+        for _ in range(2):  # leaves of any multipliers those that change no rate
+            rest = self.solve(still, [x * y for x, y in zip(self._soft, idle, strict=True)])
+            idle = rest.lam
+        most = _IDLE * _IDLE / SOFT * sum(self._soft)
+        moves = self._energy(rest.a) > most
         return found._replace(sound=ca.logic_not(ca.logic_or(is_open, moves)))
 
     def _left(self, found: Solution, rates: Sequence[Any]) -> list[Any]:
