@@ -207,6 +207,23 @@ EXPORT int again(const Options *o, Run *r, double h, double t, double *out) {
   return DONE;
 }
 
+/* A margin of the mode inside the last step: number `which` of heights, then of forces. */
+EXPORT double margin_within(const Options *o, Run *r, double t, long which) {
+#if MODES
+  double margins[MODES], rates[MODES], spans[MODES], names, of_forces[NOT_ZERO(ANSWERS)], length;
+  double q[NOT_ZERO(NQ)], w[NOT_ZERO(NW)];
+  state_at(o, r, t, q, w);
+  if (which >= MODES) {
+    ask_forces(o, r, t, q, w, of_forces, rates, &length);
+    return of_forces[which - MODES];
+  }
+  heights(&t, q, w, o->p, margins, rates, spans, &names, r->work);
+  return margins[which];
+#else
+  return 0.0;
+#endif
+}
+
 /* State inside the last step, corrected, [q; v; z]. */
 EXPORT int interpolate(const Options *o, Run *r, double t, double *out) {
   state_at(o, r, t, out, out + NQ);

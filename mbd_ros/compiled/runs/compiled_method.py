@@ -137,7 +137,7 @@ class CompiledMethod(Integrator):
             form=form,
         )
         given = run, plain, self._corrects(system), system.loads.idle
-        return ModeStepper(*given) if sizes.modes else NativeStepper(*given)
+        return ModeStepper(*given, self.traced.keys) if sizes.modes else NativeStepper(*given)
 
     def _built(self, system: Any, dt: float) -> Built:
         """The native code of a system, made once."""

@@ -29,6 +29,8 @@ class EventStepper(EventSteps, BlockStepper):
         dt: Step of a fixed-step method, and interval of the output [s].
     """
 
+    spans_samples = True
+
     def __init__(self, field: ModeField, inner: ModeStepper, dt: float) -> None:
         super().__init__(field, inner, dt)
         self._native, self._run = inner, inner.run
@@ -86,8 +88,11 @@ class EventStepper(EventSteps, BlockStepper):
     def samples(self, times: Any, held: HeldTable, steps: int, most: int) -> SampleBlock:
         """As `BlockStepper.samples`."""
         if self.is_within:
-            rows, _ = self._run.samples(times, held, 0, most)
-            return SampleBlock(rows, self._run.interval, False)
+            before = self._within_plain_step(times, most)
+            if len(before) == most:
+                return SampleBlock(before, 0, False)
+            rows, _ = self._run.samples(times, held, 0, most - len(before))
+            return SampleBlock(np.concatenate((before, rows)), self._run.interval, False)
         if not self._is_ready(self.state, held.values[0]):
             return SampleBlock(np.zeros((0, self._run.row)), 0, True)
         if self.field.on or self.field.drives:  # which inputs that jump decide anew
@@ -98,6 +103,19 @@ class EventStepper(EventSteps, BlockStepper):
         last = min(self._run.interval, len(held.values) - 1)
         self._u = held.values[last].copy()
         return SampleBlock(rows, self._run.interval, status not in _WENT_ON)
+
+    def _within_plain_step(self, times: Any, most: int) -> Array:
+        """Samples inside the last step where that was a plain one, as rows."""
+        rows: list[Array] = []
+        run, end = self._run, self._run.t - times.slack
+        while self._native.is_plain and run.sample < times.end and len(rows) < most:
+            due = times.due(run.sample + 1)
+            if not due < end:
+                break
+            x = self.system.expand(self.interpolate(due))
+            rows.append(np.concatenate(([due], *x[1:4])))
+            run.begin_samples(run.sample + 1, is_within=True)
+        return np.array(rows).reshape(-1, run.row)
 
     def whole(
         self, y: State, first: Array, times: Any, held: HeldTable, steps: int

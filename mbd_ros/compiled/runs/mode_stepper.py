@@ -1,7 +1,7 @@
 """Native steps in a mode of rows that give way, as event location takes them."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from mbd_ros.compiled.runs.native_run import NativeRun
@@ -19,6 +19,7 @@ class ModeStepper(NativeStepper):
         plain: The same method in Python.
         correct: What stabilization makes of a state after a step.
         idle: Inputs where none are given.
+        keys: Numbers of margins, by `Traced.keys`.
 
     Attributes:
         run: As given.
@@ -27,12 +28,22 @@ class ModeStepper(NativeStepper):
     """
 
     def __init__(
-        self, run: NativeRun, plain: Stepper, correct: Callable[[State], State], idle: Array
+        self,
+        run: NativeRun,
+        plain: Stepper,
+        correct: Callable[[State], State],
+        idle: Array,
+        keys: Mapping[tuple[int, int], int],
     ) -> None:
         super().__init__(run, plain, correct, idle)
-        self.run, self.correct = run, correct
+        self.run, self.correct, self._keys = run, correct, keys
         self.mode: Mode = ()
         self.is_compiled = False
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether plain Python has taken the last step."""
+        return self._is_plain
 
     def follow(self, accelerate: Any, mode: Mode = ()) -> None:
         """As `Stepper.follow`."""
@@ -88,6 +99,13 @@ class ModeStepper(NativeStepper):
         if self._is_plain:
             return self._plain.interpolate(t)
         return self.run.inside(t)._replace(mode=self.mode)
+
+    def margin_within(self, which: tuple[int, int]) -> Callable[[float], float] | None:
+        """As `Stepper.margin_within`, where native code has taken the step."""
+        number = self._keys.get(which)
+        if self._is_plain or number is None:
+            return None
+        return lambda t: self.run.margin_within(t, number)
 
     def continue_from(self, x: State) -> None:
         """As `Stepper.continue_from`."""

@@ -19,10 +19,12 @@ def bound(c: Any) -> Any:
         ("again", (pointer, pointer, number, number, pointer)),
         ("step_alone", (pointer, pointer, pointer, number)),
         ("state_within", (pointer, pointer, number, pointer)),
+        ("margin_within", (pointer, pointer, number, whole)),
         ("interpolate", (pointer, pointer, number, pointer)),
     ):
         getattr(c, name).argtypes = arguments
-    c.place_of.restype, c.evaluate_at.restype = whole, number
+    c.place_of.restype = whole
+    c.evaluate_at.restype = c.margin_within.restype = number
     for name in ("restart", "leave", "touch"):
         getattr(c, name).restype = None
     return c

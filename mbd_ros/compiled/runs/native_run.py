@@ -170,6 +170,10 @@ class NativeRun(RunMemory):
         self._c.state_within(self._o, self._r, t, self._out.ctypes.data)
         return self._given(t)
 
+    def margin_within(self, t: float, which: int) -> float:
+        """A margin of the mode inside the last step, by its number in `Traced.keys`."""
+        return float(self._c.margin_within(self._o, self._r, t, which))
+
     def switch(self, mode: Sequence[int]) -> None:
         """Go on in another mode of rows that give way; nothing of earlier steps holds in it."""
         self._p[len(self._p) - self.sizes.modes :] = mode[: self.sizes.modes]

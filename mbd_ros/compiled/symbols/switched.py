@@ -176,6 +176,22 @@ class SwitchedRows(YieldingRows):
             rates.append(way * left[i] if self._reach[i] is Reach.SLIP else ZERO)
         return Looks(margins, rates)
 
+    @property
+    def keys(self) -> dict[tuple[int, int], int]:
+        """Where margins stand among those of `heights`, then those of `answers`."""
+        found, n = dict[tuple[int, int], int](), len(self._ways)
+        for i, reach in enumerate(self._reach):
+            if reach is not Reach.DEMAND:
+                found[i, 0] = i
+            if reach is Reach.FRICTION:
+                ways = [1] if i - 1 in self._mu else []
+            else:
+                bounds = ((1, self._lower[i]), (-1, self._upper[i]))
+                ways = [way for way, bound in bounds if not is_open(bound)]
+            for way in [*ways, *[0] * (reach is Reach.DEMAND)]:
+                found[i, way], n = n, n + 1
+        return found
+
     def left(self, a: Sequence[Any]) -> list[Any]:
         """The w of all rows, by accelerations of all joints, SX scalars."""
         each = zip(self._whole.J, self._conditions, strict=True)

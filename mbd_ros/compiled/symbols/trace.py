@@ -103,6 +103,11 @@ class Traced:
         return self._equations.margins
 
     @property
+    def keys(self) -> dict[tuple[int, int], int]:
+        """Margins in all modes: row and way -> place among those of `heights`, then `answers`."""
+        return getattr(self._equations.yielding, "keys", {})
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of all functions."""
         return tuple(ARGUMENTS)

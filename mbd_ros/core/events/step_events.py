@@ -120,6 +120,9 @@ class StepEvents:
 
     def _seen(self, x: State, u: Array | None, event: Margin) -> Callable[[float], float]:
         """A margin in the dense output of the last step."""
+        ask = self._inner.margin_within(event)
+        if ask is not None:
+            return lambda h: float(ask(x.t + h))
         return lambda h: self._field.margin(self._inner.interpolate(x.t + h), u, event)
 
     def _beyond(

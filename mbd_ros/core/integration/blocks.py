@@ -41,10 +41,12 @@ class BlockStepper(Stepper):
     Attributes:
         handed_over: Steps that were taken otherwise, since it could not.
         takes_blocks: Whether it does so in this run, or steps have to be taken one by one.
+        spans_samples: Whether samples follow that are inside a step which was taken alone.
     """
 
     handed_over: int = 0
     takes_blocks: bool = True
+    spans_samples: bool = False
 
     @property
     def evaluations(self) -> int:

@@ -1,7 +1,7 @@
 """Contract of integrators: a method is a value, its stepper owns the workspace."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 from mbd_ros.core.memory import Memory, copied, recognised
@@ -116,6 +116,14 @@ class Stepper:
     def interpolate(self, t: float) -> State:
         """State at a time inside the last step, for methods with dense output."""
         raise NotImplementedError
+
+    def margin_within(self, which: tuple[int, int]) -> Callable[[float], float] | None:
+        """A margin of the mode by the time inside the last step; None where nobody knows it so.
+
+        Args:
+            which: As `ModeField.margin`.
+        """
+        return None
 
 
 class Integrator:

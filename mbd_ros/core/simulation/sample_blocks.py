@@ -9,7 +9,7 @@ from mbd_ros.core.integration.blocks import BlockStepper, HeldTable, SampleBlock
 from mbd_ros.core.memory import Memory, is_same
 from mbd_ros.core.simulation.checkpoint import Progress
 from mbd_ros.core.simulation.held_inputs import HeldInputs
-from mbd_ros.core.simulation.sample_times import SampleTimes
+from mbd_ros.core.simulation.sample_times import SampleTimes, step_end
 from mbd_ros.core.simulation.stall import WINDOW, StallWatch
 from mbd_ros.core.state import NONE, Array, State
 
@@ -134,10 +134,13 @@ class SampleBlocks:
         return Progress(self._origin, stepper.newest, stepper.state, stepper.is_within, float(now))
 
     def _step_alone(self, held: HeldTable) -> None:
-        """One step to the next sample at most, by whatever takes it."""
-        stepper, sample = self.stepper, self.stepper.newest
-        end = min(self._times.due(sample + 1), float(held.until[0]))
-        y = self._alone(stepper.state, held.values[0], end)
+        """One step by whatever takes it, to the next sample at most if samples within are none."""
+        stepper, sample, times = self.stepper, self.stepper.newest, self._times
+        end = times.due(sample + 1)
+        if stepper.spans_samples and not stepper.ends_at_samples:
+            now = float(held.now[0])
+            end = step_end(stepper.state, sample, times, now, stepper.is_fixed)
+        y = self._alone(stepper.state, held.values[0], min(end, float(held.until[0])))
         stepper.begin_samples(y, sample, is_within=True)
 
     def _left(self, held: HeldTable, block: SampleBlock, most: int) -> HeldTable:
