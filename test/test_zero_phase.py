@@ -298,8 +298,9 @@ def test_sums_cell_by_cell_are_those_sample_by_sample(uneven):
     weights, values = rng.uniform(0.5, 1.0, len(places)), rng.normal(size=(len(places), 3))
     ours, theirs = (kind(places, 45, weights) for kind in (CellBasis, UniformBasis))
     coefficients = rng.normal(size=(50, 3))
+    some = np.array([2, 0])
     pairs = [(ours.normal(), theirs.normal())]
-    pairs += [(ours.projected(values), theirs.projected(values))]
+    pairs += [(ours.projected(values, some), theirs.projected(values, some))]
     for basis in (ours, theirs):
         found = np.full((3, len(places) - 20, 4), np.nan)
         wanted = [(k, slice(1, 3), found[k], np.array([3, 0])) for k in range(3)]
@@ -339,11 +340,7 @@ def test_stamps_in_a_file_are_as_good_as_in_memory(tmp_path, monkeypatch):
             stamps.append(stamps_of(t)[i : i + 700])
             position.append(x[i : i + 700])
 
-        class Moving:
-            def __getitem__(self, rows):
-                return position[rows], None
-
-        moving = Moving(), np.zeros(2, dtype=bool)
+        moving = position, np.zeros(2, dtype=bool)
         cutoff = chosen_cutoffs(StampSpool(stamps), *moving, None)
         windows = Windows(StampSpool(stamps), cutoff)
         rows = [found for _, *found in smoothed(windows, *moving, cutoff)]

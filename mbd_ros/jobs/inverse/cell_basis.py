@@ -52,12 +52,12 @@ class CellBasis:
                 found[DEGREE - (q - p), block.own(q)] += row
         return found
 
-    def projected(self, values: Array) -> Array:
-        """Sums of weight b_i y over the samples; values of shape (n, m), result (splines, m)."""
-        m = values.shape[1]
+    def projected(self, values: Array, columns: NDArray[np.intp]) -> Array:
+        """Sums of weight b_i y over the samples, y m columns of values; shape (splines, m)."""
+        m = len(columns)
         projected = np.zeros((self._cells + DEGREE, m))
         for rows, block in self._blocks:
-            placed = block.placed(values[rows])
+            placed = block.placed(np.take(values[rows], columns, axis=1))
             moments = block.of_cells(block.weighted().swapaxes(0, 1) @ placed)
             sums = product(_PIECES, moments.swapaxes(0, 1).reshape(_WIDTH, -1))
             for p, of_cells in enumerate(sums.reshape(_WIDTH, -1, m)):

@@ -81,8 +81,8 @@ class SmoothedSource:
             every &= False if values is None else np.isfinite(values[:, :n]).all(axis=0)
         self._stamps.append(motion.stamps)
         moving = np.empty((len(motion.stamps), self._moving.spool.width))
-        moving[:, :n] = np.nan if velocity is None else velocity[:, :n]
-        moving[:, n:] = motion.position
+        moving[:, n : 2 * n] = np.nan if velocity is None else velocity[:, :n]
+        moving[:, :n], moving[:, 2 * n :] = motion.position[:, :n], motion.position[:, n:]
         self._moving.spool.append(moving)
         if self._driven.any():
             self._effort.append(effort)
@@ -118,7 +118,7 @@ class SmoothedSource:
 
 
 class _Moving:
-    """Velocities of the independent joints and positions of all, by rows.
+    """Positions and velocities of the independent joints, and positions of the others, by rows.
 
     Attributes:
         spool: Holds them.
@@ -127,10 +127,9 @@ class _Moving:
     def __init__(self, spool: Spool, independent: int) -> None:
         self.spool, self._n = spool, independent
 
-    def __getitem__(self, rows: slice) -> tuple[Array, Array]:
-        """Positions and velocities of the independent joints."""
-        values, n = self.spool[rows], self._n
-        return values[:, n : 2 * n], values[:, :n]
+    def __getitem__(self, rows: slice) -> Array:
+        """Those of the independent joints."""
+        return self.spool[rows][:, : 2 * self._n]
 
     def dependent(self, rows: slice) -> Array:
         """Positions of the other joints."""

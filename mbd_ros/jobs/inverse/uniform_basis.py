@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from mbd_ros.core.state import Array
@@ -52,9 +53,9 @@ class UniformBasis:
                 found[DEGREE - (q - p), q : q + self._cells] += sums
         return found
 
-    def projected(self, values: Array) -> Array:
-        """Sums of weight b_i y over the samples; values of shape (n, m), result (splines, m)."""
-        projected: Array = self._matrix.T @ (self._weights[:, None] * values)
+    def projected(self, values: Array, columns: NDArray[np.intp]) -> Array:
+        """Sums of weight b_i y over the samples, y m columns of values; shape (splines, m)."""
+        projected: Array = self._matrix.T @ (self._weights[:, None] * values[:, columns])
         return projected
 
     def put(self, coefficients: Array, width: float, wanted: Wanted, rows: slice) -> None:

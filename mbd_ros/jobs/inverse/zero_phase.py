@@ -24,25 +24,6 @@ class Rows(Protocol):
         ...
 
 
-class Moving(Protocol):
-    """Positions and velocities by rows, in memory or in a file."""
-
-    def __getitem__(self, rows: slice, /) -> tuple[Array, Array | None]:
-        """Some rows of either, shape (n, m); None where no velocity is measured."""
-        ...
-
-
-class _InMemory:
-    """See `Moving`."""
-
-    def __init__(self, position: Array, velocity: Array | None) -> None:
-        self._position, self._velocity = position, velocity
-
-    def __getitem__(self, rows: slice) -> tuple[Array, Array | None]:
-        velocity = None if self._velocity is None else self._velocity[rows]
-        return self._position[rows], velocity
-
-
 class ZeroPhase(NamedTuple):
     """A motion without noise.
 
@@ -86,7 +67,7 @@ def zero_phase(
     measured = np.zeros(position.shape[1], dtype=np.bool_)
     if velocity is not None:
         measured = ~np.isnan(velocity).any(axis=0)
-    moving = _InMemory(position, velocity)
+    moving = position if velocity is None else np.hstack([position, velocity])
     chosen = chosen_cutoffs(stamps, moving, measured, cutoff)
     found = tuple(np.empty_like(position) for _ in range(3))
     for rows, *smooth in smoothed(Windows(stamps, chosen), moving, measured, chosen):
@@ -96,7 +77,7 @@ def zero_phase(
 
 
 def chosen_cutoffs(
-    stamps: Stamps, moving: Moving, measured: NDArray[np.bool_], cutoff: float | None
+    stamps: Stamps, moving: Rows, measured: NDArray[np.bool_], cutoff: float | None
 ) -> Array:
     """Cut-off of each joint [Hz], shape (m,), see `zero_phase` and `smoothed`."""
     if cutoff is not None and not (np.isfinite(cutoff) and cutoff > 0):
@@ -114,31 +95,31 @@ def stated(stamps: Stamps, chosen: Array) -> Array:
 
 
 def smoothed(
-    windows: Windows, moving: Moving, measured: NDArray[np.bool_], cutoff: Array
+    windows: Windows, moving: Rows, measured: NDArray[np.bool_], cutoff: Array
 ) -> Iterator[tuple[slice, Array, Array, Array]]:
     """Rows, and position, velocity and acceleration of these, window by window.
 
     Args:
         windows: Of all stamps and the cut-offs.
-        moving: Positions and velocities of m joints.
+        moving: Positions and, where any is measured, velocities of m joints, side by side.
         measured: Joints whose velocity is used, shape (m,).
         cutoff: That of `chosen_cutoffs`.
     """
     for window in windows:
-        position, velocity = moving[window.wide]
+        values, m = moving[window.wide], len(cutoff)
         rows = window.core.stop - window.core.start
-        smooth, rate, push = found = np.empty((3, len(cutoff), rows)).swapaxes(1, 2)
+        smooth, rate, push = found = np.empty((3, m, rows)).swapaxes(1, 2)
         for f in np.unique(cutoff):
-            derived, given = (np.flatnonzero((cutoff == f) & m) for m in (~measured, measured))
-            columns = [position[:, derived], position[:, given]]
-            if velocity is not None:
-                columns.append(velocity[:, given])
+            derived, given = (
+                np.flatnonzero((cutoff == f) & each) for each in (~measured, measured)
+            )
             ours, theirs, rates = _places(len(derived), len(given))
             wanted = [(k, ours, found[k], derived) for k in range(3) if derived.size]
             if given.size:
                 wanted += [(0, theirs, smooth, given)]
                 wanted += [(0, rates, rate, given), (1, rates, push, given)]
-            window.low_pass(f).put(np.hstack(columns), wanted, window.own)
+            columns = np.concatenate([derived, given, m + given])
+            window.low_pass(f).put(values, columns, wanted, window.own)
         yield window.core, smooth, rate, push
 
 
@@ -161,12 +142,12 @@ def low_passed(windows: Windows, values: Rows, cutoff: Array) -> Iterator[Array]
         for f in np.unique(cutoff):
             at = np.flatnonzero(cutoff == f)
             wanted = [(0, slice(None), passed, at)]
-            window.low_pass(f).put(signals[:, at], wanted, window.own)
+            window.low_pass(f).put(signals, at, wanted, window.own)
         yield passed
 
 
 def _chosen(
-    stamps: Stamps, parts: Sequence[slice], moving: Moving, measured: NDArray[np.bool_]
+    stamps: Stamps, parts: Sequence[slice], moving: Rows, measured: NDArray[np.bool_]
 ) -> Array:
     """Cut-off of every joint, from its measured velocity or from its position."""
     cut = [piece for part in parts for piece in _pieces(part)]
@@ -174,11 +155,11 @@ def _chosen(
     whole = [piece for piece in cut if 2 * (piece.stop - piece.start) > longest]
     taken = whole[:: -(-len(whole) // _PIECES)]
     times, signals = [times_of(stamps, piece) for piece in taken], [moving[p] for p in taken]
-    chosen = np.full(len(measured), np.inf)
+    chosen, m = np.full(len(measured), np.inf), len(measured)
     for order, mine in ((0, ~measured), (1, measured)):
         if mine.any():
-            own = [pair[order] for pair in signals]
-            pieces = [values[:, mine] for values in own if values is not None]
+            columns = np.flatnonzero(mine) + order * m
+            pieces = [values[:, columns] for values in signals]
             chosen[mine] = cutoffs(list(zip(times, pieces, strict=True)), order)
     return chosen
 
