@@ -300,7 +300,7 @@ def test_sums_cell_by_cell_are_those_sample_by_sample(uneven):
     coefficients = rng.normal(size=(50, 3))
     some = np.array([2, 0])
     pairs = [(ours.normal(), theirs.normal())]
-    pairs += [(ours.projected(values, some), theirs.projected(values, some))]
+    pairs += [(ours.projected(values.T, some), theirs.projected(values.T, some))]
     for basis in (ours, theirs):
         found = np.full((3, len(places) - 20, 4), np.nan)
         wanted = [(k, slice(1, 3), found[k], np.array([3, 0])) for k in range(3)]

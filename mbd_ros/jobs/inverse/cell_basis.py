@@ -52,12 +52,12 @@ class CellBasis:
                 found[DEGREE - (q - p), block.own(q)] += row
         return found
 
-    def projected(self, values: Array, columns: NDArray[np.intp]) -> Array:
-        """Sums of weight b_i y over the samples, y m columns of values; shape (splines, m)."""
-        m = len(columns)
+    def projected(self, values: Array, chosen: NDArray[np.intp]) -> Array:
+        """Sums of weight b_i y over the samples, y m rows of values; shape (splines, m)."""
+        m = len(chosen)
         projected = np.zeros((self._cells + DEGREE, m))
         for rows, block in self._blocks:
-            placed = block.placed(np.take(values[rows], columns, axis=1))
+            placed = block.placed(values[:, rows], chosen)
             moments = block.of_cells(block.weighted().swapaxes(0, 1) @ placed)
             sums = product(_PIECES, moments.swapaxes(0, 1).reshape(_WIDTH, -1))
             for p, of_cells in enumerate(sums.reshape(_WIDTH, -1, m)):
@@ -78,6 +78,7 @@ class CellBasis:
             if own.start >= own.stop:
                 continue
             into = slice(own.start - rows.start, own.stop - rows.start)
+            inside = slice(own.start - part.start, own.stop - part.start)
             each = np.stack([coefficients[block.own(p)] for p in range(_WIDTH)])
             polynomials = product(_PIECES.T, each.reshape(_WIDTH, -1)).reshape(each.shape)
             polynomials, powers = block.of_rows(polynomials), block.powers()
@@ -85,11 +86,9 @@ class CellBasis:
                 factors = np.array([math.perm(k, order) for k in range(order, _WIDTH)])
                 factors = factors / width**order
                 those = polynomials[order:, :, columns] * factors[:, None, None]
-                of_order = powers[: _WIDTH - order].transpose(1, 2, 0)
-                values = block.taken(of_order @ those.swapaxes(0, 1))
-                inside = values[own.start - part.start : own.stop - part.start]
-                for column, place in zip(inside.T, places, strict=True):
-                    target[into, place] = column
+                found = block.values(those, powers[: _WIDTH - order])
+                for column, place in zip(found, places, strict=True):
+                    target[into, place] = block.taken(column, inside)
 
 
 class _Block:
@@ -140,13 +139,24 @@ class _Block:
             np.multiply(weighted[k - 1], self._u, out=weighted[k])
         return weighted
 
-    def placed(self, values: Array) -> Array:
-        """Values of the samples, shape (n, m), in their places, shape (rows, length, m)."""
-        return np.take(values, self._samples, axis=0)
+    def placed(self, values: Array, chosen: NDArray[np.intp]) -> Array:
+        """Chosen rows of values of the samples, shape (k, n), as a view (rows, length, m)."""
+        placed = np.empty((len(chosen), *self._samples.shape))
+        for own, k in zip(placed, chosen, strict=True):
+            np.take(values[k], self._samples, out=own, mode="clip")
+        return placed.transpose(1, 2, 0)
 
-    def taken(self, placed: Array) -> Array:
-        """The other way round."""
-        return np.take(placed.reshape(-1, placed.shape[2]), self._places, axis=0)
+    @staticmethod
+    def values(polynomials: Array, powers: Array) -> Array:
+        """Polynomials, shape (k, rows, m), in their places, shape (m, rows, length)."""
+        values = np.empty((polynomials.shape[2], *powers.shape[1:]))
+        of_rows = polynomials.transpose(1, 2, 0)
+        np.matmul(of_rows, powers.swapaxes(0, 1), out=values.swapaxes(0, 1))
+        return values
+
+    def taken(self, placed: Array, samples: slice) -> Array:
+        """Values in their places, shape (rows, length), of some samples."""
+        return np.take(placed.reshape(-1), self._places[samples], mode="clip")
 
     def own(self, p: int) -> slice | NDArray[np.intp]:
         """The spline p of each cell."""

@@ -50,7 +50,7 @@ class Basis(Protocol):
         """Sums of weight b_i b_j."""
         ...
 
-    def projected(self, values: Array, columns: NDArray[np.intp], /) -> Array:
+    def projected(self, values: Array, chosen: NDArray[np.intp], /) -> Array:
         """Sums of weight b_i y."""
         ...
 
@@ -128,23 +128,23 @@ class LowPass:
             normal[DEGREE] *= 1.0 + _HOLD
             self._solve = prepare(normal)
 
-    def put(self, values: Array, columns: NDArray[np.intp], wanted: Wanted, rows: slice) -> None:
+    def put(self, values: Array, chosen: NDArray[np.intp], wanted: Wanted, rows: slice) -> None:
         """Put derivatives of passed signals where they are wanted.
 
         Args:
-            values: Signals, one a column, shape (n, k).
-            columns: Those that pass, shape (m,).
+            values: Signals, one a row, shape (k, n).
+            chosen: Those that pass, shape (m,).
             wanted: See `spline_pieces.Wanted`; orders are 0, 1 or 2.
             rows: The samples that are wanted.
         """
         if self._basis is None:
             from scipy.interpolate import make_interp_spline  # only where nothing is smoothed
 
-            through = make_interp_spline(self._times, values[:, columns], k=DEGREE, axis=0)
+            through = make_interp_spline(self._times, values[chosen].T, k=DEGREE, axis=0)
             for order, own, target, places in wanted:
                 target[:, places] = through(self._times[rows], nu=order)[:, own]
             return
-        coefficients = self._solve(self._basis.projected(values, columns))
+        coefficients = self._solve(self._basis.projected(values, chosen))
         self._basis.put(coefficients, self._width, wanted, rows)
 
 

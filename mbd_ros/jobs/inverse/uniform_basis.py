@@ -53,9 +53,9 @@ class UniformBasis:
                 found[DEGREE - (q - p), q : q + self._cells] += sums
         return found
 
-    def projected(self, values: Array, columns: NDArray[np.intp]) -> Array:
-        """Sums of weight b_i y over the samples, y m columns of values; shape (splines, m)."""
-        projected: Array = self._matrix.T @ (self._weights[:, None] * values[:, columns])
+    def projected(self, values: Array, chosen: NDArray[np.intp]) -> Array:
+        """Sums of weight b_i y over the samples, y m rows of values; shape (splines, m)."""
+        projected: Array = self._matrix.T @ (self._weights[:, None] * values[chosen].T)
         return projected
 
     def put(self, coefficients: Array, width: float, wanted: Wanted, rows: slice) -> None:

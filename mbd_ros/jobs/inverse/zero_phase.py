@@ -106,7 +106,7 @@ def smoothed(
         cutoff: That of `chosen_cutoffs`.
     """
     for window in windows:
-        values, m = moving[window.wide], len(cutoff)
+        values, m = np.ascontiguousarray(moving[window.wide].T), len(cutoff)
         rows = window.core.stop - window.core.start
         smooth, rate, push = found = np.empty((3, m, rows)).swapaxes(1, 2)
         for f in np.unique(cutoff):
@@ -118,8 +118,8 @@ def smoothed(
             if given.size:
                 wanted += [(0, theirs, smooth, given)]
                 wanted += [(0, rates, rate, given), (1, rates, push, given)]
-            columns = np.concatenate([derived, given, m + given])
-            window.low_pass(f).put(values, columns, wanted, window.own)
+            chosen = np.concatenate([derived, given, m + given])
+            window.low_pass(f).put(values, chosen, wanted, window.own)
         yield window.core, smooth, rate, push
 
 
@@ -137,7 +137,7 @@ def low_passed(windows: Windows, values: Rows, cutoff: Array) -> Iterator[Array]
         cutoff: That of the result of `zero_phase`.
     """
     for window in windows:
-        signals = values[window.wide]
+        signals = np.ascontiguousarray(values[window.wide].T)
         passed = np.empty((len(cutoff), window.core.stop - window.core.start)).T
         for f in np.unique(cutoff):
             at = np.flatnonzero(cutoff == f)
