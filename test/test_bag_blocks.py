@@ -279,17 +279,20 @@ def test_what_is_not_one_topic_is_not_streamed(tmp_path):
 
 
 def test_bag_to_bag_costs_about_what_a_copy_costs(tmp_path):
-    """Measured 0.55 at 100 000 messages; the share of what is done once is larger here."""
+    """Measured at 100 000 messages 0.55, with zero-phase derivatives 0.58 at a cut-off and 0.7
+    without; the share of what is done once is larger here."""
     path, scene = tmp_path / "bag", load_scene(SCENES / "arm7.yaml")
     stamps, q, v = motion(30_000)
     with BagWriter(path) as bag:
         rows = joint_state_rows(JOINTS, stamps, {"position": q, "velocity": v, "effort": q})
         bag.write_rows([Rows(TOPIC, JOINT_STATE, stamps, rows)])
-    task, ratios = Task(path, Derivatives("causal")), []
-    for i in range(3):
-        begin = time.process_time()
-        inverse_to(scene, task, tmp_path / f"out{i}", lambda line: None)
-        middle = time.process_time()
+    kinds = Derivatives("causal"), Derivatives("zero-phase", 5.0), Derivatives("zero-phase")
+    times = []
+    for i in range(2):
+        marks = [time.process_time()]
+        for k, derivatives in enumerate(kinds):
+            inverse_to(scene, Task(path, derivatives), tmp_path / f"out{i}{k}", lambda line: None)
+            marks.append(time.process_time())
         with (
             Reader(path) as reader,
             Writer(tmp_path / f"copy{i}", version=9, storage_plugin=StoragePlugin.MCAP) as writer,
@@ -298,5 +301,6 @@ def test_bag_to_bag_costs_about_what_a_copy_costs(tmp_path):
             own = writer.add_connection(TOPIC, JOINT_STATE, typestore=TYPES)
             for _, stamp, cdr in reader.messages([theirs]):
                 writer.write(own, stamp, cdr)
-        ratios.append((middle - begin) / (time.process_time() - middle))
-    assert min(ratios) <= 1.5
+        times.append(np.diff([*marks, time.process_time()]))
+    *ours, copy = np.min(times, axis=0)
+    assert (np.array(ours) <= np.array([1.5, 1.5, 1.8]) * copy).all()
