@@ -55,6 +55,7 @@ class ModeStepper(NativeStepper):
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """As `Stepper.step`."""
+        pace = self.run.pace
         if self.is_compiled:
             self.enter(x)
             before = self.run.steps
@@ -65,7 +66,11 @@ class ModeStepper(NativeStepper):
                 self._is_plain = False
                 return self.newest_state()
             self.run.load(x)
+        if not self.is_fixed:
+            self._plain.pace = pace
         after = self._plain.step(x, u, end)
+        if not self.is_fixed:
+            self.run.pace = self._plain.pace
         if after is not x:
             self._is_plain, self._last = True, None
             self.handed_over += 1

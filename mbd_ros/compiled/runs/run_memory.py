@@ -45,6 +45,15 @@ class RunMemory:
         return float(self._numbers[self._at[Field.T]])
 
     @property
+    def pace(self) -> tuple[float, ...]:
+        """As `Stepper.pace`."""
+        return tuple(self._numbers[self._at[Field.LENGTH] :][:2].tolist())
+
+    @pace.setter
+    def pace(self, pace: tuple[float, ...]) -> None:
+        self._numbers[self._at[Field.LENGTH] :][:2] = pace
+
+    @property
     def inputs(self) -> Array:
         """Those that are held, fresh."""
         return self._numbers[self._at[Field.U] :][: self.sizes.nu].copy()

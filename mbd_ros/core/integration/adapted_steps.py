@@ -58,6 +58,15 @@ class AdaptedSteps(Stepper):
         self._last = x, self._moved(x)
         self._inner.continue_from(self._last[1])
 
+    @property
+    def pace(self) -> tuple[float, ...]:
+        """As `Stepper.pace`."""
+        return self._inner.pace
+
+    @pace.setter
+    def pace(self, pace: tuple[float, ...]) -> None:
+        self._inner.pace = pace
+
     def interpolate(self, t: float) -> State:
         """State inside the last step, by the dense output of the method."""
         return self._given(self._inner.interpolate(t))

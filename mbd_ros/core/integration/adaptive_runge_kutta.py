@@ -89,6 +89,15 @@ class AdaptiveRungeKutta(RungeKutta):
         self._length = max(longer, self._length) if is_last else longer
         return after
 
+    @property
+    def pace(self) -> tuple[float, ...]:
+        """As `Stepper.pace`."""
+        return self._length, self._last_error
+
+    @pace.setter
+    def pace(self, pace: tuple[float, ...]) -> None:
+        self._length, self._last_error = pace
+
     def restart(self) -> None:
         """Forget the last step and its length."""
         super().restart()

@@ -117,6 +117,15 @@ class Stepper:
         """State at a time inside the last step, for methods with dense output."""
         raise NotImplementedError
 
+    @property
+    def pace(self) -> tuple[float, ...]:
+        """Length of the next step [s] and last error, where the method chooses its steps."""
+        return ()
+
+    @pace.setter
+    def pace(self, pace: tuple[float, ...]) -> None:
+        """Go on with the pace of other steps of the same method."""
+
     def margin_within(self, which: tuple[int, int]) -> Callable[[float], float] | None:
         """A margin of the mode by the time inside the last step; None where nobody knows it so.
 
