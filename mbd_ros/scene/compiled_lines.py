@@ -40,7 +40,7 @@ def _costs(scene: Scene, simulation: Simulation) -> str:
         ours, theirs = _step_time(simulation, scene), _step_time(plain, scene)
     except (DivergedError, SolveError):
         return ""
-    if getattr(simulation.stepper, "handed_over", 0):
+    if isinstance(simulation.stepper, BlockStepper) and simulation.stepper.plain_steps:
         return "; plain steps at the start, where rows are near dependence"
     name = plain.integrator.title
     return f"; one step of {name} {ours * 1e6:.2g} us, plain {theirs * 1e6:.3g} us"

@@ -66,6 +66,11 @@ class EventStepper(EventSteps, BlockStepper):
         return self._native.handed_over
 
     @property
+    def plain_steps(self) -> int:
+        """As `BlockStepper.plain_steps`; others were native ones that Python has searched."""
+        return self._native.integrated_plainly
+
+    @property
     def state(self) -> State:
         """What is integrated, before a step that is to be searched."""
         if self._is_new:

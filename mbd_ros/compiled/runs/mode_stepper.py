@@ -25,6 +25,7 @@ class ModeStepper(NativeStepper):
         run: As given.
         mode: What it follows.
         is_compiled: Whether that is compiled.
+        integrated_plainly: How many steps plain Python has integrated.
     """
 
     def __init__(
@@ -38,7 +39,7 @@ class ModeStepper(NativeStepper):
         super().__init__(run, plain, correct, idle)
         self.run, self.correct, self._keys = run, correct, keys
         self.mode: Mode = ()
-        self.is_compiled = False
+        self.is_compiled, self.integrated_plainly = False, 0
 
     @property
     def is_plain(self) -> bool:
@@ -74,6 +75,7 @@ class ModeStepper(NativeStepper):
         if after is not x:
             self._is_plain, self._last = True, None
             self.handed_over += 1
+            self.integrated_plainly += 1
         return after
 
     def newest_state(self) -> State:

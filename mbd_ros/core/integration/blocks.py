@@ -49,6 +49,11 @@ class BlockStepper(Stepper):
     spans_samples: bool = False
 
     @property
+    def plain_steps(self) -> int:
+        """Those of the steps in `handed_over` that other code has integrated, too."""
+        return self.handed_over
+
+    @property
     def evaluations(self) -> int:
         """How often accelerations were computed, those of the system apart."""
         raise NotImplementedError
