@@ -115,8 +115,7 @@ class _Lead:
         recorder.wait(self._is_answered, "answers to the first joint state")
         recorder.messages.clear()
         self._send_reference()
-        recorder.ask(self._pause, SetBool.Request(data=False))
-        recorder.ask(self._reset, Trigger.Request(), is_once=True)  # a second one would begin anew
+        recorder.ask(self._pause, SetBool.Request(data=False))  # the first state is shown again
         for _ in progress(self._ticks(), round(run.duration * 1000), "simulating"):
             pass
         recorder.ask(self._pause, SetBool.Request(data=True))

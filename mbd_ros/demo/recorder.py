@@ -106,7 +106,7 @@ class Recorder:
                 raise Failed(f"{what}: not within {timeout:g} s ({said or 'no diagnostics'})")
             self.spin()
 
-    def ask(self, client: Any, request: Any, *, is_once: bool = False) -> None:
+    def ask(self, client: Any, request: Any) -> None:
         """Send a request until it is answered.
 
         A client knows a service a moment before the service knows the client, and the response
@@ -114,8 +114,7 @@ class Recorder:
 
         Args:
             client: Of the service.
-            request: May be heard twice, unless `is_once`.
-            is_once: Send it only once: both sides know each other.
+            request: May be heard twice.
 
         Raises:
             Failed: It is refused, or never answered.
@@ -125,7 +124,7 @@ class Recorder:
             now = time.monotonic()
             if now > end:
                 raise Failed(f"{client.srv_name}: not answered within {_DEADLINE:g} s")
-            if answer is None or (now > again and not is_once):
+            if answer is None or now > again:
                 answer, again = client.call_async(request), now + _AGAIN
             self.check()
             self.spin(0.01)
