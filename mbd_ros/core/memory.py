@@ -13,6 +13,8 @@ def copied(value: Any) -> Any:
     """A value with arrays of its own, in tuples too."""
     if isinstance(value, np.ndarray):
         return value.copy()
+    if isinstance(value, State):
+        return State(value.t, value.q.copy(), value.v.copy(), value.z.copy(), value.mode)
     if isinstance(value, tuple):
         return _like(value)(map(copied, value))
     return value

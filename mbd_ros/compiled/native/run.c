@@ -207,12 +207,11 @@ EXPORT int again(const Options *o, Run *r, double h, double t, double *out) {
   return DONE;
 }
 
-/* A margin of the mode inside the last step: number `which` of heights, then of forces. */
-EXPORT double margin_within(const Options *o, Run *r, double t, long which) {
+/* A margin of the mode at a state: number `which` of heights, then of forces. */
+static double margin_at(const Options *o, Run *r, double t, const double *q, const double *w,
+                        long which) {
 #if MODES
   double margins[MODES], rates[MODES], spans[MODES], names, of_forces[NOT_ZERO(ANSWERS)], length;
-  double q[NOT_ZERO(NQ)], w[NOT_ZERO(NW)];
-  state_at(o, r, t, q, w);
   if (which >= MODES) {
     ask_forces(o, r, t, q, w, of_forces, rates, &length);
     return of_forces[which - MODES];
@@ -222,6 +221,20 @@ EXPORT double margin_within(const Options *o, Run *r, double t, long which) {
 #else
   return 0.0;
 #endif
+}
+
+/* A margin of the mode inside the last step. */
+EXPORT double margin_within(const Options *o, Run *r, double t, long which) {
+  double q[NOT_ZERO(NQ)], w[NOT_ZERO(NW)];
+  state_at(o, r, t, q, w);
+  return margin_at(o, r, t, q, w, which);
+}
+
+/* A margin after the last step, taken once more with another length; no number where it fails. */
+EXPORT double margin_again(const Options *o, Run *r, double h, double t, long which) {
+  double out[NOT_ZERO(NQ) + NOT_ZERO(NW)];
+  if (again(o, r, h, t, out) != DONE) return NAN;
+  return margin_at(o, r, t, out, out + NQ, which);
 }
 
 /* State inside the last step, corrected, [q; v; z]. */

@@ -114,6 +114,14 @@ class ModeStepper(NativeStepper):
             return None
         return lambda t: self.run.margin_within(t, number)
 
+    def margin_again(self, which: tuple[int, int]) -> Callable[[float, float], float] | None:
+        """As `Stepper.margin_again`, where native code has taken the step."""
+        number = self._keys.get(which)
+        if self._is_plain or number is None:
+            return None
+        self._last = None  # the run stands behind steps of other lengths from here on
+        return lambda h, t: self.run.margin_again(h, t, number)
+
     def continue_from(self, x: State) -> None:
         """As `Stepper.continue_from`."""
         if self._is_plain:

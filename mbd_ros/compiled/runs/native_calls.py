@@ -20,11 +20,13 @@ def bound(c: Any) -> Any:
         ("step_alone", (pointer, pointer, pointer, number)),
         ("state_within", (pointer, pointer, number, pointer)),
         ("margin_within", (pointer, pointer, number, whole)),
+        ("margin_again", (pointer, pointer, number, number, whole)),
         ("interpolate", (pointer, pointer, number, pointer)),
     ):
         getattr(c, name).argtypes = arguments
     c.place_of.restype = whole
-    c.evaluate_at.restype = c.margin_within.restype = number
+    for name in ("evaluate_at", "margin_within", "margin_again"):
+        getattr(c, name).restype = number
     for name in ("restart", "leave", "touch"):
         getattr(c, name).restype = None
     return c

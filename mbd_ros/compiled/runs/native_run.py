@@ -174,14 +174,19 @@ class NativeRun(RunMemory):
         """A margin of the mode inside the last step, by its number in `Traced.keys`."""
         return float(self._c.margin_within(self._o, self._r, t, which))
 
+    def margin_again(self, h: float, t: float, which: int) -> float:
+        """The same after the last step, taken once more; as `again`, nan where that fails."""
+        return float(self._c.margin_again(self._o, self._r, h, t, which))
+
     def switch(self, mode: Sequence[int]) -> None:
         """Go on in another mode of rows that give way; nothing of earlier steps holds in it."""
         self._p[len(self._p) - self.sizes.modes :] = mode[: self.sizes.modes]
         self._c.leave(self._r)
 
     def _given(self, t: float) -> State:
-        nq, nv = self.sizes.nq, self.sizes.nv
-        return self._turned_back(t, *np.split(self._out.copy(), (nq, nq + nv)))
+        nq, end = self.sizes.nq, self.sizes.nq + self.sizes.nv
+        out = self._out.copy()
+        return self._turned_back(t, out[:nq], out[nq:end], out[end:])
 
 
 def held_inputs(u: Array | Sequence[float], now: float) -> HeldTable:

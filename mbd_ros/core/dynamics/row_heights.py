@@ -63,19 +63,28 @@ class RowHeights:
         self._has_gaps, self._has_slips = bool(self._is_gap.any()), bool(self._is_slip.any())
         rigid = [(block.law.is_rigid, block.level) for block in rows.blocks for _ in block.rows]
         self._held = np.flatnonzero([is_held for is_held, _ in rigid])
+        self._asked: Any = None
+        self._known: list[Array | None] = [None, None]
         self._closed = np.flatnonzero([one == (True, Level.POSITION) for one in rigid])
 
     def heights(self, y: State) -> Array:
         """Gaps, slip velocities, and 1 for rows without height, shape (n,)."""
-        return self._heights(self.placed(y))
+        known = self._known_at(y)
+        if known[0] is None:
+            known[0] = self._heights(self.placed(y))
+        return known[0].copy()
 
     def approach(self, y: State) -> Array:
         """The g' of all rows, shape (n,)."""
-        return self._approach(self.placed(y))
+        known = self._known_at(y)
+        if known[1] is None:
+            known[1] = self._approach(self.placed(y))
+        return known[1].copy()
 
     def ways(self, y: State) -> tuple[Mode, list[int]]:
         """Modes by the heights, and rows that may be on."""
-        return self.ways_at(self.placed(y))
+        x = self._motion.coordinates.expand(y)
+        return self._ways(self.heights(y), self.approach(y), rounding(x))
 
     def onto(self, y: State, mode: Mode, *, moves: bool = True) -> State:
         """The state on the rows that are on, moved as their forces move it: g = 0, then g' = 0.
@@ -88,7 +97,7 @@ class RowHeights:
         on = np.array([not way for way in mode[: len(self._at)]], dtype=np.bool_)
         gaps, slips = on & self._is_gap, on & (self._is_gap | self._is_slip | self._is_friction)
         for _ in range(_CORRECTIONS if gaps.any() else 0):
-            g = self._heights(self.placed(y))
+            g = self.heights(y)
             if np.abs(g[gaps]).max() <= np.spacing(1.0 + np.abs(y.q).max()):
                 break
             move = self._move(y, g, gaps, self._closed)
@@ -151,7 +160,17 @@ class RowHeights:
 
     def ways_at(self, x: State) -> tuple[Mode, list[int]]:
         """The same at a state of all joints, with k as the rows need it."""
-        heights, rate, slack = self._heights(x), self._approach(x), rounding(x)
+        return self._ways(self._heights(x), self._approach(x), rounding(x))
+
+    def _known_at(self, y: State) -> list[Array | None]:
+        """Heights and rates at a state, where they were asked for last; an event asks often."""
+        asked = y.t, y.mode, y.q.tobytes(), y.v.tobytes(), y.z.tobytes()
+        if asked != self._asked:
+            self._asked, self._known = asked, [None, None]
+        return self._known
+
+    def _ways(self, heights: Array, rate: Array, slack: float) -> tuple[Mode, list[int]]:
+        """As `ways_at`, with what counts as none."""
         on = np.where(self._is_gap, heights, np.abs(heights)) <= slack
         on &= ~self._is_gap | (rate <= slack)
         on |= ~(self._is_gap | self._is_slip)

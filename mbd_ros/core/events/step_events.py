@@ -90,10 +90,7 @@ class StepEvents:
         self, x: State, u: Array | None, event: Margin, h: float, left: Collection[int]
     ) -> float:
         """Length of the step with which a margin is zero, 0 for one that is so at the start."""
-
-        def margin(length: float) -> float:
-            return self._field.margin(self._advanced(x, length), u, event)
-
+        margin = self._margin(x, u, event)
         near, at_near = 0.0, self._field.margin(x, u, event)
         switch, way = event
         if not way and switch in left:
@@ -118,6 +115,20 @@ class StepEvents:
             return sign_change(margin, *bracket, math.ulp(x.t))
         return sign_change(margin, *bracket)
 
+    def _margin(self, x: State, u: Array | None, event: Margin) -> Callable[[float], float]:
+        """A margin after the step with another length."""
+        ask = None
+        if not event[1] and event[0] in self._field.gaps:
+            ask = self._inner.margin_again(event)
+
+        def margin(length: float) -> float:
+            found = math.nan if ask is None else ask(length, x.t + length)
+            if math.isnan(found):
+                return self._field.margin(self._advanced(x, length), u, event)
+            return found
+
+        return margin
+
     def _seen(self, x: State, u: Array | None, event: Margin) -> Callable[[float], float]:
         """A margin in the dense output of the last step."""
         ask = self._inner.margin_within(event)
@@ -129,9 +140,9 @@ class StepEvents:
         self, x: State, u: Array | None, event: Margin, h: float, shortest: float
     ) -> float:
         """A length below h with which a margin is positive that was none at the start, or 0."""
-        near = _SHRINK * h
+        margin, near = self._margin(x, u, event), _SHRINK * h
         while near > shortest:
-            if self._field.margin(self._advanced(x, near), u, event) > 0.0:
+            if margin(near) > 0.0:
                 return near
             near *= _SHRINK
         return 0.0

@@ -134,6 +134,10 @@ class Stepper:
         """
         return None
 
+    def margin_again(self, which: tuple[int, int]) -> Callable[[float, float], float] | None:
+        """The same by length and time after the last step, taken again; nan where that fails."""
+        return None
+
 
 class Integrator:
     """A method of numerical integration.
