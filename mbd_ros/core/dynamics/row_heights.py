@@ -64,22 +64,22 @@ class RowHeights:
         rigid = [(block.law.is_rigid, block.level) for block in rows.blocks for _ in block.rows]
         self._held = np.flatnonzero([is_held for is_held, _ in rigid])
         self._asked: Any = None
-        self._known: list[Array | None] = [None, None]
+        self._known: dict[str, Array] = {}
         self._closed = np.flatnonzero([one == (True, Level.POSITION) for one in rigid])
 
     def heights(self, y: State) -> Array:
         """Gaps, slip velocities, and 1 for rows without height, shape (n,)."""
         known = self._known_at(y)
-        if known[0] is None:
-            known[0] = self._heights(self.placed(y))
-        return known[0].copy()
+        if "heights" not in known:
+            known["heights"] = self._heights(self.placed(y))
+        return known["heights"].copy()
 
     def approach(self, y: State) -> Array:
         """The g' of all rows, shape (n,)."""
         known = self._known_at(y)
-        if known[1] is None:
-            known[1] = self._approach(self.placed(y))
-        return known[1].copy()
+        if "rates" not in known:
+            known["rates"] = self._approach(self.placed(y))
+        return known["rates"].copy()
 
     def ways(self, y: State) -> tuple[Mode, list[int]]:
         """Modes by the heights, and rows that may be on."""
@@ -162,11 +162,11 @@ class RowHeights:
         """The same at a state of all joints, with k as the rows need it."""
         return self._ways(self._heights(x), self._approach(x), rounding(x))
 
-    def _known_at(self, y: State) -> list[Array | None]:
+    def _known_at(self, y: State) -> dict[str, Array]:
         """Heights and rates at a state, where they were asked for last; an event asks often."""
         asked = y.t, y.mode, y.q.tobytes(), y.v.tobytes(), y.z.tobytes()
         if asked != self._asked:
-            self._asked, self._known = asked, [None, None]
+            self._asked, self._known = asked, {}
         return self._known
 
     def _ways(self, heights: Array, rate: Array, slack: float) -> tuple[Mode, list[int]]:
