@@ -1,7 +1,5 @@
 """Rows of numbers that wait in a file for those who read some of them."""
 
-import bisect
-import itertools
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -72,44 +70,6 @@ class Spool:
             raise DataError(
                 f"{self._folder}: no room for what has to wait ({error.strerror})"
             ) from error
-
-
-class SignalSpool:
-    """Rows that are read signal by signal: each piece of them lies transposed in the file.
-
-    Args:
-        spool: The numbers, one a row.
-        width: Numbers in a row of this one.
-
-    Attributes:
-        width: As given.
-        rows: How many there are.
-    """
-
-    def __init__(self, spool: Spool, width: int) -> None:
-        self._spool, self.width, self.rows = spool, width, 0
-        self._ends = [0]
-
-    def append(self, values: NDArray[Any]) -> None:
-        """Add rows, shape (n, width)."""
-        self._spool.append(np.ascontiguousarray(values.T).reshape(-1, 1))
-        self.rows += len(values)
-        self._ends.append(self.rows)
-
-    def __getitem__(self, rows: slice) -> NDArray[Any]:
-        """Some rows that follow each other, shape (n, width); columns are contiguous."""
-        begin, end, _ = rows.indices(self.rows)
-        found = np.empty((self.width, max(end - begin, 0)))
-        first = bisect.bisect_right(self._ends, begin) - 1
-        for start, stop in itertools.pairwise(self._ends[first:]):
-            if start >= end:
-                break
-            data = self._spool[self.width * start : self.width * stop]
-            piece = data.reshape(self.width, stop - start)
-            own = slice(max(start, begin), min(stop, end))
-            into = slice(own.start - begin, own.stop - begin)
-            found[:, into] = piece[:, own.start - start : own.stop - start]
-        return found.T
 
 
 class StampSpool:

@@ -11,7 +11,7 @@ from mbd_ros.core.estimation.torque_estimator import Observations
 from mbd_ros.core.state import Array, Motion
 from mbd_ros.files.motion_blocks import MotionBlocks
 from mbd_ros.files.recordings import name_of
-from mbd_ros.files.spool import SignalSpool, Spool, StampSpool
+from mbd_ros.files.spool import Spool, StampSpool
 from mbd_ros.files.table import Table
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse.cutoff_lines import cutoff_lines
@@ -45,15 +45,12 @@ class SmoothedSource:
     def __enter__(self) -> "SmoothedSource":
         n, m = self._n, len(self._names)
         self._stamps = StampSpool(self._spool(1, np.int64))
-        self._moving, self._effort = _Moving(self._signals(n + m), n), self._signals(m)
-        self._tau: SignalSpool | None = None
+        self._moving, self._effort = _Moving(self._spool(n + m), n), self._spool(m)
+        self._tau: Spool | None = None
         return self
 
     def _spool(self, width: int, kind: type[np.generic] = np.float64) -> Spool:
         return self._stack.enter_context(Spool(self._folder, width, kind))
-
-    def _signals(self, width: int) -> SignalSpool:
-        return SignalSpool(self._spool(1), width)
 
     def __exit__(
         self,
@@ -83,7 +80,7 @@ class SmoothedSource:
         for every, values in ((self._measured, velocity), (self._driven, effort)):
             every &= False if values is None else np.isfinite(values[:, :n]).all(axis=0)
         self._stamps.append(motion.stamps)
-        moving = np.empty((self._moving.spool.width, len(motion.stamps))).T
+        moving = np.empty((len(motion.stamps), self._moving.spool.width))
         moving[:, n : 2 * n] = np.nan if velocity is None else velocity[:, :n]
         moving[:, :n], moving[:, 2 * n :] = motion.position[:, :n], motion.position[:, n:]
         self._moving.spool.append(moving)
@@ -97,9 +94,9 @@ class SmoothedSource:
         if not self._pairs:
             return
         if self._tau is None:
-            self._tau = self._signals(2 * len(self._pairs))
+            self._tau = self._spool(2 * len(self._pairs))
         effort = self._effort[self._tau.rows : self._tau.rows + table.rows]
-        tau, k = np.empty((self._tau.width, table.rows)).T, len(self._pairs)
+        tau, k = np.empty((table.rows, self._tau.width)), len(self._pairs)
         for i, (j, name) in enumerate(self._pairs):
             tau[:, i], tau[:, k + i] = effort[:, j], table[name]
         self._tau.append(tau)
@@ -127,7 +124,7 @@ class _Moving:
         spool: Holds them.
     """
 
-    def __init__(self, spool: SignalSpool, independent: int) -> None:
+    def __init__(self, spool: Spool, independent: int) -> None:
         self.spool, self._n = spool, independent
 
     def __getitem__(self, rows: slice) -> Array:

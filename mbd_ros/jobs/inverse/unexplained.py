@@ -55,20 +55,15 @@ def off_the_effort(windows: Windows, tau: Rows, cutoff: Array) -> Iterator[str]:
     for passed in low_passed(windows, tau, np.tile(cutoff, 2)):
         for begin in range(0, len(passed), _BLOCK):
             known, found = np.split(passed[begin : begin + _BLOCK].T, 2)
-            unit = float(max(known.max(), -known.min(), found.max(), -found.min()))
+            unit = max(np.abs(known).max(), np.abs(found).max())  # squares may overflow
             if not np.isfinite(unit):
                 return
             if unit > 0.0:
                 known, found = known / unit, found / unit
-                total = math.hypot(total, unit * _norm(known))
-                off = math.hypot(off, unit * _norm(found - known))
+                total = math.hypot(total, unit * math.sqrt(np.square(known).sum()))
+                off = math.hypot(off, unit * math.sqrt(np.square(found - known).sum()))
     if total > 0.0 and math.isfinite(off):
         yield (
             f"off the measured effort by {100.0 * off / total:.3g} % (norm of differences over "
             "norm of efforts, all behind the same low-pass)"
         )
-
-
-def _norm(values: Array) -> float:
-    """Root of the sum of squares."""
-    return math.sqrt(sum(float(row @ row) for row in values))
