@@ -31,6 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help="CSV (.gz), .npz, .parquet or bag (required)",
     )
+    _add_method(parser)
+    _add_inputs(parser)
+    _add_tables(parser)
+
+
+def _add_method(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--integrator", help="in place of that of the scene")
     parser.add_argument(
         "--tolerance",
@@ -46,6 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--compiled", action="store_true", help="steps in native code: --solver compiled"
     )
+
+
+def _add_inputs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--from", dest="origin", type=path_word, help="CSV or bag with the state")
     parser.add_argument("--start", type=float, help="[s] (default: 0.0)")
     parser.add_argument(
@@ -54,6 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="CSV: .command of actuators; CSV or bag: .effort",
     )
     parser.add_argument("--wrenches", type=path_word, help="CSV or bag of the external loads")
+
+
+def _add_tables(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--ensemble",
         type=path_word,
