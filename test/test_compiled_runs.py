@@ -214,12 +214,13 @@ def test_what_has_no_native_steps_is_named():
 @pytest.mark.parametrize(
     ("name", "kind", "mujoco_steps", "error", "ratio"),
     [
-        ("arm7_swing", Dop853(tolerance=1e-7), (2e-4, 2.0, False), 1e-6, 40.0),
-        ("a02_four_bars_2", Dop853(tolerance=5e-9), (1e-3, 0.7, True), 1e-8, 50.0),
+        ("arm7_swing", Dop853(tolerance=1e-7), (2e-4, 2.0, False), 1e-6, 60.0),
+        ("a02_four_bars_2", Dop853(tolerance=5e-9), (1e-3, 0.7, True), 1e-8, 100.0),
     ],
 )
 def test_runs_take_less_than_those_of_mujoco(name, kind, mujoco_steps, error, ratio):
-    """Measured 92 to 102 and 68 to 93, beside other load too."""
+    """A run of 50 us takes 500 us where another program has just emptied the caches: the
+    best of as many milliseconds for both, measured 130 and 270."""
     peers = pytest.importorskip("mbd_ros.report.peers.mujoco_peer")
     from mbd_ros.report.peers.translation import common_ground, task_of
 
@@ -229,14 +230,15 @@ def test_runs_take_less_than_those_of_mujoco(name, kind, mujoco_steps, error, ra
     plain = scene.simulation(integrator={"type": "dop853", "tolerance": 1e-12}, dt=0.1)
     known = np.array([x.q for x in plain.run(scene.initial, 1.0)])
     peer = peers.MujocoRun(task_of(common_ground(scene)), "mjINT_RK4", *mujoco_steps)
-    times = {"ours": [], "theirs": []}
+    ours, theirs = [], []
     for _ in range(5):
-        begin = time.process_time()
-        rows = compiled.sampled(scene.initial, 1.0)
-        times["ours"].append(time.process_time() - begin)
+        for _ in range(20):
+            begin = time.process_time()
+            rows = compiled.sampled(scene.initial, 1.0)
+            ours.append(time.process_time() - begin)
         states, used = peer.run((np.arange(1, 11) * 0.1).tolist())
-        times["theirs"].append(used)
+        theirs.append(used)
     assert rows.shape[0] == 401
     assert np.abs(rows[::40, 1 : 1 + known.shape[1]] - known).max() < error
     assert np.abs(np.array([x.q for x in states]) - known[1:]).max() > 0.1 * error
-    assert min(times["theirs"]) > ratio * min(times["ours"])
+    assert min(theirs) > ratio * min(ours)
