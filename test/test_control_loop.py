@@ -103,6 +103,19 @@ def test_silence_ramps_to_nothing_once_and_the_return_has_no_bump(joints):
     np.testing.assert_allclose(again[0], half, atol=1e-12)
 
 
+def test_another_simulation_in_the_middle_of_a_lapse_begins_at_the_safe_command(joints):
+    """Its first state may come before its clock says that time began anew."""
+    loop = loop_of(joints)
+    loop.is_frozen = True
+    run(loop, 200)
+    loop.lapse(0.01)
+    np.testing.assert_allclose(loop.lapse(0.02), [5.6, -2.8])
+    efforts = run(loop, 101)
+    np.testing.assert_array_equal(efforts[0], [0.0, 0.0])
+    assert np.abs(np.diff(efforts, axis=0)).max() <= 8.0 * DT / 0.1 + 1e-12
+    np.testing.assert_allclose(efforts[-1], [8.0, -4.0])
+
+
 def test_a_gap_right_after_the_first_state_is_no_part_of_the_ramp(joints):
     """The last state before a simulator froze may be the first that comes after it."""
     loop = loop_of(joints)

@@ -133,7 +133,7 @@ class ControlLoop:
         q, v = joints.positions(x), joints.velocities(x)
         self._v = v
         dt = 0.0 if self.is_open else min(max(x.t - self._t, 0.0), self.longest)
-        if not self.is_open and x.t < self._t:
+        if x.t < self._t and (self._is_lapsed or not self.is_open):
             self.weight = 1.0
         begins = self.is_open or not 0.0 <= x.t - self._t <= self.longest
         if begins:
