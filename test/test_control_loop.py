@@ -191,6 +191,18 @@ def test_a_hand_over_is_a_ramp_however_far_beyond_its_limits_the_law_is(joints, 
     assert np.abs(np.diff(falling, axis=0)).max() <= 60.0 * 0.01 / 0.1 + 1e-9
 
 
+def test_a_reset_before_a_lapse_is_no_other_simulation(joints):
+    loop = loop_of(joints)
+    loop.is_frozen = True
+    run(loop, 200)
+    loop.restart()
+    half = loop.lapse(0.05)
+    np.testing.assert_allclose(half, [4.0, -2.0])
+    back = run(loop, 100, begin=0.0)
+    assert np.abs(np.diff([half, *back], axis=0)).max() <= 8.0 * DT / 0.1 + 1e-12
+    np.testing.assert_allclose(back[-1], [8.0, -4.0])
+
+
 def test_a_reset_goes_on_from_the_last_command_or_ramps_down(joints):
     loop = loop_of(joints)
     loop.is_frozen = True

@@ -96,7 +96,7 @@ class ControlLoop:
 
     def restart(self) -> None:
         """Hold the next state, whatever was followed, from the last command."""
-        self.is_open, self.failures = True, 0
+        self.is_open, self._is_forgotten, self.failures = True, True, 0
         self.generator.kind = "held"
         self.chatter.reset()
         if self.watch is not None:
@@ -113,7 +113,8 @@ class ControlLoop:
     def take_over(self, other: "ControlLoop") -> None:
         """Continue without a bump where another loop for the same joints was at work."""
         self.weight, self.lapses, self._is_lapsed = other.weight, other.lapses, other._is_lapsed
-        self.is_open, self._t, self._v = other.is_open, other._t, other._v
+        self.is_open, self._is_forgotten = other.is_open, other._is_forgotten
+        self._t, self._v = other._t, other._v
         self._sent, self.control = other._sent, other.control
         self.generator.take_over(other._t, other.generator)
         if other._memory.shape == self._memory.shape:
@@ -133,8 +134,9 @@ class ControlLoop:
         q, v = joints.positions(x), joints.velocities(x)
         self._v = v
         dt = 0.0 if self.is_open else min(max(x.t - self._t, 0.0), self.longest)
-        if x.t < self._t and (self._is_lapsed or not self.is_open):
+        if x.t < self._t and not self._is_forgotten:
             self.weight = 1.0
+        self._is_forgotten = False
         begins = self.is_open or not 0.0 <= x.t - self._t <= self.longest
         if begins:
             self._close(x.t, q, v)

@@ -63,9 +63,9 @@ class RowHeights:
         self._has_gaps, self._has_slips = bool(self._is_gap.any()), bool(self._is_slip.any())
         rigid = [(block.law.is_rigid, block.level) for block in rows.blocks for _ in block.rows]
         self._held = np.flatnonzero([is_held for is_held, _ in rigid])
+        self._closed = np.flatnonzero([one == (True, Level.POSITION) for one in rigid])
         self._asked: Any = None
         self._known: dict[str, Array] = {}
-        self._closed = np.flatnonzero([one == (True, Level.POSITION) for one in rigid])
 
     def heights(self, y: State) -> Array:
         """Gaps, slip velocities, and 1 for rows without height, shape (n,)."""
