@@ -15,6 +15,7 @@ from mbd_ros.scene.sections import SECTIONS, Form, Section, keys, ordered
 
 if TYPE_CHECKING:
     from mbd_ros.scene.built_scene import Scene
+    from mbd_ros.scene.model_entry import Model
 
 NO_FILE = "scene"  # what messages call a scene that no file holds
 
@@ -28,6 +29,7 @@ class Origin(NamedTuple):
         task_of: The scene that a task is asked of, None for a scene.
         title: For the messages, where there is no file.
         base: Folder from which relative paths start, where there is no file.
+        model: What the robot was read from, where its file brings sections too.
     """
 
     path: Path | None = None
@@ -35,6 +37,7 @@ class Origin(NamedTuple):
     task_of: "Scene | None" = None
     title: str = NO_FILE
     base: Path = Path()
+    model: "Model | None" = None
 
     @property
     def name(self) -> str:

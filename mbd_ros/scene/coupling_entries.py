@@ -15,7 +15,7 @@ from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
 
-FUNCTIONS = ("factor", "polynomial", "spline", "piecewise_polynomial")
+FUNCTIONS = ("factor", "polynomial", "spline", "piecewise_polynomial", "simm_spline")
 
 
 def build_couplings(site: Site, entries: Any) -> Couplings:
@@ -61,6 +61,7 @@ def _coupling(
     offset: float | None = None,
     polynomial: Sequence[float] | None = None,
     spline: Any = None,
+    simm_spline: Any = None,
     piecewise_polynomial: Any = None,
 ) -> Coupling:
     if factor == 0:
@@ -71,6 +72,7 @@ def _coupling(
         offset=offset,
         polynomial=polynomial,
         spline=spline,
+        simm_spline=simm_spline,
         piecewise_polynomial=piecewise_polynomial,
     )
     return Coupling(parent, function)
@@ -83,6 +85,7 @@ def one_function(
     offset: float | None = None,
     polynomial: Sequence[float] | None = None,
     spline: Any = None,
+    simm_spline: Any = None,
     piecewise_polynomial: Any = None,
 ) -> CouplingFunction:
     """The function of an entry that has one of `FUNCTIONS` as its key.
@@ -93,12 +96,13 @@ def one_function(
         offset: Its value at 0, default 0.
         polynomial: c0, c1, ..
         spline: x and y of `natural_cubic_spline`.
+        simm_spline: x and y of the function of that name.
         piecewise_polynomial: Arguments of `PiecewisePolynomial`.
 
     Raises:
         ModelError: None or several are given, or the function refuses its numbers.
     """
-    values = (factor, polynomial, spline, piecewise_polynomial)
+    values = (factor, polynomial, spline, piecewise_polynomial, simm_spline)
     functions: dict[str, Any] = dict(zip(FUNCTIONS, values, strict=True))
     given = [kind for kind, function in functions.items() if function is not None]
     if len(given) != 1:
@@ -116,6 +120,8 @@ def _function(kind: str, entry: Any, offset: float, where: str) -> CouplingFunct
         return Linear(entry, offset)
     if kind == "polynomial":
         return Polynomial(entry)
-    curve = natural_cubic_spline if kind == "spline" else PiecewisePolynomial
+    curve: Any = natural_cubic_spline if kind == "spline" else PiecewisePolynomial
+    if kind == "simm_spline":
+        from mbd_ros.core.model.simm_spline import simm_spline as curve
     function: CouplingFunction = schema.call(curve, entry, where)
     return function

@@ -44,7 +44,9 @@ def scene_from(
     if urdf is not None:
         robot = given.get("robot") or {}
         if isinstance(robot, dict):
-            if description is not None or not {"urdf", "description_topic"}.isdisjoint(robot):
+            if description is not None or not {"urdf", "osim", "description_topic"}.isdisjoint(
+                robot
+            ):
                 raise SceneError(f"{NO_FILE}: robot: its description is given twice")
             if isinstance(urdf, str) and urdf.lstrip().startswith("<"):
                 description, given["robot"] = urdf, robot

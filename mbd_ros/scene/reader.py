@@ -7,15 +7,16 @@ from typing import Any
 from mbd_ros.scene.building import Kept, Origin, build, foreign_keys, present, table_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.locate import find_scene
+from mbd_ros.scene.model_entry import entries_of, with_model
 from mbd_ros.scene.robot_entry import read_entry
-from mbd_ros.scene.strict_yaml import read_mapping
 
 
 def load_scene(path: str | Path, description: str | None = None) -> Scene:
     """Read and build a scene.
 
     Args:
-        path: Scene file, `package://<package>/<path>`, or the name of an embedded scene.
+        path: Scene file, `package://<package>/<path>`, a model such as `leg.osim`, or the name of
+            an embedded scene.
         description: URDF that arrived on the `description_topic` of the scene.
 
     Raises:
@@ -23,7 +24,7 @@ def load_scene(path: str | Path, description: str | None = None) -> Scene:
             `permitting` does not allow.
     """
     path = find_scene(path)
-    return build_scene(Origin(path, description), read_mapping(path))
+    return build_scene(Origin(path, description), entries_of(path))
 
 
 def build_scene(
@@ -42,7 +43,7 @@ def build_scene(
         SceneError: Names file, key, what is wrong and what is accepted.
     """
     foreign = foreign_keys(origin, entries)
-    entries = present(entries)
+    origin, entries = with_model(origin, present(entries))
     sections, code = table_of(origin, entries, foreign)
     parts, robot = build(origin, entries, sections, kept)
     assert robot is not None
@@ -56,7 +57,7 @@ def description_topic(path: str | Path) -> str | None:
         SceneError: The file cannot be read, or its robot section is wrong.
     """
     path = find_scene(path)
-    origin, entries = Origin(path), read_mapping(path)
+    origin, entries = Origin(path), entries_of(path)
     foreign_keys(origin, entries)
     robot = present(entries).get("robot")
     return None if robot is None else read_entry(f"{path}: robot", robot).description_topic

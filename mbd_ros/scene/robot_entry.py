@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pinocchio as pin
@@ -32,6 +32,7 @@ class RobotEntry:
     locked: Mapping[str, float] | None = None
     rename: Mapping[str, str] | None = None
     pose: Mapping[str, Any] | None = None
+    osim: str | None = None
 
 
 def read_entry(where: str, given: Any, has_text: bool = False) -> RobotEntry:
@@ -46,9 +47,10 @@ def read_entry(where: str, given: Any, has_text: bool = False) -> RobotEntry:
         SceneError: Names file and key.
     """
     entry: RobotEntry = schema.call(RobotEntry, given, where)
-    named = (entry.urdf is not None) + (entry.description_topic is not None)
+    given = (entry.urdf, entry.description_topic, entry.osim)
+    named = sum(one is not None for one in given)
     if named != 1 and not (has_text and not named):
-        raise SceneError(f"{where}: give either 'urdf' or 'description_topic'")
+        raise SceneError(f"{where}: give either 'urdf', 'osim' or 'description_topic'")
     if entry.gravity is not None and len(entry.gravity) != 3:
         raise SceneError(f"{where}.gravity: expected 3 numbers, got {entry.gravity}")
     return entry
@@ -74,9 +76,13 @@ def build_robot(site: Site, given: Any) -> Robot:
     recipe = _recipe(site, entry)
     where = site.origin.name if others else site.where
     try:
-        return _read([recipe, *others], gravity, where)
+        robot = _read([recipe, *others], gravity, where)
     except SceneError as error:
         raise SceneError(f"{error}{_joints_to_lock(recipe)}") from error
+    model = site.origin.model
+    if entry.osim is None or model is None:
+        return robot
+    return replace(robot, ignored=(*robot.ignored, *model.left_out))
 
 
 def build_robots(site: Site, given: Any) -> dict[str, Recipe]:
@@ -172,7 +178,10 @@ def _placed(pose: Mapping[str, Any] | None, where: str) -> Any:
 
 def _recipe(site: Site, entry: RobotEntry) -> Recipe:
     where, text = site.where, site.origin.description
-    if entry.urdf is not None:
+    if entry.osim is not None:
+        assert site.origin.model is not None
+        source, text = site.origin.model[:2]
+    elif entry.urdf is not None:
         source, text = _read_urdf(site, entry.urdf, where)
     elif text is None:
         raise SceneError(

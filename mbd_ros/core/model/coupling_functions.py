@@ -108,12 +108,34 @@ def natural_cubic_spline(x: Sequence[float], y: Sequence[float]) -> PiecewisePol
 
     Source: C. de Boor, A Practical Guide to Splines, 1978, ch. IV.
     """
+    knots, values = checked_points(x, y)
+    h = np.diff(knots)
+    right = 6.0 * np.diff(np.diff(values) / h)
+    inner = tridiagonal(h[1:-1], 2.0 * (h[:-1] + h[1:]), right)
+    return through(knots, values, np.concatenate(([0.0], inner, [0.0])))
+
+
+def checked_points(x: Sequence[float], y: Sequence[float]) -> tuple[Array, Array]:
+    """Points of a spline as arrays.
+
+    Raises:
+        ModelError: Lengths differ or x does not increase.
+    """
     _check_increasing(x, "x")
     if len(x) != len(y):
         raise ModelError(f"spline has {len(x)} x and {len(y)} y")
-    knots, values = np.array(x, dtype=np.float64), np.array(y, dtype=np.float64)
+    return np.array(x, dtype=np.float64), np.array(y, dtype=np.float64)
+
+
+def through(knots: Array, values: Array, curvature: Array) -> PiecewisePolynomial:
+    """The cubic spline through points with these second derivatives there, straight beyond.
+
+    Args:
+        knots: Shape (n,).
+        values: At the knots, shape (n,).
+        curvature: Second derivatives at the knots, shape (n,).
+    """
     h = np.diff(knots)
-    curvature = _curvatures(h, 6.0 * np.diff(np.diff(values) / h))
     cubic, quadratic = np.diff(curvature) / (6.0 * h), curvature[:-1] / 2.0
     slope = np.diff(values) / h - h * (2.0 * curvature[:-1] + curvature[1:]) / 6.0
     inside = np.column_stack([cubic, quadratic, slope, values[:-1]])
@@ -124,22 +146,28 @@ def natural_cubic_spline(x: Sequence[float], y: Sequence[float]) -> PiecewisePol
     return PiecewisePolynomial(breaks, [before, *inside.tolist(), after])
 
 
-def _curvatures(h: Array, right: Array) -> Array:
-    """Second derivatives at the knots, zero at both ends, in a time linear in their number.
+def tridiagonal(off: Array, diagonal: Array, right: Array) -> Array:
+    """Solution of a symmetric tridiagonal system in a time linear in its size, shape (n,).
 
-    h_{i-1} k_{i-1} + 2 (h_{i-1} + h_i) k_i + h_i k_{i+1} = right_{i-1}, which elimination without
-    pivots solves stably, since the diagonal dominates. Source: G. H. Golub, C. F. Van Loan, Matrix
-    Computations, sec. 4.3.6.
+    Elimination without pivots, which is stable where the diagonal dominates.
+
+    Args:
+        off: Beside the diagonal, shape (n - 1,).
+        diagonal: Shape (n,).
+        right: Right-hand side, shape (n,).
+
+    Source: G. H. Golub, C. F. Van Loan, Matrix Computations, sec. 4.3.6.
     """
-    off, pivots, reduced = h.tolist(), [1.0], [0.0]
-    for i, r in enumerate(right.tolist()):
-        share = off[i] / pivots[i] if i else 0.0
-        pivots.append(2.0 * (off[i] + off[i + 1]) - share * off[i])
-        reduced.append(r - share * reduced[i])
-    curvature = np.zeros(len(h) + 1)
-    for i in range(len(right), 0, -1):
-        curvature[i] = (reduced[i] - off[i] * curvature[i + 1]) / pivots[i]
-    return curvature
+    beside, pivots, reduced = off.tolist(), diagonal.tolist(), right.tolist()
+    for i, along in enumerate(beside):
+        share = along / pivots[i]
+        pivots[i + 1] -= share * along
+        reduced[i + 1] -= share * reduced[i]
+    solution = [0.0] * (len(pivots) + 1)
+    for i in range(len(pivots) - 1, -1, -1):
+        beyond = beside[i] * solution[i + 1] if i < len(beside) else 0.0
+        solution[i] = (reduced[i] - beyond) / pivots[i]
+    return np.array(solution[:-1])
 
 
 def _check_count(coefficients: int) -> None:

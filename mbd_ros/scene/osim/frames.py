@@ -1,0 +1,148 @@
+"""Bodies and the frames on them: what sockets, connectors and body names of a model mean."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.state import Array
+from mbd_ros.scene.osim.item import Item
+
+GROUND = "ground"
+_DEEPEST = 32  # frames on frames on ..
+
+
+class Attached(NamedTuple):
+    """A frame on a body.
+
+    Attributes:
+        body: Name of the body.
+        at: `pinocchio.SE3` of the frame in the axes of the body.
+    """
+
+    body: str
+    at: Any
+
+    def point(self, xyz: Sequence[float]) -> list[float]:
+        """A point of the frame in the axes of the body [m], shape (3,)."""
+        found: list[float] = self.at.act(np.array(xyz, dtype=np.float64)).tolist()
+        return found
+
+    def direction(self, vector: Sequence[float]) -> list[float]:
+        """A direction of the frame in the axes of the body, shape (3,)."""
+        found: list[float] = (self.at.rotation @ np.array(vector, dtype=np.float64)).tolist()
+        return found
+
+
+class Frames:
+    """The bodies and offset frames of a model.
+
+    Args:
+        model: The `<Model>`.
+
+    Attributes:
+        bodies: Names of the bodies, ground first.
+    """
+
+    def __init__(self, model: Item) -> None:
+        names = [body.name for body in model.objects("BodySet")]
+        self.bodies = (GROUND, *(name for name in names if name != GROUND))
+        self._offsets: dict[str, Item] = {}
+        self._scoped: dict[tuple[str, str], Item] = {}
+        self._index(model)
+
+    def attached(self, item: Item, *sockets: str) -> Attached:
+        """The frame that an element names.
+
+        Args:
+            item: The element.
+            sockets: What its sockets, or its elements in older files, may be called.
+
+        Raises:
+            SceneError: It names none, or one that is not there.
+        """
+        name = socket(item, *sockets)
+        if not name:
+            raise item.error(f"names no {sockets[0]}")
+        return self._resolve(item, name, 0)
+
+    def _resolve(self, item: Item, path: str, depth: int) -> Attached:
+        *before, last = [word for word in path.split("/") if word] or [""]
+        owner = before[-1] if before else ""
+        offset = _own(item, last) or self._scoped.get((owner, last))
+        if offset is None and last in self.bodies:
+            return Attached(last, pin.SE3.Identity())
+        offset = offset or self._offsets.get(last)
+        if offset is None or depth > _DEEPEST:
+            state = "frames form a cycle at" if depth > _DEEPEST else "there is no body or frame"
+            raise item.error(f"{state} '{path}'; the bodies are {', '.join(self.bodies)}")
+        parent = socket(offset, "parent", "parent_frame", "parent_body")
+        body, at = self._resolve(offset, parent, depth + 1)
+        return Attached(body, at * placement(offset, ("translation",), ("orientation",)))
+
+    def _index(self, item: Item) -> None:
+        for inner in item.children():
+            if inner.type == "PhysicalOffsetFrame":
+                holder = item.outer if item.type in ("objects", "frames", "components") else item
+                self._offsets.setdefault(inner.name, inner)
+                self._scoped[(holder.name if holder else "", inner.name)] = inner
+            self._index(inner)
+
+
+def socket(item: Item, *names: str) -> str:
+    """Path or name of what an element is connected to, as files of any format write it."""
+    for name in names:
+        tags = (f"socket_{name}", f"socket_{name}_connectee_name", name)
+        text = item.text(*tags)
+        if text:
+            return text
+        for connectors in item.children():
+            if connectors.type == "connectors":
+                for connector in connectors.children():
+                    if connector.name == name:
+                        return connector.text("connectee_name")
+    return ""
+
+
+def placement(item: Item, at: Sequence[str], turned: Sequence[str]) -> Any:
+    """`pinocchio.SE3` of a place [m] and of body-fixed x, y, z angles [rad]."""
+    return pin.SE3(body_fixed(item.vector(*turned)), np.array(item.vector(*at)))
+
+
+def body_fixed(angles: Sequence[float]) -> Array:
+    """Rotation about x, then about the new y, then about the new z, shape (3, 3)."""
+    x, y, z = (pin.utils.rotate(axis, float(a)) for axis, a in zip("xyz", angles, strict=True))
+    rotation: Array = x @ y @ z
+    return rotation
+
+
+def xyz_rpy(at: Any) -> dict[str, list[float]]:
+    """A placement as a scene writes it, without what is 0."""
+    pose = {"xyz": at.translation.tolist(), "rpy": roll_pitch_yaw(at.rotation)}
+    return {key: value for key, value in pose.items() if any(value)}
+
+
+def roll_pitch_yaw(rotation: Array) -> list[float]:
+    """Angles of URDF whose rotation is the given one to rounding, also where they are not unique.
+
+    Roll is taken after yaw is undone, so that both fit each other where pitch is 90 degrees.
+    """
+    r = rotation
+    yaw = float(np.arctan2(r[1, 0], r[0, 0]))
+    s, c = np.sin(yaw), np.cos(yaw)
+    pitch = float(np.arctan2(-r[2, 0], c * r[0, 0] + s * r[1, 0]))
+    roll = float(np.arctan2(s * r[0, 2] - c * r[1, 2], c * r[1, 1] - s * r[0, 1]))
+    return [roll + 0.0, pitch + 0.0, yaw + 0.0]
+
+
+def _own(item: Item, name: str) -> Item | None:
+    """A frame that the element, or one around it, holds itself."""
+    around: Item | None = item
+    while around is not None:
+        for tag in ("frames", "components"):
+            for inner in around.objects(tag):
+                if inner.type == "PhysicalOffsetFrame" and inner.name == name:
+                    return inner
+        around = around.outer
+    return None

@@ -1,0 +1,142 @@
+"""A model of OpenSim -> a robot description and the sections of a scene."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from mbd_ros.scene.osim.couplers import Coupled, entry_of, read_couplers
+from mbd_ros.scene.osim.frames import GROUND, Frames
+from mbd_ros.scene.osim.item import Item
+from mbd_ros.scene.osim.joints import read_joints
+from mbd_ros.scene.osim.markers import read_markers
+from mbd_ros.scene.osim.mechanism import Mechanism, in_tree_order
+from mbd_ros.scene.osim.motions import Coordinate
+from mbd_ros.scene.osim.muscles import is_muscle, muscle_entry
+from mbd_ros.scene.osim.names import Names
+from mbd_ros.scene.osim.paths import read_path
+from mbd_ros.scene.osim.reading import LeftOut, Reading, Unexpressed
+from mbd_ros.scene.osim.urdf_text import mass_of, urdf_text
+from mbd_ros.scene.osim.xml_text import parse_osim
+
+GRAVITY = (0.0, -9.80665, 0.0)  # m/s^2, OpenSim's default
+
+
+class Imported(NamedTuple):
+    """What a model becomes.
+
+    Attributes:
+        name: Of the model.
+        urdf: Its bodies and joints.
+        robot: Keys of the section `robot` besides the description.
+        sections: The other sections.
+        left_out: Elements that they do not have.
+    """
+
+    name: str
+    urdf: str
+    robot: dict[str, Any]
+    sections: dict[str, Any]
+    left_out: tuple[LeftOut, ...]
+
+
+def import_osim(
+    text: str, source: str, locked: Mapping[str, float | None] | None = None
+) -> Imported:
+    """Read a model of any format from 1.9 on.
+
+    Args:
+        text: The file.
+        source: Its name, for the messages.
+        locked: Coordinate -> position [rad or m] where it is to be locked, or None where one that
+            the file locks is to move.
+
+    Raises:
+        SceneError: Names file, element and what is wrong.
+    """
+    element = parse_osim(text, source)
+    model = Item(element, source, {one.tag: one for one in element.iterfind("defaults/*")})
+    frames = Frames(model)
+    joints, loops = in_tree_order(read_joints(model, frames), frames, model)
+    mechanism = Mechanism(joints, frames)
+    coupled = read_couplers(model, mechanism.coordinates, mechanism.follows, locked or {})
+    names = {joint.name for joint in mechanism.joints}
+    reading = Reading(model, frames, names, coupled.fixed)
+    reading.left_out += coupled.left_out
+    for joint in joints:
+        if joint.missing:
+            reading.leave_out(joint.item, joint.missing)
+    for joint in loops:
+        reading.leave_out(joint.item, "closes a loop of joints")
+    for coordinate in mechanism.unused:
+        reading.leave_out(coordinate.item, "moves nothing")
+    titles = _titles(mechanism)
+    masses = {body.name: mass_of(body) for body in model.objects("BodySet")}
+    masses.pop(GROUND, None)
+    name = model.name or "model"
+    return Imported(
+        name,
+        urdf_text(name, mechanism.links, mechanism.joints, masses, titles),
+        _robot(model, mechanism, coupled, titles),
+        _sections(reading, mechanism, coupled),
+        tuple(reading.left_out),
+    )
+
+
+def _titles(mechanism: Mechanism) -> dict[str, str]:
+    """Joints that have the name of a link -> what the description calls them.
+
+    Pinocchio tells frames by their names alone where joints are locked.
+    """
+    taken = Names([*mechanism.links, *(joint.name for joint in mechanism.joints)])
+    links = set(mechanism.links)
+    return {
+        joint.name: taken.take(f"{joint.name}_joint")
+        for joint in mechanism.joints
+        if joint.name in links
+    }
+
+
+def _robot(
+    model: Item, mechanism: Mechanism, coupled: Coupled, titles: Mapping[str, str]
+) -> dict[str, Any]:
+    robot: dict[str, Any] = {"gravity": model.vector("gravity", default=GRAVITY)}
+    there = {joint.name for joint in mechanism.joints}
+    locked = {name: value for name, value in coupled.fixed.items() if name in there}
+    if locked:
+        robot["locked"] = locked
+    if titles:
+        robot["rename"] = {title: name for name, title in titles.items()}
+    return robot
+
+
+def _sections(reading: Reading, mechanism: Mechanism, coupled: Coupled) -> dict[str, Any]:
+    sections: dict[str, Any] = {"couplings": {}, "paths": {}, "muscles": []}
+    for name, (parent, function) in coupled.follows.items():
+        sections["couplings"][name] = entry_of(parent, function)
+    for item in reading.forces():
+        try:
+            _add_force(reading, sections, item)
+        except Unexpressed as error:
+            reading.leave_out(item, str(error))
+    sections["sensors"] = read_markers(reading)
+    sections["initial"] = _initial(mechanism.coordinates, coupled)
+    return {key: entries for key, entries in sections.items() if entries}
+
+
+def _add_force(reading: Reading, sections: dict[str, Any], item: Item) -> None:
+    if not is_muscle(item):
+        raise Unexpressed("is not expressed")
+    path, entry = read_path(reading, item), muscle_entry(item)
+    name = reading.names.part(item.name, "muscle")
+    title = reading.names.part(f"{name}_path", "path")
+    sections["paths"][title] = path
+    sections["muscles"].append({"name": name, "path": title, **entry})
+
+
+def _initial(coordinates: Mapping[str, Coordinate], coupled: Coupled) -> dict[str, Any]:
+    free = [
+        one for name, one in coordinates.items() if name not in (*coupled.follows, *coupled.fixed)
+    ]
+    position = {one.name: one.default for one in free if one.default}
+    velocity = {one.name: one.speed for one in free if one.speed}
+    initial = {"position": position, "velocity": velocity}
+    return {key: values for key, values in initial.items() if values}

@@ -1,0 +1,85 @@
+"""What is known while the sections of a model are read: its frames, joints, names, left-outs."""
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+from mbd_ros.errors import SceneError
+from mbd_ros.scene.osim.frames import Attached, Frames, socket
+from mbd_ros.scene.osim.item import Item
+from mbd_ros.scene.osim.names import Names
+
+
+class LeftOut(NamedTuple):
+    """An element that the scene does not have.
+
+    Attributes:
+        type: Its class in OpenSim.
+        name: Its name.
+        reason: Why it is left out.
+    """
+
+    type: str
+    name: str
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.type} '{self.name}': {self.reason}"
+
+
+class Unexpressed(SceneError):
+    """An element that a scene cannot express; its message says why, for the list of left-outs."""
+
+
+class Reading:
+    """A model that is being read.
+
+    Args:
+        model: The `<Model>`.
+        frames: Its bodies and offset frames.
+        joints: Names of the joints of the scene.
+        fixed: Coordinates that do not move -> position [rad or m].
+
+    Attributes:
+        left_out: Elements that the scene does not have.
+        names: Of joints and parts.
+        path_of: Name of an element -> name of its path, of those that have one.
+    """
+
+    def __init__(
+        self, model: Item, frames: Frames, joints: set[str], fixed: Mapping[str, float]
+    ) -> None:
+        self.model, self.frames, self.joints, self.fixed = model, frames, joints, fixed
+        self.left_out: list[LeftOut] = []
+        self.names = Names(joints)
+
+    def leave_out(self, item: Item, reason: str) -> None:
+        """Note that the scene does not have an element."""
+        self.left_out.append(LeftOut(item.type, item.name, reason))
+
+    def attached(self, item: Item, *sockets: str) -> Attached:
+        """The frame that an element names.
+
+        Raises:
+            SceneError: It names none, or one that is not there.
+        """
+        return self.frames.attached(item, *sockets)
+
+    def coordinate(self, item: Item, *sockets: str) -> str:
+        """The coordinate that an element names by its name or by a path to it.
+
+        Raises:
+            SceneError: It names none, or one that is not there.
+        """
+        path = socket(item, *sockets)
+        name = path.rstrip("/").split("/")[-1]
+        if name not in self.joints and name not in self.fixed:
+            known = ", ".join(sorted(self.joints))
+            raise item.error(f"there is no coordinate '{path}'; there are {known}")
+        return name
+
+    def forces(self) -> Iterator[Item]:
+        """The elements of the force set that act."""
+        for item in self.model.objects("ForceSet"):
+            acts = item.flag("appliesForce", default=not item.flag("isDisabled"))
+            if acts:
+                yield item

@@ -1,0 +1,101 @@
+"""Links and joints -> the text of a robot description."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+from mbd_ros.scene.osim.frames import roll_pitch_yaw
+from mbd_ros.scene.osim.item import Item
+from mbd_ros.scene.osim.mechanism import UrdfJoint
+
+UNLIMITED = 1.0e300
+_MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")  # as OpenSim orders them
+_NONE = (0.0,) * 6
+
+
+class Mass(NamedTuple):
+    """What a link weighs.
+
+    Attributes:
+        mass: [kg].
+        centre: In the axes of the link [m], shape (3,).
+        moments: xx, yy, zz, xy, xz, yz about the centre [kg·m^2].
+    """
+
+    mass: float
+    centre: Sequence[float]
+    moments: Sequence[float]
+
+
+def mass_of(body: Item) -> Mass:
+    """Mass of a `<Body>` of any format.
+
+    Raises:
+        SceneError: Names body and element.
+    """
+    if body.find("inertia") is not None:
+        moments = body.vector("inertia", default=_NONE, length=6)
+    else:
+        moments = [body.number(f"inertia_{key[1:]}", default=0.0) for key in _MOMENTS]
+    return Mass(body.number("mass", default=0.0), body.vector("mass_center"), moments)
+
+
+def urdf_text(
+    name: str,
+    links: Iterable[str],
+    joints: Iterable[UrdfJoint],
+    masses: Mapping[str, Mass],
+    titles: Mapping[str, str],
+) -> str:
+    """The description.
+
+    Args:
+        name: Of the robot.
+        links: Names of the links.
+        joints: The joints.
+        masses: By link; a link that is not there has none.
+        titles: Name of a joint in the scene -> its name in the description, where they differ.
+    """
+    robot = Element("robot", {"name": name})
+    for link in links:
+        _add_link(robot, link, masses.get(link))
+    for joint in joints:
+        _add_joint(robot, joint, titles.get(joint.name, joint.name))
+    ElementTree.indent(robot)
+    return ElementTree.tostring(robot, encoding="unicode") + "\n"
+
+
+def _add_link(robot: Element, name: str, mass: Mass | None) -> None:
+    link = SubElement(robot, "link", {"name": name})
+    if mass is None or not (mass.mass or any(mass.moments)):
+        return
+    inertial = SubElement(link, "inertial")
+    SubElement(inertial, "origin", {"xyz": _words(mass.centre), "rpy": "0 0 0"})
+    SubElement(inertial, "mass", {"value": repr(mass.mass)})
+    moments = dict(zip(_MOMENTS, map(repr, mass.moments), strict=True))
+    SubElement(inertial, "inertia", moments)
+
+
+def _add_joint(robot: Element, joint: UrdfJoint, name: str) -> None:
+    motion, kind = joint.motion, "fixed"
+    if motion is not None:
+        kind = "prismatic" if not motion.turns else "revolute" if joint.limits else "continuous"
+    element = SubElement(robot, "joint", {"name": name, "type": kind})
+    SubElement(element, "parent", {"link": joint.parent})
+    SubElement(element, "child", {"link": joint.child})
+    at = joint.origin
+    origin = {"xyz": _words(at.translation), "rpy": _words(roll_pitch_yaw(at.rotation))}
+    SubElement(element, "origin", origin)
+    if motion is None:
+        return
+    SubElement(element, "axis", {"xyz": _words(motion.axis)})
+    if kind != "continuous":
+        lower, upper = joint.limits or (-UNLIMITED, UNLIMITED)
+        numbers = {"lower": lower, "upper": upper, "effort": UNLIMITED, "velocity": 0.0}
+        limit = {key: repr(float(number)) for key, number in numbers.items()}
+        SubElement(element, "limit", limit)
+
+
+def _words(numbers: Iterable[float]) -> str:
+    return " ".join(repr(float(number) + 0.0) for number in numbers)

@@ -1,0 +1,83 @@
+"""Models of OpenSim against the numbers that OpenSim gives on them."""
+
+import csv
+import gzip
+
+import numpy as np
+import pytest
+
+import mbd_ros as mbd
+from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.state import State
+from mbd_ros.files.table import Column, Result, Table
+
+SETS = {"arm26_muscles": "arm26", "gait10dof18musc_muscles": "subject01"}
+
+
+def table(path):
+    with gzip.open(path, "rt") as file:
+        names, *rows = csv.reader(file)
+    return dict(zip(names, np.array(rows, dtype=float).T, strict=True))
+
+
+def result(columns):
+    return Result({"samples": Table([Column(name, row) for name, row in columns.items()])})
+
+
+def lengths(scene, positions):
+    """Lengths of all paths, shape (n,) each, at positions by joint."""
+    k, nv = Kinematics(scene.robot), scene.robot.model.nv
+    found = {name: [] for name in scene.parts["paths"]}
+    for row in np.transpose(list(positions.values())):
+        q, v = np.zeros(nv), np.zeros(nv)
+        for name, value in zip(positions, row, strict=True):
+            q[scene.robot.joint(name).q] = value
+        scene.couplings.expand(q, v, np.zeros(nv))
+        k.refresh(q, v)
+        for name, path in scene.parts["paths"].items():
+            found[name].append(path.length(k, State(0.0, q, v)))
+    return found
+
+
+@pytest.fixture(scope="module", params=SETS)
+def measured(request, data_dir):
+    folder = data_dir / "opensim" / request.param
+    return folder, mbd.load_scene(folder / "raw" / f"{SETS[request.param]}.osim.gz")
+
+
+def test_inverse_dynamics_is_that_of_opensim(measured):
+    """Motion with speeds and accelerations, and plate forces, as OpenSim took them."""
+    folder, scene = measured
+    expected = table(folder / "inverse_dynamics_no_muscles.csv.gz")
+    plates = folder / "external_wrenches.csv.gz"
+    if plates.exists():
+        frames = {"right": "calcn_r", "left": "calcn_l"}
+        entry = {n: {"frame": frame, "expressed_in": "ground"} for n, frame in frames.items()}
+        scene = scene.with_(external_wrenches=entry)
+    motion = result(table(folder / "motion.csv.gz"))
+    wrenches = result(table(plates)) if plates.exists() else None
+    found = scene.inverse(motion, wrenches=wrenches)["samples"]
+    assert {f"{name}.effort" for name in scene.couplings.independent} < set(expected) | {"time"}
+    for name in scene.couplings.independent:
+        scale = max(np.abs(row).max() for key, row in expected.items() if key != "time")
+        error = np.abs(found[f"{name}.effort"] - expected[f"{name}.effort"]).max()
+        assert error <= 1e-9 * scale
+
+
+def test_lengths_of_paths_without_wraps_are_those_of_opensim(measured):
+    """At 50 random poses; conditional and moving points among them."""
+    folder, scene = measured
+    entries = scene.entries["paths"]
+    plain = {
+        name: {k: given for k, given in path.items() if k != "wraps"}
+        for name, path in entries.items()
+    }
+    scene = scene.with_(paths=plain)
+    prefix = "no_wrap_" if folder.name == "arm26_muscles" else ""
+    poses = table(folder / f"{prefix}random50_coordinates.csv.gz")
+    expected = table(folder / f"{prefix}random50_lengths.csv.gz")
+    positions = {n.removesuffix(".position"): row for n, row in poses.items() if n != "case"}
+    for name, found in lengths(scene, positions).items():
+        muscle = name.removesuffix("_path")
+        stored = expected[f"{muscle}.length" if f"{muscle}.length" in expected else muscle]
+        assert np.abs(found - stored).max() <= 1e-12
