@@ -1,0 +1,184 @@
+"""Newton's method on the conditions of the optimum of a separable program.
+
+    f_i'(x_i) = s_i between the bounds, >= at the lower one, <= at the upper one;   A x = b
+
+with s = A' lam. Where the f are strictly convex x is a function of s, and what is left are
+equations in lam: Newton's method on these exchanges the bounds that act by itself. Sources:
+M. Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13 (2002), on the exchange; J. Nocedal,
+S. Wright, Numerical Optimization, 2006, ch. 12, on the conditions.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.optimization.separable_cost import SeparableCost
+from mbd_ros.core.optimization.separable_interior import split_at_zero
+from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import NEARLY_SINGULAR, SINGULAR, TINY
+
+_EXACT = 1.0e-12  # `optimality_residual` below which a further step gains nothing
+_RIDGE = 1.0e-15  # beside the largest entry of a diagonal
+_AT_BOUND = 1.0e-7  # of the distance of bounds, at most 1: near enough for a vertex to try
+_ASCENTS = 40
+_FLAT = 1.0e-14  # of the largest curvature: less counts as this
+_HALVINGS = 30
+
+
+class Problem(NamedTuple):
+    """min sum f_i(x_i) subject to A x = b, lower <= x <= upper.
+
+    Attributes:
+        cost: The f.
+        A: Shape (m, n), rows of about equal size.
+        b: Shape (m,).
+        lower: Shape (n,), -inf without a bound.
+        upper: Same, >= lower.
+    """
+
+    cost: SeparableCost
+    A: Array
+    b: Array
+    lower: Array
+    upper: Array
+
+    def kept(self, x: Array) -> Array:
+        """The nearest within the bounds."""
+        near: Array = np.minimum(np.maximum(x, self.lower), self.upper)
+        return near
+
+    def residual(self, x: Array, lam: Array) -> float:
+        """Largest violation of the conditions of the optimum; a bound counts by any distance.
+
+        Of a row relative to its terms, of an unknown relative to the largest slope and weight of
+        the cost.
+        """
+        cost, A, b, lower, upper = self
+        if not ((x >= lower) & (x <= upper)).all():
+            return np.inf
+        terms = np.abs(A).dot(np.abs(x)) + np.abs(b) + TINY
+        slope = cost.slope(x)
+        left = slope - A.T.dot(lam)
+        wrong = np.maximum(np.abs(left) - cost.kink(x), 0.0)
+        wrong[((x <= lower) & (left > 0.0)) | ((x >= upper) & (left < 0.0))] = 0.0
+        size = np.maximum(np.abs(slope), cost.weight + cost.stiffness).max(initial=TINY)
+        worst = float((np.abs(A.dot(x) - b) / terms).max(initial=0.0))
+        worst = max(worst, float(wrong.max(initial=0.0) / size))
+        return worst if worst < np.inf else np.inf
+
+
+class Found(NamedTuple):
+    """An x with its lam, and how far they are from the conditions.
+
+    Attributes:
+        x: Shape (n,).
+        lam: Shape (m,).
+        residual: See `Problem.residual`.
+    """
+
+    x: Array
+    lam: Array
+    residual: float
+
+
+def refined(problem: Problem, x: Array, lam: Array, most: int) -> Found:
+    """The best on the way of Newton's method from x and lam.
+
+    Args:
+        problem: The problem.
+        x: Start, shape (n,).
+        lam: Start, shape (m,).
+        most: Steps.
+    """
+    cost, A, b, lower, upper = problem
+    if cost.exponent == 1.0 and not (cost.stiffness > 0.0).all():
+        return _vertex(problem, x)
+    split = split_at_zero(cost, lower, upper)
+    x, s = problem.kept(x), A.T.dot(lam)
+    best = Found(x, lam, np.inf)
+    for _ in range(most):
+        if len(split):
+            x = x.copy()
+            x[split] = cost.some(split).at_slope(s[split])
+        give = 1.0 / np.maximum(cost.curvature(x), TINY)
+        y = x + give * (s - cost.slope(x))
+        x = problem.kept(y)
+        lam = lam + _solved((A * (give * (x == y))).dot(A.T), b - A.dot(x))
+        s, before = A.T.dot(lam), s
+        x = problem.kept(y + give * (s - before))
+        residual = problem.residual(x, lam)
+        if residual < best.residual:
+            best = Found(x, lam, residual)
+        if residual <= _EXACT:
+            break
+    return best
+
+
+def ascended(problem: Problem, x: Array) -> Found:
+    """The best on the way of Newton's method on A x(lam) = b, each step as far as that helps.
+
+    For powers beyond 2 without tracking, whose x(s) has a closed form. b - A x(lam) is the slope
+    of the dual, which is concave, so that short enough steps rise.
+
+    Args:
+        problem: The problem.
+        x: Near the optimum, shape (n,).
+    """
+    cost, A = problem.cost, problem.A
+    free = (x > problem.lower) & (x < problem.upper)
+    flat = np.maximum(cost.curvature(x)[free], TINY) ** -0.5
+    rows = (A[:, free] * flat).T
+    lam = _least(rows, flat * cost.slope(x)[free])
+    x, free, left = _at(problem, lam)
+    best = Found(x, lam, np.inf)
+    for _ in range(_ASCENTS):
+        residual = problem.residual(x, lam)
+        if residual < best.residual:
+            best = Found(x, lam, residual)
+        if residual <= _EXACT:
+            break
+        stiff = cost.curvature(x)
+        give = free / np.maximum(stiff, _FLAT * stiff[free].max(initial=TINY))
+        step = _solved((A * give).dot(A.T), left)
+        uphill = left.dot(step)
+        for _ in range(_HALVINGS):
+            x, free, left = _at(problem, lam + step)
+            if left.dot(step) >= -0.5 * uphill:
+                break
+            step, uphill = step / 2.0, uphill / 2.0
+        lam = lam + step
+    return best
+
+
+def _at(problem: Problem, lam: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+    """The x(lam), which of it lies between the bounds, and b - A x."""
+    y = problem.cost.at_slope(problem.A.T.dot(lam))
+    x = problem.kept(y)
+    return x, x == y, problem.b - problem.A.dot(x)
+
+
+def _solved(M: Array, r: Array) -> Array:
+    M.flat[:: len(r) + 1] += _RIDGE * max(float(M.diagonal().max(initial=0.0)), TINY)
+    try:
+        return np.asarray(np.linalg.solve(M, r), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return _least(M, r)
+
+
+def _least(rows: Array, r: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(rows, r, rcond=NEARLY_SINGULAR)[0], dtype=np.float64)
+
+
+def _vertex(problem: Problem, x: Array) -> Found:
+    """Of a linear program: the nearest x on the rows where what is at a bound or kink stays."""
+    cost, A, b, lower, upper = problem
+    near = _AT_BOUND * np.minimum(upper - lower, 1.0)
+    x = np.where(x <= lower + near, lower, np.where(x >= upper - near, upper, x))
+    x = np.where((np.abs(x) <= near) & (lower < 0.0) & (upper > 0.0), 0.0, x)
+    free = (x > lower) & (x < upper) & (cost.kink(x) == 0.0)
+    onto = np.asarray(np.linalg.pinv(A[:, free], rcond=SINGULAR), dtype=np.float64)
+    for _ in range(2):  # the second time for what rounding left
+        x[free] += onto.dot(b - A.dot(x))
+    x, lam = problem.kept(x), onto.T.dot(cost.slope(x)[free])
+    return Found(x, lam, problem.residual(x, lam))

@@ -1,0 +1,156 @@
+"""Separable programs: how unknowns that outnumber equations share what these ask for.
+
+    min sum f_i(x_i)   subject to   A x = b,   lower <= x <= upper
+
+Static optimisation of muscles asks it, one frame after the other.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.optimization.qp_solvers import counted
+from mbd_ros.core.optimization.separable_cost import SeparableCost
+from mbd_ros.core.optimization.separable_interior import interior_start
+from mbd_ros.core.optimization.separable_newton import Found, Problem, ascended, refined
+from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import TINY
+from mbd_ros.errors import SolveError
+
+_SOLVED = 5.0e-9  # residual that is accepted
+_EXCHANGES = 12  # steps from a warm start
+_REFINING = 30  # steps from an interior start
+_GENTLE = 3.0  # exponent up to which the interior start is near enough
+_RISE = 1.3  # of the exponent from one start to the next
+_NEAR = 1.0e-6  # residual of a start for the next exponent
+_PRICE = 1.0e6  # of what a row lacks, in the largest price of an unknown
+_SHORT = 1.0e-7  # of the terms of a row: what it lacks where no x fulfils it
+
+
+class Statistics(NamedTuple):
+    """How the solves went.
+
+    Attributes:
+        solves: Problems in all.
+        cold: Those that needed a start from nothing.
+        short: Those without any x that fulfils the rows.
+    """
+
+    solves: int = 0
+    cold: int = 0
+    short: int = 0
+
+
+class Optimum(NamedTuple):
+    """The answer.
+
+    Attributes:
+        x: Within the bounds, shape (n,).
+        multipliers: What a further unit of b costs, shape (m,).
+        lacking: b - A x, which is rounding where `is_feasible`, shape (m,).
+        residual: `Problem.residual` of the answer.
+        is_feasible: Whether an x fulfils the rows; else this one lacks least, nearly.
+    """
+
+    x: Array
+    multipliers: Array
+    lacking: Array
+    residual: float
+    is_feasible: bool
+
+
+class SeparableProgram:
+    """Solves programs of one size, each from the answer to the last one.
+
+    A solve starts warm, then by an interior point; where no x fulfils the rows, what they lack
+    is a further unknown with a high price. Every answer is judged by its residual, recomputed.
+
+    Args:
+        n: Number of unknowns.
+        rows: Number of equations.
+
+    Attributes:
+        statistics: Counts so far.
+    """
+
+    def __init__(self, n: int, rows: int) -> None:
+        self.statistics = Statistics()
+        self._x, self._lam = np.zeros(n), np.zeros(rows)
+
+    def forget(self) -> None:
+        """Start the next solve as the first one started."""
+        self._x, self._lam = np.zeros(len(self._x)), np.zeros(len(self._lam))
+
+    def solve(
+        self, cost: SeparableCost, A: Array, b: Array, lower: Array, upper: Array
+    ) -> Optimum:
+        """The optimum, fresh arrays.
+
+        Args:
+            cost: The f.
+            A: Shape (m, n).
+            b: Shape (m,).
+            lower: Shape (n,), -inf without a bound.
+            upper: Same, >= lower.
+
+        Raises:
+            SolveError: Input that is not finite, lower > upper, or no answer passes the check.
+        """
+        if not (np.isfinite(A).all() and np.isfinite(b).all() and (lower <= upper).all()):
+            raise SolveError("program refused: A or b is not finite, or lower > upper")
+        self.statistics = counted(self.statistics, "solves")
+        size = np.abs(A).max(axis=1, initial=0.0)
+        scale = 1.0 / np.where(size > 0.0, size, 1.0)
+        problem = Problem(cost, scale[:, None] * A, scale * b, lower, upper)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            found = self._feasible(problem)
+            is_feasible = found is not None
+            if found is None:
+                self.statistics = counted(self.statistics, "short")
+                found = _least_lacking(problem)
+        lacking = (problem.b - problem.A.dot(found.x)) / scale
+        return Optimum(found.x.copy(), scale * found.lam, lacking, found.residual, is_feasible)
+
+    def _feasible(self, problem: Problem) -> Found | None:
+        found = refined(problem, self._x, self._lam, _EXCHANGES)
+        if found.residual > _SOLVED:
+            self.statistics = counted(self.statistics, "cold")
+            found = _from_inside(problem)
+        if found.residual > _SOLVED:
+            return None
+        self._x, self._lam = found.x, found.lam
+        return found
+
+
+def _from_inside(problem: Problem) -> Found:
+    """From nothing; unknowns whose bounds meet stay aside, high exponents are risen to."""
+    cost, A, b, lower, upper = problem
+    x, is_open = lower.copy(), upper > lower
+    some, rest = is_open.nonzero()[0], b - A[:, ~is_open].dot(lower[~is_open])
+    first = cost._replace(exponent=min(cost.exponent, _GENTLE))
+    x[some], lam = interior_start(first.some(some), A[:, some], rest, lower[some], upper[some])
+    found = refined(problem._replace(cost=first), x, lam, _REFINING)
+    while first.exponent < cost.exponent and found.residual <= _NEAR:
+        first = cost._replace(exponent=min(cost.exponent, _RISE * first.exponent))
+        found = ascended(problem._replace(cost=first), found.x)
+    is_done = first.exponent == cost.exponent
+    return found if is_done else found._replace(residual=np.inf)
+
+
+def _least_lacking(problem: Problem) -> Found:
+    """The x that lacks least, nearly: a unit that a row lacks costs much more than any other."""
+    cost, A, b, lower, upper = problem
+    m, n = A.shape
+    price = np.full(m, _PRICE * float((cost.weight + cost.stiffness).max()))
+    none, free = np.zeros(m), np.full(m, np.inf)
+    gentle = cost._replace(exponent=min(cost.exponent, _GENTLE))
+    wide = gentle.joined(SeparableCost(gentle.exponent, none, none, price, none))
+    rows = np.concatenate((A, np.eye(m)), axis=1)
+    low, high = np.concatenate((lower, -free)), np.concatenate((upper, free))
+    found = _from_inside(Problem(wide, rows, b, low, high))
+    x = found.x[:n]
+    terms = np.abs(A).dot(np.abs(x)) + np.abs(b) + TINY
+    is_short = bool((np.abs(b - A.dot(x)) > _SHORT * terms).any())
+    if not (found.residual <= _SOLVED and is_short):
+        raise SolveError(f"program not solved: residual {found.residual:.1e}")
+    return found._replace(x=x)
