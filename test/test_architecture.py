@@ -46,6 +46,7 @@ CORE_ORDER = (  # of the subjects in `core`: the same
     "rows",
     "optimization",
     "dynamics",
+    "muscles",
     "integration",
     "projection",
     "events",
@@ -64,6 +65,7 @@ PART_FOLDERS = {
         "controllers",
         "forces",
         "integrators",
+        "muscles",
         "stabilization",
     )
 }
@@ -97,6 +99,7 @@ UNNAMED = {  # by an empty scene: events, contacts, internal states, several rob
         "model.base_motion",
         "model.members",
         "model.paths",
+        "muscles",
         "optimization.contact_problem",
     )
 }

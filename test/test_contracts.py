@@ -13,6 +13,7 @@ from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.parts import Actuator, Load, Part
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.row_laws import Level
@@ -34,10 +35,11 @@ CONTRACTS = {
     "contacts": Part,
     "controllers": Controller,
     "forces": Load,
+    "muscles": Muscle,
     "integrators": Integrator,
     "stabilization": Stabilization,
 }
-OF_A_ROBOT = ("actuators", "constraints", "contacts", "forces")
+OF_A_ROBOT = ("actuators", "constraints", "contacts", "forces", "muscles")
 FIRST = {**dict.fromkeys(OF_A_ROBOT, "robot"), "controllers": "joints"}
 every_part = pytest.mark.parametrize(("section", "name"), NAMES)
 every_part_of_a_robot = pytest.mark.parametrize(

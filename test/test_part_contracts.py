@@ -30,7 +30,7 @@ from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.registry import PARTS, resolve
 
 OUTSIDE = parts_of_pages.OUTSIDE
-OF_A_ROBOT = ("actuators", "constraints", "contacts", "forces")
+OF_A_ROBOT = ("actuators", "constraints", "contacts", "forces", "muscles")
 
 
 def has_rows(section, name):
@@ -41,7 +41,7 @@ EVERY = [(section, name) for section in PARTS for name in PARTS[section]]
 EVERY += [(section, name) for section in OUTSIDE for name in OUTSIDE[section]]
 every_part = pytest.mark.parametrize(("section", "name"), EVERY)
 every_load = pytest.mark.parametrize(
-    ("section", "name"), [pair for pair in EVERY if pair[0] in ("actuators", "forces")]
+    ("section", "name"), [pair for pair in EVERY if pair[0] in ("actuators", "forces", "muscles")]
 )
 every_constraint = pytest.mark.parametrize(
     ("section", "name"), [pair for pair in EVERY if has_rows(*pair)]
@@ -52,6 +52,7 @@ every_part_with_symbols = pytest.mark.parametrize(
 IN_NUMBERS = {  # what bodies or the cheap margins of stops are bound to while building
     *("point", "point_a", "point_b", "plane_point", "position", "normal", "direction"),
     *("rpy", "rpy_a", "rpy_b", "orientation", "lower", "upper"),
+    *("pennation_angle", "maximum_pennation_angle", "passive_strain", "passive_zero_strain"),
 }
 
 

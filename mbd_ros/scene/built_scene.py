@@ -107,7 +107,7 @@ class Scene(MeasuredScene):
         """
         where = f"{self.name}: solver"
         chosen = self.chosen_solver(solver)
-        every = (*self.forces, *forces, *self.wrenches.values())
+        every = (*self.muscles, *self.forces, *forces, *self.wrenches.values())
         try:
             given = self.inputs.sources(sources)
             loads = Loads(self.robot.model.nv, every, self.actuators, given)

@@ -97,6 +97,8 @@ def name_parts(site: "Site", entries: Sequence[NamedEntry], parts: Sequence[Any]
 def refuse_repeated(where: str, parts: Mapping[str, Any], robot: Robot | None) -> None:
     """Refuse a name that two parts have, or a part and a joint or a free base.
 
+    A muscle may have the name of a path, which shows nothing of its own.
+
     Args:
         where: The file, for the messages.
         parts: Built sections by key.
@@ -108,16 +110,19 @@ def refuse_repeated(where: str, parts: Mapping[str, Any], robot: Robot | None) -
     owners = dict.fromkeys(_joints(robot), "a joint of the robot")
     if robot is not None and any(base.name == BASE for base in robot.bases):
         owners[BASE] = "the floating base"
+    muscles = {part.name for part in parts.get("muscles", ())}
     for key, name in _names(parts):
+        if key == "paths" and name in muscles:
+            continue
         if name in owners:
             raise SceneError(f"{where}: {key}: name '{name}' is that of {owners[name]}, too")
         owners[name] = f"a part of {key}"
 
 
 def _names(parts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Section and name of every part that has one."""
+    """Section and name of every part that has one; paths show nothing and have names apart."""
     for key, built in parts.items():
-        if key != "robot":
+        if key not in ("robot", "paths"):
             several = built.values() if isinstance(built, Mapping) else built
             for part in several if isinstance(built, Mapping | tuple | list) else (built,):
                 if isinstance(name := getattr(part, "name", None), str):

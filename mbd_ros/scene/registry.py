@@ -65,6 +65,11 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "semi_implicit_euler": "mbd_ros.integrators.semi_implicit_euler:SemiImplicitEuler",
         "shake": "mbd_ros.integrators.shake:Shake",
     },
+    "muscles": {
+        "degroote_fregly": "mbd_ros.muscles.degroote_fregly:DegrooteFregly",
+        "millard": "mbd_ros.muscles.millard:Millard",
+        "thelen": "mbd_ros.muscles.thelen:Thelen",
+    },
     "stabilization": {
         "baumgarte": "mbd_ros.stabilization.baumgarte:Baumgarte",
         "none": "mbd_ros.stabilization.none:NoStabilization",

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mbd_ros.core.dynamics.inputs import Inputs
 from mbd_ros.core.dynamics.internals import Internals
@@ -20,6 +20,9 @@ from mbd_ros.scene.coupling_entries import coupling_kinds
 from mbd_ros.scene.input_slots import bind_inputs, first_values
 from mbd_ros.scene.part_entries import MeasuredWrench, Solver
 from mbd_ros.scene.sections import Section
+
+if TYPE_CHECKING:
+    from mbd_ros.core.muscles.muscle import Muscle
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -99,7 +102,14 @@ class SceneParts:
     @property
     def forces(self) -> tuple[Load, ...]:
         """Loads that nobody commands, of all sections."""
-        return tuple(part for part in self._offering("force") if not hasattr(part, "command"))
+        commanded = "command", "active_force"
+        loads = self._offering("force")
+        return tuple(p for p in loads if not any(hasattr(p, method) for method in commanded))
+
+    @property
+    def muscles(self) -> "tuple[Muscle, ...]":
+        """Muscles, in the order of their excitations."""
+        return self._offering("active_force")
 
     @property
     def actuators(self) -> tuple[Actuator, ...]:

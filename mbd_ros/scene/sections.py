@@ -129,6 +129,14 @@ SECTIONS = (
         parts="actuators",
     ),
     Section(
+        "muscles",
+        Form.LIST,
+        after=(*_EVERY_ROBOT, "paths"),
+        offers=("force", "active_force"),
+        check="muscle: {name}, {kind}, {part.tendon} tendon over {part.path.over}",
+        parts="muscles",
+    ),
+    Section(
         "stabilization",
         Form.SINGLE,
         f"{_PARTS}:build_method",

@@ -1,7 +1,7 @@
 """Kinematics k of symbols: what parts ask of the mechanism while they are traced."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -36,6 +36,8 @@ class SymbolicKinematics:
     array: Callable[..., Any] = staticmethod(np.array)
     where = staticmethod(where)
     sqrt = staticmethod(function(ca.sqrt, math.sqrt))
+    exp = staticmethod(function(ca.exp, math.exp))
+    log = staticmethod(function(ca.log, math.log))
     tanh = staticmethod(function(ca.tanh, math.tanh))
     sin = staticmethod(function(ca.sin, math.sin))
     cos = staticmethod(function(ca.cos, math.cos))
@@ -194,6 +196,15 @@ class SymbolicKinematics:
     def hypot(line: Any) -> Any:
         """Length of a vector."""
         return SymbolicKinematics.sqrt(line.dot(line))
+
+    @staticmethod
+    def piece(x: Any, breaks: Sequence[Any], rows: Sequence[Sequence[Any]]) -> Sequence[Any]:
+        """As `Kinematics.piece`."""
+        chosen = list(rows[0])
+        for left, row in zip(breaks, rows[1:], strict=True):
+            after = x >= left
+            chosen = [where(after, new, old) for new, old in zip(row, chosen, strict=True)]
+        return chosen
 
     @staticmethod
     def either(condition: Any, first: Callable[[], Any], second: Callable[[], Any]) -> Any:

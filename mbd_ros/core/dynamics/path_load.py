@@ -18,7 +18,7 @@ class PathLoad(Load):
         path: The path.
     """
 
-    outputs = (Output("tension", "N"), Output("length", "m"))
+    outputs: tuple[Output, ...] = (Output("tension", "N"), Output("length", "m"))
 
     def __init__(self, path: Path) -> None:
         self.path, self.reads = path, path.reads

@@ -1,7 +1,8 @@
 """Kinematics k: what a part asks of the mechanism, evaluated at one state."""
 
 import math
-from collections.abc import Callable
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from functools import partial
 from typing import Any
@@ -48,7 +49,7 @@ class Kinematics:
     item = staticmethod(np.ndarray.item)
     dot: Callable[..., Any] = staticmethod(np.ndarray.dot)
     array: Callable[..., Any] = staticmethod(np.array)
-    sqrt = staticmethod(math.sqrt)
+    sqrt, exp, log = staticmethod(math.sqrt), staticmethod(math.exp), staticmethod(math.log)
     tanh, sin, cos = staticmethod(math.tanh), staticmethod(math.sin), staticmethod(math.cos)
     copysign = staticmethod(math.copysign)
     maximum, minimum = staticmethod(max), staticmethod(min)
@@ -168,6 +169,17 @@ class Kinematics:
     def where(condition: bool, first: Any, second: Any) -> Any:
         """The first value where a condition holds, else the second; both are evaluated."""
         return first if condition else second
+
+    @staticmethod
+    def piece(x: float, breaks: Sequence[float], rows: Sequence[Sequence[Any]]) -> Sequence[Any]:
+        """The row of the interval that x is in; at a break that of the interval after it.
+
+        Args:
+            x: A number.
+            breaks: Inner ends of the intervals, increasing, n - 1.
+            rows: One an interval, n.
+        """
+        return rows[bisect_right(breaks, x)]
 
     @staticmethod
     def either(condition: bool, first: Callable[[], Any], second: Callable[[], Any]) -> Any:

@@ -1,0 +1,151 @@
+"""Fibres and tendon in series: forces of a muscle whose activation is known.
+
+A tendon pulls along the path, fibres at the angle of their `Pennation` to it. Forces are peak
+forces times curves of lengths per optimal fibre length and per slack length, and of the speed per
+largest speed. Numbers may be floats, symbols, or arrays with an entry a muscle, a sample or both.
+
+Source: F. E. Zajac, Crit. Rev. Biomed. Eng. 17, 1989, 359-411; M. Millard et al., J. Biomech. Eng.
+135, 2013, 021005, doi:10.1115/1.4023390, eq. 1 to 8.
+"""
+
+from typing import Any, NamedTuple
+
+from mbd_ros.core.muscles.pennation import Pennation
+from mbd_ros.errors import ModelError
+
+Number = Any  # float, symbol or array
+_POINT = 1.0e-9  # of the optimal length: where fibres without an angle have no length
+
+
+class Fiber(NamedTuple):
+    """Fibres at one time.
+
+    Attributes:
+        length: Of the fibres [m].
+        cosine: Of their angle to the tendon.
+        velocity: Rate of their length [m/s].
+    """
+
+    length: Number
+    cosine: Number
+    velocity: Number
+
+
+class Contraction(NamedTuple):
+    """Forces of one muscle, or of many side by side.
+
+    Attributes:
+        peak: Largest isometric force [N].
+        optimal: Fibre length at which active force is largest [m].
+        slack: Length of the slack tendon [m].
+        fastest: Largest speed at which fibres shorten [m/s].
+        pennation: Geometry of the fibres.
+        curves: Normalised forces: `ThelenCurves`, `MillardCurves` or `DeGrooteFreglyCurves`.
+    """
+
+    peak: Number
+    optimal: Number
+    slack: Number
+    fastest: Number
+    pennation: Pennation
+    curves: Any
+
+    def cosine(self, k: Any, length: Number) -> Number:
+        """Cosine of the angle of fibres of a length [m]."""
+        sine = self.pennation.height / k.maximum(length, _POINT * self.optimal)
+        return k.sqrt(k.maximum(1.0 - sine * sine, 0.0))
+
+    def beside_rigid_tendon(self, k: Any, length: Number, speed: Number) -> Fiber:
+        """Fibres beside a tendon of slack length.
+
+        Args:
+            k: Functions of numbers, symbols or arrays.
+            length: Of the path [m].
+            speed: Its rate [m/s].
+        """
+        along = length - self.slack
+        fiber = self.pennation.fiber(k, along)
+        cosine = self.cosine(k, fiber)
+        velocity = k.where(along > self.pennation.reach, speed * cosine, 0.0 * speed)
+        return Fiber(fiber, cosine, velocity)
+
+    def active(self, k: Any, a: Number, fiber: Fiber) -> Number:
+        """Active force of the fibres, along them [N]."""
+        length, speed = fiber.length / self.optimal, fiber.velocity / self.fastest
+        return self.peak * self.curves.fiber(k, a, length, speed)
+
+    def passive(self, k: Any, fiber: Fiber) -> Number:
+        """Elastic force of the fibres, along them [N]."""
+        return self.peak * self.curves.passive(k, fiber.length / self.optimal)
+
+    def damping(self, fiber: Fiber) -> Number:
+        """Force of the damper beside the fibres, along them [N]."""
+        return self.peak * self.curves.damping_force(fiber.velocity / self.fastest)
+
+    def rigid_tension(self, k: Any, a: Number, length: Number, speed: Number) -> Number:
+        """Tension of the path where the tendon is rigid [N]; 0 where path or fibres are slack.
+
+        Args:
+            k: Functions of numbers, symbols or arrays.
+            a: Activation.
+            length: Of the path [m].
+            speed: Its rate [m/s].
+        """
+        fiber = self.beside_rigid_tendon(k, length, speed)
+        along = self.active(k, a, fiber) + self.passive(k, fiber) + self.damping(fiber)
+        pull = k.maximum(along * fiber.cosine, 0.0)
+        return k.where(length - self.slack > self.pennation.reach, pull, 0.0 * pull)
+
+    def stretch(self, k: Any, length: Number, fiber_length: Number) -> Number:
+        """Length of an elastic tendon per slack length, between path and fibre length [m]."""
+        return (length - self.pennation.along(k, fiber_length)) / self.slack
+
+    def tendon(self, k: Any, length: Number, fiber_length: Number) -> Number:
+        """Force of an elastic tendon [N]."""
+        return self.peak * self.curves.tendon(k, self.stretch(k, length, fiber_length))
+
+    def beside_elastic_tendon(
+        self, k: Any, a: Number, length: Number, fiber_length: Number
+    ) -> Fiber:
+        """Fibres that are in balance with an elastic tendon.
+
+        Args:
+            k: Functions of numbers, symbols or arrays.
+            a: Activation, more than 0.
+            length: Of the path [m].
+            fiber_length: Of the fibres [m].
+        """
+        cosine = self.cosine(k, fiber_length)
+        force = self.curves.tendon(k, self.stretch(k, length, fiber_length)) / cosine
+        speed = self.curves.speed(k, a, fiber_length / self.optimal, force)
+        return Fiber(fiber_length, cosine, self.fastest * speed)
+
+    def tendon_energy(self, k: Any, length: Number, fiber_length: Number) -> Number:
+        """Energy of an elastic tendon [J]."""
+        area = self.curves.tendon_area(k, self.stretch(k, length, fiber_length))
+        return self.peak * self.slack * area
+
+    def fiber_energy(self, k: Any, fiber_length: Number) -> Number:
+        """Energy of the elastic force of the fibres [J]."""
+        area = self.curves.passive_area(k, fiber_length / self.optimal)
+        return self.peak * self.optimal * area
+
+
+def check_sizes(
+    tendon: str,
+    tendon_slack_length: float,
+    pennation_angle: float,
+    maximum_pennation_angle: float,
+) -> None:
+    """Refuse numbers of a muscle that do not go together.
+
+    Raises:
+        ModelError: An elastic tendon without length, or fibres beyond their largest angle.
+    """
+    if tendon == "elastic" and tendon_slack_length <= 0.0:
+        raise ModelError("tendon_slack_length is 0: an elastic tendon has a length; else: rigid")
+    if pennation_angle > 0.0 and pennation_angle >= maximum_pennation_angle:
+        raise ModelError(
+            f"pennation_angle {pennation_angle:g} must be below maximum_pennation_angle "
+            f"{maximum_pennation_angle:g}"
+        )

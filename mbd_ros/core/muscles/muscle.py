@@ -1,0 +1,161 @@
+"""Muscles of all types: a load along a path, with activation and fibre length as states."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from mbd_ros.core.dynamics.path_load import PathLoad
+from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.paths import Path
+from mbd_ros.core.muscles.array_numbers import ArrayNumbers
+from mbd_ros.core.muscles.contraction import Contraction, Fiber
+from mbd_ros.core.outputs import Now, Output, Value
+from mbd_ros.core.parts import Channel, Internal
+from mbd_ros.core.state import Array, State
+
+
+class ActivationDynamics(Protocol):
+    """How activation follows excitation."""
+
+    least: Any
+
+    def rate(self, k: Any, e: Any, a: Any) -> Any:
+        """Rate of the activation a under the excitation e [1/s]."""
+
+
+class Muscle(PathLoad):
+    """A muscle along a path, driven by an excitation.
+
+    Args:
+        path: The path.
+        contraction: Fibres and tendon.
+        dynamics: How activation follows excitation.
+        tendon: `elastic` or `rigid`.
+
+    Attributes:
+        contraction: Fibres and tendon.
+        dynamics: How activation follows excitation.
+        tendon: `elastic` or `rigid`.
+    """
+
+    def __init__(
+        self, path: Path, contraction: Contraction, dynamics: ActivationDynamics, tendon: str
+    ) -> None:
+        super().__init__(path)
+        self.contraction, self.dynamics, self.tendon = contraction, dynamics, tendon
+        self.inputs = (Channel("excitation", "-", dynamics.least, 1.0, dynamics.least),)
+        states = [Internal("activation", "-", dynamics.least, 1.0)]
+        if self.is_elastic:
+            shortest = contraction.pennation.shortest
+            states.append(Internal("fiber_length", "m", shortest, math.inf))
+        self.internal = tuple(states)
+        self.outputs = _OUTPUTS if self.is_elastic else (*_OUTPUTS, Output("fiber_length", "m"))
+
+    @property
+    def is_elastic(self) -> bool:
+        """Whether the tendon is elastic."""
+        return self.tendon == "elastic"
+
+    def tension(self, k: Kinematics, x: State, u: Array, length: float, speed: float) -> float:
+        """Force of the tendon [N]."""
+        activation, fiber_length = self._states(k, x)
+        if self.is_elastic:
+            return self.contraction.tendon(k, length, fiber_length)
+        return self.contraction.rigid_tension(k, activation, length, speed)
+
+    def rates(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Rates of activation and fibre length [1/s, m/s]."""
+        activation, fiber_length = self._states(k, x)
+        rate = self.dynamics.rate(k, k.item(u, self.u.start or 0), activation)
+        if not self.is_elastic:
+            return k.array([rate])
+        length = self.path.length(k, x)
+        fiber = self.contraction.beside_elastic_tendon(k, activation, length, fiber_length)
+        return k.array([rate, fiber.velocity])
+
+    def potential(self, k: Kinematics, x: State) -> float:
+        """Energy of tendon and passive fibres [J]."""
+        length, fiber_length = self.path.length(k, x), self._states(k, x)[1]
+        if self.is_elastic:
+            energy = self.contraction.tendon_energy(k, length, fiber_length)
+            return energy + self.contraction.fiber_energy(k, fiber_length)
+        fiber = self.contraction.beside_rigid_tendon(k, length, 0.0)
+        return self.contraction.fiber_energy(k, fiber.length)
+
+    def columns(self, k: Kinematics, x: State) -> Array | None:
+        """Zeros, shape (nv, 1): an excitation reaches the joints through the activation alone."""
+        return np.zeros((len(x.v), 1))
+
+    def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
+        """Forces, fibres and powers; `fiber_power` is what active fibres give, positive."""
+        activation, _ = self._states(k, x)
+        length, slope = self.path.measured(k, x)
+        speed = k.dot(slope, x.v)
+        fiber = self._fiber(k, x, length, speed)
+        active, damping = (
+            self.contraction.active(k, activation, fiber),
+            self.contraction.damping(fiber),
+        )
+        shown = (
+            *(self.tension(k, x, u, length, speed), length, fiber.velocity, active),
+            self.contraction.passive(k, fiber),
+            -active * fiber.velocity,
+            damping * fiber.velocity,
+        )
+        return shown if self.is_elastic else (*shown, fiber.length)
+
+    def active_force(self, length: Array, speed: Array) -> Array:
+        """Force along the tendon of the fully active fibres beside a rigid tendon [N].
+
+        The force at activation a is a times it, but for `thelen`, whose force-velocity curve
+        depends on a.
+
+        Args:
+            length: Of the path [m], any shape.
+            speed: Its rate [m/s], same shape.
+        """
+        fiber = self.contraction.beside_rigid_tendon(ArrayNumbers, length, speed)
+        found: Array = self.contraction.active(ArrayNumbers, 1.0, fiber) * fiber.cosine
+        return found
+
+    def passive_force(self, length: Array) -> Array:
+        """Elastic force of the fibres along a rigid tendon [N], as `active_force`."""
+        fiber = self.contraction.beside_rigid_tendon(ArrayNumbers, length, 0.0 * length)
+        found: Array = self.contraction.passive(ArrayNumbers, fiber) * fiber.cosine
+        return found
+
+    def fiber_length(self, length: Array) -> Array:
+        """Fibre length beside a rigid tendon [m], as `active_force`."""
+        found: Array = self.contraction.pennation.fiber(
+            ArrayNumbers, length - self.contraction.slack
+        )
+        return found
+
+    def fiber_velocity(self, length: Array, speed: Array) -> Array:
+        """Rate of the fibre length beside a rigid tendon [m/s], as `active_force`."""
+        found: Array = self.contraction.beside_rigid_tendon(ArrayNumbers, length, speed).velocity
+        return found
+
+    def _states(self, k: Kinematics, x: State) -> tuple[float, float]:
+        """Activation and fibre length; the latter 0 beside a rigid tendon."""
+        first = self.z.start or 0
+        return k.item(x.z, first), k.item(x.z, first + 1) if self.is_elastic else 0.0
+
+    def _fiber(self, k: Kinematics, x: State, length: float, speed: float) -> Fiber:
+        activation, fiber_length = self._states(k, x)
+        if not self.is_elastic:
+            return self.contraction.beside_rigid_tendon(k, length, speed)
+        return self.contraction.beside_elastic_tendon(k, activation, length, fiber_length)
+
+
+_OUTPUTS = (
+    Output("tension", "N"),
+    Output("length", "m"),
+    Output("fiber_velocity", "m/s"),
+    Output("active_force", "N"),
+    Output("passive_force", "N"),
+    Output("fiber_power", "W"),
+    Output("damping_loss", "W"),
+)

@@ -1,0 +1,123 @@
+"""Muscles against what OpenSim 4.6 says of public models, and against one another."""
+
+import numpy as np
+import pytest
+from opensim_muscles import ANY_PATH, at_times, columns, muscles
+
+from mbd_ros.core.muscles.array_numbers import ArrayNumbers
+from mbd_ros.errors import SceneError
+from mbd_ros.scene.from_python import scene_from
+
+SETS = ("arm26_muscles", "gait10dof18musc_muscles")
+LEVELS = {"0.05": 0.05, "0.5": 0.5, "1": 1.0}
+DIGITS = 1e-9  # of what a table with ten digits says
+SIZES = {"max_isometric_force": 600.0, "optimal_fiber_length": 0.1, "tendon_slack_length": 0.2}
+
+
+def moved(folder, table):
+    """A table and the lengths and speeds of the paths at its times."""
+    found = columns(folder / table)
+    return found, at_times(columns(folder / "lengths.csv.gz"), found["time"])
+
+
+@pytest.mark.parametrize("prefix", ["", "no_wrap_"])
+def test_rigid_forces_of_thelen_are_those_of_opensim(data_dir, prefix):
+    folder = data_dir / "opensim" / SETS[0]
+    said = columns(folder / f"{prefix}rigid_tendon.csv.gz")
+    paths = at_times(columns(folder / f"{prefix}lengths.csv.gz"), said["time"])
+    for part in muscles(folder, tendon="rigid"):
+        name, law = part.name, part.contraction
+        length, speed = paths[f"{name}.length"], paths[f"{name}.speed"]
+        fiber = law.beside_rigid_tendon(ArrayNumbers, length, speed)
+        for level, a in LEVELS.items():
+            force = law.active(ArrayNumbers, a, fiber) * fiber.cosine
+            assert force == pytest.approx(said[f"{name}.active_force_a{level}"], rel=DIGITS)
+        assert part.active_force(length, speed) == pytest.approx(force, rel=1e-15)
+        passive = said[f"{name}.passive_force"]
+        assert part.passive_force(length) == pytest.approx(passive, rel=1e-7, abs=1e-7)
+        assert part.fiber_length(length) == pytest.approx(said[f"{name}.fiber_length"], rel=DIGITS)
+
+
+def test_rigid_forces_of_millard_are_those_of_opensim(data_dir):
+    """OpenSim's own rigid mode; its `calcInextensibleTendonActiveFiberForce` is wrong."""
+    folder = data_dir / "opensim" / SETS[1]
+    said, paths = moved(folder, "rigid_tendon_millard_mode.csv.gz")
+    for part in muscles(folder, tendon="rigid"):
+        name = part.name
+        length, speed = paths[f"{name}.length"], paths[f"{name}.speed"]
+        fiber = part.contraction.beside_rigid_tendon(ArrayNumbers, length, speed)
+        for level, a in LEVELS.items():
+            force = part.contraction.rigid_tension(ArrayNumbers, a, length, speed)
+            wanted = said[f"{name}.tendon_force_a{level}"]
+            assert force == pytest.approx(wanted, rel=DIGITS, abs=1e-12)
+            active = said[f"{name}.active_fiber_force_a{level}"]
+            found = part.contraction.active(ArrayNumbers, a, fiber)
+            assert found == pytest.approx(active, rel=2e-9, abs=1e-12)
+        by_level = part.active_force(length, speed) / fiber.cosine
+        assert by_level == pytest.approx(active, rel=2e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_static_fibres_beside_elastic_tendons_are_those_of_opensim(data_dir, name):
+    """Force within 1e-4 N; OpenSim stops within some 1e-8 m/s of rest."""
+    folder = data_dir / "opensim" / name
+    said, paths = moved(folder, "elastic_static.csv.gz")
+    for part in muscles(folder):
+        length, law = paths[f"{part.name}.length"], part.contraction
+        for level, a in LEVELS.items():
+            fiber_length = said[f"{part.name}.fiber_length_a{level}"]
+            force = law.tendon(ArrayNumbers, length, fiber_length)
+            assert force == pytest.approx(said[f"{part.name}.tendon_force_a{level}"], abs=1e-4)
+            fiber = law.beside_elastic_tendon(ArrayNumbers, a, length, fiber_length)
+            assert fiber.velocity == pytest.approx(0.0, abs=2e-7)
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_velocity_of_given_fibres_is_that_of_opensim(data_dir, name):
+    """Within 1e-8 of the largest speed; fibre lengths have ten digits, an entry is missing."""
+    folder = data_dir / "opensim" / name
+    said, paths = moved(folder, "elastic_moving.csv.gz")
+    compared = 0
+    for part in muscles(folder):
+        length, law = paths[f"{part.name}.length"], part.contraction
+        for level, a in LEVELS.items():
+            given = said[f"{part.name}.fiber_length_a{level}"]
+            wanted = said[f"{part.name}.fiber_velocity_a{level}"]
+            there = np.isfinite(given) & np.isfinite(wanted)
+            fiber = law.beside_elastic_tendon(ArrayNumbers, a, length[there], given[there])
+            lack = np.abs(fiber.velocity - wanted[there]) / law.fastest
+            assert lack.max() < 5e-8
+            compared += int(there.sum())
+    assert compared > 2000
+
+
+@pytest.mark.parametrize("kind", ["thelen", "millard", "degroote_fregly"])
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"pennation_angle": 1.5}, "must be below maximum_pennation_angle 1.47063"),
+        ({"tendon_slack_length": 0.0}, "an elastic tendon has a length"),
+        ({"minimum_activation": 0.0}, "minimum_activation: 0 is out of range"),
+        ({"tendon": "soft"}, "tendon: expected one of elastic, rigid, got 'soft'"),
+        ({"max_isometric_force": -3.0}, "max_isometric_force: -3 is out of range"),
+        ({"path": "none"}, "no path 'none', accepted: none: the scene has no `paths`"),
+    ],
+)
+def test_bad_numbers_are_refused_by_name(kind, more, said):
+    entry = {"type": kind, "name": "m", "path": ANY_PATH, **SIZES, **more}
+    with pytest.raises(SceneError, match=said):
+        scene_from({"muscles": [entry]}, urdf="prosthetic_leg")
+
+
+def test_a_muscle_may_have_the_name_of_its_path():
+    scene = scene_from(
+        {
+            "paths": {"soleus": ANY_PATH},
+            "muscles": [{"type": "thelen", "name": "soleus", "path": "soleus", **SIZES}],
+        },
+        urdf="prosthetic_leg",
+    )
+    assert [part.name for part in scene.muscles] == ["soleus"]
+    assert scene.inputs.names == ("soleus.excitation",)
+    assert scene.internals.names == ("soleus.activation", "soleus.fiber_length")
+    assert scene.forces == ()
