@@ -120,9 +120,9 @@ def refuse_repeated(where: str, parts: Mapping[str, Any], robot: Robot | None) -
 
 
 def _names(parts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Section and name of every part that has one; paths show nothing and have names apart."""
+    """Section and name of every part that has one."""
     for key, built in parts.items():
-        if key not in ("robot", "paths"):
+        if key != "robot":
             several = built.values() if isinstance(built, Mapping) else built
             for part in several if isinstance(built, Mapping | tuple | list) else (built,):
                 if isinstance(name := getattr(part, "name", None), str):
