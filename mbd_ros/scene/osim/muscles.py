@@ -62,8 +62,8 @@ def _thelen(item: Item) -> dict[str, Any]:
         "passive_strain": item.number("FmaxMuscleStrain", default=0.6),
         "active_shape": item.number("KshapeActive", default=0.45),
         "passive_shape": item.number("KshapePassive", default=5.0),
-        "Af": item.number("Af", default=0.25),
-        "Flen": item.number("Flen", default=1.4),
+        "velocity_shape": item.number("Af", default=0.25),
+        "lengthening_force": item.number("Flen", default=1.4),
         "fv_extrapolation": item.number("fv_linear_extrap_threshold", default=0.95),
     }
 
