@@ -77,6 +77,19 @@ def test_exponent_one_agrees_with_a_linear_program():
         assert np.abs(A @ found.x - b).max() <= 1e-8 * np.abs(b).max()
 
 
+def test_linear_costs_name_what_is_not_unique():
+    """Two muscles with equal arms and prices share any way; squares share evenly."""
+    A, b, low, high = np.array([[2.0, 2.0, 5.0]]), np.array([2.0]), np.zeros(3), np.ones(3)
+    prices = np.array([1.0, 1.0, 9.0])
+    linear = SeparableProgram(3, 1).solve(power_cost(1.0, prices), A, b, low, high)
+    square = SeparableProgram(3, 1).solve(power_cost(2.0, prices), A, b, low, high)
+    unlike = SeparableProgram(3, 1).solve(power_cost(1.0, prices * [1, 2, 1]), A, b, low, high)
+    assert linear.movable == (0, 1)
+    assert linear.x.sum() == pytest.approx(1.0)
+    assert square.movable == unlike.movable == ()
+    assert unlike.x == pytest.approx([1.0, 0.0, 0.0], abs=1e-9)
+
+
 def test_tracking_without_rows_to_obey_gives_the_targets():
     target = np.array([0.2, 0.5, 2.0])
     none = np.zeros(3)

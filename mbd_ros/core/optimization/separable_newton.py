@@ -21,6 +21,7 @@ from mbd_ros.core.thresholds import NEARLY_SINGULAR, SINGULAR, TINY
 _EXACT = 1.0e-12  # `optimality_residual` below which a further step gains nothing
 _RIDGE = 1.0e-15  # beside the largest entry of a diagonal
 _AT_BOUND = 1.0e-7  # of the distance of bounds, at most 1: near enough for a vertex to try
+_PRESSED = 1.0e-7  # of the largest slope: a multiplier that holds an unknown at its bound
 _ASCENTS = 40
 _FLAT = 1.0e-14  # of the largest curvature: less counts as this
 _HALVINGS = 30
@@ -67,6 +68,28 @@ class Problem(NamedTuple):
         worst = max(worst, float(wrong.max(initial=0.0) / size))
         return worst if worst < np.inf else np.inf
 
+    def movable(self, x: Array, lam: Array) -> tuple[int, ...]:
+        """Unknowns that other optima have otherwise; none where the cost bends everywhere.
+
+        An unknown stays where it is pressed against a bound or a kink. The others move along what
+        keeps the rows.
+        """
+        cost, A, _, lower, upper = self
+        is_bent = (cost.stiffness > 0.0) | ((cost.weight > 0.0) & (cost.exponent > 1.0))
+        slope = cost.slope(x)
+        left = np.abs(slope - A.T.dot(lam))
+        at_end = (x <= lower) | (x >= upper)
+        size = float(np.maximum(np.abs(slope), cost.weight).max(initial=TINY))
+        pressed = at_end & (left > _PRESSED * size)
+        pressed |= (cost.kink(x) > 0.0) & (cost.kink(x) - left > _PRESSED * size)
+        some = (~is_bent & ~pressed).nonzero()[0]
+        if not len(some):
+            return ()
+        _, s, Vt = np.linalg.svd(A[:, some])
+        rank = int(np.count_nonzero(s > SINGULAR * s.max(initial=TINY)))
+        moves = np.abs(Vt[rank:]).max(axis=0, initial=0.0) > SINGULAR
+        return tuple(some[moves].tolist())
+
 
 class Found(NamedTuple):
     """An x with its lam, and how far they are from the conditions.
@@ -93,7 +116,7 @@ def refined(problem: Problem, x: Array, lam: Array, most: int) -> Found:
     """
     cost, A, b, lower, upper = problem
     if cost.exponent == 1.0 and not (cost.stiffness > 0.0).all():
-        return _vertex(problem, x)
+        return _vertex(problem, x, lam)
     split = split_at_zero(cost, lower, upper)
     x, s = problem.kept(x), A.T.dot(lam)
     best = Found(x, lam, np.inf)
@@ -170,8 +193,8 @@ def _least(rows: Array, r: Array) -> Array:
     return np.asarray(np.linalg.lstsq(rows, r, rcond=NEARLY_SINGULAR)[0], dtype=np.float64)
 
 
-def _vertex(problem: Problem, x: Array) -> Found:
-    """Of a linear program: the nearest x on the rows where what is at a bound or kink stays."""
+def _vertex(problem: Problem, x: Array, lam: Array) -> Found:
+    """Of a linear program: the nearest on the rows where what is at a bound or kink stays."""
     cost, A, b, lower, upper = problem
     near = _AT_BOUND * np.minimum(upper - lower, 1.0)
     x = np.where(x <= lower + near, lower, np.where(x >= upper - near, upper, x))
@@ -180,5 +203,6 @@ def _vertex(problem: Problem, x: Array) -> Found:
     onto = np.asarray(np.linalg.pinv(A[:, free], rcond=SINGULAR), dtype=np.float64)
     for _ in range(2):  # the second time for what rounding left
         x[free] += onto.dot(b - A.dot(x))
-    x, lam = problem.kept(x), onto.T.dot(cost.slope(x)[free])
+    x = problem.kept(x)
+    lam = lam + onto.T.dot((cost.slope(x) - A.T.dot(lam))[free])
     return Found(x, lam, problem.residual(x, lam))

@@ -50,6 +50,7 @@ class Optimum(NamedTuple):
         lacking: b - A x, which is rounding where `is_feasible`, shape (m,).
         residual: `Problem.residual` of the answer.
         is_feasible: Whether an x fulfils the rows; else this one lacks least, nearly.
+        movable: Unknowns that other optima have otherwise; none where the optimum is unique.
     """
 
     x: Array
@@ -57,6 +58,7 @@ class Optimum(NamedTuple):
     lacking: Array
     residual: float
     is_feasible: bool
+    movable: tuple[int, ...] = ()
 
 
 class SeparableProgram:
@@ -109,7 +111,9 @@ class SeparableProgram:
                 self.statistics = counted(self.statistics, "short")
                 found = _least_lacking(problem)
         lacking = (problem.b - problem.A.dot(found.x)) / scale
-        return Optimum(found.x.copy(), scale * found.lam, lacking, found.residual, is_feasible)
+        movable = problem.movable(found.x, found.lam)
+        lam = scale * found.lam
+        return Optimum(found.x.copy(), lam, lacking, found.residual, is_feasible, movable)
 
     def _feasible(self, problem: Problem) -> Found | None:
         found = refined(problem, self._x, self._lam, _EXCHANGES)
