@@ -23,7 +23,8 @@ _REFINING = 30  # steps from an interior start
 _GENTLE = 3.0  # exponent up to which the interior start is near enough
 _RISE = 1.3  # of the exponent from one start to the next
 _NEAR = 1.0e-6  # residual of a start for the next exponent
-_PRICE = 1.0e6  # of what a row lacks, in the largest price of an unknown
+_PRICES = (1.0e6, 1.0e4)  # of what a row lacks, in the largest price of an unknown
+_EMPTY = 1.0e-12  # of the largest row: what rounding leaves of none
 _SHORT = 1.0e-7  # of the terms of a row: what it lacks where no x fulfils it
 
 
@@ -102,15 +103,17 @@ class SeparableProgram:
             raise SolveError("program refused: A or b is not finite, or lower > upper")
         self.statistics = counted(self.statistics, "solves")
         size = np.abs(A).max(axis=1, initial=0.0)
-        scale = 1.0 / np.where(size > 0.0, size, 1.0)
+        is_empty = size <= _EMPTY * size.max(initial=0.0)
+        scale = np.where(is_empty, 0.0, 1.0 / np.where(is_empty, 1.0, size))
         problem = Problem(cost, scale[:, None] * A, scale * b, lower, upper)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             found = self._feasible(problem)
-            is_feasible = found is not None
+            is_feasible = found is not None and not b[is_empty].any()  # nothing fills them
             if found is None:
-                self.statistics = counted(self.statistics, "short")
                 found = _least_lacking(problem)
-        lacking = (problem.b - problem.A.dot(found.x)) / scale
+        if not is_feasible:
+            self.statistics = counted(self.statistics, "short")
+        lacking = b - A.dot(found.x)
         movable = problem.movable(found.x, found.lam)
         lam = scale * found.lam
         return Optimum(found.x.copy(), lam, lacking, found.residual, is_feasible, movable)
@@ -142,19 +145,21 @@ def _from_inside(problem: Problem) -> Found:
 
 
 def _least_lacking(problem: Problem) -> Found:
-    """The x that lacks least, nearly: a unit that a row lacks costs much more than any other."""
+    """The x that lacks least, nearly, of these that with the least squares.
+
+    A unit that a row lacks costs much more than any other.
+    """
     cost, A, b, lower, upper = problem
     m, n = A.shape
-    price = np.full(m, _PRICE * float((cost.weight + cost.stiffness).max()))
     none, free = np.zeros(m), np.full(m, np.inf)
-    gentle = cost._replace(exponent=min(cost.exponent, _GENTLE))
-    wide = gentle.joined(SeparableCost(gentle.exponent, none, none, price, none))
-    rows = np.concatenate((A, np.eye(m)), axis=1)
-    low, high = np.concatenate((lower, -free)), np.concatenate((upper, free))
-    found = _from_inside(Problem(wide, rows, b, low, high))
-    x = found.x[:n]
-    terms = np.abs(A).dot(np.abs(x)) + np.abs(b) + TINY
-    is_short = bool((np.abs(b - A.dot(x)) > _SHORT * terms).any())
-    if not (found.residual <= _SOLVED and is_short):
-        raise SolveError(f"program not solved: residual {found.residual:.1e}")
-    return found._replace(x=x)
+    rows, low, high = np.hstack((A, np.eye(m))), np.append(lower, -free), np.append(upper, free)
+    for dear in _PRICES:
+        price = np.full(m, dear * float((cost.weight + cost.stiffness).max()))
+        wide = cost._replace(exponent=2.0).joined(SeparableCost(2.0, none, none, price, none))
+        found = _from_inside(Problem(wide, rows, b, low, high))
+        x = found.x[:n]
+        terms = np.abs(A).dot(np.abs(x)) + np.abs(b) + TINY
+        is_short = bool((np.abs(b - A.dot(x)) > _SHORT * terms).any())
+        if found.residual <= _SOLVED and is_short:
+            return found._replace(x=x)
+    raise SolveError(f"program not solved: residual {found.residual:.1e}")
