@@ -43,7 +43,7 @@ class Internal(NamedTuple):
         unit: rad, A, ..; empty for pure numbers.
         lower: Smallest value it may have, -inf without.
         upper: Largest one, inf without.
-        initial: Value at the start; None for the equilibrium, where the rates are 0.
+        initial: Value at the start; None for the equilibrium, where the rates are 0: `at_rest`.
     """
 
     name: str
@@ -119,6 +119,21 @@ class Part:
             u: All inputs.
         """
         raise NotImplementedError
+
+    def at_rest(self, k: Kinematics, x: State, u: Array) -> Array | None:
+        """Values of `internal` at which their rates are 0, for a start at equilibrium.
+
+        Args:
+            k: Kinematics at the state, refreshed as far as `reads` says.
+            x: State of all joints; internal states that are given keep their values, others are
+                NaN.
+            u: All inputs.
+
+        Returns:
+            All of them, in their order; None where the part does not know them: they are looked
+            for then.
+        """
+        return None
 
     def guard_values(self, k: Kinematics, x: State, u: Array, now: Now) -> Array:
         """Values of `guards`, in their order, shape (len(guards),); arguments as for `show`."""

@@ -130,6 +130,14 @@ class ComposedSystem:
         x = self.coordinates.expand(y)
         return self._rates(x._replace(z=self.internals.inside(y.z)), u)
 
+    def at_rest(self, y: State, u: Array | None = None) -> Array:
+        """Internal states where they are given or parts know their equilibrium, else NaN."""
+        if not np.isnan(y.z).any():
+            return y.z
+        internals, k, x = self.internals, self._mechanism.k, self.coordinates.expand(y)
+        k.refresh(x.q, x.v, internals.reads)
+        return internals.at_rest(k, x, self.loads.inputs(x, u))
+
     def applied_with(self, y: State, u: Array | None = None) -> Array:
         """Generalized force tau - h at a state with internal states, shape (nv,)."""
         mechanism = self._mechanism

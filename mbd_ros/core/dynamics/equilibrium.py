@@ -22,7 +22,7 @@ def settled(system: System, y: State, u: Array | None) -> State:
     """A state whose internal states are as given, and else at their first values.
 
     Those whose equilibrium is asked for are where their rates are 0, or at a bound beyond which
-    these would take them, by Newton's method with shorter steps where one does not help, and else
+    these would take them: where their part says so, else by Newton's method with shorter steps where one does not help, and else
     where they come to rest by themselves.
 
     Args:
@@ -35,7 +35,7 @@ def settled(system: System, y: State, u: Array | None) -> State:
         ModelError: An internal state starts outside its bounds.
     """
     internals = system.internals
-    z = internals.completed(y.z)
+    z = system.at_rest(y._replace(z=internals.completed(y.z)), u)
     free = np.flatnonzero(np.isnan(z))
     z[free] = internals.inside(np.zeros(len(z)))[free]
     if not len(free):

@@ -90,6 +90,21 @@ class Internals:
                 )
         return np.where(np.isnan(z), self.initial, z)
 
+    def at_rest(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Internal states with what parts know of their equilibrium, fresh, shape (nz,).
+
+        Args:
+            k: Kinematics at the state, refreshed as far as `reads` says.
+            x: State of all joints; z is NaN where nothing is given.
+            u: All inputs.
+        """
+        z = x.z.copy()
+        for part in self.parts:
+            found = part.at_rest(k, x, u) if np.isnan(z[part.z]).any() else None
+            if found is not None:
+                z[part.z] = found
+        return z
+
     def check(self, z: Array) -> None:
         """Refuse internal states of another scene.
 

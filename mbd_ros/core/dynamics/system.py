@@ -131,6 +131,9 @@ class System(Protocol):
     def rates(self, y: State, u: Array | None = None) -> Array:
         """Rates z' of the internal states at a state of what is integrated, shape (nz,)."""
 
+    def at_rest(self, y: State, u: Array | None = None) -> Array:
+        """Internal states with what parts know of their equilibrium, NaN where none is known."""
+
     def derivatives(self, y: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
         """Derivatives of y'' at a state of what is integrated.
 

@@ -75,6 +75,26 @@ class Muscle(PathLoad):
         fiber = self.contraction.beside_elastic_tendon(k, activation, length, fiber_length)
         return k.array([rate, fiber.velocity])
 
+    def at_rest(self, k: Kinematics, x: State, u: Array) -> Array | None:
+        """Activation and fibre length at rest; of several stable lengths the shortest one."""
+        found = x.z[self.z].copy()
+        if math.isnan(found[0]):
+            found[0] = min(max(u[self.u].item(), self.dynamics.least), 1.0)
+        if self.is_elastic and math.isnan(found[1]):
+            found[1] = self.stable_lengths(found[0], self.path.length(k, x))[0]
+        return found
+
+    def stable_lengths(self, activation: float, length: float) -> list[float]:
+        """Fibre lengths at which the muscle may rest, the shortest one first [m].
+
+        Args:
+            activation: From its least value to 1.
+            length: Of the path [m].
+        """
+        from mbd_ros.core.muscles.equilibrium import stable_lengths  # asked for at starts only
+
+        return stable_lengths(self.contraction, activation, length)
+
     def potential(self, k: Kinematics, x: State) -> float:
         """Energy of tendon and passive fibres [J]."""
         length, fiber_length = self.path.length(k, x), self._states(k, x)[1]
