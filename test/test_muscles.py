@@ -5,6 +5,7 @@ import pytest
 from opensim_muscles import ANY_PATH, at_times, columns, muscles
 
 from mbd_ros.core.muscles.array_numbers import ArrayNumbers
+from mbd_ros.core.muscles.rigid_tendons import RigidTendons
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.from_python import scene_from
 
@@ -12,6 +13,13 @@ SETS = ("arm26_muscles", "gait10dof18musc_muscles")
 LEVELS = {"0.05": 0.05, "0.5": 0.5, "1": 1.0}
 DIGITS = 1e-9  # of what a table with ten digits says
 SIZES = {"max_isometric_force": 600.0, "optimal_fiber_length": 0.1, "tendon_slack_length": 0.2}
+
+
+def some(kind, **more):
+    """A muscle of a type."""
+    entry = {"type": kind, "name": "m", "path": ANY_PATH, **SIZES, **more}
+    (part,) = scene_from({"muscles": [entry]}, urdf="prosthetic_leg").muscles
+    return part
 
 
 def moved(folder, table):
@@ -89,6 +97,30 @@ def test_velocity_of_given_fibres_is_that_of_opensim(data_dir, name):
             assert lack.max() < 5e-8
             compared += int(there.sum())
     assert compared > 2000
+
+
+@pytest.mark.parametrize("kind", ["thelen", "millard", "degroote_fregly"])
+def test_forces_of_many_muscles_at_once_are_those_of_each(kind):
+    """Tables leave 1e-12 of the peak force; beyond them there is no difference."""
+    rng = np.random.default_rng(4)
+    parts = [some(kind, pennation_angle=angle, tendon="rigid") for angle in (0.0, 0.3, 0.5)]
+    several = RigidTendons([part.contraction for part in parts])
+    inside = 0.2 + rng.uniform(0.03, 0.2, (200, 3)), rng.uniform(-1.5, 1.5, (200, 3))
+    beyond = 0.2 + rng.uniform(0.03, 0.4, (9, 3)), rng.uniform(-4.0, 4.0, (9, 3))
+    for length, speed in (inside, beyond):
+        found = several.at(length, speed)
+        for i, part in enumerate(parts):
+            at = length[:, i], speed[:, i]
+            assert found.active[:, i] == pytest.approx(
+                part.active_force(*at), rel=1e-12, abs=6e-10
+            )
+            assert found.passive[:, i] == pytest.approx(
+                part.passive_force(at[0]), rel=1e-12, abs=6e-10
+            )
+            assert found.fiber_length[:, i] == pytest.approx(part.fiber_length(at[0]), rel=1e-15)
+            assert found.fiber_velocity[:, i] == pytest.approx(part.fiber_velocity(*at), rel=1e-14)
+        one = several.at(length[3], speed[3])
+        assert one.active == pytest.approx(found.active[3], rel=1e-14, abs=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["thelen", "millard", "degroote_fregly"])

@@ -22,8 +22,8 @@ def settled(system: System, y: State, u: Array | None) -> State:
     """A state whose internal states are as given, and else at their first values.
 
     Those whose equilibrium is asked for are where their rates are 0, or at a bound beyond which
-    these would take them: where their part says so, else by Newton's method with shorter steps where one does not help, and else
-    where they come to rest by themselves.
+    these would take them: where their part says so, else by Newton's method with shorter steps
+    where one does not help, and else where they come to rest by themselves.
 
     Args:
         system: The system.

@@ -98,10 +98,15 @@ class BezierCurve:
     Args:
         knots: At least two, x increasing.
         curviness: 0 .. 1, one a segment: how far it goes into the corner of its tangents.
+
+    Attributes:
+        knots: As given.
+        key: Equal where curves are.
     """
 
     def __init__(self, knots: Sequence[Knot], curviness: Sequence[Number]) -> None:
-        self._knots = tuple(knots)
+        self.knots = tuple(knots)
+        self.key = self.knots, tuple(curviness)
         ends = zip(knots[:-1], knots[1:], curviness, strict=True)
         self._segments = [_segment(*each) for each in ends]
 
@@ -112,16 +117,16 @@ class BezierCurve:
             k: Functions of numbers, symbols or arrays.
             x: Abscissa.
         """
-        breaks = [knot.x for knot in self._knots[1:-1]]
+        breaks = [knot.x for knot in self.knots[1:-1]]
         row = k.piece(x, breaks, self._segments)
         s = Piece(*row[:4]).where(k, x)
         before, after = self._beyond(k, x)
-        first, last = self._knots[0], self._knots[-1]
+        first, last = self.knots[0], self.knots[-1]
         return Piece(*row[4:]).at(s)[0] + first.slope * before + last.slope * after
 
     def area(self, k: Any, x: Number) -> Number:
         """Integral of y from the first knot to x."""
-        breaks = [knot.x for knot in self._knots[1:-1]]
+        breaks = [knot.x for knot in self.knots[1:-1]]
         sums = [0.0]
         for segment in self._segments[:-1]:
             sums.append(sums[-1] + _area(segment, 1.0))
@@ -130,7 +135,7 @@ class BezierCurve:
         s = Piece(*row[:4]).where(k, x)
         found = row[8] + _area(row[:8], s)
         before, after = self._beyond(k, x)
-        for knot, d in ((self._knots[0], before), (self._knots[-1], after)):
+        for knot, d in ((self.knots[0], before), (self.knots[-1], after)):
             found = found + d * (knot.y + 0.5 * knot.slope * d)
         return found
 
@@ -146,19 +151,19 @@ class BezierCurve:
             factor: >= 0; greater than 0 where `scale` or a slope is 0.
             sum_: The wanted sum.
         """
-        breaks = [scale * knot.y + factor * knot.x for knot in self._knots[1:-1]]
+        breaks = [scale * knot.y + factor * knot.x for knot in self.knots[1:-1]]
         row = k.piece(sum_, breaks, self._segments)
         along, over = Piece(*row[:4]), Piece(*row[4:])
         s = over.beside(scale, along, factor).where(k, sum_)
         found = along.at(s)[0]
-        for knot, side in ((self._knots[0], k.minimum), (self._knots[-1], k.maximum)):
+        for knot, side in ((self.knots[0], k.minimum), (self.knots[-1], k.maximum)):
             lack = side(sum_ - (scale * knot.y + factor * knot.x), 0.0)
             found = found + lack / (scale * knot.slope + factor)
         return found
 
     def _beyond(self, k: Any, x: Number) -> tuple[Number, Number]:
         """How far x is before the first knot, negative, and after the last one."""
-        first, last = self._knots[0], self._knots[-1]
+        first, last = self.knots[0], self.knots[-1]
         return k.minimum(x - first.x, 0.0), k.maximum(x - last.x, 0.0)
 
 

@@ -45,6 +45,16 @@ class DeGrooteFreglyCurves(NamedTuple):
     active_width: Number
     damping: Number
 
+    @property
+    def key(self) -> Any:
+        """Equal where curves are."""
+        return self
+
+    @property
+    def knots(self) -> tuple[tuple[Number, ...], ...]:
+        """None: all curves are smooth."""
+        return (), (), ()
+
     def active(self, k: Any, length: Number) -> Number:
         """Sum of three bells."""
         at = (length - 1.0) / self.active_width + 1.0

@@ -41,6 +41,17 @@ class MillardCurves:
         self._active, self._passive, self._tendon = active, passive, tendon
         self._velocity, self._damping = velocity, damping
 
+    @property
+    def key(self) -> Any:
+        """Equal where curves are."""
+        return self._active.key, self._passive.key, self._tendon.key, self._velocity.key
+
+    @property
+    def knots(self) -> tuple[tuple[Number, ...], ...]:
+        """Knots of the active, the force-velocity and the passive curve."""
+        curves = (self._active, self._velocity, self._passive)
+        return tuple(tuple(knot.x for knot in curve.knots) for curve in curves)
+
     def active(self, k: Any, length: Number) -> Number:
         """Active force-length curve."""
         return self._active(k, length)

@@ -34,6 +34,21 @@ class ThelenCurves(NamedTuple):
     lengthening: Number
     straight: Number
 
+    @property
+    def key(self) -> Any:
+        """Equal where curves are."""
+        return self
+
+    @property
+    def knots(self) -> tuple[tuple[Number, ...], ...]:
+        """Where the active, the force-velocity and the passive curve are not smooth.
+
+        The force-velocity curve is that at full activation.
+        """
+        last = self.straight * self.lengthening
+        end = (last - 1.0) / (self._lengthening_slope() * (self.lengthening - last))
+        return (), (-1.0, 0.0, end), (1.0,)
+
     def active(self, k: Any, length: Number) -> Number:
         """exp(-(l - 1)^2 / gamma)."""
         off = length - 1.0
