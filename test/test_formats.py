@@ -18,7 +18,7 @@ from mbd_ros.files.recordings import read_motion, read_wrenches
 from mbd_ros.files.table import Column, Result, Table
 
 BAGS = ("bag", "bag.mcap", "bag.db3")
-EVERY = ("o.csv", "o.csv.gz", "o.npz", "o.parquet", *BAGS)
+EVERY = ("o.csv", "o.csv.gz", "o.npz", "o.parquet", "o.mot", "o.sto.gz", *BAGS)
 
 
 def scalars(n=50):

@@ -63,7 +63,7 @@ def test_table_columns_are_found_by_name(tmp_path):
         tmp_path / "m.csv",
         "time,b.position,other.position,a.position,a.velocity\n0,1,9,2,3\n0.1,4,9,5,6\n",
     )
-    motion, dropped, by_log_time = read_motion(path, ["a", "b"])
+    motion, dropped, by_log_time = read_motion(path, ["a", "b"])[:3]
     assert (motion.names, motion.stamps.tolist()) == (("a", "b"), [0, 100_000_000])
     assert motion.position.tolist() == [[2, 1], [5, 4]]
     np.testing.assert_array_equal(motion.velocity, [[3, NAN], [6, NAN]])
@@ -98,7 +98,7 @@ def test_bag_joints_are_found_by_name_in_every_message(tmp_path):
             at(3, "a", (1.75,), velocity=(np.inf,)),
         ],
     )
-    motion, dropped, by_log_time = read_motion(path, ["a", "b"], required=["a"])
+    motion, dropped, by_log_time = read_motion(path, ["a", "b"], required=["a"])[:3]
     assert motion.stamps.tolist() == [1, 2, 3] and not by_log_time and not dropped
     np.testing.assert_array_equal(motion.position, [[1, 2], [1.5, 2.5], [1.75, NAN]])
     np.testing.assert_array_equal(motion.velocity, [[3, 4], [NAN, NAN], [NAN, NAN]])
@@ -129,7 +129,7 @@ def test_bad_messages_are_dropped_and_counted_by_reason(tmp_path):
             at(90),
         ],
     )
-    motion, dropped, _ = read_motion(path, ["a", "b"])
+    motion, dropped, _ = read_motion(path, ["a", "b"])[:3]
     assert motion.stamps.tolist() == [10, 90]
     assert dropped == {
         "name is empty": 1,
@@ -155,7 +155,7 @@ def test_required_joint_that_is_nowhere_is_named(tmp_path):
 
 def test_one_zero_stamp_makes_all_stamps_those_of_the_log(tmp_path):
     path = motion_bag(tmp_path / "m", [at(7), at(0), at(3)])
-    motion, dropped, by_log_time = read_motion(path, ["a"])
+    motion, dropped, by_log_time = read_motion(path, ["a"])[:3]
     assert motion.stamps.tolist() == [5 * SECOND + 1_000_000 * i for i in range(3)]
     assert by_log_time and not dropped
 

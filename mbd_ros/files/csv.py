@@ -1,17 +1,13 @@
 """Numbers in CSV files, plain or gzip: strict when read, whole or not at all when written."""
 
-import gzip
 import itertools
 import math
 import re
-import stat
-import zlib
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +15,13 @@ from numpy.typing import NDArray
 from mbd_ros.errors import DataError
 from mbd_ros.files.replacing import replacing
 from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.files.text_file import MAX_CELLS, MAX_COLUMNS, lines_of, reading
 from mbd_ros.files.times import RUN, STAMP, TIME
 
 NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 # Besides digits only the letters of "nan" pass: float() would take inf, 1_000 and foreign digits.
 CHARACTERS = b"0123456789+-.eE,\nnaN"
 BLOCK, BLOCK_CELLS = 4096, 1_000_000  # lines, and numbers, that are taken at once
-MAX_COLUMNS = 10_000
-MAX_LINE = 1_000_000  # bytes
-MAX_CELLS = 100_000_000  # numbers, 800 MB
 
 
 class Csv:
@@ -97,8 +91,8 @@ def read_table(
         DataError: File, line and column of what is not acceptable, or what is too large.
     """
     path = Path(path)
-    with _reading(path) as file:
-        lines = _lines(path, file)
+    with reading(path) as file:
+        lines = lines_of(path, file)
         columns = _columns(path, next(lines, b""), has_times)
         has_times = columns[0] == TIME
         may_lack = np.array([(nan_allowed or _never)(name) for name in columns])
@@ -120,30 +114,6 @@ def read_table(
 
 def _never(column: str) -> bool:
     return False
-
-
-@contextmanager
-def _reading(path: Path) -> Iterator[Any]:
-    """The unpacked bytes of a regular file, as a stream."""
-    try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise DataError(f"{path}: cannot be read (not a regular file)")
-        with path.open("rb") as raw:
-            yield gzip.GzipFile(fileobj=raw) if path.suffix == ".gz" else raw
-    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise DataError(f"{path}: truncated or corrupt gzip file ({error})") from error
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
-
-
-def _lines(path: Path, file: Any) -> Iterator[bytes]:
-    """Lines without their ends; a last empty one is none."""
-    number = 0
-    while line := file.readline(MAX_LINE + 1):
-        number += 1
-        if len(line) > MAX_LINE:
-            raise DataError(f"{path}: line {number} has more than {MAX_LINE} bytes, not accepted")
-        yield line.removesuffix(b"\n").removesuffix(b"\r")
 
 
 def _columns(path: Path, header: bytes, has_times: bool) -> tuple[str, ...]:

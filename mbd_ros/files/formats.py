@@ -17,11 +17,13 @@ from mbd_ros.files.table import MAIN, Column, Result
 GROUP = "mbd_ros.formats"
 FOLDER = ""  # suffix of a bag that is a folder
 BAGS = (FOLDER, ".mcap", ".db3")
+STORAGES = (".mot", ".mot.gz", ".sto", ".sto.gz")
 FORMATS = {  # suffix -> class; of two suffixes that fit the longer one counts
     **dict.fromkeys((".csv", ".csv.gz"), "mbd_ros.files.csv:Csv"),
     **dict.fromkeys(BAGS, "mbd_ros.files.bag:Bag"),
     ".npz": "mbd_ros.files.npz:Npz",
     ".parquet": "mbd_ros.files.parquet:Parquet",
+    **dict.fromkeys(STORAGES, "mbd_ros.files.storage:Storage"),
     **dict.fromkeys((".png", ".svg", ".pdf"), "mbd_ros.files.plot:Plot"),
 }
 PICTURES = (".png", ".svg", ".pdf")

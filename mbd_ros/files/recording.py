@@ -17,8 +17,12 @@ class Recording(NamedTuple):
         motion: The samples that can be used.
         dropped: Messages left out, counted by reason.
         by_log_time: Header stamps were zero, so stamps are the log times of the bag.
+        assumed: Required joints that a storage of a laboratory lacks, at the position assumed.
+        unused: Labels of such a storage that are of no joint asked for; None of other sources.
     """
 
     motion: Motion
     dropped: Counter[str]
     by_log_time: bool = False
+    assumed: tuple[str, ...] = ()
+    unused: tuple[str, ...] | None = None

@@ -1,7 +1,7 @@
 """Motions and wrenches from tables and bags: one meaning for both."""
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,8 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.body_columns import ACCELERATION, POSE, TWIST, names_of
 from mbd_ros.files.formats import format_of, is_bag
 from mbd_ros.files.recording import NO_BODIES, Recording
-from mbd_ros.files.table import MAIN, Result, Table
+from mbd_ros.files.storage_columns import is_storage, joint_columns, other_labels
+from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.files.times import TIME, motion_stamps
 from msg_adapters.odometry import OFF_UNIT
 
@@ -29,6 +30,8 @@ def read_motion(
     required: Collection[str] | None = None,
     bodies: Mapping[str, str] = NO_BODIES,
     members: Collection[str] = (),
+    sliding: Collection[str] = (),
+    assumed: Callable[[str], float] | None = None,
 ) -> Recording:
     """Samples of the joints and free bodies asked for; others in the file are ignored.
 
@@ -47,6 +50,9 @@ def read_motion(
         required: Joints whose position must be there; all without it. The others may be NaN.
         bodies: Free bodies, whose pose must be there, and the link that stands for each.
         members: Names of robots and bodies in front of those of their joints, see `topics`.
+        sliding: Joints that slide: of a .mot or .sto in degrees they are in metres.
+        assumed: Gives the position of a required joint that a storage of a laboratory lacks;
+            without it every required joint must be there.
 
     Raises:
         DataError: A file that cannot be read, a required joint that is nowhere in it, or nothing
@@ -58,7 +64,11 @@ def read_motion(
 
         wanted = Wanted(tuple(joints), tuple(needed), bodies, frozenset(members))
         return bag_motion(Path(source), topic, wanted)
-    table, where = _samples(source, ())
+    table, where, labels = _samples(source, (), joints, sliding)
+    lacking: list[str] = []
+    if labels is not None and assumed is not None:
+        lacking = [name for name in needed if f"{name}.position" not in table]
+        table = Table([*table.columns, *(_constant(table, n, assumed(n)) for n in lacking)])
     poses = [name for body in bodies for name in names_of(body, POSE)]
     _check_columns(table, where, [*(f"{name}.position" for name in needed), *poses])
     position, velocity, acceleration, effort, command = (
@@ -70,7 +80,11 @@ def read_motion(
     fields = position, velocity, acceleration, effort, command
     moving = tuple(_body(table, where, name) for name in bodies)
     motion = Motion(tuple(joints), motion_stamps(table, where), *fields, moving)
-    return Recording(motion, Counter())
+    return Recording(motion, Counter(), False, tuple(lacking), labels)
+
+
+def _constant(table: Table, joint: str, position: float) -> Column:
+    return Column(f"{joint}.position", np.full(table.rows, position))
 
 
 def _body(table: Table, where: str, name: str) -> BodyMotion:
@@ -110,12 +124,19 @@ def name_of(source: Source) -> str:
     return _IN_MEMORY if isinstance(source, Result) else str(source)
 
 
-def _samples(source: Source, may_lack: Collection[str]) -> tuple[Table, str]:
-    """Table `samples` of a result or file, and the name of the source.
+def _samples(
+    source: Source,
+    may_lack: Collection[str],
+    joints: Sequence[str] = (),
+    sliding: Collection[str] = (),
+) -> tuple[Table, str, tuple[str, ...] | None]:
+    """Table `samples` of a result or file, the name of the source, and labels without a use.
 
     Args:
         source: Result or file.
         may_lack: Columns of a .csv that may hold nan.
+        joints: Those that a storage may name by its own labels.
+        sliding: Those of them that slide.
     """
     where = name_of(source)
     if not isinstance(source, Result):
@@ -128,7 +149,10 @@ def _samples(source: Source, may_lack: Collection[str]) -> tuple[Table, str]:
     _check_columns(table, where, [TIME])
     if not table.rows:
         raise DataError(f"{where}: table {MAIN} has no row")
-    return table, where
+    if not is_storage(source):
+        return table, where, None
+    unused = tuple(other_labels(table, joints))
+    return joint_columns(source, table, where, joints, sliding), where, unused
 
 
 def _check_columns(table: Table, where: str, names: Iterable[str]) -> None:
@@ -182,7 +206,7 @@ def read_wrenches(
 
         return bag_wrenches(Path(source), names, Counter() if dropped is None else dropped)
     points = {f"{name}.point.{axis}" for name in names for axis in "xyz"}
-    table, where = _samples(source, points)
+    table, where, _ = _samples(source, points)
     stamps = motion_stamps(table, where)
     return {name: WrenchSamples(stamps, _wrench(table, where, name)) for name in names}
 

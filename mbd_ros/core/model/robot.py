@@ -87,6 +87,11 @@ class Robot:
         """Names of the robots and bodies with joints; none for the only robot."""
         return frozenset(joint.member for joint in self.joints if joint.member)
 
+    @property
+    def sliding(self) -> frozenset[str]:
+        """Names of the joints that slide."""
+        return frozenset(joint.name for joint in self.joints if joint.kind == "prismatic")
+
     def joint(self, name: str) -> Joint:
         """Joint of that topic name.
 

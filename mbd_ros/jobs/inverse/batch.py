@@ -25,7 +25,8 @@ class Batch(NamedTuple):
         scene: The scene.
         out: Folder of the results; the result itself where there is one motion.
         wrenches: Table or bag of the external loads of every motion.
-        derivatives: given, causal or zero-phase.
+        external: External loads of OpenSim (.xml) of every motion.
+        derivatives: given, causal, zero-phase or opensim.
         cutoff: Of the filters [Hz]; None: the default of `Derivatives`.
         half_width: Samples on either side of a local zero-phase fit; None without one.
         topic: JointState topic of bags.
@@ -39,6 +40,7 @@ class Batch(NamedTuple):
     scene: Path
     out: Path
     wrenches: Path | None
+    external: Path | None
     derivatives: str
     cutoff: float | None
     half_width: int | None
@@ -69,7 +71,7 @@ def inverse_of_all(batch: Batch, say: Say) -> None:
     """
     results = _places(batch.motions, batch.out)
     for out in results.values():
-        refuse_overwriting(out, batch.wrenches)
+        refuse_overwriting(out, batch.wrenches, batch.external)
     refuse_unused(load_scene(batch.scene), batch.wrenches)
     try:
         batch.out.mkdir(parents=True, exist_ok=True)
@@ -100,7 +102,7 @@ def one(argument: Mapping[str, Any]) -> tuple[list[str], str]:
         Its lines, and why it failed.
     """
     fields = dict(argument["batch"])
-    for name in ("scene", "out", "wrenches"):
+    for name in ("scene", "out", "wrenches", "external"):
         fields[name] = None if fields[name] is None else Path(fields[name])
     batch = Batch(**{**fields, "motions": [Path(motion) for motion in fields["motions"]]})
     lines: list[str] = []
@@ -115,14 +117,16 @@ def one(argument: Mapping[str, Any]) -> tuple[list[str], str]:
 def _inverse(batch: Batch, say: Say) -> None:
     derivatives = Derivatives(batch.derivatives, batch.cutoff, batch.half_width)
     (motion,) = batch.motions
-    asked = Task(motion, derivatives, batch.wrenches, batch.topic, batch.parts, batch.bounds)
+    asked = Task(
+        motion, derivatives, batch.wrenches, batch.topic, batch.parts, batch.bounds, batch.external
+    )
     inverse_to(load_scene(batch.scene), asked, batch.out, say)
 
 
 def _work(batch: Batch, motion: Path, out: Path) -> WorkerTask:
     place = Path if batch.scheduler is None else Path.absolute
     fields = batch._asdict() | {"motions": [str(place(motion))], "out": str(out)}
-    for name in ("scene", "wrenches"):
+    for name in ("scene", "wrenches", "external"):
         fields[name] = None if fields[name] is None else str(place(fields[name]))
     argument = {"batch": fields, "allow_code": is_permitted()}
     return WorkerTask(str(motion), f"{__name__}:{one.__name__}", argument)

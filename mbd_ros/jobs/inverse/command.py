@@ -16,19 +16,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "motion",
         type=path_word,
         nargs="+",
-        help="CSV (.gz), .npz, .parquet, rosbag2 folder, .mcap or .db3",
+        help="CSV (.gz), .npz, .parquet, .mot, .sto, rosbag2 folder, .mcap or .db3",
     )
     parser.add_argument(
         "-o",
         "--out",
         type=path_word,
         required=True,
-        help="CSV (.gz), .npz, .parquet or bag; of several motions a folder (required)",
+        help="CSV (.gz), .npz, .parquet, .sto or bag; of several motions a folder (required)",
     )
     parser.add_argument(
         "--wrenches",
         type=path_word,
         help="CSV or bag of the loads in the scene; a bag motion carries its own",
+    )
+    parser.add_argument(
+        "--external",
+        type=path_word,
+        help="external loads of OpenSim (.xml with its .mot), in place of those of the scene",
     )
     _add_derivatives(parser)
     parser.add_argument(
@@ -53,16 +58,17 @@ def _add_derivatives(parser: argparse.ArgumentParser) -> None:
     """Where velocities and accelerations come from."""
     parser.add_argument(
         "--derivatives",
-        choices=("given", "causal", "zero-phase"),
+        choices=("given", "causal", "zero-phase", "opensim"),
         default="given",
         help="given: the motion has them; causal: filtered, lagging, as the node does; "
-        "zero-phase: low-pass that sees the future (default: %(default)s)",
+        "zero-phase: low-pass that sees the future, also where a .mot has positions alone; "
+        "opensim: its filter, which takes --cutoff, and its splines (default: %(default)s)",
     )
     parser.add_argument(
         "--cutoff",
         type=float,
         help="half-power frequency of the filters in Hz (default: causal 5.0, zero-phase from the "
-        "noise of the recording, and printed)",
+        "noise of the recording, and printed; opensim none)",
     )
     parser.add_argument(
         "--half-width",

@@ -15,14 +15,16 @@ from mbd_ros.files.body_columns import TWIST as TWIST_WORDS
 from mbd_ros.jobs.inverse.body_signals import BodySignals
 from mbd_ros.scene.built_scene import Scene
 
+OPENSIM = "opensim"
+
 
 class Derivatives(NamedTuple):
     """Where velocity and acceleration come from.
 
     Attributes:
-        source: given, causal or zero-phase.
+        source: given, causal, zero-phase or opensim.
         cutoff: Half-power frequency of the filters [Hz]; None: that of the live node for causal
-            ones, for zero-phase what each joint's recording asks for.
+            ones, for zero-phase what each joint's recording asks for, for opensim no filter.
         half_width: Samples on either side of a local zero-phase fit, in place of a cut-off.
     """
 
@@ -65,6 +67,8 @@ def differentiate(
     Raises:
         DataError: Derivatives are to be given and are not, or samples are too few.
     """
+    if derivatives.source == OPENSIM:
+        return _splined(scene, where, motion, derivatives)
     n, bodies = len(scene.couplings.independent), list(motion.bodies)
     position = motion.position[:, :n].copy()
     wraps = [scene.robot.joint(j).kind == "continuous" for j in scene.couplings.independent]
@@ -82,6 +86,24 @@ def differentiate(
     whole = _together(scene, (position, velocity, acceleration), bodies)
     samples = Observations(motion.stamps, *whole, motion.position[:, n:])
     return Differentiated(samples, cutoff, remarks)
+
+
+def _splined(scene: Scene, where: str, motion: Motion, derivatives: Derivatives) -> Differentiated:
+    """Samples as OpenSim has them, from positions alone; their times may be others."""
+    from mbd_ros.jobs.inverse.opensim_splines import opensim_splines  # loads scipy
+
+    if motion.bodies:
+        names = ", ".join(body.name for body in motion.bodies)
+        raise DataError(f"{where}: --derivatives opensim knows joints alone, not the free {names}")
+    n = len(scene.couplings.independent)
+    splined = opensim_splines(motion.stamps, motion.position[:, :n], derivatives.cutoff)
+    times, known = splined.stamps - motion.stamps[0], motion.stamps - motion.stamps[0]
+    others = [np.interp(times, known, column) for column in motion.position[:, n:].T]
+    dependent = np.array(others).T.reshape(len(times), -1)
+    samples = Observations(*splined, dependent)
+    moved = len(times) != len(known) or (times != known).any()
+    said = ["resampled at the smallest step of the motion, as OpenSim does"] if moved else []
+    return Differentiated(samples, None, said)
 
 
 def _together(
@@ -156,6 +178,6 @@ def _given(scene: Scene, where: str, position: Array, values: Array | None, fiel
     if values is None or lacking:
         raise DataError(
             f"{where}: no {field} of {', '.join(lacking)}; "
-            "choose --derivatives causal or zero-phase"
+            "choose --derivatives causal, zero-phase or opensim"
         )
     return values[:, : len(names)]

@@ -24,6 +24,7 @@ from mbd_ros.scene.built_scene import Scene
 
 if TYPE_CHECKING:
     from mbd_ros.jobs.inverse.contact_forces import KnownContact
+    from mbd_ros.jobs.inverse.external import ExternalLoads
 
 
 def inverse(
@@ -34,6 +35,7 @@ def inverse(
     cutoff: float | None = None,
     half_width: int | None = None,
     wrenches: Source | None = None,
+    external: str | Path | None = None,
     topic: str = "/joint_states",
     parts: bool = False,
     bounds: bool = False,
@@ -45,10 +47,11 @@ def inverse(
     Args:
         scene: The scene.
         motion: Result, file or bag with the positions of its joints.
-        derivatives: given, causal or zero-phase.
+        derivatives: given, causal, zero-phase or opensim.
         cutoff: Half-power frequency of the filters [Hz]; None: as `Derivatives` says.
         half_width: Samples on either side of a local zero-phase fit, in place of a cut-off.
         wrenches: Result, file or bag of the external loads; a bag motion carries its own.
+        external: External loads of OpenSim (.xml), in place of those of the scene.
         topic: JointState topic of a bag.
         parts: Also give the torque components (gravity, coriolis, inertial, external).
         bounds: Efforts keep the limits of their actuators; stops, dry friction and limited
@@ -71,7 +74,8 @@ def inverse(
     chosen = Derivatives(derivatives, cutoff, half_width)
     remarks: list[str] = []
     with watching(progress):
-        task = Task(motion, chosen, wrenches, topic, parts, bounds)
+        loads = None if external is None else Path(external)
+        task = Task(motion, chosen, wrenches, topic, parts, bounds, loads)
         result = run_inverse(scene, task, say or remarks.append)
     if say is None:
         result.metadata["remarks"] = remarks
@@ -90,7 +94,7 @@ def inverse_to(scene: Scene, task: Task, out: Path, say: Say) -> None:
     Raises:
         MbdError: As `inverse`, or a place that cannot be written to.
     """
-    sources = [s for s in (task.motion, task.wrenches) if isinstance(s, Path)]
+    sources = [s for s in (task.motion, task.wrenches, task.external) if isinstance(s, Path)]
     refuse_overwriting(out, *sources)
     check_place(out)
     rows = _in_pieces(scene, task, out, say)
@@ -105,6 +109,8 @@ def _in_pieces(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
     """Number of samples written from bag to bag; None where that takes the whole motion."""
     if not (isinstance(task.motion, Path) and is_bag(task.motion) and is_bag(out)):
         return None
+    if task.external is not None:
+        return None
     from mbd_ros.jobs.inverse.streamed import stream  # loads rosbags
 
     return stream(scene, task, task.motion, out, say)
@@ -112,6 +118,8 @@ def _in_pieces(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
 
 def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     """See `inverse`."""
+    external = _external(scene, task)
+    scene = scene if external is None else external.scene
     way = loops if scene.has_loops or task.bounds else open_chains
     if task.parts and not way.HAS_CAUSES:
         raise DataError(f"{scene.name}: --parts goes with scenes without loops and --bounds only")
@@ -119,7 +127,7 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     for text in scene.robot.doubts:
         say(f"warning: {text}")
     scene, known = _known_contacts(scene, task, say)
-    observed = observe_motion(scene, task, say)
+    observed = observe_motion(scene, task, say, external)
     samples = observed.samples
     scene, wrenches = _with_contacts(scene, known, observed)
     asked = task.bounds if way is loops else task.parts
@@ -139,6 +147,17 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
         for text in unexplained(observed.motion, table, observed.cutoff):
             say(text)
     return Result({MAIN: table}, about_result(scene, task, way.topics(scene)))
+
+
+def _external(scene: Scene, task: Task) -> "ExternalLoads | None":
+    """The loads of a laboratory, if any."""
+    if task.external is None:
+        return None
+    if task.wrenches is not None:
+        raise DataError(f"--external {task.external}: --wrenches gives the loads already")
+    from mbd_ros.jobs.inverse.external import ExternalLoads  # reads XML, loads scipy
+
+    return ExternalLoads(scene, task.external)
 
 
 def _known_contacts(scene: Scene, task: Task, say: Say) -> "tuple[Scene, list[KnownContact]]":

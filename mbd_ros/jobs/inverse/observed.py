@@ -1,13 +1,17 @@
 """What inverse dynamics is asked for, and the samples that it is asked at."""
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from mbd_ros.core.estimation.torque_estimator import Observations, TorqueEstimator, Tuning
-from mbd_ros.core.state import Array, Motion
+from mbd_ros.core.inverse.reach import listed
+from mbd_ros.core.state import Array, Motion, WrenchSamples
 from mbd_ros.errors import DataError
+from mbd_ros.files.recording import Recording
 from mbd_ros.files.recordings import Source, name_of, read_motion
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse.causal import causal_line, observe
@@ -15,6 +19,9 @@ from mbd_ros.jobs.inverse.derivatives import Derivatives, differentiate
 from mbd_ros.jobs.inverse.loop_closing import close_loops
 from mbd_ros.jobs.inverse.wrenches import read_loads, wrench_at
 from mbd_ros.scene.built_scene import Scene
+
+if TYPE_CHECKING:
+    from mbd_ros.jobs.inverse.external import ExternalLoads
 
 Say = Callable[[str], None]
 
@@ -30,6 +37,7 @@ class Task(NamedTuple):
         parts: Also give the torques by cause; not for scenes with loops, where a cause alone may
             be out of reach of the actuators.
         bounds: Keep the bounds of efforts and multipliers.
+        external: External loads of a laboratory (.xml), in place of `wrenches`.
     """
 
     motion: Source
@@ -38,6 +46,7 @@ class Task(NamedTuple):
     topic: str = "/joint_states"
     parts: bool = False
     bounds: bool = False
+    external: Path | None = None
 
 
 class Observed(NamedTuple):
@@ -56,15 +65,23 @@ class Observed(NamedTuple):
     cutoff: Array | None
 
 
-def observe_motion(scene: Scene, task: Task, say: Say) -> Observed:
+def observe_motion(
+    scene: Scene, task: Task, say: Say, external: "ExternalLoads | None" = None
+) -> Observed:
     """Read a motion and its loads, and give it derivatives."""
     where, derivatives = name_of(task.motion), task.derivatives
     with about("--cutoff"):
         tuning = Tuning(cutoff=derivatives.causal_cutoff)
         solver = scene.inverse_dynamics()
         estimator = TorqueEstimator(scene.robot, solver, tuning)
-    motion = _motion(scene, task, estimator.names, solver.needed, say)
-    loads, dropped = read_loads(scene, task.motion, task.wrenches)
+    recording = _recording(scene, task, estimator.names, solver.needed, say)
+    motion = recording.motion
+    loads, dropped = dict[str, WrenchSamples](), Counter[str]()
+    if external is None:
+        loads, dropped = read_loads(scene, task.motion, task.wrenches)
+    if recording.unused is not None and derivatives.source == "given" and motion.velocity is None:
+        derivatives = derivatives._replace(source="zero-phase")
+        say("positions alone: zero-phase derivatives")
     if derivatives.source == "causal":
         with np.errstate(over="ignore", invalid="ignore"):  # the results are looked at
             samples, cutoff = observe(estimator, motion, dropped), None
@@ -78,13 +95,16 @@ def observe_motion(scene: Scene, task: Task, say: Say) -> Observed:
         say(f"{count} samples left out: {reason}")
     if not len(samples.stamps):
         raise DataError(f"{where}: no sample can be used")
-    wrenches = [wrench_at(name, load, samples.stamps) for name, load in loads.items()]
+    if external is None:
+        wrenches = [wrench_at(name, load, samples.stamps) for name, load in loads.items()]
+    else:
+        wrenches = external.at(samples.stamps)
     return Observed(motion, samples, wrenches, cutoff)
 
 
-def _motion(
+def _recording(
     scene: Scene, task: Task, names: Sequence[str], needed: Sequence[str], say: Say
-) -> Motion:
+) -> Recording:
     """The motion, with what loops give of it."""
     where = name_of(task.motion)
     bodies = {base.name: base.frame for base in scene.robot.bases}
@@ -95,7 +115,11 @@ def _motion(
         required=needed,
         bodies=bodies,
         members=scene.robot.members,
+        sliding=scene.robot.sliding,
+        assumed=lambda name: float(scene.initial.q[scene.robot.joint(name).q]),
     )
+    for text in _storage_lines(where, recording):
+        say(text)
     recording, remarks = close_loops(scene, where, recording)
     for text in remarks:
         say(text)
@@ -103,4 +127,17 @@ def _motion(
         say(f"{where}: {count} messages left out: {reason}")
     if recording.by_log_time:
         say(f"{where}: stamps are 0, the times of the log are used")
-    return recording.motion
+    return recording
+
+
+def _storage_lines(where: str, recording: Recording) -> Iterator[str]:
+    """What a storage of a laboratory has besides joints, and which of them it lacks."""
+    motion = recording.motion
+    if recording.assumed:
+        start = [motion.position[0, motion.names.index(name)] for name in recording.assumed]
+        held = [f"{n} = {q:.6g}" for n, q in zip(recording.assumed, start, strict=True)]
+        yield f"{where}: no column of some joints, they stay where the scene starts: " + (
+            ", ".join(held)
+        )
+    if recording.unused:
+        yield f"{where}: columns of no joint, not used: {listed(recording.unused)}"

@@ -24,7 +24,7 @@ def _inputs(task: Task) -> dict[str, object]:
     """What the metadata of the result says."""
     source, cutoff, half_width = task.derivatives
     asked = {"motion": task.motion, "wrenches": task.wrenches, "derivatives": source}
-    filters = {"cutoff": cutoff, "half_width": half_width}
+    filters = {"external": task.external, "cutoff": cutoff, "half_width": half_width}
     return {**asked, **filters, "parts": task.parts, "bounds": task.bounds}
 
 

@@ -32,7 +32,12 @@ def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
     members = scene.robot.members
     required = scene.couplings.independent
     motion = read_motion(
-        run.origin, names, required=required, bodies=bodies, members=members
+        run.origin,
+        names,
+        required=required,
+        bodies=bodies,
+        members=members,
+        sliding=scene.robot.sliding,
     ).motion
     stamp = round(run.start / NANOSECOND)
     row = int(np.argmin(np.abs(motion.stamps - stamp)))
@@ -92,8 +97,8 @@ def drives(scene: Scene, run: Run) -> tuple[dict[str, Source], list[Load], list[
     if run.efforts is None:
         return sources, [], []
     names = commanded or tuple(joint.name for joint in scene.robot.joints)
-    members = scene.robot.members
-    motion = read_motion(run.efforts, names, required=(), members=members).motion
+    members, sliding = scene.robot.members, scene.robot.sliding
+    motion = read_motion(run.efforts, names, required=(), members=members, sliding=sliding).motion
     where = name_of(run.efforts)
     if commanded:
         with about(where):

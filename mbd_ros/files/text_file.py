@@ -1,0 +1,163 @@
+"""Lines of regular files, plain or gzip, and tables of numbers among blanks."""
+
+import gzip
+import stat
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.state import Array
+from mbd_ros.errors import DataError
+
+MAX_LINE = 1_000_000  # bytes
+MAX_COLUMNS = 10_000
+MAX_CELLS = 100_000_000  # numbers, 800 MB
+_BLOCK = 4096  # lines that become numbers at once
+_MISSING = (b"nan", b"NaN", b"-nan", b"-nan(ind)")  # as C libraries write it
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[Any]:
+    """The unpacked bytes of a regular file, as a stream.
+
+    Raises:
+        DataError: It cannot be read, or its gzip is cut.
+    """
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise DataError(f"{path}: cannot be read (not a regular file)")
+        with path.open("rb") as raw:
+            yield gzip.GzipFile(fileobj=raw) if path.suffix == ".gz" else raw
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise DataError(f"{path}: truncated or corrupt gzip file ({error})") from error
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def lines_of(path: Path, file: Any) -> Iterator[bytes]:
+    """Lines without their ends; a last empty one is none.
+
+    Raises:
+        DataError: A line is too long.
+    """
+    number = 0
+    while line := file.readline(MAX_LINE + 1):
+        number += 1
+        if len(line) > MAX_LINE:
+            raise DataError(f"{path}: line {number} has more than {MAX_LINE} bytes, not accepted")
+        yield line.removesuffix(b"\n").removesuffix(b"\r")
+
+
+def labels_of(path: Path, line: bytes, number: int) -> list[str]:
+    """Labels of a header line, among tabs or, where it has none, blanks.
+
+    Args:
+        path: File, for the messages.
+        line: The line.
+        number: Its number.
+
+    Raises:
+        DataError: It is no text, or a label repeats or is empty.
+    """
+    try:
+        text = line.decode("utf-8-sig").rstrip()
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: line {number} is not text, expected labels") from error
+    labels = [label.strip() for label in text.split("\t")] if "\t" in text else text.split()
+    if not labels:
+        raise DataError(f"{path}: line {number}: expected labels, there are none")
+    if "" in labels:
+        raise DataError(f"{path}: line {number}: column {labels.index('') + 1} has no label")
+    repeated = sorted(label for label, count in Counter(labels).items() if count > 1)
+    if repeated:
+        raise DataError(f"{path}: line {number} repeats label {', '.join(repeated)}")
+    if len(labels) > MAX_COLUMNS:
+        raise DataError(f"{path}: {len(labels)} columns, accepted are {MAX_COLUMNS}")
+    return labels
+
+
+def numbers_of(path: Path, lines: Iterator[bytes], labels: Sequence[str], first: int) -> Array:
+    """Rows of numbers among blanks or tabs; empty lines are left out, nan is a number.
+
+    Args:
+        path: File, for the messages.
+        lines: Its lines from number `first` on.
+        labels: Of the columns.
+        first: See `lines`.
+
+    Returns:
+        Shape (n, len(labels)).
+
+    Raises:
+        DataError: Another number of cells, or a cell that is no finite number or nan.
+    """
+    rows, blocks, count = [], [], 0
+    for number, line in enumerate(lines, first):
+        cells = line.split()
+        if not cells:
+            continue
+        if len(cells) != len(labels):
+            raise DataError(
+                f"{path}: line {number} has {len(cells)} numbers, expected {len(labels)}"
+            )
+        rows.append(_row(path, labels, cells, number))
+        count += len(cells)
+        if count > MAX_CELLS:
+            raise DataError(f"{path}: more than {MAX_CELLS} numbers are not accepted")
+        if len(rows) == _BLOCK:
+            blocks.append(np.array(rows))
+            rows = []
+    blocks.append(np.array(rows).reshape(-1, len(labels)))
+    return np.concatenate(blocks)
+
+
+def _row(path: Path, labels: Sequence[str], cells: list[bytes], number: int) -> list[float]:
+    try:
+        row = list(map(float, cells))
+    except ValueError:
+        row = []
+    if row and all(map(_is_plain, row, cells)):
+        return row
+    return [_cell(path, label, cell, number) for label, cell in zip(labels, cells, strict=True)]
+
+
+def _is_plain(value: float, cell: bytes) -> bool:
+    return value - value == 0.0 and b"_" not in cell
+
+
+def _cell(path: Path, label: str, cell: bytes, number: int) -> float:
+    if cell in _MISSING:
+        return float("nan")
+    try:
+        value = float(cell)
+    except ValueError:
+        value = np.inf
+    if not _is_plain(value, cell):
+        shown = cell[:40].decode("utf-8", "backslashreplace")
+        raise DataError(
+            f"{path}: line {number}, column {label}: {shown!r} is not a plain finite number or nan"
+        )
+    return value
+
+
+def check_times(path: Path, times: Array) -> None:
+    """Refuse times that are not finite or do not increase.
+
+    Raises:
+        DataError: Names the row, counted from 1 below the header.
+    """
+    if not len(times):
+        raise DataError(f"{path}: has a header and no data")
+    late = np.flatnonzero(~(np.diff(times) > 0) | ~np.isfinite(times[1:]))
+    if late.size or not np.isfinite(times[0]):
+        row = int(late[0]) + 1 if late.size else 0
+        before = f" is not after {float(times[row - 1])!r} of the row before" if row else ""
+        raise DataError(
+            f"{path}: row {row + 1} of the data, column time: {float(times[row])!r}{before}, time "
+            "must strictly increase"
+        )

@@ -1,0 +1,231 @@
+"""A motion and force plates as a laboratory has them: loads of an .xml, torques as OpenSim's."""
+
+import gzip
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from mbd_ros import load_scene, read_result, scene_from
+from mbd_ros.cli import main
+from mbd_ros.errors import DataError
+from mbd_ros.files.csv import read_table
+from mbd_ros.files.external_loads import read_external_loads
+from mbd_ros.jobs.inverse.opensim_splines import opensim_splines
+
+LOADS = """<?xml version="1.0" encoding="UTF-8" ?>
+<OpenSimDocument Version="40000"><ExternalLoads name="grf"><objects>
+<ExternalForce name="right foot">
+  <applied_to_body>{body}</applied_to_body>
+  <force_expressed_in_body>{axes}</force_expressed_in_body>
+  <point_expressed_in_body>ground</point_expressed_in_body>
+  <force_identifier>plate_v</force_identifier><point_identifier>plate_p</point_identifier>
+  <torque_identifier>plate_m</torque_identifier>
+  <data_source_name>{own}</data_source_name>
+</ExternalForce>
+<ExternalForce name="off"><appliesForce>false</appliesForce></ExternalForce>
+</objects><datafile>{file}</datafile></ExternalLoads></OpenSimDocument>
+"""
+LABELS = [f"plate_{kind}{axis}" for kind in "vpm" for axis in "xyz"]
+GIVEN = {"body": "link7", "axes": "ground", "own": "Unassigned", "file": r"..\data\plate.mot"}
+
+
+def plate(times, values):
+    rows = "".join("\t".join(map(repr, row)) + "\n" for row in np.c_[times, values].tolist())
+    head = f"plate\nversion=1\nnRows={len(times)}\nnColumns=10\ninDegrees=yes\nendheader\n"
+    return head + "\t".join(["time", *LABELS]) + "\n" + rows
+
+
+@pytest.fixture
+def laboratory(tmp_path):
+    """An .xml and its data, which the .xml names with separators of Windows."""
+    (tmp_path / "setup").mkdir()
+    (tmp_path / "data").mkdir()
+    times, rng = np.linspace(0.0, 1.0, 21), np.random.default_rng(4)
+    values = rng.standard_normal((21, 9))
+    (tmp_path / "data" / "plate.mot").write_text(plate(times, values))
+    (tmp_path / "setup" / "grf.xml").write_text(LOADS.format(**GIVEN))
+    return tmp_path / "setup" / "grf.xml", times, values
+
+
+def changed(path, **other):
+    path.write_text(LOADS.format(**{**GIVEN, **other}))
+    return path
+
+
+def test_columns_are_found_through_windows_separators_and_beside_the_file(laboratory):
+    path, times, values = laboratory
+    (load,) = read_external_loads(path)
+    assert (load.name, load.body, load.frame) == ("right_foot", "link7", "ground")
+    assert np.hstack([load.force, load.point, load.torque]).tolist() == values.tolist()
+    assert load.stamps.tolist() == np.round(times * 1e9).tolist()
+    (path.parents[1] / "data" / "plate.mot").rename(path.parent / "plate.mot")
+    assert read_external_loads(path)[0].force.tolist() == values[:, :3].tolist()
+    changed(path, file=r"C:\trials\plate.mot")
+    assert read_external_loads(path)[0].force.tolist() == values[:, :3].tolist()
+    changed(path, file="Unassigned", own="plate.mot")
+    assert read_external_loads(path)[0].force.tolist() == values[:, :3].tolist()
+
+
+def test_a_load_acts_by_splines_of_force_point_and_torque(laboratory):
+    """Against the wrench columns of a table, with the splines taken here."""
+    path, times, values = laboratory
+    scene, n = scene_from(urdf="arm7"), 41
+    joints = scene.couplings.independent
+    time = np.linspace(0.0, 1.0, n)
+    motion = {"time": time}
+    for i, name in enumerate(joints):
+        motion[f"{name}.position"] = 0.3 * np.sin(3.0 * time + i)
+        motion[f"{name}.velocity"] = 0.9 * np.cos(3.0 * time + i)
+        motion[f"{name}.acceleration"] = -2.7 * np.sin(3.0 * time + i)
+    from mbd_ros.files.table import Column, Result, Table
+
+    given = Result({"samples": Table(Column(k, v) for k, v in motion.items())})
+    ours = scene.inverse(given, external=path)["samples"]
+    force, point, torque = np.split(CubicSpline(times, values, bc_type="natural")(time), 3, axis=1)
+    named = {"force": force, "torque": torque + np.cross(point, force)}
+    columns = [Column("time", time)]
+    columns += [
+        Column(f"right_foot.{kind}.{axis}", v[:, i])
+        for kind, v in named.items()
+        for i, axis in enumerate("xyz")
+    ]
+    loaded = scene.with_(
+        external_wrenches={"right_foot": {"frame": "link7", "expressed_in": "world"}}
+    )
+    theirs = loaded.inverse(given, wrenches=Result({"samples": Table(columns)}))["samples"]
+    unloaded = scene.inverse(given)["samples"]
+    for name in joints:
+        effort = theirs[f"{name}.effort"]
+        assert ours[f"{name}.effort"] == pytest.approx(effort, rel=1e-12, abs=1e-12)
+    assert np.abs(theirs["joint1.effort"] - unloaded["joint1.effort"]).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"file": "no.mot"}, "data file 'no.mot' does not exist, looked for .*no.mot"),
+        ({"file": ""}, "neither datafile nor data_source_name names a file"),
+        ({"body": "ground"}, "applied_to_body 'ground', expected a body that moves"),
+        (
+            {"axes": "link7"},
+            "force_expressed_in_body 'link7' and point_expressed_in_body 'ground'",
+        ),
+    ],
+)
+def test_bad_external_loads_are_refused(laboratory, change, match):
+    path, _, _ = laboratory
+    with pytest.raises(DataError, match=match):
+        read_external_loads(changed(path, **change))
+
+
+def test_bad_xml_and_columns_are_refused(laboratory):
+    path, times, values = laboratory
+    data = path.parents[1] / "data" / "plate.mot"
+    text, good = path.read_text(), data.read_text()
+    for bad, match in (
+        (text[:-30], "no XML, or cut"),
+        ("<a/>", "<a> without <ExternalLoads>"),
+        (text.replace("plate_v<", "force_v<"), "force_identifier 'force_v' begins 0 columns"),
+        (text.replace("plate_p<", "plate_<"), "point_identifier 'plate_' begins 9 columns"),
+        (text.replace('"off"', '"right_foot"').replace("<applies", "<no"), "grf.xml"),
+    ):
+        path.write_text(bad)
+        with pytest.raises(DataError, match=match):
+            read_external_loads(path)
+    path.write_text(text)
+    data.write_text(plate(times, values * np.repeat([1.0, 1000.0, 1.0], 3)))
+    with pytest.raises(DataError, match="points more than 100 m away, are they in mm"):
+        read_external_loads(path)
+    data.write_text(good.replace(repr(float(values[3, 1])), "nan"))
+    with pytest.raises(DataError, match="plate_vx, plate_vy, plate_vz: no number at 0.15 s"):
+        read_external_loads(path)
+
+
+def test_loads_that_do_not_reach_over_the_motion_are_refused(laboratory, tmp_path):
+    path, times, values = laboratory
+    data = path.parents[1] / "data" / "plate.mot"
+    names = [f"joint{i}" for i in range(1, 8)]
+    rows = "".join(f"{t:.2f}\t" + "\t".join(["10"] * 7) + "\n" for t in np.arange(0, 1, 0.05))
+    head = "Coordinates\nversion=1\nnRows=20\nnColumns=8\ninDegrees=yes\nendheader\n"
+    (tmp_path / "walk.mot").write_text(head + "\t".join(["time", *names]) + "\n" + rows)
+    scene = scene_from(urdf="arm7")
+    for shift, match in (
+        (5.0, "the times do not overlap"),
+        (0.3, "loads do not cover the motion"),
+    ):
+        data.write_text(plate(times + shift, values))
+        with pytest.raises(DataError, match=match):
+            scene.inverse(tmp_path / "walk.mot", external=path)
+    data.write_text(plate(times, values))
+    with pytest.raises(DataError, match="--wrenches gives the loads already"):
+        scene.inverse(tmp_path / "walk.mot", external=path, wrenches=tmp_path / "walk.mot")
+    changed(path, body="thumb")
+    with pytest.raises(DataError, match="ExternalForce right_foot: no frame 'thumb'"):
+        scene.inverse(tmp_path / "walk.mot", external=path)
+
+
+def test_a_motion_in_degrees_of_some_joints_gives_torques_and_says_what_is_assumed(tmp_path):
+    scene = scene_from({"initial": {"position": {"joint7": 0.5}}}, urdf="arm7")
+    labels = "time\tjoint1\tjoint2\tjoint3\tjoint4\tjoint5\tjoint6\tmarker_error"
+    rows = "".join(f"{0.01 * i}\t{3 * i}\t-20\t5\t-90\t0\t60\t{i}\n" for i in range(50))
+    head = "Coordinates\nversion=1\nnRows=50\nnColumns=8\ninDegrees=yes\nendheader\n"
+    (tmp_path / "reach.mot").write_text(head + labels + "\n" + rows)
+    result = scene.inverse(tmp_path / "reach.mot", derivatives="opensim")
+    said = " ".join(result.metadata["remarks"])
+    assert "no column of some joints, they stay where the scene starts: joint7 = 0.5" in said
+    assert "columns of no joint, not used: marker_error" in said
+    table = result["samples"]
+    assert table["joint1.velocity"] == pytest.approx(np.full(50, np.deg2rad(300.0)), rel=1e-9)
+    assert table["joint7.position"] == pytest.approx(np.full(50, 0.5), rel=1e-14)
+    assert table["joint4.position"] == pytest.approx(np.full(50, -np.pi / 2), rel=1e-12)
+    plain = scene.inverse(tmp_path / "reach.mot")
+    assert "positions alone: zero-phase derivatives" in plain.metadata["remarks"]
+
+
+def test_the_filter_is_two_passes_of_a_butterworth_filter():
+    """A sine far from the ends passes by |H|^2 of a bilinear filter, tan prewarp, without lag."""
+    rate, cutoff, n = 100.0, 6.0, 2001
+    stamps = (np.arange(n) * 10_000_000).astype(np.int64)
+    for f in (2.0, 6.0, 12.0):
+        wave = np.sin(2 * np.pi * f * stamps * 1e-9 + 0.3)[:, None]
+        ratio = np.tan(np.pi * f / rate) / np.tan(np.pi * cutoff / rate)
+        expected = wave / (1.0 + ratio**6)
+        passed = opensim_splines(stamps, wave, cutoff)
+        middle = slice(900, 1100)
+        assert passed.stamps.tolist() == stamps.tolist()
+        assert passed.position[middle] == pytest.approx(expected[middle], abs=1e-9)
+        w = 2 * np.pi * f
+        second = -w * w * expected[middle]
+        assert passed.acceleration[middle] == pytest.approx(second, abs=2e-3 * w * w)
+    with pytest.raises(DataError, match="5 samples, quintic splines need 6"):
+        opensim_splines(stamps[:5], wave[:5], cutoff)
+    with pytest.raises(DataError, match="cutoff -1.0 Hz must be finite and > 0"):
+        opensim_splines(stamps, wave, -1.0)
+
+
+@pytest.mark.parametrize("name", ["gait10dof18musc_muscles", "arm26_muscles"])
+def test_torques_from_the_files_of_the_laboratory_equal_those_of_opensim(data_dir, tmp_path, name):
+    """From raw .mot and plates, <= 1e-8 of the largest; accepted is 2e-4."""
+    raw, walk = data_dir / "opensim" / name / "raw", name.startswith("gait")
+    for packed in raw.glob("*.gz"):
+        (tmp_path / packed.stem).write_bytes(gzip.decompress(packed.read_bytes()))
+    motion = tmp_path / ("subject01_walk_IK.mot" if walk else "arm26_InverseKinematics.mot")
+    scene = data_dir / ("gait10dof_walk" if walk else "arm26_elbow") / "scene.yaml"
+    words = ["inverse", scene, motion, "--derivatives", "opensim", "--cutoff", "6"]
+    words += ["--external", tmp_path / "subject01_walk_grf.xml"] if walk else []
+    assert main([str(word) for word in [*words, "-o", tmp_path / "id.sto"]]) == 0
+    ours = read_result(tmp_path / "id.sto")["samples"]
+    reference = read_table(raw.parent / "inverse_dynamics_tool.csv.gz")
+    expected = dict(zip(reference.columns, reference.values.T, strict=True))
+    assert ours["time"] == pytest.approx(expected.pop("time"), abs=1e-9)
+    assert len(expected) == (10 if walk else 2)
+    for column, values in expected.items():
+        largest = np.abs(values).max()
+        assert ours[column] == pytest.approx(values, abs=1e-8 * largest), column
+    again = load_scene(scene).inverse(
+        tmp_path / "id.sto",
+        external=tmp_path / "subject01_walk_grf.xml" if walk else None,
+    )["samples"]
+    for column in expected:
+        assert again[column] == pytest.approx(ours[column], abs=1e-9)
