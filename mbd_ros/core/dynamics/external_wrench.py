@@ -31,6 +31,7 @@ class ExternalWrench(Load):
 
     Attributes:
         carrier: The joint that carries the link.
+        about: The point that the torque is taken about, with the axes of `expressed_in`.
 
     Raises:
         ModelError: Unknown frame.
@@ -51,7 +52,7 @@ class ExternalWrench(Load):
         self.frame, self.expressed_in = frame, expressed_in or frame
         self.point, self.threshold = tuple(point), threshold
         self.carrier = robot.carrier(frame)
-        self._about = robot.point(self.expressed_in, point)
+        self.about = robot.point(self.expressed_in, point)
         self._nv = int(robot.model.nv)
 
     def is_loaded(self, wrench: Array) -> bool:
@@ -65,7 +66,7 @@ class ExternalWrench(Load):
             k: Kinematics at positions.
             wrench: Force [N] then torque [N·m] in `expressed_in`, shape (6,).
         """
-        return k.carried(wrench, self._about, self.carrier)
+        return k.carried(wrench, self.about, self.carrier)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""

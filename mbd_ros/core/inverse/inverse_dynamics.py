@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from mbd_ros.core.dynamics.body_loads import BodyLoads
 from mbd_ros.core.dynamics.external_wrench import ExternalWrench
+from mbd_ros.core.inverse.batch_loads import BatchLoads
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.couplings import Couplings, Slopes
 from mbd_ros.core.model.kinematics import Kinematics, Reads
@@ -86,6 +87,8 @@ class InverseDynamics:
         self._floats = robot.floating
         self._is_free = not (couplings.dependent or wrenches or forces)
         self._loads = BodyLoads(robot, self.wrenches)
+        self._batch_loads: BatchLoads | None = None  # made for the first loaded batch
+        self._robot = robot
         self._pool: Any = None  # of models, made for the first batch
 
     def solve(
@@ -133,7 +136,7 @@ class InverseDynamics:
         Returns:
             Rows in the order of the samples.
         """
-        if self.forces or len(wrenches):
+        if self.forces:
             rows = zip(position, velocity, acceleration, *wrenches, strict=True)
             solved = [self.solve(z, v, a, loads) for z, v, a, *loads in rows]
             n, dependent = len(solved), len(self.couplings.dependent)
@@ -145,7 +148,11 @@ class InverseDynamics:
             self._pool = pin.ModelPool(self._model, 1)
         chunked = [
             self._chunk(
-                self._pool, *(x[i : i + _CHUNK] for x in (position, velocity, acceleration))
+                self._pool,
+                position[i : i + _CHUNK],
+                velocity[i : i + _CHUNK],
+                acceleration[i : i + _CHUNK],
+                [load[i : i + _CHUNK] for load in wrenches],
             )
             for i in chunks
         ]
@@ -158,9 +165,14 @@ class InverseDynamics:
         return Torques(tau, multipliers, self._rank, residual)
 
     def _chunk(
-        self, pool: Any, position: Array, velocity: Array, acceleration: Array
+        self,
+        pool: Any,
+        position: Array,
+        velocity: Array,
+        acceleration: Array,
+        wrenches: Sequence[Array],
     ) -> tuple[Array, Array]:
-        """Unloaded torques of so many samples that they stay in the cache."""
+        """Torques of so many samples that they stay in the cache."""
         n, couplings = len(position), self.couplings
         nq, nv = self._model.nq, self._model.nv
         q, v, a = (np.empty((size, n), order="F") for size in (nq, nv, nv))
@@ -169,6 +181,10 @@ class InverseDynamics:
         slopes = couplings.expand(q, v, a)
         tau = np.empty((nv, n), order="F")
         pin.rneaInParallel(1, pool, q, v, a, tau)
+        if wrenches:
+            if self._batch_loads is None:
+                self._batch_loads = BatchLoads(self._robot, self.wrenches)
+            tau -= self._batch_loads.forces(q, wrenches)
         reduced, multipliers = couplings.reduce(tau, slopes)
         return reduced.T, multipliers.T
 
