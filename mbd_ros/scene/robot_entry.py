@@ -33,6 +33,7 @@ class RobotEntry:
     rename: Mapping[str, str] | None = None
     pose: Mapping[str, Any] | None = None
     osim: str | None = None
+    any_inertias: bool = False
 
 
 def read_entry(where: str, given: Any, has_text: bool = False) -> RobotEntry:
@@ -191,7 +192,8 @@ def _recipe(site: Site, entry: RobotEntry) -> Recipe:
     else:
         source = f"topic {entry.description_topic}" if entry.description_topic else "URDF text"
     pose = _placed(entry.pose, where)
-    return Recipe(text, source, entry.base, entry.locked, entry.rename, None, "", pose)
+    recipe = Recipe(text, source, entry.base, entry.locked, entry.rename, None, "", pose)
+    return recipe._replace(any_inertias=entry.any_inertias)
 
 
 def _read(recipes: Sequence[Recipe], gravity: Sequence[float], where: str) -> Robot:

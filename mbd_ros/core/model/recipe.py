@@ -19,6 +19,7 @@ class Recipe(NamedTuple):
             None where the description says.
         shape: Kind and sizes, as a scene writes them, of a body that has only one link; None
             where the description says.
+        any_inertias: Whether moments of inertia that no body has are taken as they are.
     """
 
     text: str
@@ -30,6 +31,7 @@ class Recipe(NamedTuple):
     name: str = ""
     pose: Any = None
     shape: tuple[str, Any] | None = None
+    any_inertias: bool = False
 
     def scoped(self, name: str) -> str:
         """What a joint, or a link that is not the root, is called in the scene."""

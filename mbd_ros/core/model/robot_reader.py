@@ -70,7 +70,7 @@ def read_recipe(recipe: Recipe, gravity: Sequence[float] = EARTH_GRAVITY) -> Rob
     if base not in BASES:
         raise ModelError(f"base '{base}', accepted: {', '.join(BASES)}")
     tree = parse_urdf(text, source, recipe.inertias)
-    doubts = check_inertias(tree, source)
+    doubts = check_inertias(tree, source, recipe.any_inertias)
     names = _topic_names(tree, recipe.rename or {}, source)
     locked = dict(recipe.locked or {})
     kinds = joint_kinds(tree)

@@ -15,7 +15,9 @@ _EXACT_TRIANGLE = 1.0e-6  # relative
 _MEASURED = 0.1  # of the largest moment: moments from swinging parts are as wrong as that
 
 
-def check_inertias(robot: ElementTree.Element, source: str) -> tuple[str, ...]:
+def check_inertias(
+    robot: ElementTree.Element, source: str, any_inertias: bool = False
+) -> tuple[str, ...]:
     """Refuse inertias that no body can have, and say which ones are in doubt.
 
     A negative mass, or a moment that is negative by more than rounding, would give motion a
@@ -28,6 +30,8 @@ def check_inertias(robot: ElementTree.Element, source: str) -> tuple[str, ...]:
     Args:
         robot: The `<robot>` element; names, numbers and joints are checked.
         source: File or topic it came from, for the messages.
+        any_inertias: Whether moments that no body has are in doubt only: published models have
+            some, and the mass matrix of the whole is mostly sound all the same.
 
     Returns:
         What is in doubt, a line a link.
@@ -48,7 +52,7 @@ def check_inertias(robot: ElementTree.Element, source: str) -> tuple[str, ...]:
         tensor = _tensor(inertial)
         if mass > 0 or tensor.any():
             heavy.add(name)
-        _refuse(mass, tensor, f"{source}: link '{name}'")
+        _refuse(mass, tensor, f"{source}: link '{name}'", any_inertias)
         found = list(_doubts(mass, tensor, name in moving))
         doubts.extend(f"link '{name}': {text}" for text in found)
     return (*doubts, *_without_mass(robot, moving, heavy))
@@ -62,9 +66,11 @@ def _check_complete(inertial: ElementTree.Element, where: str) -> None:
             raise ModelError(f"{where}: <{tag}> lacks {', '.join(lacking)}")
 
 
-def _refuse(mass: float, tensor: np.ndarray, where: str) -> None:
+def _refuse(mass: float, tensor: np.ndarray, where: str, any_inertias: bool) -> None:
     if mass < 0:
         raise ModelError(f"{where}: mass is {mass:g} kg, expected > 0")
+    if any_inertias:
+        return
     first, second, third = np.linalg.eigvalsh(tensor)
     if first < -(_ROUNDED * third + _POINT * mass):
         raise ModelError(
@@ -76,6 +82,15 @@ def _refuse(mass: float, tensor: np.ndarray, where: str) -> None:
             f"{where}: inertia violates the triangle inequality: principal moments "
             f"{first:g} + {second:g} < {third:g} kg m^2, by more than measuring errors"
         )
+
+
+def is_impossible(mass: float, tensor: np.ndarray) -> bool:
+    """Whether `check_inertias` refuses moments, by more than measuring errors."""
+    try:
+        _refuse(mass, tensor, "", False)
+    except ModelError:
+        return mass >= 0
+    return False
 
 
 def _doubts(mass: float, tensor: np.ndarray, moves: bool) -> Iterator[str]:

@@ -10,6 +10,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.scene.osim.item import Item
 
 GROUND = "ground"
+_HOLDERS = ("components", "objects", "frames")
 _DEEPEST = 32  # frames on frames on ..
 
 
@@ -35,6 +36,11 @@ class Attached(NamedTuple):
         return found
 
 
+def bodies_of(model: Item) -> list[Item]:
+    """The bodies of a model."""
+    return [*model.components("BodySet", ending="Body")]
+
+
 class Frames:
     """The bodies and offset frames of a model.
 
@@ -46,7 +52,7 @@ class Frames:
     """
 
     def __init__(self, model: Item) -> None:
-        names = [body.name for body in model.objects("BodySet")]
+        names = [body.name for body in bodies_of(model)]
         self.bodies = (GROUND, *(name for name in names if name != GROUND))
         self._offsets: dict[str, Item] = {}
         self._scoped: dict[tuple[str, str], Item] = {}
@@ -69,6 +75,8 @@ class Frames:
 
     def _resolve(self, item: Item, path: str, depth: int) -> Attached:
         *before, last = [word for word in path.split("/") if word] or [""]
+        if last == "..":
+            last = _above(item, path.count(".."))
         owner = before[-1] if before else ""
         offset = _own(item, last) or self._scoped.get((owner, last))
         if offset is None and last in self.bodies:
@@ -77,13 +85,30 @@ class Frames:
         if offset is None or depth > _DEEPEST:
             state = "frames form a cycle at" if depth > _DEEPEST else "there is no body or frame"
             raise item.error(f"{state} '{path}'; the bodies are {', '.join(self.bodies)}")
+        if offset.type == "StationDefinedFrame":
+            return self._through_stations(offset, depth)
         parent = socket(offset, "parent", "parent_frame", "parent_body")
         body, at = self._resolve(offset, parent, depth + 1)
         return Attached(body, at * placement(offset, ("translation",), ("orientation",)))
 
+    def _through_stations(self, item: Item, depth: int) -> Attached:
+        """A frame given by three points and an origin."""
+        found = []
+        for point in ("point_a", "point_b", "point_c", "origin_point"):
+            path = socket(item, point)
+            station = self._offsets.get(path.split("/")[-1])
+            if station is None:
+                raise item.error(f"there is no station '{path}'")
+            frame = self._resolve(station, socket(station, "parent_frame"), depth + 1)
+            found.append((frame.body, np.array(frame.point(station.vector("location")))))
+        bodies, points = zip(*found, strict=True)
+        if len(set(bodies)) > 1:
+            raise item.error(f"its points are on {', '.join(sorted(set(bodies)))}")
+        return Attached(bodies[0], pin.SE3(station_axes(item, points), points[3]))
+
     def _index(self, item: Item) -> None:
         for inner in item.children():
-            if inner.type == "PhysicalOffsetFrame":
+            if inner.type in ("PhysicalOffsetFrame", "StationDefinedFrame", "Station"):
                 holder = item.outer if item.type in ("objects", "frames", "components") else item
                 self._offsets.setdefault(inner.name, inner)
                 self._scoped[(holder.name if holder else "", inner.name)] = inner
@@ -117,6 +142,27 @@ def body_fixed(angles: Sequence[float]) -> Array:
     return rotation
 
 
+def station_axes(item: Item, points: Sequence[Array]) -> Array:
+    """Axes along b - a and across the triangle a, b, c, shape (3, 3).
+
+    Raises:
+        SceneError: The points are on a line, or the axes are no two different ones.
+    """
+    a, b, c = points[:3]
+    first, across = b - a, np.cross(b - a, c - a)
+    names = item.text("ab_axis", default="+x"), item.text("ab_x_ac_axis", default="+y")
+    places = ["xyz".find(name[-1]) for name in names]
+    if not across.any() or -1 in places or places[0] == places[1]:
+        raise item.error(f"axes {' and '.join(names)} of points on a line, or not two axes")
+    axes = np.zeros((3, 3))
+    for vector, name, place in zip((first, across), names, places, strict=True):
+        sign = -1.0 if name.startswith("-") else 1.0
+        axes[:, place] = sign * vector / np.linalg.norm(vector)
+    third = 3 - sum(places)
+    axes[:, third] = np.cross(axes[:, (third + 1) % 3], axes[:, (third + 2) % 3])
+    return axes
+
+
 def xyz_rpy(at: Any) -> dict[str, list[float]]:
     """A placement as a scene writes it, without what is 0."""
     pose = {"xyz": at.translation.tolist(), "rpy": roll_pitch_yaw(at.rotation)}
@@ -134,6 +180,17 @@ def roll_pitch_yaw(rotation: Array) -> list[float]:
     pitch = float(np.arctan2(-r[2, 0], c * r[0, 0] + s * r[1, 0]))
     roll = float(np.arctan2(s * r[0, 2] - c * r[1, 2], c * r[1, 1] - s * r[0, 1]))
     return [roll + 0.0, pitch + 0.0, yaw + 0.0]
+
+
+def _above(item: Item, levels: int) -> str:
+    """Name of the component that holds an element, so many levels up."""
+    around = item.outer
+    while around is not None:
+        levels -= around.type not in _HOLDERS
+        if levels == 0:
+            return around.name
+        around = around.outer
+    return ""
 
 
 def _own(item: Item, name: str) -> Item | None:

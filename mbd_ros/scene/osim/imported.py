@@ -1,10 +1,10 @@
 """A model of OpenSim -> a robot description and the sections of a scene."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from mbd_ros.scene.osim.couplers import Coupled, entry_of, read_couplers
-from mbd_ros.scene.osim.frames import GROUND, Frames
+from mbd_ros.scene.osim.frames import GROUND, Frames, bodies_of
 from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.joints import read_joints
 from mbd_ros.scene.osim.markers import read_markers
@@ -14,7 +14,7 @@ from mbd_ros.scene.osim.muscles import is_muscle, muscle_entry
 from mbd_ros.scene.osim.names import Names
 from mbd_ros.scene.osim.paths import read_path
 from mbd_ros.scene.osim.reading import LeftOut, Reading, Unexpressed
-from mbd_ros.scene.osim.urdf_text import mass_of, urdf_text
+from mbd_ros.scene.osim.urdf_text import Mass, mass_of, urdf_text
 from mbd_ros.scene.osim.xml_text import parse_osim
 
 GRAVITY = (0.0, -9.80665, 0.0)  # m/s^2, OpenSim's default
@@ -59,7 +59,7 @@ def import_osim(
     mechanism = Mechanism(joints, frames)
     coupled = read_couplers(model, mechanism.coordinates, mechanism.follows, locked or {})
     names = {joint.name for joint in mechanism.joints}
-    reading = Reading(model, frames, names, coupled.fixed)
+    reading = Reading(model, frames, names, coupled.fixed, mechanism.carriers(coupled.fixed))
     reading.left_out += coupled.left_out
     for joint in joints:
         if joint.missing:
@@ -69,13 +69,13 @@ def import_osim(
     for coordinate in mechanism.unused:
         reading.leave_out(coordinate.item, "moves nothing")
     titles = _titles(mechanism)
-    masses = {body.name: mass_of(body) for body in model.objects("BodySet")}
+    masses = {body.name: mass_of(body) for body in bodies_of(model)}
     masses.pop(GROUND, None)
     name = model.name or "model"
     return Imported(
         name,
         urdf_text(name, mechanism.links, mechanism.joints, masses, titles),
-        _robot(model, mechanism, coupled, titles),
+        _robot(model, mechanism, coupled, titles, masses.values()),
         _sections(reading, mechanism, coupled),
         tuple(reading.left_out),
     )
@@ -96,9 +96,15 @@ def _titles(mechanism: Mechanism) -> dict[str, str]:
 
 
 def _robot(
-    model: Item, mechanism: Mechanism, coupled: Coupled, titles: Mapping[str, str]
+    model: Item,
+    mechanism: Mechanism,
+    coupled: Coupled,
+    titles: Mapping[str, str],
+    masses: Iterable[Mass],
 ) -> dict[str, Any]:
     robot: dict[str, Any] = {"gravity": model.vector("gravity", default=GRAVITY)}
+    if any(mass.is_impossible for mass in masses):
+        robot["any_inertias"] = True
     there = {joint.name for joint in mechanism.joints}
     locked = {name: value for name, value in coupled.fixed.items() if name in there}
     if locked:
@@ -118,7 +124,7 @@ def _sections(reading: Reading, mechanism: Mechanism, coupled: Coupled) -> dict[
         except Unexpressed as error:
             reading.leave_out(item, str(error))
     sections["sensors"] = read_markers(reading)
-    sections["initial"] = _initial(mechanism.coordinates, coupled)
+    sections["initial"] = _initial(reading, mechanism.coordinates, coupled)
     return {key: entries for key, entries in sections.items() if entries}
 
 
@@ -132,10 +138,11 @@ def _add_force(reading: Reading, sections: dict[str, Any], item: Item) -> None:
     sections["muscles"].append({"name": name, "path": title, **entry})
 
 
-def _initial(coordinates: Mapping[str, Coordinate], coupled: Coupled) -> dict[str, Any]:
-    free = [
-        one for name, one in coordinates.items() if name not in (*coupled.follows, *coupled.fixed)
-    ]
+def _initial(
+    reading: Reading, coordinates: Mapping[str, Coordinate], coupled: Coupled
+) -> dict[str, Any]:
+    there = reading.joints - {*coupled.follows, *coupled.fixed}
+    free = [one for name, one in coordinates.items() if name in there]
     position = {one.name: one.default for one in free if one.default}
     velocity = {one.name: one.speed for one in free if one.speed}
     initial = {"position": position, "velocity": velocity}

@@ -134,6 +134,14 @@ class Item:
             if element.tag not in ("groups", "objects"):
                 yield Item(element, self.source, self.defaults, self)
 
+    def components(self, *tags: str, ending: str) -> "Iterator[Item]":
+        """The elements of a set, and those components of this one whose type ends so."""
+        yield from self.objects(*tags)
+        for holder in ("components", "ComponentSet"):
+            for item in self.objects(holder):
+                if item.type.endswith(ending):
+                    yield item
+
     def children(self) -> "Iterator[Item]":
         """All elements inside."""
         for element in self.element:

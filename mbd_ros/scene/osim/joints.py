@@ -27,7 +27,7 @@ def read_joints(model: Item, frames: Frames) -> list[Joint]:
     Raises:
         SceneError: Names file, joint and what is wrong.
     """
-    found = [_joint(item, frames, "") for item in model.objects("JointSet")]
+    found = [_joint(item, frames, "") for item in model.components("JointSet", ending="Joint")]
     for body in model.objects("BodySet"):
         for item in body.objects("Joint", "joint"):  # before 4.0 a body holds its joint
             found.append(_joint(item, frames, body.name))

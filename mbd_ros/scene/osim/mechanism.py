@@ -68,6 +68,14 @@ class Mechanism:
         for joint in joints:
             self._add(joint)
 
+    def carriers(self, fixed: Mapping[str, float]) -> dict[str, str]:
+        """Link -> the joint that carries it where some do not move, empty for ground."""
+        found = {GROUND: ""}
+        for joint in self.joints:
+            moves = joint.motion is not None and joint.name not in fixed
+            found[joint.child] = joint.name if moves else found[joint.parent]
+        return found
+
     def _add(self, joint: Joint) -> None:
         steps, carriers = joint.whole, _carriers(joint)
         if joint.parent.body not in self.links:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from mbd_ros.scene.osim.frames import xyz_rpy
+from mbd_ros.scene.osim.frames import bodies_of, placement, xyz_rpy
 from mbd_ros.scene.osim.functions import Function, UnknownFunction, function_in
 from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.reading import Reading, Unexpressed
@@ -31,6 +31,9 @@ def read_path(reading: Reading, owner: Item) -> dict[str, Any]:
     entry: dict[str, Any] = {"points": [points[i] for i in kept]}
     if len(kept) < 2:
         raise Unexpressed(f"a path of {len(kept)} points")
+    moves = {reading.carriers[point["frame"]] for point in entry["points"]}
+    if len(moves) == 1 and not any("moves" in point for point in entry["points"]):
+        raise Unexpressed("no joint that moves changes the length of its path")
     wraps = [
         wrap
         for one in geometry.objects("PathWrapSet", "MuscleWrapSet")
@@ -119,7 +122,7 @@ def _between(first: int, last: int, kept: Sequence[int]) -> list[int]:
 
 
 def _wrap_object(reading: Reading, item: Item, name: str) -> tuple[str, Item]:
-    bodies = [*reading.model.objects("BodySet")]
+    bodies = bodies_of(reading.model)
     ground = reading.model.find("Ground")
     for body in ([ground] if ground else []) + bodies:
         for found in body.objects("WrapObjectSet"):
@@ -129,8 +132,6 @@ def _wrap_object(reading: Reading, item: Item, name: str) -> tuple[str, Item]:
 
 
 def _wrap_frame(item: Item) -> Any:
-    from mbd_ros.scene.osim.frames import placement
-
     return placement(item, ("translation",), ("xyz_body_rotation",))
 
 

@@ -8,6 +8,8 @@ from mbd_ros.scene.osim.frames import Attached, Frames, socket
 from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.names import Names
 
+_FORCES = ("Force", "Muscle", "Actuator", "Spring", "Ligament")
+
 
 class LeftOut(NamedTuple):
     """An element that the scene does not have.
@@ -38,17 +40,23 @@ class Reading:
         frames: Its bodies and offset frames.
         joints: Names of the joints of the scene.
         fixed: Coordinates that do not move -> position [rad or m].
+        carriers: Link -> the joint that carries it, empty for ground.
 
     Attributes:
         left_out: Elements that the scene does not have.
         names: Of joints and parts.
-        path_of: Name of an element -> name of its path, of those that have one.
     """
 
     def __init__(
-        self, model: Item, frames: Frames, joints: set[str], fixed: Mapping[str, float]
+        self,
+        model: Item,
+        frames: Frames,
+        joints: set[str],
+        fixed: Mapping[str, float],
+        carriers: Mapping[str, str],
     ) -> None:
         self.model, self.frames, self.joints, self.fixed = model, frames, joints, fixed
+        self.carriers = carriers
         self.left_out: list[LeftOut] = []
         self.names = Names(joints)
 
@@ -77,9 +85,17 @@ class Reading:
             raise item.error(f"there is no coordinate '{path}'; there are {known}")
         return name
 
+    def forces_given(self) -> Iterator[Item]:
+        """The elements of the force set, and other components that are forces."""
+        yield from self.model.objects("ForceSet")
+        for holder in ("components", "ComponentSet"):
+            for item in self.model.objects(holder):
+                if item.type.endswith(_FORCES):
+                    yield item
+
     def forces(self) -> Iterator[Item]:
         """The elements of the force set that act."""
-        for item in self.model.objects("ForceSet"):
+        for item in self.forces_given():
             acts = item.flag("appliesForce", default=not item.flag("isDisabled"))
             if acts:
                 yield item

@@ -5,6 +5,9 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
+import numpy as np
+
+from mbd_ros.core.model.urdf_inertias import is_impossible
 from mbd_ros.scene.osim.frames import roll_pitch_yaw
 from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.mechanism import UrdfJoint
@@ -26,6 +29,13 @@ class Mass(NamedTuple):
     mass: float
     centre: Sequence[float]
     moments: Sequence[float]
+
+    @property
+    def is_impossible(self) -> bool:
+        """Whether no body has these moments, whatever the mass."""
+        xx, yy, zz, xy, xz, yz = self.moments
+        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        return is_impossible(self.mass, tensor)
 
 
 def mass_of(body: Item) -> Mass:
