@@ -4,9 +4,11 @@ import csv
 import gzip
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import mbd_ros as mbd
+from mbd_ros.cli import main
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.state import State
 from mbd_ros.files.table import Column, Result, Table
@@ -81,3 +83,23 @@ def test_lengths_of_paths_without_wraps_are_those_of_opensim(measured):
         muscle = name.removesuffix("_path")
         stored = expected[f"{muscle}.length" if f"{muscle}.length" in expected else muscle]
         assert np.abs(found - stored).max() <= 1e-12
+
+
+def test_the_written_scene_is_the_same_mechanism(measured, tmp_path, capsys):
+    """Poses of links, masses and paths of both at a random pose."""
+    folder, scene = measured
+    model = folder / "raw" / f"{SETS[folder.name]}.osim.gz"
+    assert main(["import-opensim", str(model), "-o", str(tmp_path / "made")]) == 0
+    (written,) = (tmp_path / "made").glob("*.yaml")
+    left_out = written.with_name(f"{written.stem}.left_out.txt").read_text().splitlines()
+    said = capsys.readouterr().out.splitlines()
+    assert [f"left out: {line}" for line in left_out] == [
+        s for s in said[1:] if "nothing" not in s
+    ]
+    other = mbd.load_scene(written)
+    assert list(other.entries["paths"]) == list(scene.entries["paths"])
+    q = np.random.default_rng(3).uniform(-0.5, 0.5, scene.robot.model.nv)
+    for name in scene.robot.joints:
+        assert other.robot.joint(name.name) == name
+    ours, theirs = (pin.crba(s.robot.model, s.robot.model.createData(), q) for s in (scene, other))
+    assert np.array_equal(ours, theirs)

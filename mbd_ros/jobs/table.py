@@ -53,6 +53,9 @@ COMMANDS: Mapping[str, Command] = {
     "replay": Command(
         "mbd_ros.jobs.replay.command", "a bag through the live node, with an error table"
     ),
+    "import-opensim": Command(
+        "mbd_ros.jobs.import_opensim.command", "a model of OpenSim as a URDF and a scene"
+    ),
     "params": Command("mbd_ros.nodes.command", "a parameter file of a node, with comments"),
     "plot": Command("mbd_ros.jobs.plot.command", "a picture of a result"),
     "demo": Command("mbd_ros.demo.command", "a simulated robot, controlled over topics: one page"),

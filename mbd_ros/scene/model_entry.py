@@ -63,10 +63,7 @@ def with_model(origin: Origin, entries: Entries) -> tuple[Origin, Entries]:
     own = _without(entries, {} if origin.model is None else origin.model.brought)
     where = f"{origin.name}: robot"
     file, imported = _imported(origin, robot, where)
-    known = set(keys(SECTIONS))
-    brought = {key: given for key, given in imported.sections.items() if key in known}
-    absent = [f"section {key}" for key in imported.sections if key not in known]
-    absent += _without_wraps(brought)
+    brought, absent = brought_sections(imported)
     merged = {**own, "robot": _merged_robot(imported.robot, robot, "gravity" in entries)}
     for key, given in brought.items():
         merged[key] = _merged(given, own.get(key), f"{origin.name}: {key}")
@@ -126,6 +123,14 @@ def _without(entries: Entries, brought: Entries) -> dict[str, Any]:
             kept = [one for one in given if one not in before]
         own[key] = kept or None
     return {key: given for key, given in own.items() if given is not None}
+
+
+def brought_sections(imported: "Imported") -> tuple[dict[str, Any], list[str]]:
+    """Sections of a model that a scene has, and what is left out of them."""
+    known = set(keys(SECTIONS))
+    brought = {key: given for key, given in imported.sections.items() if key in known}
+    absent = [f"section {key}" for key in imported.sections if key not in known]
+    return brought, absent + _without_wraps(brought)
 
 
 def _without_wraps(brought: dict[str, Any]) -> list[str]:

@@ -19,6 +19,7 @@ from mbd_ros.scene.osim.functions import (
 )
 from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.motions import Coordinate, Joint, Motion, Step, X, Y, Z
+from mbd_ros.scene.osim.names import Names
 
 
 def read_joints(model: Item, frames: Frames) -> list[Joint]:
@@ -31,7 +32,26 @@ def read_joints(model: Item, frames: Frames) -> list[Joint]:
     for body in model.objects("BodySet"):
         for item in body.objects("Joint", "joint"):  # before 4.0 a body holds its joint
             found.append(_joint(item, frames, body.name))
-    return found
+    taken = Names()
+    return [_unique(joint, taken) for joint in found]
+
+
+def _unique(joint: Joint, taken: Names) -> Joint:
+    """The joint with coordinates of names that no joint before it has."""
+    names = {}
+    for one in joint.coordinates:
+        is_new = one.name not in taken
+        names[one.name] = taken.take(one.name if is_new else f"{joint.name}_{one.name}")
+    if all(name == other for name, other in names.items()):
+        return joint
+    steps = [
+        step._replace(coordinate=names.get(step.coordinate, ""))
+        if isinstance(step, Motion)
+        else step
+        for step in joint.steps
+    ]
+    coordinates = tuple(one._replace(name=names[one.name]) for one in joint.coordinates)
+    return joint._replace(coordinates=coordinates, steps=tuple(steps))
 
 
 def _joint(item: Item, frames: Frames, child: str) -> Joint:

@@ -8,6 +8,7 @@ from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.reading import Unexpressed
 
 _STEEPEST = math.acos(0.1)  # rad, pennation of the shortest fibre
+_LEAST = 1.0e-6  # activation that muscles of a scene may have
 
 
 def muscle_entry(item: Item) -> dict[str, Any]:
@@ -55,7 +56,7 @@ def _thelen(item: Item) -> dict[str, Any]:
     return {
         "type": "thelen",
         **_times(item, 0.015, 0.05),
-        "minimum_activation": item.number("minimum_activation", default=0.01),
+        "minimum_activation": _least(item),
         "maximum_pennation_angle": item.number("maximum_pennation_angle", default=_STEEPEST),
         "tendon": "elastic",
         "tendon_strain": item.number("FmaxTendonStrain", default=0.04),
@@ -69,24 +70,82 @@ def _thelen(item: Item) -> dict[str, Any]:
 
 
 def _millard(item: Item) -> dict[str, Any]:
+    """Without fibre damping OpenSim keeps the file's least force and end slopes: not expressed."""
+    damps = item.flag("use_fiber_damping", default=True)
     return {
         "type": "millard",
         **_times(item, 0.01, 0.04),
-        "minimum_activation": item.number("minimum_activation", default=0.01),
+        "minimum_activation": _least(item),
         "maximum_pennation_angle": item.number("maximum_pennation_angle", default=_STEEPEST),
         "tendon": _tendon(item),
-        "damping": item.number("fiber_damping", default=0.1),
+        "damping": item.number("fiber_damping", default=0.1) if damps else 0.0,
+        **_curves(item),
     }
 
 
+def _curves(item: Item) -> dict[str, Any]:
+    """Numbers of the curves that the file gives."""
+    entry: dict[str, Any] = {}
+    for tag, keys in _CURVES.items():
+        curve = item.find(tag)
+        found = {} if curve is None else {key: curve.numbers(one) for key, one in keys.items()}
+        entry |= {key: numbers[0] for key, numbers in found.items() if len(numbers) == 1}
+    curve = item.find("ActiveForceLengthCurve")
+    if curve is not None:
+        pairs = zip(_LENGTHS, (0.4441, 0.73, 1.8123), strict=True)
+        entry["active_lengths"] = [curve.number(tag, default=value) for tag, value in pairs]
+    return entry
+
+
 def _degroote_fregly(item: Item) -> dict[str, Any]:
+    if item.flag("ignore_passive_fiber_force"):
+        raise Unexpressed("a fibre without passive force")
     return {
         "type": "degroote_fregly",
         **_times(item, 0.015, 0.06),
         "tendon": _tendon(item),
+        "active_width": item.number("active_force_width_scale", default=1.0),
+        "passive_strain": item.number("passive_fiber_strain_at_one_norm_force", default=0.6),
+        "tendon_strain": item.number("tendon_strain_at_one_norm_force", default=0.049),
+        "damping": item.number("fiber_damping", default=0.0),
+        "activation_steepness": item.number("activation_dynamics_smoothing", default=0.1),
     }
 
 
+def _least(item: Item) -> float:
+    """Least activation; files that say 0 mean next to none."""
+    return max(item.number("minimum_activation", default=0.01), _LEAST)
+
+
+_LENGTHS = (
+    "min_norm_active_fiber_length",
+    "transition_norm_fiber_length",
+    "max_norm_active_fiber_length",
+)
+_CURVES = {
+    "ActiveForceLengthCurve": {"active_slope": "shallow_ascending_slope"},
+    "FiberForceLengthCurve": {
+        "passive_zero_strain": "strain_at_zero_force",
+        "passive_strain": "strain_at_one_norm_force",
+        "passive_low_stiffness": "stiffness_at_low_force",
+        "passive_stiffness": "stiffness_at_one_norm_force",
+        "passive_curviness": "curviness",
+    },
+    "TendonForceLengthCurve": {
+        "tendon_strain": "strain_at_one_norm_force",
+        "tendon_stiffness": "stiffness_at_one_norm_force",
+        "tendon_toe_force": "norm_force_at_toe_end",
+        "tendon_curviness": "curviness",
+    },
+    "ForceVelocityCurve": {
+        "shortening_slope": "concentric_slope_near_vmax",
+        "isometric_slope": "isometric_slope",
+        "lengthening_slope": "eccentric_slope_near_vmax",
+        "lengthening_force": "max_eccentric_velocity_force_multiplier",
+        "shortening_curviness": "concentric_curviness",
+        "lengthening_curviness": "eccentric_curviness",
+    },
+}
 _TYPES: Mapping[str, Callable[[Item], dict[str, Any]]] = {
     "Thelen2003Muscle": _thelen,
     "Millard2012EquilibriumMuscle": _millard,

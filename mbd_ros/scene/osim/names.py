@@ -16,6 +16,9 @@ class Names:
     def __init__(self, taken: Iterable[str] = ()) -> None:
         self._taken = set(taken)
 
+    def __contains__(self, name: str) -> bool:
+        return name in self._taken
+
     def take(self, wish: str, ending: str = "") -> str:
         """A name like the wish that nothing else has; it is taken from now on.
 
