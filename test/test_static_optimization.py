@@ -190,7 +190,7 @@ def test_loads_of_joints_are_those_of_opensim(walk, side):
     given = table(walk.folder / "so_weak_reserves_exact.csv.gz")
     expected = table(walk.folder / "joint_reactions.csv.gz")
     scene, couplings, reserves = walk.scene, walk.couplings, walk.reserves(weak=True)
-    body = [f"{r.name}" if isinstance(r, BodyReserve) else f"{r.name}_reserve" for r in reserves]
+    body = [reserve.name for reserve in reserves]
     tension = walk.columns(given, [m.name for m in scene.muscles], "force")
     reserve = walk.columns(given, body, "force")
     bare = JointReactions(

@@ -20,6 +20,7 @@ from mbd_ros.core.inverse.reactions import JointReactions
 from mbd_ros.core.inverse.reserves import BodyReserve, CoordinateReserve
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
@@ -56,7 +57,7 @@ class JointLoads:
     Args:
         robot: The robot.
         reactions: Of the robot without muscles, with its external loads.
-        muscles: Parts with a `path`.
+        muscles: Their order is that of the parts of a load.
         reserves: As in `StaticOptimization`.
         links: Whose joint is asked for; empty for all that have one and mass.
         side: `child` is the load on the link in its axes, `ground` the same in world axes, both
@@ -74,7 +75,7 @@ class JointLoads:
         self,
         robot: Robot,
         reactions: JointReactions,
-        muscles: Sequence[Any],
+        muscles: Sequence[Muscle],
         reserves: Sequence[CoordinateReserve | BodyReserve] = (),
         links: Sequence[str] = (),
         side: Side = "child",

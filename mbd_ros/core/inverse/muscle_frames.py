@@ -5,7 +5,7 @@ With the lengths l_i of paths, J_i = dl_i/dq and G of the couplings, a tension F
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from mbd_ros.core.inverse.reserves import BodyReserve, CoordinateReserve
 from mbd_ros.core.model.couplings import Couplings, Slopes
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.muscles.muscle import Muscle
+from mbd_ros.core.muscles.rigid_tendons import RigidTendons
 from mbd_ros.core.state import Array, State
 
 
@@ -45,7 +47,7 @@ class MuscleFrames:
     Args:
         robot: The robot.
         couplings: Its dependent joints.
-        muscles: Parts with `path`, `active_force`, `passive_force` and `fiber_velocity`.
+        muscles: At least one.
         reserves: What helps them.
     """
 
@@ -53,10 +55,11 @@ class MuscleFrames:
         self,
         robot: Robot,
         couplings: Couplings,
-        muscles: Sequence[Any],
+        muscles: Sequence[Muscle],
         reserves: Sequence[CoordinateReserve | BodyReserve] = (),
     ) -> None:
         self._couplings, self._muscles = couplings, tuple(muscles)
+        self._tendons = RigidTendons([muscle.contraction for muscle in muscles])
         self._k, self._nv = Kinematics(robot), int(robot.model.nv)
         self._fixed = np.zeros((len(muscles) + len(reserves), self._nv))
         self._on_bodies: list[tuple[int, BodyReserve]] = []
@@ -89,15 +92,9 @@ class MuscleFrames:
                 full[frame, i] = reserve.column(self._k)
         speed = np.einsum("tij,jt->ti", full[:, :n], v)
         np.negative(full[:, :n], out=full[:, :n])
-        return Frames(length, speed, *self._forces(length, speed), self._reduced(full, slopes))
-
-    def _forces(self, length: Array, speed: Array) -> tuple[Array, Array, Array]:
-        active, passive, rate = (np.empty_like(length) for _ in range(3))
-        for i, muscle in enumerate(self._muscles):
-            active[:, i] = muscle.active_force(length[:, i], speed[:, i])
-            passive[:, i] = muscle.passive_force(length[:, i])
-            rate[:, i] = muscle.fiber_velocity(length[:, i], speed[:, i])
-        return active, passive, rate
+        forces = self._tendons.at(length, speed)
+        columns = self._reduced(full, slopes)
+        return Frames(length, speed, forces.active, forces.passive, forces.fiber_velocity, columns)
 
     def _reduced(self, full: Array, slopes: Slopes) -> Array:
         """G' on every column, shape (frames, nv_y, n + r)."""

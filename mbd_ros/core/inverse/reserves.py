@@ -1,9 +1,10 @@
 """What helps muscles where they cannot carry a load: reserves in coordinates and on bodies.
 
-Their unknown is the effort in optimal forces, without bounds: the larger the optimal force, the
-less a reserve costs.
+Their unknown is the effort in optimal forces: the larger the optimal force, the less a reserve
+costs.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
@@ -13,10 +14,11 @@ from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Wrench
-from mbd_ros.core.ranges import Positive, Unit, Vector
+from mbd_ros.core.ranges import Length, Positive, Unit, Vector
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
+UNBOUNDED = (-math.inf, math.inf)
 _AXES = tuple(f"{kind}_{axis}" for kind in ("linear", "angular") for axis in "xyz")
 
 
@@ -24,16 +26,18 @@ class CoordinateReserve(NamedTuple):
     """Force of one coordinate, between parent and child of its joint.
 
     Attributes:
-        name: Of the joint; of a free base that of the base and its axis.
+        name: Unique among muscles and reserves.
         optimal: Force at effort 1 [N·m or N].
         unit: N·m or N.
         at: Its place among velocities.
+        bounds: Smallest and largest effort.
     """
 
     name: str
     optimal: float
     unit: str
     at: int
+    bounds: tuple[float, float] = UNBOUNDED
 
 
 class BodyReserve:
@@ -48,6 +52,7 @@ class BodyReserve:
         point: Where the force acts, in axes of the link.
         expressed_in: `world`, or the name of the link: whose axes the directions are in.
         optimal_force: Force, or torque where there is no force, at effort 1.
+        bounds: Smallest and largest effort; none by default.
 
     Raises:
         ModelError: Unknown frame, or neither a force nor a torque.
@@ -66,6 +71,7 @@ class BodyReserve:
         point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
         expressed_in: str = "world",
         optimal_force: Annotated[Positive, Unit("N or N·m")] = 1.0,
+        bounds: Annotated[Sequence[float], Length(2), Unit("-")] = UNBOUNDED,
     ) -> None:
         if "." in name or not name:
             raise ModelError(f"residual '{name}': a name has letters and no dot")
@@ -77,6 +83,7 @@ class BodyReserve:
         self._load = np.array([*force, *torque], dtype=np.float64)
         if not self._load.any():
             raise ModelError(f"residual {name}: gives neither a force nor a torque")
+        self.bounds = float(bounds[0]), float(bounds[1])
         self.unit = "N" if self._load[:3].any() else "N·m"
         self._turns = expressed_in != "world"
         self._point = robot.point(frame, point)
@@ -124,15 +131,28 @@ def coordinate_reserves(
     for base in robot.bases:
         for i, axis in enumerate(_AXES):
             unit = "N" if i < 3 else "N·m"
-            name = f"{base.name}_{axis}"
+            name = f"{base.name}_{axis}_reserve"
             reserves.append(CoordinateReserve(name, optimal, unit, base.v.start + i))
     return reserves
 
 
 def reserve_on(
-    robot: Robot, couplings: Couplings, joint: str, optimal: float
+    robot: Robot,
+    couplings: Couplings,
+    joint: str,
+    optimal: float,
+    name: str = "",
+    bounds: tuple[float, float] = UNBOUNDED,
 ) -> CoordinateReserve:
     """One on a joint.
+
+    Args:
+        robot: The robot.
+        couplings: Its dependent joints.
+        joint: An independent one.
+        optimal: Force at effort 1 [N·m or N].
+        name: Of the reserve; default `<joint>_reserve`.
+        bounds: Smallest and largest effort.
 
     Raises:
         ModelError: The joint is unknown, or depends on another one.
@@ -144,4 +164,4 @@ def reserve_on(
             f"accepted: {', '.join(couplings.independent)}"
         )
     unit = "N" if found.kind == "prismatic" else "N·m"
-    return CoordinateReserve(joint, optimal, unit, int(found.v))
+    return CoordinateReserve(name or f"{joint}_reserve", optimal, unit, int(found.v), bounds)

@@ -5,10 +5,11 @@ in optimal forces. Prices have no units, and are about 1 for a muscle of the mea
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.state import Array
 
 _LEAST = 1.0e-6  # price of a muscle that has no force at all
@@ -71,8 +72,8 @@ class Sizes(NamedTuple):
     fastest: Array
 
 
-def sizes_of(muscles: Sequence[Any]) -> Sizes:
-    """Sizes of muscles with a `contraction`."""
+def sizes_of(muscles: Sequence[Muscle]) -> Sizes:
+    """Sizes of muscles."""
     every = [muscle.contraction for muscle in muscles]
     rows = [[c.peak, c.optimal, c.fastest] for c in every]
     return Sizes(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)

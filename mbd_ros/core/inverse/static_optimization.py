@@ -19,6 +19,7 @@ from mbd_ros.core.inverse.muscle_frames import Frames, MuscleFrames
 from mbd_ros.core.inverse.reserves import BodyReserve, CoordinateReserve
 from mbd_ros.core.inverse.sharing_criteria import DEFAULT, Criterion, sizes_of
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.optimization.separable_cost import SeparableCost
 from mbd_ros.core.optimization.separable_program import Optimum, SeparableProgram
 from mbd_ros.core.state import Array
@@ -109,7 +110,7 @@ class StaticOptimization:
         self,
         robot: Robot,
         known: InverseDynamics,
-        muscles: Sequence[Any],
+        muscles: Sequence[Muscle],
         reserves: Sequence[CoordinateReserve | BodyReserve] = (),
         wishes: Wishes = NOTHING_SPECIAL,
     ) -> None:
@@ -119,10 +120,9 @@ class StaticOptimization:
         self.names = tuple(part.name for part in (*muscles, *reserves))
         self._frames = MuscleFrames(robot, known.couplings, muscles, reserves)
         self._sizes, self._n = sizes_of(muscles), len(muscles)
-        channels = [muscle.inputs[0] for muscle in muscles]
-        free = np.full(len(reserves), np.inf)
-        self._lower = np.concatenate(([c.lower for c in channels], -free))
-        self._upper = np.concatenate(([c.upper for c in channels], free))
+        ends = [(muscle.inputs[0].lower, muscle.inputs[0].upper) for muscle in muscles]
+        ends += [reserve.bounds for reserve in reserves]
+        self._lower, self._upper = np.array(ends, dtype=np.float64).T
         self._optimal = np.array([reserve.optimal for reserve in reserves])
         self._program = SeparableProgram(len(self.names), len(known.couplings.v_index))
         self._nq, self._nv = int(robot.model.nq), int(robot.model.nv)
@@ -236,7 +236,7 @@ def _scaled(A: Array) -> Array:
     return np.asarray(A / np.where(columns > 0.0, columns, 1.0))
 
 
-def _check(muscles: Sequence[Any], wishes: Wishes) -> None:
+def _check(muscles: Sequence[Muscle], wishes: Wishes) -> None:
     if not muscles:
         raise ModelError("static optimisation: the scene has no muscles")
     exponent = wishes.criterion.exponent

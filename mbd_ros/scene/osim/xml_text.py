@@ -46,19 +46,10 @@ def read_osim(path: Path) -> str:
 def parse_osim(text: str, source: str) -> ElementTree.Element:
     """The `<Model>` of a document, its version as attribute `version`.
 
-    Comments may hold anything, and names of elements may hold `::`, which becomes `__`.
-
     Raises:
         SceneError: No XML, no model, or a version that is not known; names line and element.
     """
-    if _REFUSED.search(text):
-        raise SceneError(f"{source}: DOCTYPE and ENTITY declarations are refused")
-    text = _COMMENT.sub(lambda found: "\n" * found.group().count("\n"), text)
-    text = _DECLARATION.sub(lambda found: "\n" * found.group().count("\n"), text, count=1)
-    try:
-        root = ElementTree.fromstring(_SCOPE.sub(r"\1__", text))
-    except (ElementTree.ParseError, UnicodeEncodeError) as error:
-        raise SceneError(f"{source}: not well-formed XML: {error}") from error
+    root = parse_document(text, source)
     model = root if root.tag == "Model" else root.find("Model")
     if root.tag not in ("OpenSimDocument", "Model") or model is None:
         inner = ", ".join(child.tag for child in root) or "nothing"
@@ -67,6 +58,24 @@ def parse_osim(text: str, source: str) -> ElementTree.Element:
         )
     model.set("version", _version(root, source))
     return model
+
+
+def parse_document(text: str, source: str) -> ElementTree.Element:
+    """The outermost element of a document.
+
+    Comments may hold anything, and names of elements may hold `::`, which becomes `__`.
+
+    Raises:
+        SceneError: No XML; names the line.
+    """
+    if _REFUSED.search(text):
+        raise SceneError(f"{source}: DOCTYPE and ENTITY declarations are refused")
+    text = _COMMENT.sub(lambda found: "\n" * found.group().count("\n"), text)
+    text = _DECLARATION.sub(lambda found: "\n" * found.group().count("\n"), text, count=1)
+    try:
+        return ElementTree.fromstring(_SCOPE.sub(r"\1__", text))
+    except (ElementTree.ParseError, UnicodeEncodeError) as error:
+        raise SceneError(f"{source}: not well-formed XML: {error}") from error
 
 
 def _version(root: ElementTree.Element, source: str) -> str:
