@@ -42,6 +42,7 @@ CORE_ORDER = (  # of the subjects in `core`: the same
     "model",
     "outputs",
     "parts",
+    "sensor",
     "geometry",
     "rows",
     "optimization",
@@ -66,6 +67,7 @@ PART_FOLDERS = {
         "forces",
         "integrators",
         "muscles",
+        "sensors",
         "stabilization",
     )
 }

@@ -18,6 +18,7 @@ from mbd_ros.core.parts import Actuator, Load, Part
 from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.row_laws import Level
 from mbd_ros.core.rows.constraint import Constraint
+from mbd_ros.core.sensor import Sensor
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
@@ -37,9 +38,10 @@ CONTRACTS = {
     "forces": Load,
     "muscles": Muscle,
     "integrators": Integrator,
+    "sensors": Sensor,
     "stabilization": Stabilization,
 }
-OF_A_ROBOT = ("actuators", "constraints", "contacts", "forces", "muscles")
+OF_A_ROBOT = ("actuators", "constraints", "contacts", "forces", "muscles", "sensors")
 FIRST = {**dict.fromkeys(OF_A_ROBOT, "robot"), "controllers": "joints"}
 every_part = pytest.mark.parametrize(("section", "name"), NAMES)
 every_part_of_a_robot = pytest.mark.parametrize(

@@ -30,7 +30,8 @@ from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.registry import PARTS, resolve
 
 OUTSIDE = parts_of_pages.OUTSIDE
-OF_A_ROBOT = ("actuators", "constraints", "contacts", "forces", "muscles")
+OF_A_ROBOT = ("actuators", "constraints", "contacts", "forces", "muscles", "sensors")
+NAMED = ("sensors",)  # by name; the others are lists
 
 
 def has_rows(section, name):
@@ -50,7 +51,7 @@ every_part_with_symbols = pytest.mark.parametrize(
     ("section", "name"), [pair for pair in EVERY if pair[0] in OF_A_ROBOT]
 )
 IN_NUMBERS = {  # what bodies or the cheap margins of stops are bound to while building
-    *("point", "point_a", "point_b", "plane_point", "position", "normal", "direction"),
+    *("xyz", "point", "point_a", "point_b", "plane_point", "position", "normal", "direction"),
     *("rpy", "rpy_a", "rpy_b", "orientation", "lower", "upper"),
     *("pennation_angle", "maximum_pennation_angle", "passive_strain", "passive_zero_strain"),
 }
@@ -83,13 +84,15 @@ def scene_with(section, name, base="fixed"):
     """The leg with one part; methods, which are no parts of a list, beside a constraint."""
     entry = {"type": name, **arguments(section, name)}
     if section in OF_A_ROBOT:
-        return scene_from({"robot": {"base": base}, section: [entry]}, urdf="prosthetic_leg")
+        held = {"here": entry} if section in NAMED else [entry]
+        return scene_from({"robot": {"base": base}, section: held}, urdf="prosthetic_leg")
     key = {"integrators": "integrator"}.get(section, section)
     return scene_from({key: entry}, urdf="prosthetic_leg")
 
 
 def part_in(scene):
-    ((part,),) = [scene.parts[key] for key in OF_A_ROBOT if key in scene.parts]
+    keys = [key for key in OF_A_ROBOT if key in scene.parts]
+    ((part,),) = [getattr(scene.parts[key], "values", scene.parts[key].__iter__)() for key in keys]
     return part
 
 
@@ -167,7 +170,7 @@ def test_part_has_a_name_which_check_says_with_its_units(section, name):
     assert part.name and "." not in part.name and f" {part.name}, " in line
     units = [channel.unit for channel in part.inputs]
     units += [row.unit for row in getattr(part, "rows", ())]
-    assert all(units) and (units or section in ("forces", "contacts"))
+    assert all(units) and (units or section in ("forces", "contacts", "sensors"))
     assert all(c.lower <= c.safe <= c.upper and c.lower < c.upper for c in part.inputs)
     assert scene.inputs.names == tuple(
         ".".join(filter(None, (part.name, channel.name))) for channel in part.inputs

@@ -70,6 +70,9 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "millard": "mbd_ros.muscles.millard:Millard",
         "thelen": "mbd_ros.muscles.thelen:Thelen",
     },
+    "sensors": {
+        "marker": "mbd_ros.sensors.marker:Marker",
+    },
     "stabilization": {
         "baumgarte": "mbd_ros.stabilization.baumgarte:Baumgarte",
         "none": "mbd_ros.stabilization.none:NoStabilization",
@@ -83,6 +86,7 @@ METHODS: Mapping[str, Sequence[str]] = {  # what the parts of a kind must have
 _CONTRACTS = {
     "command": "parts.Actuator",
     "force": "parts.Load",
+    "measure": "sensor.Sensor",
     "residual": "rows.constraint.Constraint",
 }
 

@@ -23,6 +23,7 @@ from mbd_ros.scene.sections import Section
 
 if TYPE_CHECKING:
     from mbd_ros.core.muscles.muscle import Muscle
+    from mbd_ros.core.sensor import Sensor
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -115,6 +116,11 @@ class SceneParts:
     def actuators(self) -> tuple[Actuator, ...]:
         """Actuators, in the order of their commands."""
         return self._offering("command")
+
+    @property
+    def sensors(self) -> "tuple[Sensor, ...]":
+        """What is measured, of all sections."""
+        return self._offering("measure")
 
     @property
     def stabilization(self) -> Stabilization | None:

@@ -137,6 +137,14 @@ SECTIONS = (
         parts="muscles",
     ),
     Section(
+        "sensors",
+        Form.NAMED,
+        after=_EVERY_ROBOT,
+        offers=("measure",),
+        check="sensor: {name}, {kind} on {part.frame}",
+        parts="sensors",
+    ),
+    Section(
         "stabilization",
         Form.SINGLE,
         f"{_PARTS}:build_method",

@@ -125,7 +125,7 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     wall = time.perf_counter() - begin
     evaluations = simulation.evaluations
     _say_windows(scene, simulation, states, say)
-    table, of_samples, lost = table_of(simulation, states, forces)
+    table, of_samples, lost = table_of(simulation, states, forces, scene.sensors)
     table, of_contacts = _with_residuals(table, residuals)
     topics = topics_of(simulation.system)
     tables = {MAIN: table}

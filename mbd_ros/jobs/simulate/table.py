@@ -9,6 +9,7 @@ import numpy as np
 from mbd_ros.core.dynamics.inputs import command_names
 from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.parts import Part
 from mbd_ros.core.projection.assembly import violation
 from mbd_ros.core.simulation.seen import Seen, seen_at
 from mbd_ros.core.simulation.simulation import Simulation
@@ -45,7 +46,10 @@ def topics_of(system: System) -> dict[str, Any]:
 
 
 def table_of(
-    simulation: Simulation, states: Sequence[State], forces: Sequence[Array | None] = ()
+    simulation: Simulation,
+    states: Sequence[State],
+    forces: Sequence[Array | None] = (),
+    sensors: Sequence[Part] = (),
 ) -> tuple[Table, list[str], MbdError | None]:
     """A row a state, up to the first one without a finite answer, remarks, and why it ends there.
 
@@ -53,10 +57,11 @@ def table_of(
         simulation: What was simulated.
         states: States of all joints.
         forces: `Stepper.forces` at each; none without contacts in steps of velocities.
+        sensors: Parts that have no influence on the motion and show something.
     """
     rows, system, means = [], simulation.system, list[float]()
     loads = system.loads
-    showing = Showing(system.k, system.layout, (*loads.actuators, *loads.forces))
+    showing = Showing(system.k, system.layout, (*loads.actuators, *loads.forces, *sensors))
     failure: MbdError | None = None
     try:
         with np.errstate(over="ignore", invalid="ignore"):

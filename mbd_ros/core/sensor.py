@@ -1,0 +1,67 @@
+"""Contract of sensors: what of a mechanism is measured.
+
+The same sensors serve a simulator (with noise), marker kinematics and estimators: a sensor says
+what an exact measurement would be, how that changes with the state, and how noisy it is.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+
+from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.outputs import Now
+from mbd_ros.core.parts import Part
+from mbd_ros.core.state import Array, State
+
+
+class Measures(IntEnum):
+    """What a measurement depends on besides what stands above it."""
+
+    POSITION = 0
+    VELOCITY = 1
+    ACCELERATION = 2
+    FORCE = 3
+
+
+class Sensor(Part):
+    """What of a mechanism is measured; it has no influence on the motion.
+
+    Attributes:
+        level: What a measurement depends on at most.
+        unit: Of every component.
+        components: Names of the components, one empty word for a single number.
+        label: What recordings and messages call the sensor; its name by default.
+    """
+
+    level: Measures = Measures.POSITION
+    unit: str = ""
+    components: tuple[str, ...] = ("",)
+    label: str = ""
+
+    @property
+    def title(self) -> str:
+        """What recordings and messages call it."""
+        return self.label or self.name
+
+    def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
+        """An exact measurement, shape (n,) of as many components.
+
+        Args:
+            k: Kinematics at the state, refreshed as far as `reads` says.
+            x: State of all joints.
+            now: Accelerations and multipliers; needed from `Measures.ACCELERATION` on.
+        """
+        raise NotImplementedError
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """Derivative by q, v or a, whichever `level` says, shape (n, nv).
+
+        Args:
+            k: Kinematics at the state, refreshed to Jacobians.
+            x: State of all joints.
+        """
+        raise NotImplementedError
+
+    def covariance(self, k: Kinematics, x: State) -> Array:
+        """Covariance of the noise [unit^2], shape (n, n); none by default."""
+        return np.zeros((len(self.components), len(self.components)))
