@@ -8,11 +8,13 @@ import pinocchio as pin
 import pytest
 
 import mbd_ros as mbd
+from mbd_ros.core.estimation.exchanged_labels import exchanged_labels
 from mbd_ros.core.estimation.marker_kinematics import Mark, MarkerKinematics
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.projection.independent_limits import independent_limits
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SolveError
+from mbd_ros.jobs.kinematics.smooth_trial import smooth_trial
 
 PLACES = {  # markers on the leg: link -> places [m]; the root moves with a floating base
     "world": [(0.1, 0.0, 0.1), (-0.1, 0.05, 0.0), (0.0, -0.1, 0.02)],
@@ -280,3 +282,51 @@ def test_gait_is_the_exact_optimum_of_an_independent_program(data_dir):
         q = fit.q[:, scene.robot.joint(name.removesuffix(".position")).q]
         np.testing.assert_allclose(q, exact[:, column], atol=1e-6)
     assert len(marks) == 31 and fit.remainder.max() <= 1e-8
+
+
+def test_exchanged_labels_are_found_where_they_are_and_nowhere_else():
+    """Noise of 5 mm; a pair on one link and one on two links, each for a while."""
+    scene = leg()
+    solver, rng = kinematics(scene, limits=False), np.random.default_rng(7)
+    t, q = motion(scene, 40)
+    places = shown(solver, q) + 0.005 * rng.normal(size=(40, 12, 3))
+    clean = solver.seen(places, t)
+    assert not exchanged_labels(solver.solver, solver.trial(scene.initial.q, clean), clean)
+    places[10:20, [6, 7]] = places[10:20, [7, 6]]
+    places[25:38, [3, 9]] = places[25:38, [9, 3]]
+    seen = solver.seen(places, t)
+    found = exchanged_labels(solver.solver, solver.trial(scene.initial.q, seen), seen)
+    assert [(one.first, one.second, one.frames) for one in found] == [
+        (6, 7, (10, 19)),
+        (3, 9, (25, 37)),
+    ]
+    assert all(one.after < 0.3 * one.before for one in found)
+
+
+def test_smooth_motion_is_the_optimum_of_the_whole_trial():
+    """Every slope of the sum of objectives and accelerations is 0; smoother than frames alone."""
+    scene = leg()
+    solver, rng = kinematics(scene, limits=False), np.random.default_rng(8)
+    t, q = motion(scene, 25)
+    t = t + 0.004 * rng.uniform(size=25)  # uneven times
+    seen = solver.seen(shown(solver, q) + 0.01 * rng.normal(size=(25, 12, 3)), t)
+    alone, s = solver.trial(scene.initial.q, seen), 1e-4
+    fit = smooth_trial(solver.solver, alone, seen, s)
+    cost = solver.solver.cost
+
+    def whole(each):
+        y = each[:, cost.y_of_q]
+        rates = np.diff(y, axis=0) / np.diff(t)[:, None]
+        a = 2.0 * np.diff(rates, axis=0) / (t[2:] - t[:-2])[:, None]
+        return cost.at(each, seen).value.sum() + 0.5 * s**2 * (a**2).sum()
+
+    assert whole(fit.q) < whole(alone.q)
+    for k, j in [(0, 0), (1, 3), (12, 2), (24, 4)]:
+        step = np.zeros((25, 5))
+        step[k, j] = 1e-5
+        slope = (whole(cost.moved(fit.q, step)) - whole(cost.moved(fit.q, -step))) / 2e-5
+        assert abs(slope) < 1e-8
+    both = [np.abs(np.diff(each.q - q, n=2, axis=0)).mean() for each in (fit, alone)]
+    assert both[0] < 0.5 * both[1]
+    none = smooth_trial(solver.solver, alone, seen, 0.0)
+    np.testing.assert_allclose(none.q, alone.q, atol=1e-8)

@@ -132,6 +132,14 @@ class MarkerCost:
             return np.array(matrices[:, at[:, None], at])
         return np.array(G.transpose(0, 2, 1) @ matrices @ G)
 
+    def rows(self, q: Array) -> Array:
+        """Derivatives of the markers by the independent coordinates, shape (N, n, 3, ny)."""
+        p, J = self._kinematics(q)
+        G = self.tangent(q)
+        v, omega = J[:, None, :3].transpose(0, 1, 3, 2), J[:, None, 3:].transpose(0, 1, 3, 2)
+        moves = (v + _cross(omega, p[:, :, None])) * self._moved.T[None, :, :, None]
+        return np.array(moves.transpose(0, 1, 3, 2) @ G[:, None])
+
     def moved(self, q: Array, dy: Array) -> Array:
         """Configurations after moves of the independent coordinates, couplings kept.
 

@@ -217,3 +217,12 @@ class _Frames:
 def joined(fits: list[Fit]) -> Fit:
     """The frames of several fits, one after the other."""
     return Fit(*(np.concatenate(parts) for parts in zip(*fits, strict=True)))
+
+
+def chosen(first: Fit, second: Fit, is_second: Bools) -> Fit:
+    """Frame by frame the first or the second of two fits of the same frames."""
+    parts = []
+    for one, other in zip(first, second, strict=True):
+        shape = (-1, *(1,) * (one.ndim - 1))
+        parts.append(np.where(is_second.reshape(shape), other, one))
+    return Fit(*parts)
