@@ -64,8 +64,8 @@ def test_check_says_what_is_built_and_what_is_not(capsys, tmp_path):
         "reduced: couplings eliminated exactly, q = F(z); integrator dopri5 by default, dt 0.001 s"
     )
     assert said["out"] == (
-        "robots; bodies; paths; constraints; contacts; actuators; muscles; stabilization; "
-        "solver; integrator; dt; initial; safe"
+        "robots; bodies; paths; constraints; contacts; actuators; muscles; sensors; "
+        "stabilization; solver; integrator; dt; initial; safe"
     )
     inverse, forward = said["cost"].split("; ")
     assert re.fullmatch(r"one .* call \d+\.\d us, \d+\.\d x a bare rnea of 4 joints", inverse)
