@@ -9,11 +9,10 @@ _LEAST, _MORE = 0.5, 1.5  # of the factor of both time constants
 class FirstOrder(NamedTuple):
     """a' = (e - a) / tau, tau by whether activation rises.
 
-    With s = (a - a_min) / (1 - a_min), tau = rising (0.5 + 1.5 s) where e > a, and
-    falling / (0.5 + 1.5 s) where not. The rate is continuous and has a kink at e = a.
+    With z = 0.5 + 1.5 a, tau = rising z where e > a, and falling / z where not. The rate is
+    continuous and has a kink at e = a.
 
-    Source: D. G. Thelen, J. Biomech. Eng. 125, 2003, 70-77, doi:10.1115/1.1531112; M. Millard et
-    al., J. Biomech. Eng. 135, 2013, 021005, doi:10.1115/1.4023390, for s.
+    Source: D. G. Thelen, J. Biomech. Eng. 125, 2003, 70-77, doi:10.1115/1.1531112, eq. 1 and 2.
 
     Attributes:
         rising: Time constant [s].
@@ -27,7 +26,7 @@ class FirstOrder(NamedTuple):
 
     def rate(self, k: Any, e: Number, a: Number) -> Number:
         """A' [1/s]."""
-        factor = _LEAST + _MORE * (a - self.least) / (1.0 - self.least)
+        factor = _LEAST + _MORE * a
         lack = k.minimum(k.maximum(e, self.least), 1.0) - a
         up, down = k.maximum(lack, 0.0), k.minimum(lack, 0.0)
         return up / (self.rising * factor) + down * factor / self.falling
