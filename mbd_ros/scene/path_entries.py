@@ -24,7 +24,8 @@ def path_of(robot: Robot, given: Any, where: str) -> Path:
 
     Args:
         robot: The robot.
-        given: `points` from end to end, `joints` with radius or coefficients, or both.
+        given: `points` from end to end, perhaps with `wraps`; `joints` with radius or
+            coefficients; or both.
         where: File and key, for the messages.
 
     Raises:
@@ -73,6 +74,7 @@ def _path(
     *,
     points: Sequence[Any] | None = None,
     joints: Mapping[str, float | Sequence[float]] | None = None,
+    wraps: Sequence[Any] | None = None,
 ) -> Path:
     if not points and not joints:
         raise ModelError("a path needs points or joints")
@@ -85,10 +87,20 @@ def _path(
             schema.call(_via, one, f"{where}.points[{i}]", robot, f"{where}.points[{i}]")
             for i, one in given
         ]
-        paths.append(path_through(robot, via))
+        paths.append(path_through(robot, via, _wraps(robot, wraps, where) if wraps else ()))
+    elif wraps:
+        raise ModelError("wraps need points")
     if joints:
         paths.append(JointPath(robot, {name: _term(one) for name, one in joints.items()}))
     return paths[0] if len(paths) == 1 else JoinedPaths(paths)
+
+
+def _wraps(robot: Robot, wraps: Sequence[Any], where: str) -> Any:
+    from mbd_ros.scene.wrap_entries import read_wrap
+
+    if len(wraps) > MAX_POINTS:
+        raise ModelError(f"{len(wraps)} wraps, accepted are {MAX_POINTS}")
+    return [read_wrap(robot, one, f"{where}.wraps[{i}]") for i, one in enumerate(wraps)]
 
 
 def _term(given: float | Sequence[float]) -> CouplingFunction:

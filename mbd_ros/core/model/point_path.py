@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.via_points import Interval, ViaPoint
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
+
+if TYPE_CHECKING:
+    from mbd_ros.core.model.wrapping.wrapped_path import Wrap
 
 MAX_SWITCHED = 8  # points that come and go: each doubles the number of paths
 
@@ -142,8 +145,13 @@ class SwitchedPath(Path):
         return k.either(there, lambda: inside(k, x), lambda: outside(k, x))
 
 
-def path_through(robot: Robot, points: Sequence[ViaPoint]) -> Path:
+def path_through(robot: Robot, points: Sequence[ViaPoint], wraps: "Sequence[Wrap]" = ()) -> Path:
     """The path through points; those with an interval are left out where their joint is not there.
+
+    Args:
+        robot: The robot.
+        points: Two or more.
+        wraps: Surfaces that it may wrap over, in the order in which they are tried.
 
     Raises:
         ModelError: Too few points, an end that comes and goes, too many points that do, or no
@@ -156,21 +164,45 @@ def path_through(robot: Robot, points: Sequence[ViaPoint]) -> Path:
     switched = [point for point in points if point.within]
     if len(switched) > MAX_SWITCHED:
         raise ModelError(f"{len(switched)} points come and go, accepted are {MAX_SWITCHED}")
-    if all(_rigid(robot, points[0], point) is not None for point in points[1:]):
+    moving = any(wrap.point.moves for wrap in wraps)
+    if not moving and all(_rigid(robot, points[0], point) is not None for point in points[1:]):
         frames = " and ".join(f"'{point.frame}'" for point in points)
         raise ModelError(f"frames {frames} do not move against each other")
-    return _through(robot, points, switched)
+    return _through(robot, points, switched, [(wrap, *_between(wrap, points)) for wrap in wraps])
 
 
-def _through(robot: Robot, points: Sequence[ViaPoint], switched: Sequence[ViaPoint]) -> Path:
-    """The path, by its first point that comes and goes."""
+def _through(
+    robot: Robot,
+    points: Sequence[ViaPoint],
+    switched: Sequence[ViaPoint],
+    wraps: "Sequence[tuple[Wrap, int, int]]",
+) -> Path:
+    """The path, by its first point that comes and goes; wraps with first and last point."""
     if not switched:
-        return PointPath(robot, points)
+        if not wraps:
+            return PointPath(robot, points)
+        from mbd_ros.core.model.wrapping.wrapped_path import WrappedPath
+
+        return WrappedPath(robot, points, [w for w, *_ in wraps], [(a, b) for _, a, b in wraps])
     first, *rest = switched
     assert first.within is not None
+    left_out = next(i for i, point in enumerate(points) if point is first)
     without = [point for point in points if point is not first]
-    inside, outside = _through(robot, points, rest), _through(robot, without, rest)
-    return SwitchedPath(first.within, inside, outside)
+    fewer = [
+        (wrap, begin - (begin > left_out), end - (end >= left_out)) for wrap, begin, end in wraps
+    ]
+    inside = _through(robot, points, rest, wraps)
+    return SwitchedPath(first.within, inside, _through(robot, without, rest, fewer))
+
+
+def _between(wrap: "Wrap", points: Sequence[ViaPoint]) -> tuple[int, int]:
+    first, last = wrap.between or (0, len(points) - 1)
+    if not 0 <= first < last < len(points):
+        raise ModelError(
+            f"wrap '{wrap.name}' acts between points {first} and {last}; accepted: two indices in "
+            f"order, from 0 to {len(points) - 1}"
+        )
+    return first, last
 
 
 def _along(k: Kinematics, line: Array) -> tuple[float, Array]:

@@ -1,0 +1,1 @@
+"""Paths that wrap over cylinders, spheres, ellipsoids and tori."""

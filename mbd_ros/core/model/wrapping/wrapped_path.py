@@ -1,0 +1,219 @@
+"""A path through points and over surfaces, as parts see it: one state at a time."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.model.paths import Path, Pull
+from mbd_ros.core.model.points import Point
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.model.via_points import ViaPoint
+from mbd_ros.core.model.wrapping.chain import Chain, Placed, link
+from mbd_ros.core.model.wrapping.routes import Reach, Router
+from mbd_ros.core.model.wrapping.surface import Surface
+from mbd_ros.core.model.wrapping.taut import Taut, taut
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
+
+_POINT = 1.0e-200  # m, a line that has no direction
+
+
+class Wrap:
+    """A surface on a link that a path may wrap over.
+
+    Args:
+        robot: The robot.
+        name: For messages and tables.
+        frame: The link.
+        surface: The surface.
+        xyz: Its origin in the axes of the link [m], shape (3,).
+        rpy: Its axes there as in URDF [rad], shape (3,).
+        between: First and last of the points of the path between which it acts; None: all.
+
+    Raises:
+        ModelError: Unknown frame.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        name: str,
+        frame: str,
+        surface: Surface,
+        xyz: Sequence[float] = (0.0, 0.0, 0.0),
+        rpy: Sequence[float] = (0.0, 0.0, 0.0),
+        between: tuple[int, int] | None = None,
+    ) -> None:
+        self.name, self.frame, self.surface, self.between = name, frame, surface, between
+        self.point: Point = robot.point(frame, xyz, rpy)
+        self.axes = [robot.shifted(self.point, axis) for axis in np.eye(3)]
+
+    def placed(self, k: Kinematics) -> Placed:
+        """Where it is, less `Robot.origin`."""
+        return Placed(
+            self.surface, k.rotation(self.point)[None], np.array(k.position(self.point))[None]
+        )
+
+
+class _Motion(NamedTuple):
+    """Velocity and acceleration of a body about a point: those of p are first + second (p)."""
+
+    linear: tuple[Array, Array]
+    turning: tuple[Array, Array]
+
+
+class WrappedPath(Path):
+    """Straight lines through points, and shortest paths over surfaces between them.
+
+    Which surfaces a path wraps over depends on the configuration alone, so that no mode keeps it.
+
+    Args:
+        robot: The robot.
+        points: Two or more, whatever their `within` says.
+        wraps: In the order in which they are tried.
+        reaches: First and last point of every wrap, as indices of `points`.
+
+    Raises:
+        SolveError: From every method, where a geodesic is not found; names the wraps.
+    """
+
+    reads = Reads.JACOBIAN
+
+    def __init__(
+        self,
+        robot: Robot,
+        points: Sequence[ViaPoint],
+        wraps: Sequence[Wrap],
+        reaches: Sequence[tuple[int, int]],
+    ) -> None:
+        self.points, self.wraps = tuple(points), tuple(wraps)
+        self.reaches = [
+            Reach(wrap.surface, *reach) for wrap, reach in zip(wraps, reaches, strict=True)
+        ]
+        over = ", ".join(f"{wrap.name} ({type(wrap.surface).__name__.lower()})" for wrap in wraps)
+        self.over = " - ".join(point.frame for point in points) + f", around {over}"
+        self._nv = int(robot.model.nv)
+
+    def length(self, k: Kinematics, x: State) -> float:
+        """The l [m]."""
+        return float(self._taut(k, x).length[0])
+
+    def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
+        """The l [m] and J, shape (nv,)."""
+        length, by_points, by_wraps = self._taut(k, x)
+        slope = np.zeros(self._nv)
+        for point, change in zip(self.points, by_points[0], strict=True):
+            if point.moves:
+                slope += change @ point.jacobian(k, x)
+        for wrap, change in zip(self.wraps, by_wraps[0], strict=True):
+            if wrap.point.moves and change.any():
+                slope += change @ k.spatial_jacobian(wrap.point)
+        return float(length[0]), slope
+
+    def drift(self, k: Kinematics, x: State) -> float:
+        """J' v: lines turn and contacts slide as their conditions stay met."""
+        places, points = self._where(k, x)
+        speeds = [point.velocity(k, x) for point in self.points]
+        pushes = [point.acceleration(k, x) for point in self.points]
+        motions = [_motion(k, wrap) for wrap in self.wraps]
+        bent = 0.0
+        for line, (wraps, chain) in enumerate(self._chains(points, places)):
+            nodes = [(speeds[line], pushes[line], np.zeros(3))]
+            at, moved = [places[w] for w in wraps], [motions[w] for w in wraps]
+            nodes += _contacts(chain, at, moved, (speeds[line], speeds[line + 1]))
+            nodes += [(speeds[line + 1], pushes[line + 1], np.zeros(3))]
+            for straight, a, b in zip(chain.lines, nodes[::2], nodes[1::2], strict=True):
+                e, past = straight.direction[0], b[0] - a[0]
+                swept = past + b[2] - a[2]
+                if straight.length[0] > _POINT:
+                    bent += (swept @ past - (e @ swept) * (e @ past)) / straight.length[0]
+                    bent += e @ (b[1] - a[1])
+        return float(bent)
+
+    def pulls(self, k: Kinematics, x: State) -> tuple[Pull, ...]:
+        """At every point and at both ends of every contact, along the lines."""
+        places, points = self._where(k, x)
+        chains = self._chains(points, places)
+        forces = np.zeros((len(self.points), 3))
+        pulls = []
+        for line, (wraps, chain) in enumerate(chains):
+            ways = [straight.direction[0] for straight in chain.lines]
+            forces[line] += ways[0]
+            forces[line + 1] -= ways[-1]
+            for i, w in enumerate(wraps):
+                first, last = chain.ends[i]
+                frame = self.wraps[w].frame
+                pulls.append(Pull(frame, first.point[0], -ways[i]))
+                pulls.append(Pull(frame, last.point[0], ways[i + 1]))
+        at = zip(self.points, points[0], forces, strict=True)
+        return (*(Pull(point.frame, place, force) for point, place, force in at), *pulls)
+
+    def _where(self, k: Kinematics, x: State) -> tuple[list[Placed], Array]:
+        points = np.array([[point.position(k, x) for point in self.points]])
+        return [wrap.placed(k) for wrap in self.wraps], points
+
+    def _taut(self, k: Kinematics, x: State) -> Taut:
+        places, points = self._where(k, x)
+        try:
+            return taut(points, self.reaches, places)
+        except SolveError as error:
+            raise self._named(error) from error
+
+    def _chains(self, points: Array, places: list[Placed]) -> list[tuple[tuple[int, ...], Chain]]:
+        """Wraps and path of every line between points."""
+        router = Router(points, self.reaches, places)
+        try:
+            (route,) = router.routes()
+        except SolveError as error:
+            raise self._named(error) from error
+        chains = []
+        for line, wraps in enumerate(route.held):
+            arcs, _ = router.corners(route, line)
+            over = [places[w] for w in wraps]
+            chains.append((wraps, link(points[:, line], points[:, line + 1], over, arcs)[0]))
+        return chains
+
+    def _named(self, error: SolveError) -> SolveError:
+        names = ", ".join(wrap.name for wrap in self.wraps)
+        return SolveError(f"path around {names}: {error}")
+
+
+def _motion(k: Kinematics, wrap: Wrap) -> _Motion:
+    """How a surface moves at zero joint acceleration."""
+    v, a = k.velocity(wrap.point), k.acceleration(wrap.point)
+    rates = np.array([k.velocity(axis) - v for axis in wrap.axes]).T
+    bends = np.array([k.acceleration(axis) - a for axis in wrap.axes]).T
+    return _Motion((v, a), (rates, bends))
+
+
+def _contacts(
+    chain: Chain, places: Sequence[Placed], motions: Sequence[_Motion], speeds: tuple[Array, Array]
+) -> list[tuple[Array, Array, Array]]:
+    """Of every contact: velocity and its rate for what the body holds there, and its sliding."""
+    if not places:
+        return []
+    held, turned = [speeds[0]], []
+    for place, motion, ends in zip(places, motions, chain.ends, strict=True):
+        rotation = place.rotation[0]
+        for contact in ends:
+            held.append(motion.linear[0] + motion.turning[0] @ place.inwards(contact.point)[0])
+            turned.append(contact.frame[0] @ (rotation @ motion.turning[0].T))
+    held.append(speeds[1])
+    rates = []
+    for i, contact in enumerate(contact for ends in chain.ends for contact in ends):
+        straight = chain.lines[(i + 1) // 2]
+        e, (a, b) = straight.direction[0], (2 * ((i + 1) // 2), 2 * ((i + 1) // 2) + 1)
+        past = held[b] - held[a]
+        turn = (past - e * (e @ past)) / straight.length[0]
+        rates.append(contact.frame[0] @ turn + turned[i] @ e)
+    unknowns = -np.linalg.solve(chain.slopes[0], np.concatenate(rates))
+    contacts = []
+    for i, contact in enumerate(contact for ends in chain.ends for contact in ends):
+        place, motion = places[i // 2], motions[i // 2]
+        slide = contact.moves[0] @ unknowns[4 * (i // 2) : 4 * (i // 2) + 4]
+        inside = place.rotation[0].T @ slide
+        push = motion.linear[1] + motion.turning[1] @ place.inwards(contact.point)[0]
+        contacts.append((held[i + 1], push + motion.turning[0] @ inside, slide))
+    return contacts
