@@ -384,7 +384,10 @@ KNEE = {"joint": "knee", "lower": 0.1}
         ({"points": POINTS[:1]}, "forces[0].path: a path needs two points or more, got 1"),
         ({"points": [POINTS[1], {"frame": "toe"}]}, "frames 'foot' and 'toe' do not move against"),
         ({"points": [{"frame": "nose"}, POINTS[1]]}, "path.points[0]: no frame 'nose'; the links"),
-        ({"points": POINTS, "wraps": []}, "path: unknown key 'wraps', accepted: points, joints"),
+        (
+            {"points": POINTS, "bends": []},
+            "path: unknown key 'bends', accepted: points, joints, wraps",
+        ),
         ({"points": [{**POINTS[0], "within": KNEE}, POINTS[1]]}, "the ends of a path do not come"),
         (
             {

@@ -18,7 +18,7 @@ from mbd_ros.core.state import Array
 Curving = Callable[[Array, Array], tuple[Array, Array]]
 _NODES = (16, 32, 64, 128)  # intervals, more until the series ends
 _MOST = 80  # iterations
-_TOLERANCE = 1.0e-15  # of a step, in sizes of the surface
+_TOLERANCE = 1.0e-15  # of a step, in the farthest coordinate
 _TAIL = 1.0e-13  # largest end of the series
 
 
@@ -27,9 +27,9 @@ def _nodes(count: int) -> tuple[Array, Array, Array]:
     """Nodes on [0, 1], the integral from 0 to each of them, and the end of the series."""
     chebyshev = np.polynomial.chebyshev
     x = -np.cos(np.pi * np.arange(count + 1) / count)
-    to_series = np.linalg.inv(chebyshev.chebvander(x, count))
+    to_series = np.array(np.linalg.inv(chebyshev.chebvander(x, count)), dtype=np.float64)
     series = chebyshev.chebint(to_series, lbnd=-1.0, axis=0)
-    integral = 0.5 * chebyshev.chebval(x, series).T
+    integral: Array = np.array(0.5 * chebyshev.chebval(x, series).T, dtype=np.float64)
     return (x + 1.0) / 2.0, integral, to_series[-3:]
 
 
@@ -61,6 +61,7 @@ def _curves(
     first, bent = start[:, None, :], whole * direction[:, None, :]
     tangents = np.broadcast_to(direction[:, None, :], (len(arc), count + 1, 3))
     pulls, _ = curving(first, direction[:, None, :])
+    enough = _TOLERANCE * max(size, np.abs(start).max(initial=0.0))
     points = first + at[:, None] * (bent + 0.5 * whole * whole * at[:, None] * pulls)
     for _ in range(_MOST):
         pulls, _ = curving(points, tangents)
@@ -68,7 +69,7 @@ def _curves(
         following = first + whole * (integral @ tangents)
         change = np.abs(following - points).max(initial=0.0)
         points = following
-        if not change > _TOLERANCE * size:
+        if not change > enough:
             break
     tail = np.abs(last @ (whole * whole * pulls)).max(initial=0.0) / size
     return points, tangents, float(tail)

@@ -185,7 +185,10 @@ class Router:
         arcs = dict(zip(before, self._geodesics(samples, line, before)[0], strict=True))
         if guess is not None:
             arcs[which] = guess
-        self._store(samples, line, wraps, tuple(arcs[w] for w in wraps))
+        alone = (
+            guess is not None and len(wraps) == 1 and self._places[which].surface.is_closed_form
+        )
+        self._store(samples, line, wraps, tuple(arcs[w] for w in wraps), alone)
 
     def _geodesics(
         self, samples: Numbers, line: int, wraps: tuple[int, ...]
@@ -198,11 +201,21 @@ class Router:
         return arcs, tuple((first[samples], last[samples]) for first, last in solved.ends)
 
     def _store(
-        self, samples: Numbers, line: int, wraps: tuple[int, ...], guess: tuple[Arc, ...]
+        self,
+        samples: Numbers,
+        line: int,
+        wraps: tuple[int, ...],
+        guess: tuple[Arc, ...],
+        is_solved: bool = False,
     ) -> None:
         a, b = self._points[samples, line], self._points[samples, line + 1]
         over = [self._places[w].of(samples) for w in wraps]
-        arcs, ends = solved(a, b, over, guess)
+        arcs = guess if is_solved else solved(a, b, over, guess)
+        lasts = [one.surface.flow(*arc).end for one, arc in zip(over, arcs, strict=True)]
+        ends = [
+            (one.outwards(arc.start), one.outwards(last))
+            for one, arc, last in zip(over, arcs, lasts, strict=True)
+        ]
         n = len(self._points)
         if (line, wraps) not in self._solved:
             empty = tuple(Arc(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)) for _ in wraps)
@@ -215,29 +228,22 @@ class Router:
                 to[samples] = value
 
 
-def solved(
-    a: Array, b: Array, over: Sequence[Placed], guess: tuple[Arc, ...]
-) -> tuple[tuple[Arc, ...], tuple[tuple[Array, Array], ...]]:
-    """Geodesics between two points and their ends in common axes."""
-    if len(over) > 1 or not over[0].surface.is_closed_form:
-        first, guess = guess, shortest(a, b, over, guess)
-        again = np.flatnonzero(_astray(over, guess))
-        if again.size:
-            there = [one.of(again) for one in over]
-            starts = _plain(a[again], b[again], there, tuple(arc.of(again) for arc in first))
-            better = shortest(a[again], b[again], there, starts)
-            for to, arc in zip(guess, better, strict=True):
-                found = np.isfinite(arc.length)
-                for whole, part in zip(to, arc, strict=True):
-                    whole[again[found]] = part[found]
-        lost = int(np.isnan(guess[0].length).sum())
-        if lost:
-            raise SolveError(f"no shortest path over the surface in {lost} of {len(a)} samples")
-    lasts = [one.surface.flow(*arc).end for one, arc in zip(over, guess, strict=True)]
-    return guess, tuple(
-        (one.outwards(arc.start), one.outwards(last))
-        for one, arc, last in zip(over, guess, lasts, strict=True)
-    )
+def solved(a: Array, b: Array, over: Sequence[Placed], guess: tuple[Arc, ...]) -> tuple[Arc, ...]:
+    """Geodesics between two points; on the nearer side where there is none on the other."""
+    arcs = shortest(a, b, over, guess)
+    again = np.flatnonzero(_astray(over, arcs))
+    if again.size:
+        there = [one.of(again) for one in over]
+        starts = _plain(a[again], b[again], there, tuple(arc.of(again) for arc in guess))
+        better = shortest(a[again], b[again], there, starts)
+        for to, arc in zip(arcs, better, strict=True):
+            found = np.isfinite(arc.length)
+            for whole, part in zip(to, arc, strict=True):
+                whole[again[found]] = part[found]
+    lost = int(np.isnan(arcs[0].length).sum())
+    if lost:
+        raise SolveError(f"no shortest path over the surface in {lost} of {len(a)} samples")
+    return arcs
 
 
 def _plain(a: Array, b: Array, over: Sequence[Placed], arcs: tuple[Arc, ...]) -> tuple[Arc, ...]:
