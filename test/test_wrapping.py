@@ -275,7 +275,7 @@ def table(path):
 
 
 def lengths(scene, positions):
-    """Lengths of all paths at positions by joint, by muscle; and which surfaces TRIlong touches."""
+    """Lengths of all paths at positions by joint, by muscle."""
     k, nv = Kinematics(scene.robot), scene.robot.model.nv
     found = {name: [] for name in scene.parts["paths"]}
     for row in np.transpose(list(positions.values())):
