@@ -1,1 +1,0 @@
-"""Paths that wrap over cylinders, spheres, ellipsoids and tori."""
