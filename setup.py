@@ -51,6 +51,7 @@ setup(
         "scipy",
     ],
     extras_require={
+        "biomechanics": ["ezc3d"],
         "compiled": ["casadi"],
         "dask": ["dask[distributed]"],
         "peers": ["drake", "exudyn", "mujoco"],
@@ -59,6 +60,7 @@ setup(
         "dev": [
             "casadi",
             "daqp",
+            "ezc3d",
             "mypy",
             "pandas",
             "pyarrow",

@@ -77,6 +77,7 @@ PACKAGES = {  # module -> what pip calls the package that brings it
     **dict.fromkeys(("rclpy", "rcl_interfaces", "std_srvs"), _ROS),
     **{f"{name}_msgs": _ROS for name in _MESSAGES.split()},
     "casadi": "'mbd_ros[compiled]'",
+    "ezc3d": "'mbd_ros[biomechanics]'",
     "distributed": "'dask[distributed]'",
     "eigenpy": "pin",
     "pinocchio": "pin",

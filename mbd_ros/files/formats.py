@@ -24,6 +24,8 @@ FORMATS = {  # suffix -> class; of two suffixes that fit the longer one counts
     ".npz": "mbd_ros.files.npz:Npz",
     ".parquet": "mbd_ros.files.parquet:Parquet",
     **dict.fromkeys(STORAGES, "mbd_ros.files.storage:Storage"),
+    **dict.fromkeys((".trc", ".trc.gz"), "mbd_ros.files.trc:Trc"),
+    ".c3d": "mbd_ros.files.c3d:C3d",
     **dict.fromkeys((".png", ".svg", ".pdf"), "mbd_ros.files.plot:Plot"),
 }
 PICTURES = (".png", ".svg", ".pdf")

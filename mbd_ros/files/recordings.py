@@ -19,6 +19,7 @@ from msg_adapters.odometry import OFF_UNIT
 
 Source = str | Path | Result  # of a motion
 CSV = (".csv", ".csv.gz")  # strict: nan stands only where it has a meaning
+_WRENCHES = "wrenches"  # table of the plates of a .c3d
 _IN_MEMORY = "the result"
 
 
@@ -129,6 +130,7 @@ def _samples(
     may_lack: Collection[str],
     joints: Sequence[str] = (),
     sliding: Collection[str] = (),
+    prefers: str = MAIN,
 ) -> tuple[Table, str, tuple[str, ...] | None]:
     """Table `samples` of a result or file, the name of the source, and labels without a use.
 
@@ -137,6 +139,7 @@ def _samples(
         may_lack: Columns of a .csv that may hold nan.
         joints: Those that a storage may name by its own labels.
         sliding: Those of them that slide.
+        prefers: Table that is read in place of `samples` where there is one of that name.
     """
     where = name_of(source)
     if not isinstance(source, Result):
@@ -145,7 +148,7 @@ def _samples(
         source = chosen.read(path, **options)
     if MAIN not in source:
         raise DataError(f"{where}: no table {MAIN}; there are: {', '.join(source) or 'none'}")
-    table = source[MAIN]
+    table = source[prefers if prefers in source else MAIN]
     _check_columns(table, where, [TIME])
     if not table.rows:
         raise DataError(f"{where}: table {MAIN} has no row")
@@ -206,7 +209,7 @@ def read_wrenches(
 
         return bag_wrenches(Path(source), names, Counter() if dropped is None else dropped)
     points = {f"{name}.point.{axis}" for name in names for axis in "xyz"}
-    table, where, _ = _samples(source, points)
+    table, where, _ = _samples(source, points, prefers=_WRENCHES)
     stamps = motion_stamps(table, where)
     return {name: WrenchSamples(stamps, _wrench(table, where, name)) for name in names}
 

@@ -123,14 +123,27 @@ def _row(path: Path, labels: Sequence[str], cells: list[bytes], number: int) -> 
         row = []
     if row and all(map(_is_plain, row, cells)):
         return row
-    return [_cell(path, label, cell, number) for label, cell in zip(labels, cells, strict=True)]
+    return [
+        cell_number(path, label, cell, number) for label, cell in zip(labels, cells, strict=True)
+    ]
 
 
 def _is_plain(value: float, cell: bytes) -> bool:
     return value - value == 0.0 and b"_" not in cell
 
 
-def _cell(path: Path, label: str, cell: bytes, number: int) -> float:
+def cell_number(path: Path, label: str, cell: bytes, number: int) -> float:
+    """The number of a cell, which may be nan.
+
+    Args:
+        path: File, for the messages.
+        label: Of the column.
+        cell: Its text.
+        number: Of the line.
+
+    Raises:
+        DataError: It is no finite number, nor nan.
+    """
     if cell in _MISSING:
         return float("nan")
     try:

@@ -1,0 +1,142 @@
+"""Recordings of motion capture: markers and force plates of .c3d."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from mbd_ros.errors import DataError
+from mbd_ros.files.formats import read_result
+from mbd_ros.files.markers import read_markers
+from mbd_ros.files.recordings import read_wrenches
+from mbd_ros.files.table import Column, Result, Table
+
+CORNERS = np.array([[0.5, 0.9, 0.0], [0.1, 0.9, 0.0], [0.1, 0.3, 0.0], [0.5, 0.3, 0.0]])  # m
+TURN = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])  # of a plate, about z
+DEPTH = np.array([0.01, -0.02, -0.04])  # from the transducer to the surface, in axes of the plate
+
+
+@pytest.fixture(scope="module")
+def ezc3d():
+    return pytest.importorskip("ezc3d", reason="ezc3d is optional (extra: biomechanics)")
+
+
+def recording(ezc3d, path, wrenches=(), kind=2, unit="mm", first=50):
+    """Two markers at 100 Hz, and at 200 Hz plates whose channels follow from their wrenches."""
+    scale = {"mm": 1000.0, "m": 1.0}[unit]
+    rng, whole = np.random.default_rng(6), ezc3d.c3d()
+    positions = rng.standard_normal((3, 2, 4))
+    positions[:, 1, 2] = np.nan
+    points = whole["parameters"]["POINT"]
+    points["LABELS"]["value"], points["UNITS"]["value"] = ["R.Knee Med", "Heel"], [unit]
+    points["RATE"]["value"] = [100.0]
+    whole["data"]["points"] = np.concatenate([scale * positions, np.ones((1, 2, 4))])
+    whole["header"]["points"]["first_frame"] = first
+    channels, corners = [], []
+    for k, (force, torque) in enumerate(wrenches):
+        places = CORNERS @ TURN.T + [0.7 * k, 0.0, 0.0]
+        x, y = places[0] - places[1], places[0] - places[3]
+        R = np.column_stack([x, y, np.cross(x, y)]) / np.linalg.norm(
+            [x, y, np.cross(x, y)], axis=1
+        )
+        centre = places.mean(axis=0)
+        at_centre = (torque - np.cross(centre, force)) @ R
+        F = force @ R
+        channels += [*F.T, *(scale * (at_centre + np.cross(DEPTH, F))).T]
+        corners.append(scale * places.T)
+    if wrenches:
+        n, plates = len(wrenches), whole["parameters"]["FORCE_PLATFORM"]
+        plates["USED"]["value"], plates["TYPE"]["value"] = [n], [kind] * n
+        plates["CORNERS"]["value"] = np.stack(corners, axis=2)
+        plates["ORIGIN"]["value"] = np.repeat(scale * DEPTH[:, None], n, axis=1)
+        plates["CHANNEL"]["value"] = np.arange(1, 6 * n + 1).reshape(n, 6).T
+        whole.add_parameter("FORCE_PLATFORM", "UNITS", ["N"])
+        analog = whole["parameters"]["ANALOG"]
+        analog["RATE"]["value"] = [200.0]
+        analog["LABELS"]["value"] = [f"c{i}" for i in range(6 * n)]
+        analog["UNITS"]["value"] = ["V"] * (6 * n)
+        whole["data"]["analogs"] = np.array(channels)[None]
+    whole.write(str(path))
+    return positions
+
+
+@pytest.mark.parametrize("unit", ["mm", "m"])
+def test_markers_and_plates_are_read_in_si(ezc3d, tmp_path, unit):
+    rng = np.random.default_rng(9)
+    wrenches = [(rng.standard_normal((8, 3)) * 100, rng.standard_normal((8, 3))) for _ in "ab"]
+    positions = recording(ezc3d, tmp_path / "walk.c3d", wrenches, unit=unit)
+    markers = read_markers(tmp_path / "walk.c3d")
+    assert markers.labels == ("R.Knee Med", "Heel")
+    assert markers.stamps.tolist() == [500_000_000 + 10_000_000 * i for i in range(4)]
+    expected = positions.transpose(2, 1, 0)
+    assert np.allclose(markers.position, expected, rtol=2e-7, atol=1e-7, equal_nan=True)
+    loads = read_wrenches(tmp_path / "walk.c3d", {"plate1": None, "plate2": None})
+    for (force, torque), name in zip(wrenches, loads, strict=True):
+        assert loads[name].stamps.tolist() == [500_000_000 + 5_000_000 * i for i in range(8)]
+        given = np.hstack([force, torque])
+        assert loads[name].wrench == pytest.approx(given, abs=1e-4)
+    with pytest.raises(DataError, match="no column plate3.force.x"):
+        read_wrenches(tmp_path / "walk.c3d", {"plate3": None})
+
+
+def test_plates_that_give_their_centre_of_pressure(ezc3d, tmp_path):
+    """Type 1: force, centre of pressure about the middle of the corners, and free moment."""
+    path, force = tmp_path / "walk.c3d", np.full((8, 3), 10.0)
+    recording(ezc3d, path, [(force, np.zeros((8, 3)))], kind=1)
+    whole = ezc3d.c3d(str(path))
+    raw = whole["data"]["analogs"][0]
+    loads = read_wrenches(path, {"plate1": None})["plate1"].wrench
+    places = CORNERS @ TURN.T
+    R = np.column_stack([TURN[:, 0], TURN[:, 1], np.cross(TURN[:, 0], TURN[:, 1])])
+    cop = places.mean(axis=0) + (R @ np.vstack([raw[3:5] / 1000.0, np.zeros(8)])).T
+    free = (R @ np.vstack([np.zeros((2, 8)), raw[5] / 1000.0])).T
+    assert loads[:, :3] == pytest.approx(force, abs=1e-4)
+    assert loads[:, 3:] == pytest.approx(np.cross(cop, force) + free, abs=1e-4)
+
+
+def test_markers_come_back_to_seven_digits(ezc3d, tmp_path):
+    rng = np.random.default_rng(2)
+    points = {"a b": rng.standard_normal((6, 3)), "c": rng.standard_normal((6, 3))}
+    points["c"][1] = np.nan
+    columns = [Column("time", 0.1 + np.arange(6) / 50.0, "s")]
+    columns += [Column(name, values, "m", "ground") for name, values in points.items()]
+    metadata = {"markers": list(points), "rate": 50.0}
+    result = Result({"samples": Table(columns)}, metadata)
+    result.to(tmp_path / "o.c3d")
+    read = read_result(tmp_path / "o.c3d")
+    assert read.metadata == metadata
+    assert read["samples"]["time"] == pytest.approx(columns[0].values, abs=1e-9)
+    for name, values in points.items():
+        assert np.allclose(read["samples"][name], values, rtol=1e-7, atol=1e-7, equal_nan=True)
+    odd = [Column("time", np.array([0.0, 0.1, 0.5]), "s"), Column("a", np.zeros((3, 3)), "m")]
+    with pytest.raises(DataError, match=r".c3d holds markers at a steady rate, these are none"):
+        Result({"samples": Table(odd)}).to(tmp_path / "odd.c3d")
+    assert [item.name for item in tmp_path.iterdir()] == ["o.c3d"]
+
+
+def test_bad_recordings_are_refused(ezc3d, tmp_path):
+    path = tmp_path / "walk.c3d"
+    recording(ezc3d, path, [(np.ones((8, 3)), np.ones((8, 3)))])
+    whole = path.read_bytes()
+    for content, match in (
+        (b"", "no .c3d"),
+        (b"abc", "no .c3d"),
+        (whole[:600], "cannot be read as .c3d, or is cut"),
+        (whole[:2] + b"\xff" * 2000, "cannot be read as .c3d, or is cut"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(DataError, match=match):
+            read_result(path)
+    with pytest.raises(DataError, match="cannot be read"):
+        read_result(tmp_path / "none.c3d")
+
+
+def test_without_ezc3d_it_is_said_how_to_install_it(tmp_path):
+    program = (
+        "import sys; sys.modules['ezc3d'] = None\n"
+        "from mbd_ros.files.formats import read_result\n"
+        f"read_result({str(tmp_path / 'walk.c3d')!r})\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert "ezc3d is not installed: pip install 'mbd_ros[biomechanics]'" in ended.stderr
