@@ -50,6 +50,9 @@ COMMANDS: Mapping[str, Command] = {
     "simulate": Command(
         "mbd_ros.jobs.simulate.command", "motion from forces, with constraint forces"
     ),
+    "muscles": Command(
+        "mbd_ros.jobs.muscles.command", "forces of muscles and loads of joints of a motion"
+    ),
     "replay": Command(
         "mbd_ros.jobs.replay.command", "a bag through the live node, with an error table"
     ),

@@ -186,7 +186,8 @@ def build(
             robot = parts["robot"]
         elif robot is not None:
             robot = _with_armature(robot, parts_in(section, parts[section.key]))
-    refuse_repeated(origin.name, parts, robot)
+    if origin.task_of is None:  # parts of a task have no names
+        refuse_repeated(origin.name, parts, robot)
     return Built(parts, robot)
 
 

@@ -171,7 +171,10 @@ SECTIONS = (
     ),
     Section("safe", Form.SINGLE, f"{_ENTRIES}:build_safe", (), absent=_NOTHING),
 )
-TASKS = (Section("simulate", Form.SINGLE, "mbd_ros.scene.simulate_task:build_task", ()),)
+TASKS = (
+    Section("simulate", Form.SINGLE, "mbd_ros.scene.simulate_task:build_task", ()),
+    Section("muscles", Form.SINGLE, "mbd_ros.scene.muscles_task:build_task", ()),
+)
 
 
 def keys(table: Iterable[Section]) -> tuple[str, ...]:

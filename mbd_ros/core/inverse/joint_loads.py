@@ -66,6 +66,7 @@ class JointLoads:
 
     Attributes:
         joined: The links.
+        side: As given.
 
     Raises:
         ModelError: Unknown link, or one that no joint carries.
@@ -80,7 +81,7 @@ class JointLoads:
         links: Sequence[str] = (),
         side: Side = "child",
     ) -> None:
-        self._robot, self._reactions, self._side = robot, reactions, side
+        self._robot, self._reactions, self.side = robot, reactions, side
         self._k = Kinematics(robot)
         self._muscles = tuple(muscles)
         bodies = [(i, r) for i, r in enumerate(reserves) if isinstance(r, BodyReserve)]
@@ -163,17 +164,17 @@ class JointLoads:
 
     def _seen(self, loads: Array, origins: Array) -> Array:
         """Loads from the side that is asked for, shape as loads."""
-        if self._side == "ground":
+        if self.side == "ground":
             return loads
         turned = np.empty_like(loads)
         for row, link in enumerate(self.joined):
             load = loads[..., row, :]
-            if self._side == "parent":
+            if self.side == "parent":
                 arm = origins[row] - self._k.position(link.parent)
                 load = -np.concatenate(
                     (load[..., :3], load[..., 3:] + np.cross(arm, load[..., :3])), axis=-1
                 )
-            R = self._k.rotation(link.child if self._side == "child" else link.parent)
+            R = self._k.rotation(link.child if self.side == "child" else link.parent)
             turned[..., row, :3], turned[..., row, 3:] = load[..., :3].dot(R), load[..., 3:].dot(R)
         return turned
 

@@ -10,7 +10,7 @@ Source: K. R. Kaufman, K. An, W. Litchy, E. Chao, J. Biomech. 24 (1991) 781, 793
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.inverse.muscle_frames import Frames, MuscleFrames
 from mbd_ros.core.inverse.reserves import BodyReserve, CoordinateReserve
 from mbd_ros.core.inverse.sharing_criteria import DEFAULT, Criterion, sizes_of
+from mbd_ros.core.model.couplings import Slopes
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.optimization.separable_cost import SeparableCost
@@ -156,7 +157,8 @@ class StaticOptimization:
             SolveError: A frame whose answer does not pass the check, by its time.
         """
         needed = self.known.batch(position, velocity, acceleration, wrenches).tau
-        frames = self._frames.at(*self._expanded(position, velocity))
+        (q, v, _), slopes = self._expanded(position, velocity, acceleration)
+        frames = self._frames.at(q, v, slopes)
         gains = np.concatenate((frames.active, np.tile(self._optimal, (len(times), 1))), axis=1)
         A, b = frames.columns * gains[:, None, :], needed
         if self.wishes.passive:
@@ -185,12 +187,20 @@ class StaticOptimization:
             tuple(optimum.movable for optimum in found),
         )
 
-    def _expanded(self, position: Array, velocity: Array) -> tuple[Array, Array, Any]:
+    def expanded(
+        self, position: Array, velocity: Array, acceleration: Array
+    ) -> tuple[Array, Array, Array]:
+        """Motion of all joints, shape (nq, frames) and twice (nv, frames); see `solve`."""
+        return self._expanded(position, velocity, acceleration)[0]
+
+    def _expanded(
+        self, position: Array, velocity: Array, acceleration: Array
+    ) -> tuple[tuple[Array, Array, Array], Slopes]:
         couplings, count = self.known.couplings, len(position)
-        q, v = np.empty((self._nq, count)), np.zeros((self._nv, count))
+        q, v, a = (np.zeros((size, count)) for size in (self._nq, self._nv, self._nv))
         q[couplings.q_index], v[couplings.v_index] = position.T, velocity.T
-        slopes = couplings.expand(q, v, np.zeros_like(v))
-        return q, v, slopes
+        a[couplings.v_index] = acceleration.T
+        return (q, v, a), couplings.expand(q, v, a)
 
     def _share(
         self, t: float, A: Array, b: Array, prices: Array, measured: Array

@@ -69,7 +69,7 @@ def inverse_of_all(batch: Batch, say: Say) -> None:
         DataError: Motions that failed, by name, when the others are done; before any is done
             names that would meet in the folder, or a folder that cannot be.
     """
-    results = _places(batch.motions, batch.out)
+    results = places(batch.motions, batch.out)
     for out in results.values():
         refuse_overwriting(out, batch.wrenches, batch.external)
     refuse_unused(load_scene(batch.scene), batch.wrenches)
@@ -132,7 +132,7 @@ def _work(batch: Batch, motion: Path, out: Path) -> WorkerTask:
     return WorkerTask(str(motion), f"{__name__}:{one.__name__}", argument)
 
 
-def _places(motions: Sequence[Path], folder: Path) -> dict[Path, Path]:
+def places(motions: Sequence[Path], folder: Path) -> dict[Path, Path]:
     """Motion -> result of the same name, and so of the same format."""
     taken: dict[Path, Path] = {}
     sources = {motion.resolve() for motion in motions}

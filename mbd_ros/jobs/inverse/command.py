@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=path_word,
         help="external loads of OpenSim (.xml with its .mot), in place of those of the scene",
     )
-    _add_derivatives(parser)
+    add_derivatives(parser)
     parser.add_argument(
         "--parts",
         action="store_true",
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_workers(parser)
 
 
-def _add_derivatives(parser: argparse.ArgumentParser) -> None:
+def add_derivatives(parser: argparse.ArgumentParser) -> None:
     """Where velocities and accelerations come from."""
     parser.add_argument(
         "--derivatives",

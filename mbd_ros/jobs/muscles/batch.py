@@ -1,0 +1,154 @@
+"""Muscle forces of several motions, one each on a core or on a cluster."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mbd_ros.errors import DataError, MbdError
+from mbd_ros.files.replacing import refuse_overwriting
+from mbd_ros.jobs.inverse.batch import places
+from mbd_ros.jobs.inverse.derivatives import Derivatives
+from mbd_ros.jobs.inverse.observed import Say, Task
+from mbd_ros.jobs.muscles.job import Sharing, muscles_to
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.code_permission import is_permitted, permitting
+from mbd_ros.scene.muscles_task import muscles_task
+from mbd_ros.scene.reader import load_scene
+from mbd_ros.workers.opening import do_all, open_workers
+from mbd_ros.workers.remaining import watched
+from mbd_ros.workers.task import Task as WorkerTask
+
+_PATHS = ("scene", "out", "wrenches", "external", "task")
+
+
+class Batch(NamedTuple):
+    """Order of a batch.
+
+    Attributes:
+        motions: Tables and bags.
+        options: Keys of the section `muscles` of a task file.
+        scene: The scene.
+        out: Folder of the results; the result itself where there is one motion.
+        wrenches: Table or bag of the external loads of every motion.
+        external: External loads of OpenSim (.xml) of every motion.
+        derivatives: given, causal, zero-phase or opensim.
+        cutoff: Of the filters [Hz].
+        half_width: Samples on either side of a local zero-phase fit.
+        topic: JointState topic of bags.
+        task: Task file whose section `muscles` says what the options leave out.
+        scheduler: Of a Dask cluster; None for processes of this machine.
+        workers: How many processes; None for one a core.
+    """
+
+    motions: Sequence[Path]
+    options: Mapping[str, Any]
+    scene: Path
+    out: Path
+    wrenches: Path | None
+    external: Path | None
+    derivatives: str
+    cutoff: float | None
+    half_width: int | None
+    topic: str
+    task: Path | None
+    scheduler: str | None
+    workers: int | None
+
+
+def muscles_of_one(batch: Batch, say: Say) -> None:
+    """Do the only motion; `say` is told of it."""
+    if batch.scheduler is not None or batch.workers is not None:
+        raise DataError("--scheduler and --workers go with several motions")
+    _muscles(batch, load_scene(batch.scene), say)
+
+
+def muscles_of_all(batch: Batch, say: Say) -> None:
+    """Do all motions, each into a file or folder of its own name below `batch.out`.
+
+    Args:
+        batch: The motions.
+        say: Is told the summary of every motion, as they end.
+
+    Raises:
+        DataError: Motions that failed, by name, when the others are done; before any is done
+            names that would meet in the folder, or a folder that cannot be.
+    """
+    results = places(batch.motions, batch.out)
+    for out in results.values():
+        refuse_overwriting(out, batch.wrenches, batch.external)
+    _options(batch, load_scene(batch.scene))
+    try:
+        batch.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{batch.out}: cannot be made a folder ({error.strerror})") from error
+    tasks = [_work(batch, motion, out) for motion, out in results.items()]
+    failed = []
+    with open_workers(batch.scheduler, batch.workers) as workers:
+        for task, result in watched(do_all(workers, tasks), tasks, workers.count):
+            lines, error = result.value or ([], result.failure)
+            if error:
+                failed.append(f"{task.name}: {error.removeprefix(f'{task.name}: ')}")
+            else:
+                say(f"{task.name}: {'; '.join(lines)}")
+    if failed:
+        told = "\n  ".join(sorted(failed))
+        raise DataError(f"{len(failed)} of {len(tasks)} motions failed:\n  {told}")
+
+
+def one(argument: Mapping[str, Any]) -> tuple[list[str], str]:
+    """One motion, in a worker.
+
+    Args:
+        argument: `batch`, the fields of a `Batch` with one motion, paths as text; `allow_code`,
+            whether its scene may name code of others.
+
+    Returns:
+        Its lines, and why it failed.
+    """
+    fields = dict(argument["batch"])
+    for name in _PATHS:
+        fields[name] = None if fields[name] is None else Path(fields[name])
+    batch = Batch(**{**fields, "motions": [Path(motion) for motion in fields["motions"]]})
+    lines: list[str] = []
+    try:
+        with permitting(argument["allow_code"]):
+            _muscles(batch, load_scene(batch.scene), lines.append)
+    except MbdError as error:
+        return lines, str(error)
+    return lines, ""
+
+
+def _muscles(batch: Batch, scene: Scene, say: Say) -> None:
+    derivatives = Derivatives(batch.derivatives, batch.cutoff, batch.half_width)
+    (motion,) = batch.motions
+    task = Task(motion, derivatives, batch.wrenches, batch.topic, external=batch.external)
+    options = _options(batch, scene)
+    asked = muscles_task(scene, options, "muscles")
+    muscles_to(scene, Sharing(task, asked, options), batch.out, say)
+
+
+def _options(batch: Batch, scene: Scene) -> dict[str, Any]:
+    """Options of the command, and else of the task file; checked."""
+    options: dict[str, Any] = {}
+    if batch.task is not None:
+        from mbd_ros.scene.task_reader import read_task
+
+        entry = read_task(batch.task, scene).entries.get("muscles")
+        if entry is None:
+            raise DataError(f"--task {batch.task}: has no section muscles")
+        options = dict(entry)
+        for key in ("emg", "reserves"):  # relative to the task file
+            if isinstance(options.get(key), str):
+                options[key] = str((batch.task.parent / options[key]).absolute())
+    options |= batch.options
+    muscles_task(scene, options, "muscles").solver(scene)
+    return options
+
+
+def _work(batch: Batch, motion: Path, out: Path) -> WorkerTask:
+    place = Path if batch.scheduler is None else Path.absolute
+    fields = batch._asdict() | {"motions": [str(place(motion))], "out": str(out)}
+    for name in ("scene", "wrenches", "external", "task"):
+        fields[name] = None if fields[name] is None else str(place(fields[name]))
+    argument = {"batch": fields, "allow_code": is_permitted()}
+    return WorkerTask(str(motion), f"{__name__}:{one.__name__}", argument)

@@ -1,0 +1,178 @@
+"""The `muscles` section of a task file: how the muscles of a scene share a motion's forces."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from mbd_ros.core.inverse.joint_loads import JointLoads, Side
+from mbd_ros.core.inverse.reactions import JointReactions
+from mbd_ros.core.inverse.reserves import (
+    BodyReserve,
+    CoordinateReserve,
+    coordinate_reserves,
+    reserve_on,
+)
+from mbd_ros.core.inverse.sharing_criteria import EXPONENTS, Criterion
+from mbd_ros.core.inverse.static_optimization import StaticOptimization, Wishes
+from mbd_ros.core.ranges import Positive, Unit, Within
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.scene import schema
+from mbd_ros.scene.building import Site
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.locate import find_file
+
+Objective = Literal["activation", "stress", "volume", "metabolic"]
+Use = Literal["track", "least"]
+OptionalRate = Annotated[float | None, Within(1.0e-9, 1.0e9), Unit("1/s")]
+Exponent = Annotated[float | None, Within(1.0, 10.0), Unit("-")]
+
+
+@dataclass(frozen=True)
+class MusclesTask:
+    """Static optimisation, asked of a scene with muscles.
+
+    Attributes:
+        wishes: What is asked of the activations.
+        reserves: What helps the muscles.
+        emg: Table of measured activations, `<muscle>.activation`; None without.
+        side: Whose loads of joints are asked for; None for no loads.
+        links: Whose joint; empty for all.
+        by_muscle: Whether the loads of each muscle are asked for, too.
+    """
+
+    wishes: Wishes
+    reserves: tuple[CoordinateReserve | BodyReserve, ...]
+    emg: Path | None
+    side: Side | None
+    links: tuple[str, ...]
+    by_muscle: bool
+
+    def solver(self, scene: Scene) -> StaticOptimization:
+        """Static optimisation with its own Pinocchio data.
+
+        Raises:
+            SceneError: The scene has no muscles, or loops.
+        """
+        if scene.has_loops:
+            rows = ", ".join(part.name for part in scene.constraints if part.law.is_rigid)
+            raise SceneError(
+                f"{scene.name}: muscles share the forces of open chains and couplings; "
+                f"leave out the loops {rows}"
+            )
+        known: Any = scene.inverse_dynamics()
+        try:
+            return StaticOptimization(
+                scene.robot, known, scene.muscles, self.reserves, self.wishes
+            )
+        except ModelError as error:
+            raise SceneError(f"{scene.name}: {error}") from error
+
+    def loads(self, scene: Scene) -> JointLoads | None:
+        """Loads of joints with their own Pinocchio data; None where nobody asks for them."""
+        if self.side is None:
+            return None
+        robot, none = scene.robot, ConstraintRows((), int(scene.robot.model.nv))
+        bare = JointReactions(robot, none, tuple(scene.wrenches.values()), scene.forces)
+        try:
+            return JointLoads(robot, bare, scene.muscles, self.reserves, self.links, self.side)
+        except ModelError as error:
+            raise SceneError(f"{scene.name}: links: {error}") from error
+
+
+def build_task(site: Site, given: Any) -> MusclesTask:
+    """The `muscles` section of a task file.
+
+    Raises:
+        SceneError: Names file, key, what is wrong and what is accepted.
+    """
+    scene: Any = site.origin.task_of
+    return muscles_task(scene, given, site.where, site.origin.folder)
+
+
+def muscles_task(scene: Scene, given: Any, where: str, folder: Path = Path()) -> MusclesTask:
+    """The task that options ask for.
+
+    Args:
+        scene: The scene.
+        given: Options by name, see `_task`.
+        where: File and key, for the messages.
+        folder: Where paths begin.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    task: MusclesTask = schema.call(_task, given, where, scene, where, folder)
+    return task
+
+
+def _task(
+    scene: Scene,
+    where: str,
+    folder: Path,
+    *,
+    objective: Objective = "activation",
+    exponent: Exponent = None,
+    passive: bool = False,
+    reserves: Any = None,
+    residuals: Sequence[Mapping[str, Any]] = (),
+    rise: OptionalRate = None,
+    fall: OptionalRate = None,
+    emg: str | None = None,
+    emg_use: Use = "track",
+    emg_weight: Annotated[Positive, Unit("-")] = 10.0,
+    reactions: Side | None = None,
+    links: Sequence[str] = (),
+    by_muscle: bool = False,
+) -> MusclesTask:
+    tracking = emg_weight if emg is not None and emg_use == "track" else 0.0
+    wishes = Wishes(
+        Criterion(objective, EXPONENTS[objective] if exponent is None else exponent),
+        passive,
+        math.inf if rise is None else rise,
+        math.inf if fall is None else fall,
+        tracking,
+        emg is not None and emg_use == "least",
+    )
+    if reactions is None and (links or by_muscle):
+        raise SceneError(f"{where}.reactions: is missing, links and by_muscle say more of it")
+    helping = [*_reserves(scene, reserves, f"{where}.reserves", folder)]
+    for i, entry in enumerate(residuals):
+        helping.append(
+            schema.call(BodyReserve, dict(entry), f"{where}.residuals[{i}]", scene.robot)
+        )
+    _refuse_repeated(scene, helping, where)
+    file = None if emg is None else find_file(folder, emg, f"{where}.emg")
+    return MusclesTask(wishes, tuple(helping), file, reactions, tuple(links), by_muscle)
+
+
+def _reserves(
+    scene: Scene, given: Any, where: str, folder: Path
+) -> Sequence[CoordinateReserve | BodyReserve]:
+    """A number for all coordinates, numbers by joint, or a file of OpenSim."""
+    robot, couplings = scene.robot, scene.couplings
+    if given is None:
+        return ()
+    if isinstance(given, str):
+        from mbd_ros.scene.osim.reserves import read_reserves  # reads XML
+
+        return read_reserves(find_file(folder, given, where), robot, couplings)
+    if isinstance(given, Mapping):
+        numbers = {n: schema.value(v, Positive, f"{where}.{n}") for n, v in given.items()}
+        try:
+            return [reserve_on(robot, couplings, name, n) for name, n in numbers.items()]
+        except ModelError as error:
+            raise SceneError(f"{where}: {error}") from error
+    return coordinate_reserves(robot, couplings, schema.value(given, Positive, where))
+
+
+def _refuse_repeated(
+    scene: Scene, helping: Sequence[CoordinateReserve | BodyReserve], where: str
+) -> None:
+    seen = {muscle.name for muscle in scene.muscles}
+    for reserve in helping:
+        if reserve.name in seen:
+            raise SceneError(f"{where}: the name {reserve.name} of a reserve is taken")
+        seen.add(reserve.name)
