@@ -44,6 +44,7 @@ class SymbolicKinematics:
     maximum = staticmethod(function(ca.fmax, max))
     minimum = staticmethod(function(ca.fmin, min))
     copysign = staticmethod(function(ca.copysign, math.copysign))
+    arctan2 = staticmethod(function(ca.atan2, math.atan2))
 
     def __init__(self, robot: Robot, tree: Tree, q: Any, v: Any) -> None:
         self._robot, self._tree = robot, tree

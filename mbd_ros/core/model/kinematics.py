@@ -51,7 +51,7 @@ class Kinematics:
     array: Callable[..., Any] = staticmethod(np.array)
     sqrt, exp, log = staticmethod(math.sqrt), staticmethod(math.exp), staticmethod(math.log)
     tanh, sin, cos = staticmethod(math.tanh), staticmethod(math.sin), staticmethod(math.cos)
-    copysign = staticmethod(math.copysign)
+    copysign, arctan2 = staticmethod(math.copysign), staticmethod(math.atan2)
     maximum, minimum = staticmethod(max), staticmethod(min)
 
     def __init__(self, robot: Robot, data: Any = None) -> None:
