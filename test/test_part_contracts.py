@@ -16,7 +16,7 @@ from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.parts import Part
 from mbd_ros.core.ranges import described
 from mbd_ros.core.row_laws import Kind, Level
-from mbd_ros.core.state import NONE, State
+from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import Origin, Site
@@ -217,7 +217,7 @@ def test_force_does_the_work_that_its_potential_loses(name, base):
     part, model = part_in(scene), scene.robot.model
     for k, x in moments(scene):
         still, v = State(x.t, x.q, 0.0 * x.v), x.v
-        power = v @ part.force(*refreshed(k, still), NONE)
+        power = v @ part.force(*refreshed(k, still), scene.inputs.safe)
         ends = [
             part.potential(*refreshed(k, still._replace(q=pin.integrate(model, x.q, h * v))))
             for h in (-1e-5, 1e-5)

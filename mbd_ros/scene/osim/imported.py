@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from mbd_ros.scene.osim.couplers import Coupled, entry_of, read_couplers
+from mbd_ros.scene.osim.forces import force_entry
 from mbd_ros.scene.osim.frames import GROUND, Frames, bodies_of
 from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.joints import read_joints
@@ -58,8 +59,7 @@ def import_osim(
     joints, loops = in_tree_order(read_joints(model, frames), frames, model)
     mechanism = Mechanism(joints, frames)
     coupled = read_couplers(model, mechanism.coordinates, mechanism.follows, locked or {})
-    names = {joint.name for joint in mechanism.joints}
-    reading = Reading(model, frames, names, coupled.fixed, mechanism.carriers(coupled.fixed))
+    reading = Reading(model, frames, mechanism, coupled.fixed)
     reading.left_out += coupled.left_out
     for joint in joints:
         if joint.missing:
@@ -116,6 +116,7 @@ def _robot(
 
 def _sections(reading: Reading, mechanism: Mechanism, coupled: Coupled) -> dict[str, Any]:
     sections: dict[str, Any] = {"couplings": {}, "paths": {}, "muscles": []}
+    sections |= {"forces": [], "actuators": [], "constraints": [], "contacts": []}
     for name, (parent, function) in coupled.follows.items():
         sections["couplings"][name] = entry_of(parent, function)
     for item in reading.forces():
@@ -129,13 +130,16 @@ def _sections(reading: Reading, mechanism: Mechanism, coupled: Coupled) -> dict[
 
 
 def _add_force(reading: Reading, sections: dict[str, Any], item: Item) -> None:
-    if not is_muscle(item):
-        raise Unexpressed("is not expressed")
-    path, entry = read_path(reading, item), muscle_entry(item)
-    name = reading.names.part(item.name, "muscle")
-    title = reading.names.part(f"{name}_path", "path")
-    sections["paths"][title] = path
-    sections["muscles"].append({"name": name, "path": title, **entry})
+    """A muscle or another force; its path has its name where no other part has it."""
+    if is_muscle(item):
+        section, entry = "muscles", {"path": read_path(reading, item), **muscle_entry(item)}
+    else:
+        section, entry = force_entry(reading, item)
+    name = reading.names.part(item.name, section.removesuffix("s"))
+    if "path" in entry:
+        title = reading.names.part(f"{name}_path", "path")
+        sections["paths"][title], entry["path"] = entry["path"], title
+    sections[section].append({"name": name, **entry})
 
 
 def _initial(

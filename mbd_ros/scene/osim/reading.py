@@ -6,6 +6,7 @@ from typing import NamedTuple
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.osim.frames import Attached, Frames, socket
 from mbd_ros.scene.osim.item import Item
+from mbd_ros.scene.osim.mechanism import Mechanism
 from mbd_ros.scene.osim.names import Names
 
 _FORCES = ("Force", "Muscle", "Actuator", "Spring", "Ligament")
@@ -38,27 +39,28 @@ class Reading:
     Args:
         model: The `<Model>`.
         frames: Its bodies and offset frames.
-        joints: Names of the joints of the scene.
+        mechanism: Its joints.
         fixed: Coordinates that do not move -> position [rad or m].
-        carriers: Link -> the joint that carries it, empty for ground.
 
     Attributes:
+        joints: Names of the joints of the scene.
+        turning: Those that turn.
+        held: Coordinates that move nothing.
+        carriers: Link -> the joint that carries it, empty for ground.
         left_out: Elements that the scene does not have.
         names: Of joints and parts.
     """
 
     def __init__(
-        self,
-        model: Item,
-        frames: Frames,
-        joints: set[str],
-        fixed: Mapping[str, float],
-        carriers: Mapping[str, str],
+        self, model: Item, frames: Frames, mechanism: Mechanism, fixed: Mapping[str, float]
     ) -> None:
-        self.model, self.frames, self.joints, self.fixed = model, frames, joints, fixed
-        self.carriers = carriers
+        self.model, self.frames, self.fixed = model, frames, fixed
+        self.joints = {joint.name for joint in mechanism.joints}
+        self.turning = {j.name for j in mechanism.joints if j.motion and j.motion.turns}
+        self.held = mechanism.coordinates.keys() - self.joints - fixed.keys()
+        self.carriers = mechanism.carriers(fixed)
         self.left_out: list[LeftOut] = []
-        self.names = Names(joints)
+        self.names = Names(self.joints)
 
     def leave_out(self, item: Item, reason: str) -> None:
         """Note that the scene does not have an element."""
@@ -80,6 +82,8 @@ class Reading:
         """
         path = socket(item, *sockets)
         name = path.rstrip("/").split("/")[-1]
+        if name in self.held:
+            raise Unexpressed(f"'{name}' moves nothing")
         if name not in self.joints and name not in self.fixed:
             known = ", ".join(sorted(self.joints))
             raise item.error(f"there is no coordinate '{path}'; there are {known}")
