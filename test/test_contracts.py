@@ -19,7 +19,7 @@ from mbd_ros.core.projection.stabilizing import Stabilization
 from mbd_ros.core.row_laws import Level
 from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.sensor import Sensor
-from mbd_ros.core.state import NONE, State
+from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import Origin, Site
@@ -158,9 +158,9 @@ def test_unknown_names_are_answered_with_those_that_exist(section, name, robot):
 @pytest.mark.parametrize("name", PARTS["forces"])
 def test_force_is_fresh_finite_and_changes_nothing(name, robot, moment):
     part, (k, x) = built("forces", name, robot), moment
-    x = with_states(part, x)
-    check_value(lambda: part.force(k, x, NONE), (robot.model.nv,), x)
-    assert x.t == 0.0 or part.force(k, x, NONE).any()
+    x, u = with_states(part, x), np.linspace(0.5, 1.0, len(part.inputs))
+    check_value(lambda: part.force(k, x, u), (robot.model.nv,), x)
+    assert x.t == 0.0 or part.force(k, x, u).any()
     assert np.isfinite(part.potential(k, x))
 
 
