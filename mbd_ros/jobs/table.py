@@ -50,6 +50,9 @@ COMMANDS: Mapping[str, Command] = {
     "simulate": Command(
         "mbd_ros.jobs.simulate.command", "motion from forces, with constraint forces"
     ),
+    "kinematics": Command(
+        "mbd_ros.jobs.kinematics.command", "motion of all joints from recorded markers"
+    ),
     "muscles": Command(
         "mbd_ros.jobs.muscles.command", "forces of muscles and loads of joints of a motion"
     ),

@@ -1,0 +1,215 @@
+"""Motion from recorded markers: `mbd-ros kinematics`."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.estimation.marker_cost import Seen
+from mbd_ros.core.estimation.marker_fit import Fit
+from mbd_ros.core.estimation.marker_kinematics import MarkerKinematics
+from mbd_ros.core.state import Array
+from mbd_ros.errors import DataError, ModelError, SceneError
+from mbd_ros.files.recordings import Source, name_of, read_columns
+from mbd_ros.files.replacing import check_place, refuse_overwriting
+from mbd_ros.files.table import MAIN, Result
+from mbd_ros.jobs.columns import state_topics
+from mbd_ros.jobs.error_source import about
+from mbd_ros.jobs.kinematics.capture import Capture, read_capture
+from mbd_ros.jobs.kinematics.matching import Matched, match
+from mbd_ros.jobs.kinematics.remarks import remarks_of
+from mbd_ros.jobs.kinematics.tables import RESIDUALS, residual_table, sample_table
+from mbd_ros.jobs.metadata import metadata_of
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.kinematics_task import KinematicsTask, refuse_unknown_joints
+
+Say = Callable[[str], None]
+NO_TASK = KinematicsTask()
+
+
+def kinematics(
+    scene: Scene,
+    markers: Source,
+    *,
+    task: KinematicsTask | str | Path = NO_TASK,
+    begin: float | None = None,
+    end: float | None = None,
+    unit: str | None = None,
+    smoothness: float | None = None,
+    limits: bool | None = None,
+    say: Say | None = None,
+) -> Result:
+    """Positions of all joints that fit recorded markers best.
+
+    Args:
+        scene: The scene, with markers among its `sensors`.
+        markers: Result or file of the markers.
+        task: Weights of markers and coordinates: a task, a task file, or a set-up of OpenSim's
+            inverse kinematics (.xml).
+        begin: First time [s], in place of that of the task.
+        end: Last time [s], likewise.
+        unit: Of the places: m, mm or cm.
+        smoothness: In place of that of the task; 0 fits frames alone.
+        limits: Whether joints keep their limits.
+        say: Is called with each line for people; without it the lines are
+            `metadata["remarks"]`.
+
+    Returns:
+        Table `samples`: `time`, `<joint>.position` of all joints, coupled and locked ones too; of
+        free bodies `<body>.position.x` and so on. Table `residuals`: `objective`, `remainder`,
+        `rms`, `max`, and the distance of each marker, nan where it was not seen.
+
+    Raises:
+        DataError: Markers that cannot be read or do not fit the scene.
+        SolveError: A mechanism with loops does not close.
+    """
+    asked = read_tasks(scene, task)
+    given = {"begin": begin, "end": end, "unit": unit, "smoothness": smoothness, "limits": limits}
+    asked = replace(asked, **{key: one for key, one in given.items() if one is not None})
+    remarks: list[str] = []
+    found = _fitted(scene, markers, asked, say or remarks.append)
+    inputs = {"markers": markers, "task": asked.source or None, **given}
+    topics = state_topics(scene.robot, ("position",))
+    tables = {
+        MAIN: sample_table(scene, found.times, found.fit.q),
+        RESIDUALS: residual_table(found.solver, found.times, found.fit, found.seen),
+    }
+    result = Result(tables, metadata_of("kinematics", scene, inputs, topics))
+    if say is None:
+        result.metadata["remarks"] = remarks
+    return result
+
+
+def kinematics_to(
+    scene: Scene, markers: Path, out: Path, residuals: Path | None, say: Say, **options: Any
+) -> None:
+    """Read markers, write the motion, and perhaps the residuals.
+
+    Raises:
+        MbdError: As `kinematics`, or a place that cannot be written to.
+    """
+    for place in filter(None, (out, residuals)):
+        refuse_overwriting(place, markers)
+        check_place(place)
+    result = kinematics(scene, markers, say=say, **options)
+    result.to(out)
+    if residuals is not None:
+        Result({MAIN: result[RESIDUALS]}, result.metadata).to(residuals)
+    say(f"{result[MAIN].rows} frames -> {out}")
+
+
+def read_tasks(scene: Scene, task: KinematicsTask | str | Path) -> KinematicsTask:
+    """The task of a file, by its ending, or as it is.
+
+    Raises:
+        SceneError: Names file, key or element, and what is accepted.
+    """
+    if isinstance(task, KinematicsTask):
+        return task
+    if str(task).lower().endswith((".xml", ".xml.gz")):
+        from mbd_ros.scene.osim.inverse_kinematics_setup import read_setup
+
+        found = read_setup(Path(task))
+        known = {joint.name for joint in scene.robot.joints} | set(scene.robot.locked)
+        refuse_unknown_joints(
+            scene, {n: t for n, t in found.coordinates.items() if n not in known}, str(task)
+        )
+        return found
+    from mbd_ros.scene.task_reader import read_task
+
+    parts = read_task(task, scene).parts
+    if "kinematics" not in parts:
+        raise SceneError(f"{task}: no section 'kinematics'")
+    asked: KinematicsTask = parts["kinematics"]
+    return asked
+
+
+class _Found(NamedTuple):
+    solver: MarkerKinematics
+    times: Array
+    seen: Seen
+    fit: Fit
+
+
+def _fitted(scene: Scene, source: Source, task: KinematicsTask, say: Say) -> _Found:
+    capture = read_capture(source, task.unit).between(task.begin, task.end)
+    matched = match(scene, capture, task)
+    for line in matched.lines:
+        say(line)
+    capture, solver = _usable(matched, say), _solver(scene, matched, task)
+    targets = _targets(scene, capture, task)
+    seen = solver.seen(capture.places, capture.times, targets)
+    with about(capture.where):
+        fit = solver.trial(scene.initial.q, seen)
+        if task.smoothness:
+            from mbd_ros.jobs.kinematics.smooth_trial import smooth_trial  # loads scipy
+
+            fit = smooth_trial(solver.solver, fit, seen, task.smoothness)
+        for line in remarks_of(solver, capture, seen, fit):
+            say(line)
+    return _Found(solver, capture.times, seen, fit)
+
+
+def _solver(scene: Scene, matched: Matched, task: KinematicsTask) -> MarkerKinematics:
+    weights = {name: one.weight for name, one in _tasks(scene, task).items() if one.weight}
+    try:
+        return MarkerKinematics(
+            scene.robot,
+            scene.couplings,
+            matched.marks,
+            constraints=scene.constraints,
+            tasks=weights,
+            limits=task.limits,
+        )
+    except ModelError as error:
+        raise DataError(f"{matched.capture.where}: {error}") from error
+
+
+def _usable(matched: Matched, say: Say) -> Capture:
+    """The frames in which any marker was seen."""
+    capture = matched.capture
+    seen = np.isfinite(capture.places).all(axis=2).any(axis=1)
+    if not seen.any() and matched.marks:
+        raise DataError(f"{capture.where}: no frame has a marker of the model")
+    if matched.marks and not seen.all():
+        gaps = capture.times[~seen]
+        say(
+            f"warning: left out {len(gaps)} frames without any marker, the first at "
+            f"{gaps[0]:.9g} s, the last at {gaps[-1]:.9g} s"
+        )
+        return capture._replace(times=capture.times[seen], places=capture.places[seen])
+    return capture
+
+
+def _tasks(scene: Scene, task: KinematicsTask) -> Mapping[str, Any]:
+    """Tasks of joints that move; a locked one stays where it is."""
+    return {n: one for n, one in task.coordinates.items() if n not in scene.robot.locked}
+
+
+def _targets(scene: Scene, capture: Capture, task: KinematicsTask) -> dict[str, Array]:
+    """Joint -> positions that its task asks for at the frames."""
+    targets = {}
+    for name, one in _tasks(scene, task).items():
+        if one.from_motion and task.motion is not None:
+            targets[name] = _recorded(task.motion, name, capture.times)
+        else:
+            start = float(scene.initial.q[scene.robot.joint(name).q])
+            value = start if one.value is None else one.value
+            targets[name] = np.full(len(capture.times), value)
+    return targets
+
+
+def _recorded(motion: Source, name: str, times: Array) -> Array:
+    column = f"{name}.position"
+    columns = read_columns(motion, ["time", column])
+    if columns is None or np.isnan(columns[:, 1]).any():
+        raise DataError(f"{name_of(motion)}: no column {column}, which a coordinate task follows")
+    known = columns[:, 0]
+    if times[0] < known[0] - 1e-6 or times[-1] > known[-1] + 1e-6:
+        raise DataError(
+            f"{name_of(motion)}: has times {known[0]:g} .. {known[-1]:g} s, the markers "
+            f"{times[0]:g} .. {times[-1]:g} s"
+        )
+    return np.array(np.interp(times, known, columns[:, 1]))
