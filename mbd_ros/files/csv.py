@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mbd_ros.errors import DataError
 from mbd_ros.files.replacing import replacing
 from mbd_ros.files.table import MAIN, Column, Result, Table
-from mbd_ros.files.text_file import MAX_CELLS, MAX_COLUMNS, lines_of, reading
+from mbd_ros.files.text_file import MAX_CELLS, MAX_COLUMNS, Lines, reading
 from mbd_ros.files.times import RUN, STAMP, TIME
 
 NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
@@ -92,7 +92,7 @@ def read_table(
     """
     path = Path(path)
     with reading(path) as file:
-        lines = lines_of(path, file)
+        lines = Lines(path, file)
         columns = _columns(path, next(lines, b""), has_times)
         has_times = columns[0] == TIME
         may_lack = np.array([(nan_allowed or _never)(name) for name in columns])

@@ -1,7 +1,8 @@
 """External loads of OpenSim: an .xml that says which columns of a storage push which body."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.formats import read_result
-from mbd_ros.files.table import MAIN, Table
+from mbd_ros.files.storage_columns import REMARKS, REPEATED
+from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.files.text_file import reading
 from mbd_ros.files.times import TIME, motion_stamps
 
@@ -34,6 +36,7 @@ class ExternalLoad(NamedTuple):
         force: [N], shape (n, 3).
         point: Where the force acts, from the origin of `frame` [m], shape (n, 3).
         torque: Free moment [N·m], shape (n, 3).
+        remarks: What is odd about the file, for people.
     """
 
     name: str
@@ -44,6 +47,7 @@ class ExternalLoad(NamedTuple):
     force: Array
     point: Array
     torque: Array
+    remarks: tuple[str, ...] = ()
 
 
 def read_external_loads(path: str | Path) -> list[ExternalLoad]:
@@ -61,14 +65,8 @@ def read_external_loads(path: str | Path) -> list[ExternalLoad]:
     path = Path(path)
     loads = _element(path)
     forces, whole = loads.findall("objects/ExternalForce"), _text(loads, "datafile")
-    tables: dict[Path, Table] = {}
-
-    def table_of(source: Path) -> Table:
-        if source not in tables:
-            tables[source] = read_result(source)[MAIN]
-        return tables[source]
-
-    found = [_load(path, force, whole, table_of) for force in forces if _acts(force)]
+    read = cache(read_result)
+    found = [_load(path, force, whole, read) for force in forces if _acts(force)]
     if not found:
         raise DataError(f"{path}: no ExternalForce that is switched on")
     names = [load.name for load in found]
@@ -107,7 +105,7 @@ def _acts(force: ElementTree.Element) -> bool:
 
 
 def _load(
-    path: Path, force: ElementTree.Element, whole: str, table_of: Callable[[Path], Table]
+    path: Path, force: ElementTree.Element, whole: str, read: Callable[[Path], Result]
 ) -> ExternalLoad:
     given = force.get("name") or "force"
     where, name = f"{path}: ExternalForce {given}", _part_name(given)
@@ -118,10 +116,11 @@ def _load(
     if not place:
         raise DataError(f"{where}: neither datafile nor data_source_name names a file")
     source = _found(path, place)
-    table = table_of(source)
+    result = read(source)
+    table, repeated = result[MAIN], result.metadata.get(REPEATED, ())
     at = f"{where}: {source}"
     keys = ("force_identifier", "point_identifier", "torque_identifier")
-    pushes, acts, turns = (_columns(at, table, key, _text(force, key)) for key in keys)
+    pushes, acts, turns = (_columns(at, table, k, _text(force, k), repeated) for k in keys)
     if pushes is None and turns is None:
         raise DataError(f"{where}: neither force_identifier nor torque_identifier")
     nothing = np.zeros((table.rows, 3))
@@ -129,7 +128,8 @@ def _load(
         raise DataError(f"{at}: points more than {_FARTHEST:g} m away, are they in mm?")
     values = [nothing if one is None else one for one in (pushes, acts, turns)]
     frame = _frame(where, force, acts is not None)
-    return ExternalLoad(name, body, frame, source, motion_stamps(table, str(source)), *values)
+    stamps, remarks = motion_stamps(table, str(source)), result.metadata.get(REMARKS, ())
+    return ExternalLoad(name, body, frame, source, stamps, *values, tuple(remarks))
 
 
 def _frame(where: str, force: ElementTree.Element, has_point: bool) -> str:
@@ -164,7 +164,9 @@ def _found(path: Path, text: str) -> Path:
     raise DataError(f"{path}: data file '{text}' does not exist, looked for {places}")
 
 
-def _columns(where: str, table: Table, key: str, identifier: str) -> Array | None:
+def _columns(
+    where: str, table: Table, key: str, identifier: str, repeated: Collection[str]
+) -> Array | None:
     """Three columns of an identifier, shape (n, 3); None without one."""
     if not identifier:
         return None
@@ -177,6 +179,8 @@ def _columns(where: str, table: Table, key: str, identifier: str) -> Array | Non
             f"{where}: {key} '{identifier}' begins {len(names)} columns, expected x, y and z; "
             f"there are: {there} .."
         )
+    if not set(names).isdisjoint(repeated):
+        raise DataError(f"{where}: several columns are called {', '.join(names)}")
     values = np.column_stack([table[name] for name in names])
     lost = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if lost.size:

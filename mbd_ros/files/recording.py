@@ -19,6 +19,7 @@ class Recording(NamedTuple):
         by_log_time: Header stamps were zero, so stamps are the log times of the bag.
         assumed: Required joints that a storage of a laboratory lacks, at the position assumed.
         unused: Labels of such a storage that are of no joint asked for; None of other sources.
+        remarks: What is odd about such a storage, for people.
     """
 
     motion: Motion
@@ -26,3 +27,4 @@ class Recording(NamedTuple):
     by_log_time: bool = False
     assumed: tuple[str, ...] = ()
     unused: tuple[str, ...] | None = None
+    remarks: tuple[str, ...] = ()

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.body_columns import ACCELERATION, POSE, TWIST, names_of
 from mbd_ros.files.formats import format_of, is_bag
 from mbd_ros.files.recording import NO_BODIES, Recording
-from mbd_ros.files.storage_columns import is_storage, joint_columns, other_labels
+from mbd_ros.files.storage_columns import REMARKS, is_storage, joint_columns, other_labels
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.files.times import TIME, motion_stamps
 from msg_adapters.odometry import OFF_UNIT
@@ -65,7 +66,7 @@ def read_motion(
 
         wanted = Wanted(tuple(joints), tuple(needed), bodies, frozenset(members))
         return bag_motion(Path(source), topic, wanted)
-    table, where, labels = _samples(source, (), joints, sliding)
+    table, where, labels, remarks = _samples(source, (), joints, sliding)
     lacking: list[str] = []
     if labels is not None and assumed is not None:
         lacking = [name for name in needed if f"{name}.position" not in table]
@@ -81,7 +82,23 @@ def read_motion(
     fields = position, velocity, acceleration, effort, command
     moving = tuple(_body(table, where, name) for name in bodies)
     motion = Motion(tuple(joints), motion_stamps(table, where), *fields, moving)
-    return Recording(motion, Counter(), False, tuple(lacking), labels)
+    return Recording(motion, Counter(), False, tuple(lacking), labels, remarks)
+
+
+class _Samples(NamedTuple):
+    """What is read of a source.
+
+    Attributes:
+        table: Its samples.
+        where: Its name.
+        unused: Labels of a storage that are of no joint; None of other sources.
+        remarks: What is odd about a storage.
+    """
+
+    table: Table
+    where: str
+    unused: tuple[str, ...] | None = None
+    remarks: tuple[str, ...] = ()
 
 
 def _constant(table: Table, joint: str, position: float) -> Column:
@@ -117,7 +134,7 @@ def read_columns(source: Source, names: Sequence[str]) -> Array | None:
     """
     if not names or (not isinstance(source, Result) and is_bag(source)):
         return None
-    return _columns(_samples(source, ())[0], list(names))
+    return _columns(_samples(source, ()).table, list(names))
 
 
 def name_of(source: Source) -> str:
@@ -131,8 +148,8 @@ def _samples(
     joints: Sequence[str] = (),
     sliding: Collection[str] = (),
     prefers: str = MAIN,
-) -> tuple[Table, str, tuple[str, ...] | None]:
-    """Table `samples` of a result or file, the name of the source, and labels without a use.
+) -> _Samples:
+    """Table `samples` of a result or file, and what is said of it.
 
     Args:
         source: Result or file.
@@ -153,9 +170,9 @@ def _samples(
     if not table.rows:
         raise DataError(f"{where}: table {MAIN} has no row")
     if not is_storage(source):
-        return table, where, None
-    unused = tuple(other_labels(table, joints))
-    return joint_columns(source, table, where, joints, sliding), where, unused
+        return _Samples(table, where)
+    unused, remarks = tuple(other_labels(table, joints)), tuple(source.metadata[REMARKS])
+    return _Samples(joint_columns(source, table, where, joints, sliding), where, unused, remarks)
 
 
 def _check_columns(table: Table, where: str, names: Iterable[str]) -> None:
@@ -209,7 +226,7 @@ def read_wrenches(
 
         return bag_wrenches(Path(source), names, Counter() if dropped is None else dropped)
     points = {f"{name}.point.{axis}" for name in names for axis in "xyz"}
-    table, where, _ = _samples(source, points, prefers=_WRENCHES)
+    table, where, *_ = _samples(source, points, prefers=_WRENCHES)
     stamps = motion_stamps(table, where)
     return {name: WrenchSamples(stamps, _wrench(table, where, name)) for name in names}
 

@@ -7,7 +7,8 @@ metadata, so that it comes back as it was; OpenSim takes no notice of it.
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,15 +18,16 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.description import column_of, describe, described
 from mbd_ros.files.replacing import replacing
-from mbd_ros.files.storage_columns import DEGREES
+from mbd_ros.files.storage_columns import DEGREES, REMARKS, REPEATED
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.files.text_file import (
     MAX_COLUMNS,
+    Lines,
     check_times,
     labels_of,
-    lines_of,
     numbers_of,
     reading,
+    repeated_among,
 )
 from mbd_ros.files.times import STAMP, TIME
 
@@ -63,23 +65,34 @@ class Storage:
     def read(self, path: Path) -> Result:
         """Its columns; those of others by their labels, with `metadata["in_degrees"]`.
 
+        Rows at the time of the row before are left out, as a run that ends twice writes them. Of
+        columns with one label the second is `label (2)`; whoever asks for the label is refused.
+        `metadata["remarks"]` says so.
+
         Raises:
             DataError: File, line and column of what is not acceptable.
         """
         with reading(path) as file:
-            lines = lines_of(path, file)
+            lines = Lines(path, file)
             header = _header(path, lines)
             labels = labels_of(path, next(lines, b""), header.lines + 1)
             values = numbers_of(path, lines, labels, header.lines + 2)
         labels, values = _with_time(path, header, labels, values)
-        _check_size(path, header, labels, values)
-        check_times(path, values[:, 0])
+        remarks = _size_remarks(path, header, labels, values, lines.ended)
         if _OURS in header.keys:
+            check_times(path, values[:, 0])
             return _restored(path, header, values)
+        repeated = repeated_among(labels)
+        anew = np.concatenate([[True], np.diff(values[:, 0]) != 0.0])[: len(values)]
+        values = values[anew]
+        check_times(path, values[:, 0])
+        if not anew.all():
+            remarks.append(f"{(~anew).sum()} rows at the time of the row before are left out")
         columns = [Column(TIME, values[:, 0], "s")]
-        columns += [Column(n, v) for n, v in zip(labels[1:], values[:, 1:].T, strict=True)]
-        metadata = {"name": header.name, DEGREES: header.in_degrees}
-        return Result({MAIN: Table(columns)}, metadata)
+        named = zip(_numbered(labels)[1:], values[:, 1:].T, strict=True)
+        columns += [Column(label, column) for label, column in named]
+        metadata = {"name": header.name, DEGREES: header.in_degrees, REPEATED: repeated}
+        return Result({MAIN: Table(columns)}, {**metadata, REMARKS: remarks})
 
     def write(self, path: Path, result: Result, degrees: bool = False) -> None:
         """Write a table; its `stamp`, the time in nanoseconds, is left out.
@@ -100,7 +113,8 @@ class Storage:
         if len(columns) > MAX_COLUMNS:
             raise DataError(f"{path}: {len(columns)} columns, accepted are {MAX_COLUMNS}")
         labels = [_label(column) for column in columns]
-        labels_of(path, "\t".join(labels).encode(), 1)  # refuses those that meet
+        if repeated := repeated_among(labels):
+            raise DataError(f"{path}: columns would meet at label {', '.join(repeated)}")
         kinds = {column.name: {"dtype": column.values.dtype.str} for column in columns}
         told = describe(Result({name: Table(columns)}, result.metadata), {name: kinds})
         head = (
@@ -169,18 +183,37 @@ def _with_time(
     return [TIME, *labels], np.column_stack([np.linspace(first, last, len(values)), values])
 
 
-def _check_size(path: Path, header: _Header, labels: list[str], values: Array) -> None:
-    """Refuse a table of another size than the header says: it is cut, or two stand in one."""
-    for keys, count, what in (
-        (("nrows", "datarows"), len(values), "rows"),
-        (("ncolumns", "datacolumns"), len(labels), "columns"),
-    ):
-        told = next((header.keys[key] for key in keys if key in header.keys), None)
-        if told is None:
-            continue
-        allowed = {count, count - 1} if header.is_simm and what == "columns" else {count}
-        if not told.strip().isdigit() or int(told) not in allowed:
-            raise DataError(f"{path}: has {count} {what}, its header says {told.strip()[:20]}")
+def _numbered(labels: Sequence[str]) -> list[str]:
+    """Labels of their own: a second `a` is `a (2)`."""
+    seen: Counter[str] = Counter()
+    names = []
+    for label in labels:
+        seen[label] += 1
+        names.append(f"{label} ({seen[label]})" if seen[label] > 1 else label)
+    return names
+
+
+def _size_remarks(
+    path: Path, header: _Header, labels: list[str], values: Array, ended: bool
+) -> list[str]:
+    """Refuse a table that is cut or of other columns than the header says; say other rows.
+
+    Files of laboratories often have other rows than their header says, since somebody took some
+    out: then the last line has its end.
+    """
+    columns, rows = (
+        next((header.keys[key].strip() for key in keys if key in header.keys), None)
+        for keys in (("ncolumns", "datacolumns"), ("nrows", "datarows"))
+    )
+    allowed = {len(labels), len(labels) - 1} if header.is_simm else {len(labels)}
+    if columns is not None and not (columns.isdigit() and int(columns) in allowed):
+        raise DataError(f"{path}: has {len(labels)} columns, its header says {columns[:20]}")
+    if rows is None or (rows.isdigit() and int(rows) == len(values)):
+        return []
+    text = f"has {len(values)} rows, its header says {rows[:20]}"
+    if not ended:
+        raise DataError(f"{path}: {text}, and the last line has no end: it is cut")
+    return [text]
 
 
 def _restored(path: Path, header: _Header, values: Array) -> Result:

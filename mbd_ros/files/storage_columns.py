@@ -10,6 +10,8 @@ from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.files.times import TIME
 
 DEGREES = "in_degrees"  # metadata of what others wrote: whether rotations are in degrees
+REPEATED = "repeated"  # its labels that stand there more than once
+REMARKS = "remarks"  # what is odd about it, for people
 _PATH = re.compile(r"/(?:.+/)?([^/]+)/(value|speed)")
 _QUANTITY = {"value": "position", "speed": "velocity"}
 _ENDS = {"": "position", "_u": "velocity", "_moment": "effort", "_force": "effort"}
@@ -51,6 +53,8 @@ def joint_columns(
         name = f"{joint}.{quantity}"
         if name in labels:
             raise DataError(f"{where}: columns {labels[name]} and {column.name} are both {name}")
+        if column.name in result.metadata.get(REPEATED, ()):
+            raise DataError(f"{where}: several columns are called {column.name}")
         labels[name] = column.name
         columns.append(_converted(result.metadata, column, name, joint in sliding))
         _check_finite(where, table, column)

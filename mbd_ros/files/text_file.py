@@ -39,18 +39,38 @@ def reading(path: Path) -> Iterator[Any]:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def lines_of(path: Path, file: Any) -> Iterator[bytes]:
-    """Lines without their ends; a last empty one is none.
+class Lines:
+    """Lines of a file without their ends; a last empty one is none.
+
+    Args:
+        path: File, for the messages.
+        file: Its bytes, as a stream.
+
+    Attributes:
+        ended: Whether the line that was read last had its end.
 
     Raises:
-        DataError: A line is too long.
+        DataError: When a line is too long.
     """
-    number = 0
-    while line := file.readline(MAX_LINE + 1):
-        number += 1
+
+    def __init__(self, path: Path, file: Any) -> None:
+        self._path, self._file, self._number = path, file, 0
+        self.ended = True
+
+    def __iter__(self) -> "Lines":
+        return self
+
+    def __next__(self) -> bytes:
+        line: bytes = self._file.readline(MAX_LINE + 1)
+        if not line:
+            raise StopIteration
+        self._number += 1
         if len(line) > MAX_LINE:
-            raise DataError(f"{path}: line {number} has more than {MAX_LINE} bytes, not accepted")
-        yield line.removesuffix(b"\n").removesuffix(b"\r")
+            raise DataError(
+                f"{self._path}: line {self._number} has more than {MAX_LINE} bytes, not accepted"
+            )
+        self.ended = line.endswith(b"\n")
+        return line.removesuffix(b"\n").removesuffix(b"\r")
 
 
 def labels_of(path: Path, line: bytes, number: int) -> list[str]:
@@ -62,7 +82,7 @@ def labels_of(path: Path, line: bytes, number: int) -> list[str]:
         number: Its number.
 
     Raises:
-        DataError: It is no text, or a label repeats or is empty.
+        DataError: It is no text, or a label is empty.
     """
     try:
         text = line.decode("utf-8-sig").rstrip()
@@ -73,9 +93,6 @@ def labels_of(path: Path, line: bytes, number: int) -> list[str]:
         raise DataError(f"{path}: line {number}: expected labels, there are none")
     if "" in labels:
         raise DataError(f"{path}: line {number}: column {labels.index('') + 1} has no label")
-    repeated = sorted(label for label, count in Counter(labels).items() if count > 1)
-    if repeated:
-        raise DataError(f"{path}: line {number} repeats label {', '.join(repeated)}")
     if len(labels) > MAX_COLUMNS:
         raise DataError(f"{path}: {len(labels)} columns, accepted are {MAX_COLUMNS}")
     return labels
@@ -156,6 +173,11 @@ def cell_number(path: Path, label: str, cell: bytes, number: int) -> float:
             f"{path}: line {number}, column {label}: {shown!r} is not a plain finite number or nan"
         )
     return value
+
+
+def repeated_among(labels: Sequence[str]) -> list[str]:
+    """Labels that stand there more than once, in order."""
+    return sorted(label for label, count in Counter(labels).items() if count > 1)
 
 
 def check_times(path: Path, times: Array) -> None:

@@ -15,7 +15,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.markers import GROUND, MARKERS, RATE
 from mbd_ros.files.replacing import replacing
 from mbd_ros.files.table import MAIN, Column, Result, Table
-from mbd_ros.files.text_file import MAX_CELLS, cell_number, check_times, lines_of, reading
+from mbd_ros.files.text_file import MAX_CELLS, Lines, cell_number, check_times, reading
 from mbd_ros.files.times import STAMP, TIME
 
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}  # -> m
@@ -46,7 +46,7 @@ class Trc:
             DataError: File, line and column of what is not acceptable.
         """
         with reading(path) as file:
-            lines = lines_of(path, file)
+            lines = Lines(path, file)
             head = [next(lines, b"") for _ in range(_HEADER)]
             keys = _keys(path, head)
             labels = _labels(path, head[3], keys)

@@ -23,6 +23,7 @@ class ExternalLoads:
 
     Attributes:
         scene: The scene with a load of every force.
+        remarks: What is odd about their files, for people.
 
     Raises:
         DataError: A file that cannot be read, or a body that the scene lacks.
@@ -30,6 +31,8 @@ class ExternalLoads:
 
     def __init__(self, scene: Scene, path: Path) -> None:
         self._path, self._loads = path, read_external_loads(path)
+        told = (f"{load.source}: {text}" for load in self._loads for text in load.remarks)
+        self.remarks = list(dict.fromkeys(told))
         self.scene = scene.with_(
             external_wrenches={load.name: _entry(scene, path, load) for load in self._loads}
         )

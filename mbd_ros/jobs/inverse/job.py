@@ -119,7 +119,10 @@ def _in_pieces(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
 def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     """See `inverse`."""
     external = _external(scene, task)
-    scene = scene if external is None else external.scene
+    if external is not None:
+        scene = external.scene
+        for text in external.remarks:
+            say(text)
     way = loops if scene.has_loops or task.bounds else open_chains
     if task.parts and not way.HAS_CAUSES:
         raise DataError(f"{scene.name}: --parts goes with scenes without loops and --bounds only")

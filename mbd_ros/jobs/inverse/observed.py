@@ -133,6 +133,7 @@ def _recording(
 def _storage_lines(where: str, recording: Recording) -> Iterator[str]:
     """What a storage of a laboratory has besides joints, and which of them it lacks."""
     motion = recording.motion
+    yield from (f"{where}: {text}" for text in recording.remarks)
     if recording.assumed:
         start = [motion.position[0, motion.names.index(name)] for name in recording.assumed]
         held = [f"{n} = {q:.6g}" for n, q in zip(recording.assumed, start, strict=True)]
