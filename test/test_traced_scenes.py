@@ -18,7 +18,8 @@ SCENES = Path(__file__).parents[1] / "config/scenes"
 EXACT = 1e-12
 DEPENDENT = {"a04_bricard", "x09_cranks", "x09_cranks_offset"}  # rows without a split of their own
 TRACED = (
-    *("arm7", "empty", "four_bar_leg", "free_flyer", "prosthetic_arm", "prosthetic_leg"),
+    *("arm7", "empty", "four_bar_leg", "free_flyer", "muscle_arm", "muscle_leg"),
+    *("prosthetic_arm", "prosthetic_leg"),
     "prosthetic_leg_stance",
     *(f"benchmark/{path.stem}" for path in sorted((SCENES / "benchmark").glob("*.yaml"))),
 )
@@ -37,7 +38,7 @@ def states(system, count=4, patience=100):
         if len(found) == count:
             break
         q = pin.integrate(system.chart.model, neutral, rng.uniform(-0.5, 0.5, system.nv))
-        z = system.internals.inside(rng.normal(size=system.internals.nz))
+        z = within(system.internals, rng)
         u = system.loads.idle + rng.normal(size=len(system.loads.idle))
         try:
             y = assemble(system, State(0.3, q, rng.normal(size=system.nv), z))
@@ -45,6 +46,14 @@ def states(system, count=4, patience=100):
             continue
         found.append((y, u))
     return found
+
+
+def within(internals, rng):
+    """Internal states inside their bounds, not at them: there are kinks."""
+    z = internals.inside(rng.normal(size=internals.nz))
+    room = np.minimum(internals.upper - internals.lower, 1.0)
+    at_end = (z == internals.lower) | (z == internals.upper)
+    return np.where(at_end, internals.lower + room * rng.uniform(0.1, 0.4, len(z)), z)
 
 
 def conditions(system, y):

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 DEFAULT_INTEGRATOR = {"type": "dopri5"}
 DEFAULT_STABLE = 1.3  # its `stable`, known without importing it
 _TIME_STEPPING = {"type": "moreau_jean"}
+_ADAPTIVE = {"type": "dopri5", "tolerance": 1.0e-8}  # fibres beside a tendon are stiff
 Tell = Callable[[str], None]
 _NO_SOURCES: Mapping[str, Source] = {}
 
@@ -107,10 +108,10 @@ class Scene(MeasuredScene):
         """
         where = f"{self.name}: solver"
         chosen = self.chosen_solver(solver)
-        every = (*self.muscles, *self.forces, *forces, *self.wrenches.values())
+        every = (*self.forces, *forces, *self.wrenches.values())
         try:
             given = self.inputs.sources(sources)
-            loads = Loads(self.robot.model.nv, every, self.actuators, given)
+            loads = Loads(self.robot.model.nv, every, self.commanded, given)
             return build_system(
                 self.robot, self.couplings, self.constraints, loads, chosen.tier, chosen.backend
             )
@@ -140,9 +141,14 @@ class Scene(MeasuredScene):
 
     @property
     def default_integrator(self) -> Mapping[str, Any]:
-        """Entry of the method where the file names none: no events where gaps are not smooth."""
+        """Entry of the method where the file names none.
+
+        No events where gaps are not smooth; adaptive steps beside elastic tendons.
+        """
         pairs = (part.pair for part in self.constraints if hasattr(part, "pair"))
-        return DEFAULT_INTEGRATOR if all(p.is_smooth for p in pairs) else _TIME_STEPPING
+        if not all(p.is_smooth for p in pairs):
+            return _TIME_STEPPING
+        return _ADAPTIVE if any(part.is_elastic for part in self.muscles) else DEFAULT_INTEGRATOR
 
     @property
     def method(self) -> Integrator:

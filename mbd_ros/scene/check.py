@@ -17,7 +17,7 @@ from mbd_ros.errors import SolveError
 from mbd_ros.scene.built_scene import Scene, Tell
 from mbd_ros.scene.call_costs import forward_cost, inverse_cost
 from mbd_ros.scene.part_lines import line, member_lines, part_lines, type_name, unused_rubbing
-from mbd_ros.scene.start_check import start_warnings
+from mbd_ros.scene.start_check import fiber_warnings, start_warnings
 from mbd_ros.scene.step_lines import step_lines
 
 _PLAIN = {"type": "plain"}
@@ -106,6 +106,8 @@ def _forward(scene: Scene, system: System) -> str:
 
 def _warnings(scene: Scene, system: System, x: State, factor: RowFactor | None) -> Iterator[str]:
     for text in start_warnings(scene.robot, scene.constraints, scene.initial):
+        yield line("warning", text)
+    for text in fiber_warnings(scene.robot, scene.muscles, scene.initial, scene.inputs.safe):
         yield line("warning", text)
     floor = getattr(scene.stabilization, "floor", None)
     if (

@@ -103,9 +103,7 @@ class SceneParts:
     @property
     def forces(self) -> tuple[Load, ...]:
         """Loads that nobody commands, of all sections."""
-        commanded = "command", "active_force"
-        loads = self._offering("force")
-        return tuple(p for p in loads if not any(hasattr(p, method) for method in commanded))
+        return tuple(part for part in self._offering("force") if not hasattr(part, "command"))
 
     @property
     def muscles(self) -> "tuple[Muscle, ...]":
@@ -121,6 +119,11 @@ class SceneParts:
     def sensors(self) -> "tuple[Sensor, ...]":
         """What is measured, of all sections."""
         return self._offering("measure")
+
+    @property
+    def commanded(self) -> tuple[Actuator, ...]:
+        """Actuators, then muscles: the parts whose inputs are commands."""
+        return (*self.actuators, *self.muscles)
 
     @property
     def stabilization(self) -> Stabilization | None:

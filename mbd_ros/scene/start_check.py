@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,9 +10,33 @@ from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint import Constraint
-from mbd_ros.core.state import State
+from mbd_ros.core.state import Array, State
+
+if TYPE_CHECKING:
+    from mbd_ros.core.muscles.muscle import Muscle
 
 _SLACK = 1.0e-6  # rad or m beyond an end that is rounding
+
+
+def fiber_warnings(robot: Robot, muscles: "Sequence[Muscle]", x: State, u: Array) -> Iterator[str]:
+    """Warnings of muscles whose fibres may start at several lengths, in equilibrium at each.
+
+    Args:
+        robot: The robot.
+        muscles: Muscles of the scene.
+        x: State of all joints, z NaN where nothing is given.
+        u: All inputs at the start.
+    """
+    k = Kinematics(robot)
+    if muscles:
+        k.refresh(x.q, x.v, max(part.reads for part in muscles))
+    for part in muscles:
+        if lengths := part.choices_at_rest(k, x, u):
+            several = ", ".join(f"{length:.6g}" for length in lengths)
+            yield (
+                f"{part.name}: its fibres rest at {several} m, on either side of their descending "
+                f"limb; they start at the first: give initial.internal.{part.name}.fiber_length"
+            )
 
 
 def start_warnings(robot: Robot, constraints: Sequence[Constraint], x: State) -> Iterator[str]:

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 _HALLEY = 6  # corrections of s; each triples the digits, four suffice for most segments
+_LAST = 1.0e-6  # a correction of this size leaves its cube
 _GAUSS = (  # places and weights between 0 and 1, exact up to degree 11
     (0.03376524289842399, 0.08566224618958518),
     (0.16939530676686775, 0.1803807865240693),
@@ -89,6 +90,8 @@ class Piece(NamedTuple):
             lack = b - value
             step = 2.0 * lack * slope / (2.0 * slope * slope - lack * bend)
             s = k.minimum(k.maximum(s - step, 0.0), 1.0)
+            if isinstance(step, float) and -_LAST < step < _LAST:
+                break
         return s
 
 

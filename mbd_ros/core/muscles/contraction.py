@@ -11,6 +11,7 @@ Source: F. E. Zajac, Crit. Rev. Biomed. Eng. 17, 1989, 359-411; M. Millard et al
 from typing import Any, NamedTuple
 
 from mbd_ros.core.muscles.pennation import Pennation
+from mbd_ros.core.ranges import is_value
 from mbd_ros.errors import ModelError
 
 Number = Any  # float, symbol or array
@@ -52,6 +53,8 @@ class Contraction(NamedTuple):
 
     def cosine(self, k: Any, length: Number) -> Number:
         """Cosine of the angle of fibres of a length [m]."""
+        if is_value(self.pennation.height, 0.0):
+            return 1.0
         sine = self.pennation.height / k.maximum(length, _POINT * self.optimal)
         return k.sqrt(k.maximum(1.0 - sine * sine, 0.0))
 

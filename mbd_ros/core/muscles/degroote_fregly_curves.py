@@ -23,7 +23,8 @@ _LEVEL = -_HEIGHT * _FASTEST
 _SHORTEST = 0.2  # length at which the passive force is 0
 _TENDON, _OFFSET = 0.2, 0.2  # c1, c3 of the tendon; c2 is 1
 _THINNEST = 1.0e-12  # square of a width, which is 0 at some length
-_HIGHEST = 300.0  # of an exponent: beyond anything that tissue bears
+_WEAKEST = 1.0e-9  # isometric force of fibres that are stretched beyond anything
+_HIGHEST = 50.0  # of an exponent: beyond anything that tissue bears
 _NEWTON = 8  # corrections of `speed`, which converges from one side
 _STEEPEST = 30.0  # of asinh(..): a speed of 1e12
 
@@ -96,7 +97,7 @@ class DeGrooteFreglyCurves(NamedTuple):
         With w = asinh(d2 speed + d3) this is p w + q sinh(w) = c, which Newton's method solves
         from the far side of a root of a function that bends one way.
         """
-        p = a * self.active(k, length) * -_HEIGHT
+        p = k.maximum(a * self.active(k, length), _WEAKEST) * -_HEIGHT
         q = self.damping / -_RATE
         c = a * self.active(k, length) * _LEVEL + self.passive(k, length) - force
         c = c - self.damping * _SHIFT / _RATE

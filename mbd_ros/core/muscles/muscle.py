@@ -12,7 +12,7 @@ from mbd_ros.core.model.paths import Path
 from mbd_ros.core.muscles.array_numbers import ArrayNumbers
 from mbd_ros.core.muscles.contraction import Contraction, Fiber
 from mbd_ros.core.outputs import Now, Output, Value
-from mbd_ros.core.parts import Channel, Internal
+from mbd_ros.core.parts import Actuator, Channel, Internal
 from mbd_ros.core.state import Array, State
 
 
@@ -25,8 +25,8 @@ class ActivationDynamics(Protocol):
         """Rate of the activation a under the excitation e [1/s]."""
 
 
-class Muscle(PathLoad):
-    """A muscle along a path, driven by an excitation.
+class Muscle(PathLoad, Actuator):
+    """A muscle along a path: an actuator of no joint, whose command is its excitation.
 
     Args:
         path: The path.
@@ -39,6 +39,9 @@ class Muscle(PathLoad):
         dynamics: How activation follows excitation.
         tendon: `elastic` or `rigid`.
     """
+
+    joints = ()
+    takes = "excitation of the muscle [-]"
 
     def __init__(
         self, path: Path, contraction: Contraction, dynamics: ActivationDynamics, tendon: str
@@ -78,11 +81,23 @@ class Muscle(PathLoad):
     def at_rest(self, k: Kinematics, x: State, u: Array) -> Array | None:
         """Activation and fibre length at rest; of several stable lengths the shortest one."""
         found = x.z[self.z].copy()
-        if math.isnan(found[0]):
-            found[0] = min(max(u[self.u].item(), self.dynamics.least), 1.0)
+        found[0] = self._first_activation(x, u)
         if self.is_elastic and math.isnan(found[1]):
             found[1] = self.stable_lengths(found[0], self.path.length(k, x))[0]
         return found
+
+    def choices_at_rest(self, k: Kinematics, x: State, u: Array) -> list[float]:
+        """Stable fibre lengths among which `at_rest` chooses [m]; empty where there is no choice.
+
+        Args:
+            k: Kinematics at the state, refreshed as far as `reads` says.
+            x: State of all joints, z NaN where nothing is given.
+            u: All inputs.
+        """
+        if not self.is_elastic or not math.isnan(x.z[self.z][1]):
+            return []
+        found = self.stable_lengths(self._first_activation(x, u), self.path.length(k, x))
+        return found if len(found) > 1 else []
 
     def stable_lengths(self, activation: float, length: float) -> list[float]:
         """Fibre lengths at which the muscle may rest, the shortest one first [m].
@@ -94,6 +109,10 @@ class Muscle(PathLoad):
         from mbd_ros.core.muscles.equilibrium import stable_lengths  # asked for at starts only
 
         return stable_lengths(self.contraction, activation, length)
+
+    def command(self, torque: Array, x: State) -> Array:
+        """The least excitation, shape (1,): no torque of a joint is asked of a muscle alone."""
+        return np.full(1, self.inputs[0].safe)
 
     def potential(self, k: Kinematics, x: State) -> float:
         """Energy of tendon and passive fibres [J]."""
@@ -157,6 +176,11 @@ class Muscle(PathLoad):
         """Rate of the fibre length beside a rigid tendon [m/s], as `active_force`."""
         found: Array = self.contraction.beside_rigid_tendon(ArrayNumbers, length, speed).velocity
         return found
+
+    def _first_activation(self, x: State, u: Array) -> float:
+        """As given, or that of the excitation at rest."""
+        given = float(x.z[self.z][0])
+        return min(max(u[self.u].item(), self.dynamics.least), 1.0) if math.isnan(given) else given
 
     def _states(self, k: Kinematics, x: State) -> tuple[float, float]:
         """Activation and fibre length; the latter 0 beside a rigid tendon."""

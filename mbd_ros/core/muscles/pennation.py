@@ -10,7 +10,7 @@ Source: F. E. Zajac, Crit. Rev. Biomed. Eng. 17, 1989, 359-411; M. Millard et al
 import math
 from typing import Any, NamedTuple
 
-from mbd_ros.core.ranges import Within
+from mbd_ros.core.ranges import Within, is_value
 
 Angle = Within(0.0, 1.57)
 Number = Any  # float, symbol or array
@@ -32,11 +32,15 @@ class Pennation(NamedTuple):
 
     def along(self, k: Any, length: Number) -> Number:
         """Fibre length [m] along the tendon [m]."""
+        if is_value(self.height, 0.0):
+            return length  # the root has no derivative at length 0
         return k.sqrt(k.maximum(length * length - self.height * self.height, 0.0))
 
     def fiber(self, k: Any, along: Number) -> Number:
         """Length of fibres [m] whose length along the tendon [m] is given, at least the least."""
         kept = k.maximum(along, self.reach)
+        if is_value(self.height, 0.0):
+            return kept
         return k.sqrt(kept * kept + self.height * self.height)
 
 

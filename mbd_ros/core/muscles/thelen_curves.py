@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 
 Number = Any  # float, symbol or array
 _TOE_FORCE, _TOE_SHAPE = 0.33, 3.0
-_HIGHEST = 300.0  # exponent of the passive force: beyond anything that tissue bears
+_HIGHEST = 50.0  # exponent of the passive force: beyond anything that tissue bears
+_WEAKEST = 1.0e-9  # isometric force of fibres that are stretched beyond anything
 _RESTING, _RISING = 0.25, 0.75  # largest speed at no activation, and what full activation adds
 
 
@@ -103,7 +104,7 @@ class ThelenCurves(NamedTuple):
             length: Of the fibres.
             force: Of the fibres.
         """
-        isometric = a * self.active(k, length)
+        isometric = k.maximum(a * self.active(k, length), _WEAKEST)
         g = (force - self.passive(k, length)) / isometric
         return (_RESTING + _RISING * a) * self._at_force(k, g)
 

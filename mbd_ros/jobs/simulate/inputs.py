@@ -12,6 +12,7 @@ from mbd_ros.core.state import NANOSECOND, Array, Motion, State
 from mbd_ros.errors import DataError
 from mbd_ros.files.recordings import Source as Recorded
 from mbd_ros.files.recordings import name_of, read_columns, read_motion, read_wrenches
+from mbd_ros.files.times import TIME
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse.wrenches import refuse_unused
 from mbd_ros.jobs.simulate.run import Run
@@ -92,7 +93,12 @@ def drives(scene: Scene, run: Run) -> tuple[dict[str, Source], list[Load], list[
     Raises:
         DataError: A file that cannot be read, or that lacks a column or topic.
     """
-    sources = _wrenches(scene, run)
+    sources, said = _wrenches(scene, run), list[str]()
+    if run.efforts is not None and scene.muscles:
+        excited, said = _excitations(scene, run.efforts)
+        sources |= excited
+        if not scene.actuators:
+            return sources, [], said
     commanded = tuple(name for names in command_names(scene.actuators) for name in names)
     if run.efforts is None:
         return sources, [], []
@@ -102,7 +108,7 @@ def drives(scene: Scene, run: Run) -> tuple[dict[str, Source], list[Load], list[
     where = name_of(run.efforts)
     if commanded:
         with about(where):
-            return sources | _held(scene, motion, _commands(scene, where, motion)), [], []
+            return sources | _held(scene, motion, _commands(scene, where, motion)), [], said
     if motion.effort is None:
         raise DataError(f"{where}: no column <joint>.effort of {', '.join(names)}")
     times, effort = motion.stamps * NANOSECOND, np.nan_to_num(motion.effort)
@@ -113,6 +119,28 @@ def drives(scene: Scene, run: Run) -> tuple[dict[str, Source], list[Load], list[
     with about(where):
         torque = part(scene.robot, joints=names, times=times, torque=effort)
     return sources, [torque], said
+
+
+def _excitations(scene: Scene, origin: Recorded) -> tuple[dict[str, Source], list[str]]:
+    """Sources of muscles by name, held between samples, and remarks.
+
+    Raises:
+        DataError: The file has no excitation of any muscle.
+    """
+    names, where = [f"{part.name}.excitation" for part in scene.muscles], name_of(origin)
+    columns = read_columns(origin, (TIME, *names))
+    if columns is None or np.isnan(columns[:, 1:]).all():
+        raise DataError(f"{where}: no column {listed(names)}")
+    times, values = columns[:, 0], columns[:, 1:]
+    given = ~np.isnan(values).any(axis=0)
+    with about(where):
+        held: dict[str, Source] = {
+            part.name: HeldTable(times, values[:, [i]])
+            for i, part in enumerate(scene.muscles)
+            if given[i]
+        }
+    lacking = [name for name, is_given in zip(names, given, strict=True) if not is_given]
+    return held, [f"{where}: no {listed(lacking)}: the least there"] if lacking else []
 
 
 def _commands(scene: Scene, where: str, motion: Motion) -> Array:

@@ -26,7 +26,7 @@ from mbd_ros.jobs.simulate.step_check import step_warnings
 from mbd_ros.jobs.simulate.summary import summary
 from mbd_ros.jobs.simulate.table import table_of, topics_of
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.start_check import start_warnings
+from mbd_ros.scene.start_check import fiber_warnings, start_warnings
 
 if TYPE_CHECKING:
     from mbd_ros.core.optimization.contact_problem import Residuals
@@ -116,7 +116,9 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     options = {**run.options, "dt": _interval(scene, run)}
     simulation = scene.simulation(forces=forces, sources=sources, tell=announce, **options)
     x, more = initial_state(scene, run)
-    odd = (*scene.robot.doubts, *start_warnings(scene.robot, scene.constraints, x))
+    excited = scene.muscles, x, simulation.system.loads.sources.at(x.t)
+    fibers = fiber_warnings(scene.robot, *excited)
+    odd = (*scene.robot.doubts, *start_warnings(scene.robot, scene.constraints, x), *fibers)
     how = (simulation.how,) if simulation.how else ()
     for text in (*remarks, *more, *how, *(f"warning: {text}" for text in odd)):
         say(text)

@@ -121,7 +121,7 @@ def _finite_rows(table: Table) -> tuple[int, DivergedError | None]:
 
 
 def _commands(system: System, times: Array) -> list[Column]:
-    """Commands of actuators that do not take the torque of the joint."""
+    """Commands of actuators that do not take the torque of the joint, then excitations."""
     actuators = system.loads.actuators
     named = list(zip(actuators, command_names(actuators), strict=True))
     chosen = [(a, names) for a, names in named if a.takes or names != a.joints]
@@ -129,8 +129,12 @@ def _commands(system: System, times: Array) -> list[Column]:
         return []
     u = np.array([system.loads.sources.at(t) for t in times])
     u = u.reshape(len(times), len(system.loads.idle))
-    every = [name for _, names in chosen for name in names]
-    return command_columns(every, np.column_stack([u[:, a.u] for a, _ in chosen]))
+    of_joints = [(a, names) for a, names in chosen if a.joints]
+    every = [name for _, names in of_joints for name in names]
+    parts = [u[:, a.u] for a, _ in of_joints]
+    found = command_columns(every, np.column_stack(parts)) if parts else []
+    excited = [(a, name) for a, names in chosen if not a.joints for name in names]
+    return [*found, *(Column(name, u[:, a.u.start], a.inputs[0].unit) for a, name in excited)]
 
 
 def _row(system: System, showing: Showing, x: State, seen: Seen) -> tuple[Any, ...]:

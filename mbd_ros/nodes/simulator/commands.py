@@ -1,4 +1,4 @@
-"""The inputs of actuators as messages name them."""
+"""The inputs of actuators and muscles as messages name them."""
 
 from collections.abc import Sequence
 
@@ -13,14 +13,14 @@ def command_reader(scene: Scene, order: Sequence[str]) -> CommandReader:
 
     Args:
         scene: The scene.
-        order: Of the values in vectors, by input or joint; empty: that of the actuators.
+        order: Of the values in vectors, by input or joint; empty: actuators, then muscles.
 
     Raises:
         ParameterError: The order does not name every input once.
     """
-    names = scene.inputs.names[: sum(len(part.inputs) for part in scene.actuators)]
+    names = scene.inputs.names[: sum(len(part.inputs) for part in scene.commanded)]
     joints, takes = _joints(scene), {}
-    for part in scene.actuators:
+    for part in scene.commanded:
         if part.takes:
             takes |= dict.fromkeys(names[part.u], part.takes)
     given = [joints.get(name, name) for name in order or names]

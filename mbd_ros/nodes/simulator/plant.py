@@ -55,7 +55,7 @@ class Plant:
 
     def __init__(self, values: Any, description: str | None, tell: Tell | None = None) -> None:
         self.scene = scene = load_scene(values.scene, description)
-        self.has_actuators = bool(scene.actuators)
+        self.has_actuators = bool(scene.commanded)
         self.reader = command_reader(scene, values.joints)
         times = values.command_timeout, values.safe_ramp
         self.wrenches = {name: CommandWatch(*times) for name in scene.wrenches}
