@@ -130,21 +130,7 @@ def brought_sections(imported: "Imported") -> tuple[dict[str, Any], list[str]]:
     known = set(keys(SECTIONS))
     brought = {key: given for key, given in imported.sections.items() if key in known}
     absent = [f"section {key}" for key in imported.sections if key not in known]
-    return brought, absent + _without_wraps(brought)
-
-
-def _without_wraps(brought: dict[str, Any]) -> list[str]:
-    """Take wraps away where no path has them yet."""
-    from mbd_ros.scene.path_entries import path_keys
-
-    if "wraps" in path_keys() or "paths" not in brought:
-        return []
-    wrapped = [name for name, path in brought["paths"].items() if "wraps" in path]
-    brought["paths"] = {
-        name: {key: given for key, given in path.items() if key != "wraps"}
-        for name, path in brought["paths"].items()
-    }
-    return [f"wraps of {', '.join(wrapped)}"] if wrapped else []
+    return brought, absent
 
 
 def _grouped(imported: "Imported") -> list[str]:

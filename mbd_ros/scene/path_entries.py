@@ -1,6 +1,5 @@
 """Entries of paths -> paths, and the paths that parts name."""
 
-import inspect
 import math
 import typing
 from collections.abc import Mapping, Sequence
@@ -33,11 +32,6 @@ def path_of(robot: Robot, given: Any, where: str) -> Path:
     """
     path: Path = schema.call(_path, given, where, robot, where)
     return path
-
-
-def path_keys() -> tuple[str, ...]:
-    """The keys that an entry of a path may have."""
-    return tuple(inspect.signature(_path).parameters)[2:]
 
 
 def with_paths(

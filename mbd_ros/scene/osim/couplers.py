@@ -9,6 +9,8 @@ from mbd_ros.scene.osim.mechanism import Follows
 from mbd_ros.scene.osim.motions import Coordinate
 from mbd_ros.scene.osim.reading import LeftOut
 
+COUPLER = "CoordinateCouplerConstraint"
+
 
 class Coupled(NamedTuple):
     """What the coordinates of a model do besides moving.
@@ -51,8 +53,8 @@ def read_couplers(
             found.fixed.pop(name, None)
         else:
             found.fixed[name] = position
-    for item in model.objects("ConstraintSet"):
-        if item.type == "CoordinateCouplerConstraint" and is_enforced(item):
+    for item in model.components("ConstraintSet", ending=COUPLER):
+        if item.type == COUPLER and is_enforced(item):
             _add(found, item, coordinates)
     found.follows.update(joints)
     _settle(found, model.source)

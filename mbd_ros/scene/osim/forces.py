@@ -50,7 +50,7 @@ def _coordinate_limit(reading: Reading, item: Item) -> Entry:
 
 def _bushing(reading: Reading, item: Item) -> Entry:
     ends = [_bushing_end(reading, item, i) for i in (1, 2)]
-    _refuse_rigid(reading, *ends)
+    reading.refuse_rigid(*ends)
     entry: Entry = {"type": "bushing"}
     for letter, end in zip("ab", ends, strict=True):
         entry[f"frame_{letter}"] = end.body
@@ -78,7 +78,7 @@ def _bushing_end(reading: Reading, item: Item, i: int) -> Attached:
 
 def _point_spring(reading: Reading, item: Item) -> Entry:
     ends = [reading.attached(item, f"body{i}", f"body_{i}") for i in (1, 2)]
-    _refuse_rigid(reading, *ends)
+    reading.refuse_rigid(*ends)
     return {
         "type": "point_spring",
         "frame_a": ends[0].body,
@@ -122,7 +122,7 @@ def _between_points(reading: Reading, item: Item) -> Entry:
     if item.flag("points_are_global"):
         raise Unexpressed("its points are those of the start in ground")
     ends = [reading.attached(item, f"body{letter}") for letter in "AB"]
-    _refuse_rigid(reading, *ends)
+    reading.refuse_rigid(*ends)
     points = [
         {"frame": end.body, "xyz": end.point(item.vector(f"point{letter}"))}
         for end, letter in zip(ends, "AB", strict=True)
@@ -134,7 +134,7 @@ def _point_actuator(reading: Reading, item: Item) -> Entry:
     if item.flag("point_is_global"):
         raise Unexpressed("its point is fixed in ground, not on the body")
     frame = reading.attached(item, "body")
-    _refuse_rigid(reading, frame, None)
+    reading.refuse_rigid(frame, None)
     is_world = item.flag("force_is_global")
     along = item.vector("direction", default=(1.0, 0.0, 0.0))
     return {
@@ -151,7 +151,7 @@ def _torque_actuator(reading: Reading, item: Item) -> Entry:
     """OpenSim turns an axis of the first body, or of ground."""
     frame = reading.attached(item, "bodyA", "body_A")
     other = reading.attached(item, "bodyB") if socket(item, "bodyB") else None
-    _refuse_rigid(reading, frame, other)
+    reading.refuse_rigid(frame, other)
     is_world = item.flag("torque_is_global", default=True)
     along = item.vector("axis", default=(0.0, 0.0, 1.0))
     against = {} if other is None else {"against": other.body}
@@ -174,12 +174,6 @@ def _limit(item: Item) -> Entry:
     lower, upper = item.number("min_control"), item.number("max_control")
     limit = item.number("optimal_force", default=1.0) * max(abs(lower), abs(upper))
     return {"limit": limit} if limit > 0.0 else {}
-
-
-def _refuse_rigid(reading: Reading, a: Attached, b: Attached | None) -> None:
-    carriers = {reading.carriers[end.body] if end else "" for end in (a, b)}
-    if len(carriers) == 1:
-        raise Unexpressed("its bodies do not move against each other")
 
 
 _READERS: Mapping[str, Callable[[Reading, Item], Entry]] = {

@@ -147,6 +147,9 @@ def _simm(item: Item) -> Function:
     x, y = _points(item)
     if len(set(y)) == 1:
         return constant(y[0])
+    if len(x) == 2:  # a line
+        slope = (y[1] - y[0]) / (x[1] - x[0])
+        return linear(slope, y[0] - slope * x[0])
     return Function({"simm_spline": {"x": x, "y": y}})
 
 

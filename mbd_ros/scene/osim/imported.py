@@ -3,21 +3,27 @@
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
+from mbd_ros.scene.osim.constraints import read_constraints
+from mbd_ros.scene.osim.contacts import CONTACTS, contact_entries
 from mbd_ros.scene.osim.couplers import Coupled, entry_of, read_couplers
 from mbd_ros.scene.osim.forces import force_entry
 from mbd_ros.scene.osim.frames import GROUND, Frames, bodies_of
 from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.joints import read_joints
+from mbd_ros.scene.osim.loops import cut, shared
 from mbd_ros.scene.osim.markers import read_markers
 from mbd_ros.scene.osim.mechanism import Mechanism, in_tree_order
 from mbd_ros.scene.osim.motions import Coordinate
 from mbd_ros.scene.osim.muscles import is_muscle, muscle_entry
 from mbd_ros.scene.osim.names import Names
 from mbd_ros.scene.osim.paths import read_path
-from mbd_ros.scene.osim.reading import LeftOut, Reading, Unexpressed
+from mbd_ros.scene.osim.prescribed import read_prescribed
+from mbd_ros.scene.osim.reading import FORCES, LeftOut, Reading, Unexpressed
 from mbd_ros.scene.osim.urdf_text import Mass, mass_of, urdf_text
 from mbd_ros.scene.osim.xml_text import parse_osim
 
+_READ = ("Frame", "Station", "Body", "Joint", "Constraint", *FORCES)
+_NO_PLACE = "a scene has no place for it"
 GRAVITY = (0.0, -9.80665, 0.0)  # m/s^2, OpenSim's default
 
 
@@ -57,20 +63,22 @@ def import_osim(
     model = Item(element, source, {one.tag: one for one in element.iterfind("defaults/*")})
     frames = Frames(model)
     joints, loops = in_tree_order(read_joints(model, frames), frames, model)
-    mechanism = Mechanism(joints, frames)
+    opened = cut(loops, frames.bodies)
+    joints += opened.joints
+    mechanism = Mechanism(joints, (*frames.bodies, *opened.halves))
     coupled = read_couplers(model, mechanism.coordinates, mechanism.follows, locked or {})
     reading = Reading(model, frames, mechanism, coupled.fixed)
     reading.left_out += coupled.left_out
     for joint in joints:
         if joint.missing:
             reading.leave_out(joint.item, joint.missing)
-    for joint in loops:
-        reading.leave_out(joint.item, "closes a loop of joints")
     for coordinate in mechanism.unused:
         reading.leave_out(coordinate.item, "moves nothing")
     titles = _titles(mechanism)
+    reading.closures = opened.closures
     masses = {body.name: mass_of(body) for body in bodies_of(model)}
     masses.pop(GROUND, None)
+    masses = shared(masses, opened.halves)
     name = model.name or "model"
     return Imported(
         name,
@@ -124,13 +132,30 @@ def _sections(reading: Reading, mechanism: Mechanism, coupled: Coupled) -> dict[
             _add_force(reading, sections, item)
         except Unexpressed as error:
             reading.leave_out(item, str(error))
+    _leave_out_others(reading)
+    sections["constraints"] += read_constraints(reading)
+    sections["constraints"] += read_prescribed(reading, mechanism.coordinates, coupled.follows)
     sections["sensors"] = read_markers(reading)
     sections["initial"] = _initial(reading, mechanism.coordinates, coupled)
     return {key: entries for key, entries in sections.items() if entries}
 
 
+def _leave_out_others(reading: Reading) -> None:
+    """Note what a scene has no place for: controllers, probes, components of other types."""
+    for tag in ("ControllerSet", "ProbeSet", "AnalysisSet"):
+        for item in reading.model.objects(tag):
+            reading.leave_out(item, _NO_PLACE)
+    for tag in ("components", "ComponentSet"):
+        for item in reading.model.objects(tag):
+            if not item.type.endswith(_READ):
+                reading.leave_out(item, _NO_PLACE)
+
+
 def _add_force(reading: Reading, sections: dict[str, Any], item: Item) -> None:
-    """A muscle or another force; its path has its name where no other part has it."""
+    """A muscle or another force; what has a path gets an entry in `paths`."""
+    if item.type in CONTACTS:
+        sections["contacts"] += contact_entries(reading, item)
+        return
     if is_muscle(item):
         section, entry = "muscles", {"path": read_path(reading, item), **muscle_entry(item)}
     else:

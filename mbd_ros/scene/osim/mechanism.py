@@ -47,7 +47,7 @@ class Mechanism:
 
     Args:
         joints: In the order of the tree, each after what carries its parent.
-        frames: The bodies.
+        links: Names of the bodies, ground first.
 
     Attributes:
         joints: Of the description.
@@ -57,10 +57,10 @@ class Mechanism:
         unused: Coordinates that move nothing.
     """
 
-    def __init__(self, joints: Sequence[Joint], frames: Frames) -> None:
+    def __init__(self, joints: Sequence[Joint], links: Sequence[str]) -> None:
         self.coordinates = {c.name: c for joint in joints for c in joint.coordinates}
         self.joints: list[UrdfJoint] = []
-        self.links = list(frames.bodies)
+        self.links = list(links)
         self.follows: dict[str, Follows] = {}
         self.unused: list[Coordinate] = []
         self._links = Names(self.links)

@@ -1,7 +1,7 @@
 """What is known while the sections of a model are read: its frames, joints, names, left-outs."""
 
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.osim.frames import Attached, Frames, socket
@@ -9,7 +9,7 @@ from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.mechanism import Mechanism
 from mbd_ros.scene.osim.names import Names
 
-_FORCES = ("Force", "Muscle", "Actuator", "Spring", "Ligament")
+FORCES = ("Force", "Muscle", "Actuator", "Spring", "Ligament")
 
 
 class LeftOut(NamedTuple):
@@ -49,6 +49,7 @@ class Reading:
         carriers: Link -> the joint that carries it, empty for ground.
         left_out: Elements that the scene does not have.
         names: Of joints and parts.
+        closures: Name of a joint that closes a loop -> the constraint in its place.
     """
 
     def __init__(
@@ -61,6 +62,7 @@ class Reading:
         self.carriers = mechanism.carriers(fixed)
         self.left_out: list[LeftOut] = []
         self.names = Names(self.joints)
+        self.closures: Mapping[str, dict[str, Any]] = {}
 
     def leave_out(self, item: Item, reason: str) -> None:
         """Note that the scene does not have an element."""
@@ -73,6 +75,16 @@ class Reading:
             SceneError: It names none, or one that is not there.
         """
         return self.frames.attached(item, *sockets)
+
+    def refuse_rigid(self, a: Attached, b: Attached | None) -> None:
+        """Refuse two frames, or one and ground, that no joint moves against each other.
+
+        Raises:
+            Unexpressed: Always then.
+        """
+        ends = {self.carriers[end.body] if end else "" for end in (a, b)}
+        if len(ends) == 1:
+            raise Unexpressed("its bodies do not move against each other")
 
     def coordinate(self, item: Item, *sockets: str) -> str:
         """The coordinate that an element names by its name or by a path to it.
@@ -94,7 +106,7 @@ class Reading:
         yield from self.model.objects("ForceSet")
         for holder in ("components", "ComponentSet"):
             for item in self.model.objects(holder):
-                if item.type.endswith(_FORCES):
+                if item.type.endswith(FORCES):
                     yield item
 
     def forces(self) -> Iterator[Item]:

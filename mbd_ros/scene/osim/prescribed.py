@@ -1,0 +1,56 @@
+"""Coordinates that functions of time prescribe -> constraints `prescribed_motion`."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from mbd_ros.scene.osim.functions import UnknownFunction, function_in
+from mbd_ros.scene.osim.item import Item
+from mbd_ros.scene.osim.motions import Coordinate
+from mbd_ros.scene.osim.reading import Reading, Unexpressed
+
+
+def read_prescribed(
+    reading: Reading, coordinates: Mapping[str, Coordinate], coupled: Iterable[str]
+) -> list[dict[str, Any]]:
+    """The motions of coordinates that do not stand still.
+
+    Args:
+        reading: The model.
+        coordinates: By name.
+        coupled: Those that follow others.
+
+    Raises:
+        SceneError: Names coordinate and what is wrong.
+    """
+    found = []
+    for name, coordinate in coordinates.items():
+        is_free = name in reading.joints and name not in reading.fixed and name not in coupled
+        if is_free and coordinate.item.flag("prescribed"):
+            try:
+                motion = _motion(coordinate.item)
+            except Unexpressed as error:
+                reading.leave_out(coordinate.item, str(error))
+                continue
+            title = reading.names.part(f"{name}_motion", "motion")
+            found.append({"name": title, "type": "prescribed_motion", "joint": name, **motion})
+    return found
+
+
+def _motion(item: Item) -> dict[str, Any]:
+    """The function of time, where `prescribed_motion` has it."""
+    holder = item.find("prescribed_function")
+    inner = None if holder is None else holder.find("Sine")
+    if inner is not None:
+        tags = {"amplitude": "amplitude", "angular_frequency": "omega"}
+        given = {key: inner.number(tag, default=1.0) for key, tag in tags.items()}
+        ends = {key: inner.number(key, default=0.0) for key in ("offset", "phase")}
+        return {"harmonic": given | {key: value for key, value in ends.items() if value}}
+    try:
+        function = function_in(holder)
+    except UnknownFunction as error:
+        raise Unexpressed(f"is prescribed by a {error}") from error
+    if function.slope is not None:
+        return {"polynomial": [function.offset, function.slope]}
+    if "polynomial" in function.entry or "spline" in function.entry:
+        return dict(function.entry)
+    raise Unexpressed(f"is prescribed by a function {next(iter(function.entry))}")
