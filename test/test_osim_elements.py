@@ -1,7 +1,5 @@
 """Joints, constraints and odd files of OpenSim: closed forms, and errors that name the element."""
 
-import gzip
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -23,7 +21,6 @@ from osim_models import (
 from mbd_ros.core.model.simm_spline import simm_spline
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.osim.frames import roll_pitch_yaw
-from mbd_ros.scene.reader import load_scene
 
 
 def placed(scene, positions, link):
@@ -218,33 +215,6 @@ def test_a_joint_that_hangs_its_parent_from_its_child_is_turned_round(tmp_path):
 def test_a_body_without_joint_moves_freely(tmp_path):
     scene = loaded(model([body("a")], []), tmp_path)
     assert sorted(scene.couplings.independent) == [f"free_a_coord_{i}" for i in range(6)]
-
-
-def test_tags_with_colons_comments_and_packed_files_are_read(tmp_path):
-    force = (
-        '<HuntCrossleyForce name="f"><HuntCrossleyForce::ContactParametersSet '
-        'name="contact_parameters"><objects><HuntCrossleyForce::ContactParameters><geometry>floor '
-        "ball</geometry><stiffness>1e6</stiffness><dissipation>0.5</dissipation>"
-        "</HuntCrossleyForce::ContactParameters></objects></HuntCrossleyForce::ContactParametersSet>"
-        "</HuntCrossleyForce>"
-    )
-    shapes = (
-        '<ContactHalfSpace name="floor"><socket_frame>/ground</socket_frame>'
-        "<orientation>0 0 -1.5707963267948966</orientation></ContactHalfSpace><!-- a -- b & -->"
-        '<ContactSphere name="ball"><socket_frame>/bodyset/a</socket_frame><location>0 0 0'
-        "</location><radius>0.04</radius></ContactSphere>"
-    )
-    text = model([body("a")], [], ForceSet=force, ContactGeometrySet=shapes)
-    (tmp_path / "ball.osim.gz").write_bytes(gzip.compress(text.encode()))
-    scene = load_scene(tmp_path / "ball.osim.gz")
-    (contact,) = scene.parts["contacts"]
-    k = scene.system().k
-    x = scene.with_(initial={"position": {"free_a_coord_4": 0.03}}).initial
-    k.refresh(x.q, x.v)
-    up = contact.force(k, x, scene.inputs.safe)[scene.robot.joint("free_a_coord_4").v]
-    assert up == pytest.approx(
-        4.0 / 3.0 * 0.04**0.5 * (0.5 * 1e6 ** (2 / 3)) ** 1.5 * 0.01**1.5, rel=1e-9
-    )
 
 
 def test_angles_of_any_rotation_give_it_back():

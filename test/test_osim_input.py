@@ -1,4 +1,6 @@
-"""Files that are no models of OpenSim, or broken ones: errors name file, element and what is wrong."""
+"""Odd files of OpenSim are read; broken ones are refused by file, element and what is wrong."""
+
+import gzip
 
 import pytest
 from osim_models import (
@@ -121,3 +123,30 @@ def test_a_file_that_is_not_there_or_no_gzip_is_named(tmp_path):
     (tmp_path / "small.osim.gz").write_bytes(b"no gzip")
     with pytest.raises(SceneError, match="small.osim.gz: model cannot be read"):
         load_scene(tmp_path / "small.osim.gz")
+
+
+def test_tags_with_colons_comments_and_packed_files_are_read(tmp_path):
+    force = (
+        '<HuntCrossleyForce name="f"><HuntCrossleyForce::ContactParametersSet '
+        'name="contact_parameters"><objects><HuntCrossleyForce::ContactParameters><geometry>floor '
+        "ball</geometry><stiffness>1e6</stiffness><dissipation>0.5</dissipation>"
+        "</HuntCrossleyForce::ContactParameters></objects></HuntCrossleyForce::ContactParametersSet>"
+        "</HuntCrossleyForce>"
+    )
+    shapes = (
+        '<ContactHalfSpace name="floor"><socket_frame>/ground</socket_frame>'
+        "<orientation>0 0 -1.5707963267948966</orientation></ContactHalfSpace><!-- a -- b & -->"
+        '<ContactSphere name="ball"><socket_frame>/bodyset/a</socket_frame><location>0 0 0'
+        "</location><radius>0.04</radius></ContactSphere>"
+    )
+    text = model([body("a")], [], ForceSet=force, ContactGeometrySet=shapes)
+    (tmp_path / "ball.osim.gz").write_bytes(gzip.compress(text.encode()))
+    scene = load_scene(tmp_path / "ball.osim.gz")
+    (contact,) = scene.parts["contacts"]
+    k = scene.system().k
+    x = scene.with_(initial={"position": {"free_a_coord_4": 0.03}}).initial
+    k.refresh(x.q, x.v)
+    up = contact.force(k, x, scene.inputs.safe)[scene.robot.joint("free_a_coord_4").v]
+    assert up == pytest.approx(
+        4.0 / 3.0 * 0.04**0.5 * (0.5 * 1e6 ** (2 / 3)) ** 1.5 * 0.01**1.5, rel=1e-9
+    )
