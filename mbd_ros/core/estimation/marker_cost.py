@@ -54,8 +54,6 @@ class Cost(NamedTuple):
     Attributes:
         value: f [m^2], shape (N,).
         slope: By the independent coordinates, shape (N, ny).
-        flat: Of its Hessian what misses of 0 would leave, which is never negative, shape
-            (N, ny, ny).
         hessian: Shape (N, ny, ny).
         G: dq/dy, shape (N, nv, ny).
         misses: Markers less where they were seen [m], shape (N, n, 3).
@@ -63,7 +61,6 @@ class Cost(NamedTuple):
 
     value: Array
     slope: Array
-    flat: Array
     hessian: Array
     G: Array
     misses: Array
@@ -105,32 +102,35 @@ class MarkerCost:
         self.y_of_q = self._task_q[couplings.v_index]
         self.reached = ((self._moved.any(axis=1) | (tasks > 0.0)) @ self.ancestry > 0.0) * 1.0
 
-    def at(self, q: Array, seen: Seen) -> Cost:
-        """The objective at configurations that keep the couplings, shape (N, nq)."""
+    def at(self, q: Array, seen: Seen, bent: Array | None = None) -> Cost:
+        """The objective.
+
+        Args:
+            q: Configurations that keep the couplings, shape (N, nq).
+            seen: What was seen.
+            bent: Shares, 0 to 1, of what misses add to the Hessian, shape (N,); all of it by
+                default. Without it no direction has a negative curvature.
+        """
         slopes, bends = self._slopes(q)
         p, J = self._kinematics(q)
         misses = p - seen.places
-        off = (q[:, self._task_q] - seen.targets) if self._tasks.any() else None
+        bent = np.ones(len(q)) if bent is None else bent
         value = 0.5 * (seen.weights * (misses * misses).sum(axis=2)).sum(axis=1)
-        slope, flat, bent = self._derivatives(p, misses, seen.weights, J)
-        if off is not None:
+        slope, hessian = self._derivatives(p, misses, seen.weights, J, bent)
+        if self._tasks.any():
+            off = q[:, self._task_q] - seen.targets
             value += 0.5 * (off * off) @ self._tasks
             slope += self._tasks * off
             every = np.arange(len(self._tasks))
-            flat[:, every, every] += self._tasks
+            hessian[:, every, every] += self._tasks
         G = self.ancestry * slopes[:, :, None]
-        flat, bent = self._reduced(flat, G), self._reduced(bent, G)
-        if self._coupled:
-            every = np.arange(G.shape[2])
-            bent[:, every, every] += (bends * slope) @ self.ancestry
-        return Cost(value, (slopes * slope) @ self.ancestry, flat, flat + bent, G, misses)
-
-    def _reduced(self, matrices: Array, G: Array) -> Array:
-        """G' A G of each frame."""
         if not self._coupled:
             at = self.couplings.v_index
-            return np.array(matrices[:, at[:, None], at])
-        return np.array(G.transpose(0, 2, 1) @ matrices @ G)
+            return Cost(value, slope[:, at], hessian[:, at[:, None], at], G, misses)
+        hessian = G.transpose(0, 2, 1) @ hessian @ G
+        every = np.arange(G.shape[2])
+        hessian[:, every, every] += (bends * slope * bent[:, None]) @ self.ancestry
+        return Cost(value, (slopes * slope) @ self.ancestry, hessian, G, misses)
 
     def rows(self, q: Array) -> Array:
         """Derivatives of the markers by the independent coordinates, shape (N, n, 3, ny)."""
@@ -196,8 +196,10 @@ class MarkerCost:
         of = self._of_marker
         return np.einsum("niab,ib->nia", R[:, of], self._local) + at[:, of], J
 
-    def _derivatives(self, p: Array, e: Array, w: Array, J: Array) -> tuple[Array, Array, Array]:
-        """Slope and Hessian of the markers' share by all velocities, the latter in two parts."""
+    def _derivatives(
+        self, p: Array, e: Array, w: Array, J: Array, bent: Array
+    ) -> tuple[Array, Array]:
+        """Slope and Hessian of the markers' share by all velocities."""
         N, n, _ = p.shape
         shares = np.empty((N, n, _SHARES))
         wp = w[:, :, None] * p
@@ -207,24 +209,17 @@ class MarkerCost:
         shares[:, :, 16:25] = (wp[:, :, :, None] * e[:, :, None, :]).reshape(N, n, 9)
         sums = self._moved @ shares  # (N, nv, 25)
         w0, w1, F = sums[:, :, :1], sums[:, :, 1:4], sums[:, :, 13:16]
-        nv = J.shape[2]
-        W2, C = sums[:, :, 4:13].reshape(N, nv, 3, 3), sums[:, :, 16:25].reshape(N, nv, 3, 3)
+        C = sums[:, :, 16:25]
         v, omega = J[:, :3].transpose(0, 2, 1), J[:, 3:].transpose(0, 2, 1)
-        spin = np.stack(
-            (
-                C[..., 1, 2] - C[..., 2, 1],
-                C[..., 2, 0] - C[..., 0, 2],
-                C[..., 0, 1] - C[..., 1, 0],
-            ),
-            axis=-1,
-        )
+        spin = C[:, :, [5, 6, 1]] - C[:, :, [7, 2, 3]]  # of p x e
         slope = (v * F).sum(axis=2) + (omega * spin).sum(axis=2)
-        flat = v @ (w0 * v + _cross(omega, w1)).transpose(0, 2, 1)
-        flat += omega @ (_cross(w1, v) - _less_trace(W2, omega)).transpose(0, 2, 1)
-        bent = omega @ (_cross(v, F) + _less_trace(C, omega)).transpose(0, 2, 1)
-        flat *= self._order
-        bent *= self._order
-        return slope, flat + flat.transpose(0, 2, 1), bent + bent.transpose(0, 2, 1)
+        part = bent[:, None, None]
+        turned = (part * C - sums[:, :, 4:13]).reshape(N, J.shape[2], 3, 3)
+        linear = w0 * v + _cross(omega, w1)
+        angular = _cross(v, part * F - w1) + _less_trace(turned, omega)
+        half = v @ linear.transpose(0, 2, 1) + omega @ angular.transpose(0, 2, 1)
+        half *= self._order
+        return slope, half + half.transpose(0, 2, 1)
 
 
 def _less_trace(A: Array, vectors: Array) -> Array:

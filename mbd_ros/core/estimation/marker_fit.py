@@ -98,7 +98,7 @@ class MarkerFit:
     def _fit(self, start: Array, seen: Seen, far: bool) -> Fit:
         q = self._allowed(self.cost.coupled(np.array(start)), seen.times)
         self._refuse_open(q, seen.times)
-        done = _Frames(q, self.cost.at(q, seen))
+        done = _Frames(q, self.cost.at(q, seen, np.full(len(q), not far) * 1.0))
         done.flat_only[:] = far
         left, damping = np.arange(len(q)), np.zeros(len(q))
         for _ in range(_MAX_STEPS):
@@ -115,7 +115,7 @@ class MarkerFit:
             if not len(left):
                 break
             at = self._allowed(self.cost.moved(done.q[left], p), seen.times[left])
-            cost = self.cost.at(at, seen.of(left))
+            cost = self.cost.at(at, seen.of(left), 1.0 - done.flat_only[left])
             before = done.value[left]
             taken = (gain > 0.0) & (cost.value <= before * (1.0 + _ROUNDING) + _NOTHING)
             if self.loops is not None:
@@ -140,9 +140,6 @@ class MarkerFit:
     ) -> tuple[Array, Array]:
         """Moves of the independent coordinates, and what f should lose by them."""
         H, g = done.hessian[left], done.slope[left]
-        flat_only = done.flat_only[left]
-        if flat_only.any():
-            H[flat_only] = done.flat[left][flat_only]
         n = np.arange(g.shape[1])
         A = b = None
         if self.loops is not None:
@@ -202,7 +199,7 @@ class _Frames:
 
     def __init__(self, q: Array, cost: Cost) -> None:
         self.q, self.flat_only = q, np.zeros(len(q), dtype=np.bool_)
-        self.value, self.slope, self.flat, self.hessian, self.G, self.misses = cost
+        self.value, self.slope, self.hessian, self.G, self.misses = cost
         self.remainder = np.full(len(q), np.inf)
         self.steps = np.zeros(len(q), dtype=np.intp)
 

@@ -19,7 +19,7 @@ _STARTS = 7  # of the first frame, the default pose among them
 _BETTER = 0.5  # of the objective from the default pose: what another start must reach
 _GOOD = 1.0e-12  # m^2, of an objective that needs no other start
 _APART = 0.1  # s between frames that follow from the first one at once
-_JUMP = 0.5  # rad or m from which two neighbours count as apart
+_FASTEST, _JUMP = 12.0, 0.2  # rad/s or m/s, and rad or m: beyond both neighbours count as apart
 _TURN = 2.0 * np.pi
 _SEED = 0
 
@@ -120,25 +120,43 @@ def _apart(times: Array) -> Indices:
 
 
 def _between(q: Array, known: Indices, times: Array, robot: Robot) -> Array:
-    """Starts of all frames from those that are known: linear between, or the nearest ones."""
+    """Starts of all frames from those that are known: smooth between, or the nearest ones."""
     if robot.bases:
         middles = 0.5 * (times[known[1:]] + times[known[:-1]])
         return np.array(q[np.searchsorted(middles, times)])
-    return np.column_stack([np.interp(times, times[known], column) for column in q.T])
+    if len(known) == 1:
+        return np.repeat(q, len(times), axis=0)
+    return _smooth(times[known], q, times)
+
+
+def _smooth(known: Array, q: Array, times: Array) -> Array:
+    """Cubic pieces through values, with the slopes of parabolas; constant beyond the last one."""
+    slopes = np.gradient(q, known, axis=0)
+    at = np.clip(np.searchsorted(known, times, side="right") - 1, 0, len(known) - 2)
+    h = np.diff(known)[at][:, None]
+    s = np.clip((times - known[at])[:, None] / h, 0.0, 1.0)
+    change, first, last = q[at + 1] - q[at], h * slopes[at], h * slopes[at + 1]
+    bend = (1.0 - s) * (first - change) - s * (last - change)
+    return np.array(q[at] + s * (change + (1.0 - s) * bend))
 
 
 def _continued(fit: MarkerFit, start: Array, found: Fit, seen: Seen) -> Fit:
     """The fit, with frames that are far from the one before sought again from there."""
-    before, frames = start, []
-    for i in range(len(found.q)):
-        one = of_frames(found, slice(i, i + 1))
-        if np.abs(one.q[0] - before).max() > _JUMP:
-            again = fit.fit(before[None], seen.of(slice(i, i + 1)))
-            one = again if again.objective[0] < one.objective[0] else one
-            frames.append((i, one))
-        before = one.q[0]
-    if not frames:
+    reach = np.maximum(_JUMP, _FASTEST * np.diff(seen.times, prepend=seen.times[0]))
+    moved = np.abs(np.diff(found.q, axis=0, prepend=start[None])).max(axis=1, initial=0.0)
+    far = np.flatnonzero(moved > reach)
+    if not len(far):
         return found
+    before, frames = start, []
+    for i in range(int(far[0]), len(found.q)):
+        before = found.q[i - 1] if i == far[0] and i else before
+        one = of_frames(found, slice(i, i + 1))
+        if np.abs(one.q[0] - before).max() > reach[i]:
+            again = fit.fit(before[None], seen.of(slice(i, i + 1)))
+            if again.objective[0] < one.objective[0]:
+                one = again
+                frames.append((i, one))
+        before = one.q[0]
     parts, last = [], 0
     for i, one in frames:
         parts += [of_frames(found, slice(last, i)), one]

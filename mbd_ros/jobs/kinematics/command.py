@@ -41,7 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.jobs.kinematics.job import NO_TASK, kinematics_to
+    from mbd_ros.jobs.kinematics.job import kinematics_to
+    from mbd_ros.jobs.kinematics.solver import NO_TASK
     from mbd_ros.scene.reader import load_scene
 
     names = ("begin", "end", "unit", "smoothness")

@@ -1,6 +1,6 @@
 """Motion from recorded markers: `mbd-ros kinematics`."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,8 +11,8 @@ from mbd_ros.core.estimation.marker_cost import Seen
 from mbd_ros.core.estimation.marker_fit import Fit
 from mbd_ros.core.estimation.marker_kinematics import MarkerKinematics
 from mbd_ros.core.state import Array
-from mbd_ros.errors import DataError, ModelError, SceneError
-from mbd_ros.files.recordings import Source, name_of, read_columns
+from mbd_ros.errors import DataError
+from mbd_ros.files.recordings import Source
 from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result
 from mbd_ros.jobs.columns import state_topics
@@ -20,13 +20,13 @@ from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.kinematics.capture import Capture, read_capture
 from mbd_ros.jobs.kinematics.matching import Matched, match
 from mbd_ros.jobs.kinematics.remarks import remarks_of
+from mbd_ros.jobs.kinematics.solver import NO_TASK, read_tasks, solver_of, targets_of
 from mbd_ros.jobs.kinematics.tables import RESIDUALS, residual_table, sample_table
 from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.kinematics_task import KinematicsTask, refuse_unknown_joints
+from mbd_ros.scene.kinematics_task import KinematicsTask
 
 Say = Callable[[str], None]
-NO_TASK = KinematicsTask()
 
 
 def kinematics(
@@ -100,32 +100,6 @@ def kinematics_to(
     say(f"{result[MAIN].rows} frames -> {out}")
 
 
-def read_tasks(scene: Scene, task: KinematicsTask | str | Path) -> KinematicsTask:
-    """The task of a file, by its ending, or as it is.
-
-    Raises:
-        SceneError: Names file, key or element, and what is accepted.
-    """
-    if isinstance(task, KinematicsTask):
-        return task
-    if str(task).lower().endswith((".xml", ".xml.gz")):
-        from mbd_ros.scene.osim.inverse_kinematics_setup import read_setup
-
-        found = read_setup(Path(task))
-        known = {joint.name for joint in scene.robot.joints} | set(scene.robot.locked)
-        refuse_unknown_joints(
-            scene, {n: t for n, t in found.coordinates.items() if n not in known}, str(task)
-        )
-        return found
-    from mbd_ros.scene.task_reader import read_task
-
-    parts = read_task(task, scene).parts
-    if "kinematics" not in parts:
-        raise SceneError(f"{task}: no section 'kinematics'")
-    asked: KinematicsTask = parts["kinematics"]
-    return asked
-
-
 class _Found(NamedTuple):
     solver: MarkerKinematics
     times: Array
@@ -138,8 +112,9 @@ def _fitted(scene: Scene, source: Source, task: KinematicsTask, say: Say) -> _Fo
     matched = match(scene, capture, task)
     for line in matched.lines:
         say(line)
-    capture, solver = _usable(matched, say), _solver(scene, matched, task)
-    targets = _targets(scene, capture, task)
+    capture = _usable(matched, say)
+    solver = solver_of(scene, matched.marks, task, capture.where)
+    targets = targets_of(scene, task, capture.times)
     seen = solver.seen(capture.places, capture.times, targets)
     with about(capture.where):
         fit = solver.trial(scene.initial.q, seen)
@@ -150,21 +125,6 @@ def _fitted(scene: Scene, source: Source, task: KinematicsTask, say: Say) -> _Fo
         for line in remarks_of(solver, capture, seen, fit):
             say(line)
     return _Found(solver, capture.times, seen, fit)
-
-
-def _solver(scene: Scene, matched: Matched, task: KinematicsTask) -> MarkerKinematics:
-    weights = {name: one.weight for name, one in _tasks(scene, task).items() if one.weight}
-    try:
-        return MarkerKinematics(
-            scene.robot,
-            scene.couplings,
-            matched.marks,
-            constraints=scene.constraints,
-            tasks=weights,
-            limits=task.limits,
-        )
-    except ModelError as error:
-        raise DataError(f"{matched.capture.where}: {error}") from error
 
 
 def _usable(matched: Matched, say: Say) -> Capture:
@@ -181,35 +141,3 @@ def _usable(matched: Matched, say: Say) -> Capture:
         )
         return capture._replace(times=capture.times[seen], places=capture.places[seen])
     return capture
-
-
-def _tasks(scene: Scene, task: KinematicsTask) -> Mapping[str, Any]:
-    """Tasks of joints that move; a locked one stays where it is."""
-    return {n: one for n, one in task.coordinates.items() if n not in scene.robot.locked}
-
-
-def _targets(scene: Scene, capture: Capture, task: KinematicsTask) -> dict[str, Array]:
-    """Joint -> positions that its task asks for at the frames."""
-    targets = {}
-    for name, one in _tasks(scene, task).items():
-        if one.from_motion and task.motion is not None:
-            targets[name] = _recorded(task.motion, name, capture.times)
-        else:
-            start = float(scene.initial.q[scene.robot.joint(name).q])
-            value = start if one.value is None else one.value
-            targets[name] = np.full(len(capture.times), value)
-    return targets
-
-
-def _recorded(motion: Source, name: str, times: Array) -> Array:
-    column = f"{name}.position"
-    columns = read_columns(motion, ["time", column])
-    if columns is None or np.isnan(columns[:, 1]).any():
-        raise DataError(f"{name_of(motion)}: no column {column}, which a coordinate task follows")
-    known = columns[:, 0]
-    if times[0] < known[0] - 1e-6 or times[-1] > known[-1] + 1e-6:
-        raise DataError(
-            f"{name_of(motion)}: has times {known[0]:g} .. {known[-1]:g} s, the markers "
-            f"{times[0]:g} .. {times[-1]:g} s"
-        )
-    return np.array(np.interp(times, known, columns[:, 1]))

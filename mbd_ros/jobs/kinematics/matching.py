@@ -36,7 +36,7 @@ def match(scene: Scene, capture: Capture, task: KinematicsTask) -> Matched:
         DataError: The scene has no marker, labels that repeat, or none that the recording has.
     """
     markers = markers_of(scene)
-    weights = _weights(markers, capture, task)
+    weights = weights_of(markers, task)
     column = {label: i for i, label in enumerate(capture.labels)}
     pairs = [(m, column.get(m.title, column.get(m.name))) for m in markers]
     used = [(m, at) for m, at in pairs if at is not None and weights[m.title] > 0.0]
@@ -73,9 +73,8 @@ def markers_of(scene: Scene) -> tuple[Marker, ...]:
     return markers
 
 
-def _weights(
-    markers: Sequence[Marker], capture: Capture, task: KinematicsTask
-) -> dict[str, float]:
+def weights_of(markers: Sequence[Marker], task: KinematicsTask) -> dict[str, float]:
+    """Label -> weight: those of a task that names markers, else those of the scene."""
     if task.markers is None:
         return {marker.title: marker.weight for marker in markers}
     asked = task.markers

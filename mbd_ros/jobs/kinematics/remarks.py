@@ -62,7 +62,7 @@ def _at_limits(solver: MarkerKinematics, fit: Fit) -> Iterator[str]:
 def _undetermined(solver: MarkerKinematics, seen: Seen, fit: Fit) -> Iterator[str]:
     """Coordinates that could move in the first frame without any effect."""
     first = slice(0, 1)
-    hessian = solver.solver.cost.at(fit.q[first], seen.of(first)).flat[0]
+    hessian = solver.solver.cost.at(fit.q[first], seen.of(first), np.zeros(1)).hessian[0]
     if solver.solver.loops is not None or not len(hessian):
         return
     values, vectors = np.linalg.eigh(hessian)

@@ -113,7 +113,7 @@ class _Band:
         size, width = N * n, 2 * n
         flat = np.zeros((width + 1, size))  # lower form: flat[i - j, j]
         free = ~held.ravel()
-        blocks = at.flat if not _convex(at.hessian) else at.hessian
+        blocks = at.hessian
         for i in range(n):
             for j in range(i + 1):
                 flat[i - j, j::n] += blocks[:, i, j]
@@ -133,7 +133,3 @@ class _Band:
         """Second divided differences, shape (N - 2, n)."""
         c = self._c[:, :, None]
         return np.array(c[0] * y[:-2] + c[1] * y[1:-1] + c[2] * y[2:])
-
-
-def _convex(hessian: Array) -> bool:
-    return bool(np.linalg.eigvalsh(hessian).min() > 0.0)
