@@ -19,6 +19,7 @@ from mbd_ros.core.rows.row_layout import rigid
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
+_FARTHEST = 1.0e4  # m, of a place that a motion capture system can see
 _NO_TASKS: Mapping[str, float] = {}
 
 
@@ -91,12 +92,12 @@ class MarkerKinematics:
 
         Args:
             places: Markers in the world [m], in the order of `marks`, NaN where one was not seen,
-                shape (N, n, 3).
+                shape (N, n, 3); what is more than 10 km away was not seen either.
             times: [s], shape (N,).
             targets: Joint of a task -> positions that it asks for [rad or m], shape (N,); 0
                 where a task has none.
         """
-        is_seen: Bools = np.array(np.isfinite(places).all(axis=2))
+        is_seen: Bools = np.array((np.abs(places) < _FARTHEST).all(axis=2))
         weights = np.where(is_seen, self._weights, 0.0)
         total = weights.sum(axis=1, keepdims=True)
         weights = weights / np.where(total > 0.0, total, 1.0)

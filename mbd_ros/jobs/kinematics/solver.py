@@ -1,6 +1,7 @@
 """Solvers of marker kinematics from a scene and a task."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,18 +60,22 @@ def solver_of(
         raise DataError(f"{where}: {error}") from error
 
 
-def live_solver(scene: Scene, task: str) -> tuple[MarkerKinematics, dict[str, Array]]:
+def live_solver(
+    scene: Scene, task: str, *, limits: bool = True
+) -> tuple[MarkerKinematics, dict[str, Array]]:
     """A solver for all markers of a scene, and the positions that coordinate tasks ask for.
 
     Args:
         scene: The scene.
         task: File of a task; empty for the weights of the scene.
+        limits: Whether joints keep their limits; a task may say no, too.
 
     Raises:
         SceneError: A task that cannot be read, or that follows a recorded motion.
         DataError: The scene has no marker that weighs something.
     """
     asked = read_tasks(scene, task) if task else NO_TASK
+    asked = replace(asked, limits=limits and asked.limits)
     following = [name for name, one in asked.coordinates.items() if one.from_motion]
     if following:
         raise SceneError(f"{task}: {following[0]} follows a recorded motion, which is not live")

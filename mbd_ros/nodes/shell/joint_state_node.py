@@ -39,6 +39,7 @@ class JointStateNode(SceneNode):
     """
 
     STAMPED = "joint states"  # whose stamps count
+    SAMPLE, TOPIC = "joint state", "joint_states"  # what is answered, and where it comes from
     _pipeline: "JointStatePipeline"
 
     def __init__(self, argv: Sequence[str] = ()) -> None:
@@ -93,12 +94,12 @@ class JointStateNode(SceneNode):
         answered, self._answered = self._answered, 0
         dropped, self._dropped = self._dropped, 0
         is_much = dropped > _DROPPED * (dropped + answered)
-        self._loss = f"{dropped} of {dropped + answered} joint states dropped" if is_much else ""
+        self._loss = f"{dropped} of {dropped + answered} {self.STAMPED} dropped" if is_much else ""
         return {
             "joints ignored": listed(sorted(self._extra)) or "none",
             "messages answered in the last second": str(answered),
             "messages dropped in the last second": str(dropped),
-            "age of the newest joint state": f"{self._age():.6g}" if self._newest else "none",
+            f"age of the newest {self.SAMPLE}": f"{self._age():.6g}" if self._newest else "none",
         }
 
     def stream_health(self) -> tuple[int, str]:
@@ -109,23 +110,23 @@ class JointStateNode(SceneNode):
             return STALE, self._two_clocks
         dropped = f"; last one dropped: {self._last_drop}" if self._last_drop else ""
         if self._newest == 0:
-            topic = self.resolve_topic_name("joint_states")
-            return STALE, f"no joint state answered yet on {topic}{dropped}"
+            topic = self.resolve_topic_name(self.TOPIC)
+            return STALE, f"no {self.SAMPLE} answered yet on {topic}{dropped}"
         if self._age() > self.parameters.timeout:
-            return STALE, f"newest answered joint state is {self._age():.2f} s old{dropped}"
+            return STALE, f"newest answered {self.SAMPLE} is {self._age():.2f} s old{dropped}"
         if self.silence() > self.parameters.timeout:
             why = self._simulated.fault(self.parameters.timeout) or dropped
-            return STALE, f"no joint state answered for {self.silence():.2f} s{why}"
+            return STALE, f"no {self.SAMPLE} answered for {self.silence():.2f} s{why}"
         return self._standing_health()
 
     def _standing_health(self) -> tuple[int, str]:
         """WARN where joint states come and time stands all the same."""
         now = perf_counter()
         if self._last_drop and now - self._heard > _STANDING:
-            return WARN, f"no joint state answered, last one dropped: {self._last_drop}"
+            return WARN, f"no {self.SAMPLE} answered, last one dropped: {self._last_drop}"
         if self._heard - self._moved > _STANDING and now - self._heard < _LATELY:
             stamp = self._newest * NANOSECOND
-            return WARN, f"the joint state of {stamp:.9g} s comes again and again: time stands"
+            return WARN, f"the {self.SAMPLE} of {stamp:.9g} s comes again and again: time stands"
         return OK, ""
 
     def silence(self) -> float:
@@ -161,14 +162,14 @@ class JointStateNode(SceneNode):
         try:
             refused = answer()
         except MessageError as error:
-            self.drop_state("result", f"joint_states: what would answer is dropped: {error}")
+            self.drop_state("result", f"{self.TOPIC}: what would answer is dropped: {error}")
             return
         if refused is None:
             self._note_extra(joints.extra)
             return
         held = ", ".join(self._pipeline.held())
         lacking = f" ({held})" if refused is SampleStatus.INCOMPLETE else ""
-        self.drop_state(refused.name.lower(), f"joint_states: {refused.value}{lacking}")
+        self.drop_state(refused.name.lower(), f"{self.TOPIC}: {refused.value}{lacking}")
 
     def stamp_of(self, stamp: int) -> int | None:
         """The stamp [ns], receive time instead of 0; None if it is of another clock."""
@@ -222,7 +223,7 @@ class JointStateNode(SceneNode):
             self._two_clocks, self._agreed = "", stamp
             return True
         self._two_clocks = (
-            f"joint state of {stamp * NANOSECOND:.3f} s, node clock {now * NANOSECOND:.3f} s: "
+            f"{self.SAMPLE} of {stamp * NANOSECOND:.3f} s, node clock {now * NANOSECOND:.3f} s: "
             "two clocks; does use_sim_time fit the publisher?"
         )
         self.drop("two_clocks", self._two_clocks)
