@@ -8,7 +8,7 @@ import pinocchio as pin
 
 from mbd_ros.core.state import Array
 from mbd_ros.scene.osim.couplers import COUPLER, is_enforced
-from mbd_ros.scene.osim.frames import Attached, placement, roll_pitch_yaw
+from mbd_ros.scene.osim.frames import Attached, old_placement, roll_pitch_yaw
 from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.reading import Reading, Unexpressed
 
@@ -96,7 +96,7 @@ def _weld(reading: Reading, item: Item) -> Entry:
     entry: Entry = {"type": "loop_closure", "kind": "full"}
     ends = _ends(reading, item, ("frame1", "body_1", "body1"), ("frame2", "body_2", "body2"))
     for letter, end, i in zip("ab", ends, "12", strict=True):
-        at = placement(item, (f"location_body_{i}",), (f"orientation_body_{i}",))
+        at = old_placement(item, (f"location_body_{i}",), (f"orientation_body_{i}",))
         entry |= placed(letter, Attached(end.body, end.at * at))
     return entry
 

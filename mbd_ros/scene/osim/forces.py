@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from mbd_ros.scene.osim.frames import Attached, placement, roll_pitch_yaw, socket
+from mbd_ros.scene.osim.frames import Attached, old_placement, roll_pitch_yaw, socket
 from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.paths import read_path
 from mbd_ros.scene.osim.reading import Reading, Unexpressed
@@ -72,7 +72,7 @@ _BUSHING = {
 def _bushing_end(reading: Reading, item: Item, i: int) -> Attached:
     """A frame, or a body and a place on it before 4.0."""
     frame = reading.attached(item, f"frame{i}", f"frame_{i}", f"body_{i}", f"body{i}")
-    at = placement(item, (f"location_body_{i}",), (f"orientation_body_{i}",))
+    at = old_placement(item, (f"location_body_{i}",), (f"orientation_body_{i}",))
     return Attached(frame.body, frame.at * at)
 
 

@@ -135,6 +135,20 @@ def placement(item: Item, at: Sequence[str], turned: Sequence[str]) -> Any:
     return pin.SE3(body_fixed(item.vector(*turned)), np.array(item.vector(*at)))
 
 
+def old_placement(item: Item, at: Sequence[str], turned: Sequence[str]) -> Any:
+    """As `placement`, for what files before 4.0 write where they now have offset frames.
+
+    OpenSim keeps six digits of these numbers when it reads such a file.
+    """
+    translation = np.array([six_digits(one) for one in item.vector(*at)])
+    return pin.SE3(body_fixed([six_digits(one) for one in item.vector(*turned)]), translation)
+
+
+def six_digits(number: float) -> float:
+    """The number as OpenSim writes it into a converted file."""
+    return float(f"{number:.6g}")
+
+
 def body_fixed(angles: Sequence[float]) -> Array:
     """Rotation about x, then about the new y, then about the new z, shape (3, 3)."""
     x, y, z = (pin.utils.rotate(axis, float(a)) for axis, a in zip("xyz", angles, strict=True))

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.state import Array
-from mbd_ros.scene.osim.frames import Attached, Frames, placement, socket
+from mbd_ros.scene.osim.frames import Attached, Frames, old_placement, socket
 from mbd_ros.scene.osim.functions import (
     IDENTITY,
     Function,
@@ -58,13 +58,13 @@ def _joint(item: Item, frames: Frames, child: str) -> Joint:
     parent = frames.attached(item, "parent_frame", "parent_body")
     parent = Attached(
         parent.body,
-        parent.at * placement(item, ("location_in_parent",), ("orientation_in_parent",)),
+        parent.at * old_placement(item, ("location_in_parent",), ("orientation_in_parent",)),
     )
     if child and not socket(item, "child_frame", "child_body"):
         own = Attached(child, pin.SE3.Identity())
     else:
         own = frames.attached(item, "child_frame", "child_body")
-    inner = placement(
+    inner = old_placement(
         item, ("location_in_child", "location"), ("orientation_in_child", "orientation")
     )
     own = Attached(own.body, own.at * inner)

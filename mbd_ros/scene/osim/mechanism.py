@@ -91,7 +91,8 @@ class Mechanism:
             parent = self._moved(step, carriers, parent, child, origin)
             origin = pin.SE3.Identity()
         if parent != joint.child.body:
-            name = self._names.take(joint.name or joint.child.body, "weld")
+            wish = joint.name or joint.child.body
+            name = self._names.take(f"{wish}_weld" if wish in self.links else wish, "weld")
             self.joints.append(UrdfJoint(name, parent, joint.child.body, origin))
         self._add_unseen(joint, carriers)
 

@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from mbd_ros.core.model.urdf_inertias import is_impossible
-from mbd_ros.scene.osim.frames import roll_pitch_yaw
+from mbd_ros.scene.osim.frames import roll_pitch_yaw, six_digits
 from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.mechanism import UrdfJoint
 
@@ -47,7 +47,8 @@ def mass_of(body: Item) -> Mass:
     if body.find("inertia") is not None:
         moments = body.vector("inertia", default=_NONE, length=6)
     else:
-        moments = [body.number(f"inertia_{key[1:]}", default=0.0) for key in _MOMENTS]
+        tags = [f"inertia_{key[1:]}" for key in _MOMENTS]  # before 4.0
+        moments = [six_digits(body.number(tag, default=0.0)) for tag in tags]
     return Mass(body.number("mass", default=0.0), body.vector("mass_center"), moments)
 
 
