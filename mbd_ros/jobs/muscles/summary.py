@@ -9,6 +9,7 @@ from mbd_ros.core.inverse.reserves import CoordinateReserve
 from mbd_ros.core.inverse.static_optimization import Shares, StaticOptimization
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.jobs.muscles.columns import together
+from mbd_ros.scene.coordinate_names import coordinate_names
 
 _SHOWN = 5  # frames, coordinates or parts that a line names
 _LACKS = 1.0e-6  # of the largest need: what counts as lacking
@@ -65,7 +66,7 @@ def _lacking_lines(
     if not len(lacks):
         return
     needed, lacking = together(chunks, "needed"), together(chunks, "lacking")
-    names = coordinate_names(solver)
+    names = coordinate_names(solver.robot, solver.known.couplings)
     times = [f"{samples.stamps[i] * NANOSECOND:.6g}" for i in lacks]
     yield (
         f"warning: {len(lacks)} of {len(needed)} frames need more than muscles and reserves can "
@@ -80,16 +81,6 @@ def _lacking_lines(
         time = samples.stamps[row] * NANOSECOND
         texts.append(f"{names[i]} lacks {lacking[row, i]:.4g} at {time:.6g} s")
     yield f"warning: at most: {_listed(texts)}"
-
-
-def coordinate_names(solver: StaticOptimization) -> list[str]:
-    """Names of the independent velocities; of a free base its name and axis."""
-    robot = solver.robot
-    names = {int(joint.v): joint.name for joint in robot.joints}
-    for base in robot.bases:
-        words = (f"{kind}_{axis}" for kind in ("linear", "angular") for axis in "xyz")
-        names |= {base.v.start + i: f"{base.name}.{word}" for i, word in enumerate(words)}
-    return [names[int(v)] for v in solver.known.couplings.v_index]
 
 
 def _rms(values: Array) -> float:

@@ -37,18 +37,22 @@ class InverseDynamicsNode(JointStateNode):
 
     def configure_core(self) -> None:
         """Build the scene and its topics."""
-        self._torques = self.publish_to(JointState, "~/joint_torques", 10)
-        self._constraint_forces = self.publish_to(JointState, "~/constraint_forces", 10)
         super().configure_core()
+        self.open_outputs()
         wrenches = self._pipeline.scene.wrenches
         for name, wrench in wrenches.items():
             self.subscribe(WrenchStamped, wrench.heard_on, self._on_wrench(name), SENSOR)
+        if wrenches:
+            self.every(max(self.parameters.wrench_wait / 2.0, 1e-3), self._flush)
+
+    def open_outputs(self) -> None:
+        """Topics of torques, constraint forces and residuals."""
+        self._torques = self.publish_to(JointState, "~/joint_torques", 10)
+        self._constraint_forces = self.publish_to(JointState, "~/constraint_forces", 10)
         self._residuals = [
             self.publish_to(WrenchStamped, f"~/residual/{base.name}", 10)
             for base in self._pipeline.scene.robot.bases
         ]
-        if wrenches:
-            self.every(max(self.parameters.wrench_wait / 2.0, 1e-3), self._flush)
 
     def listen(self) -> None:
         """Subscribe to joint states, and to what belongs to them on other topics."""
@@ -161,17 +165,28 @@ class InverseDynamicsNode(JointStateNode):
 
     def _solve(self, x: Observation, wrenches: Sequence[Any]) -> None:
         try:
-            messages = self._pipeline.answer(x, wrenches)
+            is_answered = self.publish_answer(x, wrenches)
         except SolveError as error:
             self.drop_state("unsolved", str(error))
             return
-        if messages is None:
+        if not is_answered:
             self.drop_state("result", "the torques of a joint state are not finite")
             return
+        self.note_answer(x.stamp)
+
+    def publish_answer(self, x: Observation, wrenches: Sequence[Any]) -> bool:
+        """Solve and publish; False where torques are not finite.
+
+        Raises:
+            SolveError: There are none.
+        """
+        messages = self._pipeline.answer(x, wrenches)
+        if messages is None:
+            return False
         torques, constraint_forces, residuals = messages
         self._torques.publish(torques)
         if constraint_forces is not None:
             self._constraint_forces.publish(constraint_forces)
         for publisher, residual in zip(self._residuals, residuals, strict=True):
             publisher.publish(residual)
-        self.note_answer(x.stamp)
+        return True
