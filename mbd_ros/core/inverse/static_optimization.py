@@ -23,7 +23,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.optimization.separable_cost import SeparableCost
 from mbd_ros.core.optimization.separable_program import Optimum, SeparableProgram
-from mbd_ros.core.state import Array
+from mbd_ros.core.state import NONE, Array
 from mbd_ros.core.thresholds import SINGULAR
 from mbd_ros.errors import ModelError, SolveError
 
@@ -102,6 +102,8 @@ class StaticOptimization:
 
     Attributes:
         names: Of muscles, then of reserves.
+        motion: Of all joints in the frames of the newest `solve`: positions, velocities and
+            accelerations, shape (nq, frames) and twice (nv, frames).
 
     Raises:
         ModelError: No muscle, or wishes that do not go together.
@@ -127,6 +129,7 @@ class StaticOptimization:
         self._optimal = np.array([reserve.optimal for reserve in reserves])
         self._program = SeparableProgram(len(self.names), len(known.couplings.v_index))
         self._nq, self._nv = int(robot.model.nq), int(robot.model.nv)
+        self.motion: tuple[Array, Array, Array] = (NONE, NONE, NONE)
         self.forget()
 
     def forget(self) -> None:
@@ -156,9 +159,9 @@ class StaticOptimization:
         Raises:
             SolveError: A frame whose answer does not pass the check, by its time.
         """
-        needed = self.known.batch(position, velocity, acceleration, wrenches).tau
-        (q, v, _), slopes = self._expanded(position, velocity, acceleration)
-        frames = self._frames.at(q, v, slopes)
+        needed = self._needed(position, velocity, acceleration, wrenches)
+        self.motion, slopes = self._expanded(position, velocity, acceleration)
+        frames = self._frames.at(*self.motion[:2], slopes)
         gains = np.concatenate((frames.active, np.tile(self._optimal, (len(times), 1))), axis=1)
         A, b = frames.columns * gains[:, None, :], needed
         if self.wishes.passive:
@@ -187,11 +190,14 @@ class StaticOptimization:
             tuple(optimum.movable for optimum in found),
         )
 
-    def expanded(
-        self, position: Array, velocity: Array, acceleration: Array
-    ) -> tuple[Array, Array, Array]:
-        """Motion of all joints, shape (nq, frames) and twice (nv, frames); see `solve`."""
-        return self._expanded(position, velocity, acceleration)[0]
+    def _needed(
+        self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array]
+    ) -> Array:
+        """What the motion needs without muscles, shape (frames, nv_y)."""
+        if len(position) > 1:
+            return self.known.batch(position, velocity, acceleration, wrenches).tau
+        loads = [wrench[0] for wrench in wrenches]
+        return self.known.solve(position[0], velocity[0], acceleration[0], loads).tau[None]
 
     def _expanded(
         self, position: Array, velocity: Array, acceleration: Array

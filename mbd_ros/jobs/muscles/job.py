@@ -134,11 +134,15 @@ def run_muscles(scene: Scene, order: Sharing, say: Say) -> Result:
     observed = observe_motion(scene, task, say, external)
     samples, wrenches = observed.samples, observed.wrenches
     emg = measured_activations(order.asked.emg, solver.muscles, samples.stamps)
-    chunks = list(_shares(solver, samples, wrenches, emg))
+    chunks, motions = [], []
+    for shares in _shares(solver, samples, wrenches, emg):
+        chunks.append(shares)
+        motions.append([values.T for values in solver.motion])
+    motion = [np.concatenate(each) for each in zip(*motions, strict=True)]
     columns = share_columns(solver, samples, chunks)
     joint_loads = order.asked.loads(scene)
     if joint_loads is not None:
-        found = list(_loads(solver, joint_loads, samples, wrenches, chunks))
+        found = list(_loads(joint_loads, motion, wrenches, chunks))
         columns += load_columns(joint_loads, order.asked, solver.muscles, found)
     for text in summary(solver, samples, chunks):
         say(text)
@@ -163,17 +167,12 @@ def _shares(
 
 
 def _loads(
-    solver: StaticOptimization,
-    joint_loads: JointLoads,
-    samples: Observations,
-    wrenches: list[Array],
-    chunks: list[Shares],
+    joint_loads: JointLoads, motion: list[Array], wrenches: list[Array], chunks: list[Shares]
 ) -> Iterator[tuple[Array, Array]]:
     """Loads of each frame, of all and by muscle."""
     force = np.concatenate([shares.force for shares in chunks])
     reserve = np.concatenate([shares.reserve for shares in chunks])
-    q, v, a = solver.expanded(*samples[1:4])
-    rows = zip(q.T, v.T, a.T, force, reserve, *wrenches, strict=True)
+    rows = zip(*motion, force, reserve, *wrenches, strict=True)
     for q_now, v_now, a_now, tension, help_, *loads in progress(rows, len(force), "joint loads"):
         yield joint_loads.solve(State(0.0, q_now, v_now), a_now, tension, help_, loads)
 

@@ -69,7 +69,7 @@ class LiveSharing:
         shares = self.optimization.solve(times, *motion, loads, self.measured[None])
         if not shares.is_feasible[0]:
             raise SolveError(self._lacking(shares))
-        q, v, a = (values[:, 0] for values in self.optimization.expanded(*motion))
+        q, v, a = (values[:, 0] for values in self.optimization.motion)
         self.shares, self.configuration = shares, q
         if self._joint_loads is not None:
             x, force, reserve = State(self.time, q, v), shares.force[0], shares.reserve[0]
