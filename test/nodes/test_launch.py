@@ -34,7 +34,7 @@ pytestmark = [
 ]
 NODES = (
     *("simulator", "inverse_dynamics", "joint_state_projector"),
-    *("muscle_forces", "qp_controller", "sliding_mode_controller"),
+    *("qp_controller", "sliding_mode_controller"),
 )
 TWO = """from launch import LaunchDescription
 from launch.actions import IncludeLaunchDescription
