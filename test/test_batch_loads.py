@@ -13,14 +13,21 @@ LOADS = {
     "plate": {"frame": "link5", "expressed_in": "world", "threshold": 1.0},
     "ground": {"frame": "world", "expressed_in": "world"},
 }
+FORCES = [
+    {"type": "applied_wrench", "frame": "link5", "force": [3.0, -2.0, 9.0], "torque": [1.0, 0, 2]},
+    {"type": "joint_spring", "joint": "joint3", "stiffness": 40.0, "damping": 2.0},
+]
 COUPLED = {"joint6": {"parent": "joint2", "polynomial": [0.1, 0.4, 0.2]}}
 
 
 @pytest.mark.parametrize("base", ["fixed", "floating"])
 @pytest.mark.parametrize("couplings", [{}, COUPLED])
-def test_a_batch_equals_its_samples(base, couplings):
+@pytest.mark.parametrize("forces", [[], FORCES])
+def test_a_batch_equals_its_samples(base, couplings, forces):
     """Both by Pinocchio, one load by one load through `rnea`, or all through world Jacobians."""
     entries = {"robot": {"base": base}, "external_wrenches": LOADS}
+    if forces:
+        entries["forces"] = forces
     if couplings:
         entries["couplings"] = couplings
     scene = scene_from(entries, urdf="arm7")

@@ -1,6 +1,7 @@
 """A motion and force plates as a laboratory has them: loads of an .xml, torques as OpenSim's."""
 
 import gzip
+import math
 
 import numpy as np
 import pytest
@@ -163,6 +164,24 @@ def test_loads_that_do_not_reach_over_the_motion_are_refused(laboratory, tmp_pat
     changed(path, body="thumb")
     with pytest.raises(DataError, match="ExternalForce right_foot: no frame 'thumb'"):
         scene.inverse(tmp_path / "walk.mot", external=path)
+
+
+def test_a_time_range_takes_samples_out_behind_the_filter(laboratory, tmp_path):
+    path, _, _ = laboratory
+    rows = "".join(f"{t!r}\t{90 * math.sin(3 * t)!r}\n" for t in np.arange(-1, 2, 0.05).tolist())
+    head = "Coordinates\nversion=1\nnRows=60\nnColumns=2\ninDegrees=yes\nendheader\n"
+    (tmp_path / "walk.mot").write_text(head + "time\tjoint2\n" + rows)
+    scene, options = scene_from(urdf="arm7"), {"derivatives": "opensim", "cutoff": 4.0}
+    whole = scene.inverse(tmp_path / "walk.mot", **options)["samples"]
+    part = scene.inverse(tmp_path / "walk.mot", **options, external=path, time_range=(0.0, 1.0))
+    table = part["samples"]
+    inside = (whole["time"] > -1e-3) & (whole["time"] < 1.001)
+    assert table["time"].tolist() == whole["time"][inside].tolist() and table.rows == 21
+    found = table["joint2.acceleration"]
+    assert found.tolist() == whole["joint2.acceleration"][inside].tolist()
+    assert part.metadata["inputs"]["time_range"] == [0.0, 1.0]
+    with pytest.raises(DataError, match="--time-range 3 4: no sample is there, the motion is at"):
+        scene.inverse(tmp_path / "walk.mot", **options, time_range=(3.0, 4.0))
 
 
 def test_a_motion_in_degrees_of_some_joints_gives_torques_and_says_what_is_assumed(tmp_path):

@@ -136,13 +136,6 @@ class InverseDynamics:
         Returns:
             Rows in the order of the samples.
         """
-        if self.forces:
-            rows = zip(position, velocity, acceleration, *wrenches, strict=True)
-            solved = [self.solve(z, v, a, loads) for z, v, a, *loads in rows]
-            n, dependent = len(solved), len(self.couplings.dependent)
-            tau = np.array([s.tau for s in solved]).reshape(n, velocity.shape[1])
-            multipliers = np.array([s.multipliers for s in solved]).reshape(n, dependent)
-            return self._torques(tau, multipliers)
         chunks = range(0, max(len(position), 1), _CHUNK)
         if self._pool is None:
             self._pool = pin.ModelPool(self._model, 1)
@@ -185,8 +178,18 @@ class InverseDynamics:
             if self._batch_loads is None:
                 self._batch_loads = BatchLoads(self._robot, self.wrenches)
             tau -= self._batch_loads.forces(q, wrenches)
+        if self.forces:
+            self._take_forces(tau, q, v)
         reduced, multipliers = couplings.reduce(tau, slopes)
         return reduced.T, multipliers.T
+
+    def _take_forces(self, tau: Array, q: Array, v: Array) -> None:
+        """Take the force terms of each sample, a column, from its torques."""
+        for i, (here, rate) in enumerate(zip(q.T, v.T, strict=True)):
+            self._k.refresh(here, rate, self._reads)
+            x = State(0.0, here, rate)
+            for term in self.forces:
+                tau[:, i] -= term.force(self._k, x, NONE)
 
     def _expand(self, position: Array, velocity: Array, acceleration: Array) -> None:
         couplings = self.couplings

@@ -26,6 +26,7 @@ class Batch(NamedTuple):
         out: Folder of the results; the result itself where there is one motion.
         wrenches: Table or bag of the external loads of every motion.
         external: External loads of OpenSim (.xml) of every motion.
+        time_range: First and last time that is solved [s]; None for all.
         derivatives: given, causal, zero-phase or opensim.
         cutoff: Of the filters [Hz]; None: the default of `Derivatives`.
         half_width: Samples on either side of a local zero-phase fit; None without one.
@@ -41,6 +42,7 @@ class Batch(NamedTuple):
     out: Path
     wrenches: Path | None
     external: Path | None
+    time_range: Sequence[float] | None
     derivatives: str
     cutoff: float | None
     half_width: int | None
@@ -117,9 +119,9 @@ def one(argument: Mapping[str, Any]) -> tuple[list[str], str]:
 def _inverse(batch: Batch, say: Say) -> None:
     derivatives = Derivatives(batch.derivatives, batch.cutoff, batch.half_width)
     (motion,) = batch.motions
-    asked = Task(
-        motion, derivatives, batch.wrenches, batch.topic, batch.parts, batch.bounds, batch.external
-    )
+    between = None if batch.time_range is None else (batch.time_range[0], batch.time_range[1])
+    more = batch.topic, batch.parts, batch.bounds, batch.external, between
+    asked = Task(motion, derivatives, batch.wrenches, *more)
     inverse_to(load_scene(batch.scene), asked, batch.out, say)
 
 

@@ -35,6 +35,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=path_word,
         help="external loads of OpenSim (.xml with its .mot), in place of those of the scene",
     )
+    parser.add_argument(
+        "--time-range",
+        type=float,
+        nargs=2,
+        metavar=("FIRST", "LAST"),
+        help="solve these times alone [s]; derivatives come from the whole motion",
+    )
     add_derivatives(parser)
     parser.add_argument(
         "--parts",

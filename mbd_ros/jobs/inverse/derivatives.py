@@ -96,12 +96,14 @@ def _splined(scene: Scene, where: str, motion: Motion, derivatives: Derivatives)
         names = ", ".join(body.name for body in motion.bodies)
         raise DataError(f"{where}: --derivatives opensim knows joints alone, not the free {names}")
     n = len(scene.couplings.independent)
-    splined = opensim_splines(motion.stamps, motion.position[:, :n], derivatives.cutoff)
-    times, known = splined.stamps - motion.stamps[0], motion.stamps - motion.stamps[0]
-    others = [np.interp(times, known, column) for column in motion.position[:, n:].T]
-    dependent = np.array(others).T.reshape(len(times), -1)
-    samples = Observations(*splined, dependent)
-    moved = len(times) != len(known) or (times != known).any()
+    there = np.isfinite(motion.position).all(axis=0)
+    there[:n] = True
+    found = opensim_splines(motion.stamps, motion.position[:, there], derivatives.cutoff)
+    position = np.full((len(found.stamps), len(there)), np.nan)
+    position[:, there] = found.position
+    own = (values[:, :n] for values in found[1:])
+    samples = Observations(found.stamps, *own, position[:, n:])
+    moved = not np.array_equal(found.stamps, motion.stamps)
     said = ["resampled at the smallest step of the motion, as OpenSim does"] if moved else []
     return Differentiated(samples, None, said)
 

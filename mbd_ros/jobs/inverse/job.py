@@ -36,6 +36,7 @@ def inverse(
     half_width: int | None = None,
     wrenches: Source | None = None,
     external: str | Path | None = None,
+    time_range: tuple[float, float] | None = None,
     topic: str = "/joint_states",
     parts: bool = False,
     bounds: bool = False,
@@ -52,6 +53,7 @@ def inverse(
         half_width: Samples on either side of a local zero-phase fit, in place of a cut-off.
         wrenches: Result, file or bag of the external loads; a bag motion carries its own.
         external: External loads of OpenSim (.xml), in place of those of the scene.
+        time_range: First and last time that is solved [s]; derivatives come from the whole motion.
         topic: JointState topic of a bag.
         parts: Also give the torque components (gravity, coriolis, inertial, external).
         bounds: Efforts keep the limits of their actuators; stops, dry friction and limited
@@ -75,7 +77,7 @@ def inverse(
     remarks: list[str] = []
     with watching(progress):
         loads = None if external is None else Path(external)
-        task = Task(motion, chosen, wrenches, topic, parts, bounds, loads)
+        task = Task(motion, chosen, wrenches, topic, parts, bounds, loads, time_range)
         result = run_inverse(scene, task, say or remarks.append)
     if say is None:
         result.metadata["remarks"] = remarks
@@ -109,7 +111,7 @@ def _in_pieces(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
     """Number of samples written from bag to bag; None where that takes the whole motion."""
     if not (isinstance(task.motion, Path) and is_bag(task.motion) and is_bag(out)):
         return None
-    if task.external is not None:
+    if task.external is not None or task.time_range is not None:
         return None
     from mbd_ros.jobs.inverse.streamed import stream  # loads rosbags
 

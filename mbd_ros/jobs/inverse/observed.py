@@ -1,7 +1,7 @@
 """What inverse dynamics is asked for, and the samples that it is asked at."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from mbd_ros.core.estimation.torque_estimator import Observations, TorqueEstimator, Tuning
 from mbd_ros.core.inverse.reach import listed
-from mbd_ros.core.state import Array, Motion, WrenchSamples
+from mbd_ros.core.state import NANOSECOND, Array, Motion, WrenchSamples
 from mbd_ros.errors import DataError
 from mbd_ros.files.recording import Recording
 from mbd_ros.files.recordings import Source, name_of, read_motion
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mbd_ros.jobs.inverse.external import ExternalLoads
 
 Say = Callable[[str], None]
+_NEAR = 0.01  # steps of the motion: times that were resampled are a little off
 
 
 class Task(NamedTuple):
@@ -38,6 +39,7 @@ class Task(NamedTuple):
             be out of reach of the actuators.
         bounds: Keep the bounds of efforts and multipliers.
         external: External loads of a laboratory (.xml), in place of `wrenches`.
+        time_range: First and last time of the samples that are solved [s]; None for all.
     """
 
     motion: Source
@@ -47,6 +49,7 @@ class Task(NamedTuple):
     parts: bool = False
     bounds: bool = False
     external: Path | None = None
+    time_range: tuple[float, float] | None = None
 
 
 class Observed(NamedTuple):
@@ -85,21 +88,38 @@ def observe_motion(
     if derivatives.source == "causal":
         with np.errstate(over="ignore", invalid="ignore"):  # the results are looked at
             samples, cutoff = observe(estimator, motion, dropped), None
-        say(causal_line(estimator.differentiator, derivatives.causal_cutoff))
+        remarks = [causal_line(estimator.differentiator, derivatives.causal_cutoff)]
     else:
         with about(where), np.errstate(over="ignore", invalid="ignore"):
             samples, cutoff, remarks = differentiate(scene, where, motion, derivatives)
-        for text in remarks:
-            say(text)
+    for text in remarks:
+        say(text)
     for reason, count in dropped.items():
         say(f"{count} samples left out: {reason}")
     if not len(samples.stamps):
         raise DataError(f"{where}: no sample can be used")
-    if external is None:
-        wrenches = [wrench_at(name, load, samples.stamps) for name, load in loads.items()]
-    else:
+    samples = _within(where, samples, task.time_range)
+    wrenches = [wrench_at(name, load, samples.stamps) for name, load in loads.items()]
+    if external is not None:
         wrenches = external.at(samples.stamps)
     return Observed(motion, samples, wrenches, cutoff)
+
+
+def _within(
+    where: str, samples: Observations, time_range: tuple[float, float] | None
+) -> Observations:
+    """The samples of a time, those at its ends among them."""
+    if time_range is None:
+        return samples
+    times = samples.stamps * NANOSECOND
+    margin = _NEAR * float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    inside = (times >= time_range[0] - margin) & (times <= time_range[1] + margin)
+    if not inside.any():
+        raise DataError(
+            f"{where}: --time-range {time_range[0]:g} {time_range[1]:g}: no sample is there, the "
+            f"motion is at {times[0]:.6g} to {times[-1]:.6g} s"
+        )
+    return Observations(*(field[inside] for field in samples))
 
 
 def _recording(
@@ -118,7 +138,7 @@ def _recording(
         sliding=scene.robot.sliding,
         assumed=lambda name: float(scene.initial.q[scene.robot.joint(name).q]),
     )
-    for text in _storage_lines(where, recording):
+    for text in _storage_lines(where, recording, scene.robot.locked):
         say(text)
     recording, remarks = close_loops(scene, where, recording)
     for text in remarks:
@@ -130,15 +150,17 @@ def _recording(
     return recording
 
 
-def _storage_lines(where: str, recording: Recording) -> Iterator[str]:
+def _storage_lines(where: str, recording: Recording, locked: Mapping[str, float]) -> Iterator[str]:
     """What a storage of a laboratory has besides joints, and which of them it lacks."""
     motion = recording.motion
     yield from (f"{where}: {text}" for text in recording.remarks)
     if recording.assumed:
         start = [motion.position[0, motion.names.index(name)] for name in recording.assumed]
-        held = [f"{n} = {q:.6g}" for n, q in zip(recording.assumed, start, strict=True)]
-        yield f"{where}: no column of some joints, they stay where the scene starts: " + (
-            ", ".join(held)
-        )
-    if recording.unused:
-        yield f"{where}: columns of no joint, not used: {listed(recording.unused)}"
+        there = [f"{n} = {q:.6g}" for n, q in zip(recording.assumed, start, strict=True)]
+        said = f"{where}: no column of some joints, they stay where the scene starts"
+        yield f"{said}: {', '.join(there)}"
+    unused = recording.unused or ()
+    if held := [label for label in unused if label in locked]:
+        yield f"{where}: columns of joints that the model locks, not used: {listed(held)}"
+    if others := [label for label in unused if label not in locked]:
+        yield f"{where}: columns of no joint, not used: {listed(others)}"

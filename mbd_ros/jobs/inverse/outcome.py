@@ -24,7 +24,13 @@ def _inputs(task: Task) -> dict[str, object]:
     """What the metadata of the result says."""
     source, cutoff, half_width = task.derivatives
     asked = {"motion": task.motion, "wrenches": task.wrenches, "derivatives": source}
-    filters = {"external": task.external, "cutoff": cutoff, "half_width": half_width}
+    between = task.time_range and list(task.time_range)
+    filters = {
+        "time_range": between,
+        "external": task.external,
+        "cutoff": cutoff,
+        "half_width": half_width,
+    }
     return {**asked, **filters, "parts": task.parts, "bounds": task.bounds}
 
 
