@@ -11,10 +11,13 @@ in biomechanical models using generalized coordinates, ASME IDETC 2013, DETC2013
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from mbd_ros.core.model.coupling_functions import CouplingFunction
 from mbd_ros.core.model.joints import Joint
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.model.sampled_kinematics import SampledKinematics
 from mbd_ros.core.state import Array, State
 
 
@@ -61,6 +64,10 @@ class Path:
         """What a tension of 1 N exerts on bodies; what it exerts in joints is left out."""
         return ()
 
+    def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
+        """The l [m] and J of n samples, shapes (n,) and (n, nv)."""
+        raise NotImplementedError
+
 
 class JointPath(Path):
     """A sum of functions of joint positions: l = sum f_i(q_i), as of tendons over pulleys.
@@ -102,6 +109,14 @@ class JointPath(Path):
             bent += function(k.item(x.q, joint.q))[2] * rate * rate
         return bent
 
+    def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
+        """The l [m] and its slopes of n samples."""
+        lengths, slopes = np.zeros(len(k.q)), np.zeros((len(k.q), self._nv))
+        for joint, function in self._terms:
+            value, slopes[:, joint.v], _ = function(k.q[:, joint.q])
+            lengths += value
+        return lengths, slopes
+
 
 class JoinedPaths(Path):
     """Paths one behind the other under the same tension: l is their sum.
@@ -134,3 +149,8 @@ class JoinedPaths(Path):
     def pulls(self, k: Kinematics, x: State) -> tuple[Pull, ...]:
         """What a tension of 1 N exerts on bodies."""
         return tuple(pull for path in self._paths for pull in path.pulls(k, x))
+
+    def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
+        """The l [m] and J of n samples."""
+        lengths, slopes = zip(*(path.sampled(k) for path in self._paths), strict=True)
+        return np.sum(lengths, axis=0), np.sum(slopes, axis=0)

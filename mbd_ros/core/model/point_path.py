@@ -9,6 +9,7 @@ import numpy as np
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.paths import Path, Pull
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.model.sampled_kinematics import SampledKinematics
 from mbd_ros.core.model.via_points import Interval, ViaPoint
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -105,6 +106,22 @@ class PointPath(Path):
         triples = zip(points, places, forces, strict=True)
         return tuple(Pull(point.frame, place, force) for point, place, force in triples)
 
+    def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
+        """The l [m] and J of n samples."""
+        points = [end.point for end in (self._first, *self._rest)]
+        places = np.stack([point.sampled(k) for point in points], axis=1)
+        ways = places[:, 1:] - places[:, :-1]
+        rigid = [end.length for end in self._rest]
+        lengths = np.sqrt((ways * ways).sum(axis=-1))
+        ways /= np.where(lengths > 0.0, lengths, 1.0)[..., None]
+        for i, length in enumerate(rigid):
+            if length is not None:
+                lengths[:, i], ways[:, i] = length, 0.0
+        change = np.zeros(places.shape)
+        change[:, 1:] += ways
+        change[:, :-1] -= ways
+        return lengths.sum(axis=-1), slopes_of(k, points, places, change)
+
 
 class SwitchedPath(Path):
     """One path while a joint is in an interval, and another one elsewhere.
@@ -139,10 +156,46 @@ class SwitchedPath(Path):
         """What a tension of 1 N exerts on bodies."""
         return self._asked(k, x, "pulls")
 
+    def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
+        """The l [m] and J of n samples."""
+        there = self._interval.sampled(k)
+        if there.all() or not there.any():
+            return (self._inside if there.all() else self._outside).sampled(k)
+        inside, outside = self._inside.sampled(k.of(there)), self._outside.sampled(k.of(~there))
+        lengths, slopes = np.empty(len(there)), np.empty((len(there), inside[1].shape[1]))
+        lengths[there], slopes[there] = inside
+        lengths[~there], slopes[~there] = outside
+        return lengths, slopes
+
     def _asked(self, k: Kinematics, x: State, what: str) -> Any:
         inside, outside = getattr(self._inside, what), getattr(self._outside, what)
         there = self._interval.holds(k, x)
         return k.either(there, lambda: inside(k, x), lambda: outside(k, x))
+
+
+def slopes_of(
+    k: SampledKinematics, points: Sequence[ViaPoint], places: Array, change: Array
+) -> Array:
+    """J of n samples, shape (n, nv), of a length that changes with points.
+
+    Args:
+        k: Kinematics.
+        points: The points.
+        places: Where they are, shape (n, m, 3).
+        change: By how much the length changes with them, shape (n, m, 3).
+    """
+    arms = np.cross(places, change)
+    wrenches: dict[int, Array] = {}
+    for i, point in enumerate(points):
+        if point.point.moves:
+            wrench = np.concatenate((change[:, i], arms[:, i]), axis=-1)
+            joint = k.carrier(point.point)
+            wrenches[joint] = wrenches[joint] + wrench if joint in wrenches else wrench
+    slopes = k.slope(wrenches)
+    for i, point in enumerate(points):
+        if (slide := point.slide(k)) is not None:
+            slopes[:, slide[0]] += (change[:, i] * slide[1]).sum(axis=-1)
+    return slopes
 
 
 def path_through(robot: Robot, points: Sequence[ViaPoint], wraps: "Sequence[Wrap]" = ()) -> Path:

@@ -4,12 +4,14 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.model.coupling_functions import CouplingFunction
 from mbd_ros.core.model.joints import Joint
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.model.sampled_kinematics import SampledKinematics
 from mbd_ros.core.state import Array, State
 
 _AXES = "xyz"
@@ -32,6 +34,12 @@ class Interval(NamedTuple):
         """Whether the joint is there."""
         q = k.item(x.q, self.joint.q)
         return k.maximum(self.lower - q, q - self.upper) <= 0.0
+
+    def sampled(self, k: SampledKinematics) -> NDArray[np.bool_]:
+        """Whether the joint is there, in n samples."""
+        q = k.q[:, self.joint.q]
+        there: NDArray[np.bool_] = (q >= self.lower) & (q <= self.upper)
+        return there
 
 
 class ViaPoint:
@@ -77,6 +85,14 @@ class ViaPoint:
         """From joint velocities to its velocity, shape (3, nv)."""
         return k.jacobian(self.point)
 
+    def sampled(self, k: SampledKinematics) -> Array:
+        """Where it is in n samples, less `Robot.origin` [m], shape (n, 3)."""
+        return k.position(self.point)
+
+    def slide(self, k: SampledKinematics) -> tuple[int, Array] | None:
+        """Velocity coordinate that slides it along its link, and how, shape (n, 3)."""
+        return None
+
 
 class MovingViaPoint(ViaPoint):
     """A point that slides along its link as a joint moves: p = p_0 + sum s_i(q) e_i.
@@ -117,6 +133,11 @@ class MovingViaPoint(ViaPoint):
             (robot.point(frame, (begin + np.eye(3)[i]).tolist()), functions[axis])
             for i, axis in _NUMBERED
             if axis in functions
+        ]
+        places = robot.places.points
+        rotation = places[self.point.number].at.rotation
+        self._directions = [
+            (rotation[:, i], functions[axis]) for i, axis in _NUMBERED if axis in functions
         ]
 
     def position(self, k: Kinematics, x: State) -> Array:
@@ -162,6 +183,26 @@ class MovingViaPoint(ViaPoint):
             along = along + (k.position(end) - begin) * slope
         whole[:, self._joint.v] += along
         return whole
+
+    def sampled(self, k: SampledKinematics) -> Array:
+        """Where it is in n samples, less `Robot.origin` [m], shape (n, 3)."""
+        offset, _ = self._offset(k)
+        return k.position(self.point, offset)
+
+    def slide(self, k: SampledKinematics) -> tuple[int, Array] | None:
+        """Velocity coordinate that slides it along its link, and how, shape (n, 3)."""
+        _, slope = self._offset(k)
+        return self._joint.v, k.along(self.point, slope)
+
+    def _offset(self, k: SampledKinematics) -> tuple[Array, Array]:
+        """Way along the axes, in those of the carrying joint, and its slope, shape (n, 3)."""
+        q = k.q[:, self._joint.q]
+        offset, slope = np.zeros((2, len(q), 3))
+        for axis, function in self._directions:
+            value, rate, _ = function(q)
+            offset += np.multiply.outer(np.broadcast_to(value, q.shape), axis)
+            slope += np.multiply.outer(np.broadcast_to(rate, q.shape), axis)
+        return offset, slope
 
 
 _NUMBERED = tuple(enumerate(_AXES))

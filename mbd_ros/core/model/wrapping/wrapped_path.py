@@ -7,12 +7,14 @@ import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.paths import Path, Pull
+from mbd_ros.core.model.point_path import slopes_of
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.model.sampled_kinematics import SampledKinematics
 from mbd_ros.core.model.via_points import ViaPoint
 from mbd_ros.core.model.wrapping.chain import Chain, Placed, link
 from mbd_ros.core.model.wrapping.routes import Reach, Router
-from mbd_ros.core.model.wrapping.surface import Surface
+from mbd_ros.core.model.wrapping.surface import Surface, cross
 from mbd_ros.core.model.wrapping.taut import Taut, taut
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
@@ -149,6 +151,26 @@ class WrappedPath(Path):
                 pulls.append(Pull(frame, last.point[0], ways[i + 1]))
         at = zip(self.points, points[0], forces, strict=True)
         return (*(Pull(point.frame, place, force) for point, place, force in at), *pulls)
+
+    def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
+        """The l [m] and J of n samples."""
+        points = np.stack([point.sampled(k) for point in self.points], axis=1)
+        places = [
+            Placed(wrap.surface, k.rotation(wrap.point), k.position(wrap.point))
+            for wrap in self.wraps
+        ]
+        try:
+            length, by_points, by_wraps = taut(points, self.reaches, places)
+        except SolveError as error:
+            raise self._named(error) from error
+        slopes = slopes_of(k, self.points, points, by_points)
+        wrenches: dict[int, Array] = {}
+        for i, wrap in enumerate(self.wraps):
+            joint, change = k.carrier(wrap.point), by_wraps[:, i]
+            if joint and change.any():
+                change[:, 3:] += cross(places[i].origin, change[:, :3])
+                wrenches[joint] = wrenches[joint] + change if joint in wrenches else change
+        return length, slopes + k.slope(wrenches)
 
     def _where(self, k: Kinematics, x: State) -> tuple[list[Placed], Array]:
         points = np.array([[point.position(k, x) for point in self.points]])
