@@ -14,12 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.model.wrapping.surface import Mask, Numbers, Surface, cross, dot, unit
+from mbd_ros.core.model.wrapping.surface import Flow, Mask, Numbers, Surface, cross, dot, unit
 from mbd_ros.core.state import Array
 
-_STEPS = 60
+_STEPS = 30
 _LEAST = 2.0**-8  # share of a step that is taken whatever it does
 _TOLERANCE = 1.0e-13  # of the sine of the angle between lines and tangents
+_LONGEST = 20.0  # arc, in sizes of its surface
 _ROUNDING = 1.0e-10  # what is accepted where steps no longer make it smaller
 
 
@@ -56,15 +57,25 @@ class Arc(NamedTuple):
         start: First point [m], shape (n, 3).
         direction: Unit tangent there, shape (n, 3).
         length: Its length [m], shape (n,).
+        middle: Point half-way [m], shape (n, 3).
+        end: Last point [m], shape (n, 3).
     """
 
     start: Array
     direction: Array
     length: Array
+    middle: Array
+    end: Array
+
+    @staticmethod
+    def along(surface: Surface, start: Array, direction: Array, length: Array) -> "Arc":
+        """The geodesic of a surface from a point along a tangent."""
+        flow = surface.flow(start, direction, length)
+        return Arc(start, direction, length, flow.middle, flow.end)
 
     def of(self, samples: Numbers | Mask) -> "Arc":
         """The same at some of the samples."""
-        return Arc(self.start[samples], self.direction[samples], self.length[samples])
+        return Arc(*(value[samples] for value in self))
 
 
 class Contact(NamedTuple):
@@ -132,7 +143,7 @@ def shortest(a: Array, b: Array, over: Sequence[Placed], starts: Sequence[Arc]) 
         worst = np.sqrt((errors * errors).sum(axis=-1))
         better = (worst < best) | (share <= _LEAST)
         stuck = ~better & (best < _ROUNDING)
-        arcs = tuple(_either(better, *pair) for pair in zip(tried, arcs, strict=True))
+        arcs = tuple(_either(better, *pair) for pair in zip(chain.arcs, arcs, strict=True))
         best, share = np.where(better, worst, best), np.where(better, 1.0, share / 2.0)
         new = np.linalg.solve(chain.slopes[better], errors[better][..., None])[..., 0]
         steps[better] = -new
@@ -153,12 +164,10 @@ def shortest(a: Array, b: Array, over: Sequence[Placed], starts: Sequence[Arc]) 
 
 
 def _either(first: Mask, a: Arc, b: Arc) -> Arc:
-    aside = first[:, None]
-    return Arc(
-        np.where(aside, a.start, b.start),
-        np.where(aside, a.direction, b.direction),
-        np.where(first, a.length, b.length),
-    )
+    if first.all():
+        return a
+    pairs = zip(a, b, strict=True)
+    return Arc(*(np.where(first[:, None] if x.ndim > 1 else first, x, y) for x, y in pairs))
 
 
 def _stepped(over: Sequence[Placed], arcs: Sequence[Arc], steps: Array) -> tuple[Arc, ...]:
@@ -170,7 +179,11 @@ def _stepped(over: Sequence[Placed], arcs: Sequence[Arc], steps: Array) -> tuple
 
 def link(a: Array, b: Array, over: Sequence[Placed], arcs: tuple[Arc, ...]) -> tuple[Chain, Array]:
     """The path with given geodesics, and what its conditions lack, shape (n, 4 m)."""
-    ends = tuple(_ends(one, arc) for one, arc in zip(over, arcs, strict=True))
+    flows = [one.surface.flow(*arc[:3]) for one, arc in zip(over, arcs, strict=True)]
+    arcs = tuple(
+        Arc(*arc[:3], flow.middle, flow.end) for arc, flow in zip(arcs, flows, strict=True)
+    )
+    ends = tuple(_ends(*each) for each in zip(over, arcs, flows, strict=True))
     begins = (a, *(last.point for _, last in ends))
     finishes = (*(first.point for first, _ in ends), b)
     lines = tuple(_line(p, q) for p, q in zip(begins, finishes, strict=True))
@@ -209,18 +222,15 @@ def _line(begin: Array, end: Array) -> Line:
     return Line(way / length[:, None], length)
 
 
-def _ends(placed: Placed, arc: Arc) -> tuple[Contact, Contact]:
-    surface, turn = placed.surface, placed.rotation
-    flow = surface.flow(*arc)
-    still, one = np.zeros(len(arc.length)), np.ones(len(arc.length))
-    starts = np.stack((one, still, still, still), axis=-1)  # along t, with the unknowns
-    aside = np.stack((still, one, still, still), axis=-1)
-    spin = np.stack((still, still, one, still), axis=-1)
-    first = _contact(surface, arc.start, arc.direction, starts, aside, spin)
-    along = np.stack((one, still, still, one), axis=-1)
-    aside = np.stack((still, flow.shifted[:, 0], flow.turned[:, 0], still), axis=-1)
-    spin = np.stack((still, flow.shifted[:, 1], flow.turned[:, 1], still), axis=-1)
-    last = _contact(surface, flow.end, flow.direction, along, aside, spin)
+def _ends(placed: Placed, arc: Arc, flow: Flow) -> tuple[Contact, Contact]:
+    surface, turn, count = placed.surface, placed.rotation, len(arc.length)
+    begin, finish = np.zeros((2, 3, count, 4))  # along t, along b, about n, with the unknowns
+    begin[(0, 1, 2), :, (0, 1, 2)] = 1.0
+    finish[0, :, (0, 3)] = 1.0
+    for row in (0, 1):
+        finish[row + 1, :, 1], finish[row + 1, :, 2] = flow.shifted[:, row], flow.turned[:, row]
+    first = _contact(surface, arc.start, arc.direction, *begin)
+    last = _contact(surface, flow.end, flow.direction, *finish)
     return _outwards(first, turn, placed.origin), _outwards(last, turn, placed.origin)
 
 
@@ -267,4 +277,6 @@ def _moved(surface: Surface, arc: Arc, step: Array) -> Arc:
     start = surface.nearest(arc.start + along[:, None] * t + aside[:, None] * b)
     n, ahead = surface.normal(start), t + spin[:, None] * b
     ahead = unit(ahead - dot(ahead, n)[:, None] * n)
-    return Arc(start, ahead, arc.length + longer)
+    longest = _LONGEST * surface.size
+    length = np.clip(arc.length + longer, -longest, longest)
+    return Arc(start, ahead, length, start, start)

@@ -42,9 +42,12 @@ class Cylinder(Surface):
         inside: Mask = points[:, 0] ** 2 + points[:, 1] ** 2 < self.size**2
         return inside
 
-    def touch(self, a: Array, b: Array) -> Touch:
-        """What a path from a to b does, both outside."""
-        code, left = self._meets(a, b)
+    def touch(self, a: Array, b: Array, code: Numbers) -> Touch:
+        """Where a path from a to b touches it, with what `meets` says."""
+        if self.sign:
+            left = self._turns_left(a, b)
+        else:
+            left = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] >= 0.0  # the shorter way
         radius, turn = self.size, np.where(left, 1.0, -1.0)
         (to_a, begin), (to_b, end) = self._tangent(a, turn), self._tangent(b, -turn)
         angle = np.remainder(turn * (end - begin), _TURN)
@@ -85,22 +88,24 @@ class Cylinder(Surface):
             np.stack((-around * y, around * x, rise), axis=-1),
             np.stack((straight, flat), axis=-1),
             np.stack((arc, straight), axis=-1),
+            start + 0.5 * (end - start),
         )
 
-    def _meets(self, a: Array, b: Array) -> tuple[Numbers, Mask]:
-        """The code, and whether the path turns left about z."""
+    def meets(self, a: Array, b: Array) -> Numbers:
+        """What a path from a to b does: `NO_WRAP`, `MAY_WRAP` or `MUST_WRAP`, shape (n,)."""
         line = b - a
         flat = line[:, 0] ** 2 + line[:, 1] ** 2
         at = -(a[:, 0] * line[:, 0] + a[:, 1] * line[:, 1]) / np.where(flat > 0.0, flat, 1.0)
         near = a + at[:, None] * line
         hits = (near[:, 0] ** 2 + near[:, 1] ** 2 < self.size**2) & (at > 0.0) & (at < 1.0)
+        outside = ~(self.holds(a) | self.holds(b))
         if not self.sign:
-            left = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] >= 0.0  # the shorter way
-            return np.where(hits, MUST_WRAP, NO_WRAP), left
+            return np.where(hits & outside, MUST_WRAP, NO_WRAP)
         there_a, there_b = self.on_side(a), self.on_side(b)
         behind = (there_a != there_b) & ~self.on_side(near)
         beside = np.where(hits, MUST_WRAP, np.where(behind, MAY_WRAP, NO_WRAP))
-        return np.where(there_a | there_b, beside, MAY_WRAP), self._turns_left(a, b)
+        code = np.where(there_a | there_b, beside, MAY_WRAP)
+        return np.where(outside, code, NO_WRAP)
 
     def _turns_left(self, a: Array, b: Array) -> Mask:
         """By which points of contact are on the side, those of a first, as OpenSim decides."""

@@ -11,11 +11,13 @@ from mbd_ros.core.model.wrapping.surface import (
     NO_WRAP,
     Flow,
     Mask,
+    Numbers,
     Side,
     Surface,
     Touch,
     cross,
     dot,
+    dot3,
     unit,
 )
 from mbd_ros.core.state import Array
@@ -42,6 +44,7 @@ class Ellipsoid(Surface):
         self._a = np.array(half_axes, dtype=np.float64)
         self._h = self._a**-2.0
         self.size = float(self._a.max())
+        self._sharpest = self.size / float(self._a.min()) ** 2
         self._product = float(np.prod(self._h))
 
     def holds(self, points: Array) -> Mask:
@@ -49,17 +52,22 @@ class Ellipsoid(Surface):
         inside: Mask = dot(points * self._h, points) < 1.0
         return inside
 
-    def touch(self, a: Array, b: Array) -> Touch:
-        """What a path from a to b does, both outside."""
-        return self._touch(a, b, self.sign)
+    def meets(self, a: Array, b: Array) -> Numbers:
+        """What a path from a to b does: `NO_WRAP` or `MUST_WRAP`, shape (n,)."""
+        hits, _ = crossing(a / self._a, b / self._a)
+        return np.where(hits & ~(self.holds(a) | self.holds(b)), MUST_WRAP, NO_WRAP)
+
+    def touch(self, a: Array, b: Array, code: Numbers) -> Touch:
+        """Where a path from a to b touches it, with what `meets` says."""
+        return self._touch(a, b, code, self.sign)
 
     def plain(self, a: Array, b: Array) -> Touch:
         """As `touch`, on whichever side is nearer."""
-        return self._touch(a, b, 0.0)
+        return self._touch(a, b, self.meets(a, b), 0.0)
 
-    def _touch(self, a: Array, b: Array, sign: float) -> Touch:
+    def _touch(self, a: Array, b: Array, code: Numbers, sign: float) -> Touch:
         u, v = a / self._a, b / self._a
-        hits, middle = crossing(u, v)
+        _, middle = crossing(u, v)
         top = self._nearest_outside(middle * self._a)
         if sign:
             top[:, self.axis] = sign * np.abs(top[:, self.axis])
@@ -73,7 +81,7 @@ class Ellipsoid(Surface):
         start = self._a * (centre + rho[:, None] * first)
         direction = unit(self._a * ahead)
         arc = self._arc(rho, first, ahead, angle)
-        return Touch(np.where(hits, MUST_WRAP, NO_WRAP), start, direction, arc)
+        return Touch(code, start, direction, arc)
 
     def normal(self, points: Array) -> Array:
         """Unit outward normals, shape (n, 3)."""
@@ -92,13 +100,14 @@ class Ellipsoid(Surface):
 
     def flow(self, start: Array, direction: Array, arc: Array) -> Flow:
         """Geodesics."""
-        return geodesics(self._curving, start, direction, arc, self.size)
+        return geodesics(self._curving, start, direction, arc, self._sharpest)
 
     def _curving(self, points: Array, tangents: Array) -> tuple[Array, Array]:
-        steep = points * self._h
-        square = (steep * steep).sum(axis=-1)
-        bend = (tangents * tangents * self._h).sum(axis=-1)
-        return (-bend / square)[..., None] * steep, self._product / square**2
+        h = self._h[:, None, None]
+        steep = points * h
+        square = dot3(steep, steep)
+        bend = dot3(tangents, tangents * h)
+        return (-bend / square) * steep, self._product / (square * square)
 
     def _rim(self, point: Array, rho: Array, aside: Array) -> tuple[Array, Array]:
         """Where the tangent of a point touches a circle about the origin, and its direction.

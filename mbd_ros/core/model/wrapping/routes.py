@@ -142,19 +142,30 @@ class Router:
 
     def _choice(self, samples: Numbers, held: Held, which: int) -> tuple[Numbers, dict[int, Arc]]:
         """Line and place in it of every sample as one number, -1 without a wrap; guesses."""
-        reach, place = self._reaches[which], self._places[which].of(samples)
-        choice, least = np.full(len(samples), -1), np.full(len(samples), np.inf)
+        reach, place, n = self._reaches[which], self._places[which].of(samples), len(samples)
+        choice, least = np.full(n, -1), np.full(n, np.inf)
         starts: dict[int, Arc] = {}
-        for line in range(reach.first, reach.last):
-            for i, (begin, end) in enumerate(self._straight(samples, held, line, which)):
-                a, b = place.inwards(begin), place.inwards(end)
-                touch = reach.surface.touch(a, b)
-                inside = reach.surface.holds(a) | reach.surface.holds(b)
-                cost = np.where(touch.code == MUST_WRAP, -1.0, _longer(touch, a, b))
-                cost = np.where((touch.code == NO_WRAP) | inside, np.inf, cost)
-                number = line * (len(self._reaches) + 1) + i
-                starts[number] = Arc(touch.start, touch.direction, touch.arc)
-                choice, least = np.where(cost < least, number, choice), np.minimum(cost, least)
+        ways = [
+            (line * (len(self._reaches) + 1) + i, place.inwards(begin), place.inwards(end))
+            for line in range(reach.first, reach.last)
+            for i, (begin, end) in enumerate(self._straight(samples, held, line, which))
+        ]
+        if not ways:
+            return choice, starts
+        numbers, *ends = zip(*ways, strict=True)
+        codes = reach.surface.meets(*(np.concatenate(end) for end in ends)).reshape(-1, n)
+        for number, a, b, code in zip(numbers, *ends, codes, strict=True):
+            here = np.flatnonzero((code != NO_WRAP) & (least >= 0.0))
+            if not here.size:
+                continue
+            touch = reach.surface.touch(a[here], b[here], code[here])
+            cost = np.where(touch.code == MUST_WRAP, -1.0, _longer(touch, a[here], b[here]))
+            cost = np.where(touch.code == NO_WRAP, np.inf, cost)
+            start = Arc.along(reach.surface, *touch[1:])
+            starts[number] = Arc(*(_spread(value, here, n) for value in start))
+            nearer = here[cost < least[here]]
+            choice[nearer] = number
+            least[here] = np.minimum(cost, least[here])
         return choice, starts
 
     def _straight(
@@ -211,14 +222,13 @@ class Router:
         a, b = self._points[samples, line], self._points[samples, line + 1]
         over = [self._places[w].of(samples) for w in wraps]
         arcs = guess if is_solved else solved(a, b, over, guess)
-        lasts = [one.surface.flow(*arc).end for one, arc in zip(over, arcs, strict=True)]
         ends = [
-            (one.outwards(arc.start), one.outwards(last))
-            for one, arc, last in zip(over, arcs, lasts, strict=True)
+            (one.outwards(arc.start), one.outwards(arc.end))
+            for one, arc in zip(over, arcs, strict=True)
         ]
         n = len(self._points)
         if (line, wraps) not in self._solved:
-            empty = tuple(Arc(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)) for _ in wraps)
+            empty = tuple(Arc(*(np.zeros((n, *x.shape[1:])) for x in arc)) for arc in arcs)
             none = tuple((np.zeros((n, 3)), np.zeros((n, 3))) for _ in wraps)
             self._solved[line, wraps] = _Solved(np.zeros(n, dtype=bool), empty, none)
         store = self._solved[line, wraps]
@@ -248,11 +258,11 @@ def solved(a: Array, b: Array, over: Sequence[Placed], guess: tuple[Arc, ...]) -
 
 def _plain(a: Array, b: Array, over: Sequence[Placed], arcs: tuple[Arc, ...]) -> tuple[Arc, ...]:
     """Guesses on the nearer side, between what is on either side of a surface."""
-    lasts = [one.outwards(one.surface.flow(*arc).end) for one, arc in zip(over, arcs, strict=True)]
+    lasts = [one.outwards(arc.end) for one, arc in zip(over, arcs, strict=True)]
     firsts = [one.outwards(arc.start) for one, arc in zip(over, arcs, strict=True)]
     ends = zip(over, (a, *lasts[:-1]), (*firsts[1:], b), strict=True)
     return tuple(
-        Arc(*one.surface.plain(one.inwards(begin), one.inwards(end))[1:])
+        Arc.along(one.surface, *one.surface.plain(one.inwards(begin), one.inwards(end))[1:])
         for one, begin, end in ends
     )
 
@@ -262,8 +272,7 @@ def _astray(over: Sequence[Placed], arcs: Sequence[Arc]) -> Mask:
     away = np.isnan(arcs[0].length)
     for one, arc in zip(over, arcs, strict=True):
         if one.surface.sign and not one.surface.is_closed_form:
-            top = one.surface.flow(arc.start, arc.direction, arc.length / 2.0).end
-            away |= ~one.surface.on_side(top)
+            away |= ~one.surface.on_side(arc.middle)
     return away
 
 
@@ -272,6 +281,15 @@ def _inserted(held: Held, line: int, place: int, which: int) -> Held:
         return held
     here = held[line]
     return (*held[:line], (*here[:place], which, *here[place:]), *held[line + 1 :])
+
+
+def _spread(values: Array, here: Numbers, n: int) -> Array:
+    """Values of some samples among zeros for the others."""
+    if len(here) == n:
+        return values
+    whole = np.zeros((n, *values.shape[1:]))
+    whole[here] = values
+    return whole
 
 
 def _longer(touch: Touch, a: Array, b: Array) -> Array:

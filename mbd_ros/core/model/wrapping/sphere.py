@@ -9,6 +9,7 @@ from mbd_ros.core.model.wrapping.surface import (
     NO_WRAP,
     Flow,
     Mask,
+    Numbers,
     Side,
     Surface,
     Touch,
@@ -61,9 +62,13 @@ class Sphere(Surface):
         inside: Mask = dot(points, points) < self.size**2
         return inside
 
-    def touch(self, a: Array, b: Array) -> Touch:
-        """What a path from a to b does, both outside."""
+    def meets(self, a: Array, b: Array) -> Numbers:
+        """What a path from a to b does: `NO_WRAP` or `MUST_WRAP`, shape (n,)."""
         hits, _ = crossing(a, b, self.size)
+        return np.where(hits & ~(self.holds(a) | self.holds(b)), MUST_WRAP, NO_WRAP)
+
+    def touch(self, a: Array, b: Array, code: Numbers) -> Touch:
+        """Where a path from a to b touches it, with what `meets` says."""
         over_a, over_b = (np.sqrt(dot(p, p)) for p in (a, b))
         ahead, normal = a / over_a[:, None], cross(a, b)
         length = np.sqrt(dot(normal, normal))
@@ -77,7 +82,6 @@ class Sphere(Surface):
         arc = np.where(far, 2.0 * np.pi - angle, angle) - rim[0] - rim[1]
         c, s = np.cos(rim[0])[:, None], np.sin(rim[0])[:, None]
         side = side * way[:, None]
-        code = np.where(hits, MUST_WRAP, NO_WRAP)
         start = self.size * (c * ahead + s * side)
         return Touch(code, start, c * side - s * ahead, self.size * np.maximum(arc, 0.0))
 
@@ -102,6 +106,7 @@ class Sphere(Surface):
             direction * c[:, None] - start * (s / r)[:, None],
             np.stack((c, -s / r), axis=-1),
             np.stack((r * s, c), axis=-1),
+            r * unit(start * (1.0 + c)[:, None] + r * direction * s[:, None]),
         )
 
     def _any_plane(self, a: Array) -> Array:

@@ -43,12 +43,14 @@ class Flow(NamedTuple):
         shifted: Jacobi field that is 1 with slope 0 at the start: offset of the end [-] and its
             slope [1/m], shape (n, 2).
         turned: Jacobi field that is 0 with slope 1 at the start: [m] and [-], shape (n, 2).
+        middle: Point half-way [m], shape (n, 3).
     """
 
     end: Array
     direction: Array
     shifted: Array
     turned: Array
+    middle: Array
 
 
 class Surface:
@@ -73,13 +75,17 @@ class Surface:
         """Whether points are inside, shape (n,)."""
         raise NotImplementedError
 
-    def touch(self, a: Array, b: Array) -> Touch:
-        """What a path from a to b does, both outside."""
+    def meets(self, a: Array, b: Array) -> Numbers:
+        """What a path from a to b does: `NO_WRAP`, `MAY_WRAP` or `MUST_WRAP`, shape (n,)."""
+        raise NotImplementedError
+
+    def touch(self, a: Array, b: Array, code: Numbers) -> Touch:
+        """Where a path from a to b touches it, with what `meets` says."""
         raise NotImplementedError
 
     def plain(self, a: Array, b: Array) -> Touch:
         """As `touch`, on whichever side is nearer."""
-        return self.touch(a, b)
+        return self.touch(a, b, self.meets(a, b))
 
     def normal(self, points: Array) -> Array:
         """Unit outward normals of points on the surface, shape (n, 3)."""
@@ -102,14 +108,19 @@ class Surface:
         return np.equal(points[:, self.axis] >= 0.0, self.sign > 0.0)
 
 
+def dot3(a: Array, b: Array) -> Array:
+    """Products of vectors whose components stand in the first axis."""
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
 def dot(a: Array, b: Array) -> Array:
     """Products row by row, shape (n,)."""
-    return np.asarray((a * b).sum(axis=-1))
+    return np.asarray(np.einsum("...i,...i->...", a, b))
 
 
 def unit(vectors: Array) -> Array:
     """Rows of length 1; zero where they have none."""
-    length = np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True))
+    length = np.sqrt(dot(vectors, vectors))[..., None]
     return np.asarray(vectors / np.where(length > 0.0, length, 1.0))
 
 
@@ -117,7 +128,11 @@ def cross(a: Array, b: Array) -> Array:
     """Vector products row by row, shape (n, 3); faster than numpy's."""
     a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
     b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack((a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0), axis=-1)
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    product[..., 0] = a1 * b2 - a2 * b1
+    product[..., 1] = a2 * b0 - a0 * b2
+    product[..., 2] = a0 * b1 - a1 * b0
+    return product
 
 
 def across(axis_of: Array) -> Array:

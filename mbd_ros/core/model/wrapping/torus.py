@@ -9,11 +9,13 @@ from mbd_ros.core.model.wrapping.surface import (
     NO_WRAP,
     Flow,
     Mask,
+    Numbers,
     Side,
     Surface,
     Touch,
     cross,
     dot,
+    dot3,
     unit,
 )
 from mbd_ros.core.state import Array
@@ -45,21 +47,32 @@ class Torus(Surface):
         inside: Mask = dot(tube, tube) < self._r**2
         return inside
 
-    def touch(self, a: Array, b: Array) -> Touch:
-        """What a path from a to b does, both outside."""
+    def meets(self, a: Array, b: Array) -> Numbers:
+        """What a path from a to b does: `NO_WRAP` or `MAY_WRAP`, shape (n,)."""
         near = self._closest(a, b)
+        code = self._cylinder.meets(*self._beside(near, a, b)[2:])
+        if self.sign:
+            code = np.where(self.on_side(near), code, NO_WRAP)
+        outside = ~(self.holds(a) | self.holds(b))
+        return np.where(outside, np.minimum(code, MAY_WRAP), NO_WRAP)
+
+    def touch(self, a: Array, b: Array, code: Numbers) -> Touch:
+        """Where a path from a to b touches it, with what `meets` says."""
+        axes, centre, a_in, b_in = self._beside(self._closest(a, b), a, b)
+        code, start, direction, arc = self._cylinder.touch(a_in, b_in, code)
+        start = self.nearest(np.einsum("nji,nj->ni", axes, start) + centre)
+        along, n = np.einsum("nji,nj->ni", axes, direction), self.normal(start)
+        direction = unit(along - dot(along, n)[:, None] * n)
+        return Touch(code, start, direction, arc)
+
+    def _beside(self, near: Array, a: Array, b: Array) -> tuple[Array, Array, Array, Array]:
+        """Axes and origin of the cylinder along the ring, and both ends in them."""
         out = unit(near * (1.0, 1.0, 0.0))
         axes = np.stack((-out, np.broadcast_to((0.0, 0.0, -1.0), out.shape), out), axis=1)
         axes[:, 2] = cross(axes[:, 0], axes[:, 1])
         centre = self._R * out
         a_in, b_in = (np.einsum("nij,nj->ni", axes, p - centre) for p in (a, b))
-        code, start, direction, arc = self._cylinder.touch(a_in, b_in)
-        if self.sign:
-            code = np.where(self.on_side(near), code, NO_WRAP)
-        start = self.nearest(np.einsum("nji,nj->ni", axes, start) + centre)
-        along, n = np.einsum("nji,nj->ni", axes, direction), self.normal(start)
-        direction = unit(along - dot(along, n)[:, None] * n)
-        return Touch(np.minimum(code, MAY_WRAP), start, direction, arc)
+        return axes, centre, a_in, b_in
 
     def normal(self, points: Array) -> Array:
         """Unit outward normals, shape (n, 3)."""
@@ -77,13 +90,18 @@ class Torus(Surface):
 
     def flow(self, start: Array, direction: Array, arc: Array) -> Flow:
         """Geodesics."""
-        return geodesics(self._curving, start, direction, arc, self.size)
+        return geodesics(self._curving, start, direction, arc, 1.0 / self._r)
 
     def _curving(self, points: Array, tangents: Array) -> tuple[Array, Array]:
-        middle, rho, _ = self._middle(points)
-        n, bend = unit(points - middle), self.bend(points, tangents)
+        x, y, z = points
+        rho = np.sqrt(x * x + y * y)
+        share = self._R / rho
+        n = np.stack((x - share * x, y - share * y, z))
+        around = (x * tangents[1] - y * tangents[0]) / rho
+        square = dot3(n, n)  # of the radius of the tube
+        bend = dot3(tangents, tangents) - share * around * around
         gauss = (rho - self._R) / (self._r**2 * rho)
-        return -dot(tangents, bend)[..., None] * n, gauss
+        return (-bend / square) * n, gauss
 
     def _middle(self, points: Array) -> tuple[Array, Array, Array]:
         """Nearest points of the circle, distances to z, and the direction around z."""
