@@ -9,6 +9,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.files.formats import read_result as read_result
 from mbd_ros.jobs.inverse.job import inverse
 from mbd_ros.jobs.kinematics.job import kinematics
+from mbd_ros.jobs.moment_arms.job import moment_arms
 from mbd_ros.jobs.muscles.job import muscles
 from mbd_ros.jobs.simulate.job import simulate
 from mbd_ros.scene import built_scene, from_python, reader
@@ -28,6 +29,7 @@ class Scene(built_scene.Scene):
     simulate = simulate
     inverse = inverse
     kinematics = kinematics
+    moment_arms = moment_arms
     muscle_forces = muscles
 
     @classmethod

@@ -53,6 +53,9 @@ COMMANDS: Mapping[str, Command] = {
     "kinematics": Command(
         "mbd_ros.jobs.kinematics.command", "motion of all joints from recorded markers"
     ),
+    "moment-arms": Command(
+        "mbd_ros.jobs.moment_arms.command", "lengths, speeds and moment arms of paths in a motion"
+    ),
     "muscles": Command(
         "mbd_ros.jobs.muscles.command", "forces of muscles and loads of joints of a motion"
     ),

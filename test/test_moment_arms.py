@@ -1,0 +1,141 @@
+"""Lengths, speeds and moment arms of all paths over many samples."""
+
+import csv
+import gzip
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import mbd_ros as mbd
+from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.path_batch import PathBatch
+from mbd_ros.core.state import State
+from mbd_ros.errors import DataError
+from mbd_ros.files.table import Column, Result, Table
+
+ARM26, GAIT = "arm26_muscles", "gait10dof18musc_muscles"
+MODELS = {ARM26: "raw/arm26.osim.gz", GAIT: "raw/subject01.osim.gz"}
+TIMES = ("time", "case")
+SMALL = (
+    "MovingPathPointMomentArmTest",
+    "MovingPointCustomJointMomentArmTest",
+    "MultipleMPPsMomentArmTest",
+    "P2PCustomJointMomentArmTest",
+)
+
+
+def table(path):
+    with gzip.open(path, "rt") as file:
+        names, *rows = csv.reader(file)
+    return dict(zip(names, np.array(rows, dtype=float).T, strict=True))
+
+
+def motion(columns):
+    """Poses as a motion: those of random ones stand 10 ms apart."""
+    (time,) = (0.01 * x if n == "case" else x for n, x in columns.items() if n in TIMES)
+    named = {"time": time}
+    for name, row in columns.items():
+        if name not in TIMES:
+            named[name if "." in name else f"{name}.position"] = row
+    return Result({"samples": Table([Column(n, x) for n, x in named.items()])})
+
+
+def straight(scene):
+    """The same scene without wraps."""
+    entries = scene.entries["paths"]
+    plain = {
+        name: {k: given for k, given in path.items() if k != "wraps"}
+        for name, path in entries.items()
+    }
+    return scene.with_(paths=plain)
+
+
+def compare(result, lengths, arms, speeds):
+    """Largest difference of lengths, arms and speeds."""
+    found, off = result["samples"], [0.0, 0.0, 0.0]
+    for name, expected in lengths.items():
+        if name.endswith(".length"):
+            off[0] = max(off[0], np.abs(found[name] - expected).max())
+        if name.endswith(".speed") and speeds:
+            off[2] = max(off[2], np.abs(found[name] - expected).max())
+    for name, expected in arms.items():
+        if name not in ("case", "time"):
+            off[1] = max(off[1], np.abs(found[name] - expected).max())
+    return off
+
+
+@pytest.mark.parametrize("which", ["motion", "random50"])
+@pytest.mark.parametrize("name", MODELS)
+def test_straight_paths_are_those_of_opensim(data_dir, name, which):
+    """All muscles; 12 digits of 0.5 m are in the files."""
+    folder = data_dir / "opensim" / name
+    scene = straight(mbd.load_scene(folder / MODELS[name]))
+    prefix = "no_wrap_" if name == ARM26 else ""
+    start = "" if which == "motion" else "random50_"
+    asked = "motion" if which == "motion" else f"{prefix}random50_coordinates"
+    result = scene.moment_arms(motion(table(folder / f"{asked}.csv.gz")))
+    lengths = table(folder / f"{prefix}{start}lengths.csv.gz")
+    arms = table(folder / f"{prefix}{start}moment_arms.csv.gz")
+    off = compare(result, lengths, arms, which == "motion")
+    assert max(off) <= 1e-12
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_moving_points_are_those_of_opensim(data_dir, name):
+    """Arms are -dl/dq; OpenSim leaves out lines of one body, of which there are none here."""
+    folder = data_dir / "opensim" / "moment_arm_test_models" / name
+    scene = mbd.load_scene(folder / f"{name}_40600.osim.gz")  # the numbers OpenSim took
+    result = scene.moment_arms(motion(table(folder / "random50_coordinates.csv.gz")))
+    lengths = table(folder / "random50_lengths.csv.gz")
+    arms = table(folder / "random50_moment_arms.csv.gz")
+    assert max(compare(result, lengths, arms, False)) <= 1e-12
+
+
+def test_samples_are_those_of_the_paths_one_by_one(data_dir):
+    """With wraps; -G' J by the coupling Jacobian."""
+    scene = mbd.load_scene(data_dir / "opensim" / ARM26 / MODELS[ARM26])
+    rng = np.random.default_rng(4)
+    y, w = rng.uniform(0.0, 2.0, (12, 2)), rng.normal(size=(12, 2))
+    found = PathBatch(scene.robot, scene.couplings, scene.parts["paths"]).evaluate(y, w)
+    for i, path in enumerate(scene.parts["paths"].values()):
+        for j in range(12):
+            k = Kinematics(scene.robot)
+            k.refresh(y[j], w[j])
+            length, slope = path.measured(k, State(0.0, y[j], w[j]))
+            assert found.lengths[j, i] == pytest.approx(length, abs=1e-14)
+            np.testing.assert_allclose(found.arms[j, i], -slope, atol=1e-11)
+            assert found.speeds[j, i] == pytest.approx(slope @ w[j], abs=1e-11)
+
+
+def test_dependent_joints_move_along(data_dir):
+    """Arms by differences of lengths along the independent coordinates alone."""
+    scene = mbd.load_scene(data_dir / "opensim" / GAIT / MODELS[GAIT])
+    batch = PathBatch(scene.robot, scene.couplings, scene.parts["paths"])
+    y, h = np.full((1, 10), -0.3), 1e-4
+    steps = np.concatenate([y + s * h * np.eye(10) for s in (-2, -1, 1, 2)])
+    ends = batch.evaluate(steps).lengths.reshape(4, 10, -1)
+    rate = (8.0 * (ends[2] - ends[1]) - (ends[3] - ends[0])) / (12.0 * h)
+    np.testing.assert_allclose(batch.evaluate(y).arms[0].T, -rate, atol=1e-10)
+
+
+def test_a_scene_without_paths_is_refused():
+    with pytest.raises(DataError, match="there are no paths"):
+        mbd.load_scene("arm7").moment_arms(motion({"time": np.zeros(2)}))
+
+
+def test_the_command_writes_a_table(data_dir, tmp_path):
+    folder = data_dir / "opensim" / ARM26
+    out = tmp_path / "arms.csv"
+    words = [folder / MODELS[ARM26], folder / "motion.csv.gz", "-o", out]
+    done = subprocess.run(
+        [sys.executable, "-m", "mbd_ros", "moment-arms", *map(str, words)],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "121 samples of 6 paths" in done.stdout
+    head = out.read_text().splitlines()[0].split(",")
+    assert {"BRA.length", "BRA.speed", "BRA.r_elbow_flex"} <= set(head)
+    assert "BRA.r_shoulder_elev" not in head
