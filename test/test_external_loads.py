@@ -190,7 +190,7 @@ def test_a_motion_in_degrees_of_some_joints_gives_torques_and_says_what_is_assum
     rows = "".join(f"{0.01 * i}\t{3 * i}\t-20\t5\t-90\t0\t60\t{i}\n" for i in range(50))
     head = "Coordinates\nversion=1\nnRows=50\nnColumns=8\ninDegrees=yes\nendheader\n"
     (tmp_path / "reach.mot").write_text(head + labels + "\n" + rows)
-    result = scene.inverse(tmp_path / "reach.mot", derivatives="opensim")
+    result = scene.inverse(tmp_path / "reach.mot", derivatives="opensim", cutoff=np.inf)
     said = " ".join(result.metadata["remarks"])
     assert "no column of some joints, they stay where the scene starts: joint7 = 0.5" in said
     assert "columns of no joint, not used: marker_error" in said
@@ -199,7 +199,10 @@ def test_a_motion_in_degrees_of_some_joints_gives_torques_and_says_what_is_assum
     assert table["joint7.position"] == pytest.approx(np.full(50, 0.5), rel=1e-14)
     assert table["joint4.position"] == pytest.approx(np.full(50, -np.pi / 2), rel=1e-12)
     plain = scene.inverse(tmp_path / "reach.mot")
-    assert "positions alone: zero-phase derivatives" in plain.metadata["remarks"]
+    assert "positions alone: opensim derivatives" in plain.metadata["remarks"]
+    filtered = "opensim derivatives: low-pass at 6 Hz, both ways, quintic splines"
+    assert filtered in plain.metadata["remarks"]
+    assert plain.metadata["inputs"]["derivatives"] == "opensim"
 
 
 def test_the_filter_is_two_passes_of_a_butterworth_filter():
@@ -231,8 +234,9 @@ def test_torques_from_the_files_of_the_laboratory_equal_those_of_opensim(data_di
         (tmp_path / packed.stem).write_bytes(gzip.decompress(packed.read_bytes()))
     motion = tmp_path / ("subject01_walk_IK.mot" if walk else "arm26_InverseKinematics.mot")
     scene = data_dir / ("gait10dof_walk" if walk else "arm26_elbow") / "scene.yaml"
-    words = ["inverse", scene, motion, "--derivatives", "opensim", "--cutoff", "6"]
-    words += ["--external", tmp_path / "subject01_walk_grf.xml"] if walk else []
+    words = ["inverse", scene, motion]
+    asked = ["--external", tmp_path / "subject01_walk_grf.xml"]
+    words += asked if walk else ["--derivatives", "opensim", "--cutoff", "6"]
     assert main([str(word) for word in [*words, "-o", tmp_path / "id.sto"]]) == 0
     ours = read_result(tmp_path / "id.sto")["samples"]
     reference = read_table(raw.parent / "inverse_dynamics_tool.csv.gz")

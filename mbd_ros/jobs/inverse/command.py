@@ -68,14 +68,14 @@ def add_derivatives(parser: argparse.ArgumentParser) -> None:
         choices=("given", "causal", "zero-phase", "opensim"),
         default="given",
         help="given: the motion has them; causal: filtered, lagging, as the node does; "
-        "zero-phase: low-pass that sees the future, also where a .mot has positions alone; "
-        "opensim: its filter, which takes --cutoff, and its splines (default: %(default)s)",
+        "zero-phase: low-pass that sees the future; opensim: its filter and splines, also where "
+        "a .mot has positions alone (default: %(default)s)",
     )
     parser.add_argument(
         "--cutoff",
         type=float,
         help="half-power frequency of the filters in Hz (default: causal 5.0, zero-phase from the "
-        "noise of the recording, and printed; opensim none)",
+        "noise of the recording, and printed; opensim 6, inf for no filter)",
     )
     parser.add_argument(
         "--half-width",

@@ -1,5 +1,6 @@
 """Samples of a recorded motion with velocity and acceleration."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from mbd_ros.jobs.inverse.body_signals import BodySignals
 from mbd_ros.scene.built_scene import Scene
 
 OPENSIM = "opensim"
+GAIT = 6.0  # Hz: what laboratories of gait take, and the set-ups of OpenSim's own examples
 
 
 class Derivatives(NamedTuple):
@@ -24,7 +26,8 @@ class Derivatives(NamedTuple):
     Attributes:
         source: given, causal, zero-phase or opensim.
         cutoff: Half-power frequency of the filters [Hz]; None: that of the live node for causal
-            ones, for zero-phase what each joint's recording asks for, for opensim no filter.
+            ones, for zero-phase what each joint's recording asks for, for opensim 6 Hz; inf
+            there: no filter.
         half_width: Samples on either side of a local zero-phase fit, in place of a cut-off.
     """
 
@@ -37,6 +40,12 @@ class Derivatives(NamedTuple):
         """Half-power frequency of the causal filters [Hz]."""
         given = self.cutoff if self.source == "causal" else None
         return Tuning().cutoff if given is None else given
+
+    @property
+    def opensim_cutoff(self) -> float | None:
+        """Half-power frequency of a pass of OpenSim's filter [Hz]; None without a filter."""
+        cutoff = GAIT if self.cutoff is None else self.cutoff
+        return None if cutoff == math.inf else cutoff
 
 
 class Differentiated(NamedTuple):
@@ -98,13 +107,16 @@ def _splined(scene: Scene, where: str, motion: Motion, derivatives: Derivatives)
     n = len(scene.couplings.independent)
     there = np.isfinite(motion.position).all(axis=0)
     there[:n] = True
-    found = opensim_splines(motion.stamps, motion.position[:, there], derivatives.cutoff)
+    cutoff = derivatives.opensim_cutoff
+    found = opensim_splines(motion.stamps, motion.position[:, there], cutoff)
     position = np.full((len(found.stamps), len(there)), np.nan)
     position[:, there] = found.position
     own = (values[:, :n] for values in found[1:])
     samples = Observations(found.stamps, *own, position[:, n:])
-    moved = not np.array_equal(found.stamps, motion.stamps)
-    said = ["resampled at the smallest step of the motion, as OpenSim does"] if moved else []
+    filtered = "no filter" if cutoff is None else f"low-pass at {cutoff:g} Hz, both ways"
+    said = [f"opensim derivatives: {filtered}, quintic splines"]
+    if not np.array_equal(found.stamps, motion.stamps):
+        said.append("resampled at the smallest step of the motion, as OpenSim does")
     return Differentiated(samples, None, said)
 
 

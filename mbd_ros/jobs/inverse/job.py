@@ -99,12 +99,12 @@ def inverse_to(scene: Scene, task: Task, out: Path, say: Say) -> None:
     sources = [s for s in (task.motion, task.wrenches, task.external) if isinstance(s, Path)]
     refuse_overwriting(out, *sources)
     check_place(out)
-    rows = _in_pieces(scene, task, out, say)
+    rows, source = _in_pieces(scene, task, out, say), task.derivatives.source
     if rows is None:
         result = run_inverse(scene, task, say)
         result.to(out)
-        rows = result[MAIN].rows
-    say(f"{rows} samples, {task.derivatives.source} derivatives -> {out}")
+        rows, source = result[MAIN].rows, result.metadata["inputs"]["derivatives"]
+    say(f"{rows} samples, {source} derivatives -> {out}")
 
 
 def _in_pieces(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
@@ -151,7 +151,8 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
 
         for text in unexplained(observed.motion, table, observed.cutoff):
             say(text)
-    return Result({MAIN: table}, about_result(scene, task, way.topics(scene)))
+    done = task._replace(derivatives=observed.derivatives)
+    return Result({MAIN: table}, about_result(scene, done, way.topics(scene)))
 
 
 def _external(scene: Scene, task: Task) -> "ExternalLoads | None":

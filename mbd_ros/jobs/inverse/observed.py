@@ -15,7 +15,7 @@ from mbd_ros.files.recording import Recording
 from mbd_ros.files.recordings import Source, name_of, read_motion
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse.causal import causal_line, observe
-from mbd_ros.jobs.inverse.derivatives import Derivatives, differentiate
+from mbd_ros.jobs.inverse.derivatives import OPENSIM, Derivatives, differentiate
 from mbd_ros.jobs.inverse.loop_closing import close_loops
 from mbd_ros.jobs.inverse.wrenches import read_loads, wrench_at
 from mbd_ros.scene.built_scene import Scene
@@ -60,12 +60,14 @@ class Observed(NamedTuple):
         samples: Of the independent joints, with derivatives.
         wrenches: One (n, 6) array for every load of the scene.
         cutoff: Of the low-pass of each joint [Hz]; None without one.
+        derivatives: Where velocity and acceleration came from.
     """
 
     motion: Motion
     samples: Observations
     wrenches: list[Array]
     cutoff: Array | None
+    derivatives: Derivatives
 
 
 def observe_motion(
@@ -83,8 +85,8 @@ def observe_motion(
     if external is None:
         loads, dropped = read_loads(scene, task.motion, task.wrenches)
     if recording.unused is not None and derivatives.source == "given" and motion.velocity is None:
-        derivatives = derivatives._replace(source="zero-phase")
-        say("positions alone: zero-phase derivatives")
+        derivatives = derivatives._replace(source="zero-phase" if motion.bodies else OPENSIM)
+        say(f"positions alone: {derivatives.source} derivatives")
     if derivatives.source == "causal":
         with np.errstate(over="ignore", invalid="ignore"):  # the results are looked at
             samples, cutoff = observe(estimator, motion, dropped), None
@@ -102,7 +104,7 @@ def observe_motion(
     wrenches = [wrench_at(name, load, samples.stamps) for name, load in loads.items()]
     if external is not None:
         wrenches = external.at(samples.stamps)
-    return Observed(motion, samples, wrenches, cutoff)
+    return Observed(motion, samples, wrenches, cutoff, derivatives)
 
 
 def _within(

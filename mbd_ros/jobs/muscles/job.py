@@ -115,7 +115,8 @@ def muscles_to(scene: Scene, order: Sharing, out: Path, say: Say) -> None:
     check_place(out)
     result = run_muscles(scene, order, say)
     result.to(out)
-    say(f"{result[MAIN].rows} frames, {task.derivatives.source} derivatives -> {out}")
+    source = result.metadata["inputs"]["derivatives"]
+    say(f"{result[MAIN].rows} frames, {source} derivatives -> {out}")
 
 
 def run_muscles(scene: Scene, order: Sharing, say: Say) -> Result:
@@ -148,7 +149,8 @@ def run_muscles(scene: Scene, order: Sharing, say: Say) -> Result:
         say(text)
     table = Table([*time_columns(samples.stamps), *columns])
     _check_finite(name_of(task.motion), table)
-    return Result({MAIN: table}, _about(scene, order, solver))
+    done = order._replace(motion=task._replace(derivatives=observed.derivatives))
+    return Result({MAIN: table}, _about(scene, done, solver))
 
 
 def _shares(
