@@ -80,6 +80,8 @@ def test_millimetres_are_asked_for_by_name(leg, swing):
         leg.kinematics(far)
     result = leg.kinematics(recorded(swing, scale=1e3), unit="mm", limits=False)
     assert_same_motion(result, swing)
+    with pytest.raises(DataError, match="are in m there, not in mm: leave the unit out"):
+        leg.kinematics(swing, unit="mm")
     with pytest.raises(DataError, match="unknown unit 'inch', accepted: m, mm, cm"):
         leg.kinematics(swing, unit="inch")
 
@@ -286,21 +288,6 @@ def test_smooth_motion_by_option(leg, swing):
     assert smooth["residuals"]["remainder"].max() <= 1e-8
 
 
-def trc(path):
-    """Markers of a .trc in millimetres, whose third line has the counts, as it stands there."""
-    with gzip.open(path, "rt") as file:
-        lines = file.read().splitlines()
-    labels = [label for label in lines[3].split("\t")[2:] if label]
-    rows = [line.split("\t") for line in lines[5:] if line.strip()]
-    numbers = np.array([[float(word) for word in row[1 : 2 + 3 * len(labels)]] for row in rows])
-    columns = [
-        Column(f"{label}.{axis}", numbers[:, 1 + 3 * i + j])
-        for i, label in enumerate(labels)
-        for j, axis in enumerate("xyz")
-    ]
-    return Result({"samples": Table([Column("time", numbers[:, 0], "s"), *columns])})
-
-
 def table(path):
     with gzip.open(path, "rt") as file:
         names, *rows = csv.reader(file)
@@ -321,14 +308,15 @@ def test_files_of_a_laboratory_give_the_exact_optimum(
     folder = data_dir / "opensim" / f"{name}_marker_ik"
     if not folder.is_dir():
         pytest.skip(f"no marker data at {folder}")
-    scene, task = tmp_path / f"{model}.osim", tmp_path / "setup.xml"
-    for target, source in ((scene, model + ".osim.gz"), (task, setup + ".xml.gz")):
-        with gzip.open(folder / "raw" / source) as packed, target.open("wb") as plain:
-            shutil.copyfileobj(packed, plain)
-    recording, out = tmp_path / "markers.npz", tmp_path / "ik.mot"
-    trc(folder / "raw" / f"{markers}.trc.gz").to(recording)
-    words = ["kinematics", str(scene), str(recording), str(task), "--unit", "mm"]
-    residuals = tmp_path / "residuals.csv"
+    scene, task, recording = (
+        tmp_path / name for name in (f"{model}.osim", f"{setup}.xml", f"{markers}.trc")
+    )
+    for target in (scene, task, recording):
+        packed = folder / "raw" / f"{target.name}.gz"
+        with gzip.open(packed) as source, target.open("wb") as plain:
+            shutil.copyfileobj(source, plain)
+    out, residuals = tmp_path / "ik.mot", tmp_path / "residuals.csv"
+    words = ["kinematics", str(scene), str(recording), str(task)]
     assert main([*words, "-o", str(out), "--residuals", str(residuals)]) == 0
     joints, exact = table(folder / "ik_exact.csv.gz")
     found = mbd.read_result(out)["samples"]

@@ -50,6 +50,9 @@ COMMANDS: Mapping[str, Command] = {
     "simulate": Command(
         "mbd_ros.jobs.simulate.command", "motion from forces, with constraint forces"
     ),
+    "scale": Command(
+        "mbd_ros.jobs.scale.command", "a scene of a person's size, from a static trial"
+    ),
     "kinematics": Command(
         "mbd_ros.jobs.kinematics.command", "motion of all joints from recorded markers"
     ),

@@ -174,6 +174,7 @@ SECTIONS = (
 TASKS = (
     Section("simulate", Form.SINGLE, "mbd_ros.scene.simulate_task:build_task", ()),
     Section("kinematics", Form.SINGLE, "mbd_ros.scene.kinematics_task:build_task", ()),
+    Section("scale", Form.SINGLE, "mbd_ros.scene.scale_task:build_task", ()),
     Section("muscles", Form.SINGLE, "mbd_ros.scene.muscles_task:build_task", ()),
 )
 

@@ -79,7 +79,10 @@ def read_capture(source: Source, unit: str | None = None) -> Capture:
             f"{', '.join(list(table)[:8])}"
         )
     places = np.stack([np.asarray(p, dtype=np.float64) for p, _ in found.values()], axis=1)
-    scales = [UNITS[unit or told] for _, told in found.values()]
+    told = next((told for _, told in found.values() if told), "")
+    if unit and told and unit != told:
+        raise DataError(f"{where}: markers are in {told} there, not in {unit}: leave the unit out")
+    scales = [UNITS[unit or told or "m"] for _, told in found.values()]
     places = places * np.array(scales)[:, None]
     times = np.asarray(table[TIME], dtype=np.float64)
     if not len(times) or not np.isfinite(times).all() or (np.diff(times) <= 0.0).any():
@@ -108,7 +111,7 @@ def _markers(table: Table) -> dict[str, tuple[Array, str]]:
 
 
 def _unit(told: str) -> str:
-    return told if told in UNITS else "m"
+    return told if told in UNITS else ""
 
 
 def _refuse_far(where: str, labels: Sequence[str], places: Array, times: Array) -> None:
