@@ -18,6 +18,7 @@ _CONFIRMED = 0.75  # of the mean objective of such frames in a row
 _SHORTEST = 3  # frames in a row
 _MOST_PAIRS = 10  # that are fitted again, first in some frames
 _PROBES = 3
+_POOR = 1.5  # times the median objective: a frame that fits badly
 _CHUNK = 50  # frames at once
 _FLOOR = 1.0e-9  # of the trace of the Hessian, so that it is regular
 Pair = tuple[int, int]
@@ -84,20 +85,22 @@ def _fitted_again(
     places[at, these] = part.places[at, these[:, ::-1]]
     part = part._replace(places=places)
     own = solver.fit(fit.q[frames], part, far=True)
-    best = fit.q[[int(np.argmin(fit.objective))]]  # an exchange may have turned a whole link
-    other = solver.fit(np.repeat(best, len(frames), axis=0), part, far=True)
+    usual = _usual(solver, fit, seen)[frames]  # an exchange may have turned a whole link
+    other = solver.fit(usual, part, far=True)
     return chosen(own, other, other.objective < own.objective)
 
 
 def _suspects(solver: MarkerFit, fit: Fit, seen: Seen) -> list[tuple[Pair, Indices]]:
     """Pairs that should fit better exchanged, best first, and the frames."""
-    n, saved = fit.misses.shape[1], []
-    for i in range(0, len(fit.q) if n > 1 else 0, _CHUNK):
-        part = slice(i, i + _CHUNK)
-        saved.append(_savings(solver, of_frames(fit, part), seen.of(part)))
-    if not saved:
+    n = fit.misses.shape[1]
+    if n < 2:
         return []
-    every = np.concatenate(saved)  # (N, n, n)
+    every = _savings(solver, fit, seen, fit.q)  # (N, n, n)
+    poor = np.flatnonzero(fit.objective > _POOR * np.median(fit.objective))
+    if len(poor) >= _SHORTEST:
+        usual = _usual(solver, fit, seen)[poor]
+        more = _savings(solver, of_frames(fit, poor), seen.of(poor), usual)
+        every[poor] = np.maximum(every[poor], more)
     suspected = every > _SUSPECT
     counts = suspected.sum(axis=0)
     shares = np.where(suspected, every, 0.0).sum(axis=0) / np.maximum(counts, 1)
@@ -106,28 +109,54 @@ def _suspects(solver: MarkerFit, fit: Fit, seen: Seen) -> list[tuple[Pair, Indic
     return [(pair, np.flatnonzero(suspected[:, pair[0], pair[1]])) for pair in pairs[:_MOST_PAIRS]]
 
 
-def _savings(solver: MarkerFit, fit: Fit, seen: Seen) -> Array:
+def _savings(solver: MarkerFit, fit: Fit, seen: Seen, q: Array) -> Array:
+    """The shares below, some frames at a time."""
+    parts = []
+    for i in range(0, len(q), _CHUNK):
+        part = slice(i, i + _CHUNK)
+        own = None if q is fit.q else q[part]
+        parts.append(_shares(solver, of_frames(fit, part), seen.of(part), own))
+    return np.concatenate(parts)
+
+
+def _shares(solver: MarkerFit, fit: Fit, seen: Seen, q: Array | None) -> Array:
     """Share of the objective that an exchange should save, shape (N, n, n).
 
-    That is what it changes at the same pose, and half the square of the new slope over the
-    Hessian, since the pose follows.
+    That is the objective of the fit less the one that is expected: what an exchange leaves at a
+    pose q, less half the square of its slope over the Hessian, since the pose follows. At the fit
+    itself, where none is given, its slope counts as 0: limits may hold what is left of it.
     """
-    w, places = seen.weights, seen.places
+    w, places, is_fit = seen.weights, seen.places, q is None
+    q = fit.q if q is None else q
+    cost = solver.cost.at(q, seen, np.zeros(len(q)))
     apart = places[:, :, None] - places[:, None]  # (N, n, n, 3)
-    left = fit.misses[:, :, None] + apart
-    own = (fit.misses**2).sum(axis=2)
+    left = cost.misses[:, :, None] + apart
+    own = (cost.misses**2).sum(axis=2)
     changed = w[:, :, None] * ((left**2).sum(axis=3) - own[:, :, None])
-    saved = -0.5 * (changed + changed.transpose(0, 2, 1))
-    flat = solver.cost.at(fit.q, seen, np.zeros(len(fit.q))).hessian
-    pull = w[:, :, None, None] * solver.cost.rows(fit.q)  # (N, n, 3, ny)
-    size = np.trace(flat, axis1=1, axis2=2)[:, None, None]
-    root = np.linalg.cholesky(flat + (_FLOOR * size + TINY) * np.eye(flat.shape[1]))
+    pull = w[:, :, None, None] * solver.cost.rows(q)  # (N, n, 3, ny)
+    size = np.trace(cost.hessian, axis1=1, axis2=2)[:, None, None]
+    floor = (_FLOOR * size + TINY) * np.eye(cost.hessian.shape[1])
+    root = np.linalg.cholesky(cost.hessian + floor)
     by_root = np.linalg.solve(root[:, None], pull.transpose(0, 1, 3, 2))  # (N, n, ny, 3)
-    each = by_root[:, :, None] @ apart[..., None]  # of one marker moved, (N, n, n, ny, 1)
-    saved += 0.5 * ((each + each.transpose(0, 2, 1, 3, 4)) ** 2).sum(axis=(3, 4))
-    both = (w > 0.0)[:, :, None] & (w > 0.0)[:, None]
+    each = (by_root[:, :, None] @ apart[..., None])[..., 0]  # of one marker, (N, n, n, ny)
+    both = each + each.transpose(0, 2, 1, 3)
+    if not is_fit:
+        both = both + np.linalg.solve(root, cost.slope[:, :, None])[:, None, None, :, 0]
+    expected = cost.value[:, None, None] + 0.5 * (changed + changed.transpose(0, 2, 1))
+    expected -= 0.5 * (both**2).sum(axis=3)
     objective = np.maximum(fit.objective, TINY)[:, None, None]
-    return np.array(np.where(both, saved / objective, 0.0))
+    shown = (w > 0.0)[:, :, None] & (w > 0.0)[:, None]
+    return np.array(np.where(shown, 1.0 - expected / objective, 0.0))
+
+
+def _usual(solver: MarkerFit, fit: Fit, seen: Seen) -> Array:
+    """Poses between those of frames that fit well, shape (N, nq)."""
+    good = fit.objective <= _POOR * np.median(fit.objective)
+    if fit.q.shape[1] != solver.cost.ancestry.shape[0]:  # turns of free bodies are not mixed
+        return np.repeat(fit.q[[int(np.argmin(fit.objective))]], len(fit.q), axis=0)
+    known = seen.times[good]
+    between = [np.interp(seen.times, known, column[good]) for column in fit.q.T]
+    return solver.cost.coupled(np.column_stack(between))
 
 
 def _runs(frames: Indices) -> list[Indices]:

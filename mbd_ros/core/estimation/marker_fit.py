@@ -77,7 +77,7 @@ class MarkerFit:
         self.cost, self.lower, self.upper, self.loops = cost, lower, upper, loops
         self._y = cost.y_of_q
 
-    def fit(self, start: Array, seen: Seen, *, far: bool = False) -> Fit:
+    def fit(self, start: Array, seen: Seen, *, far: bool = False, steps: int = _MAX_STEPS) -> Fit:
         """The best configurations near some starts.
 
         Args:
@@ -85,23 +85,24 @@ class MarkerFit:
             seen: What was seen.
             far: Whether starts may be far off: the first steps do without second derivatives of
                 markers then, which would lead to the next saddle.
+            steps: At most so many.
 
         Raises:
             SolveError: Loops do not close near a start.
         """
         parts = [
-            self._fit(start[i : i + _CHUNK], seen.of(slice(i, i + _CHUNK)), far)
+            self._fit(start[i : i + _CHUNK], seen.of(slice(i, i + _CHUNK)), far, steps)
             for i in range(0, len(start), _CHUNK)
         ]
         return parts[0] if len(parts) == 1 else joined(parts)
 
-    def _fit(self, start: Array, seen: Seen, far: bool) -> Fit:
+    def _fit(self, start: Array, seen: Seen, far: bool, steps: int) -> Fit:
         q = self._allowed(self.cost.coupled(np.array(start)), seen.times)
         self._refuse_open(q, seen.times)
         done = _Frames(q, self.cost.at(q, seen, np.full(len(q), not far) * 1.0))
         done.flat_only[:] = far
         left, damping = np.arange(len(q)), np.zeros(len(q))
-        for _ in range(_MAX_STEPS):
+        for _ in range(steps):
             p, gain = self._steps(done, left, damping, seen)
             size = np.abs(p).max(axis=1, initial=0.0)
             done.remainder[left] = np.where(damping[left] > 0.0, np.inf, size)

@@ -15,7 +15,8 @@ from mbd_ros.core.model.joints import Base, Joint
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 
-_STARTS = 7  # of the first frame, the default pose among them
+_STARTS = 6  # of the first frame besides the default pose
+_STEPS = 40  # from each of them
 _BETTER = 0.5  # of the objective from the default pose: what another start must reach
 _GOOD = 1.0e-12  # m^2, of an objective that needs no other start
 _APART = 0.1  # s between frames that follow from the first one at once
@@ -53,14 +54,16 @@ def first_frame(fit: MarkerFit, robot: Robot, start: Array, seen: Seen) -> Fit:
         start: Default configuration, shape (nq,).
         seen: One frame.
     """
-    starts = [start, *_others(fit, robot, start)]
+    own = fit.fit(start[None], seen, far=True)
+    if own.objective[0] <= _GOOD:
+        return own
+    starts = _others(fit, robot, start)
     frames = np.zeros(len(starts), dtype=np.intp)
-    found = fit.fit(np.array(starts), seen.of(frames), far=True)
+    found = fit.fit(np.array(starts), seen.of(frames), far=True, steps=_STEPS)
     best = int(np.argmin(found.objective))
-    if found.objective[0] <= _GOOD or found.objective[best] >= _BETTER * found.objective[0]:
-        best = 0
-    chosen = of_frames(found, slice(best, best + 1))
-    return fit.fit(_unwound(fit, robot, chosen.q), seen) if best else chosen
+    if not found.objective[best] < _BETTER * own.objective[0]:
+        return own
+    return fit.fit(_unwound(fit, robot, found.q[best : best + 1]), seen)
 
 
 def of_frames(fit: Fit, frames: Frames) -> Fit:
@@ -73,7 +76,7 @@ def _others(fit: MarkerFit, robot: Robot, start: Array) -> Sequence[Array]:
     rng, others = np.random.default_rng(_SEED), []
     cost = fit.cost
     shown = set(cost.couplings.v_index[cost.reached > 0.0].tolist())
-    for _ in range(_STARTS - 1):
+    for _ in range(_STARTS):
         q = start.copy()
         for joint in robot.joints:
             low, high = _range(joint, start[joint.q])
