@@ -33,7 +33,7 @@ pytestmark = [
     pytest.mark.skipif(bool(LACKING), reason=f"not installed: {', '.join(LACKING)}"),
 ]
 NODES = (
-    *("simulator", "inverse_dynamics", "joint_state_projector", "marker_kinematics"),
+    *("simulator", "inverse_dynamics", "joint_state_projector"),
     *("qp_controller", "sliding_mode_controller"),
 )
 TWO = """from launch import LaunchDescription
