@@ -24,7 +24,7 @@ class Marker(Sensor):
         xyz: Place in `frame`, shape (3,).
         weight: Of its squared distance in marker kinematics; 0 leaves it out.
         label: What recordings and messages call it; empty for its name.
-        fixed: Whether scaling keeps its place on the link; else a static trial may move it.
+        fixed: Whether its place on the link is certain, as models of OpenSim say it; a note only.
         noise: Standard deviation of each component.
 
     Raises:
