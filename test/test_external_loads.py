@@ -2,12 +2,14 @@
 
 import gzip
 import math
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from mbd_ros import load_scene, read_result, scene_from
+from mbd_ros import read_result, scene_from
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
 from mbd_ros.files.csv import read_table
@@ -226,29 +228,77 @@ def test_the_filter_is_two_passes_of_a_butterworth_filter():
         opensim_splines(stamps, wave, -1.0)
 
 
-@pytest.mark.parametrize("name", ["gait10dof18musc_muscles", "arm26_muscles"])
-def test_torques_from_the_files_of_the_laboratory_equal_those_of_opensim(data_dir, tmp_path, name):
-    """From raw .mot and plates, <= 1e-8 of the largest; accepted is 2e-4."""
-    raw, walk = data_dir / "opensim" / name / "raw", name.startswith("gait")
-    for packed in raw.glob("*.gz"):
+class Laboratory(NamedTuple):
+    """Files of a set, unpacked."""
+
+    model: Path
+    motion: Path
+    loads: list[Path]
+    folder: Path  # of what OpenSim gives
+
+
+@pytest.fixture(params=["gait10dof18musc_muscles", "arm26_muscles"])
+def trial(request, data_dir, tmp_path):
+    folder = data_dir / "opensim" / request.param
+    for packed in (folder / "raw").glob("*.gz"):
         (tmp_path / packed.stem).write_bytes(gzip.decompress(packed.read_bytes()))
+    walk = request.param.startswith("gait")
+    model = tmp_path / ("subject01.osim" if walk else "arm26.osim")
     motion = tmp_path / ("subject01_walk_IK.mot" if walk else "arm26_InverseKinematics.mot")
-    scene = data_dir / ("gait10dof_walk" if walk else "arm26_elbow") / "scene.yaml"
-    words = ["inverse", scene, motion]
-    asked = ["--external", tmp_path / "subject01_walk_grf.xml"]
-    words += asked if walk else ["--derivatives", "opensim", "--cutoff", "6"]
-    assert main([str(word) for word in [*words, "-o", tmp_path / "id.sto"]]) == 0
-    ours = read_result(tmp_path / "id.sto")["samples"]
-    reference = read_table(raw.parent / "inverse_dynamics_tool.csv.gz")
-    expected = dict(zip(reference.columns, reference.values.T, strict=True))
+    return Laboratory(model, motion, [tmp_path / "subject01_walk_grf.xml"] * walk, folder)
+
+
+def expected_of(path):
+    table = read_table(path)
+    return dict(zip(table.columns, table.values.T, strict=True))
+
+
+def inverse(trial, *words):
+    loads = ["--external", *trial.loads] if trial.loads else []
+    return main([str(word) for word in ["inverse", trial.model, *words, *loads]])
+
+
+def test_torques_from_the_files_of_the_laboratory_equal_those_of_opensim(trial, tmp_path):
+    """From model, raw .mot and plates: 1e-8 of the largest, the digits of the reference."""
+    out = tmp_path / "id.sto"
+    asked = [] if trial.loads else ["--derivatives", "opensim", "--cutoff", "6"]
+    assert inverse(trial, trial.motion, *asked, "-o", out) == 0
+    ours = read_result(out)["samples"]
+    expected = expected_of(trial.folder / "inverse_dynamics_tool.csv.gz")
     assert ours["time"] == pytest.approx(expected.pop("time"), abs=1e-9)
-    assert len(expected) == (10 if walk else 2)
+    assert len(expected) == (10 if trial.loads else 2)
     for column, values in expected.items():
-        largest = np.abs(values).max()
-        assert ours[column] == pytest.approx(values, abs=1e-8 * largest), column
-    again = load_scene(scene).inverse(
-        tmp_path / "id.sto",
-        external=tmp_path / "subject01_walk_grf.xml" if walk else None,
-    )["samples"]
-    for column in expected:
-        assert again[column] == pytest.approx(ours[column], abs=1e-9)
+        assert ours[column] == pytest.approx(values, abs=1e-8 * np.abs(values).max()), column
+    assert inverse(trial, out, "-o", tmp_path / "again.csv") == 0
+    again = read_result(tmp_path / "again.csv")["samples"]
+    assert all(again[column] == pytest.approx(ours[column], abs=1e-9) for column in expected)
+
+
+def test_torques_of_a_motion_that_is_given_equal_those_of_opensim(trial, tmp_path):
+    out, motion = tmp_path / "id.csv", trial.folder / "motion.csv.gz"
+    assert inverse(trial, motion, "-o", out) == 0
+    ours = read_result(out)["samples"]
+    expected = expected_of(trial.folder / "inverse_dynamics_no_muscles.csv.gz")
+    del expected["time"]
+    for column, values in expected.items():
+        assert ours[column] == pytest.approx(values, abs=1e-9 * np.abs(values).max()), column
+
+
+def test_each_trial_may_have_loads_of_its_own(laboratory, tmp_path, capsys):
+    path, times, values = laboratory
+    (path.parent / "other.xml").write_text(path.read_text().replace("plate.mot", "other.mot"))
+    (path.parents[1] / "data" / "other.mot").write_text(plate(times, 2.0 * values))
+    head = "Coordinates\nversion=1\nnRows=9\nnColumns=2\ninDegrees=yes\nendheader\n"
+    rows = "".join(f"{0.1 * i}\t{10 * i}\n" for i in range(9))
+    for name in "ab":
+        (tmp_path / f"{name}.mot").write_text(head + "time\tjoint1\n" + rows)
+    words = ["inverse", "arm7", tmp_path / "a.mot", tmp_path / "b.mot", "--derivatives", "opensim"]
+    words += ["-o", tmp_path / "out", "--workers", 1, "--external", path]
+    assert main([str(word) for word in [*words, path.parent / "other.xml"]]) == 0
+    scene = scene_from(urdf="arm7")
+    for name, file in (("a", path), ("b", path.parent / "other.xml")):
+        found = read_result(tmp_path / "out" / f"{name}.mot")["samples"]
+        expected = scene.inverse(tmp_path / f"{name}.mot", derivatives="opensim", external=file)
+        assert found == expected["samples"]
+    assert main([str(word) for word in [*words, path, path]]) == 2
+    assert "names 3 files for 2 motions; accepted: one for all" in capsys.readouterr().err

@@ -25,7 +25,7 @@ class Batch(NamedTuple):
         scene: The scene.
         out: Folder of the results; the result itself where there is one motion.
         wrenches: Table or bag of the external loads of every motion.
-        external: External loads of OpenSim (.xml) of every motion.
+        external: External loads of OpenSim (.xml): none, of every motion, or one each.
         time_range: First and last time that is solved [s]; None for all.
         derivatives: given, causal, zero-phase or opensim.
         cutoff: Of the filters [Hz]; None: the default of `Derivatives`.
@@ -41,7 +41,7 @@ class Batch(NamedTuple):
     scene: Path
     out: Path
     wrenches: Path | None
-    external: Path | None
+    external: Sequence[Path]
     time_range: Sequence[float] | None
     derivatives: str
     cutoff: float | None
@@ -57,6 +57,7 @@ def inverse_of_one(batch: Batch, say: Say) -> None:
     """Do the only motion; `say` is told of it."""
     if batch.scheduler is not None or batch.workers is not None:
         raise DataError("--scheduler and --workers go with several motions")
+    _externals(batch)
     _inverse(batch, say)
 
 
@@ -72,14 +73,16 @@ def inverse_of_all(batch: Batch, say: Say) -> None:
             names that would meet in the folder, or a folder that cannot be.
     """
     results = places(batch.motions, batch.out)
+    externals = _externals(batch)
     for out in results.values():
-        refuse_overwriting(out, batch.wrenches, batch.external)
+        refuse_overwriting(out, batch.wrenches, *externals)
     refuse_unused(load_scene(batch.scene), batch.wrenches)
     try:
         batch.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(f"{batch.out}: cannot be made a folder ({error.strerror})") from error
-    tasks = [_work(batch, motion, out) for motion, out in results.items()]
+    pairs = zip(results.items(), externals, strict=True)
+    tasks = [_work(batch, motion, out, external) for (motion, out), external in pairs]
     failed = []
     with open_workers(batch.scheduler, batch.workers) as workers:
         for task, result in watched(do_all(workers, tasks), tasks, workers.count):
@@ -104,9 +107,10 @@ def one(argument: Mapping[str, Any]) -> tuple[list[str], str]:
         Its lines, and why it failed.
     """
     fields = dict(argument["batch"])
-    for name in ("scene", "out", "wrenches", "external"):
+    for name in ("scene", "out", "wrenches"):
         fields[name] = None if fields[name] is None else Path(fields[name])
-    batch = Batch(**{**fields, "motions": [Path(motion) for motion in fields["motions"]]})
+    fields |= {name: [Path(path) for path in fields[name]] for name in ("motions", "external")}
+    batch = Batch(**fields)
     lines: list[str] = []
     try:
         with permitting(argument["allow_code"]):
@@ -120,15 +124,28 @@ def _inverse(batch: Batch, say: Say) -> None:
     derivatives = Derivatives(batch.derivatives, batch.cutoff, batch.half_width)
     (motion,) = batch.motions
     between = None if batch.time_range is None else (batch.time_range[0], batch.time_range[1])
-    more = batch.topic, batch.parts, batch.bounds, batch.external, between
+    (external,) = _externals(batch)
+    more = batch.topic, batch.parts, batch.bounds, external, between
     asked = Task(motion, derivatives, batch.wrenches, *more)
     inverse_to(load_scene(batch.scene), asked, batch.out, say)
 
 
-def _work(batch: Batch, motion: Path, out: Path) -> WorkerTask:
+def _externals(batch: Batch) -> list[Path | None]:
+    """External loads of each motion."""
+    files, count = list(batch.external or ()), len(batch.motions)
+    if len(files) not in (0, 1, count):
+        raise DataError(
+            f"--external names {len(files)} files for {count} motions; accepted: one for all, or "
+            "one for each"
+        )
+    return [*files] if len(files) == count else [files[0] if files else None] * count
+
+
+def _work(batch: Batch, motion: Path, out: Path, external: Path | None) -> WorkerTask:
     place = Path if batch.scheduler is None else Path.absolute
     fields = batch._asdict() | {"motions": [str(place(motion))], "out": str(out)}
-    for name in ("scene", "wrenches", "external"):
+    fields["external"] = [] if external is None else [str(place(external))]
+    for name in ("scene", "wrenches"):
         fields[name] = None if fields[name] is None else str(place(fields[name]))
     argument = {"batch": fields, "allow_code": is_permitted()}
     return WorkerTask(str(motion), f"{__name__}:{one.__name__}", argument)

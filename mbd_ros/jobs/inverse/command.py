@@ -33,7 +33,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--external",
         type=path_word,
-        help="external loads of OpenSim (.xml with its .mot), in place of those of the scene",
+        nargs="+",
+        default=(),
+        help="external loads of OpenSim (.xml with its .mot), in place of those of the scene; one "
+        "for all motions, or one for each",
     )
     parser.add_argument(
         "--time-range",
