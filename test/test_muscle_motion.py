@@ -2,13 +2,17 @@
 
 import gzip
 import re
+from array import array
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.integrate import simpson
+from simulator_plant import plant
 
 from mbd_ros.core.dynamics.sources import HeldTable
+from mbd_ros.core.muscles.array_numbers import ArrayNumbers
 from mbd_ros.errors import DataError
 from mbd_ros.files.table import MAIN
 from mbd_ros.jobs.simulate.job import simulate
@@ -72,6 +76,22 @@ def test_fibres_of_a_stiff_tendon_are_those_of_a_rigid_one(kind):
         run = begun.simulation(sources=held({"m": 0.4})).run(begun.initial, 0.1)
         ends.append(list(run)[-1].q)
     assert ends[0] == pytest.approx(ends[1], abs=2e-4)
+
+
+def test_undamped_fibres_of_degroote_fregly_follow_from_their_curve():
+    """A m(v) = F in closed form, and as damping goes to 0."""
+    law, damped = (one("degroote_fregly", damping=d).muscles[0].contraction for d in (0.0, 1e-9))
+    a, length, force = (
+        np.array([0.1, 0.5, 1.0]),
+        np.array([0.8, 1.0, 1.1]),
+        np.array([0.05, 0.4, 1.2]),
+    )
+    v = law.curves.speed(ArrayNumbers, a, length, force)
+    carried = law.curves.fiber(ArrayNumbers, a, length, v) + law.curves.passive(
+        ArrayNumbers, length
+    )
+    assert carried == pytest.approx(force, abs=1e-13)
+    assert damped.curves.speed(ArrayNumbers, a, length, force) == pytest.approx(v, abs=1e-6)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -158,9 +178,41 @@ def test_random_excitations_keep_the_states_of_muscles():
 
 
 @pytest.mark.soak
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize(("name", "count"), [("muscle_arm", 700), ("muscle_leg", 300)])
 def test_many_random_excitations_keep_the_states_of_muscles(name, count):
     for scene, states in random_runs(name, count, 1.0):
         internals, z = scene.internals, np.array([x.z for x in states])
         assert np.isfinite(z).all() and np.isfinite([x.v for x in states]).all()
         assert (z >= internals.lower).all() and (z <= internals.upper).all()
+
+
+def test_the_simulator_takes_excitations_by_name_and_in_order():
+    scene = SCENES / "muscle_arm.yaml"
+    there = plant(scene, rate=200.0)
+    names = there.scene.inputs.names
+    assert names[:2] == ("deltoid_anterior.excitation", "deltoid_posterior.excitation")
+    levels = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    u = there.reader.read_vector(SimpleNamespace(data=levels))
+    assert u.tolist() == levels
+    message = SimpleNamespace(
+        header=SimpleNamespace(stamp=SimpleNamespace(sec=1, nanosec=0), frame_id=""),
+        name=list(reversed(names)),
+        position=array("d"),
+        velocity=array("d"),
+        effort=array("d", reversed(levels)),
+    )
+    assert there.reader.read_named(message).tolist() == levels
+    for _ in range(20):
+        there.live.watch.take(u)
+        there.live.tick()
+    given = dict(zip((part.name for part in there.scene.muscles), levels, strict=True))
+    resting = {"internal": {name: {"activation": 0.01} for name in given}}
+    offline = load_scene(scene)
+    offline = offline.with_(initial={**offline.entries["initial"], **resting})
+    run = offline.simulation(dt=0.005, sources=held(given))
+    end = list(run.run(offline.initial, 0.1))[-1]
+    now = there.live.now
+    assert now.position == pytest.approx(end.q, abs=1e-6)
+    assert there.shown[0] == "deltoid_anterior.activation"
+    assert now.shown[0] == pytest.approx(end.z[0], abs=1e-6)

@@ -10,7 +10,6 @@ from mbd_ros.core.muscles.degroote_fregly_curves import DeGrooteFreglyCurves
 from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.muscles.pennation import Angle, pennation
 from mbd_ros.core.ranges import NotNegative, Positive, Unit, Within
-from mbd_ros.errors import ModelError
 
 _SHARE = Within(1.0e-6, 0.999)
 
@@ -90,19 +89,4 @@ class DegrooteFregly(Muscle):
         times = (activation_time, deactivation_time, minimum_activation)
         super().__init__(path, contraction, SmoothFirstOrder(*times, activation_steepness), tendon)
 
-    @staticmethod
-    def check(
-        tendon: str,
-        tendon_slack_length: float,
-        pennation_angle: float,
-        maximum_pennation_angle: float,
-        damping: float,
-    ) -> None:
-        """Refuse what does not go together.
-
-        Raises:
-            ModelError: Names it.
-        """
-        check_sizes(tendon, tendon_slack_length, pennation_angle, maximum_pennation_angle)
-        if tendon == "elastic" and damping <= 0.0:
-            raise ModelError("damping is 0: fibres beside an elastic tendon need some")
+    check = staticmethod(check_sizes)

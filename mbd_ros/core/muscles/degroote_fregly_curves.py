@@ -10,6 +10,8 @@ optimal control problem formulations for solving the muscle redundancy problem, 
 import math
 from typing import Any, NamedTuple
 
+from mbd_ros.core.ranges import is_value
+
 Number = Any  # float, symbol or array
 _ACTIVE = (  # height, centre, width at length 0, width per length
     (0.8150671134243542, 1.055033428970575, 0.162384573599574, 0.063303448465465),
@@ -102,7 +104,9 @@ class DeGrooteFreglyCurves(NamedTuple):
         c = a * self.active(k, length) * _LEVEL + self.passive(k, length) - force
         c = c - self.damping * _SHIFT / _RATE
         size = k.maximum(c, -c)
-        w = k.minimum(k.minimum(size / p, _asinh(k, size / q)), _STEEPEST)
+        w = k.minimum(size / p, _STEEPEST)
+        if not is_value(self.damping, 0.0):
+            w = k.minimum(w, _asinh(k, size / q))
         for _ in range(_NEWTON):
             grown = k.exp(w)
             sinh, cosh = 0.5 * (grown - 1.0 / grown), 0.5 * (grown + 1.0 / grown)
