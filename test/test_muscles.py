@@ -153,3 +153,46 @@ def test_a_muscle_may_have_the_name_of_its_path():
     assert scene.inputs.names == ("soleus.excitation",)
     assert scene.internals.names == ("soleus.activation", "soleus.fiber_length")
     assert scene.forces == ()
+
+
+def test_curves_of_degroote_fregly_are_those_of_opensim():
+    """Values of `DeGrooteFregly2016Muscle` of OpenSim 4.6 with its defaults."""
+    curves = some("degroote_fregly").contraction.curves
+    length = np.array([0.4, 0.8, 1.1, 1.6])
+    active = [0.025541217564830628, 0.8364395661146519, 0.9531594169846643, 0.12425503853974908]
+    passive = [0.0002470574857921233, 0.004739942143981772, 0.03558871336134531, 1.0]
+    stretch = 0.97 + 0.09 / 17.0 * np.array([2.0, 6.0, 9.0, 14.0])
+    tendon = [-0.10165352641102035, 0.01333133471136927, 0.18130855083105402, 0.8037980959517959]
+    speed = -1.2 + 2.4 / 17.0 * np.array([2.0, 6.0, 9.0, 14.0])
+    factor = [0.02872915713187063, 0.3532973649740998, 1.153894619176268, 1.717801732451405]
+    k = ArrayNumbers
+    assert curves.active(k, length) == pytest.approx(active, abs=1e-14)
+    assert curves.passive(k, length) == pytest.approx(passive, abs=1e-14)
+    assert curves.tendon(k, stretch) == pytest.approx(tendon, abs=1e-13)
+    at_speed = curves.fiber(k, 1.0, 1.0, speed) / curves.active(k, 1.0)
+    assert at_speed == pytest.approx(factor, abs=1e-13)
+
+
+@pytest.mark.parametrize("kind", ["thelen", "millard", "degroote_fregly"])
+def test_energies_are_integrals_of_their_forces_and_speeds_invert_them(kind):
+    curves, k, h = some(kind).contraction.curves, ArrayNumbers, 1e-5
+    for area, force, low, high in (
+        (curves.passive_area, curves.passive, 0.6, 1.6),
+        (curves.tendon_area, curves.tendon, 1.0005, 1.06),
+    ):
+        x = np.linspace(low, high, 41)
+        slope = (area(k, x + h) - area(k, x - h)) / (2.0 * h)
+        assert slope == pytest.approx(force(k, x), abs=2e-7)
+    rng = np.random.default_rng(2)
+    a, length = rng.uniform(0.01, 1.0, 300), rng.uniform(0.5, 1.7, 300)
+    speed = rng.uniform(-1.5, 1.5, 300)
+    force = curves.fiber(k, a, length, speed) + curves.passive(k, length)
+    force = force + curves.damping_force(speed)
+    assert curves.speed(k, a, length, force) == pytest.approx(speed, abs=1e-9)
+
+
+def test_a_controller_refuses_muscles():
+    entry = {"type": "thelen", "name": "m", "path": ANY_PATH, **SIZES}
+    scene = scene_from({"muscles": [entry]}, urdf="prosthetic_leg")
+    with pytest.raises(SceneError, match="a controller drives actuators, no muscles"):
+        scene.controlled_joints()

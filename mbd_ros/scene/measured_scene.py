@@ -61,6 +61,10 @@ class MeasuredScene(SceneParts):
             SceneError: No joint can be controlled, or one moves nothing with mass.
         """
         self._refuse_internal("a controller")
+        if self.muscles:
+            raise SceneError(
+                f"{self.name}: a controller drives actuators, no muscles; leave them out"
+            )
         loads = Loads(self.robot.model.nv, self.forces, (), self.inputs.sources({}))
         try:
             system = build_system(self.robot, self.couplings, rigid(self.constraints), loads)
