@@ -330,3 +330,30 @@ def test_lengths_are_those_of_opensim(data_dir, name):
         assert past.min() > -1e-5  # chords of 1 mm
         assert np.sort(past)[-2] < 1e-4
         assert past.max() < 1.2e-4
+
+
+@pytest.mark.parametrize(
+    "half_axes", [[0.03, 0.02, 0.015], [0.05, 0.05, 0.01], [0.05, 0.01, 0.01]]
+)
+def test_paths_over_ellipsoids_are_no_longer_than_a_section(half_axes):
+    """The path in the plane through ends and centre, its arc by quadrature, bounds the shortest."""
+    rng, a = np.random.default_rng(11), np.array(half_axes)
+    points = rng.normal(size=(40, 2, 3))
+    points *= rng.uniform(0.06, 0.15, (40, 2, 1)) / np.linalg.norm(points, axis=-1, keepdims=True)
+    points[:, 1] = -points[:, 0] + rng.normal(size=(40, 3)) * 0.02
+    lengths = alone(Ellipsoid(half_axes), points).length
+    for (u, v), length in zip(points / a, lengths, strict=True):
+        normal = np.cross(u, v)
+        ahead = np.cross(normal, u) / np.linalg.norm(normal) / np.linalg.norm(u)
+        out, angle = u / np.linalg.norm(u), math.atan2(np.linalg.norm(normal), u @ v)
+        first = math.acos(1.0 / np.linalg.norm(u))
+        last = angle - math.acos(1.0 / np.linalg.norm(v))
+        if last > first:
+            spots = [math.cos(t) * out + math.sin(t) * ahead for t in (first, last)]
+            bound = sum(
+                np.linalg.norm((end - spot) * a) for end, spot in zip((u, v), spots, strict=True)
+            )
+            t = np.linspace(first, last, 2001)[:, None]
+            speed = np.linalg.norm((np.cos(t) * ahead - np.sin(t) * out) * a, axis=1)
+            bound += ((speed[1:] + speed[:-1]) / 2.0).sum() * (last - first) / 2000.0
+            assert np.linalg.norm((v - u) * a) < length < bound + 1e-9

@@ -41,7 +41,7 @@ class Ellipsoid(Surface):
 
     def __init__(self, half_axes: Sequence[float], side: Side = "all") -> None:
         super().__init__(side)
-        self._a = np.array(half_axes, dtype=np.float64)
+        self._a = self.half_axes = np.array(half_axes, dtype=np.float64)
         self._h = self._a**-2.0
         self.size = float(self._a.max())
         self._sharpest = self.size / float(self._a.min()) ** 2

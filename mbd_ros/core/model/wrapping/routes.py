@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.model.wrapping.chain import Arc, Placed, shortest
+from mbd_ros.core.model.wrapping.chain import Arc, Placed
+from mbd_ros.core.model.wrapping.search import solved
 from mbd_ros.core.model.wrapping.surface import (
     MUST_WRAP,
     NO_WRAP,
@@ -25,7 +26,6 @@ from mbd_ros.core.model.wrapping.surface import (
     dot,
 )
 from mbd_ros.core.state import Array
-from mbd_ros.errors import SolveError
 
 Held = tuple[tuple[int, ...], ...]  # the wraps on every line between points
 _ROUNDS = 8
@@ -236,44 +236,6 @@ class Router:
         for whole, part in zip((*store.arcs, *store.ends), (*arcs, *ends), strict=True):
             for to, value in zip(whole, part, strict=True):
                 to[samples] = value
-
-
-def solved(a: Array, b: Array, over: Sequence[Placed], guess: tuple[Arc, ...]) -> tuple[Arc, ...]:
-    """Geodesics between two points; on the nearer side where there is none on the other."""
-    arcs = shortest(a, b, over, guess)
-    again = np.flatnonzero(_astray(over, arcs))
-    if again.size:
-        there = [one.of(again) for one in over]
-        starts = _plain(a[again], b[again], there, tuple(arc.of(again) for arc in guess))
-        better = shortest(a[again], b[again], there, starts)
-        for to, arc in zip(arcs, better, strict=True):
-            found = np.isfinite(arc.length)
-            for whole, part in zip(to, arc, strict=True):
-                whole[again[found]] = part[found]
-    lost = int(np.isnan(arcs[0].length).sum())
-    if lost:
-        raise SolveError(f"no shortest path over the surface in {lost} of {len(a)} samples")
-    return arcs
-
-
-def _plain(a: Array, b: Array, over: Sequence[Placed], arcs: tuple[Arc, ...]) -> tuple[Arc, ...]:
-    """Guesses on the nearer side, between what is on either side of a surface."""
-    lasts = [one.outwards(arc.end) for one, arc in zip(over, arcs, strict=True)]
-    firsts = [one.outwards(arc.start) for one, arc in zip(over, arcs, strict=True)]
-    ends = zip(over, (a, *lasts[:-1]), (*firsts[1:], b), strict=True)
-    return tuple(
-        Arc.along(one.surface, *one.surface.plain(one.inwards(begin), one.inwards(end))[1:])
-        for one, begin, end in ends
-    )
-
-
-def _astray(over: Sequence[Placed], arcs: Sequence[Arc]) -> Mask:
-    """Samples without a path, or with one on another side than asked for, shape (n,)."""
-    away = np.isnan(arcs[0].length)
-    for one, arc in zip(over, arcs, strict=True):
-        if one.surface.sign and not one.surface.is_closed_form:
-            away |= ~one.surface.on_side(arc.middle)
-    return away
 
 
 def _inserted(held: Held, line: int, place: int, which: int) -> Held:
