@@ -336,7 +336,7 @@ def test_lengths_are_those_of_opensim(data_dir, name):
     "half_axes", [[0.03, 0.02, 0.015], [0.05, 0.05, 0.01], [0.05, 0.01, 0.01]]
 )
 def test_paths_over_ellipsoids_are_no_longer_than_a_section(half_axes):
-    """The path in the plane through ends and centre, its arc by quadrature, bounds the shortest."""
+    """The path in the plane through ends and centre, by quadrature, bounds the shortest one."""
     rng, a = np.random.default_rng(11), np.array(half_axes)
     points = rng.normal(size=(40, 2, 3))
     points *= rng.uniform(0.06, 0.15, (40, 2, 1)) / np.linalg.norm(points, axis=-1, keepdims=True)

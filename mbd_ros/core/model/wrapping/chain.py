@@ -20,7 +20,7 @@ from mbd_ros.core.state import Array
 _STEPS = 30
 _LEAST = 2.0**-8  # share of a step that is taken whatever it does
 _TOLERANCE = 1.0e-13  # of the sine of the angle between lines and tangents
-_TINY = 1.0e-12  # keeps slopes regular where a geodesic has no length
+_REGULAR = 1.0e-12  # keeps slopes regular where a geodesic has no length
 _LONGEST = 20.0  # arc, in sizes of its surface
 _ROUNDING = 1.0e-10  # what is accepted where steps no longer make it smaller
 
@@ -146,7 +146,7 @@ def shortest(a: Array, b: Array, over: Sequence[Placed], starts: Sequence[Arc]) 
         stuck = ~better & (best < _ROUNDING)
         arcs = tuple(_either(better, *pair) for pair in zip(chain.arcs, arcs, strict=True))
         best, share = np.where(better, worst, best), np.where(better, 1.0, share / 2.0)
-        regular = chain.slopes[better] + _TINY * np.eye(errors.shape[1])
+        regular = chain.slopes[better] + _REGULAR * np.eye(errors.shape[1])
         new = np.linalg.solve(regular, errors[better][..., None])[..., 0]
         steps[better] = -new
         done = (best < _TOLERANCE) | stuck
