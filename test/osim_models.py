@@ -1,6 +1,13 @@
 """Small models of OpenSim as text."""
 
+import numpy as np
+import pinocchio as pin
+import pytest
+
 from mbd_ros.scene.reader import load_scene
+
+X, Y, Z = np.eye(3)
+Q = (0.3, -0.7, 1.1, 0.2, -0.4, 0.5)
 
 SPLINE = {"x": [-1.0, 0.0, 0.5, 1.5, 2.0], "y": [0.1, 0.0, 0.2, -0.1, 0.3]}
 SIMM = '<SimmSpline name="function"><x>-1 0 0.5 1.5 2</x><y>0.1 0 0.2 -0.1 0.3</y></SimmSpline>'
@@ -83,3 +90,24 @@ def loaded(text, folder, name="small.osim"):
     file = folder / name
     file.write_text(text, encoding="utf-8")
     return load_scene(file)
+
+
+def placed(scene, positions, link):
+    """Where a link is, `pinocchio.SE3`; coupled joints follow."""
+    model, q = scene.robot.model, np.array(scene.robot.neutral())
+    for name, value in positions.items():
+        q[scene.robot.joint(name).q] = value
+    scene.couplings.expand(q, np.zeros(model.nv), np.zeros(model.nv))
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    return data.oMf[scene.robot.frame(link)]
+
+
+def turn(axis, angle):
+    axis = np.array(axis, dtype=float)
+    return pin.AngleAxis(angle, axis / np.linalg.norm(axis)).toRotationMatrix()
+
+
+def same(found, rotation, translation):
+    assert found.rotation == pytest.approx(rotation, abs=1e-14)
+    assert found.translation == pytest.approx(np.array(translation), abs=1e-14)

@@ -7,12 +7,14 @@ import pytest
 from scipy.interpolate import CubicSpline, PPoly
 
 from mbd_ros.core.model.coupling_functions import (
+    Harmonic,
     PiecewisePolynomial,
     Polynomial,
     natural_cubic_spline,
 )
 from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.model.simm_spline import simm_spline
 from mbd_ros.errors import ModelError
 
 ARM = (Path(__file__).parents[1] / "config/robots/arm7.urdf").read_text(encoding="utf-8")
@@ -203,3 +205,26 @@ def test_mimic_that_cannot_be_is_refused(parent, rest, message):
     with pytest.raises(ModelError) as caught:
         read_robot(with_mimic(ARM, "joint6", parent, rest))
     assert message in str(caught.value)
+
+
+def test_the_spline_of_simm_is_a_cubic_through_points_of_one():
+    """Its end pieces have the third derivatives of the data; it goes on straight beyond them."""
+    cubic = np.polynomial.Polynomial([0.3, -1.0, 0.5, 0.8])
+    x = np.array([-1.0, -0.4, 0.1, 0.9, 1.3])
+    spline, z = simm_spline(x, cubic(x)), np.linspace(-1.0, 1.3, 40)
+    for found, expected in zip(
+        spline(z), (cubic(z), cubic.deriv()(z), cubic.deriv(2)(z)), strict=True
+    ):
+        assert found == pytest.approx(expected, abs=1e-13)
+    beyond = cubic(1.3) + 0.5 * cubic.deriv()(1.3)
+    assert spline(1.8)[0] == pytest.approx(beyond, abs=1e-13)
+    assert spline(1.8)[2] == 0.0
+
+
+def test_a_harmonic_has_its_slope_and_curvature():
+    law, z, h = Harmonic(0.4, 3.0, 0.2, -0.1), np.linspace(-2.0, 2.0, 9), 1e-5
+    value, slope, curvature = law(z)
+    assert value == pytest.approx(-0.1 + 0.4 * np.sin(3.0 * z + 0.2), abs=1e-15)
+    assert slope == pytest.approx((law(z + h)[0] - law(z - h)[0]) / (2.0 * h), abs=1e-8)
+    assert curvature == pytest.approx((law(z + h)[1] - law(z - h)[1]) / (2.0 * h), abs=1e-8)
+    assert law(0.7) == pytest.approx([row.item() for row in law(np.array([0.7]))], abs=1e-15)

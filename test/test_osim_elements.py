@@ -7,6 +7,10 @@ from osim_models import (
     COUPLERS,
     SIMM,
     SPLINE,
+    Q,
+    X,
+    Y,
+    Z,
     axis,
     body,
     chain,
@@ -16,36 +20,15 @@ from osim_models import (
     linear,
     loaded,
     model,
+    placed,
+    same,
+    turn,
 )
 
 from mbd_ros.core.model.simm_spline import simm_spline
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.osim.frames import roll_pitch_yaw
 
-
-def placed(scene, positions, link):
-    """Where a link is, `pinocchio.SE3`; coupled joints follow."""
-    model, q = scene.robot.model, np.array(scene.robot.neutral())
-    for name, value in positions.items():
-        q[scene.robot.joint(name).q] = value
-    scene.couplings.expand(q, np.zeros(model.nv), np.zeros(model.nv))
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    return data.oMf[scene.robot.frame(link)]
-
-
-def turn(axis, angle):
-    axis = np.array(axis, dtype=float)
-    return pin.AngleAxis(angle, axis / np.linalg.norm(axis)).toRotationMatrix()
-
-
-def same(found, rotation, translation):
-    assert found.rotation == pytest.approx(rotation, abs=1e-14)
-    assert found.translation == pytest.approx(np.array(translation), abs=1e-14)
-
-
-X, Y, Z = np.eye(3)
-Q = (0.3, -0.7, 1.1, 0.2, -0.4, 0.5)
 KINDS = {
     "WeldJoint": (np.eye(3), (0, 0, 0)),
     "PinJoint": (turn(Z, Q[0]), (0, 0, 0)),

@@ -5,6 +5,7 @@ from typing import Any
 
 from mbd_ros.core.model.coupling_functions import (
     CouplingFunction,
+    Harmonic,
     Linear,
     PiecewisePolynomial,
     Polynomial,
@@ -15,7 +16,14 @@ from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
 
-FUNCTIONS = ("factor", "polynomial", "spline", "piecewise_polynomial", "simm_spline")
+FUNCTIONS = ("factor", "polynomial", "spline", "piecewise_polynomial", "simm_spline", "harmonic")
+
+
+_CURVES = {
+    "spline": natural_cubic_spline,
+    "piecewise_polynomial": PiecewisePolynomial,
+    "harmonic": Harmonic,
+}
 
 
 def build_couplings(site: Site, entries: Any) -> Couplings:
@@ -62,6 +70,7 @@ def _coupling(
     polynomial: Sequence[float] | None = None,
     spline: Any = None,
     simm_spline: Any = None,
+    harmonic: Any = None,
     piecewise_polynomial: Any = None,
 ) -> Coupling:
     if factor == 0:
@@ -73,6 +82,7 @@ def _coupling(
         polynomial=polynomial,
         spline=spline,
         simm_spline=simm_spline,
+        harmonic=harmonic,
         piecewise_polynomial=piecewise_polynomial,
     )
     return Coupling(parent, function)
@@ -86,6 +96,7 @@ def one_function(
     polynomial: Sequence[float] | None = None,
     spline: Any = None,
     simm_spline: Any = None,
+    harmonic: Any = None,
     piecewise_polynomial: Any = None,
 ) -> CouplingFunction:
     """The function of an entry that has one of `FUNCTIONS` as its key.
@@ -97,12 +108,13 @@ def one_function(
         polynomial: c0, c1, ..
         spline: x and y of `natural_cubic_spline`.
         simm_spline: x and y of the function of that name.
+        harmonic: Arguments of `Harmonic`.
         piecewise_polynomial: Arguments of `PiecewisePolynomial`.
 
     Raises:
         ModelError: None or several are given, or the function refuses its numbers.
     """
-    values = (factor, polynomial, spline, piecewise_polynomial, simm_spline)
+    values = (factor, polynomial, spline, piecewise_polynomial, simm_spline, harmonic)
     functions: dict[str, Any] = dict(zip(FUNCTIONS, values, strict=True))
     given = [kind for kind, function in functions.items() if function is not None]
     if len(given) != 1:
@@ -120,7 +132,7 @@ def _function(kind: str, entry: Any, offset: float, where: str) -> CouplingFunct
         return Linear(entry, offset)
     if kind == "polynomial":
         return Polynomial(entry)
-    curve: Any = natural_cubic_spline if kind == "spline" else PiecewisePolynomial
+    curve: Any = _CURVES.get(kind)
     if kind == "simm_spline":
         from mbd_ros.core.model.simm_spline import simm_spline as curve
     function: CouplingFunction = schema.call(curve, entry, where)

@@ -122,6 +122,14 @@ class Scalar:
         """Its square root."""
         return number(ca.sqrt(self.sx))
 
+    def sin(self) -> Any:
+        """Its sine, as `numpy.sin` asks for it."""
+        return number(ca.sin(self.sx))
+
+    def cos(self) -> Any:
+        """Its cosine, as `numpy.cos` asks for it."""
+        return number(ca.cos(self.sx))
+
     def item(self) -> "Scalar":
         """Itself, as for a numpy number."""
         return self

@@ -1,6 +1,7 @@
 """How a dependent joint follows its parent: q_d = f(z), with f' and f''."""
 
 import itertools
+import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from typing import Any
@@ -57,6 +58,31 @@ class Linear:
     def __call__(self, z: Any) -> tuple[Any, Any, Any]:
         """f(z), f'(z) and f''(z); z is a float or an array."""
         return self.factor * z + self.offset, self.factor, 0.0
+
+
+class Harmonic:
+    """q_d = offset + amplitude sin(angular_frequency z + phase).
+
+    Args:
+        amplitude: [rad or m].
+        angular_frequency: [rad per rad or m of the parent].
+        phase: [rad].
+        offset: [rad or m].
+    """
+
+    def __init__(
+        self, amplitude: float, angular_frequency: float, phase: float = 0.0, offset: float = 0.0
+    ) -> None:
+        self._amplitude, self._rate = float(amplitude), float(angular_frequency)
+        self._phase, self._offset = float(phase), float(offset)
+
+    def __call__(self, z: Any) -> tuple[Any, Any, Any]:
+        """f(z), f'(z) and f''(z); z is a float, an array or a symbol."""
+        angle, rate = self._rate * z + self._phase, self._rate
+        library = math if isinstance(z, float) else np
+        height = self._amplitude * library.sin(angle)
+        slope = self._amplitude * rate * library.cos(angle)
+        return self._offset + height, slope, -rate * rate * height
 
 
 class PiecewisePolynomial:
@@ -180,4 +206,4 @@ def _check_increasing(values: Sequence[float], name: str) -> None:
         raise ModelError(f"{name} must be at least two increasing numbers, got {list(values)}")
 
 
-CouplingFunction = Linear | Polynomial | PiecewisePolynomial
+CouplingFunction = Linear | Polynomial | Harmonic | PiecewisePolynomial

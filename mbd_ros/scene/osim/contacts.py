@@ -93,6 +93,8 @@ def _material(item: Item) -> Material:
     kinds = ("static", "dynamic", "viscous")
     friction = [item.number(f"{kind}_friction", default=0.0) for kind in kinds]
     stiffness = item.number("stiffness", default=1.0)
+    if stiffness <= 0.0:
+        raise Unexpressed(f"its stiffness is {stiffness:g}")
     dissipation = item.number("dissipation", default=0.0)
     return Material(stiffness, dissipation, (friction[0], friction[1], friction[2]))
 
@@ -110,6 +112,8 @@ def _shape(reading: Reading, item: Item, path: str) -> Shape:
     entry: Entry = {"frame": end.body, "xyz": end.at.translation.tolist()}
     if given.type == "ContactSphere":
         radius = given.number("radius", default=0.0)
+        if radius <= 0.0:
+            raise Unexpressed(f"the radius of {given.title} is {radius:g}")
         return Shape(name, end.body, {**entry, "sphere": radius}, radius)
     if given.type == "ContactHalfSpace":
         normal = end.direction(_OUTWARDS)
@@ -123,7 +127,7 @@ def _contact(a: Shape, b: Shape, of_a: Material, of_b: Material, velocity: float
     Source: M. A. Sherman, A. Seth, S. L. Delp, Procedia IUTAM 2 (2011), 241-261.
     """
     soft = [material.stiffness ** (2.0 / 3.0) for material in (of_a, of_b)]
-    share = soft[1] / sum(soft) if sum(soft) else 0.5  # of a in the depth
+    share = soft[1] / sum(soft)  # of a in the depth
     radius = 1.0 / (1.0 / a.radius + 1.0 / b.radius)
     stiffness = 4.0 / 3.0 * math.sqrt(radius) * (soft[0] * share) ** 1.5
     dissipation = 1.5 * (share * of_a.dissipation + (1.0 - share) * of_b.dissipation)

@@ -64,6 +64,16 @@ def linear(slope: float, offset: float = 0.0) -> Function:
     return Function({"factor": slope, **({"offset": offset} if offset else {})})
 
 
+def sine(
+    amplitude: float, angular_frequency: float = 1.0, phase: float = 0.0, offset: float = 0.0
+) -> Function:
+    """f(q) = offset + amplitude sin(angular_frequency q + phase)."""
+    if amplitude * angular_frequency == 0.0:
+        return constant(amplitude * math.sin(phase) + offset)
+    given = {"amplitude": amplitude, "angular_frequency": angular_frequency}
+    return Function({"harmonic": {**given, "phase": phase, "offset": offset}})
+
+
 IDENTITY = linear(1.0)
 
 
@@ -116,6 +126,9 @@ def scaled(function: Function, scale: float) -> Function:
     if kind == "piecewise_polynomial":
         rows = [[c * scale for c in row] for row in given["coefficients"]]
         return Function({kind: {**given, "coefficients": rows}})
+    if kind == "harmonic":
+        heights = {key: given[key] * scale for key in ("amplitude", "offset")}
+        return Function({kind: {**given, **heights}})
     return Function({kind: {**given, "y": [y * scale for y in given["y"]]}})
 
 
@@ -182,12 +195,10 @@ def _multiplier(item: Item) -> Function:
 
 
 def _sine(item: Item) -> Function:
-    """A sine without an argument is a constant; others are no function of a scene."""
-    amplitude, omega = item.number("amplitude", default=1.0), item.number("omega", default=1.0)
-    if amplitude * omega != 0.0:
-        raise UnknownFunction(f"function {item.type}")
-    phase, offset = item.number("phase", default=0.0), item.number("offset", default=0.0)
-    return constant(amplitude * math.sin(phase) + offset)
+    """Of the coordinate, as OpenSim's functions of one number are."""
+    amplitude, omega = (item.number(tag, default=1.0) for tag in ("amplitude", "omega"))
+    phase, offset = (item.number(tag, default=0.0) for tag in ("phase", "offset"))
+    return sine(amplitude, omega, phase, offset)
 
 
 _READERS: Mapping[str, Callable[[Item], Function]] = {

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.state import Array
+from mbd_ros.scene.osim.ellipsoid import on_ellipsoid, on_thorax
 from mbd_ros.scene.osim.frames import Attached, Frames, old_placement, socket
 from mbd_ros.scene.osim.functions import (
     IDENTITY,
@@ -68,6 +69,8 @@ def _joint(item: Item, frames: Frames, child: str) -> Joint:
         item, ("location_in_child", "location"), ("orientation_in_child", "orientation")
     )
     own = Attached(own.body, own.at * inner)
+    if parent.body == own.body:
+        raise item.error(f"its parent and its child are both '{own.body}'")
     if item.flag("reverse"):
         parent, own = own, parent
     coordinates = _coordinates(item)
@@ -131,15 +134,13 @@ def _custom(joint: Joint) -> list[Step]:
     axes = list(joint.item.objects("TransformAxisSet") if transform is None else ())
     if transform is not None:
         axes = [axis for axis in transform.children() if axis.type == "TransformAxis"]
-    numbers = {True: 0, False: 0}
     turns, slides = list[Step](), list[Step]()
     for axis in axes:
         is_turn = _is_turn(axis, transform is None)
-        numbers[is_turn] += 1
-        name = (
-            f"{joint.name}_{f'r{numbers[True]}' if is_turn else 't' + 'xyz'[numbers[False] - 1]}"
-        )
-        (turns if is_turn else slides).append(_motion(joint, axis, name, is_turn))
+        kind, endings = (turns, _TURN_NAMES) if is_turn else (slides, _SLIDE_NAMES)
+        if len(kind) == len(endings):
+            raise joint.item.error(f"{axis.title}: more than three axes of a kind")
+        kind.append(_motion(joint, axis, f"{joint.name}_{endings[len(kind)]}", is_turn))
     return [*slides, *turns]
 
 
@@ -182,6 +183,7 @@ def _function(axis: Item, moves: bool) -> Function:
     return function_in(holder)
 
 
+_TURN_NAMES, _SLIDE_NAMES = ("r1", "r2", "r3"), ("tx", "ty", "tz")
 _TURNS = [(axis, True, i) for i, axis in enumerate((X, Y, Z))]
 _SLIDES = [(axis, False, 3 + i) for i, axis in enumerate((X, Y, Z))]
 _STEPS: Mapping[str, Callable[[Joint], Sequence[Step]]] = {
@@ -194,8 +196,16 @@ _STEPS: Mapping[str, Callable[[Joint], Sequence[Step]]] = {
     "PlanarJoint": _hinges((X, False, 1), (Y, False, 2), (Z, True, 0)),
     "FreeJoint": _hinges(*_SLIDES, *_TURNS),
     "CustomJoint": _custom,
+    "EllipsoidJoint": on_ellipsoid,
+    "ScapulothoracicJoint": on_thorax,
 }
 _COUNTS = {
     **{"PinJoint": 1, "SliderJoint": 1, "UniversalJoint": 2, "PlanarJoint": 3},
-    **{"GimbalJoint": 3, "BallJoint": 3, "FreeJoint": 6},
+    **{
+        "GimbalJoint": 3,
+        "BallJoint": 3,
+        "FreeJoint": 6,
+        "EllipsoidJoint": 3,
+        "ScapulothoracicJoint": 4,
+    },
 }

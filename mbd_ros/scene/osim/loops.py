@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import pinocchio as pin
 
 from mbd_ros.scene.osim.constraints import placed
-from mbd_ros.scene.osim.frames import Attached
+from mbd_ros.scene.osim.frames import GROUND, Attached
+from mbd_ros.scene.osim.mechanism import turned_round
 from mbd_ros.scene.osim.motions import Joint
 from mbd_ros.scene.osim.names import Names
 from mbd_ros.scene.osim.urdf_text import Mass
@@ -36,7 +37,8 @@ def cut(loops: Sequence[Joint], taken: Sequence[str]) -> Cut:
         taken: Names that links have.
     """
     found, names = Cut([], {}, {}), Names(taken)
-    for joint in loops:
+    for given in loops:
+        joint = turned_round(given) if given.child.body == GROUND else given
         closure: dict[str, Any] = {"type": "loop_closure"}
         if joint.item.type in _DIRECT:
             closure["kind"] = _DIRECT[joint.item.type]

@@ -39,18 +39,12 @@ def read_prescribed(
 def _motion(item: Item) -> dict[str, Any]:
     """The function of time, where `prescribed_motion` has it."""
     holder = item.find("prescribed_function")
-    inner = None if holder is None else holder.find("Sine")
-    if inner is not None:
-        tags = {"amplitude": "amplitude", "angular_frequency": "omega"}
-        given = {key: inner.number(tag, default=1.0) for key, tag in tags.items()}
-        ends = {key: inner.number(key, default=0.0) for key in ("offset", "phase")}
-        return {"harmonic": given | {key: value for key, value in ends.items() if value}}
     try:
         function = function_in(holder)
     except UnknownFunction as error:
         raise Unexpressed(f"is prescribed by a {error}") from error
     if function.slope is not None:
         return {"polynomial": [function.offset, function.slope]}
-    if "polynomial" in function.entry or "spline" in function.entry:
+    if not {"polynomial", "spline", "harmonic"}.isdisjoint(function.entry):
         return dict(function.entry)
     raise Unexpressed(f"is prescribed by a function {next(iter(function.entry))}")
