@@ -5,9 +5,10 @@ import gzip
 import numpy as np
 import pytest
 
+from mbd_ros.cli import main
 from mbd_ros.errors import DataError
 from mbd_ros.files.formats import read_result
-from mbd_ros.files.recordings import read_motion
+from mbd_ros.files.recordings import read_columns, read_motion
 from mbd_ros.files.table import Column, Result, Table
 
 HEADER = "Coordinates\nversion=1\nnRows=3\nnColumns=3\ninDegrees={}\n\nUnits are S.I.\nendheader\n"
@@ -49,6 +50,26 @@ def test_radians_stay_and_states_go_by_their_paths(tmp_path):
         written(tmp_path, forces, "id.sto"), ("knee", "slide"), required=()
     ).motion.effort
     assert effort.T.tolist() == [[90.0, 45.0, -30.0], [0.5, 0.6, 0.7]]
+
+
+def test_states_of_muscles_go_by_the_name_of_the_part(tmp_path):
+    labels = "time\t/jointset/k/knee/value\t/forceset/soleus_r/activation\n"
+    path = written(tmp_path, HEADER.format("no") + labels + ROWS, "states.sto")
+    assert read_columns(path, ["soleus_r.activation"]).T.tolist() == [[0.5, 0.6, 0.7]]
+    assert list(read_result(path)["samples"])[2] == "/forceset/soleus_r/activation"
+
+
+def test_a_run_and_its_torques_go_through_storages_and_are_drawn(tmp_path):
+    run, torques = tmp_path / "run.mot", tmp_path / "id.sto"
+    for words in (
+        ["simulate", "arm7", "-t", "0.02", "-o", run],
+        ["inverse", "arm7", run, "-o", torques],
+        ["simulate", "arm7", "-t", "0.01", "--from", run, "-o", tmp_path / "more.sto"],
+        ["plot", torques, "-o", tmp_path / "id.svg"],
+    ):
+        assert main([str(word) for word in words]) == 0
+    efforts = read_result(torques)["samples"]
+    assert max(np.abs(efforts[f"joint{i}.effort"]).max() for i in range(1, 8)) < 1e-9
 
 
 def test_simm_files_are_in_degrees_and_may_give_the_range_of_times_alone(tmp_path):

@@ -13,6 +13,7 @@ DEGREES = "in_degrees"  # metadata of what others wrote: whether rotations are i
 REPEATED = "repeated"  # its labels that stand there more than once
 REMARKS = "remarks"  # what is odd about it, for people
 _PATH = re.compile(r"/(?:.+/)?([^/]+)/(value|speed)")
+_STATE = re.compile(r"/(?:.+/)?([^/]+)/([^/]+)")
 _QUANTITY = {"value": "position", "speed": "velocity"}
 _ENDS = {"": "position", "_u": "velocity", "_moment": "effort", "_force": "effort"}
 _RADIANS, _METRES = (
@@ -32,7 +33,8 @@ def joint_columns(
     """The columns of a storage, those of joints under names of this package, in radians.
 
     `<joint>` and `<..>/<joint>/value` become `<joint>.position`, `<joint>_u` and `<..>/speed`
-    `<joint>.velocity`, `<joint>_moment` and `<joint>_force` `<joint>.effort`; all others stay.
+    `<joint>.velocity`, `<joint>_moment` and `<joint>_force` `<joint>.effort`; paths of other
+    states, `/forceset/soleus_r/activation`, `soleus_r.activation`; all others stay.
 
     Args:
         result: Its metadata say whether rotations are in degrees.
@@ -44,11 +46,11 @@ def joint_columns(
     Raises:
         DataError: Two labels for one quantity, or one that is not a number at some time.
     """
-    columns, labels, joints = [], dict[str, str](), frozenset(joints)
+    columns, labels, joints, taken = [], dict[str, str](), frozenset(joints), set(table)
     for column in table.columns:
         joint, quantity = _meaning(column.name, joints)
         if not joint:
-            columns.append(column)
+            columns.append(_state(column, taken))
             continue
         name = f"{joint}.{quantity}"
         if name in labels:
@@ -75,6 +77,15 @@ def _meaning(label: str, joints: Collection[str]) -> tuple[str, str]:
         if label.endswith(end) and (joint := label.removesuffix(end)) in joints:
             return joint, quantity
     return "", ""
+
+
+def _state(column: Column, taken: set[str]) -> Column:
+    """A column of a state that is of no joint, under the name of its part if that is free."""
+    found = _STATE.fullmatch(column.name)
+    if not found or (name := f"{found[1]}.{found[2]}") in taken:
+        return column
+    taken.add(name)
+    return column._replace(name=name)
 
 
 def _converted(metadata: Mapping[str, object], column: Column, name: str, slides: bool) -> Column:

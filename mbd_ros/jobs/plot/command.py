@@ -9,7 +9,9 @@ from mbd_ros.scene.locate import path_word
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The words that `plot` understands."""
-    parser.add_argument("result", type=path_word, help="CSV (.gz), .npz, .parquet or bag")
+    parser.add_argument(
+        "result", type=path_word, help="CSV (.gz), .npz, .parquet, .mot, .sto, .trc, .c3d or bag"
+    )
     parser.add_argument(
         "-o", "--out", type=path_word, required=True, help=".png, .svg or .pdf (required)"
     )
