@@ -31,7 +31,7 @@ class MeasuredScene(SceneParts):
         if self.has_loops or with_bounds:
             return ObservedLoops(self.closed_loop(with_bounds=with_bounds))
         loads = tuple(self.wrenches.values())
-        return InverseDynamics(self.robot, self.couplings, loads, self.forces)
+        return InverseDynamics(self.robot, self.couplings, loads, self.acting)
 
     def closed_loop(self, *, with_bounds: bool = False) -> ClosedLoopInverseDynamics:
         """A solver for the efforts of `actuated` and all multipliers, with its own data.
@@ -49,7 +49,7 @@ class MeasuredScene(SceneParts):
         try:
             efforts = joint_efforts(self.robot, self.actuated, self._effort_limits())
             return ClosedLoopInverseDynamics(
-                *parts, efforts, loads, self.forces, with_bounds=with_bounds
+                *parts, efforts, loads, self.acting, with_bounds=with_bounds
             )
         except ModelError as error:
             raise SceneError(f"{self.name}: {error}") from error

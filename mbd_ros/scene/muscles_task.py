@@ -6,11 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from mbd_ros.core.dynamics.inputs import input_names
 from mbd_ros.core.inverse.joint_loads import JointLoads, Side
 from mbd_ros.core.inverse.reactions import JointReactions
 from mbd_ros.core.inverse.reserves import (
     BodyReserve,
-    CoordinateReserve,
+    InputReserve,
+    Reserve,
     coordinate_reserves,
     reserve_on,
 )
@@ -44,7 +46,7 @@ class MusclesTask:
     """
 
     wishes: Wishes
-    reserves: tuple[CoordinateReserve | BodyReserve, ...]
+    reserves: tuple[Reserve, ...]
     emg: Path | None
     side: Side | None
     links: tuple[str, ...]
@@ -75,7 +77,7 @@ class MusclesTask:
         if self.side is None:
             return None
         robot, none = scene.robot, ConstraintRows((), int(scene.robot.model.nv))
-        bare = JointReactions(robot, none, tuple(scene.wrenches.values()), scene.forces)
+        bare = JointReactions(robot, none, tuple(scene.wrenches.values()), scene.acting)
         try:
             return JointLoads(robot, bare, scene.muscles, self.reserves, self.links, self.side)
         except ModelError as error:
@@ -138,7 +140,7 @@ def _task(
     )
     if reactions is None and (links or by_muscle):
         raise SceneError(f"{where}.reactions: is missing, links and by_muscle say more of it")
-    helping = [*_reserves(scene, reserves, f"{where}.reserves", folder)]
+    helping = [*_inputs(scene), *_reserves(scene, reserves, f"{where}.reserves", folder)]
     for i, entry in enumerate(residuals):
         helping.append(
             schema.call(BodyReserve, dict(entry), f"{where}.residuals[{i}]", scene.robot)
@@ -148,9 +150,7 @@ def _task(
     return MusclesTask(wishes, tuple(helping), file, reactions, tuple(links), by_muscle)
 
 
-def _reserves(
-    scene: Scene, given: Any, where: str, folder: Path
-) -> Sequence[CoordinateReserve | BodyReserve]:
+def _reserves(scene: Scene, given: Any, where: str, folder: Path) -> Sequence[Reserve]:
     """A number for all coordinates, numbers by joint, or a file of OpenSim."""
     robot, couplings = scene.robot, scene.couplings
     if given is None:
@@ -168,9 +168,18 @@ def _reserves(
     return coordinate_reserves(robot, couplings, schema.value(given, Positive, where))
 
 
-def _refuse_repeated(
-    scene: Scene, helping: Sequence[CoordinateReserve | BodyReserve], where: str
-) -> None:
+def _inputs(scene: Scene) -> list[Reserve]:
+    """Inputs of actuators and forces that share with the muscles; not of states of their own."""
+    found: list[Reserve] = []
+    for part in (*scene.actuators, *(force for force in scene.forces if force.inputs)):
+        if part.internal:
+            continue
+        names = [part.name] if len(part.inputs) == 1 else input_names(part)
+        found += [InputReserve(n.replace(".", "_"), part, i) for i, n in enumerate(names)]
+    return found
+
+
+def _refuse_repeated(scene: Scene, helping: Sequence[Reserve], where: str) -> None:
     seen = {muscle.name for muscle in scene.muscles}
     for reserve in helping:
         if reserve.name in seen:

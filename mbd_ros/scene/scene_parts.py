@@ -106,6 +106,11 @@ class SceneParts:
         return tuple(part for part in self._offering("force") if not hasattr(part, "command"))
 
     @property
+    def acting(self) -> tuple[Load, ...]:
+        """Those of the forces that act by themselves: nobody gives them an input."""
+        return tuple(force for force in self.forces if not force.inputs)
+
+    @property
     def muscles(self) -> "tuple[Muscle, ...]":
         """Muscles, in the order of their excitations."""
         return self._offering("active_force")

@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from mbd_ros.core.inverse.reactions import JointReactions
-from mbd_ros.core.inverse.reserves import BodyReserve, CoordinateReserve
+from mbd_ros.core.inverse.reserves import CoordinateReserve, Reserve
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.muscles.muscle import Muscle
@@ -78,15 +78,16 @@ class JointLoads:
         robot: Robot,
         reactions: JointReactions,
         muscles: Sequence[Muscle],
-        reserves: Sequence[CoordinateReserve | BodyReserve] = (),
+        reserves: Sequence[Reserve] = (),
         links: Sequence[str] = (),
         side: Side = "child",
     ) -> None:
         self._robot, self._reactions, self.side = robot, reactions, side
         self._k = Kinematics(robot)
         self._muscles = tuple(muscles)
-        bodies = [(i, r) for i, r in enumerate(reserves) if isinstance(r, BodyReserve)]
-        self._reserves = bodies
+        self._reserves = [
+            (i, r) for i, r in enumerate(reserves) if not isinstance(r, CoordinateReserve)
+        ]
         self.joined = joined_links(robot, links)
         count = int(robot.model.njoints)
         self._beyond = np.zeros((len(self.joined), count))
@@ -95,7 +96,7 @@ class JointLoads:
                 self._beyond[row, joint] = 1.0
         self._carrier: dict[str, int] = {}
         read = [muscle.path.reads for muscle in muscles]
-        self._reads = max([Reads.JACOBIAN if bodies else Reads.POSITION, *read])
+        self._reads = max([Reads.POSITION, *read, *(part.reads for _, part in self._reserves)])
 
     def solve(
         self,
@@ -127,7 +128,7 @@ class JointLoads:
         by_muscle = -self._about(self._pulled(x, tension), origins)
         total = bare + by_muscle.sum(axis=0)
         if self._reserves:
-            total -= self._about(self._pushed(reserve), origins)[0]
+            total -= self._about(self._pushed(x, reserve), origins)[0]
         return self._seen(total, origins), self._seen(by_muscle, origins)
 
     def _pulled(self, x: State, tension: Array) -> Array:
@@ -145,14 +146,14 @@ class JointLoads:
         scaled: Array = on * tension[:, None, None]
         return scaled
 
-    def _pushed(self, reserve: Array) -> Array:
+    def _pushed(self, x: State, reserve: Array) -> Array:
         """Of all reserves on each body, shape (1, bodies, 6)."""
         on = np.zeros((1, self._beyond.shape[1], 6))
         for i, part in self._reserves:
-            wrench = part.wrench(self._k, float(reserve[i]))
-            body = self._body(wrench.frame)
-            on[0, body, :3] += wrench.force
-            on[0, body, 3:] += wrench.torque + _cross(wrench.point, wrench.force)
+            for wrench in part.wrenches(self._k, x, float(reserve[i])):
+                body = self._body(wrench.frame)
+                on[0, body, :3] += wrench.force
+                on[0, body, 3:] += wrench.torque + _cross(wrench.point, wrench.force)
         return on
 
     def _body(self, frame: str) -> int:

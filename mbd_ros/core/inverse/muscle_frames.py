@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.inverse.reserves import BodyReserve, CoordinateReserve
+from mbd_ros.core.inverse.reserves import BodyReserve, CoordinateReserve, InputReserve, Reserve
 from mbd_ros.core.model.couplings import Couplings, Slopes
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
@@ -56,20 +56,20 @@ class MuscleFrames:
         robot: Robot,
         couplings: Couplings,
         muscles: Sequence[Muscle],
-        reserves: Sequence[CoordinateReserve | BodyReserve] = (),
+        reserves: Sequence[Reserve] = (),
     ) -> None:
         self._couplings, self._muscles = couplings, tuple(muscles)
         self._tendons = RigidTendons([muscle.contraction for muscle in muscles])
         self._k, self._nv = Kinematics(robot), int(robot.model.nv)
         self._fixed = np.zeros((len(muscles) + len(reserves), self._nv))
-        self._on_bodies: list[tuple[int, BodyReserve]] = []
+        self._varying: list[tuple[int, BodyReserve | InputReserve]] = []
         for i, reserve in enumerate(reserves, len(muscles)):
-            if isinstance(reserve, BodyReserve):
-                self._on_bodies.append((i, reserve))
-            else:
+            if isinstance(reserve, CoordinateReserve):
                 self._fixed[i, reserve.at] = 1.0
+            else:
+                self._varying.append((i, reserve))
         reads = (muscle.path.reads for muscle in muscles)
-        self._reads = max([Reads.POSITION, *reads, *(r.reads for _, r in self._on_bodies)])
+        self._reads = max([Reads.POSITION, *reads, *(r.reads for _, r in self._varying)])
 
     def at(self, q: Array, v: Array, slopes: Slopes) -> Frames:
         """The frames.
@@ -88,8 +88,8 @@ class MuscleFrames:
             x = State(0.0, q_now, v_now)
             for i, muscle in enumerate(self._muscles):
                 length[frame, i], full[frame, i] = muscle.path.measured(self._k, x)
-            for i, reserve in self._on_bodies:
-                full[frame, i] = reserve.column(self._k)
+            for i, reserve in self._varying:
+                full[frame, i] = reserve.column(self._k, x)
         speed = np.einsum("tij,jt->ti", full[:, :n], v)
         np.negative(full[:, :n], out=full[:, :n])
         forces = self._tendons.at(length, speed)

@@ -6,16 +6,16 @@ costs.
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Wrench
+from mbd_ros.core.parts import Load, Wrench
 from mbd_ros.core.ranges import Length, Positive, Unit, Vector
-from mbd_ros.core.state import Array
+from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
 UNBOUNDED = (-math.inf, math.inf)
@@ -88,28 +88,63 @@ class BodyReserve:
         self._turns = expressed_in != "world"
         self._point = robot.point(frame, point)
 
-    def column(self, k: Kinematics) -> Array:
+    def column(self, k: Kinematics, x: State) -> Array:
         """Generalized force per unit of force, shape (nv,)."""
         force, torque = self._now(k)
         J = k.spatial_jacobian(self._point)
         column: Array = force.dot(J[:3]) + torque.dot(J[3:])
         return column
 
-    def wrench(self, k: Kinematics, value: float) -> Wrench:
-        """On the body.
+    def wrenches(self, k: Kinematics, x: State, value: float) -> tuple[Wrench, ...]:
+        """What it exerts on bodies.
 
         Args:
             k: Kinematics at positions.
+            x: State.
             value: Force [N or N·m].
         """
         force, torque = self._now(k)
-        return Wrench(self.frame, k.position(self._point), value * force, value * torque)
+        return (Wrench(self.frame, k.position(self._point), value * force, value * torque),)
 
     def _now(self, k: Kinematics) -> tuple[Array, Array]:
         if not self._turns:
             return self._load[:3], self._load[3:]
         R = k.rotation(self._point)
         return R.dot(self._load[:3]), R.dot(self._load[3:])
+
+
+class InputReserve:
+    """An input of a part whose force is affine in it: a motor, a force that somebody commands.
+
+    Its optimal force is the limit of the input, 1 without one.
+
+    Args:
+        name: Of the reserve, without a dot.
+        part: Bound to its slots.
+        place: Of the input among those of the part.
+    """
+
+    def __init__(self, name: str, part: Load, place: int) -> None:
+        channel = part.inputs[place]
+        self.name, self.unit, self.reads = name, channel.unit, part.reads
+        size = max(abs(channel.lower), abs(channel.upper))
+        self.optimal = size if size < math.inf else 1.0
+        self.bounds = channel.lower / self.optimal, channel.upper / self.optimal
+        self._part, self._place = part, place
+
+    def column(self, k: Kinematics, x: State) -> Array:
+        """Generalized force per unit of the input, shape (nv,)."""
+        columns: Any = self._part.columns(k, x)
+        return np.asarray(columns[:, self._place])
+
+    def wrenches(self, k: Kinematics, x: State, value: float) -> tuple[Wrench, ...]:
+        """What it exerts on bodies; arguments as of `BodyReserve`."""
+        u = np.zeros(self._part.u.stop)
+        u[self._part.u.start + self._place] = value
+        return self._part.wrenches(k, x, u)
+
+
+Reserve = CoordinateReserve | BodyReserve | InputReserve
 
 
 def coordinate_reserves(

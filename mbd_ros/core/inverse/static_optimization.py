@@ -16,7 +16,7 @@ import numpy as np
 
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.inverse.muscle_frames import Frames, MuscleFrames
-from mbd_ros.core.inverse.reserves import BodyReserve, CoordinateReserve
+from mbd_ros.core.inverse.reserves import Reserve
 from mbd_ros.core.inverse.sharing_criteria import DEFAULT, Criterion, sizes_of
 from mbd_ros.core.model.couplings import Slopes
 from mbd_ros.core.model.robot import Robot
@@ -114,7 +114,7 @@ class StaticOptimization:
         robot: Robot,
         known: InverseDynamics,
         muscles: Sequence[Muscle],
-        reserves: Sequence[CoordinateReserve | BodyReserve] = (),
+        reserves: Sequence[Reserve] = (),
         wishes: Wishes = NOTHING_SPECIAL,
     ) -> None:
         _check(muscles, wishes)
