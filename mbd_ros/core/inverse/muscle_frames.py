@@ -12,10 +12,13 @@ import numpy as np
 from mbd_ros.core.inverse.reserves import BodyReserve, CoordinateReserve, InputReserve, Reserve
 from mbd_ros.core.model.couplings import Couplings, Slopes
 from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.model.path_batch import PathBatch
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.muscles.rigid_tendons import RigidTendons
 from mbd_ros.core.state import Array, State
+
+_FEW = 4  # frames that cost less one by one
 
 
 class Frames(NamedTuple):
@@ -60,45 +63,78 @@ class MuscleFrames:
     ) -> None:
         self._couplings, self._muscles = couplings, tuple(muscles)
         self._tendons = RigidTendons([muscle.contraction for muscle in muscles])
+        self._batch = PathBatch(robot, couplings, {part.name: part.path for part in muscles})
         self._k, self._nv = Kinematics(robot), int(robot.model.nv)
-        self._fixed = np.zeros((len(muscles) + len(reserves), self._nv))
+        self._fixed = np.zeros((len(couplings.v_index), len(reserves)))
         self._varying: list[tuple[int, BodyReserve | InputReserve]] = []
-        for i, reserve in enumerate(reserves, len(muscles)):
+        for i, reserve in enumerate(reserves):
             if isinstance(reserve, CoordinateReserve):
-                self._fixed[i, reserve.at] = 1.0
+                self._fixed[:, i] = couplings.v_index == reserve.at
             else:
                 self._varying.append((i, reserve))
-        reads = (muscle.path.reads for muscle in muscles)
-        self._reads = max([Reads.POSITION, *reads, *(r.reads for _, r in self._varying)])
+        paths = [muscle.path.reads for muscle in muscles]
+        reserved = [part.reads for _, part in self._varying]
+        self._reads = max([Reads.POSITION, *paths, *reserved])
+        self._reads_of_reserves = max([Reads.POSITION, *reserved])
 
-    def at(self, q: Array, v: Array, slopes: Slopes) -> Frames:
+    def at(self, y: Array, w: Array, q: Array, v: Array, slopes: Slopes) -> Frames:
         """The frames.
 
         Args:
+            y: Independent coordinates, shape (frames, ny).
+            w: Their velocities, shape (frames, nv_y).
             q: Configurations, shape (nq, frames).
             v: Velocities, shape (nv, frames).
             slopes: What `Couplings.expand` gave for them.
         """
+        if len(y) < _FEW:
+            length, speed, arms, helping = self._one_by_one(q, v, slopes)
+        else:
+            length, speed, arms = self._batch.evaluate(y, w)
+            helping = self._reserved(q, v, slopes)
+        forces = self._tendons.at(length, speed)
+        columns = np.concatenate((arms.transpose(0, 2, 1), helping), axis=2)
+        return Frames(length, speed, forces.active, forces.passive, forces.fiber_velocity, columns)
+
+    def _one_by_one(self, q: Array, v: Array, slopes: Slopes) -> tuple[Array, ...]:
+        """Lengths, speeds, moment arms and columns of reserves of few frames."""
         count, n = q.shape[1], len(self._muscles)
-        length = np.empty((count, n))
-        full = np.empty((count, *self._fixed.shape))
-        full[:, n:] = self._fixed[n:]
+        length, full = np.empty((count, n)), np.empty((count, n, self._nv))
+        helping = np.empty((count, len(self._varying), self._nv))
         for frame, (q_now, v_now) in enumerate(zip(q.T, v.T, strict=True)):
             self._k.refresh(q_now, v_now, self._reads)
             x = State(0.0, q_now, v_now)
             for i, muscle in enumerate(self._muscles):
                 length[frame, i], full[frame, i] = muscle.path.measured(self._k, x)
-            for i, reserve in self._varying:
-                full[frame, i] = reserve.column(self._k, x)
-        speed = np.einsum("tij,jt->ti", full[:, :n], v)
-        np.negative(full[:, :n], out=full[:, :n])
-        forces = self._tendons.at(length, speed)
-        columns = self._reduced(full, slopes)
-        return Frames(length, speed, forces.active, forces.passive, forces.fiber_velocity, columns)
+            for i, (_, reserve) in enumerate(self._varying):
+                helping[frame, i] = reserve.column(self._k, x)
+        speed = np.einsum("tij,jt->ti", full, v)
+        arms = -self._reduced(full, slopes)
+        return length, speed, arms, self._filled(helping, slopes)
+
+    def _reserved(self, q: Array, v: Array, slopes: Slopes) -> Array:
+        """Columns of the reserves, shape (frames, nv_y, r)."""
+        helping = np.empty((q.shape[1], len(self._varying), self._nv))
+        for frame, (q_now, v_now) in enumerate(zip(q.T, v.T, strict=True)):
+            if not self._varying:
+                break
+            self._k.refresh(q_now, v_now, self._reads_of_reserves)
+            x = State(0.0, q_now, v_now)
+            for i, (_, reserve) in enumerate(self._varying):
+                helping[frame, i] = reserve.column(self._k, x)
+        return self._filled(helping, slopes)
+
+    def _filled(self, helping: Array, slopes: Slopes) -> Array:
+        """Columns of all reserves, from those that change."""
+        columns = np.tile(self._fixed, (len(helping), 1, 1))
+        if self._varying:
+            places = [i for i, _ in self._varying]
+            columns[:, :, places] = self._reduced(helping, slopes).transpose(0, 2, 1)
+        return columns
 
     def _reduced(self, full: Array, slopes: Slopes) -> Array:
-        """G' on every column, shape (frames, nv_y, n + r)."""
+        """G' on every row, shape (frames, n, nv_y)."""
         count, n, nv = full.shape
         every = [np.repeat(np.broadcast_to(slope, count), n) for slope in slopes]
         tau, _ = self._couplings.reduce(np.ascontiguousarray(full.reshape(-1, nv).T), every)
-        return np.ascontiguousarray(tau.reshape(len(tau), count, n).transpose(1, 0, 2))
+        return tau.T.reshape(count, n, len(tau))

@@ -161,7 +161,7 @@ class StaticOptimization:
         """
         needed = self._needed(position, velocity, acceleration, wrenches)
         self.motion, slopes = self._expanded(position, velocity, acceleration)
-        frames = self._frames.at(*self.motion[:2], slopes)
+        frames = self._frames.at(position, velocity, *self.motion[:2], slopes)
         gains = np.concatenate((frames.active, np.tile(self._optimal, (len(times), 1))), axis=1)
         A, b = frames.columns * gains[:, None, :], needed
         if self.wishes.passive:
