@@ -106,6 +106,27 @@ def test_linear_objectives_are_cheaper_than_squares_by_their_own_measure(arm):
     assert linear["muscles.objective"].sum() < cost.sum() * (1.0 - 1e-4)
 
 
+def test_motors_and_commanded_forces_share_within_their_limits(arm):
+    """Their efforts cost in units of their limit; the forces balance with them."""
+    push = {"type": "body_force", "name": "push", "frame": "lower", "direction": [1, 0, 0]}
+    motor = {"type": "ideal", "name": "motor", "joints": ["elbow"], "limit": 3.0}
+    scene = arm.with_(forces=[{**push, "limit": 5.0}], actuators=[motor])
+    options = {"reserves": 0.01, "reactions": "ground"}
+    table = scene.muscle_forces(motion(), **options)["samples"]
+    alone = arm.muscle_forces(motion(), **options)["samples"]
+    needed = arm.inverse(motion())["samples"]
+    assert np.abs(table["motor.force"]).max() <= 3.0
+    assert np.abs(table["push.force"]).max() <= 5.0
+    assert (table["muscles.objective"] <= alone["muscles.objective"] + 1e-12).all()
+    given = exerted(scene, table, NAMES)[:, 1] + table["motor.force"]
+    assert table["elbow.effort"] == pytest.approx(needed["elbow.effort"], abs=1e-12)
+    rest = table["elbow.effort"] - given - table["elbow_reserve.force"]
+    assert np.abs(rest).max() <= 1e-6  # the push acts at the elbow itself
+    assert scene.inverse(motion())["samples"]["elbow.effort"] == pytest.approx(
+        needed["elbow.effort"], abs=1e-12
+    )
+
+
 def test_loads_of_joints_by_muscle_add_up(arm):
     options = {"reserves": 1.0, "reactions": "ground", "links": ["lower"], "by_muscle": True}
     table = arm.muscle_forces(motion(), **options)["samples"]

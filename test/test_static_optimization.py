@@ -96,6 +96,42 @@ def test_activations_of_walking_are_the_exact_optimum(walk, kind):
     assert (found.objective <= of_opensim + 0.05 * of_opensim.max()).all()  # its pennation differs
 
 
+@pytest.mark.parametrize("reserves", [True, False])
+def test_activations_of_an_arm_without_wraps_are_the_exact_optimum(data_dir, reserves):
+    """`arm26` with six Thelen muscles; OpenSim's moment arms are -dL/dq where nothing wraps."""
+    folder = data_dir / "opensim" / "arm26_muscles"
+    scene = scene_from({"robot": {"osim": str(folder / "raw" / "arm26.osim.gz")}})
+    plain = {
+        name: {key: given for key, given in path.items() if key != "wraps"}
+        for name, path in scene.entries["paths"].items()
+    }
+    scene = scene.with_(paths=plain)
+    robot, couplings, muscles = scene.robot, scene.couplings, scene.muscles
+    joints = couplings.independent if reserves else ()
+    help_ = [reserve_on(robot, couplings, joint, 1.0) for joint in joints]
+    motion = table(folder / "motion.csv.gz")
+    kinds = ("position", "velocity", "acceleration")
+    rows = [Walk.columns(motion, couplings.independent, kind) for kind in kinds]
+    found = StaticOptimization(robot, scene.inverse_dynamics(), muscles, help_).solve(
+        motion["time"], *rows
+    )
+    name = "reserves" if reserves else "no_reserves"
+    expected = table(folder / f"no_wrap_so_{name}_exact.csv.gz")
+    names = [muscle.name for muscle in muscles]
+    activation = Walk.columns(expected, names, "activation")
+    assert np.abs(found.activation - activation).max() <= 1e-8
+    assert found.residual.max() <= 1e-8
+
+
+def test_frames_one_by_one_are_those_of_a_whole_motion(walk):
+    reserves, whole = walk.reserves(weak=True), slice(30, 40)
+    together = walk.solve(reserves, whole)
+    for i in range(10):
+        alone = walk.solve(reserves, slice(30 + i, 31 + i))
+        assert alone.activation[0] == pytest.approx(together.activation[i], abs=1e-9)
+        assert alone.frames.columns[0] == pytest.approx(together.frames.columns[i], abs=1e-12)
+
+
 def test_muscles_and_reserves_exert_what_the_motion_needs(walk):
     found = walk.solve(walk.reserves(weak=True), slice(0, 20))
     forces = np.concatenate((found.force, found.reserve), axis=1)
