@@ -32,6 +32,7 @@ class Load(NamedTuple):
         process_us: CPU of the whole process per message [us].
         round_trip_us: Median time from publishing to the answer [us].
         worst_us: Longest such time [us].
+        late_us: Time that 1 % of the answers take longer than [us].
     """
 
     sent: int
@@ -40,6 +41,7 @@ class Load(NamedTuple):
     process_us: float
     round_trip_us: float
     worst_us: float
+    late_us: float
 
 
 def measure(
@@ -49,6 +51,7 @@ def measure(
     seconds: float,
     rate: float = 0.0,
     in_flight: int = 1,
+    answers: str = "/inverse_dynamics/joint_torques",
 ) -> Load:
     """Start a node, send it joint states, count and time its answers.
 
@@ -58,12 +61,13 @@ def measure(
         seconds: Duration of the stream.
         rate: Messages per second; 0 sends as fast as the node answers.
         in_flight: Messages on the way at a time, without a rate.
+        answers: Topic of JointStates that answer.
     """
     with (
         isolated_domain() as environment,
         _running([sys.executable, *arguments], environment) as process,
     ):
-        source = _Source(joints)
+        source = _Source(joints, answers)
         try:
             source.wait_for_answer(process)
             before = _cpu(process.pid)
@@ -90,10 +94,9 @@ def _running(
 
 
 class _Source:
-    def __init__(self, joints: Sequence[str]) -> None:
+    def __init__(self, joints: Sequence[str], topic: str) -> None:
         self._node = rclpy.create_node("mbd_ros_load")
         self._publisher = self._node.create_publisher(JointState, "joint_states", _STREAM)
-        topic = "/inverse_dynamics/joint_torques"
         self._node.create_subscription(JointState, topic, self._on_answer, QoSProfile(depth=1000))
         self._executor = EventsExecutor()
         self._executor.add_node(self._node)
@@ -146,6 +149,7 @@ class _Source:
             round(process, 1),
             round(float(np.median(trips)), 1),
             round(float(trips.max()), 1),
+            round(float(np.quantile(trips, 0.99)), 1),
         )
 
     def close(self) -> None:
