@@ -135,6 +135,8 @@ class MuscleFrames:
     def _reduced(self, full: Array, slopes: Slopes) -> Array:
         """G' on every row, shape (frames, n, nv_y)."""
         count, n, nv = full.shape
-        every = [np.repeat(np.broadcast_to(slope, count), n) for slope in slopes]
+        every = slopes
+        if count > 1:
+            every = [np.repeat(np.broadcast_to(slope, count), n) for slope in slopes]
         tau, _ = self._couplings.reduce(np.ascontiguousarray(full.reshape(-1, nv).T), every)
         return tau.T.reshape(count, n, len(tau))
