@@ -21,7 +21,7 @@ from mbd_ros.core.thresholds import TINY
 _STEPS = 80
 _TO_BOUND = 0.995  # of the way to the nearest bound
 _SMALL = 1.0e-13  # residuals that end it, of the terms
-_RIDGE = 1.0e-14  # beside the largest entry of the diagonal
+_RIDGE = 1.0e-14  # beside a diagonal of ones
 
 
 def interior_start(
@@ -112,9 +112,13 @@ def _followed(
 
 
 def _inverse(A: Array, give: Array) -> Array:
+    """Inverse of A give A', by way of ones on its diagonal: in the end its rows differ a lot."""
     M = (A * give).dot(A.T)
-    M.flat[:: len(M) + 1] += _RIDGE * M.diagonal().max(initial=TINY)
-    return np.asarray(np.linalg.inv(M))
+    diagonal = M.diagonal()
+    scale = np.where(diagonal > 0.0, diagonal, 1.0) ** -0.5
+    M = scale[:, None] * M * scale
+    M.flat[:: len(M) + 1] += _RIDGE
+    return np.asarray(scale[:, None] * np.linalg.inv(M) * scale)
 
 
 def _middle(lower: Array, upper: Array) -> Array:

@@ -14,7 +14,6 @@ from mbd_ros.core.optimization.separable_cost import SeparableCost
 from mbd_ros.core.optimization.separable_interior import interior_start
 from mbd_ros.core.optimization.separable_newton import Found, Problem, ascended, refined
 from mbd_ros.core.state import Array
-from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import SolveError
 
 _SOLVED = 5.0e-9  # residual that is accepted
@@ -23,9 +22,10 @@ _REFINING = 30  # steps from an interior start
 _GENTLE = 3.0  # exponent up to which the interior start is near enough
 _RISE = 1.3  # of the exponent from one start to the next
 _NEAR = 1.0e-6  # residual of a start for the next exponent
-_PRICES = (1.0e6, 1.0e4)  # of what a row lacks, in the largest price of an unknown
+_PRICES = 1.0e4, 1.0e6  # of what a row lacks, in the largest price of an unknown
+_STAYS = 0.5  # share of what lacks that stays at the higher price
 _EMPTY = 1.0e-12  # of the largest row: what rounding leaves of none
-_SHORT = 1.0e-7  # of the terms of a row: what it lacks where no x fulfils it
+_SHORT = 1.0e-7  # of the largest terms of a row: what lacks where no x fulfils all
 
 
 class Statistics(NamedTuple):
@@ -147,19 +147,27 @@ def _from_inside(problem: Problem) -> Found:
 def _least_lacking(problem: Problem) -> Found:
     """The x that lacks least, nearly, of these that with the least squares.
 
-    A unit that a row lacks costs much more than any other.
+    A unit that a row lacks costs much more than any other. What lacks does not get less when it
+    costs still more; else the problem can be met, and was not solved.
     """
+    cheap, dear = (_priced(problem, price) for price in _PRICES)
+    if dear.residual > _SOLVED:
+        dear = cheap
+    lacks = [float(np.abs(problem.b - problem.A.dot(f.x)).max()) for f in (cheap, dear)]
+    terms = np.abs(problem.A).dot(np.abs(dear.x)) + np.abs(problem.b)
+    is_short = lacks[1] > _STAYS * lacks[0] and lacks[1] > _SHORT * float(terms.max())
+    if max(dear.residual, cheap.residual) > _SOLVED or not is_short:
+        raise SolveError(f"program not solved: residual {dear.residual:.1e}")
+    return dear
+
+
+def _priced(problem: Problem, price: float) -> Found:
+    """The x where what a row lacks is a further unknown, at a price per square."""
     cost, A, b, lower, upper = problem
     m, n = A.shape
     none, free = np.zeros(m), np.full(m, np.inf)
+    each = np.full(m, price * float((cost.weight + cost.stiffness).max()))
+    wide = cost._replace(exponent=2.0).joined(SeparableCost(2.0, none, none, each, none))
     rows, low, high = np.hstack((A, np.eye(m))), np.append(lower, -free), np.append(upper, free)
-    for dear in _PRICES:
-        price = np.full(m, dear * float((cost.weight + cost.stiffness).max()))
-        wide = cost._replace(exponent=2.0).joined(SeparableCost(2.0, none, none, price, none))
-        found = _from_inside(Problem(wide, rows, b, low, high))
-        x = found.x[:n]
-        terms = np.abs(A).dot(np.abs(x)) + np.abs(b) + TINY
-        is_short = bool((np.abs(b - A.dot(x)) > _SHORT * terms).any())
-        if found.residual <= _SOLVED and is_short:
-            return found._replace(x=x)
-    raise SolveError(f"program not solved: residual {found.residual:.1e}")
+    found = _from_inside(Problem(wide, rows, b, low, high))
+    return found._replace(x=found.x[:n])
