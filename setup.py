@@ -56,6 +56,7 @@ setup(
         "dask": ["dask[distributed]"],
         "peers": ["drake", "exudyn", "mujoco"],
         "tables": ["pandas", "pyarrow"],
+        "view": ["viser"],
         "ziglang": ["ziglang"],
         "dev": [
             "casadi",
@@ -71,6 +72,7 @@ setup(
             "ruff",
             "setuptools",
             "types-PyYAML",
+            "viser",
         ],
     },
     entry_points={

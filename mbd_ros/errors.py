@@ -82,6 +82,7 @@ PACKAGES = {  # module -> what pip calls the package that brings it
     "eigenpy": "pin",
     "pinocchio": "pin",
     "pydrake": "drake",
+    "viser": "'mbd_ros[view]'",
     "yaml": "PyYAML",
 }
 

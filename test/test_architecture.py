@@ -28,6 +28,7 @@ ORDER = (  # of the rooms: each may import those before it
     "mbd_ros.nodes",
     "mbd_ros.demo",
     "mbd_ros.report",
+    "mbd_ros.view",
     "mbd_ros.cli",
     "programs",
 )
@@ -71,7 +72,7 @@ PART_FOLDERS = {
         "stabilization",
     )
 }
-APPLICATIONS = {"mbd_ros.demo", "mbd_ros.report", "mbd_ros.cli", "programs"}
+APPLICATIONS = {"mbd_ros.demo", "mbd_ros.report", "mbd_ros.view", "mbd_ros.cli", "programs"}
 NAMES_ONLY = "mbd_ros.nodes.table.NODES"  # which nodes there are, and where
 QP_SOLVERS = f"{CORE}.optimization.qp_solvers"
 MATH = {"numpy", "pinocchio", "eigenpy", "coal"}

@@ -70,6 +70,7 @@ COMMANDS: Mapping[str, Command] = {
     ),
     "params": Command("mbd_ros.nodes.command", "a parameter file of a node, with comments"),
     "plot": Command("mbd_ros.jobs.plot.command", "a picture of a result"),
+    "view": Command("mbd_ros.view.command", "a scene and its motion in a browser"),
     "demo": Command("mbd_ros.demo.command", "a simulated robot, controlled over topics: one page"),
     "report": Command(
         "mbd_ros.report.command", "error against run time, stability and cost, on one page"

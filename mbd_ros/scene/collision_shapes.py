@@ -49,12 +49,13 @@ def collisions_of(site: Site, name: str, where: str) -> list[Collision]:
     for recipe in robot.recipes:
         tree = parse_urdf(recipe.text, recipe.source)
         for link in tree.findall("link"):
-            known = _names(recipe, tree, link.get("name", ""))
+            known = names_of_link(recipe, tree, link.get("name", ""))
             elements = link.findall("collision")
             if name in known and elements:
                 texts = enumerate(elements)
                 return [
-                    _read(recipe, one, f"{where}: {name}: <collision> {i}") for i, one in texts
+                    geometry_of(recipe, one, f"{where}: {name}: <collision> {i}")
+                    for i, one in texts
                 ]
             having += known[:1] if elements else []
         if recipe.shape is not None:
@@ -66,13 +67,23 @@ def collisions_of(site: Site, name: str, where: str) -> list[Collision]:
     )
 
 
-def _names(recipe: Recipe, tree: ElementTree.Element, link: str) -> list[str]:
+def names_of_link(recipe: Recipe, tree: ElementTree.Element, link: str) -> list[str]:
     """What a link is called in the scene; the root goes by the name of its member, too."""
     is_root = bool(recipe.name) and link == root_link(tree)
     return [recipe.name, recipe.scoped(link)] if is_root else [recipe.scoped(link)]
 
 
-def _read(recipe: Recipe, element: ElementTree.Element, where: str) -> Collision:
+def geometry_of(recipe: Recipe, element: ElementTree.Element, where: str) -> Collision:
+    """The geometry of a `<collision>` or `<visual>` element.
+
+    Args:
+        recipe: What the element is from.
+        element: The element.
+        where: File and key, for the messages.
+
+    Raises:
+        SceneError: It is not understood, or names a package that is not installed.
+    """
     origin, geometry = element.find("origin"), element.find("geometry")
     xyz = _numbers(origin, "xyz", "0 0 0", 3, where)
     rpy = _numbers(origin, "rpy", "0 0 0", 3, where)

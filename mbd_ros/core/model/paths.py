@@ -64,6 +64,10 @@ class Path:
         """What a tension of 1 N exerts on bodies; what it exerts in joints is left out."""
         return ()
 
+    def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
+        """Where it runs: corners of lines, in the world less `Robot.origin` [m], shape (n, 3)."""
+        return ()
+
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
         """The l [m] and J of n samples, shapes (n,) and (n, nv)."""
         raise NotImplementedError
@@ -149,6 +153,10 @@ class JoinedPaths(Path):
     def pulls(self, k: Kinematics, x: State) -> tuple[Pull, ...]:
         """What a tension of 1 N exerts on bodies."""
         return tuple(pull for path in self._paths for pull in path.pulls(k, x))
+
+    def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
+        """Corners of all lines."""
+        return tuple(line for path in self._paths for line in path.lines(k, x))
 
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
         """The l [m] and J of n samples."""

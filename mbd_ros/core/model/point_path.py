@@ -106,6 +106,10 @@ class PointPath(Path):
         triples = zip(points, places, forces, strict=True)
         return tuple(Pull(point.frame, place, force) for point, place, force in triples)
 
+    def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
+        """All points."""
+        return (np.array([end.point.position(k, x) for end in (self._first, *self._rest)]),)
+
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
         """The l [m] and J of n samples."""
         points = [end.point for end in (self._first, *self._rest)]
@@ -155,6 +159,10 @@ class SwitchedPath(Path):
     def pulls(self, k: Kinematics, x: State) -> tuple[Pull, ...]:
         """What a tension of 1 N exerts on bodies."""
         return self._asked(k, x, "pulls")
+
+    def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
+        """Corners of the path that there is."""
+        return self._asked(k, x, "lines")
 
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
         """The l [m] and J of n samples."""

@@ -12,7 +12,7 @@ from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.sampled_kinematics import SampledKinematics
 from mbd_ros.core.model.via_points import ViaPoint
-from mbd_ros.core.model.wrapping.chain import Chain, Placed, link
+from mbd_ros.core.model.wrapping.chain import Arc, Chain, Placed, link
 from mbd_ros.core.model.wrapping.routes import Reach, Router
 from mbd_ros.core.model.wrapping.surface import Surface, cross
 from mbd_ros.core.model.wrapping.taut import Taut, taut
@@ -20,6 +20,7 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 
 _POINT = 1.0e-200  # m, a line that has no direction
+_DRAWN = 9  # points of a geodesic in a picture
 
 
 class Wrap:
@@ -152,6 +153,16 @@ class WrappedPath(Path):
         at = zip(self.points, points[0], forces, strict=True)
         return (*(Pull(point.frame, place, force) for point, place, force in at), *pulls)
 
+    def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
+        """All points, and points along the geodesics between."""
+        places, points = self._where(k, x)
+        corners = [points[0, 0]]
+        for line, (wraps, chain) in enumerate(self._chains(points, places)):
+            for w, arc in zip(wraps, chain.arcs, strict=True):
+                corners += list(_along(places[w], arc))
+            corners.append(points[0, line + 1])
+        return (np.array(corners),)
+
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
         """The l [m] and J of n samples."""
         points = np.stack([point.sampled(k) for point in self.points], axis=1)
@@ -200,6 +211,13 @@ class WrappedPath(Path):
     def _named(self, error: SolveError) -> SolveError:
         names = ", ".join(wrap.name for wrap in self.wraps)
         return SolveError(f"path around {names}: {error}")
+
+
+def _along(place: Placed, arc: Arc) -> Array:
+    """Points along a geodesic, both ends included, shape (_DRAWN, 3)."""
+    starts, ways = np.repeat(arc.start, _DRAWN, axis=0), np.repeat(arc.direction, _DRAWN, axis=0)
+    flow = place.surface.flow(starts, ways, np.linspace(0.0, 1.0, _DRAWN) * arc.length)
+    return flow.end @ place.rotation[0].T + place.origin[0]
 
 
 def _motion(k: Kinematics, wrap: Wrap) -> _Motion:

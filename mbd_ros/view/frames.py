@@ -1,0 +1,239 @@
+"""What is drawn of a scene at a state, as arrays: poses, lines, arrows, cones and colours.
+
+Lengths are in metres, in the world less `Robot.origin`: a robot far away stands at the origin.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from mbd_ros.core.dynamics.showing import Showing
+from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
+from mbd_ros.scene.built_scene import Scene
+
+SLACK, TIGHT = np.array([90.0, 130.0, 200.0]), np.array([220.0, 40.0, 40.0])
+CLOSURE = np.array([40.0, 160.0, 90.0])
+_NO_LINES, _NO_POINTS = np.zeros((0, 2, 3)), np.zeros((0, 3))
+
+
+class Drawn(NamedTuple):
+    """What is drawn at one state.
+
+    Attributes:
+        poses: Of every joint of the model: place [m], then quaternion (w, x, y, z), shape
+            (njoints, 7), overwritten by the next one.
+        lines: Begin and end of every piece of a path, then of a closure, shape (n, 2, 3).
+        colours: Of lines, 0 .. 255, shape (n, 3), uint8.
+        points: Of markers, shape (m, 3).
+        arrows: Where forces act, and the forces [N], shape (k, 2, 3).
+        cones: Tips of friction cones, normal forces [N] and coefficients, shape (c, 7).
+    """
+
+    poses: Array
+    lines: Array
+    colours: NDArray[np.uint8]
+    points: Array
+    arrows: Array
+    cones: Array
+
+
+class Frames:
+    """Draws a scene at states; its arrays and Pinocchio data are made here, once.
+
+    Args:
+        scene: The scene.
+
+    Attributes:
+        rows: Names of the columns of all multipliers.
+        arrow_names: What exerts the forces, in the order of arrows.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        robot, system = scene.robot, scene.system()
+        self._system, self._model, self._data = system, robot.model, pin.Data(robot.model)
+        self._k = Kinematics(robot, self._data)
+        loads = system.loads
+        self._showing = Showing(self._k, system.layout, (*loads.actuators, *loads.forces))
+        self.rows = tuple(row.name for row in system.layout.rows)
+        self.arrow_names = tuple(arrow.name for arrow in self._showing.arrows)
+        every = (*scene.constraints, *scene.muscles, *loads.forces)
+        unique = {id(part): part for part in every if hasattr(part, "path")}
+        self._paths = list(unique.values())
+        named = {number.name: i for i, number in enumerate(self._showing.numbers)}
+        self._tensions = [_tension(part, named) for part in self._paths]
+        self._closures = [p for p in scene.constraints if not hasattr(p, "path")]
+        self._sizes = [_row_count(p, system.layout) for p in self._closures]
+        self._points = [s.point for s in scene.sensors if hasattr(s, "point")]
+        self._poses = np.zeros((robot.model.njoints, 7))
+
+    def at(
+        self, x: State, a: Array | None = None, multipliers: Array | None = None, most: float = 0.0
+    ) -> Drawn:
+        """What is drawn at a state.
+
+        Args:
+            x: State of all joints.
+            a: Accelerations [rad/s^2 or m/s^2], shape (nv,); 0 without it.
+            multipliers: Of all rows, shape (m,); without them no arrows, cones and tensions.
+            most: Tension that is red [N]; 0 for that of the tightest path of the state.
+        """
+        a = np.zeros(self._model.nv) if a is None else a
+        values, arrows, cones = np.zeros(0), _NO_LINES, np.zeros((0, 7))
+        if multipliers is not None:
+            values, arrows, cones = self._forces(x, a, multipliers)
+        self._k.refresh(x.q, x.v, Reads.POSITION)
+        lines, tensions = self._path_lines(x, values)
+        closures = self._closure_lines(x)
+        colours = np.concatenate(
+            (tension_colours(tensions, most), np.tile(CLOSURE, (len(closures), 1)))
+        )
+        points = np.array([self._k.position(point) for point in self._points]).reshape(-1, 3)
+        return Drawn(
+            self._placed(),
+            np.concatenate((lines, closures)),
+            colours.astype(np.uint8),
+            points,
+            arrows,
+            cones,
+        )
+
+    def tensions(self, x: State, a: Array, multipliers: Array) -> Array:
+        """Tension of every path [N], shape (paths,), NaN where it is unknown."""
+        u = self._system.loads.inputs(x, None)
+        values = self._showing.at(x, u, a, multipliers)
+        return np.array([np.nan if i is None else values[i] for i in self._tensions])
+
+    def _placed(self) -> Array:
+        for i, oMi in enumerate(self._data.oMi):
+            pose = pin.SE3ToXYZQUAT(oMi)
+            self._poses[i, :3], self._poses[i, 3], self._poses[i, 4:] = (
+                pose[:3],
+                pose[6],
+                pose[3:6],
+            )
+        return self._poses
+
+    def _forces(self, x: State, a: Array, lam: Array) -> tuple[Array, Array, Array]:
+        """Values of all numbers, arrows and cones."""
+        u, showing = self._system.loads.inputs(x, None), self._showing
+        values = showing.at(x, u, a, lam)
+        arrows = [(one.point, one.force) for one in showing.wrenches(x, u, a, lam)]
+        arrows += [(w.point, w.force) for w in self._exerted(x, lam)]
+        cones = [(*c.point, *c.normal, c.mu) for c in showing.cones_at(x, u, a, lam)]
+        return values, np.array(arrows).reshape(-1, 2, 3), np.array(cones).reshape(-1, 7)
+
+    def _exerted(self, x: State, lam: Array) -> list[Any]:
+        """Wrenches of constraints that show no arrows themselves."""
+        self._k.refresh(x.q, x.v, Reads.POSITION)
+        found = list[Any]()
+        for block in self._system.layout.blocks:
+            if not any(output.is_drawn for output in block.part.outputs):
+                found += block.part.wrenches(self._k, x, lam[block.slots])
+        return found
+
+    def _path_lines(self, x: State, values: Array) -> tuple[Array, Array]:
+        """Pieces of all paths, and the tension of each, NaN where it is unknown."""
+        pieces, tensions = [_NO_LINES], list[float]()
+        for part, at in zip(self._paths, self._tensions, strict=True):
+            for corners in part.path.lines(self._k, x):
+                pieces.append(np.stack((corners[:-1], corners[1:]), axis=1))
+                known = at is not None and len(values) > 0
+                tensions += [values[at] if known else np.nan] * (len(corners) - 1)
+        return np.concatenate(pieces), np.array(tensions)
+
+    def _closure_lines(self, x: State) -> Array:
+        """A line between the two points where a constraint acts."""
+        pairs = []
+        for part, size in zip(self._closures, self._sizes, strict=True):
+            try:
+                wrenches = part.wrenches(self._k, x, np.ones(size))
+            except SolveError:  # a path or pair without a direction there
+                continue
+            if len(wrenches) == 2:
+                pairs.append((wrenches[0].point, wrenches[1].point))
+        return np.array(pairs).reshape(-1, 2, 3)
+
+
+def tension_colours(tensions: Array, most: float = 0.0) -> Array:
+    """Blue where slack or unknown, red at the largest tension, shape (n, 3).
+
+    Args:
+        tensions: [N], shape (n,); NaN where unknown.
+        most: Tension that is red [N]; 0 for the largest there is.
+    """
+    known = np.nan_to_num(tensions)
+    most = most or float(np.abs(known).max(initial=0.0))
+    share = np.clip(known / most, 0.0, 1.0) if most > 0.0 else np.zeros(len(known))
+    return SLACK + share[:, None] * (TIGHT - SLACK)
+
+
+def arrow_ends(arrows: Array, scale: float, shortest: float = 1.0e-6) -> Array:
+    """Begin and end of arrows of forces, without those that are too short to be seen.
+
+    Args:
+        arrows: Where forces act [m], and the forces [N], shape (n, 2, 3).
+        scale: Length per force [m/N].
+        shortest: Length from which an arrow is drawn [m].
+    """
+    lengths = np.linalg.norm(arrows[:, 1], axis=1) * scale
+    seen = arrows[lengths > shortest]
+    return np.stack((seen[:, 0], seen[:, 0] + scale * seen[:, 1]), axis=1)
+
+
+def cone_lines(cones: Array, scale: float, around: int = 12) -> Array:
+    """Lines from the tips of friction cones to their rims, and along these.
+
+    Args:
+        cones: Tip [m], normal force [N] and coefficient, shape (n, 7).
+        scale: Height per force [m/N].
+        around: Lines of a cone.
+
+    Returns:
+        Shape (2 n around, 2, 3).
+    """
+    pieces = [_NO_LINES]
+    turn = np.arange(around) * (2.0 * np.pi / around)
+    for cone in cones:
+        axis = cone[3:6] * scale
+        height = float(np.linalg.norm(axis))
+        if height <= 0.0:
+            continue
+        across = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+        across /= np.linalg.norm(across)
+        beside = np.cross(axis / height, across)
+        out = np.outer(np.cos(turn), across) + np.outer(np.sin(turn), beside)
+        rim = cone[:3] + axis + cone[6] * height * out
+        tips = np.broadcast_to(cone[:3], rim.shape)
+        pieces.append(np.stack((tips, rim), axis=1))
+        pieces.append(np.stack((rim, np.roll(rim, -1, axis=0)), axis=1))
+    return np.concatenate(pieces)
+
+
+def force_scale(forces: Sequence[Array], size: float) -> float:
+    """Length per force [m/N] at which the largest of forces is a third of a size.
+
+    Args:
+        forces: Arrows of several states, each of shape (n, 2, 3).
+        size: Of the robot [m].
+    """
+    most = max(
+        (float(np.linalg.norm(f[:, 1], axis=1).max(initial=0.0)) for f in forces), default=0.0
+    )
+    return size / (3.0 * most) if most > 0.0 else 0.001
+
+
+def _tension(part: Any, named: dict[str, int]) -> int | None:
+    """Which number is the tension of a part with a path."""
+    return next(
+        (named[n] for n in (f"{part.name}.tension", f"{part.name}.multiplier") if n in named), None
+    )
+
+
+def _row_count(part: Any, layout: Any) -> int:
+    found = (b.slots.stop - b.slots.start for b in layout.blocks if b.part is part)
+    return next(found, 0)
