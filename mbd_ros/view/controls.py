@@ -1,7 +1,6 @@
 """The panel of the page; texts of others are values of fields, which are never read as HTML."""
 
 from collections.abc import Callable, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -209,9 +208,8 @@ class Controls:
     def _draw_plot(self, curves: Curves, data: tuple[Array, ...]) -> None:
         if self._plot is not None:
             self._plot.remove()
-        # uPlot reads labels as HTML
         series = [
-            {"label": escape(name), "stroke": _COLOURS[i % len(_COLOURS)], "width": 1.5}
+            {"label": name, "stroke": _COLOURS[i % len(_COLOURS)], "width": 1.5}
             for i, name in enumerate(curves.names)
         ]
         ends = {"label": "now", "stroke": "#888888", "width": 1}

@@ -29,7 +29,7 @@ class Drawn(NamedTuple):
             (njoints, 7), overwritten by the next one.
         lines: Begin and end of every piece of a path, then of a closure, shape (n, 2, 3).
         colours: Of lines, 0 .. 255, shape (n, 3), uint8.
-        points: Of markers, shape (m, 3).
+        points: Of markers, then both ends of every closure, shape (m, 3).
         arrows: Where forces act, and the forces [N], shape (k, 2, 3).
         cones: Tips of friction cones, normal forces [N] and coefficients, shape (c, 7).
     """
@@ -92,7 +92,8 @@ class Frames:
         colours = np.concatenate(
             (tension_colours(tensions, most), np.tile(CLOSURE, (len(closures), 1)))
         )
-        points = np.array([self._k.position(point) for point in self._points]).reshape(-1, 3)
+        markers = np.array([self._k.position(point) for point in self._points]).reshape(-1, 3)
+        points = np.concatenate((markers, closures.reshape(-1, 3)))
         return Drawn(
             self._placed(),
             np.concatenate((lines, closures)),

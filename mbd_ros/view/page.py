@@ -110,7 +110,8 @@ class Page:
 
     def close(self) -> None:
         """End the server."""
-        self._server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server.stop()
 
     def _set_up(self, centre: Array) -> None:
         server, size = self._server, self._size
@@ -123,7 +124,7 @@ class Page:
             cell_size=size / 4.0,
             section_size=size,
         )
-        server.initial_camera.position = centre + np.array([1.1, -1.5, 0.7]) * size
+        server.initial_camera.position = centre + np.array([0.9, -1.25, 0.6]) * size
         server.initial_camera.look_at = centre
 
     def _run_again(self) -> None:

@@ -30,12 +30,14 @@ class Solid(NamedTuple):
         joint: Index in the model of the joint that carries it, 0 at rest.
         surface: In axes of that joint.
         colour: Red, green and blue, 0 .. 255.
+        is_inertia: Whether it stands for an inertia, and hides nothing.
     """
 
     link: str
     joint: int
     surface: Surface
     colour: tuple[int, int, int]
+    is_inertia: bool = False
 
 
 class _Link(NamedTuple):
@@ -151,12 +153,15 @@ def _bones(tree: ElementTree.Element, link: _Link, inertia: Any) -> list[Solid]:
             ends.append(np.array([float(w) for w in origin.get("xyz", "0 0 0").split()]))
     if inertia is not None and not ends:
         ends.append(inertia.lever * 2.0)  # a last link is about as long
-    drawn = [surfaces.bone(end) for end in ends if np.linalg.norm(end) > _SHORTEST]
+    long = [end for end in ends if np.linalg.norm(end) > _SHORTEST]
+    bones = [_moved(surfaces.bone(end), link.at) for end in long]
+    solids = [Solid(link.name, link.joint, bone, BONE) for bone in bones]
     if inertia is not None and inertia.mass > 0.0:
         size, axes = equal_box(inertia)
         if size.max() > _SHORTEST:
-            drawn.append(_moved(surfaces.box(size), pin.SE3(axes, inertia.lever)))
-    return [Solid(link.name, link.joint, _moved(one, link.at), BONE) for one in drawn]
+            box = _moved(surfaces.box(size), link.at * pin.SE3(axes, inertia.lever))
+            solids.append(Solid(link.name, link.joint, box, BONE, is_inertia=True))
+    return solids
 
 
 def equal_box(inertia: Any) -> tuple[Any, Any]:

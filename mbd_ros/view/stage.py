@@ -10,7 +10,7 @@ from mbd_ros.view.frames import Drawn, arrow_ends, cone_lines
 from mbd_ros.view.solids import Solid
 
 ARROW, CONE, MARKER, GHOST = (214, 90, 30), (120, 90, 200), (20, 140, 140), (110, 160, 210)
-_SOFT = 0.3  # opacity of a ghost
+_SOFT = 0.35  # opacity of a ghost, and of what stands for an inertia
 
 
 class Stage:
@@ -32,7 +32,6 @@ class Stage:
         self._scene, self._root, self._size = scene, root, size
         self._joints, self.solids = dict[int, Any](), list[tuple[Solid, Any]]()
         self.shows_frames = self.shows_arrows = self.shows_cones = self.shows_paths = True
-        opacity = _SOFT if is_ghost else None
         for i, solid in enumerate(solids):
             if solid.joint not in self._joints:
                 self._joints[solid.joint] = self._frame(solid.joint)
@@ -41,7 +40,7 @@ class Stage:
                 solid.surface.vertices,
                 solid.surface.triangles,
                 color=GHOST if is_ghost else solid.colour,
-                opacity=opacity,
+                opacity=_SOFT if is_ghost or solid.is_inertia else None,
                 flat_shading=True,
                 side="double",
             )
@@ -67,7 +66,7 @@ class Stage:
         """
         self.place(drawn)
         lines = drawn.lines if self.shows_paths else drawn.lines[:0]
-        self._lines("lines", lines, drawn.colours[: len(lines)], 0.006)
+        self._lines("lines", lines, drawn.colours[: len(lines)], 0.012)
         ends = arrow_ends(drawn.arrows, scale, self._size * 1.0e-3)
         self._arrows(ends if self.shows_arrows else ends[:0])
         rims = cone_lines(drawn.cones if self.shows_cones else drawn.cones[:0], scale)

@@ -1,0 +1,170 @@
+"""The page in a real browser: Chromium through Playwright, with software rendering."""
+
+import io
+import re
+import shutil
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mbd_ros.scene.reader import load_scene
+
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+NOTICE = 190  # px
+EVIL = "<img src=x onerror=alert(1)>"
+URDF = f"""
+<robot name="arm">
+  <link name="base"/>
+  <link name="arm"><visual><origin xyz="0.5 0 0"/><geometry><box size="1 0.3 0.3"/></geometry>
+    <material name="red"><color rgba="1 0 0 1"/></material></visual>
+    <inertial><origin xyz="0.5 0 0"/><mass value="2"/>
+      <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.2" iyz="0" izz="0.2"/></inertial></link>
+  <joint name="{EVIL.replace("<", "&lt;").replace(">", "&gt;")}" type="revolute">
+    <parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="10" velocity="10"/></joint>
+</robot>"""
+
+
+def free_port():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        return taken.getsockname()[1]
+
+
+class Served:
+    """A page that draws in a thread, as the command does."""
+
+    def __init__(self, scene, duration):
+        from mbd_ros.view.page import Page
+
+        self.page = Page(scene, port=free_port())
+        self.page.simulate(duration)
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._draw)
+        self._thread.start()
+
+    def _draw(self):
+        while not self._ends.is_set():
+            self.page.tick(time.monotonic())
+            time.sleep(0.02)
+
+    def close(self):
+        self._ends.set()
+        self._thread.join()
+        self.page.close()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine: apt-get install chromium")
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with playwright.sync_playwright() as started:
+        words = ["--no-sandbox", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+        opened = started.chromium.launch(executable_path=CHROMIUM, args=words)
+        yield opened
+        opened.close()
+
+
+@pytest.fixture
+def serve():
+    pytest.importorskip("viser", reason="viser is not installed")
+    served = []
+
+    def start(scene, duration):
+        served.append(Served(scene, duration))
+        return served[-1].page
+
+    yield start
+    for one in served:
+        one.close()
+
+
+def opened(browser, page, width=1280, height=800):
+    """The page in a tab, and every address that it asked for."""
+    tab, asked = browser.new_page(viewport={"width": width, "height": height}), []
+    tab.on("request", lambda request: asked.append(request.url))
+    tab.goto(page.address)
+    tab.wait_for_selector("canvas")
+    tab.get_by_text("remarks").wait_for()
+    return tab, asked
+
+
+def pixels(tab):
+    """What is beside the panel and below a notice of the page, shape (height, width, 3)."""
+    image = np.asarray(Image.open(io.BytesIO(tab.screenshot())).convert("RGB")).astype(int)
+    return image[NOTICE:, :896] if image.shape[1] > 896 else image[NOTICE:340]
+
+
+def red(image):
+    return (image[..., 0] > 110) & (image[..., 1] < 90) & (image[..., 2] < 90)
+
+
+def orange(image):
+    """Where arrows are."""
+    return image[..., 0] - image[..., 2] > 30
+
+
+def bluish(image):
+    """Where the table is, on a white ground with grey lines."""
+    return image[..., 2] - image[..., 0] > 12
+
+
+def settled(tab, condition, seconds=30.0):
+    """The first picture that meets a condition, or the last one."""
+    end = time.monotonic() + seconds
+    while True:
+        image = pixels(tab)
+        if condition(image) or time.monotonic() > end:
+            return image
+        tab.wait_for_timeout(150)
+
+
+def evil_arm(tmp_path):
+    """An arm whose joint, scene and folder are named as if they were HTML."""
+    file = tmp_path / "arm.urdf"
+    file.write_text(URDF, encoding="utf-8")
+    scene = tmp_path / f"{EVIL}.yaml"
+    scene.write_text("robot: {urdf: arm.urdf}\n", encoding="utf-8")
+    return load_scene(scene)
+
+
+def test_a_scene_moves_with_the_slider_and_its_names_are_text(browser, serve, tmp_path):
+    page = serve(evil_arm(tmp_path), 0.6)
+    tab, asked = opened(browser, page)
+    alerts = []
+    tab.on("dialog", lambda dialog: (alerts.append(dialog.message), dialog.dismiss()))
+    first = settled(tab, lambda image: red(image).sum() > 500)
+    assert red(first).sum() > 500
+    assert all(re.match(rf"({page.address}|blob:|data:)", url) for url in asked)
+    y, x = np.argwhere(red(first)).mean(axis=0)
+    tab.mouse.click(x, y + NOTICE)  # on the link: its joint is chosen
+    tab.locator("textarea", has_text="position").wait_for()
+    tab.locator("input[inputmode=decimal]").first.fill("0.6")
+    tab.keyboard.press("Enter")
+    moved = settled(tab, lambda image: (red(image) & ~red(first)).sum() > 300)
+    assert (red(moved) & ~red(first)).sum() > 300
+    assert tab.locator(".u-label", has_text=EVIL).count() == 1
+    fields = [one.input_value() for one in tab.locator("input").all()]
+    assert f"{EVIL}.yaml" in fields and EVIL in tab.locator("body").inner_text()
+    assert alerts == [] and tab.locator("img[src=x]").count() == 0
+    tab.close()
+
+
+def test_forces_are_arrows_and_a_telephone_shows_the_robot(browser, serve):
+    tab, _ = opened(browser, serve(load_scene("four_legged_table"), 0.05))
+    image = settled(tab, lambda image: orange(image).sum() > 100)
+    assert orange(image).sum() > 100
+    tab.get_by_role("checkbox", name="forces").click()
+    image = settled(tab, lambda image: orange(image).sum() == 0)
+    assert orange(image).sum() == 0
+    tab.set_viewport_size({"width": 390, "height": 844})
+    image = settled(tab, lambda image: bluish(image).sum() > 300)
+    assert bluish(image).sum() > 300
+    tab.close()
