@@ -48,6 +48,7 @@ BAG = ("simulate", SCENES / "arm7.yaml", "-t", "0.002", "-o")
         ("qpsolvers", "mbd_ros", ("check", "{daqp}")),
         ("matplotlib", "mbd_ros", ("demo", "arm", "-o", "{tmp}/demo")),
         ("rclpy", "mbd_ros", ("replay", "{tmp}/bag", SCENES / "arm7.yaml", "-o", "{tmp}/out")),
+        ("viser", "mbd_ros", ("view", SCENES / "arm7.yaml", "--no-browser")),
         ("rclpy", "simulator", ()),
         ("sensor_msgs", "inverse_dynamics", ()),
         ("pinocchio", "qp_controller", ()),

@@ -177,6 +177,16 @@ def test_curves_are_the_columns_of_the_motion(tmp_path):
     assert curves.of(ALL, "velocity").names == ("elbow",)
     assert curves.values("elbow", 0)[0] == "position 0 rad"
     assert motion.times[-1] == pytest.approx(0.1)
+    assert curves.of(ALL, "energy").values[:, 0] == pytest.approx(result["samples"]["energy"])
+
+
+def test_a_free_body_has_curves_of_its_place_and_none_of_efforts():
+    scene = load_scene("sphere_on_plane")
+    curves = MotionCurves(scene, viewed_motion(scene, simulate(scene, 0.02), ()), ())
+    name = scene.robot.bases[0].name
+    assert curves.of(name, "position").names == (f"{name}.x", f"{name}.y", f"{name}.z")
+    assert curves.of(ALL, "effort").names == ()
+    assert len(curves.values(name, 0)) == 3
 
 
 def test_the_cursor_rises_at_its_time():

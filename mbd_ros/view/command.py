@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
             page.show(arguments.motion, topic=arguments.topic)
         if arguments.ghost is not None:
             page.show_ghost(arguments.ghost, topic=arguments.topic)
-        for line in page.remarks:
+        for line in page.said:
             say(line)
         say(f"{page.address}  (Ctrl-C ends it)")
         if not arguments.no_browser:

@@ -28,6 +28,9 @@ class Controls:
         server: The `viser` server.
         scene: The scene.
         rerun: What may be changed of it.
+
+    Attributes:
+        reached: Time of the slider that is drawn [s].
     """
 
     def __init__(self, server: Any, scene: Scene, rerun: Rerun) -> None:
@@ -35,9 +38,9 @@ class Controls:
         joints, model = scene.robot.joints, scene.robot.model
         at_v = {int(j.idx_v): i for i, j in enumerate(model.joints) if i and j.nv == 1}
         self._indices = {joint.name: at_v[joint.v] for joint in joints}
+        self._indices |= {base.name: base.joint for base in scene.robot.bases}
         self._names = {index: name for name, index in self._indices.items()}
-        self._bodies = {base.name: base.joint for base in scene.robot.bases}
-        self._asks = False
+        self._asks, self.reached = False, 0.0
         self._seen: tuple[Any, ...] = ()
         self._plot: Any = None
         self._drawn: tuple[str, str] | None = None
@@ -68,7 +71,7 @@ class Controls:
                 )
             }
             self._scale = gui.add_slider("scale of forces", 0.1, 10.0, 0.1, 1.0)
-            followed = [_NOBODY, *self._bodies, *self._indices]
+            followed = [_NOBODY, *self._indices]
             self._followed = gui.add_dropdown("follow", followed, initial_value=_NOBODY)
             gui.add_button("picture").on_click(self._on_picture)
             gui.add_button("film").on_click(self._on_film)
@@ -95,7 +98,7 @@ class Controls:
         self._asks = True
 
     def chooser(self, joint: int) -> Callable[[Any], None]:
-        """What a click on a solid does: choose its joint, if it has one coordinate."""
+        """What a click on a solid does: choose its joint or free body."""
 
         def choose(_: Any) -> None:
             if joint in self._names:
@@ -159,7 +162,7 @@ class Controls:
     @property
     def followed(self) -> int | None:
         """Index in the model of the joint that cameras follow; None without one."""
-        return {**self._bodies, **self._indices}.get(self._followed.value)
+        return self._indices.get(self._followed.value)
 
     def changed(self) -> bool:
         """Whether something is to be shown in another way than at the last call."""
@@ -196,6 +199,7 @@ class Controls:
         curves = self._curves.of(joint, quantity)
         curves = Curves(curves.times, curves.names[:_CURVES], curves.values[:, :_CURVES])
         if len(curves.times) < 2 or not curves.names:
+            self._clear_plot()
             return
         columns = [*curves.values.T, cursor(curves, now)]
         data = tuple(np.ascontiguousarray(one) for one in (curves.times, *columns))
@@ -205,9 +209,13 @@ class Controls:
         self._drawn = joint, quantity
         self._draw_plot(curves, data)
 
-    def _draw_plot(self, curves: Curves, data: tuple[Array, ...]) -> None:
+    def _clear_plot(self) -> None:
         if self._plot is not None:
             self._plot.remove()
+            self._plot = None
+
+    def _draw_plot(self, curves: Curves, data: tuple[Array, ...]) -> None:
+        self._clear_plot()
         series = [
             {"label": name, "stroke": _COLOURS[i % len(_COLOURS)], "width": 1.5}
             for i, name in enumerate(curves.names)

@@ -6,11 +6,20 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.view.motion import ViewedMotion
+from mbd_ros.view.motion import BALANCE, ViewedMotion
 
 MOST_POINTS = 1000  # of a curve: more is not to be seen
 ALL = "all joints"
-QUANTITIES = ("position", "velocity", "acceleration", "effort", "multipliers")
+QUANTITIES = (
+    "position",
+    "velocity",
+    "acceleration",
+    "effort",
+    "power",
+    "multipliers",
+    "energy",
+    "drift",
+)
 
 
 class Curves(NamedTuple):
@@ -28,7 +37,7 @@ class Curves(NamedTuple):
 
 
 class MotionCurves:
-    """Curves of a motion by joint and quantity.
+    """Curves of a motion by joint or free body, and by quantity.
 
     Args:
         scene: The scene.
@@ -37,49 +46,60 @@ class MotionCurves:
     """
 
     def __init__(self, scene: Scene, motion: ViewedMotion, rows: tuple[str, ...]) -> None:
-        joints = scene.robot.joints
-        self._joints, self._motion = joints, motion
-        count, at_v = len(motion.times), [j.v for j in joints]
-        q = np.array([x.q for x in motion.states]).reshape(count, -1)[:, [j.q for j in joints]]
+        robot, count = scene.robot, len(motion.times)
+        self._motion, self._joints = motion, robot.joints
+        self._names = [(j.name, j.name) for j in robot.joints]
+        self._names += [(b.name, f"{b.name}.{axis}") for b in robot.bases for axis in "xyz"]
+        at_q = [j.q for j in robot.joints] + [b.q.start + i for b in robot.bases for i in range(3)]
+        at_v = [j.v for j in robot.joints] + [b.v.start + i for b in robot.bases for i in range(3)]
         v = np.array([x.v for x in motion.states]).reshape(count, -1)[:, at_v]
-        self._of_joints = {
-            "position": q,
+        none = np.full((count, 3 * len(robot.bases)), np.nan)
+        efforts = np.hstack((motion.efforts, none))
+        self._values = {
+            "position": np.array([x.q for x in motion.states]).reshape(count, -1)[:, at_q],
             "velocity": v,
             "acceleration": motion.accelerations[:, at_v],
-            "effort": motion.efforts,
+            "effort": efforts,
+            "power": efforts * v,
         }
-        self._rows = rows if motion.multipliers is not None else ()
+        lam = motion.multipliers
+        self._others = {
+            "multipliers": (rows, np.full((count, len(rows)), np.nan) if lam is None else lam),
+            "energy": (BALANCE[:1], motion.balance[:, :1]),
+            "drift": (BALANCE[1:], motion.balance[:, 1:]),
+        }
 
     def of(self, joint: str, quantity: str) -> Curves:
-        """Curves of one quantity, of `ALL` joints or of one.
+        """Curves of one quantity, those that are unknown left out.
 
         Args:
-            joint: A joint, or `ALL`; multipliers are those of all rows.
+            joint: A joint, a free body (its place and velocity) or `ALL`; multipliers, energy and
+                drift are those of the whole.
             quantity: One of `QUANTITIES`.
         """
         every = max(1, -(-len(self._motion.times) // MOST_POINTS))
-        times = self._motion.times[::every]
-        if quantity == "multipliers":
-            values = self._motion.multipliers
-            values = np.zeros((len(self._motion.times), 0)) if values is None else values
-            return Curves(times, self._rows, values[::every])
-        columns = [i for i, j in enumerate(self._joints) if joint in (ALL, j.name)]
-        values = np.nan_to_num(self._of_joints[quantity][::every][:, columns])
-        return Curves(times, tuple(self._joints[i].name for i in columns), values)
+        if quantity in self._others:
+            names, values = self._others[quantity]
+        else:
+            chosen = [i for i, (owner, _) in enumerate(self._names) if joint in (ALL, owner)]
+            names = tuple(self._names[i][1] for i in chosen)
+            values = self._values[quantity][:, chosen]
+        known = [i for i in range(len(names)) if np.isfinite(values[:, i]).any()]
+        curves = np.nan_to_num(values[::every][:, known])
+        return Curves(self._motion.times[::every], tuple(names[i] for i in known), curves)
 
     def values(self, joint: str, row: int) -> list[str]:
-        """Lines on a joint at a sample: each quantity with its unit."""
-        found = next((i for i, j in enumerate(self._joints) if j.name == joint), None)
-        if found is None:
-            return []
-        one = self._joints[found]
-        unit = one.position_unit
-        units = (unit, f"{unit}/s", f"{unit}/s²", one.effort_unit)
-        numbers = ((name, values[row, found]) for name, values in self._of_joints.items())
-        return [
-            f"{name} {number:.6g} {unit}" if np.isfinite(number) else f"{name} unknown"
-            for (name, number), unit in zip(numbers, units, strict=True)
-        ]
+        """Lines on a joint or free body at a sample: each quantity with its unit."""
+        found = [i for i, (owner, _) in enumerate(self._names) if owner == joint]
+        one = next((j for j in self._joints if j.name == joint), None)
+        unit = "m" if one is None else one.position_unit
+        units = (unit, f"{unit}/s", f"{unit}/s²", "N" if one is None else one.effort_unit, "W")
+        lines = list[str]()
+        for (name, values), its in zip(self._values.items(), units, strict=True):
+            numbers = values[row, found]
+            if len(numbers) and np.isfinite(numbers).all():
+                lines.append(f"{name} {' '.join(f'{n:.6g}' for n in numbers)} {its}")
+        return lines
 
 
 def cursor(curves: Curves, now: float) -> Array:

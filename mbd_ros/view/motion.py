@@ -10,6 +10,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.recordings import Source, name_of, read_columns, read_motion
 from mbd_ros.scene.built_scene import Scene
 
+BALANCE = ("energy", "drift.position", "drift.velocity")
 _MOST = 200_000  # samples
 
 
@@ -22,6 +23,7 @@ class ViewedMotion(NamedTuple):
         accelerations: Of all joints, 0 where unknown, shape (n, nv).
         efforts: Measured or computed effort of each joint, NaN where unknown, shape (n, joints).
         multipliers: Of all rows, shape (n, m); None where the source does not give them all.
+        balance: Columns of `BALANCE`, NaN where the source has none, shape (n, 3).
         remarks: What people should know.
     """
 
@@ -30,6 +32,7 @@ class ViewedMotion(NamedTuple):
     accelerations: Array
     efforts: Array
     multipliers: Array | None
+    balance: Array
     remarks: tuple[str, ...]
 
 
@@ -81,7 +84,10 @@ def viewed_motion(
     states = [State(float(t), *each) for t, *each in zip(times, q.T, v.T, z, strict=True)]
     multipliers = _multipliers(source, rows, count)
     lacking = ["no multipliers in the motion: no forces of constraints"] * (multipliers is None)
-    return ViewedMotion(times, states, a.T, efforts, multipliers, tuple(lacking))
+    balance = read_columns(source, BALANCE)
+    if balance is None or len(balance) != count:
+        balance = np.full((count, len(BALANCE)), np.nan)
+    return ViewedMotion(times, states, a.T, efforts, multipliers, balance, tuple(lacking))
 
 
 def still(scene: Scene) -> ViewedMotion:
@@ -89,9 +95,8 @@ def still(scene: Scene) -> ViewedMotion:
     nv, joints = scene.robot.model.nv, len(scene.robot.joints)
     x = scene.initial._replace(t=0.0)
     x = x._replace(z=np.nan_to_num(x.z))
-    return ViewedMotion(
-        np.zeros(1), [x], np.zeros((1, nv)), np.full((1, joints), np.nan), None, ()
-    )
+    efforts, balance = np.full((1, joints), np.nan), np.full((1, len(BALANCE)), np.nan)
+    return ViewedMotion(np.zeros(1), [x], np.zeros((1, nv)), efforts, None, balance, ())
 
 
 def _internal_states(scene: Scene, source: Source, count: int) -> Array:

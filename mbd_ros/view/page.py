@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -37,7 +38,9 @@ class Page:
         named: Numbers of the scene that the page offers to change, `<part>.<argument>`.
 
     Attributes:
-        remarks: What people should know, a line each.
+        address: Of the page.
+        remarks: What cannot be drawn, a line each.
+        said: These, and what is to be said of the motion.
 
     Raises:
         MbdError: The scene has no consistent start, or no such number.
@@ -76,6 +79,8 @@ class Page:
         Raises:
             MbdError: A time that is no time.
         """
+        if not 0.0 < duration < math.inf:
+            raise DataError(f"--time {duration:g}: accepted are finite times > 0")
         self._controls.rerun.duration = duration
         self._run_again()
 
@@ -105,8 +110,10 @@ class Page:
         if self._controls.take_run():
             self._run_again()
         row = self._player.row(clock, self._motion.times)
+        now = self._controls.now
         if self._controls.changed() or row != self._row:
             self._draw(row)
+        self._controls.reached = now
 
     def close(self) -> None:
         """End the server."""
@@ -134,7 +141,8 @@ class Page:
             frames = Frames(scene)
             motion = viewed_motion(scene, result, frames.rows)
         except MbdError as error:
-            controls.say([*self.remarks, f"not run: {error}"])
+            self.said = (*self.remarks, f"not run: {error}")
+            controls.say(self.said)
             return
         self._scene, self._frames = scene, frames
         self._show(motion, said)
@@ -144,7 +152,8 @@ class Page:
         self._motion, self._row = motion, -1
         self._curves = MotionCurves(self._scene, motion, self._frames.rows)
         self._controls.show_motion(motion, self._curves)
-        self._controls.say([*self.remarks, *motion.remarks, *said])
+        self.said = (*self.remarks, *motion.remarks, *said)
+        self._controls.say(self.said)
         at = np.unique(np.linspace(0, len(motion.times) - 1, _LOOKED_AT).astype(int))
         self._scale = force_scale([self._drawn(motion, row).arrows for row in at], self._size)
         tensions = [self._frames.tensions(*each) for each in self._with_forces(motion, at)]

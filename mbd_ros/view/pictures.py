@@ -1,6 +1,7 @@
 """A picture and a film of what a browser shows, as files that it downloads."""
 
 import io
+import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,13 +11,14 @@ if TYPE_CHECKING:
 
 _HEIGHT, _WIDTH = 600, 800
 _IMAGES, _PERIOD = 60, 50  # of a film, and ms of each
+_WAIT = 0.01  # s, until another look at what is drawn
 _PATIENCE = 10.0  # s, for an image of a browser
 
 
 def picture(client: Any) -> None:
     """Send a browser the picture that it shows, a .png."""
     image = client.get_render(_HEIGHT, _WIDTH, transport_format="png", timeout=_PATIENCE)
-    client.send_file_download("view.png", written([image], "png"))
+    client.send_file_download("view.png", written([image], "png"), save_immediately=True)
 
 
 def film(client: Any, controls: "Controls") -> None:
@@ -25,8 +27,11 @@ def film(client: Any, controls: "Controls") -> None:
     images = []
     for now in np.linspace(0.0, controls.end, _IMAGES):
         controls.now = float(now)
+        end = time.monotonic() + _PATIENCE
+        while controls.reached != controls.now and time.monotonic() < end:
+            time.sleep(_WAIT)
         images.append(client.get_render(_HEIGHT, _WIDTH, timeout=_PATIENCE))
-    client.send_file_download("view.gif", written(images, "gif"))
+    client.send_file_download("view.gif", written(images, "gif"), save_immediately=True)
 
 
 def written(images: list[Any], kind: str) -> bytes:
