@@ -192,6 +192,7 @@ def test_a_free_body_has_curves_of_its_place_and_none_of_efforts():
 def test_the_cursor_rises_at_its_time():
     curves = Curves(np.array([0.0, 1.0, 2.0]), ("a",), np.array([[-1.0], [0.0], [3.0]]))
     assert cursor(curves, 1.0).tolist() == [-1.0, -1.0, 3.0]
+    assert cursor(curves, 2.0).tolist() == [-1.0, -1.0, 3.0]
 
 
 def test_time_begins_again_or_stays_at_the_end():

@@ -111,4 +111,6 @@ def cursor(curves: Curves, now: float) -> Array:
     """
     low = float(curves.values.min(initial=0.0))
     high = float(curves.values.max(initial=0.0))
-    return np.where(curves.times <= now, low, high if high > low else low + 1.0)
+    upright = np.where(curves.times <= now, low, high if high > low else low + 1.0)
+    upright[0], upright[-1] = low, high if high > low else low + 1.0  # at both ends, too
+    return upright
