@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from mbd_ros.errors import DataError
 
+_IN_MEMORY = 2**24  # bytes that need no file
+
 
 class Spool:
     """Rows in a file that has no name and is gone when it is closed.
@@ -32,7 +34,9 @@ class Spool:
     def __init__(self, folder: Path, width: int, kind: type[np.generic] = np.float64) -> None:
         self._folder, self.width, self._kind, self.rows = folder, width, np.dtype(kind), 0
         with self._failing():
-            self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 closed on leaving
+            self._file = tempfile.SpooledTemporaryFile(  # noqa: SIM115 closed on leaving
+                _IN_MEMORY, dir=folder
+            )
 
     def append(self, values: NDArray[Any]) -> None:
         """Add rows, shape (n, width)."""

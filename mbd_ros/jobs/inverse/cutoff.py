@@ -70,9 +70,7 @@ def cutoffs(pieces: Sequence[tuple[Array, Array]], order: int) -> Array:
     if len(longest) < FEWEST_TELLING:
         return np.full(len(signals), np.inf)
     bands = _bands(spectrum(pieces), order, _frequencies(longest))
-    rounding = [0.0 if order else _step(signal) ** 2 / 12.0 for signal in signals]
-    each = zip(np.abs(signals).max(axis=1), rounding, strict=True)
-    best = np.array([_best(bands, column, *sizes) for column, sizes in enumerate(each)])
+    best = np.array([_best(bands, column, signal) for column, signal in enumerate(signals)])
     fresh = np.array([_renewals(signal) for signal in signals]) * rate_of(longest)
     return np.minimum(best, np.maximum(_RENEWED * fresh, LOWEST))
 
@@ -123,14 +121,14 @@ def _renewals(signal: Array) -> float:
     return 1.0 / usual if usual > 1.0 else np.inf
 
 
-def _best(bands: Bands, column: int, size: float, rounding: float) -> float:
-    """Cut-off of the signal in a column, of its largest size and the variance of its rounding."""
+def _best(bands: Bands, column: int, signal: Array) -> float:
+    """Cut-off of a signal, which is that of a column."""
     density, acceleration = bands.density[:, column], bands.acceleration[:, column]
-    first = _first_of_noise(bands, density, rounding)
+    first = _first_of_noise(bands, density, signal)
     if first is None:
         return np.inf
     at_first = density[first] * (2.0 * np.pi * bands.cutoff[first]) ** (2 * bands.order)
-    if at_first * bands.cutoff[-1] <= (_EXACT * size) ** 2:
+    if at_first * bands.cutoff[-1] <= (_EXACT * np.abs(signal).max()) ** 2:
         return np.inf
     noise = np.minimum(density, density[first])
     noise[:first] = density[first]
@@ -156,15 +154,15 @@ def _lost_at_ends(bands: Bands, lost: Array) -> Array:
     return both
 
 
-def _first_of_noise(bands: Bands, density: Array, rounding: float) -> int | None:
+def _first_of_noise(bands: Bands, density: Array, signal: Array) -> int | None:
     """First band that is noise and has only noise beyond it; None without any.
 
     Args:
         bands: The bands.
         density: Of the signal in them.
-        rounding: Variance of its rounding [rad^2 or m^2].
+        signal: Its samples.
     """
-    count = len(density)
+    count, variance = len(density), None
     above = np.cumsum((density * bands.width)[::-1])[::-1]
     rising = density * bands.cutoff**_STEEPEST
     density = np.maximum(density, np.finfo(np.float64).tiny)
@@ -174,11 +172,13 @@ def _first_of_noise(bands: Bands, density: Array, rounding: float) -> int | None
     for k in range(count - 1):
         if not _is_flat(rising[k : k + 1 + _BANDS]):
             continue
-        if above[k] <= 2.0 * rounding:
-            return k
         is_noise = comes_up[k] <= _HUMP
         is_white = count - k >= _WHITE and highest[k] <= _HUMP * lowest[k]
         if is_noise and (is_white or above[k] <= _SHARE * above[0]):
+            return k
+        if variance is None:  # of rounding; sorts the samples, which few signals need
+            variance = 0.0 if bands.order else _step(signal) ** 2 / 12.0
+        if above[k] <= 2.0 * variance:
             return k
     return None
 
