@@ -103,6 +103,10 @@ class ConeNewton:
 
     def __init__(self, A: Array, contacts: Contacts) -> None:
         self.A, self.contacts, self.depends = A, contacts, True
+        m, (_, normal, first, second, _) = len(A), contacts
+        self._of_friction = np.stack((first * m + normal, first * (m + 1), first * m + second))
+        self._of_turns = np.stack((second * m + first, second * (m + 1)))
+        self._tangents = np.stack((first, second))
 
     def damped(self, by: float) -> "ConeNewton":
         """The same with a part of the identity added to A."""
@@ -144,24 +148,23 @@ class ConeNewton:
 
     def see(self, b: Array, bounds: Bounds, p: Array) -> Seen:
         """The map at some impulses."""
-        others, normal, first, second, mu = self.contacts
-        w = self.A.dot(p) + b
+        others, normal, *_, mu = self.contacts
+        w, tangents = self.A.dot(p) + b, self._tangents
         z, left, holds = p - w, np.empty(len(p)), np.empty(len(p), dtype=np.bool_)
         if len(others):
             own = z[others]
             inside = np.minimum(np.maximum(own, bounds.lower), bounds.upper)
             left[others], holds[others] = p[others] - inside, inside == own
-        push = z[normal]
+        push, along = z[normal], z[tangents]
         pushes, push = push > bounds.least, np.maximum(push, bounds.least)
         left[normal], holds[normal] = p[normal] - push, pushes
-        x, y, radius = z[first], z[second], mu * push
-        length = np.hypot(x, y)
+        length, radius = np.hypot(along[0], along[1]), mu * push
         slips = length > radius
-        share = np.divide(radius, length, out=np.ones(len(mu)), where=slips)
-        left[first], left[second] = p[first] - share * x, p[second] - share * y
-        holds[first] = holds[second] = ~slips
         length = np.where(slips, length, 1.0)
-        return Seen(left, w, holds, slips, pushes, x / length, y / length, radius, share)
+        share = np.where(slips, radius / length, 1.0)
+        left[tangents], holds[tangents] = p[tangents] - share * along, ~slips
+        along = along / length
+        return Seen(left, w, holds, slips, pushes, along[0], along[1], radius, share)
 
     def _along(
         self, b: Array, bounds: Bounds, p: Array, step: Array, seen: Seen, halvings: int
@@ -199,17 +202,19 @@ class ConeNewton:
 
     def _slide(self, K: Array, r: Array, seen: Seen, bounds: Bounds, p: Array, at: Slots) -> None:
         """Rows of contacts that slip: along their friction, then across it."""
-        contacts, A = self.contacts, self.A
-        n, first, second = (each[at] for each in contacts[1:4])
-        mu, x, y, share = contacts.mu[at], seen.x[at], seen.y[at], seen.share[at]
-        pushes = seen.pushes[at]
-        K[first, first], K[first, second] = x, y
-        K[first, n] = np.where(pushes, -mu, 0.0)
-        most = mu * np.where(pushes, p[n], bounds.least[at])
-        r[first] = x * p[first] + y * p[second] - most
+        _, n, first, second, mu = self.contacts
+        x, y, share, pushes, least = seen.x, seen.y, seen.share, seen.pushes, bounds.least
+        along, across, A = self._of_friction, self._of_turns, self.A
+        if len(at) < len(mu):
+            n, first, second, mu, least = (each[at] for each in (n, first, second, mu, least))
+            x, y, share, pushes = (each[at] for each in (x, y, share, pushes))
+            along, across = along[:, at], across[:, at]
+        entries = K.ravel()
+        entries[along] = (np.where(pushes, -mu, 0.0), x, y)
+        r[first] = x * p[first] + y * p[second] - mu * np.where(pushes, p[n], least)
+        stays = 1.0 - share
         K[second] = (share * x)[:, None] * A[second] - (share * y)[:, None] * A[first]
-        K[second, first] -= (1.0 - share) * y
-        K[second, second] += (1.0 - share) * x
+        entries[across] += (-stays * y, stays * x)
         r[second] = x * p[second] - y * p[first]
 
 
