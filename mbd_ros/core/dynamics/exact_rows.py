@@ -188,7 +188,7 @@ class ExactRows:
         """Margins of the tangents of contacts in a mode, by the multipliers of the last solve."""
         if self.contacts is None:
             return {}
-        return self._modes.margins(self._over.slips(y), self._whole(y), self.lam, mode)
+        return self._modes.margins(*self._over.slips(y), self.lam, mode)
 
     def leaving(
         self, y: State, u: Array | None, mode: Mode, switch: int, way: int
@@ -218,9 +218,9 @@ class ExactRows:
         if self.contacts is None or not self._modes.slipping(mode):
             return {}
         if switch is None:
-            chosen = self._modes.turned(self._over.slips(y), self._whole(y), mode)
+            chosen = self._modes.turned(*self._over.slips(y), mode)
         elif self.reach[switch] is Reach.FRICTION and mode[switch]:
-            chosen = self._modes.slow(self._over.slips(y), self._whole(y), mode, switch)
+            chosen = self._modes.slow(*self._over.slips(y), mode, switch)
         else:
             return {}
         if not chosen:
@@ -232,7 +232,7 @@ class ExactRows:
         """Normals of contacts that slip, among those of closed ones."""
         if self.contacts is None:
             return []
-        moving = self._modes.slips_now(self._over.slips(y), self._whole(y))
+        moving = self._modes.slips_now(*self._over.slips(y))
         return [i for i in moving if i in closed]
 
     def longest(self, y: State, u: Array | None, mode: Mode) -> float:
@@ -241,11 +241,6 @@ class ExactRows:
             return math.inf
         self.solve(y, u, mode)
         return self._modes.longest(self.left, mode)
-
-    def _whole(self, y: State) -> State:
-        """The state of all joints."""
-        x: State = self._motion.coordinates.expand(y)
-        return x
 
 
 def _each(blocks: tuple[RowBlock, ...]) -> list[tuple[int, int, RowBlock]]:

@@ -93,9 +93,9 @@ class RowHeights:
         rates: Array = known["rates"].copy()
         return rates
 
-    def slips(self, y: State) -> Array:
-        """The velocities of contacts along their planes, shape (c, 2)."""
-        return self.approach(y)[self._pairs]
+    def slips(self, y: State) -> tuple[Array, State]:
+        """The velocities of contacts along their planes, shape (c, 2), and of all joints."""
+        return self.approach(y)[self._pairs], self._motion.coordinates.expand(y)
 
     def ways(self, y: State) -> tuple[Mode, list[int]]:
         """Modes by the heights, and rows that may be on."""

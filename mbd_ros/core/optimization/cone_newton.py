@@ -206,9 +206,9 @@ class ConeNewton:
         x, y, share, pushes, least = seen.x, seen.y, seen.share, seen.pushes, bounds.least
         along, across, A = self._of_friction, self._of_turns, self.A
         if len(at) < len(mu):
-            n, first, second, mu, least = (each[at] for each in (n, first, second, mu, least))
-            x, y, share, pushes = (each[at] for each in (x, y, share, pushes))
+            n, first, second = n[at], first[at], second[at]
             along, across = along[:, at], across[:, at]
+            mu, least, x, y, share, pushes = mu[at], least[at], x[at], y[at], share[at], pushes[at]
         entries = K.ravel()
         entries[along] = (np.where(pushes, -mu, 0.0), x, y)
         r[first] = x * p[first] + y * p[second] - mu * np.where(pushes, p[n], least)
