@@ -128,12 +128,13 @@ class ModeStepper(NativeStepper):
         self._last = None  # the run stands behind steps of other lengths from here on
         return lambda h, t: self.run.margin_again(h, t, number)
 
-    def first_gap(self, left: Collection[int]) -> tuple[float, int] | None:
-        """As `Stepper.first_gap`, where native code has taken the step."""
+    def first_event(self, left: Collection[int]) -> tuple[float, int] | None:
+        """As `Stepper.first_event`, where native code has taken the step."""
         if self._is_plain or not self.run.sizes.contacts:
             return None
-        self._last = None  # as `margin_again`
-        h, row = self.run.first_gap(self._is_gap, left)
+        h, row = self.run.first_event(self._is_gap, left)
+        if not math.isinf(h):
+            self._last = None  # as `margin_again`
         return None if math.isnan(h) else (h, row)
 
     def continue_from(self, x: State) -> None:

@@ -179,8 +179,8 @@ class NativeRun(RunMemory):
         """The same after the last step, taken once more; as `again`, nan where that fails."""
         return float(self._c.margin_again(self._o, self._r, h, t, which))
 
-    def first_gap(self, is_gap: NDArray[np.bool_], left: Collection[int]) -> tuple[float, int]:
-        """Length until the first gap closes in the last step [s], and its row.
+    def first_event(self, is_gap: NDArray[np.bool_], left: Collection[int]) -> tuple[float, int]:
+        """Length until the first gap closes in the last step [s], and its row; inf without any.
 
         Args:
             is_gap: Which rows are gaps, shape (modes,).
@@ -192,7 +192,7 @@ class NativeRun(RunMemory):
         self.left[:] = 0.0
         self.left[[*left]] = 1.0
         which = ctypes.byref(self._written)
-        found = float(self._c.first_gap(self._o, self._r, is_gap.ctypes.data, which))
+        found = float(self._c.first_event(self._o, self._r, is_gap.ctypes.data, which))
         return found, self._written.value
 
     def switch(self, mode: Sequence[int]) -> None:

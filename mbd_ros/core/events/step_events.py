@@ -51,8 +51,9 @@ class StepEvents:
         Raises:
             SolveError: A switch is not left.
         """
-        if found := self._inner.first_gap(left):
-            return self._advanced(x, found[0]), (found[1], 0)
+        if found := self._inner.first_event(left):
+            h, gap = found
+            return (after, None) if math.isinf(h) else (self._advanced(x, h), (gap, 0))
         whole = h = after.t - x.t
         self._pass_over(x, u, after, left)
         late = self._late(after, u, left)

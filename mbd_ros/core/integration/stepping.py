@@ -138,15 +138,15 @@ class Stepper:
         """The same by length and time after the last step, taken again; nan where that fails."""
         return None
 
-    def first_gap(self, left: Collection[int]) -> tuple[float, int] | None:
-        """When a gap closes in the last step before anything else happens; else None.
+    def first_event(self, left: Collection[int]) -> tuple[float, int] | None:
+        """When a gap closes in the last step before anything else happens.
 
         Args:
             left: Switches that the motion is just leaving.
 
         Returns:
-            Length of the step until then [s], and the number of the switch; None where nobody
-            knows it so.
+            Length of the step until then [s], inf where nothing happens in it, and the number of
+            the switch; None where nobody knows it so.
         """
         return None
 
