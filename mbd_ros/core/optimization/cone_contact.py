@@ -82,8 +82,8 @@ def _opens(A: Rows, b: list[float], mu: float, least: float) -> Iterator[list[fl
     s_1, c_1 = (s_1, x * c_x + y * c_y) if s_1 > flat else (0.0, 0.0)
     s_2, c_2 = (s_2, x * c_y - y * c_x) if s_2 > flat else (0.0, 0.0)
     slip = _Slip(s_1, s_2, c_1, c_2, 0.0, 0.0, least, mu)
-    for find in (lambda: 0.0, slip.root):
-        p_1, p_2 = slip.at(find())
+    for sticks in (True, False):
+        p_1, p_2 = slip.at(0.0 if sticks else slip.root())
         yield [least, x * p_1 - y * p_2, y * p_1 + x * p_2]
 
 
@@ -102,8 +102,8 @@ def _pushes(A: Rows, b: list[float], mu: float, least: float) -> Iterator[list[f
     s_2, c_2 = (s_2, x * c_y - y * c_x) if s_2 > flat else (0.0, 0.0)
     k_1, k_2 = -(x * a_x + y * a_y) / n, -(x * a_y - y * a_x) / n
     slip = _Slip(s_1, s_2, c_1, c_2, k_1, k_2, ahead, mu)
-    for find in (lambda: 0.0, slip.root):
-        p_1, p_2 = slip.at(find())
+    for sticks in (True, False):
+        p_1, p_2 = slip.at(0.0 if sticks else slip.root())
         yield [ahead + k_1 * p_1 + k_2 * p_2, x * p_1 - y * p_2, y * p_1 + x * p_2]
 
 
