@@ -17,6 +17,7 @@ import eigenpy
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.core.optimization.cone_places import cone_places
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import redundant
 
@@ -103,10 +104,7 @@ class ConeNewton:
 
     def __init__(self, A: Array, contacts: Contacts) -> None:
         self.A, self.contacts, self.depends = A, contacts, True
-        m, (_, normal, first, second, _) = len(A), contacts
-        self._of_friction = np.stack((first * m + normal, first * (m + 1), first * m + second))
-        self._of_turns = np.stack((second * m + first, second * (m + 1)))
-        self._tangents = np.stack((first, second))
+        self._places = cone_places(len(A), tuple(contacts.normal.tolist()))
 
     def damped(self, by: float) -> "ConeNewton":
         """The same with a part of the identity added to A."""
@@ -134,14 +132,14 @@ class ConeNewton:
         seen = self.seen = self.see(b, bounds, p)
         best, smallest = p, math.inf
         for _ in range(steps + 1):
-            left, size = float(np.abs(seen.left).max()), 1.0 + float(np.abs(p).max())
+            left, size = largest(seen.left), 1.0 + largest(p)
             ends = left > 0.5 * smallest and left <= _SMALL * size
             if left < smallest:
                 best, smallest, self.seen = p, left, seen
             if ends or left <= enough * size or not left < math.inf:
                 break
             step = self._step(seen, bounds, p)
-            if not np.isfinite(step).all():
+            if not math.isfinite(step.dot(step)):
                 break
             p, seen = self._along(b, bounds, p, step, seen, halvings)
         return best, smallest
@@ -149,7 +147,7 @@ class ConeNewton:
     def see(self, b: Array, bounds: Bounds, p: Array) -> Seen:
         """The map at some impulses."""
         others, normal, *_, mu = self.contacts
-        w, tangents = self.A.dot(p) + b, self._tangents
+        w, tangents = self.A.dot(p) + b, self._places.tangents
         z, left, holds = p - w, np.empty(len(p)), np.empty(len(p), dtype=np.bool_)
         if len(others):
             own = z[others]
@@ -160,9 +158,11 @@ class ConeNewton:
         left[normal], holds[normal] = p[normal] - push, pushes
         length, radius = np.hypot(along[0], along[1]), mu * push
         slips = length > radius
-        length = np.where(slips, length, 1.0)
-        share = np.where(slips, radius / length, 1.0)
-        left[tangents], holds[tangents] = p[tangents] - share * along, ~slips
+        sticks = ~slips
+        length[sticks] = 1.0
+        share = radius / length
+        share[sticks] = 1.0
+        left[tangents], holds[tangents] = p[tangents] - share * along, sticks
         along = along / length
         return Seen(left, w, holds, slips, pushes, along[0], along[1], radius, share)
 
@@ -172,6 +172,8 @@ class ConeNewton:
         """Impulses after a step or a part of it, and the map there."""
         after = p + step
         found = self.see(b, bounds, after)
+        if not halvings:
+            return after, found
         size, share = float(seen.left.dot(seen.left)), 1.0
         best, smallest = (after, found), float(found.left.dot(found.left))
         for _ in range(halvings):
@@ -187,12 +189,10 @@ class ConeNewton:
 
     def _step(self, seen: Seen, bounds: Bounds, p: Array) -> Array:
         """The shortest step that Newton's method asks for, shape (m,)."""
-        off = (~seen.holds).nonzero()[0]
-        K, r = self.A, seen.w
-        if len(off):
-            K, r = K.copy(), r.copy()
-            K[off], r[off] = 0.0, seen.left[off]
-            K[off, off] = 1.0
+        K, r, holds = self.A, seen.w, seen.holds
+        if not holds.all():
+            K, r = holds[:, None] * K, np.where(holds, r, seen.left)
+            K.ravel()[:: len(r) + 1] += ~holds
             at = seen.slips.nonzero()[0]
             if len(at):
                 self._slide(K, r, seen, bounds, p, at)
@@ -204,7 +204,7 @@ class ConeNewton:
         """Rows of contacts that slip: along their friction, then across it."""
         _, n, first, second, mu = self.contacts
         x, y, share, pushes, least = seen.x, seen.y, seen.share, seen.pushes, bounds.least
-        along, across, A = self._of_friction, self._of_turns, self.A
+        along, across, A = self._places.friction, self._places.turns, self.A
         if len(at) < len(mu):
             n, first, second = n[at], first[at], second[at]
             along, across = along[:, at], across[:, at]
@@ -216,6 +216,11 @@ class ConeNewton:
         K[second] = (share * x)[:, None] * A[second] - (share * y)[:, None] * A[first]
         entries[across] += (-stays * y, stays * x)
         r[second] = x * p[second] - y * p[first]
+
+
+def largest(values: Array) -> float:
+    """The largest size among some numbers, NaN where one is none."""
+    return float(np.maximum.reduce(np.abs(values)))  # as `max`, for less time
 
 
 def shortest(K: Array, r: Array) -> tuple[Array, int]:
