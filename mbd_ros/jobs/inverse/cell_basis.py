@@ -147,6 +147,7 @@ class _Block:
         self._group = np.repeat(self._used, of_group) if self._long else self._used
         place = np.repeat(self._first * length - starts, counts) + np.arange(n)
         self._row, self._within = np.divmod(place, length)
+        self._weighted: Array | None = None  # splines, kept for the next signals
         first, last = int(self._used[0]), int(self._used[-1])
         self._span = slice(first, last + 1) if last - first + 1 == len(self._used) else None
 
@@ -167,7 +168,9 @@ class _Block:
         placed = np.zeros((self._rows * self._length, values.shape[1]))
         placed[self.places(0, 1)] = values
         placed = placed.reshape(self._rows, self._length, -1)
-        sums = self._splines([weights * self._polynomials(0, 1.0)]) @ placed
+        if self._weighted is None:
+            self._weighted = self._splines([weights * self._polynomials(0, 1.0)])
+        sums = self._weighted @ placed
         return np.add.reduceat(sums, self._first, axis=0) if self._long else sums
 
     def values(self, coefficients: Array, orders: Sequence[int], width: float) -> Array:
