@@ -380,7 +380,10 @@ def test_density_of_white_noise_below_a_motion_of_which_it_is_a_trillionth():
     assert found.density[own].mean(axis=0) == pytest.approx(2e-17, rel=0.35)
 
 
-def test_stamps_in_a_file_are_as_good_as_in_memory(tmp_path, monkeypatch):
+@pytest.mark.parametrize("few", [0, 3000, 20_000, 2**24])
+def test_stamps_in_a_file_are_as_good_as_in_memory(tmp_path, monkeypatch, few):
+    """All, most, some or none of the 48 kB of stamps are in a file."""
+    monkeypatch.setattr("mbd_ros.files.spool._IN_MEMORY", few)
     monkeypatch.setattr("mbd_ros.jobs.inverse.long_stamps._TELLING", 1024)
     monkeypatch.setattr("mbd_ros.jobs.inverse.long_stamps._WINDOW", 1500)
     rng = np.random.default_rng(4)
