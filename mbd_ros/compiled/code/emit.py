@@ -14,6 +14,7 @@ from mbd_ros.compiled.code.reciprocals import with_reciprocals
 HERE = Path(__file__).parent
 EXPORT = '#define EXPORT __attribute__((visibility("default")))\n'
 ALONE = 4000  # operations beyond which a function has units of its own, and those of a unit
+AS_IN_PYTHON = ("expand",)  # each operation is rounded: states of all joints have the same bits
 MOST = 100_000  # operations that are compiled: more take minutes and do not fit into caches
 
 
@@ -74,6 +75,8 @@ def emit(functions: Sequence[ca.Function], real: Literal["double"] | int = "doub
     for function in functions:
         code = with_reciprocals(instructions(function))
         written = c_function(code)
+        if code.name in AS_IN_PYTHON:
+            written = written._replace(chunks=[_uncontracted(chunk) for chunk in written.chunks])
         pieces.append(f"\n#define {code.name}_WORK {written.work}\n")
         if code.operations <= ALONE:
             pieces += [f"static __attribute__((noinline)) {chunk}" for chunk in written.chunks]
@@ -96,6 +99,13 @@ def _refuse_long(functions: Sequence[ca.Function]) -> None:
     count = sum(function.n_nodes() for function in functions if function.is_a("SXFunction"))
     if count > MOST:
         raise CodeError(f"the equations are {count} operations; at most {MOST} are compiled")
+
+
+def _uncontracted(chunk: str) -> str:
+    """A function without fused multiplications: gcc knows the attribute, clang the pragma."""
+    return f'__attribute__((optimize("fp-contract=off"))) {chunk}'.replace(
+        "{\n", "{\n#ifdef __clang__\n#pragma STDC FP_CONTRACT OFF\n#endif\n", 1
+    )
 
 
 def _parted(chunks: list[str], count: int) -> list[list[str]]:

@@ -137,7 +137,10 @@ class CompiledMethod(Integrator):
             form=form,
         )
         given = run, plain, self._corrects(system), system.loads.idle
-        return ModeStepper(*given, self.traced.keys) if sizes.modes else NativeStepper(*given)
+        if not sizes.modes:
+            return NativeStepper(*given)
+        gaps = [i for i, reach in enumerate(system.exact.reach) if reach is Reach.GAP]
+        return ModeStepper(*given, self.traced.keys, gaps)
 
     def _built(self, system: Any, dt: float) -> Built:
         """The native code of a system, made once."""
