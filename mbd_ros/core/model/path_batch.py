@@ -8,7 +8,7 @@ import numpy as np
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.paths import Path
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.model.sampled_kinematics import SampledKinematics
+from mbd_ros.core.model.sampled_kinematics import SampledKinematics, carriers
 from mbd_ros.core.state import Array
 
 
@@ -42,8 +42,7 @@ class PathBatch:
     def __init__(self, robot: Robot, couplings: Couplings, paths: Mapping[str, Path]) -> None:
         self._robot, self._couplings = robot, couplings
         self.names, self._paths = tuple(paths), tuple(paths.values())
-        carriers = {int(place.joint) for place in robot.places.points} - {0}
-        self._joints = np.array(sorted(carriers), dtype=np.intp)
+        self._joints = carriers(robot)
 
     def evaluate(self, y: Array, w: Array | None = None) -> PathSamples:
         """Lengths, speeds and moment arms.

@@ -96,6 +96,12 @@ class SampledKinematics:
         return whole
 
 
+def carriers(robot: Robot) -> NDArray[np.intp]:
+    """Indices of the joints that carry points of parts."""
+    joints = {int(place.joint) for place in robot.places.points} - {0}
+    return np.array(sorted(joints), dtype=np.intp)
+
+
 def _supporting(model: object, joint: int) -> NDArray[np.intp]:
     """Velocity coordinates that move a joint."""
     found: list[int] = []
