@@ -124,7 +124,7 @@ class StaticOptimization:
         self._frames = MuscleFrames(robot, known.couplings, muscles, reserves)
         self._sizes, self._n = sizes_of(muscles), len(muscles)
         ends = [(muscle.inputs[0].lower, muscle.inputs[0].upper) for muscle in muscles]
-        ends += [reserve.bounds for reserve in reserves]
+        ends += [reserve.limits for reserve in reserves]
         self._lower, self._upper = np.array(ends, dtype=np.float64).T
         self._optimal = np.array([reserve.optimal for reserve in reserves])
         self._program = SeparableProgram(len(self.names), len(known.couplings.v_index))
