@@ -16,7 +16,7 @@ from mbd_ros.files.times import time_columns
 from mbd_ros.jobs.columns import joint_columns
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse.derivatives import Derivatives, differentiate
-from mbd_ros.jobs.inverse.observed import Say
+from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.scene.built_scene import Scene
 

@@ -4,18 +4,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mbd_ros.errors import DataError, MbdError
+from mbd_ros.errors import DataError
 from mbd_ros.files.replacing import refuse_overwriting
-from mbd_ros.jobs.inverse.batch import places
 from mbd_ros.jobs.inverse.derivatives import Derivatives
-from mbd_ros.jobs.inverse.observed import Say, Task
+from mbd_ros.jobs.inverse.observed import Task
+from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.muscles.job import Sharing, muscles_to
+from mbd_ros.jobs.several_motions import Outcome, do_motions, outcome_of, places
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.code_permission import is_permitted, permitting
+from mbd_ros.scene.code_permission import is_permitted
 from mbd_ros.scene.muscles_task import muscles_task
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.workers.opening import do_all, open_workers
-from mbd_ros.workers.remaining import watched
 from mbd_ros.workers.task import Task as WorkerTask
 
 _PATHS = ("scene", "out", "wrenches", "external", "task")
@@ -77,25 +76,11 @@ def muscles_of_all(batch: Batch, say: Say) -> None:
     for out in results.values():
         refuse_overwriting(out, batch.wrenches, batch.external)
     _options(batch, load_scene(batch.scene))
-    try:
-        batch.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{batch.out}: cannot be made a folder ({error.strerror})") from error
     tasks = [_work(batch, motion, out) for motion, out in results.items()]
-    failed = []
-    with open_workers(batch.scheduler, batch.workers) as workers:
-        for task, result in watched(do_all(workers, tasks), tasks, workers.count):
-            lines, error = result.value or ([], result.failure)
-            if error:
-                failed.append(f"{task.name}: {error.removeprefix(f'{task.name}: ')}")
-            else:
-                say(f"{task.name}: {'; '.join(lines)}")
-    if failed:
-        told = "\n  ".join(sorted(failed))
-        raise DataError(f"{len(failed)} of {len(tasks)} motions failed:\n  {told}")
+    do_motions(tasks, batch.out, batch.scheduler, batch.workers, say)
 
 
-def one(argument: Mapping[str, Any]) -> tuple[list[str], str]:
+def one(argument: Mapping[str, Any]) -> Outcome:
     """One motion, in a worker.
 
     Args:
@@ -109,13 +94,9 @@ def one(argument: Mapping[str, Any]) -> tuple[list[str], str]:
     for name in _PATHS:
         fields[name] = None if fields[name] is None else Path(fields[name])
     batch = Batch(**{**fields, "motions": [Path(motion) for motion in fields["motions"]]})
-    lines: list[str] = []
-    try:
-        with permitting(argument["allow_code"]):
-            _muscles(batch, load_scene(batch.scene), lines.append)
-    except MbdError as error:
-        return lines, str(error)
-    return lines, ""
+    return outcome_of(
+        lambda say: _muscles(batch, load_scene(batch.scene), say), argument["allow_code"]
+    )
 
 
 def _muscles(batch: Batch, scene: Scene, say: Say) -> None:
