@@ -84,7 +84,7 @@ def scaled_entries(
     stretch = {(recipe.rename or {}).get(n, n): f for n, f in urdf.stretch.items()}
     entries = scaled_sections(scene.entries, factors, stretch)
     given = entries.get("robot") or {}
-    entries["robot"] = {k: v for k, v in given.items() if k not in ("urdf", "osim")}
+    entries["robot"] = {k: v for k, v in given.items() if k not in ("urdf", "osim", "mjcf")}
     if entries.get("muscles"):
         entries["muscles"] = _scaled_muscles(scene, scene_from(_without(entries), urdf=urdf.text))
     for line in factor_lines(factors):
