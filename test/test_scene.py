@@ -135,7 +135,7 @@ def test_empty_section_is_an_absent_one(write, rest):
         ),
         ("urdf:", "urd:", "robot: unknown key 'urd', accepted: urdf, description_topic, gravity"),
         ("urdf: leg.urdf", "", "robot: give either 'urdf', 'osim', 'mjcf' or 'description_topic'"),
-        ("leg.urdf", "leg.urdf\n  description_topic: a", "robot: give either 'urdf', 'osim', 'mjcf' or"),
+        ("leg.urdf", "leg.urdf\n  description_topic: a", "give either 'urdf', 'osim', 'mjcf' or"),
         ("leg.urdf", "log.urdf", "log.urdf: robot description cannot be read: No such file"),
         ("leg.urdf", ".", "robot description is not a regular file"),
         ("leg.urdf", "package://mbd_ros/no.urdf", "robot.urdf: package://mbd_ros/no.urdf not fou"),
