@@ -27,6 +27,24 @@ def places(motions: Sequence[Path], folder: Path) -> dict[Path, Path]:
     return {motion: out for out, motion in taken.items()}
 
 
+def externals_of(files: Sequence[Path], count: int) -> list[Path | None]:
+    """External loads of each motion.
+
+    Args:
+        files: None, one for all motions, or one for each.
+        count: How many motions there are.
+
+    Raises:
+        DataError: Another number of files.
+    """
+    if len(files) not in (0, 1, count):
+        raise DataError(
+            f"--external names {len(files)} files for {count} motions; accepted: one for all, or "
+            "one for each"
+        )
+    return [*files] if len(files) == count else [files[0] if files else None] * count
+
+
 def do_motions(
     tasks: Sequence[Task], folder: Path, scheduler: str | None, count: int | None, say: Say
 ) -> None:

@@ -11,7 +11,7 @@ from mbd_ros.jobs.inverse.job import inverse_to
 from mbd_ros.jobs.inverse.observed import Task
 from mbd_ros.jobs.inverse.wrenches import refuse_unused
 from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.several_motions import Outcome, do_motions, outcome_of, places
+from mbd_ros.jobs.several_motions import Outcome, do_motions, externals_of, outcome_of, places
 from mbd_ros.scene.code_permission import is_permitted
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.workers.task import Task as WorkerTask
@@ -57,7 +57,7 @@ def inverse_of_one(batch: Batch, say: Say) -> None:
     """Do the only motion; `say` is told of it."""
     if batch.scheduler is not None or batch.workers is not None:
         raise DataError("--scheduler and --workers go with several motions")
-    _externals(batch)
+    externals_of(batch.external, len(batch.motions))
     _inverse(batch, say)
 
 
@@ -73,7 +73,7 @@ def inverse_of_all(batch: Batch, say: Say) -> None:
             names that would meet in the folder, or a folder that cannot be.
     """
     results = places(batch.motions, batch.out)
-    externals = _externals(batch)
+    externals = externals_of(batch.external, len(batch.motions))
     for out in results.values():
         refuse_overwriting(out, batch.wrenches, *externals)
     refuse_unused(load_scene(batch.scene), batch.wrenches)
@@ -104,21 +104,10 @@ def _inverse(batch: Batch, say: Say) -> None:
     derivatives = Derivatives(batch.derivatives, batch.cutoff, batch.half_width)
     (motion,) = batch.motions
     between = None if batch.time_range is None else (batch.time_range[0], batch.time_range[1])
-    (external,) = _externals(batch)
+    (external,) = externals_of(batch.external, len(batch.motions))
     more = batch.topic, batch.parts, batch.bounds, external, between
     asked = Task(motion, derivatives, batch.wrenches, *more)
     inverse_to(load_scene(batch.scene), asked, batch.out, say)
-
-
-def _externals(batch: Batch) -> list[Path | None]:
-    """External loads of each motion."""
-    files, count = list(batch.external or ()), len(batch.motions)
-    if len(files) not in (0, 1, count):
-        raise DataError(
-            f"--external names {len(files)} files for {count} motions; accepted: one for all, or "
-            "one for each"
-        )
-    return [*files] if len(files) == count else [files[0] if files else None] * count
 
 
 def _work(batch: Batch, motion: Path, out: Path, external: Path | None) -> WorkerTask:
