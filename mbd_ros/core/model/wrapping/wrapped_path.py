@@ -1,7 +1,7 @@
 """A path through points and over surfaces, as parts see it: one state at a time."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -97,22 +97,40 @@ class WrappedPath(Path):
         over = ", ".join(f"{wrap.name} ({type(wrap.surface).__name__.lower()})" for wrap in wraps)
         self.over = " - ".join(point.frame for point in points) + f", around {over}"
         self._nv = int(robot.model.nv)
+        self._last: tuple[bytes, Any] = (b"", None)
 
     def length(self, k: Kinematics, x: State) -> float:
         """The l [m]."""
-        return float(self._taut(k, x).length[0])
+        return k.searched(self, x).length  # type: ignore[no-any-return]
 
     def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
         """The l [m] and J, shape (nv,)."""
-        length, by_points, by_wraps = self._taut(k, x)
-        slope = np.zeros(self._nv)
-        for point, change in zip(self.points, by_points[0], strict=True):
+        length, by_points, by_wraps = k.searched(self, x)
+        slope = k.zeros(self._nv)
+        for point, change in zip(self.points, by_points, strict=True):
             if point.moves:
-                slope += change @ point.jacobian(k, x)
-        for wrap, change in zip(self.wraps, by_wraps[0], strict=True):
-            if wrap.point.moves and change.any():
-                slope += change @ k.spatial_jacobian(wrap.point)
-        return float(length[0]), slope
+                slope = slope + k.dot(change, point.jacobian(k, x))
+        for wrap, change in zip(self.wraps, by_wraps, strict=True):
+            if wrap.point.moves and k.any(change):
+                slope = slope + k.dot(change, k.spatial_jacobian(wrap.point))
+        return length, slope
+
+    def search(self, k: Kinematics, x: State) -> Taut:
+        """The taut path at a state: its length, shapes (m, 3) and (wraps, 6) of its slopes.
+
+        Parts ask for lengths, then for slopes: the last answer is kept for the same places.
+
+        Raises:
+            SolveError: A geodesic is not found.
+        """
+        places, points = self._where(k, x)
+        key = b"".join([points.tobytes(), *(x.tobytes() for place in places for x in place[1:])])
+        last, found = self._last
+        if key != last:
+            whole = self._taut(points, places)
+            found = Taut(float(whole.length[0]), whole.by_points[0], whole.by_wraps[0])
+            self._last = key, found
+        return found
 
     def drift(self, k: Kinematics, x: State) -> float:
         """J' v: lines turn and contacts slide as their conditions stay met."""
@@ -176,8 +194,7 @@ class WrappedPath(Path):
         points = np.array([[point.position(k, x) for point in self.points]])
         return [wrap.placed(k) for wrap in self.wraps], points
 
-    def _taut(self, k: Kinematics, x: State) -> Taut:
-        places, points = self._where(k, x)
+    def _taut(self, points: Array, places: list[Placed]) -> Taut:
         try:
             return taut(points, self.reaches, places)
         except SolveError as error:
