@@ -35,7 +35,7 @@ static int plain_search(const double *a, const double *b, int count, const Place
     inwards(over[i].place, i ? last : a, begin);
     inwards(over[i].place, i + 1 < count ? first : b, end);
     if (s->kind == ELLIPSOID) ellipsoid_touch(s, begin, end, 0.0, starts + i);
-    else touch(s, begin, end, meets(s, begin, end), starts + i);
+    else touch_surface(s, begin, end, meets(s, begin, end), starts + i);
   }
   memcpy(arcs, starts, count * sizeof *arcs);
   return shortest(a, b, count, over, arcs);

@@ -20,7 +20,7 @@ static int meets(const Surface *s, const double *a, const double *b) {
 }
 
 /* Where a path touches; returns the code, which may have become NO_WRAP. */
-static int touch(const Surface *s, const double *a, const double *b, int code, Arc *arc) {
+static int touch_surface(const Surface *s, const double *a, const double *b, int code, Arc *arc) {
   if (s->kind == CYLINDER) return cylinder_touch(s, a, b, code, arc);
   if (s->kind == SPHERE) return sphere_touch(s, a, b, code, arc);
   ellipsoid_touch(s, a, b, s->sign, arc);

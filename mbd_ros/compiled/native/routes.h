@@ -85,7 +85,7 @@ static int chosen_place(Router *r, const Held *held, int which, int *place, Arc 
       inwards(placed->place, from, a);
       inwards(placed->place, to, b);
       int code = meets(s, a, b);
-      if (code != NO_WRAP) code = touch(s, a, b, code, &arc);
+      if (code != NO_WRAP) code = touch_surface(s, a, b, code, &arc);
       if (code == MAY_WRAP) {
         Line straight, first;
         line_between(a, b, &straight);
@@ -123,7 +123,7 @@ static int press(Router *r, int line, const Held *before, const Held *now, int w
 }
 
 /* Leaves out wraps that the path would leave: their geodesics have negative lengths. */
-static int lift(Router *r, Held *held, int line) {
+static int lift_off(Router *r, Held *held, int line) {
   while (held->count[line]) {
     const Solved *on = geodesics_of(r, held, line);
     signed char left[MOST_WRAPS] = {0};
@@ -169,7 +169,7 @@ static int try_wrap(Router *r, Held *held, int which) {
     if (changed[line] && !press(r, line, held, &now, which, line == chosen ? &guess : 0)) return 0;
   }
   for (int line = 0; line < lines; line++)
-    if (changed[line] && !lift(r, &now, line)) return 0;
+    if (changed[line] && !lift_off(r, &now, line)) return 0;
   *held = now;
   return 1;
 }
