@@ -389,9 +389,3 @@ def test_a_cable_over_a_wrap_keeps_the_energy():
         x = State(0.0, q[[i]], np.zeros(1))
         k.refresh(x.q, x.v)
         assert path.length(k, x) == lengths[i]
-
-
-def test_wraps_keep_a_scene_on_plain_steps():
-    pytest.importorskip("casadi", reason="casadi traces scenes")
-    with pytest.raises(SceneError, match="over_cable .Cable. cannot be traced"):
-        swing(solver={"type": "compiled"}).simulation()

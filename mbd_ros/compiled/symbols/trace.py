@@ -66,7 +66,7 @@ class Traced:
     one, 2 where one turns with its velocity: length [s] is how long a step may be then. `a` and
     `lam` are those of `accelerate`, which gives `lam` as its fourth result then.
     land(t, q, p) -> (dq, g), stay(t, q, v, p) -> (dv, rate) onto the rows that are on.
-    path_places(t, q, p): where points and surfaces of paths that wrap are, as `searched` lists them.
+    path_places(t, q, p): where points and surfaces of paths that wrap are, as `searched` has them.
     Functions that depend on what such paths do have one more argument: `searched.symbols`.
     integrate(q, dq) -> q (+) dq, rate(dq, v) -> the rate of dq: for charts that are not flat.
 

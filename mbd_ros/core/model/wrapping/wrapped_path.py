@@ -1,7 +1,7 @@
 """A path through points and over surfaces, as parts see it: one state at a time."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.sampled_kinematics import SampledKinematics
 from mbd_ros.core.model.via_points import ViaPoint
 from mbd_ros.core.model.wrapping.chain import Chain, Placed, link
+from mbd_ros.core.model.wrapping.contact_rates import contact_rates, surface_motion
 from mbd_ros.core.model.wrapping.routes import Reach, Router
 from mbd_ros.core.model.wrapping.surface import Surface, cross
 from mbd_ros.core.model.wrapping.taut import Taut, taut
@@ -59,13 +60,6 @@ class Wrap:
         )
 
 
-class _Motion(NamedTuple):
-    """Velocity and acceleration of a body about a point: those of p are first + second (p)."""
-
-    linear: tuple[Array, Array]
-    turning: tuple[Array, Array]
-
-
 class WrappedPath(Path):
     """Straight lines through points, and shortest paths over surfaces between them.
 
@@ -101,7 +95,7 @@ class WrappedPath(Path):
 
     def length(self, k: Kinematics, x: State) -> float:
         """The l [m]."""
-        return k.searched(self, x).length  # type: ignore[no-any-return]
+        return k.searched(self, x).length
 
     def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
         """The l [m] and J, shape (nv,)."""
@@ -137,12 +131,12 @@ class WrappedPath(Path):
         places, points = self._where(k, x)
         speeds = [point.velocity(k, x) for point in self.points]
         pushes = [point.acceleration(k, x) for point in self.points]
-        motions = [_motion(k, wrap) for wrap in self.wraps]
+        motions = [surface_motion(k, wrap.point, wrap.axes) for wrap in self.wraps]
         bent = 0.0
         for line, (wraps, chain) in enumerate(self._chains(points, places)):
             nodes = [(speeds[line], pushes[line], np.zeros(3))]
             at, moved = [places[w] for w in wraps], [motions[w] for w in wraps]
-            nodes += _contacts(chain, at, moved, (speeds[line], speeds[line + 1]))
+            nodes += contact_rates(chain, at, moved, (speeds[line], speeds[line + 1]))
             nodes += [(speeds[line + 1], pushes[line + 1], np.zeros(3))]
             for straight, a, b in zip(chain.lines, nodes[::2], nodes[1::2], strict=True):
                 e, past = straight.direction[0], b[0] - a[0]
@@ -217,42 +211,3 @@ class WrappedPath(Path):
     def _named(self, error: SolveError) -> SolveError:
         names = ", ".join(wrap.name for wrap in self.wraps)
         return SolveError(f"path around {names}: {error}")
-
-
-def _motion(k: Kinematics, wrap: Wrap) -> _Motion:
-    """How a surface moves at zero joint acceleration."""
-    v, a = k.velocity(wrap.point), k.acceleration(wrap.point)
-    rates = np.array([k.velocity(axis) - v for axis in wrap.axes]).T
-    bends = np.array([k.acceleration(axis) - a for axis in wrap.axes]).T
-    return _Motion((v, a), (rates, bends))
-
-
-def _contacts(
-    chain: Chain, places: Sequence[Placed], motions: Sequence[_Motion], speeds: tuple[Array, Array]
-) -> list[tuple[Array, Array, Array]]:
-    """Of every contact: velocity and its rate for what the body holds there, and its sliding."""
-    if not places:
-        return []
-    held, turned = [speeds[0]], []
-    for place, motion, ends in zip(places, motions, chain.ends, strict=True):
-        rotation = place.rotation[0]
-        for contact in ends:
-            held.append(motion.linear[0] + motion.turning[0] @ place.inwards(contact.point)[0])
-            turned.append(contact.frame[0] @ (rotation @ motion.turning[0].T))
-    held.append(speeds[1])
-    rates = []
-    for i, contact in enumerate(contact for ends in chain.ends for contact in ends):
-        straight = chain.lines[(i + 1) // 2]
-        e, (a, b) = straight.direction[0], (2 * ((i + 1) // 2), 2 * ((i + 1) // 2) + 1)
-        past = held[b] - held[a]
-        turn = (past - e * (e @ past)) / straight.length[0]
-        rates.append(contact.frame[0] @ turn + turned[i] @ e)
-    unknowns = -np.linalg.solve(chain.slopes[0], np.concatenate(rates))
-    contacts = []
-    for i, contact in enumerate(contact for ends in chain.ends for contact in ends):
-        place, motion = places[i // 2], motions[i // 2]
-        slide = contact.moves[0] @ unknowns[4 * (i // 2) : 4 * (i // 2) + 4]
-        inside = place.rotation[0].T @ slide
-        push = motion.linear[1] + motion.turning[1] @ place.inwards(contact.point)[0]
-        contacts.append((held[i + 1], push + motion.turning[0] @ inside, slide))
-    return contacts
