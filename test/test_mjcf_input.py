@@ -37,7 +37,17 @@ BAD = {
     "size": (GOOD.replace('size="0.1"', 'size="-1"'), ("expected 1 positive",)),
     "inertia of a mesh": (
         GOOD.replace('<geom size="0.1"/>', '<geom type="mesh" mesh="bone"/>'),
-        ("no <inertial>", "bone", "mass='0'"),
+        ("there is no mesh 'bone'",),
+    ),
+    "file of a mesh": (
+        GOOD.replace('<geom size="0.1"/>', '<geom type="mesh" mesh="bone"/>').replace(
+            "<worldbody>", '<asset><mesh file="bone.stl"/></asset><worldbody>'
+        ),
+        ("bone.stl is not there", "give <inertial>", "mass='0'"),
+    ),
+    "shell": (
+        GOOD.replace('<geom size="0.1"/>', '<geom size="0.1" shellinertia="true"/>'),
+        ("no <inertial>", "shell of a sphere"),
     ),
     "free joint inside": (GOOD.replace('"slide"', '"free"'), ("a free joint stands alone",)),
     "replicate": (GOOD.replace("<site", "<replicate/><site"), ("<replicate>", "write its bodies")),

@@ -11,6 +11,7 @@ from mbd_ros.scene.mjcf.document import read_document
 from mbd_ros.scene.mjcf.equalities import read_closures, read_couplings
 from mbd_ros.scene.mjcf.inertia import body_inertia, geom_type, mass_of
 from mbd_ros.scene.mjcf.joints import passive, unexpressed
+from mbd_ros.scene.mjcf.meshes import Meshes
 from mbd_ros.scene.mjcf.placement import Compiler, compiler_of
 from mbd_ros.scene.mjcf.reading import Reading
 from mbd_ros.scene.mjcf.tendons import read_tendons
@@ -42,7 +43,7 @@ def import_mjcf(path: Path, locked: Mapping[str, float | None] | None = None) ->
     bodies = Bodies(root, defaults, compiler, source)
     tree = Tree(bodies, compiler)
     reading = Reading(root, source, defaults, compiler, tree)
-    masses = _masses(tree, compiler)
+    masses = _masses(tree, compiler, Meshes(root, defaults, path))
     wanted = {name: value for name, value in (locked or {}).items() if value is not None}
     reading.fixed |= wanted
     couplings = read_couplings(reading)
@@ -57,13 +58,14 @@ def import_mjcf(path: Path, locked: Mapping[str, float | None] | None = None) ->
     return Imported(name, text, robot, sections, tuple(reading.left_out))
 
 
-def _masses(tree: Tree, compiler: Compiler) -> dict[str, Mass]:
+def _masses(tree: Tree, compiler: Compiler, meshes: Meshes) -> dict[str, Mass]:
     """Masses of the links that move."""
     moving = {
         body.name: body_inertia(
             body.inertial[0].item if body.inertial else None,
             [(one.item, one.at) for one in body.geoms],
             compiler,
+            meshes,
         )
         for body in tree.bodies.all.values()
         if tree.moves(body.name) or (compiler.total > 0.0 and body.name != WORLD)
@@ -132,10 +134,11 @@ def _sections(reading: Reading, couplings: dict[str, Any]) -> dict[str, Any]:
 
 
 def _markers(reading: Reading) -> dict[str, dict[str, Any]]:
-    """Named sites of bodies that move."""
+    """Named sites of bodies that move, those of tendons apart."""
     found = dict[str, dict[str, Any]]()
+    held = {one.text("site") for item in reading.items("tendon") for one in reading.inner(item)}
     for body, (item, at) in reading.tree.bodies.elements("sites"):
-        if not item.name or not reading.tree.moves(body.name):
+        if not item.name or item.name in held or not reading.tree.moves(body.name):
             continue
         title = reading.names.part(item.name, "site")
         entry: dict[str, Any] = {"type": "marker", "frame": body.name}

@@ -8,6 +8,7 @@ import pinocchio as pin
 
 from mbd_ros.core.state import Array
 from mbd_ros.scene.mjcf.item import Item
+from mbd_ros.scene.mjcf.meshes import Meshes
 from mbd_ros.scene.mjcf.placement import Compiler, placed, turned_to, unit
 from mbd_ros.scene.osim.urdf_text import Mass
 
@@ -54,7 +55,10 @@ def geom_sizes(geom: Item) -> list[float]:
 
 
 def body_inertia(
-    inertial: Item | None, geoms: Sequence[tuple[Item, Any]], compiler: Compiler
+    inertial: Item | None,
+    geoms: Sequence[tuple[Item, Any]],
+    compiler: Compiler,
+    meshes: Meshes,
 ) -> Any:
     """`pinocchio.Inertia` of a body in its own axes.
 
@@ -62,9 +66,10 @@ def body_inertia(
         inertial: Element `<inertial>`, if any.
         geoms: Its geoms and their places.
         compiler: The settings.
+        meshes: Those of the model.
 
     Raises:
-        SceneError: Mass or inertia that is negative, or that of a mesh.
+        SceneError: Mass or inertia that is negative, or that of a mesh that cannot be read.
     """
     from_geoms = compiler.from_geoms
     if inertial is not None and from_geoms != "true":
@@ -73,7 +78,7 @@ def body_inertia(
         found = pin.Inertia.Zero()
         for geom, place in geoms if from_geoms != "false" else ():
             if compiler.groups[0] <= geom.number("group", 0.0) <= compiler.groups[1]:
-                found += place.act(_solid(geom))
+                found += place.act(_solid(geom, meshes))
     return _bounded(found, compiler)
 
 
@@ -98,7 +103,7 @@ def _given(inertial: Item, compiler: Compiler) -> Any:
     return at.act(pin.Inertia(inertial.number("mass", 0.0), np.zeros(3), tensor))
 
 
-def _solid(geom: Item) -> Any:
+def _solid(geom: Item, meshes: Meshes) -> Any:
     """A geom that its mass fills, in its own axes."""
     kind = geom_type(geom)
     mass = geom.number("mass", -1.0) if "mass" in geom else None
@@ -107,10 +112,16 @@ def _solid(geom: Item) -> Any:
         raise geom.error("its mass or density is negative")
     if kind in ("plane", "hfield") or mass == 0.0 or (mass is None and density == 0.0):
         return pin.Inertia.Zero()
-    if kind in ("mesh", "sdf") or "mesh" in geom or geom.flag("shellinertia", default=False):
+    is_shell = geom.flag("shellinertia", default=False)
+    if kind == "mesh" and not is_shell:
+        unit = meshes.unit(geom)
+        scale = density if mass is None else mass / unit.mass
+        return pin.Inertia(scale * unit.mass, unit.lever, scale * unit.inertia)
+    if kind == "sdf" or "mesh" in geom or is_shell:
+        what = f"shell of a {kind}" if is_shell else f"{kind} fitted to a mesh"
         raise geom.error(
-            f"its body has no <inertial>, and inertia of a {kind} "
-            f"({geom.text('mesh') or 'a shell'}) is not computed: give <inertial>, or mass='0'"
+            f"its body has no <inertial>, and inertia of a {what} is not computed: "
+            "give <inertial>, or mass='0'"
         )
     sizes = geom_sizes(geom)
     return _filled(kind, sizes, density * _volume(kind, sizes) if mass is None else mass)

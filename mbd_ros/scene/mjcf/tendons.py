@@ -85,7 +85,7 @@ def _spatial(reading: Reading, item: Item) -> dict[str, Any]:
 
 
 def _wrap(reading: Reading, given: Item) -> dict[str, Any]:
-    """A sphere, or a cylinder without end; over the side of `sidesite`, where it is given."""
+    """A sphere, or a cylinder without end, over the side of `sidesite` where it is given."""
     body, (geom, at) = reading.place(given, "geom", "geoms")
     kind = geom_type(geom)
     if kind not in ("sphere", "cylinder"):
@@ -95,23 +95,24 @@ def _wrap(reading: Reading, given: Item) -> dict[str, Any]:
         other, site = reading.place(given, "sidesite")
         if other != body:
             raise Unexpressed("its side site is on another body than its geom")
-        at, side = _towards(given, at, site.at.translation, radius, kind), {"side": "x"}
+        at = _towards(given, at, site.at.translation, radius, kind)
+        side = {"side": "x"} if kind == "cylinder" else {}
     link, at = reading.tree.frame(body, at)
     shape: Any = radius if kind == "sphere" else {"radius": radius, "length": _ENDLESS}
     return {"frame": link, kind: shape, "pose": xyz_rpy(at), **side}
 
 
 def _towards(given: Item, at: Any, site: Array, radius: float, kind: str) -> Any:
-    """The place of a geom with its x towards a site."""
+    """The place of a cylinder with its x towards a site; a sphere stays as it is."""
     x = at.rotation.T @ (site - at.translation)
     if kind == "cylinder":
         x[2] = 0.0
     if np.linalg.norm(x) < radius:
         raise Unexpressed("it wraps inside a geom")
-    x = unit(given, x, "sidesite")
-    z = np.eye(3)[2] if kind == "cylinder" else np.eye(3)[int(np.argmin(np.abs(x)))]
-    y = unit(given, np.cross(z, x), "sidesite")
-    return at * pin.SE3(np.column_stack((x, y, np.cross(x, y))), np.zeros(3))
+    if kind == "sphere":
+        return at
+    x, z = unit(given, x, "sidesite"), np.array([0.0, 0.0, 1.0])
+    return at * pin.SE3(np.column_stack((x, np.cross(z, x), z)), np.zeros(3))
 
 
 def _without_turn(at: Any) -> dict[str, Any]:

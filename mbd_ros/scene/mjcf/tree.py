@@ -55,7 +55,9 @@ class Tree:
         self._names = Names(name for name in own if name)
         self._links = Names(bodies.all)
         for body in bodies.all.values():
-            if body.name not in (WORLD, self.base) and not (self.base and self._rests(body)):
+            if body.name not in (WORLD, self.base) and not (
+                self.base and not self.moves(body.name)
+            ):
                 self._add(body)
 
     def frame(self, body: str, at: Any) -> tuple[str, Any]:
@@ -74,9 +76,6 @@ class Tree:
         while not found.joints and found.parent:
             found = self.bodies.all[found.parent]
         return found.name
-
-    def _rests(self, body: Body) -> bool:
-        return body.name in self._static
 
     def _at_rest(self) -> set[str]:
         return {name for name in self.bodies.all if self.carrier(name) == WORLD}
