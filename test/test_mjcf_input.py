@@ -45,6 +45,13 @@ BAD = {
         ),
         ("bone.stl is not there", "give <inertial>", "mass='0'"),
     ),
+    "flat mesh": (
+        GOOD.replace('<geom size="0.1"/>', '<geom type="mesh" mesh="m"/>').replace(
+            "<worldbody>",
+            '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 1 1 0"/></asset><worldbody>',
+        ),
+        ("its mesh is flat",),
+    ),
     "shell": (
         GOOD.replace('<geom size="0.1"/>', '<geom size="0.1" shellinertia="true"/>'),
         ("no <inertial>", "shell of a sphere"),

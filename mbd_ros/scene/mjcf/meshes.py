@@ -13,6 +13,7 @@ from mbd_ros.scene.mjcf.item import Item
 from mbd_ros.scene.osim.xml_text import MAX_BYTES
 
 _RULES = ("legacy", "convex", "exact", "shell")
+_FLAT = 1.0e-9  # least over largest extent
 _ENDINGS = (".stl", ".obj")
 
 
@@ -77,9 +78,7 @@ class Meshes:
         turn = pin.Quaternion(w, *xyz).normalized().toRotationMatrix()
         vertices = (vertices @ turn) * np.array(item.vector("scale", (1.0, 1.0, 1.0)))
         if is_convex or faces is None:
-            from scipy.spatial import ConvexHull  # here, since few meshes ask for it
-
-            faces = ConvexHull(vertices).simplices
+            return _hull(geom, vertices)
         corners: Array = vertices[faces]
         return corners
 
@@ -100,6 +99,24 @@ class Meshes:
             raise geom.error(f"{file} holds no triangle; {need}")
         faces = [[t[0], t[1], t[2]] for t in map(model.tri_indices, range(model.num_tris))]
         return np.array(model.vertices()), np.array(faces, dtype=np.intp)
+
+
+def _hull(geom: Item, vertices: Array) -> Array:
+    """Corners of the triangles of a convex hull [m], shape (n, 3, 3)."""
+    import coal
+
+    spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
+    if not spread[-1] > _FLAT * spread[0]:  # on which coal ends the process
+        raise geom.error("its mesh is flat, it has no convex hull")
+    points = coal.StdVec_Vec3s()
+    points.extend(list(vertices))
+    try:
+        hull = coal.Convex.convexHull(points, True, "Qt")
+    except (ValueError, RuntimeError) as error:
+        raise geom.error(f"its mesh has no convex hull: {error}") from error
+    faces = [[t[0], t[1], t[2]] for t in map(hull.polygons, range(hull.num_polygons))]
+    corners: Array = np.array(hull.points())[np.array(faces, dtype=np.intp)]
+    return corners
 
 
 def _centroid(corners: Array) -> Array:
