@@ -95,6 +95,18 @@ def test_files_are_included_and_looks_need_no_mesh(tmp_path):
     assert scene.entries["couplings"]["b"] == {"parent": "a", "polynomial": [0.0, 1.0]}
 
 
+@pytest.mark.parametrize("kind", ["free", "ball"])
+def test_what_joints_do_not_have_is_listed(tmp_path, kind):
+    """A free base has no hinge, a ball has three; each is named once."""
+    file = tmp_path / "good.xml"
+    joint = f'<joint name="j" type="{kind}" damping="0.1" armature="0.2"/>'
+    file.write_text(
+        f'<mujoco><worldbody><body name="a">{joint}<geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    left_out = load_scene(file).parts["robot"].ignored
+    assert "joint j (without its damping, armature)" in left_out
+
+
 def test_entries_of_a_scene_win(tmp_path):
     (tmp_path / "good.xml").write_text(GOOD)
     file = tmp_path / "scene.yaml"

@@ -111,10 +111,6 @@ def _sections(reading: Reading, couplings: dict[str, Any]) -> dict[str, Any]:
     sections: dict[str, Any] = {"couplings": couplings, "paths": reading.paths}
     sections |= {"forces": read_tendons(reading), "actuators": [], "constraints": []}
     for hinge in hinges.values():
-        missing = unexpressed(hinge)
-        is_first = reading.tree.given.get(hinge.name) == [hinge.name] or hinge.name.endswith("x")
-        if missing and is_first:
-            reading.leave_out(hinge.item, f"without its {missing}")
         if reading.tree.given.get(hinge.name) == [hinge.name] and hinge.name not in reading.fixed:
             for entry in passive(hinge):
                 kind = entry["type"].removeprefix("joint_")
@@ -149,6 +145,9 @@ def _markers(reading: Reading) -> dict[str, dict[str, Any]]:
 
 def _leave_out_others(reading: Reading) -> None:
     bodies, touching = reading.tree.bodies, 0
+    for _, (item, _at) in bodies.elements("joints"):
+        if missing := unexpressed(item):
+            reading.leave_out(item, f"without its {missing}")
     for body in bodies.all.values():
         for item in body.others:
             reading.leave_out(item, _NO_PLACE)

@@ -109,10 +109,9 @@ def passive(hinge: Hinge) -> list[dict[str, Any]]:
     return entries
 
 
-def unexpressed(hinge: Hinge) -> str:
+def unexpressed(item: Item) -> str:
     """What of a joint a scene does not have, empty for most."""
-    item, kind = hinge.item, joint_type(hinge.item)
-    found = []
+    kind, found = joint_type(item), list[str]()
     if kind in ("free", "ball"):
         found = [key for key in _PASSIVE if item.type != "freejoint" and _is_there(item, key)]
         found += ["range"] if kind == "ball" and "range" in item else []
