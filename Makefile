@@ -76,6 +76,7 @@ bench: venv
 	$(BIN)/python -m mbd_ros.report.bench.projector
 	$(BIN)/python -m mbd_ros.report.bench.controllers
 	$(BIN)/python -m mbd_ros.report.bench.contact
+	$(BIN)/python -m mbd_ros.report.bench.biomechanics
 
 against: venv
 	$(BIN)/python benchmarks/against.py $(or $(BASE),HEAD)
