@@ -2,19 +2,17 @@
 
 from collections.abc import Sequence
 from itertools import accumulate
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
 
-from mbd_ros.compiled.code.emit import Signature, Source, emit
-from mbd_ros.compiled.symbols.searched_paths import SURFACES, SearchedPaths
+from mbd_ros.compiled.code.emit import emit
+from mbd_ros.compiled.code.path_tables import NATIVE, c_row, row_of, search_text
+from mbd_ros.compiled.code.source import Signature, Source
+from mbd_ros.compiled.symbols.searched_paths import SearchedPaths
 from mbd_ros.compiled.symbols.trace import ARGUMENTS, Traced
-from mbd_ros.core.model.wrapping.ellipsoid import Ellipsoid
 
 SEARCH = "search_paths"  # from t, q and p to what is searched
-NATIVE = Path(__file__).parents[1] / "native"
-_TYPES = ("surfaces.h", "ellipsoid.h", "geodesics.h", "chain.h", "geodesic_search.h", "routes.h")
 _WORK = "work"
 
 
@@ -68,7 +66,7 @@ def _searching(source: Source, asking: Sequence[Any], searched: SearchedPaths) -
 def _tables(searched: SearchedPaths) -> str:
     """Surfaces, ranges and paths, and the code that searches."""
     paths = [one.path for one in searched]
-    surfaces = [_surface(wrap.surface) for path in paths for wrap in path.wraps]
+    surfaces = [c_row(row_of(wrap.surface)) for path in paths for wrap in path.wraps]
     ends = [f"{{{i}, {r.first}, {r.last}}}" for i, r in enumerate(_reaches(paths))]
     first = [0, *accumulate(len(path.wraps) for path in paths)]
     of = [
@@ -83,26 +81,16 @@ def _tables(searched: SearchedPaths) -> str:
         "WRAP_NUMBERS": searched.symbols.numel(),
     }
     lines = [f"#define {name} {value}\n" for name, value in numbers.items()]
-    lines += [(NATIVE / name).read_text(encoding="utf-8") for name in _TYPES]
+    lines.append(search_text())
     lines.append(f"static const Surface wrap_surfaces[] = {{{', '.join(surfaces)}}};\n")
     lines.append(f"static const WrapReach wrap_reaches[] = {{{', '.join(ends)}}};\n")
     lines.append(f"static const WrapPath wrap_paths[] = {{{', '.join(of)}}};\n")
-    lines.append((NATIVE / "wraps.h").read_text(encoding="utf-8"))
+    lines.append((NATIVE / "searched_paths.h").read_text(encoding="utf-8"))
     return "".join(lines)
 
 
 def _reaches(paths: Sequence[Any]) -> list[Any]:
     return [reach for path in paths for reach in path.reaches]
-
-
-def _surface(surface: Any) -> str:
-    """A surface as `Surface` of native/surfaces.h has it."""
-    half_axes = surface.half_axes.tolist() if isinstance(surface, Ellipsoid) else [0.0] * 3
-    numbers = [surface.sign, surface.size, getattr(surface, "half_length", 0.0)]
-    sign, size, half = (float(number).hex() for number in numbers)
-    axes = ", ".join(float(axis).hex() for axis in half_axes)
-    kind = SURFACES.index(type(surface))
-    return f"{{{kind}, {surface.axis}, {sign}, {size}, {half}, {{{axes}}}}}"
 
 
 def _calling(name: str, signature: Signature) -> str:

@@ -47,16 +47,17 @@ static double add_line(const Router *r, const Solved *on, int line, double *by_p
 }
 
 /* One path; whether it is found. */
-static int find_path(const WrapPath *path, const double *at, double *out) {
+static int find_path(const Surface *surfaces, const WrapPath *path, const WrapReach *reaches,
+                     const double *at, double *out) {
   Router r;
   Held held;
   double *by_points = out + 1, *by_wraps = by_points + 3 * path->points;
   r.path = path;
-  r.reaches = wrap_reaches + path->first;
+  r.reaches = reaches;
   r.points = at;
   r.count = 0;
   for (int w = 0; w < path->wraps; w++) {
-    r.places[w].surface = wrap_surfaces + r.reaches[w].surface;
+    r.places[w].surface = surfaces + reaches[w].surface;
     memcpy(r.places[w].place, at + 3 * path->points + 12 * w, 12 * sizeof *at);
   }
   if (!settle_route(&r, &held)) return 0;
@@ -68,30 +69,9 @@ static int find_path(const WrapPath *path, const double *at, double *out) {
   return 1;
 }
 
-/* All paths; what is not found has no number. */
-static void find_paths(const double *at, double *out) {
-  for (int i = 0; i < WRAP_PATHS; i++) {
-    const WrapPath *path = wrap_paths + i;
-    int size = 1 + 3 * path->points + 6 * path->wraps;
-    if (!find_path(path, at, out))
-      for (int k = 0; k < size; k++) out[k] = NAN;
-    at += 3 * path->points + 12 * path->wraps;
-    out += size;
-  }
+/* One path or none: what is not found has no number. */
+static void find_or_leave(const Surface *surfaces, const WrapPath *path, const WrapReach *reaches,
+                          const double *at, double *out) {
+  if (find_path(surfaces, path, reaches, at, out)) return;
+  for (int k = 0; k < 1 + 3 * path->points + 6 * path->wraps; k++) out[k] = NAN;
 }
-
-static int are_found(const double *paths) {
-  for (int i = 0; i < WRAP_NUMBERS; i++)
-    if (paths[i] != paths[i]) return 0;
-  return 1;
-}
-
-/* What functions of the scene ask for at a state. */
-static void search_paths(const double *t, const double *q, const double *p, double *out,
-                         double *work) {
-  double at[WRAP_PLACES];
-  path_places(t, q, p, at, work);
-  find_paths(at, out);
-}
-
-EXPORT void call_search_paths(void *const *at) { search_paths(at[0], at[1], at[2], at[3], at[4]); }

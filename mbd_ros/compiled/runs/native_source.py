@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from mbd_ros.compiled.code.emit import Source
+from mbd_ros.compiled.code.source import Source
 
 NATIVE = Path(__file__).parents[1] / "native"
 _FILES = (

@@ -5,14 +5,10 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
+from mbd_ros.compiled.code.path_tables import SURFACES
 from mbd_ros.compiled.symbols.scalar import numbers, plain
 from mbd_ros.compiled.symbols.untraceable import Untraceable
-from mbd_ros.core.model.wrapping.cylinder import Cylinder
-from mbd_ros.core.model.wrapping.ellipsoid import Ellipsoid
-from mbd_ros.core.model.wrapping.sphere import Sphere
 from mbd_ros.core.model.wrapping.taut import Taut
-
-SURFACES = (Cylinder, Sphere, Ellipsoid)  # in the order of `kind` of native/surfaces.h
 
 
 class SearchedPath(NamedTuple):

@@ -1,7 +1,7 @@
 """Lengths, speeds and moment arms of all paths over many samples."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,12 +34,16 @@ class PathBatch:
         robot: The robot.
         couplings: Its dependent joints.
         paths: By name.
+        search: As for `SampledKinematics`; numpy's own by default.
 
     Attributes:
         names: Of the paths, in the order of the results.
     """
 
-    def __init__(self, robot: Robot, couplings: Couplings, paths: Mapping[str, Path]) -> None:
+    def __init__(
+        self, robot: Robot, couplings: Couplings, paths: Mapping[str, Path], search: Any = None
+    ) -> None:
+        self._search = search
         self._robot, self._couplings = robot, couplings
         self.names, self._paths = tuple(paths), tuple(paths.values())
         self._joints = carriers(robot)
@@ -55,7 +59,7 @@ class PathBatch:
             SolveError: A geodesic is not found.
         """
         q, slopes = self._expanded(y)
-        k, n = SampledKinematics(self._robot, q, self._joints), len(y)
+        k, n = SampledKinematics(self._robot, q, self._joints, self._search), len(y)
         lengths, arms = np.empty((n, len(self._paths))), []
         for i, path in enumerate(self._paths):
             lengths[:, i], slope = path.sampled(k)

@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -20,12 +22,17 @@ class SampledKinematics:
         robot: The robot.
         q: Configurations, shape (n, nq).
         joints: Indices of the joints that carry what is asked for.
+        search: Finds paths that wrap, as `wrapping.taut.taut` does, from path, points and places.
 
     Attributes:
         q: As given.
+        search: As given.
     """
 
-    def __init__(self, robot: Robot, q: Array, joints: NDArray[np.intp]) -> None:
+    def __init__(
+        self, robot: Robot, q: Array, joints: NDArray[np.intp], search: Any = None
+    ) -> None:
+        self.search = search
         self._robot, self.q, self._joints = robot, q, joints
         n, model = len(q), robot.model
         self._columns = [_supporting(model, joint) for joint in joints]

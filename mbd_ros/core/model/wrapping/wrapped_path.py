@@ -171,10 +171,7 @@ class WrappedPath(Path):
             Placed(wrap.surface, k.rotation(wrap.point), k.position(wrap.point))
             for wrap in self.wraps
         ]
-        try:
-            length, by_points, by_wraps = taut(points, self.reaches, places)
-        except SolveError as error:
-            raise self._named(error) from error
+        length, by_points, by_wraps = self._taut(points, places, k.search)
         slopes = slopes_of(k, self.points, points, by_points)
         wrenches: dict[int, Array] = {}
         for i, wrap in enumerate(self.wraps):
@@ -188,8 +185,11 @@ class WrappedPath(Path):
         points = np.array([[point.position(k, x) for point in self.points]])
         return [wrap.placed(k) for wrap in self.wraps], points
 
-    def _taut(self, points: Array, places: list[Placed]) -> Taut:
+    def _taut(self, points: Array, places: list[Placed], search: Any = None) -> Taut:
         try:
+            if search is not None:
+                found: Taut = search(self, points, places)
+                return found
             return taut(points, self.reaches, places)
         except SolveError as error:
             raise self._named(error) from error
