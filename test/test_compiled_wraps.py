@@ -14,7 +14,9 @@ from mbd_ros.compiled.runs.implicit_method import compiled_system
 from mbd_ros.compiled.symbols.trace import trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.path_batch import PathBatch
 from mbd_ros.errors import SceneError
+from mbd_ros.scene.path_search import QuickestSearch
 
 pytest.importorskip("casadi", reason="casadi traces scenes")
 KNOWN = [name for name in WRAPS if name != "torus"]
@@ -93,3 +95,28 @@ def test_arm26_is_that_of_the_plain_tier(data_dir, tmp_path):
     states = [some_state(system, rng) for _ in range(12)]
     states = [y._replace(q=rng.uniform((-1.5, 0.0), (3.0, 2.2))) for y in states]
     assert differences(system, states).max() < 1e-10
+
+
+@pytest.mark.parametrize("wraps", WRAPS)
+def test_moment_arms_are_those_of_numpy(wraps):
+    """Tori are left to numpy."""
+    scene = mbd.scene_from(
+        {"paths": {"over": {"points": POINTS, "wraps": WRAPS[wraps]}}}, urdf="arm7"
+    )
+    y = np.random.default_rng(4).uniform(-1.5, 1.5, (40, 7))
+    asked = scene.robot, scene.couplings, scene.parts["paths"]
+    own, native = (PathBatch(*asked, search).evaluate(y) for search in (None, QuickestSearch()))
+    assert np.abs(own.lengths - native.lengths).max() < 1e-12
+    assert np.abs(own.arms - native.arms).max() < 1e-12
+
+
+def test_moment_arms_need_no_compiler(monkeypatch):
+    monkeypatch.setenv("CC", "no_such_compiler")
+    scene = mbd.scene_from(
+        {"paths": {"over": {"points": POINTS, "wraps": WRAPS["sphere"]}}}, urdf="arm7"
+    )
+    asked = scene.robot, scene.couplings, scene.parts["paths"]
+    own, other = (
+        PathBatch(*asked, s).evaluate(np.zeros((1, 7))) for s in (None, QuickestSearch())
+    )
+    assert own.lengths == other.lengths and (own.arms == other.arms).all()

@@ -81,13 +81,13 @@ static void conditions(const Contact *c, const Line *line, double sign, const Co
 }
 
 /* Completes geodesics and tells what their path lacks; 0 where one cannot be followed. */
-static int link_arcs(const double *a, const double *b, int count, const Placed *over, Arc *arcs,
-                     double *errors, double slopes[UNKNOWNS][UNKNOWNS]) {
+static int link_arcs(const double *a, const double *b, int count, const Placed *over,
+                     int is_rough, Arc *arcs, double *errors, double slopes[UNKNOWNS][UNKNOWNS]) {
   Contact ends[MOST_WRAPS][2];
   Line lines[MOST_WRAPS + 1];
   for (int i = 0; i < count; i++) {
     Flow flow;
-    if (!follow(over[i].surface, arcs + i, &flow)) return 0;
+    if (!follow(over[i].surface, is_rough, arcs + i, &flow)) return 0;
     Contact *first = ends[i], *last = ends[i] + 1;
     contact_at(over + i, arcs[i].start, arcs[i].direction, first);
     contact_at(over + i, arcs[i].end, flow.direction, last);
@@ -156,29 +156,33 @@ static void move_arc(const Surface *s, const double *step, Arc *arc) {
   arc->length = fmin(fmax(arc->length + share * step[3], -most), most);
 }
 
-/* Newton's method from a guess, with steps that are halved until they help; whether it got there. */
+/* Newton's method from a guess, with steps that are halved until they help; whether it got there.
+ * Far from the solution geodesics are followed roughly.
+ */
 static int shortest(const double *a, const double *b, int count, const Placed *over, Arc *arcs) {
   double steps[UNKNOWNS] = {0.0}, slopes[UNKNOWNS][UNKNOWNS], share = 1.0, best = INFINITY;
-  int n = 4 * count;
+  int n = 4 * count, is_rough = 0;
   for (int round = 0; round < 30; round++) {
     Arc tried[MOST_WRAPS];
     double scaled[UNKNOWNS], errors[UNKNOWNS], worst = 0.0;
+    int was_rough = is_rough;
+    is_rough = best > 1.0e-3;
     for (int i = 0; i < n; i++) scaled[i] = share * steps[i];
     for (int i = 0; i < count; i++) {
       tried[i] = arcs[i];
       move_arc(over[i].surface, scaled + 4 * i, tried + i);
     }
-    if (!link_arcs(a, b, count, over, tried, errors, slopes)) return 0;
+    if (!link_arcs(a, b, count, over, is_rough, tried, errors, slopes)) return 0;
     for (int i = 0; i < n; i++) worst += errors[i] * errors[i];
     worst = sqrt(worst);
-    int is_better = worst < best || share <= 0x1p-8;
+    int is_better = worst < best || share <= 0x1p-8 || was_rough > is_rough;
     if (!is_better && best < 1.0e-10) return 1;
     if (!is_better) {
       share /= 2.0;
       continue;
     }
     memcpy(arcs, tried, count * sizeof *arcs);
-    if (worst < 1.0e-13) return 1;
+    if (worst < 1.0e-13 && !is_rough) return 1;
     best = worst;
     share = 1.0;
     for (int i = 0; i < n; i++) {

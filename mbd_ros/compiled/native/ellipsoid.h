@@ -7,104 +7,121 @@
  * 14, 2005, 99.
  */
 #define TERMS 18
+#define ROUGH_TERMS 10  /* far from the solution */
 #define STEPS_OF_GEODESIC 200
 
+typedef double eight __attribute__((vector_size(64)));
+
+/* Coefficients: x in the first three places, two fields y in the next, x' = t in the last; y'. */
 typedef struct {
-  double x[3][TERMS + 2], t[3][TERMS + 2], y[2][TERMS + 2];
+  eight all[TERMS + 1];
+  double slopes[2][TERMS + 1];
 } Series;
 
-static double convolve(int k, const double *a, const double *b) {
-  double sum = 0.0;
-  for (int j = 0; j <= k; j++) sum += a[j] * b[k - j];
+/* Coefficient k of products, place by place, from a first term on. */
+static inline eight product(int k, int first, const eight *a, const eight *b) {
+  eight even = {0.0}, odd = {0.0};
+  int j = first;
+  for (; j < k; j += 2) {
+    even += a[j] * b[k - j];
+    odd += a[j + 1] * b[k - j - 1];
+  }
+  if (j == k) even += a[k] * b[0];
+  return even + odd;
+}
+
+/* The same of squares. */
+static inline eight squared(int k, const eight *a) {
+  eight sum = {0.0};
+  for (int j = 0; 2 * j < k; j++) sum += a[j] * a[k - j];
+  sum += sum;
+  if (k % 2 == 0) sum += a[k / 2] * a[k / 2];
   return sum;
 }
 
-/* The square of a series at order k. */
-static double squared(int k, const double *a) {
-  double sum = 0.0;
-  for (int j = 0; 2 * j < k; j++) sum += a[j] * a[k - j];
-  sum += sum;
-  return k % 2 ? sum : sum + a[k / 2] * a[k / 2];
-}
-
-/* Series of a geodesic and of its Jacobi fields from x, t, y and their slopes. */
-static void series_of(const double *h, Series *f) {
-  double s[TERMS + 2], r[TERMS + 2], g[TERMS + 2], q[TERMS + 2];
-  double product = h[0] * h[1] * h[2];
-  for (int k = 0; k < TERMS; k++) {
-    double u = 0.0;
-    s[k] = 0.0;
-    for (int i = 0; i < 3; i++) {
-      u += h[i] * squared(k, f->t[i]);
-      s[k] += h[i] * h[i] * squared(k, f->x[i]);
+/* Series of a geodesic and of its Jacobi fields from x, t, y and their slopes. With s = |H x|^2
+ * x'' = -r H x where s r = t . H t, and y'' = -K y where s K' = -2 s' K.
+ */
+static void series_of(const double *h, int terms, Series *f) {
+  eight left[TERMS], right[TERMS], pulls[TERMS];
+  const eight weights = {h[0] * h[0], h[1] * h[1], h[2] * h[2], 0.0, 0.0, h[0], h[1], h[2]};
+  double over = 0.0;
+  for (int k = 0; k < terms; k++) {
+    const eight parts = weights * squared(k, f->all), now = f->all[k];
+    double s = parts[0] + parts[1] + parts[2], r = parts[5] + parts[6] + parts[7], gauss;
+    left[k] = (eight){s, s, k * s};
+    if (k) {
+      const eight sums = product(k, 1, left, right);
+      r = (r - sums[0]) * over;
+      gauss = -(sums[1] + sums[2] / k) * over;
+    } else {
+      over = 1.0 / s;
+      r *= over;
+      gauss = h[0] * h[1] * h[2] * over * over;
     }
-    for (int j = 1; j <= k; j++) u -= s[j] * r[k - j];
-    r[k] = u / s[0];
-    q[k] = squared(k, s);
-    double gauss = k ? 0.0 : product;
-    for (int j = 1; j <= k; j++) gauss -= q[j] * g[k - j];
-    g[k] = gauss / q[0];
-    for (int i = 0; i < 3; i++) {
-      f->t[i][k + 1] = -h[i] * convolve(k, r, f->x[i]) / (k + 1);
-      f->x[i][k + 1] = f->t[i][k] / (k + 1);
-    }
-    for (int i = 0; i < 2; i++)
-      f->y[i][k + 2 <= TERMS ? k + 2 : TERMS + 1] =
-          -convolve(k, g, f->y[i]) / ((k + 1) * (k + 2));
+    right[k] = (eight){r, gauss, gauss};
+    pulls[k] = (eight){r, r, r, gauss, gauss};
+    const eight bent = product(k, 0, pulls, f->all);
+    double share = 1.0 / (k + 1);
+    f->all[k + 1] = share * (eight){now[5], now[6], now[7], f->slopes[0][k], f->slopes[1][k],
+                                    -h[0] * bent[0], -h[1] * bent[1], -h[2] * bent[2]};
+    f->slopes[0][k + 1] = -share * bent[3];
+    f->slopes[1][k + 1] = -share * bent[4];
   }
 }
 
-static double at_length(const double *c, double l) {
-  double sum = c[TERMS];
-  for (int k = TERMS - 1; k >= 0; k--) sum = sum * l + c[k];
+static eight at_length(int terms, const Series *f, double l) {
+  eight sum = f->all[terms];
+  for (int k = terms - 1; k >= 0; k--) sum = sum * l + f->all[k];
   return sum;
 }
 
-static double slope_at(const double *c, double l) {
-  double sum = TERMS * c[TERMS];
-  for (int k = TERMS - 1; k >= 1; k--) sum = sum * l + k * c[k];
+static double slope_at(int terms, const double *c, double l) {
+  double sum = c[terms];
+  for (int k = terms - 1; k >= 0; k--) sum = sum * l + c[k];
   return sum;
 }
 
-/* How far series hold to rounding. */
-static double reach_of(const Series *f, double size) {
-  double least = INFINITY;
-  for (int k = TERMS - 1; k <= TERMS; k++) {
-    double most = 0.0;
-    for (int i = 0; i < 3; i++) most = fmax(most, fabs(f->x[i][k]));
-    least = fmin(least, pow(1.0e-17 * size / (most > 0.0 ? most : 1.0e-300), 1.0 / k));
+/* How far series hold, to rounding where all terms are taken. */
+static double reach_of(const Series *f, int terms, double size) {
+  double least = INFINITY, wanted = terms < TERMS ? 1.0e-6 * size : 1.0e-16 * size;
+  for (int k = terms - 1; k <= terms; k++) {
+    const eight last = f->all[k];
+    double most = fmax(fmax(fabs(last[0]), fabs(last[1])), fmax(fabs(last[2]), 1.0e-300));
+    least = fmin(least, exp(log(wanted / most) / k));
   }
   return least;
 }
 
-static int ellipsoid_flow(const Surface *s, Arc *arc, Flow *flow) {
+static int ellipsoid_flow(const Surface *s, int is_rough, Arc *arc, Flow *flow) {
   double h[3], left = arc->length, half = 0.5 * arc->length, way = left < 0.0 ? -1.0 : 1.0;
+  int terms = is_rough ? ROUGH_TERMS : TERMS;
+  const double *x = arc->start, *t = arc->direction;
   Series f;
-  double y[2][2] = {{1.0, 0.0}, {0.0, 1.0}}, x[3], t[3];
-  for (int i = 0; i < 3; i++) h[i] = 1.0 / (s->a[i] * s->a[i]);
-  memcpy(x, arc->start, sizeof x);
-  memcpy(t, arc->direction, sizeof t);
-  memcpy(arc->middle, x, sizeof x);
+  f.all[0] = (eight){x[0], x[1], x[2], 1.0, 0.0, t[0], t[1], t[2]};
+  f.slopes[0][0] = 0.0;
+  f.slopes[1][0] = 1.0;
+  for (int i = 0; i < 3; i++) {
+    h[i] = 1.0 / (s->a[i] * s->a[i]);
+    arc->middle[i] = x[i];
+  }
   for (int step = 0; step < STEPS_OF_GEODESIC; step++) {
-    for (int i = 0; i < 3; i++) f.x[i][0] = x[i], f.t[i][0] = t[i];
-    for (int i = 0; i < 2; i++) f.y[i][0] = y[i][0], f.y[i][1] = y[i][1];
-    series_of(h, &f);
-    double l = reach_of(&f, s->size);
+    series_of(h, terms, &f);
+    double l = reach_of(&f, terms, s->size);
     int is_last = !(l < fabs(left));
     l = is_last ? left : way * l;
-    if (way * half >= 0.0 && way * (half - l) <= 0.0)
-      for (int i = 0; i < 3; i++) arc->middle[i] = at_length(f.x[i], half);
-    for (int i = 0; i < 3; i++) x[i] = at_length(f.x[i], l), t[i] = at_length(f.t[i], l);
-    for (int i = 0; i < 2; i++) {
-      double before[2] = {at_length(f.y[i], l), slope_at(f.y[i], l)};
-      memcpy(y[i], before, sizeof before);
+    if (way * half >= 0.0 && way * (half - l) <= 0.0) {
+      const eight middle = at_length(terms, &f, half);
+      for (int i = 0; i < 3; i++) arc->middle[i] = middle[i];
     }
+    const eight end = at_length(terms, &f, l);
+    for (int i = 0; i < 2; i++) f.slopes[i][0] = slope_at(terms, f.slopes[i], l);
+    f.all[0] = end;
     half -= l;
     left -= l;
     if (is_last) {
-      Flow found = {{t[0], t[1], t[2]}, {y[0][0], y[0][1]}, {y[1][0], y[1][1]}};
-      *flow = found;
-      memcpy(arc->end, x, sizeof x);
+      *flow = (Flow){{end[5], end[6], end[7]}, {end[3], f.slopes[0][0]}, {end[4], f.slopes[1][0]}};
+      for (int i = 0; i < 3; i++) arc->end[i] = end[i];
       return 1;
     }
   }

@@ -27,9 +27,9 @@ static int touch_surface(const Surface *s, const double *a, const double *b, int
   return code;
 }
 
-/* Completes an arc; whether it can be followed. */
-static int follow(const Surface *s, Arc *arc, Flow *flow) {
-  if (s->kind == ELLIPSOID) return ellipsoid_flow(s, arc, flow);
+/* Completes an arc, roughly where that is enough; whether it can be followed. */
+static int follow(const Surface *s, int is_rough, Arc *arc, Flow *flow) {
+  if (s->kind == ELLIPSOID) return ellipsoid_flow(s, is_rough, arc, flow);
   if (s->kind == CYLINDER) cylinder_flow(s, arc, flow);
   else sphere_flow(s, arc, flow);
   return 1;

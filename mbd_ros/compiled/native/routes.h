@@ -160,7 +160,7 @@ static int try_wrap(Router *r, Held *held, int which) {
   }
   if (chosen >= 0) {
     Flow flow;
-    if (!follow(r->places[which].surface, &guess, &flow)) return 0;
+    if (!follow(r->places[which].surface, 1, &guess, &flow)) return 0;
   }
   int changed[MOST_LINES];
   for (int line = 0; line < lines; line++) {

@@ -1,7 +1,6 @@
 """Kinematics of many configurations: arrays over all of them in place of calls for each."""
 
 from collections.abc import Mapping
-
 from typing import Any
 
 import numpy as np
