@@ -16,11 +16,8 @@ from mbd_ros.core.state import Array
 
 _WRAPS, _LINES = 8, 31  # of a path
 _HEAD = '#define EXPORT __attribute__((visibility("default")))\n'
-_ROW = np.dtype(
-    [("kind", "i4"), ("axis", "i4"), ("sign", "f8"), ("size", "f8"), ("half", "f8")]
-    + [("axes", "f8", 3)],
-    align=True,
-)
+_NUMBERS = (("sign", "f8"), ("size", "f8"), ("half", "f8"), ("axes", "f8", 3))
+_ROW = np.dtype([("kind", "i4"), ("axis", "i4"), *_NUMBERS], align=True)
 
 
 class PathSearch:
