@@ -38,7 +38,8 @@ venv: .venv/installed
 
 test: venv .venv/report
 	$(BIN)/python -m pytest -n 2 --dist worksteal --ignore=test/nodes
-	$(BIN)/python -m pytest test/nodes
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not soak and not alone" test/nodes
+	$(BIN)/python -m pytest -m "alone and not soak" test/nodes
 
 demo: venv
 	$(BIN)/mbd-ros demo -o demo_out
@@ -75,6 +76,7 @@ bench: venv
 	$(BIN)/python -m mbd_ros.report.bench.projector
 	$(BIN)/python -m mbd_ros.report.bench.controllers
 	$(BIN)/python -m mbd_ros.report.bench.contact
+	$(BIN)/python -m mbd_ros.report.bench.biomechanics
 
 against: venv
 	$(BIN)/python benchmarks/against.py $(or $(BASE),HEAD)

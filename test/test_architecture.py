@@ -39,6 +39,7 @@ CORE_ORDER = (  # of the subjects in `core`: the same
     "names",
     "ranges",
     "thresholds",
+    "vectors",
     "row_laws",
     "model",
     "outputs",

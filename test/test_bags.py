@@ -11,6 +11,8 @@ import pytest
 import yaml
 
 from mbd_ros.errors import DataError
+from mbd_ros.files.bag_blocks import raw_blocks
+from mbd_ros.files.bag_rows import Rows
 from mbd_ros.files.bags import BagWriter, messages, new_message, raw_messages, topic_types
 from msg_adapters.joint_state import write_joint_state
 
@@ -57,6 +59,29 @@ def test_raw_messages_come_in_order_and_copy_to_an_equal_bag(tmp_path, place):
         for message in raw:
             bag.write(message.topic, message.msgtype, message.log_time, message.cdr)
     assert list(raw_messages(tmp_path / "copy")) == raw
+
+
+@pytest.mark.parametrize("count", [1, 31, 32, 33, 100])
+@pytest.mark.parametrize("place", ["out.mcap", "out.db3"])
+def test_blocks_of_any_length_are_the_messages_one_by_one(tmp_path, place, count):
+    """Two topics, of which the second has every other time of the first, and then later ones."""
+    rng, parts = np.random.default_rng(count), []
+    for k, topic in enumerate("ab"):
+        times = 10 + (k + 1) * np.arange(count, dtype=np.int64)
+        cdr = rng.integers(0, 256, (count, 8 + 4 * k), dtype=np.uint8)
+        parts.append(Rows(f"/{topic}", JOINT_STATE, times, cdr))
+    with BagWriter(tmp_path / place) as bag:
+        bag.write_rows(parts)
+    each = [
+        (int(t), part.topic, bytes(row))
+        for part in parts
+        for t, row in zip(*part[2:], strict=True)
+    ]
+    found = [(raw.log_time, raw.topic, raw.cdr) for raw in raw_messages(tmp_path / place)]
+    assert found == sorted(each, key=lambda one: one[0])
+    for part in parts:
+        blocks = list(raw_blocks(tmp_path / place, part.topic, JOINT_STATE))
+        assert np.concatenate([block.rows() for block in blocks]).tobytes() == part.cdr.tobytes()
 
 
 def test_folder_is_mcap_named_after_itself(tmp_path):

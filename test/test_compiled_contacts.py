@@ -85,15 +85,47 @@ def test_a_block_slides_on_four_feet_and_stays_where_it_stops():
     assert compiled.stepper.handed_over <= 2
 
 
-def test_a_stool_on_three_feet_turns_as_it_slides():
-    points = [[0.3, 0.0, 0.0], [-0.2, 0.25, 0.0], [-0.2, -0.25, 0.0]]
-    box = {"shape": {"box": [0.5, 0.5, 0.2]}, "mass": 2.0, "pose": {"xyz": [0.0, 0.0, 0.3]}}
-    contact = {"type": "rigid", "between": [{"frame": "stool", "points": points}, "ground"]}
-    twist = {"linear": [1.5, 0.3, 0.0], "angular": [0.0, 0.0, 3.0]}
-    entries = {"contacts": [{**contact, "friction": 0.3, "restitution": 0.2}]}
-    entries["initial"] = {"twist": {"stool": twist}}
-    compiled = compared(scene_from({"bodies": {"stool": box}, **entries}), Rk4(), 0.01, 0.5)
-    assert compiled.stepper.handed_over < compiled.steps
+THREE = [[0.3, 0.0, 0.0], [-0.2, 0.25, 0.0], [-0.2, -0.25, 0.0]]
+FOUR = [[x, y, 0.0] for x in (-0.25, 0.25) for y in (-0.25, 0.25)]
+STOOLS = {
+    "three": ([THREE], (0.0, 0.0)),
+    "four": ([FOUR], (0.0, 0.0)),
+    "far": ([THREE], (80.0, -60.0)),
+    "two stools": ([THREE, FOUR], (0.0, 0.0)),
+}
+
+
+def stools(feet, at):
+    """Stools that fall on all of their feet, bounce, and turn as they slide."""
+    bodies, contacts, twists = {}, [], {}
+    for i, points in enumerate(feet):
+        name, pose = f"stool_{i}", {"xyz": [at[0] + 3.0 * i, at[1], 0.3 + 0.05 * i]}
+        bodies[name] = {"shape": {"box": [0.5, 0.5, 0.2]}, "mass": 2.0, "pose": pose}
+        between = [{"frame": name, "points": points}, "ground"]
+        laws = {"friction": 0.3, "restitution": 0.2}
+        contacts.append({"type": "rigid", "between": between, **laws})
+        twists[name] = {"linear": [1.5, 0.3, 0.0], "angular": [0.0, 0.0, 3.0]}
+    return scene_from({"bodies": bodies, "contacts": contacts, "initial": {"twist": twists}})
+
+
+@pytest.mark.parametrize(("feet", "at"), STOOLS.values(), ids=STOOLS)
+def test_stools_turn_as_they_slide_without_a_plain_step(feet, at):
+    compiled = compared(stools(feet, at), Rk4(), 0.01, 0.5)
+    assert compiled.stepper.plain_steps == 0
+
+
+@pytest.mark.parametrize("feet", [THREE, FOUR], ids=["three", "four"])
+def test_stools_with_an_event_in_every_fifth_step_cost_a_fraction_of_plain_steps(feet):
+    """Measured: 6 and 8 times less, warm, the shortest of several."""
+    scene, seconds = stools([feet], (0.0, 0.0)), ([], [])
+    both = simulations(scene, Rk4(), 0.01)
+    for _ in range(12):
+        for simulation, times in zip(both, seconds, strict=True):
+            begin = time.process_time()
+            list(simulation.run(scene.initial, 0.5))
+            times.append(time.process_time() - begin)
+    assert len(both[0].events) == 10
+    assert 4.0 * min(seconds[0]) < min(seconds[1])
 
 
 def test_a_sphere_begins_to_roll_at_a_third_of_the_cost_of_plain_steps():

@@ -20,7 +20,7 @@ from mbd_ros.demo.choices import LAWS, ROBOTS
 from mbd_ros.demo.files import MASS_SCALE, MODEL, PLANT, RATE, write_gains, write_scenes
 from mbd_ros.demo.folder import replacing_folder
 from mbd_ros.demo.page import Content, page
-from mbd_ros.demo.tables import Table, lines
+from mbd_ros.demo.summary import Table, lines
 from mbd_ros.demo.task import disturbance, trajectory
 from mbd_ros.errors import DataError
 from mbd_ros.scene.reader import load_scene

@@ -165,13 +165,16 @@ def test_a_task_file_says_the_same_and_options_win(files, capsys):
     assert asked["reserves"] == {"shoulder": 2.0, "elbow": 3.0}
 
 
-def test_several_motions_go_into_a_folder(files):
+def test_several_motions_go_into_a_folder(files, capsys):
     motion(20, 0.3).to(files / "small.csv")
     words = ["muscles", files / "arm.yaml", files / "swing.csv", files / "small.csv"]
     words += ["-o", files / "all", "--reserves", "1", "--workers", "1"]
     assert main([str(word) for word in words]) == 0
     assert mbd.read_result(files / "all" / "small.csv")["samples"].rows == 20
     assert mbd.read_result(files / "all" / "swing.csv")["samples"].rows == 40
+    words += ["--external", "a.xml", "b.xml", "c.xml"]
+    assert main([str(word) for word in words]) == 2
+    assert "--external names 3 files for 2 motions" in capsys.readouterr().err
 
 
 def test_measured_activations_are_least(arm, tmp_path):

@@ -159,6 +159,22 @@ def test_arm26_without_wraps_moves_as_in_opensim(data_dir, tmp_path, solver):
     assert end.v == pytest.approx(OPENSIM["v"], abs=near)
 
 
+@pytest.mark.parametrize("name", ["muscle_arm", "muscle_leg"])
+def test_energy_of_the_scenes_grows_by_the_work_of_their_muscles(name, tmp_path):
+    """Steps of all excitations, away from lengths that jump; to 1e-6 of what is exchanged."""
+    scene, rng = load_scene(SCENES / f"{name}.yaml"), np.random.default_rng(5)
+    rows = [[0.0, *rng.uniform(0.02, 0.3, len(scene.muscles))]]
+    rows.append([0.02, *rng.uniform(0.02, 0.3, len(scene.muscles))])
+    header = ",".join(("time", *scene.inputs.names))
+    np.savetxt(tmp_path / "u.csv", rows, delimiter=",", header=header, comments="")
+    given = {"efforts": tmp_path / "u.csv", "dt": 5e-5, "integrator": PRECISE}
+    samples = simulate(scene, 0.04, **given)[MAIN]
+    power = [samples[f"{part.name}.fiber_power"] for part in scene.muscles]
+    power += [-samples[f"{part.name}.damping_loss"] for part in scene.muscles]
+    energy, work = samples["energy"], simpson(np.sum(power, axis=0), x=samples["time"])
+    assert energy[-1] - energy[0] == pytest.approx(work, abs=1e-6 * np.ptp(energy))
+
+
 def random_runs(name, count, duration):
     """Ends of runs with random excitations, with the scene."""
     scene = load_scene(SCENES / f"{name}.yaml").with_(solver={"type": "compiled"})

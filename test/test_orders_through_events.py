@@ -110,8 +110,8 @@ def exact():
             y[0], counts[0] = LOWER, counts[0] + 1
             way = next_way(y)
         elif found.t_events[1].size:
-            y[3] = 0.0
-            way, counts[1] = next_way(y), counts[1] + 1
+            y[3], counts[1] = 0.0, counts[1] + 1
+            way = next_way(y) if way else -int(math.copysign(1, holding(y)))  # what sticks breaks
         else:
             shown.append(y)
     return np.array(shown), tuple(counts)

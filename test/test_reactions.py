@@ -170,11 +170,11 @@ def test_wrenches_of_a_force_do_the_work_of_its_generalized_force(name):
     entry = with_paths(part, part.example, name, robot, {})
     force = schema.call(part, entry, name, robot)
     model, data, rng = robot.model, robot.model.createData(), np.random.default_rng(6)
-    x = State(0.3, *rng.uniform(-1, 1, (2, model.nv)))
+    x, u = State(0.3, *rng.uniform(-1, 1, (2, model.nv))), rng.normal(size=len(force.inputs))
     pin.forwardKinematics(model, data, x.q, x.v, np.zeros(model.nv))
     pin.computeJointJacobians(model, data)
     pin.updateFramePlacements(model, data)
-    wrenches = force.wrenches(Kinematics(robot, data), x, NONE)
+    wrenches = force.wrenches(Kinematics(robot, data), x, u)
     assert bool(wrenches) == bool(force.reads)
     total = np.zeros(model.nv)
     for wrench in wrenches:
@@ -182,7 +182,7 @@ def test_wrenches_of_a_force_do_the_work_of_its_generalized_force(name):
         about_origin = wrench.torque + np.cross(wrench.point, wrench.force)
         total += np.r_[wrench.force, about_origin] @ J
     if wrenches:
-        assert total == pytest.approx(force.force(Kinematics(robot, data), x, NONE), abs=1e-10)
+        assert total == pytest.approx(force.force(Kinematics(robot, data), x, u), abs=1e-10)
 
 
 def test_point_pendulum_pulls_with_its_weight_and_the_centrifugal_force():

@@ -1,14 +1,18 @@
 """Every registered part, asked with symbols: the numbers of the part, or why there are none."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from symbolic_numbers import Symbols
-from test_part_contracts import OF_A_ROBOT, arguments, moments
+from test_part_contracts import NAMED, OF_A_ROBOT, arguments, moments, part_in
 
 from mbd_ros.compiled.symbols.trace import trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
+from mbd_ros.core.parts import Load
 from mbd_ros.core.row_laws import Level
 from mbd_ros.core.rows.constraint import Constraint
+from mbd_ros.core.sensor import Sensor
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.registry import PARTS
 
@@ -40,12 +44,15 @@ def scene_with(section, name, base, rng, **more):
     """The leg, free or not, with one part of random numbers."""
     given = arguments(section, name).items()
     entry = {key: other(value, rng.uniform(0.7, 1.0)) for key, value in given}
-    parts = {section: [{"type": name, **entry, **more}]}
+    one = {"type": name, **entry, **more}
+    parts = {section: {"here": one} if section in NAMED else [one]}
     return scene_from({"robot": {"base": base}, **parts}, urdf="prosthetic_leg")
 
 
 def methods_of(part):
-    """What an equation of motion asks of a part."""
+    """What an equation of motion, or an estimate, asks of a part."""
+    if isinstance(part, Sensor):
+        yield from (partial(part.measure, now=None), part.jacobian)
     if isinstance(part, Constraint):
         yield from (part.jacobian, part.drift, part.rate, part.pushes)
         yield lambda k, x: np.vstack([part.accelerations(k, x)[0].T, part.accelerations(k, x)[1]])
@@ -59,11 +66,11 @@ def test_a_part_of_symbols_has_the_numbers_of_the_part(section, name, base):
     for seed in range(2):
         rng = np.random.default_rng([11, seed])
         scene = scene_with(section, name, base, rng)
-        ((part,),) = [scene.parts[key] for key in OF_A_ROBOT if key in scene.parts]
+        part = part_in(scene)
         nu = len(scene.inputs.channels)
         symbols, u = Symbols(scene.robot, scene.internals.nz, nu), rng.normal(size=nu)
         asked = [(method, ()) for method in methods_of(part)]
-        if not isinstance(part, Constraint):
+        if isinstance(part, Load):
             asked = [(part.force, (symbols.u,)), (part.potential, ())]
             asked += [(part.rates, (symbols.u,))] if part.internal else []
         with tracing(part):

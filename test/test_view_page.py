@@ -13,6 +13,8 @@ from PIL import Image
 
 from mbd_ros.scene.reader import load_scene
 
+pytestmark = pytest.mark.soak  # software rendering beside other tests is too slow
+
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )

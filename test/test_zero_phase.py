@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import BSpline, CubicSpline
 from scipy.linalg import solveh_banded
 from test_offline import SCENES
 
@@ -18,8 +18,8 @@ from mbd_ros.files.spool import Spool, StampSpool
 from mbd_ros.jobs.inverse.banded import Banded
 from mbd_ros.jobs.inverse.cell_basis import CellBasis
 from mbd_ros.jobs.inverse.long_stamps import Windows
+from mbd_ros.jobs.inverse.nested_splines import joined, parted
 from mbd_ros.jobs.inverse.spectrum import spectrum
-from mbd_ros.jobs.inverse.uniform_basis import UniformBasis
 from mbd_ros.jobs.inverse.zero_phase import chosen_cutoffs, low_passed, smoothed, zero_phase
 
 SECOND = 1_000_000_000
@@ -205,8 +205,32 @@ def test_cutoff_is_the_frequency_of_half_power_without_lag(rate):
         assert share == pytest.approx(np.sqrt(0.5), abs=0.03)
         assert abs(lag) < 1e-5
     windows = Windows(stamps_of(t), found.cutoff)
-    (passed,) = low_passed(windows, motion(((1.0, 3.0),), t), found.cutoff)
-    assert passed == pytest.approx(found.position, abs=1e-12)
+    ((passed, step),) = low_passed(windows, motion(((1.0, 3.0),), t), found.cutoff)
+    places = t[0] + step * (np.arange(len(passed)) + 0.5)
+    through = CubicSpline(t, found.position)(places)
+    assert passed == pytest.approx(through, abs=2e-5 if rate == 100 else 1e-8)
+    assert step * len(passed) == pytest.approx(t[-1] - t[0], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("cutoffs", "most"),
+    [
+        *(((3.0, 3.0, 3.0), 1e-9), ((0.75, 3.0, 41.0), 1e-9), ((5.0, 0.3, 90.0), 1e-9)),
+        ((1.9, 3.0, 41.0), 0.01),  # noise at the cut-off feels that cells are narrower
+    ],
+)
+def test_joints_of_any_cutoffs_are_smoothed_as_by_themselves(cutoffs, most):
+    """Looked at together, in cells of one another, or through the samples (above 40 Hz)."""
+    t, rng = np.arange(0, 20, 0.01), np.random.default_rng(11)
+    x, v = (np.hstack([motion(SLOW, t + i, k) for i in range(3)]) for k in (0, 1))
+    x, v = x + 1e-3 * rng.normal(size=x.shape), v + 1e-2 * rng.normal(size=x.shape)
+    v[:, 1] = np.nan
+    measured, cutoff, moving = ~np.isnan(v).any(axis=0), np.array(cutoffs), np.hstack([x, v])
+    ((_, *found),) = smoothed(Windows(stamps_of(t), cutoff), moving, measured, cutoff)
+    for j, own in enumerate(cutoffs):
+        alone = zero_phase(stamps_of(t), x[:, [j]], v[:, [j]], cutoff=own)
+        for ours, theirs in zip(found, alone[:3], strict=True):
+            assert np.abs(ours[:, j] - theirs[:, 0]).max() <= most * np.abs(theirs).max()
 
 
 @pytest.mark.parametrize("cutoff", [1e-300, 1e-3, 30.0, 1e300])
@@ -287,28 +311,57 @@ def test_banded_equations_are_solved_as_by_lapack(count):
         Banded(whole)
 
 
-@pytest.mark.parametrize("uneven", [0.0, 0.3, 5.0])
-def test_sums_cell_by_cell_are_those_sample_by_sample(uneven):
-    """Cells with as many samples each, with a few more or less, with very many and none."""
+def placed(cells, uneven):
+    """Samples with as many a cell each, with a few more or less, with very many and none."""
     rng = np.random.default_rng(2)
     places = np.arange(0, 40, 0.1) + 0.04
     if uneven:
         places = np.sort(np.r_[places + uneven * rng.uniform(size=400), 7 + rng.uniform(size=90)])
         places = places[(places < 20) | (places > 23)]
-    weights, values = rng.uniform(0.5, 1.0, len(places)), rng.normal(size=(len(places), 3))
-    ours, theirs = (kind(places, 45, weights) for kind in (CellBasis, UniformBasis))
-    coefficients = rng.normal(size=(50, 3))
-    some = np.array([2, 0])
-    pairs = [(ours.normal(), theirs.normal())]
-    pairs += [(ours.projected(values.T, some), theirs.projected(values.T, some))]
-    for basis in (ours, theirs):
-        found = np.full((3, len(places) - 20, 4), np.nan)
-        wanted = [(k, slice(1, 3), found[k], np.array([3, 0])) for k in range(3)]
-        basis.put(coefficients, 2.0, wanted, slice(5, len(places) - 15))
-        pairs += [(found[..., [3, 0]], found[..., [3, 0]])]
-    pairs[2:] = [(pairs[2][0], pairs[3][0])]
-    for found, expected in pairs:
-        assert np.abs(found - expected).max() <= 1e-13 * np.abs(expected).max()
+    return places * (cells / 48), rng.uniform(0.5, 1.0, len(places))
+
+
+@pytest.mark.parametrize("uneven", [0.0, 0.3, 5.0])
+@pytest.mark.parametrize("cells", [48, 400, 3000])
+def test_sums_and_values_in_rows_are_those_of_scipys_splines(cells, uneven):
+    """Several samples a cell, about one, and several cells a sample."""
+    places, weights = placed(cells, uneven)
+    basis, rng, n = CellBasis(places, cells, weights), np.random.default_rng(4), len(places)
+    knots = np.arange(-5.0, cells + 6.0)
+    for level in (0, 1, 3):
+        wide = np.arange(-5.0, cells // 2**level + 6.0)
+        theirs = BSpline.design_matrix(places / 2**level, wide, 5)
+        normal = (theirs.T @ theirs.multiply(weights[:, None])).tocsr()
+        ours = basis.normal(level)
+        for d in range(6):
+            assert np.abs(ours[5 - d, d:] - normal.diagonal(d)).max() <= 1e-12 * np.abs(ours).max()
+    values, some = rng.normal(size=(n, 4)), np.array([2, 0, 1])
+    sums = basis.projected(values, some)
+    theirs = BSpline.design_matrix(places, knots, 5).T @ (weights[:, None] * values[:, some])
+    assert np.abs(sums - theirs.T).max() <= 1e-13 * np.abs(sums).max()
+    coefficients, found = rng.normal(size=(3, cells + 5)), np.full((3, n - 20, 4), np.nan)
+    wanted = [(k, np.array([1, 2]), found[k], np.array([3, 0])) for k in range(3)]
+    basis.put(coefficients, 2.0, wanted, slice(5, n - 15))
+    exact = BSpline(knots, coefficients[1:].T, 5)
+    for k, ours in enumerate(found):
+        theirs = exact(places, nu=k)[5 : n - 15] / 2.0**k
+        assert np.abs(ours[:, [3, 0]] - theirs).max() <= 1e-12 * np.abs(theirs).max()
+        assert np.isnan(ours[:, 1:3]).all()
+
+
+def test_splines_of_pairs_of_cells_are_sums_of_splines_of_the_cells():
+    places, weights = placed(48, 0.3)
+    fine, wide = (CellBasis(places / k, 48 // k, weights) for k in (1, 2))
+    rng, n = np.random.default_rng(5), len(places)
+    values, every = rng.normal(size=(n, 3)), np.arange(3)
+    sums = wide.projected(values, every)
+    assert np.abs(joined(fine.projected(values, every)) - sums).max() <= 1e-13 * np.abs(sums).max()
+    coefficients, found = rng.normal(size=(3, 24 + 5)), np.empty((2, n, 3))
+    for own, basis, target in zip(
+        (parted(coefficients), coefficients), (fine, wide), found, strict=True
+    ):
+        basis.put(own, 1.0, [(0, every, target, every)], slice(0, n))
+    assert np.abs(found[0] - found[1]).max() <= 1e-13 * np.abs(found).max()
 
 
 def test_density_of_white_noise_below_a_motion_of_which_it_is_a_trillionth():
@@ -327,7 +380,10 @@ def test_density_of_white_noise_below_a_motion_of_which_it_is_a_trillionth():
     assert found.density[own].mean(axis=0) == pytest.approx(2e-17, rel=0.35)
 
 
-def test_stamps_in_a_file_are_as_good_as_in_memory(tmp_path, monkeypatch):
+@pytest.mark.parametrize("few", [0, 3000, 20_000, 2**24])
+def test_stamps_in_a_file_are_as_good_as_in_memory(tmp_path, monkeypatch, few):
+    """All, most, some or none of the 48 kB of stamps are in a file."""
+    monkeypatch.setattr("mbd_ros.files.spool._IN_MEMORY", few)
     monkeypatch.setattr("mbd_ros.jobs.inverse.long_stamps._TELLING", 1024)
     monkeypatch.setattr("mbd_ros.jobs.inverse.long_stamps._WINDOW", 1500)
     rng = np.random.default_rng(4)

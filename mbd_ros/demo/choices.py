@@ -24,6 +24,7 @@ class DemoRobot(NamedTuple):
     disturbance_rate: tuple[float, ...]
 
 
+WALKING = "swing of a leg with nine muscles, from markers to the load of the knee"
 LAWS = {  # law -> node that has it
     "sliding_mode": "sliding_mode_controller",
     "super_twisting": "sliding_mode_controller",

@@ -3,28 +3,43 @@
 import argparse
 from pathlib import Path
 
-from mbd_ros.demo.choices import LAWS, ROBOTS
-from mbd_ros.errors import OK
+from mbd_ros.demo.choices import LAWS, ROBOTS, WALKING
+from mbd_ros.errors import OK, DataError
 from mbd_ros.jobs.lines import say_all
 from mbd_ros.scene.locate import path_word
+
+_WALKING = "walking"
+_TIME, _LAW = 10.0, "sliding_mode"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The words that `demo` understands."""
     robots = "; ".join(f"{name}: {robot.title}" for name, robot in ROBOTS.items())
-    parser.add_argument("robot", nargs="?", choices=list(ROBOTS), default="arm", help=robots)
+    text = f"{robots}; {_WALKING}: {WALKING}, without topics"
+    parser.add_argument("robot", nargs="?", choices=[*ROBOTS, _WALKING], default="arm", help=text)
     folder, text = Path("demo_out"), "folder of bag and page (default: %(default)s)"
     parser.add_argument("-o", "--out", type=path_word, default=folder, metavar="DIR", help=text)
-    parser.add_argument("--time", type=float, default=10.0, help="simulated seconds (default: 10)")
-    parser.add_argument(
-        "--controller", choices=list(LAWS), default="sliding_mode", help="(default: %(default)s)"
-    )
+    text = f"simulated seconds of a robot (default: {_TIME:g})"
+    parser.add_argument("--time", type=float, help=text)
+    text = f"of a robot (default: {_LAW})"
+    parser.add_argument("--controller", choices=list(LAWS), help=text)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
+    time, law = arguments.time, arguments.controller
+    if arguments.robot == _WALKING:
+        if time is not None or law is not None:
+            raise DataError(
+                f"{_WALKING}: its time is that of a swing, and muscles move it; "
+                "--time and --controller are for robots"
+            )
+        from mbd_ros.demo.walking.run import walking
+
+        say_all(walking(arguments.out))
+        return OK
     from mbd_ros.demo.run import Demo, demo
 
-    order = Demo(arguments.robot, arguments.out, arguments.time, arguments.controller)
+    order = Demo(arguments.robot, arguments.out, _TIME if time is None else time, law or _LAW)
     say_all(demo(order))
     return OK

@@ -15,7 +15,11 @@ from mbd_ros.scene.strict_yaml import read_mapping
 
 RATE = 500  # Hz of simulated time: ticks, joint states and commands
 MASS_SCALE = 0.7  # of all masses and inertias in the controller's model
+BAG, PICTURE, PAGE = "bag", "demo.png", "demo.html"
 PLANT, MODEL, DESCRIPTION, GAINS = "plant.yaml", "model.yaml", "model.urdf", "controller.yaml"
+OF_LOOP = (BAG, PICTURE, PAGE, PLANT, MODEL, DESCRIPTION, GAINS)
+TABLES = ("swing", "markers", "motion", "moments", "forces")  # of the walking leg, as CSV
+KNOWN = (*OF_LOOP, *(f"{table}.csv" for table in TABLES))  # what a new demo may replace
 _ROBOTS = "package://mbd_ros/config/robots"
 _BANDWIDTH = 20.0  # 1/s
 _LAYER = 1.3  # times gain x period: a model up to 1.3 times too heavy does not chatter either

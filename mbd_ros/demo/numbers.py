@@ -13,6 +13,7 @@ from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.state import NONE, Array
 from mbd_ros.demo.files import PLANT, RATE
 from mbd_ros.demo.signals import Series, Signals
+from mbd_ros.demo.summary import Check
 from mbd_ros.forces.prescribed_torque import PrescribedTorque
 from mbd_ros.scene.reader import load_scene
 
@@ -28,14 +29,6 @@ class Latency(NamedTuple):
     median: float
     p99: float
     longest: float
-
-
-class Check(NamedTuple):
-    """Something that must hold."""
-
-    what: str
-    is_met: bool
-    found: str
 
 
 class DemoNumbers:

@@ -9,10 +9,12 @@ from typing import Any, NamedTuple
 
 from mbd_ros.demo.choices import LAWS, ROBOTS
 from mbd_ros.demo.files import (
-    DESCRIPTION,
-    GAINS,
+    BAG,
+    KNOWN,
     MASS_SCALE,
-    MODEL,
+    OF_LOOP,
+    PAGE,
+    PICTURE,
     PLANT,
     RATE,
     write_gains,
@@ -25,14 +27,13 @@ from mbd_ros.demo.page import Content, page
 from mbd_ros.demo.plot import overview, pictures
 from mbd_ros.demo.processes import Failed
 from mbd_ros.demo.signals import read_signals
-from mbd_ros.demo.tables import Table, lines, tables
+from mbd_ros.demo.summary import Table, lines
+from mbd_ros.demo.tables import tables
 from mbd_ros.demo.task import DISTURBANCE_SHARE, disturbance, trajectory
 from mbd_ros.errors import DataError
 from mbd_ros.scene.reader import load_scene
 
-BAG, PICTURE, PAGE = "bag", "demo.png", "demo.html"
 SHORTEST, LONGEST = 2.0, 60.0  # s
-_NAMES = (BAG, PICTURE, PAGE, PLANT, MODEL, DESCRIPTION, GAINS)
 _PACKAGES = ("numpy", "pin", "ros-jazzy-rclpy")
 
 
@@ -64,7 +65,7 @@ def demo(order: Demo) -> Iterator[str]:
     """
     if not SHORTEST <= order.time <= LONGEST:
         raise DataError(f"time {order.time:g} s: accepted are {SHORTEST:g} to {LONGEST:g} s")
-    with replacing_folder(order.out, _NAMES) as folder:
+    with replacing_folder(order.out, KNOWN) as folder:
         run, gains = _prepare(order, folder)
         robot, law = ROBOTS[order.robot], order.law.replace("_", " ")
         yield f"{robot.title}, {law}, {order.time:g} s over topics ..."
@@ -131,7 +132,7 @@ def _content(
     made = {
         "Gains": ", ".join(f"{k.removeprefix('gains.')} {v}" for k, v in gains.items()),
         "Inverse dynamics": f"causal derivatives, {CUTOFF:g} Hz",
-        "Files": ", ".join(_NAMES),
+        "Files": ", ".join(OF_LOOP),
         "Versions": ", ".join(f"{name} {version(name)}" for name in _PACKAGES),
         "Machine": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
     }

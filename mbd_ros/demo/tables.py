@@ -1,21 +1,11 @@
 """The summary of a demo: tables for terminal and page."""
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
-
 import numpy as np
 
 from mbd_ros.demo.numbers import SETTLED, DemoNumbers, rms
+from mbd_ros.demo.summary import Table, check_table
 
 _NANOSECOND = 1e-9  # s
-
-
-class Table(NamedTuple):
-    """Texts, ready to be shown; the first column names the row."""
-
-    title: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[str]]
 
 
 def tables(numbers: DemoNumbers) -> list[Table]:
@@ -23,21 +13,7 @@ def tables(numbers: DemoNumbers) -> list[Table]:
     found = [_tracking(numbers), _torques(numbers)]
     if numbers.signals.forces is not None:
         found.append(_forces(numbers))
-    return [*found, _loop(numbers), _topics(numbers), _checks(numbers)]
-
-
-def lines(table: Table) -> Iterator[str]:
-    """A table for a terminal: names to the left, numbers to the right."""
-    widths = [
-        max(len(cell) for cell in column)
-        for column in zip(table.columns, *table.rows, strict=True)
-    ]
-    yield ""
-    yield table.title
-    for row in (table.columns, *table.rows):
-        cells = [row[0].ljust(widths[0])]
-        cells += [c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True)]
-        yield "  " + "  ".join(cells).rstrip()
+    return [*found, _loop(numbers), _topics(numbers), check_table(numbers.checks())]
 
 
 def _tracking(numbers: DemoNumbers) -> Table:
@@ -111,11 +87,6 @@ def _topics(numbers: DemoNumbers) -> Table:
         texts = [f"{rate:.1f}" if rate > 0.0 else "once" for rate in rates]
         rows.append((topic, str(len(log)), *texts))
     return Table("Topics", ("topic", "messages", "per second", "per simulated second"), rows)
-
-
-def _checks(numbers: DemoNumbers) -> Table:
-    rows = [(c.what, "yes" if c.is_met else "NO", c.found) for c in numbers.checks()]
-    return Table("Checks", ("", "met", "found"), rows)
 
 
 def _texts(*rows: np.ndarray) -> list[list[str]]:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from mbd_ros.files.bags import chosen, in_time_order
 from mbd_ros.files.mcap_chunks import chunks_in_order, indexed, pieces_of, scanned
@@ -75,6 +76,9 @@ def _blocks(reader: Reader, connections: list[Any]) -> Iterator[RawBlock]:
         yield from _joined((log_time, cdr) for _, log_time, cdr in stream)
         return
     for storage, own in storages:
+        if isinstance(storage, Sqlite3Reader):
+            yield from _joined(_selected(storage, own))
+            continue
         chunks = chunks_in_order(storage, own)
         if chunks is None:
             stream = storage.messages(own)
@@ -105,11 +109,23 @@ def _is_same(own: Any, wanted: Any) -> bool:
     return alike and (not own.digest or not wanted.digest or own.digest == wanted.digest)
 
 
+def _selected(storage: Sqlite3Reader, connections: Sequence[Any]) -> Iterator[tuple[int, bytes]]:
+    """Log time and bytes of messages of connections, as sqlite3 gives them."""
+    assert storage.dbconn is not None
+    ids = tuple({c.id for c in connections})
+    places = ", ".join("?" * len(ids))
+    rows: Iterator[tuple[int, bytes]] = storage.dbconn.execute(
+        f"SELECT timestamp, data FROM messages WHERE topic_id IN ({places}) ORDER BY timestamp",
+        ids,
+    )
+    return rows
+
+
 def _joined(stream: Iterable[tuple[int, bytes]]) -> Iterator[RawBlock]:
     """Blocks of messages that come one by one."""
     stream = iter(stream)
     while taken := list(itertools.islice(stream, _ROWS)):
         log_times, messages = zip(*taken, strict=True)
-        sizes = np.array([len(message) for message in messages], dtype=np.int64)
+        sizes = np.fromiter(map(len, messages), np.int64, len(messages))
         data = np.frombuffer(b"".join(messages), np.uint8)
         yield RawBlock(np.array(log_times, np.int64), data, np.cumsum(sizes) - sizes, sizes)

@@ -16,6 +16,7 @@ from mbd_ros.files.mcap_chunks import MESSAGE, MESSAGE_INDEX, RECORD, put_pieces
 
 _CHUNK = 2**20  # bytes after which rosbags ends a chunk
 _NEVER = 2**63 - 1
+_INSERTED = 32  # messages a statement of sqlite3, which costs more than a message
 
 
 class Rows(NamedTuple):
@@ -58,10 +59,19 @@ def _insert(
         times, whole, size = part.log_times.tolist(), part.cdr.tobytes(), part.cdr.shape[1]
         begins = range(0, len(whole), size)
         rows += [(channel, t, whole[i : i + size]) for t, i in zip(times, begins, strict=True)]
-    storage.cursor.executemany(
-        "INSERT INTO messages (topic_id, timestamp, data) VALUES(?, ?, ?)",
-        [rows[i] for i in order.tolist()],
-    )
+    numbers = list(itertools.chain.from_iterable([rows[i] for i in order.tolist()]))
+    several = len(rows) // _INSERTED * _INSERTED
+    for begin, end, count in ((0, several, _INSERTED), (several, len(rows), 1)):
+        places = [slice(3 * i, 3 * (i + count)) for i in range(begin, end, count)]
+        storage.cursor.executemany(
+            f"INSERT INTO messages (topic_id, timestamp, data) VALUES {_values(count)}",
+            [numbers[place] for place in places],
+        )
+
+
+def _values(count: int) -> str:
+    """Places of the numbers of so many messages in a statement."""
+    return ", ".join(["(?, ?, ?)"] * count)
 
 
 def _append(

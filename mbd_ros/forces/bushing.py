@@ -7,7 +7,7 @@ import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Load
+from mbd_ros.core.parts import Load, Wrench
 from mbd_ros.core.ranges import Unit, Vector
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
@@ -87,20 +87,32 @@ class Bushing(Load):
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
+        wrench, J = self._pulled(k, x)
+        tau: Array = -k.dot(wrench, J)
+        return tau
+
+    def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
+        """Those at the origin of b: on a, then on b."""
+        _, a, b, _ = self._pair
+        wrench, _ = self._pulled(k, x)
+        axes, point = k.rotation(a), k.position(b)
+        force, torque = axes.dot(wrench[:3]), axes.dot(wrench[3:])
+        return Wrench(a.frame, point, force, torque), Wrench(b.frame, point, -force, -torque)
+
+    def potential(self, k: Kinematics, x: State) -> float:
+        """Energy of the springs [J]."""
+        d, _ = self._deflection(k, k.motion(self._pair).pose())
+        return 0.5 * k.dot(self._stiffness, d * d)
+
+    def _pulled(self, k: Kinematics, x: State) -> tuple[Array, Array]:
+        """Force and torque against the motion of b past a, in the axes of a; J of that motion."""
         seen = k.motion(self._pair)
         d, turn = self._deflection(k, seen.pose())
         J = seen.jacobian(seen.placed(), slice(0, 6))
         velocity = k.dot(J, x.v)
         rates = k.array([*velocity[:3], *k.dot(turn, velocity[3:])])
         load = self._stiffness * d + self._damping * rates
-        wrench = k.array([*load[:3], *k.dot(load[3:], turn)])
-        tau: Array = -k.dot(wrench, J)
-        return tau
-
-    def potential(self, k: Kinematics, x: State) -> float:
-        """Energy of the springs [J]."""
-        d, _ = self._deflection(k, k.motion(self._pair).pose())
-        return 0.5 * k.dot(self._stiffness, d * d)
+        return k.array([*load[:3], *k.dot(load[3:], turn)]), J
 
     def _deflection(self, k: Kinematics, pose: Any) -> tuple[Array, Array]:
         """The d, shape (6,), and what turns an angular velocity into rates of angles, (3, 3)."""

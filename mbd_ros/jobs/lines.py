@@ -1,9 +1,11 @@
 """Lines of a command for people."""
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from mbd_ros.errors import printable
+
+Say = Callable[[str], None]  # what is told such lines
 
 
 def say(line: str) -> None:

@@ -68,6 +68,9 @@ COMMANDS: Mapping[str, Command] = {
     "import-opensim": Command(
         "mbd_ros.jobs.import_opensim.command", "a model of OpenSim as a URDF and a scene"
     ),
+    "import-mjcf": Command(
+        "mbd_ros.jobs.import_opensim.command", "a model of MuJoCo as a URDF and a scene"
+    ),
     "params": Command("mbd_ros.nodes.command", "a parameter file of a node, with comments"),
     "plot": Command("mbd_ros.jobs.plot.command", "a picture of a result"),
     "view": Command("mbd_ros.view.command", "a scene and its motion in a browser"),

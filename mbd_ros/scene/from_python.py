@@ -44,9 +44,8 @@ def scene_from(
     if urdf is not None:
         robot = given.get("robot") or {}
         if isinstance(robot, dict):
-            if description is not None or not {"urdf", "osim", "description_topic"}.isdisjoint(
-                robot
-            ):
+            given_by = {"urdf", "osim", "mjcf", "description_topic"}
+            if description is not None or not given_by.isdisjoint(robot):
                 raise SceneError(f"{NO_FILE}: robot: its description is given twice")
             if isinstance(urdf, str) and urdf.lstrip().startswith("<"):
                 description, given["robot"] = urdf, robot

@@ -1,4 +1,4 @@
-"""Models that bring sections of a scene with them: `robot: {osim: FILE}`."""
+"""Models that bring sections of a scene: `robot: {osim: FILE}`, `robot: {mjcf: FILE}`."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,8 +13,8 @@ from mbd_ros.scene.strict_yaml import read_mapping
 if TYPE_CHECKING:
     from mbd_ros.scene.osim.imported import Imported
 
-FORMAT = "osim"
-_ENDINGS = (".osim", ".osim.gz")
+_ENDINGS = {"osim": (".osim", ".osim.gz"), "mjcf": (".xml", ".mjcf")}
+FORMATS = tuple(_ENDINGS)
 Entries = Mapping[str, Any]
 
 
@@ -40,9 +40,36 @@ def entries_of(path: Path) -> dict[str, Any]:
     Raises:
         SceneError: Names file, line and key.
     """
-    if path.name.lower().endswith(_ENDINGS):
-        return {"robot": {FORMAT: path.name}}
-    return read_mapping(path)
+    found = format_of(path)
+    return {"robot": {found: path.name}} if found else read_mapping(path)
+
+
+def format_of(path: Path) -> str:
+    """The format that the name of a file says, empty for other files."""
+    name = path.name.lower()
+    return next((key for key, ends in _ENDINGS.items() if name.endswith(ends)), "")
+
+
+def import_model(path: Path, form: str, locked: Mapping[str, float | None]) -> "Imported":
+    """Read a model.
+
+    Args:
+        path: The file.
+        form: One of `FORMATS`.
+        locked: Joint -> position [rad or m] where it is locked, None where the file locks it and
+            it is to move.
+
+    Raises:
+        SceneError: Names file, element and what is wrong.
+    """
+    if form == "mjcf":
+        from mbd_ros.scene.mjcf.imported import import_mjcf
+
+        return import_mjcf(path, locked)
+    from mbd_ros.scene.osim.imported import import_osim
+    from mbd_ros.scene.osim.xml_text import read_osim
+
+    return import_osim(read_osim(path), str(path), locked)
 
 
 def with_model(origin: Origin, entries: Entries) -> tuple[Origin, Entries]:
@@ -56,13 +83,14 @@ def with_model(origin: Origin, entries: Entries) -> tuple[Origin, Entries]:
         SceneError: Names file, element and what is wrong.
     """
     robot = entries.get("robot")
-    if not isinstance(robot, dict) or robot.get(FORMAT) is None:
+    form = _named(robot)
+    if not form:
         return origin, entries
     if origin.model is not None and origin.model.brought.get("robot") == robot:
         return origin, entries
     own = _without(entries, {} if origin.model is None else origin.model.brought)
     where = f"{origin.name}: robot"
-    file, imported = _imported(origin, robot, where)
+    file, imported = _imported(origin, robot, where, form)
     brought, absent = brought_sections(imported)
     merged = {**own, "robot": _merged_robot(imported.robot, robot, "gravity" in entries)}
     for key, given in brought.items():
@@ -72,15 +100,17 @@ def with_model(origin: Origin, entries: Entries) -> tuple[Origin, Entries]:
     return origin._replace(model=Model(file, imported.urdf, brought, lines)), merged
 
 
-def _imported(origin: Origin, robot: Entries, where: str) -> "tuple[str, Imported]":
-    from mbd_ros.scene.osim.imported import import_osim
-    from mbd_ros.scene.osim.xml_text import read_osim
+def _named(robot: Any) -> str:
+    """The format of the model that a robot names, empty without one."""
+    given = robot if isinstance(robot, dict) else {}
+    return next((key for key in FORMATS if given.get(key) is not None), "")
 
-    name = schema.value(robot[FORMAT], str, f"{where}.{FORMAT}")
-    file = find_file(origin.folder, name, f"{where}.{FORMAT}")
+
+def _imported(origin: Origin, robot: Entries, where: str, form: str) -> "tuple[str, Imported]":
+    name = schema.value(robot[form], str, f"{where}.{form}")
+    file = find_file(origin.folder, name, f"{where}.{form}")
     locked = schema.value(robot.get("locked") or {}, Mapping[str, float | None], f"{where}.locked")
-    source = str(file)
-    return source, import_osim(read_osim(file), source, locked)
+    return str(file), import_model(file, form, locked)
 
 
 def _merged_robot(brought: Entries, given: Entries, has_gravity: bool) -> dict[str, Any]:

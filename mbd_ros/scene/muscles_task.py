@@ -17,7 +17,8 @@ from mbd_ros.core.inverse.reserves import (
     reserve_on,
 )
 from mbd_ros.core.inverse.sharing_criteria import EXPONENTS, Criterion
-from mbd_ros.core.inverse.static_optimization import StaticOptimization, Wishes
+from mbd_ros.core.inverse.sharing_wishes import Wishes
+from mbd_ros.core.inverse.static_optimization import StaticOptimization
 from mbd_ros.core.ranges import Positive, Unit, Within
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.errors import ModelError, SceneError

@@ -34,6 +34,7 @@ class RobotEntry:
     pose: Mapping[str, Any] | None = None
     osim: str | None = None
     any_inertias: bool = False
+    mjcf: str | None = None
 
 
 def read_entry(where: str, given: Any, has_text: bool = False) -> RobotEntry:
@@ -48,10 +49,10 @@ def read_entry(where: str, given: Any, has_text: bool = False) -> RobotEntry:
         SceneError: Names file and key.
     """
     entry: RobotEntry = schema.call(RobotEntry, given, where)
-    given = (entry.urdf, entry.description_topic, entry.osim)
+    given = (entry.urdf, entry.description_topic, entry.osim, entry.mjcf)
     named = sum(one is not None for one in given)
     if named != 1 and not (has_text and not named):
-        raise SceneError(f"{where}: give either 'urdf', 'osim' or 'description_topic'")
+        raise SceneError(f"{where}: give either 'urdf', 'osim', 'mjcf' or 'description_topic'")
     if entry.gravity is not None and len(entry.gravity) != 3:
         raise SceneError(f"{where}.gravity: expected 3 numbers, got {entry.gravity}")
     return entry
@@ -81,7 +82,7 @@ def build_robot(site: Site, given: Any) -> Robot:
     except SceneError as error:
         raise SceneError(f"{error}{_joints_to_lock(recipe)}") from error
     model = site.origin.model
-    if entry.osim is None or model is None:
+    if (entry.osim or entry.mjcf) is None or model is None:
         return robot
     return replace(robot, ignored=(*robot.ignored, *model.left_out))
 
@@ -179,7 +180,7 @@ def _placed(pose: Mapping[str, Any] | None, where: str) -> Any:
 
 def _recipe(site: Site, entry: RobotEntry) -> Recipe:
     where, text = site.where, site.origin.description
-    if entry.osim is not None:
+    if (entry.osim or entry.mjcf) is not None:
         assert site.origin.model is not None
         source, text = site.origin.model[:2]
     elif entry.urdf is not None:

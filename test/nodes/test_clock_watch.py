@@ -12,6 +12,8 @@ from rosgraph_msgs.msg import Clock
 from msg_adapters.clock import write_clock
 from msg_adapters.diagnostics import OK, STALE, WARN
 
+pytestmark = pytest.mark.alone
+
 CALM = ARM + DAMPED
 RAMP, LARGEST = 0.5, 5.0
 TUNED = {

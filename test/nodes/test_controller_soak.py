@@ -11,6 +11,8 @@ from nodes.control_client import POSE, controlled
 from nodes.simulation_client import ARM, JOINTS, NAME, simulated
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+pytestmark = pytest.mark.alone
+
 RATE = 500.0
 SWING = np.array([0.3, 0.2, 0.3, 0.2])
 

@@ -27,6 +27,8 @@ from mbd_ros.jobs.isolated_domain import isolated_domain
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.time import read_time
 
+pytestmark = pytest.mark.alone
+
 FILES = {"bag", "demo.png", "demo.html", "plant.yaml", "model.yaml", "model.urdf", GAINS}
 OWN = "/sliding_mode_controller"
 DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"

@@ -144,6 +144,7 @@ def test_a_trajectory_of_too_many_points_is_refused_unread(domain, tmp_path, nam
             target.ask(k + 1)
 
 
+@pytest.mark.alone
 def test_a_long_trajectory_is_refused_in_a_hundredth_of_the_time_to_read_it():
     points = [JointTrajectoryPoint(positions=[0.1] * 4) for _ in range(20_000)]
     cdr = serialize_message(JointTrajectory(joint_names=list("abcd"), points=points))
@@ -159,6 +160,7 @@ def test_a_long_trajectory_is_refused_in_a_hundredth_of_the_time_to_read_it():
             message_of(cdr[:end], JointTrajectory)
 
 
+@pytest.mark.alone
 def test_bytes_that_claim_many_names_are_refused_at_once():
     """16 MiB of empty names: counting them took 4 s."""
     cdr = bytes([0, 1, 0, 0]) + bytes(12) + b"\xff" * 4 + bytes(2**24 - 64)

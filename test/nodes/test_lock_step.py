@@ -20,6 +20,8 @@ from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.time import read_time
 
+pytestmark = pytest.mark.alone
+
 SCENE = ROOT / "config/scenes/controlled_arm.yaml"
 CONTROLLER = "/sliding_mode_controller"
 STILL = 2.0  # [s] that both may be OK and time may stand

@@ -9,6 +9,8 @@ from nodes.simulation_client import NAME, simulated
 from msg_adapters.diagnostics import ERROR, OK
 from msg_adapters.time import NANOSECONDS
 
+pytestmark = pytest.mark.alone
+
 SCENE = ROOT / "config/scenes/controlled_arm.yaml"
 RAMP = 0.1  # s
 SLOW = {"real_time_factor": 0.1, "publish_clock": "true", "marker_rate": 0.0}

@@ -22,6 +22,8 @@ from mbd_ros.nodes.simulator.pace import PATIENCE, Pace, wake_exactly
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import JointStateWriter
 
+pytestmark = pytest.mark.alone
+
 PERIOD = 1e-3
 
 

@@ -9,6 +9,8 @@ from nodes.conftest import ROOT
 
 from mbd_ros.scene.reader import load_scene
 
+pytestmark = pytest.mark.alone
+
 
 @pytest.mark.soak
 @pytest.mark.parametrize("name", ["arm7", "prosthetic_arm"])

@@ -12,7 +12,7 @@ from pathlib import Path
 from mbd_ros.compiled.build import cache
 from mbd_ros.compiled.build.aligned import aligned
 from mbd_ros.compiled.build.compiler import FLAGS, BuildError, Compiler, cpu, find_compiler
-from mbd_ros.compiled.code.emit import Signature, Source
+from mbd_ros.compiled.code.source import Signature, Source
 
 _SECONDS = 12  # characters
 _FORMAT = "the library, then the seconds that it took"

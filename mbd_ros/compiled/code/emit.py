@@ -3,49 +3,20 @@
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import casadi as ca
 
 from mbd_ros.compiled.code.c_function import c_function
 from mbd_ros.compiled.code.instructions import CodeError, instructions
 from mbd_ros.compiled.code.reciprocals import with_reciprocals
+from mbd_ros.compiled.code.source import Signature, Source
 
 HERE = Path(__file__).parent
 EXPORT = '#define EXPORT __attribute__((visibility("default")))\n'
 ALONE = 4000  # operations beyond which a function has units of its own, and those of a unit
+AS_IN_PYTHON = ("expand",)  # each operation is rounded: states of all joints have the same bits
 MOST = 100_000  # operations that are compiled: more take minutes and do not fit into caches
-
-
-class Signature(NamedTuple):
-    """Sizes of the arguments and results of a function, in their order, as dense columns."""
-
-    arguments: tuple[int, ...]
-    results: tuple[int, ...]
-    work: int
-
-
-class Source(NamedTuple):
-    """C source of functions.
-
-    For each function there is `static void NAME(const real *restrict i0, .., real *restrict o0,
-    .., real *restrict work)`, one pointer an argument and then a result, all of them dense
-    columns; `NAME_WORK` is how many reals `work` has to hold. `call_NAME(at)` is the same, from
-    outside, with an array of the pointers.
-
-    Attributes:
-        text: The source.
-        units: Other sources that belong to it: of long functions, to be compiled side by side.
-        lanes: How many numbers a real is.
-        operations: Function -> how many values it computes.
-        signatures: Function -> sizes.
-    """
-
-    text: str
-    units: tuple[str, ...]
-    lanes: int
-    operations: dict[str, int]
-    signatures: dict[str, Signature]
 
 
 def emit(functions: Sequence[ca.Function], real: Literal["double"] | int = "double") -> Source:
@@ -74,6 +45,8 @@ def emit(functions: Sequence[ca.Function], real: Literal["double"] | int = "doub
     for function in functions:
         code = with_reciprocals(instructions(function))
         written = c_function(code)
+        if code.name in AS_IN_PYTHON:
+            written = written._replace(chunks=[_uncontracted(chunk) for chunk in written.chunks])
         pieces.append(f"\n#define {code.name}_WORK {written.work}\n")
         if code.operations <= ALONE:
             pieces += [f"static __attribute__((noinline)) {chunk}" for chunk in written.chunks]
@@ -96,6 +69,13 @@ def _refuse_long(functions: Sequence[ca.Function]) -> None:
     count = sum(function.n_nodes() for function in functions if function.is_a("SXFunction"))
     if count > MOST:
         raise CodeError(f"the equations are {count} operations; at most {MOST} are compiled")
+
+
+def _uncontracted(chunk: str) -> str:
+    """A function without fused multiplications: gcc knows the attribute, clang the pragma."""
+    return f'__attribute__((optimize("fp-contract=off"))) {chunk}'.replace(
+        "{\n", "{\n#ifdef __clang__\n#pragma STDC FP_CONTRACT OFF\n#endif\n", 1
+    )
 
 
 def _parted(chunks: list[str], count: int) -> list[list[str]]:

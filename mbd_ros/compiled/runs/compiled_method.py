@@ -7,7 +7,7 @@ import numpy as np
 
 from mbd_ros.compiled.build.library import Library, load
 from mbd_ros.compiled.build.verify import verify
-from mbd_ros.compiled.code.emit import emit
+from mbd_ros.compiled.code.searches import emitted
 from mbd_ros.compiled.runs.event_stepper import EventStepper
 from mbd_ros.compiled.runs.mode_stepper import ModeStepper
 from mbd_ros.compiled.runs.native_run import NativeRun
@@ -137,7 +137,10 @@ class CompiledMethod(Integrator):
             form=form,
         )
         given = run, plain, self._corrects(system), system.loads.idle
-        return ModeStepper(*given, self.traced.keys) if sizes.modes else NativeStepper(*given)
+        if not sizes.modes:
+            return NativeStepper(*given)
+        gaps = [i for i, reach in enumerate(system.exact.reach) if reach is Reach.GAP]
+        return ModeStepper(*given, self.traced.keys, gaps)
 
     def _built(self, system: Any, dt: float) -> Built:
         """The native code of a system, made once."""
@@ -147,8 +150,7 @@ class CompiledMethod(Integrator):
             own, mode = system.system if in_world else system, None if system.exact else ()
             traced = trace(own, mode=mode, in_world=in_world)
             sizes = self.sizes(system, traced)
-            functions = [traced.function(name) for name in sizes.functions]
-            source = with_integrators(emit(functions), sizes)
+            source = with_integrators(emitted(traced, sizes.functions), sizes)
             library = load(source, self._say, lambda found: verify(found, traced, system))
             self._kept[key] = Built(traced, sizes, library)
         return self._kept[key]

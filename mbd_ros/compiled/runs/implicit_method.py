@@ -4,7 +4,7 @@ from typing import Any
 
 from mbd_ros.compiled.build.library import Library, load
 from mbd_ros.compiled.build.verify import verify
-from mbd_ros.compiled.code.emit import emit
+from mbd_ros.compiled.code.searches import emitted
 from mbd_ros.compiled.runs.compiled_method import Say, silent
 from mbd_ros.compiled.runs.compiled_system import CompiledSystem
 from mbd_ros.compiled.runs.verify_slopes import verify_slopes
@@ -132,4 +132,4 @@ def _compiled(
         verify(library, traced, system, p)
         verify_slopes(CompiledSystem(system, traced, library, p), names)
 
-    return load(emit([traced.function(name) for name in names]), say, check)
+    return load(emitted(traced, names), say, check)

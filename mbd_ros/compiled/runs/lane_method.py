@@ -50,6 +50,8 @@ def lane_runs(
     form = traced()
     sizes = compiled.sizes(system, form)
     functions = [form.function(name) for name in sizes.functions]
+    if form.searched:
+        raise Untraceable("paths that wrap are searched one run at a time")
     source = with_integrators(emit(functions, lanes()), sizes)
     library = load(source, say, lambda library: verify(library, form, system, p))
     internals = system.internals

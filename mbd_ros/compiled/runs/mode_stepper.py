@@ -1,8 +1,10 @@
 """Native steps in a mode of rows that give way, as event location takes them."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from mbd_ros.compiled.runs.native_run import NativeRun
 from mbd_ros.compiled.runs.native_stepper import NativeStepper
@@ -20,6 +22,7 @@ class ModeStepper(NativeStepper):
         correct: What stabilization makes of a state after a step.
         idle: Inputs where none are given.
         keys: Numbers of margins, by `Traced.keys`.
+        gaps: Rows of the mode that are gaps.
 
     Attributes:
         run: As given.
@@ -35,8 +38,11 @@ class ModeStepper(NativeStepper):
         correct: Callable[[State], State],
         idle: Array,
         keys: Mapping[tuple[int, int], int],
+        gaps: Sequence[int],
     ) -> None:
         super().__init__(run, plain, correct, idle)
+        self._is_gap = np.zeros(run.sizes.modes, dtype=np.bool_)
+        self._is_gap[gaps] = True
         self.run, self.correct, self._keys = run, correct, keys
         self.mode: Mode = ()
         self.is_compiled, self.integrated_plainly = False, 0
@@ -69,7 +75,7 @@ class ModeStepper(NativeStepper):
             self.run.load(x)
         if not self.is_fixed:
             self._plain.pace = pace
-        after = self._plain.step(x, u, end)
+        after, self._has_plain = self._plain.step(x, u, end), True
         if not self.is_fixed:
             self.run.pace = self._plain.pace
         if after is not x:
@@ -98,7 +104,7 @@ class ModeStepper(NativeStepper):
         """The same where native code has no accelerations, from there on in plain steps."""
         x = self.run.began()._replace(mode=self.mode)
         self._plain.step(x, self.run.inputs, x.t + h)
-        self._is_plain = True
+        self._is_plain = self._has_plain = True
         return self._plain.again(h, t)
 
     def interpolate(self, t: float) -> State:
@@ -121,6 +127,15 @@ class ModeStepper(NativeStepper):
             return None
         self._last = None  # the run stands behind steps of other lengths from here on
         return lambda h, t: self.run.margin_again(h, t, number)
+
+    def first_event(self, left: Collection[int]) -> tuple[float, int] | None:
+        """As `Stepper.first_event`, where native code has taken the step."""
+        if self._is_plain or not self.run.sizes.contacts:
+            return None
+        h, row = self.run.first_event(self._is_gap, left)
+        if not math.isinf(h):
+            self._last = None  # as `margin_again`
+        return None if math.isnan(h) else (h, row)
 
     def continue_from(self, x: State) -> None:
         """As `Stepper.continue_from`."""

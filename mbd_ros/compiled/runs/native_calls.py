@@ -21,11 +21,12 @@ def bound(c: Any) -> Any:
         ("state_within", (pointer, pointer, number, pointer)),
         ("margin_within", (pointer, pointer, number, whole)),
         ("margin_again", (pointer, pointer, number, number, whole)),
+        ("first_event", (pointer,) * 4),
         ("interpolate", (pointer, pointer, number, pointer)),
     ):
         getattr(c, name).argtypes = arguments
     c.place_of.restype = whole
-    for name in ("evaluate_at", "margin_within", "margin_again"):
+    for name in ("evaluate_at", "margin_within", "margin_again", "first_event"):
         getattr(c, name).restype = number
     for name in ("restart", "leave", "touch"):
         getattr(c, name).restype = None

@@ -2,10 +2,11 @@
 
 import ctypes
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.compiled.build.library import Library
 from mbd_ros.compiled.runs.method_options import method_options
@@ -177,6 +178,22 @@ class NativeRun(RunMemory):
     def margin_again(self, h: float, t: float, which: int) -> float:
         """The same after the last step, taken once more; as `again`, nan where that fails."""
         return float(self._c.margin_again(self._o, self._r, h, t, which))
+
+    def first_event(self, is_gap: NDArray[np.bool_], left: Collection[int]) -> tuple[float, int]:
+        """Length until the first gap closes in the last step [s], and its row; inf without any.
+
+        Args:
+            is_gap: Which rows are gaps, shape (modes,).
+            left: Rows that are just being left.
+
+        Returns:
+            No number where something else may happen before, or only Python can tell.
+        """
+        self.left[:] = 0.0
+        self.left[[*left]] = 1.0
+        which = ctypes.byref(self._written)
+        found = float(self._c.first_event(self._o, self._r, is_gap.ctypes.data, which))
+        return found, self._written.value
 
     def switch(self, mode: Sequence[int]) -> None:
         """Go on in another mode of rows that give way; nothing of earlier steps holds in it."""

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from mbd_ros.compiled.code.emit import Source
+from mbd_ros.compiled.code.source import Source
 
 NATIVE = Path(__file__).parents[1] / "native"
 _FILES = (
@@ -16,7 +16,7 @@ _FILES = (
     "steps.h",
     "events.h",
 )
-_LAST = {False: "run.c", True: "lanes.c"}  # by whether a real is several numbers
+_LAST = {False: ("run.c", "search.c"), True: ("lanes.c",)}  # by whether reals are several numbers
 
 
 class Sizes(NamedTuple):
@@ -98,7 +98,7 @@ def with_integrators(functions: Source, sizes: Sizes) -> Source:
         **{name.upper(): int(value) for name, value in sizes._asdict().items()},
         "WORK": work,
     }
-    files = (*_FILES, _LAST[functions.lanes > 1])
+    files = (*_FILES, *_LAST[functions.lanes > 1])
     lines = [f"#define {name} {value}\n" for name, value in numbers.items()]
     texts = [(NATIVE / name).read_text(encoding="utf-8") for name in files]
     return functions._replace(text="".join((functions.text, *lines, *texts)))

@@ -35,7 +35,7 @@ class NativeStepper(BlockStepper):
         self._run, self._plain, self._correct, self._idle = run, plain, correct, idle
         self.is_fixed, self.handed_over = plain.is_fixed, 0
         self._last: State | None = None
-        self._is_plain = False
+        self._is_plain = self._has_plain = False  # the last step; any since the start
 
     @property
     def evaluations(self) -> int:
@@ -135,20 +135,21 @@ class NativeStepper(BlockStepper):
         """Forget everything that was kept from earlier steps."""
         self._run.restart()
         self._plain.restart()
-        self._last = None
+        self._last, self._has_plain = None, False
 
     def memory(self) -> Memory:
         """The memory of the native run, beside that of plain steps."""
         kept = {"run": self._run.memory(), "last": copied(self.state)}
         rest = {"is_plain": self._is_plain, "handed_over": self.handed_over}
         rest["takes_blocks"] = self.takes_blocks
-        return {**kept, **rest, "plain": self._plain.memory() if self.handed_over else None}
+        return {**kept, **rest, "plain": self._plain.memory() if self._has_plain else None}
 
     def recall(self, memory: Memory, x: State) -> None:
         """As `Stepper.recall`."""
         self._run.recall(memory["run"])
         self._plain.restart()
-        if memory["plain"] is not None:
+        self._has_plain = memory["plain"] is not None
+        if self._has_plain:
             self._plain.recall(memory["plain"], x)
         self._is_plain, self.handed_over = memory["is_plain"], memory["handed_over"]
         self.takes_blocks = memory["takes_blocks"]
@@ -188,7 +189,7 @@ class NativeStepper(BlockStepper):
         return self._idle if u is None else u
 
     def _step_plainly(self, x: State, u: Array | None, end: float) -> State:
-        after = self._plain.step(x, u, end)
+        after, self._has_plain = self._plain.step(x, u, end), True
         if after is x:
             return x
         if np.isfinite(after.q).all() and np.isfinite(after.v).all():

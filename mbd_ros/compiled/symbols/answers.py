@@ -160,6 +160,10 @@ class Answers:
         share = health(e, solutions[0]) if solutions else ca.SX(1.0)
         return [ca.horzcat(*columns) if columns else ca.SX(e.nv, 0), share]
 
+    def path_places(self) -> list[Any]:
+        """What the search of paths that wrap needs."""
+        return [self._equations.k.searches.places]
+
     def integrate(self) -> list[Any]:
         """The configuration q (+) d."""
         e = self._equations

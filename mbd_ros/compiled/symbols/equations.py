@@ -209,7 +209,7 @@ class Equations:
 
     def operations(self, results: Sequence[Any]) -> int:
         """How many operations expressions take, common ones once."""
-        inputs = [self.symbols[key] for key in ARGUMENTS]
+        inputs = [*(self.symbols[key] for key in ARGUMENTS), self.k.searches.symbols]
         expressions = ca.cse([ca.vertcat(*results)])
         return int(ca.Function("count", inputs, expressions).n_instructions())
 

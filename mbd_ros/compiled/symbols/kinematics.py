@@ -14,6 +14,7 @@ from mbd_ros.compiled.symbols.links import Tree
 from mbd_ros.compiled.symbols.moving_tree import in_own_axes
 from mbd_ros.compiled.symbols.pair_motion import SymbolicPairMotion
 from mbd_ros.compiled.symbols.scalar import Scalar, function, plain, where
+from mbd_ros.compiled.symbols.searched_paths import SearchedPaths
 from mbd_ros.compiled.symbols.tree_forces import joint_forces, needed
 from mbd_ros.compiled.symbols.turns import ZERO, Matrix, Vector
 from mbd_ros.compiled.symbols.world_frames import WORLD, WorldFrames
@@ -51,6 +52,7 @@ class SymbolicKinematics:
         self._q, self._v = ([ca.SX(plain(one)) for one in given] for given in (q, v))
         self.frames = WorldFrames(tree, self._q, self._v)
         self._pairs: dict[int, SymbolicPairMotion] = {}
+        self.searches = SearchedPaths()
 
     def position(self, point: Point) -> Any:
         """As `Kinematics.position`."""
@@ -106,6 +108,10 @@ class SymbolicKinematics:
         placed, still = in_own_axes(self._tree, at), [ZERO] * self._tree.nv
         on_links = needed(self._tree, placed, still, None, turns.vector(-self._tree.gravity))
         return objects(joint_forces(self._tree, placed, on_links))
+
+    def searched(self, path: Any, x: Any) -> Any:
+        """As `Kinematics.searched`."""
+        return self.searches.taut(path, self, x)
 
     @cached_property
     def nv(self) -> int:

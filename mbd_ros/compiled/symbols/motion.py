@@ -1,7 +1,7 @@
 """Accelerations of what a tier integrates, from dynamics, joint forces and rows."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -18,6 +18,7 @@ _AGAIN = 2  # solutions for what that leaves
 _SHRUNK = 1.0e-4  # of what softness left: more is left where dependent rows contradict
 _OPEN = 1.0e-13  # of 1 + the largest rate: rounding
 _IDLE = 1.0e-11  # of multipliers that change no rate: what they may move
+_ANY = 1.0e-6  # of a start, squared: what is left of it where multipliers change no rate
 Pushes = Mapping[int, Mapping[int, Any]]
 NO_PUSHES: Pushes = {}
 
@@ -120,6 +121,10 @@ class Held:
             entries[nv + i, nv + i] = -(self._slack[i] + self._soft[i])
         upper = {(nv + i, j): one for i, push in pushes.items() for j, one in push.items()}
         edges = [at for at, value in (entries | upper).items() if not value.is_zero()]
+        self._groups = [
+            ([j for j in one if j < nv], [i - nv for i in one if i >= nv])
+            for one in groups_of(edges, nv + self._m)
+        ]
         waits = {i: {*row, *pushes.get(i - nv, ())} for i, row in enumerate(rows.J, nv)}
         order = order_of(edges, nv + self._m, waits)
         self._factors = SparseLdl(entries, order, upper)
@@ -140,10 +145,12 @@ class Held:
         return Solution(x[: self._nv], [-one for one in x[self._nv :]], self.pivots)
 
     def balanced(self, forces: Sequence[Any], rates: Sequence[Any]) -> Solution:
-        """The same where rows may depend on one another: about the least multipliers.
+        """The same where rows may depend on one another: the least multipliers of those that do.
 
-        What softness leaves of rates is solved for again. It is sound if nothing is left then, and
-        if multipliers that change no rate move nothing, as different slips would let them.
+        What softness leaves of rates is solved for again. Multipliers that change no rate may move
+        bodies by different slips; they are left out of those of each group of bodies, where all
+        others are multiples of one. It is sound if nothing is left of rates then, and if no other
+        ones move anything.
         """
         found, still = self.solve(forces, rates), [ZERO] * self._nv
         least = largest(self._left(found, rates))
@@ -152,16 +159,35 @@ class Held:
             pairs = zip(found[:2], more[:2], strict=True)
             a, lam = ([x + y for x, y in zip(*pair, strict=True)] for pair in pairs)
             found = found._replace(a=a, lam=lam)
-        is_open = largest(self._left(found, rates)) > _SHRUNK * least + _OPEN * (
-            1.0 + largest(rates)
-        )
-        idle = [ca.SX(math.cos(1.0 + i)) for i in range(self._m)]
-        for _ in range(2):  # leaves of any multipliers those that change no rate
-            rest = self.solve(still, [x * y for x, y in zip(self._soft, idle, strict=True)])
-            idle = rest.lam
-        most = _IDLE * _IDLE / SOFT * sum(self._soft)
-        moves = self._energy(rest.a) > most
+        idle = self._idle(0)
+        found = self._without(found, idle)
+        most = _SHRUNK * least + _OPEN * (1.0 + largest(rates))
+        is_open = largest(self._left(found, rates)) > most
+        rest = self._without(self._idle(self._m), idle)
+        moves = self._energy(rest.a) > _IDLE * _IDLE / SOFT * sum(self._soft)
         return found._replace(sound=ca.logic_not(ca.logic_or(is_open, moves)))
+
+    def _idle(self, start: int) -> Solution:
+        """Some multipliers that change no rate; next to none where rows are independent."""
+        still, lam = [ZERO] * self._nv, [ca.SX(math.cos(1.0 + start + i)) for i in range(self._m)]
+        for _ in range(2):  # leaves of any multipliers those that change no rate
+            found = self.solve(still, [x * y for x, y in zip(self._soft, lam, strict=True)])
+            lam = found.lam
+        return found
+
+    def _without(self, found: Solution, idle: Solution) -> Solution:
+        """The part of a solution across idle multipliers, in each group of bodies."""
+        a, lam = list(found.a), list(found.lam)
+        for joints, rows in self._groups:
+            counted = [i for i in rows if not self._slack[i].is_zero()]  # rigid ones are not
+            size = sum((idle.lam[i] * idle.lam[i] for i in counted), ZERO)
+            along = sum((idle.lam[i] * lam[i] for i in counted), ZERO)
+            share = ca.if_else(size > _ANY, along / ca.fmax(size, _ANY), 0.0)
+            for i in rows:
+                lam[i] = lam[i] - share * idle.lam[i]
+            for j in joints:
+                a[j] = a[j] - share * idle.a[j]
+        return found._replace(a=a, lam=lam)
 
     def _left(self, found: Solution, rates: Sequence[Any]) -> list[Any]:
         """What is left of b."""
@@ -177,6 +203,16 @@ class Held:
             ((2.0 if i != j else 1.0) * a[i] * one * a[j] for (i, j), one in self._mass.items()),
             ZERO,
         )
+
+
+def groups_of(edges: Iterable[tuple[int, int]], size: int) -> list[list[int]]:
+    """Numbers below a size that edges join."""
+    group = list(range(size))
+    for i, j in edges:
+        one, other = group[i], group[j]
+        if one != other:
+            group = [one if each == other else each for each in group]
+    return [[i for i in range(size) if group[i] == one] for one in sorted(set(group))]
 
 
 def largest(values: Sequence[Any]) -> Any:

@@ -8,6 +8,7 @@ import casadi as ca
 from mbd_ros.compiled.symbols.answers import Answers
 from mbd_ros.compiled.symbols.equations import Equations
 from mbd_ros.compiled.symbols.parts_of import Made
+from mbd_ros.compiled.symbols.searched_paths import SearchedPaths
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.state import Mode
@@ -32,7 +33,9 @@ ARGUMENTS = {  # of every function, in their order
     "answers": "tqvzupal",
     "land": "tqp",
     "stay": "tqvp",
+    "path_places": "tqp",
 }
+_OF_PATHS = ("derivatives", "balance_slopes")  # differentiate what paths do
 
 
 class Traced:
@@ -63,6 +66,8 @@ class Traced:
     one, 2 where one turns with its velocity: length [s] is how long a step may be then. `a` and
     `lam` are those of `accelerate`, which gives `lam` as its fourth result then.
     land(t, q, p) -> (dq, g), stay(t, q, v, p) -> (dv, rate) onto the rows that are on.
+    path_places(t, q, p): where points and surfaces of paths that wrap are, as `searched` has them.
+    Functions that depend on what such paths do have one more argument: `searched.symbols`.
     integrate(q, dq) -> q (+) dq, rate(dq, v) -> the rate of dq: for charts that are not flat.
 
     Args:
@@ -108,6 +113,11 @@ class Traced:
         return getattr(self._equations.yielding, "keys", {})
 
     @property
+    def searched(self) -> SearchedPaths:
+        """Paths that functions made so far have as numbers."""
+        return self._equations.k.searches
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of all functions."""
         return tuple(ARGUMENTS)
@@ -124,6 +134,11 @@ class Traced:
             made: Callable[[], Sequence[Any]] = getattr(self._answers, name)
             results = ca.cse([_dense(result) for result in made()])
             arguments = [self._equations.symbols[key] for key in ARGUMENTS[name]]
+            paths = self.searched.symbols
+            if self.searched and ca.depends_on(ca.vertcat(*map(ca.vec, results)), paths):
+                if name in _OF_PATHS:
+                    raise Untraceable("derivatives through paths that wrap have no compiled form")
+                arguments.append(paths)
             self._made[name] = ca.Function(name, arguments, results)
         return self._made[name]
 

@@ -12,8 +12,7 @@ import numpy as np
 from mbd_ros.core.dynamics.contact_forces import Split
 from mbd_ros.core.dynamics.exact_contacts import EASED, ExactContacts
 from mbd_ros.core.dynamics.slip_names import begun, ends, has_turned, is_fine, named, slowest
-from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.state import NONE, Array, Mode, State
+from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.core.thresholds import TINY
 
 OPEN: Mode = (1, 1, 1)
@@ -58,20 +57,19 @@ class ContactModes:
         return 0, *begun(left[1:])
 
     def margins(
-        self, k: Kinematics, x: State, lam: Array, mode: Mode
+        self, slips: Array, x: State, lam: Array, mode: Mode
     ) -> dict[tuple[int, int], float]:
         """What is left of a push, of a slip, and of friction to its largest, in a mode.
 
         Contacts that can share their force otherwise are not at the end of their mode yet.
 
         Args:
-            k: Kinematics at the state.
+            slips: Velocities of the contacts along their planes, shape (c, 2).
             x: State of all joints.
             lam: Multipliers of the last solve, of the rows that go from event to event.
             mode: One entry each of these.
         """
         found: dict[tuple[int, int], float] = {}
-        slips: Array | None = None
         most = float(np.abs(lam).max())
         for c, i in enumerate(self._contacts.normals):
             if mode[i]:
@@ -82,7 +80,6 @@ class ContactModes:
                 friction = math.hypot(*lam[i + 1 : i + 3])
                 found[i + 1, 1] = self._left(float(self._contacts.mu[c]) * normal - friction, most)
             elif self._contacts.mu[c] > 0.0:
-                slips = self._contacts.slips(k, x) if slips is None else slips
                 found.update(zip(((i + 1, 0), (i + 2, 0)), ends(slips[c], name, x), strict=False))
         return found
 
@@ -119,27 +116,34 @@ class ContactModes:
         after = OPEN if switch == i else (0, *begun(-lam[i + 1 : i + 3]))
         return dict(zip(range(i, i + 3), after, strict=True))
 
-    def turned(self, k: Kinematics, x: State, mode: Mode) -> list[int]:
-        """Contacts whose slips should have other names, at the start of a step."""
-        slipping = self._slipping(mode)
-        slips, slow = self._contacts.slips(k, x) if slipping else NONE, slowest(x)
-        return [c for c, i in slipping if has_turned(slips[c], mode[i + 1 : i + 3], slow)]
+    def turned(self, slips: Array, x: State, mode: Mode) -> list[int]:
+        """Contacts whose slips should have other names, at the start of a step.
 
-    def slow(self, k: Kinematics, x: State, mode: Mode, switch: int) -> list[int]:
+        Args:
+            slips: As for `margins`.
+            x: State of all joints.
+            mode: One entry each of the rows that go from event to event.
+        """
+        slow = slowest(x)
+        return [
+            c for c, i in self.slipping(mode) if has_turned(slips[c], mode[i + 1 : i + 3], slow)
+        ]
+
+    def slow(self, slips: Array, x: State, mode: Mode, switch: int) -> list[int]:
         """Contacts whose slips should have other names where one is slow or strays.
 
         Args:
-            k: Kinematics at the state.
+            slips: As for `margins`.
             x: State of all joints.
             mode: One entry each of the rows that go from event to event.
             switch: A tangent of that slip; nothing is found where it has ended.
         """
-        slips, slow = np.linalg.norm(self._contacts.slips(k, x), axis=1), slowest(x)
-        slipping = self._slipping(mode)
-        if any(slips[c] <= slow for c, i in slipping if i < switch < i + 3):
+        sizes, slow = np.linalg.norm(slips, axis=1), slowest(x)
+        slipping = self.slipping(mode)
+        if any(sizes[c] <= slow for c, i in slipping if i < switch < i + 3):
             return []
         return [
-            c for c, i in slipping if i < switch < i + 3 or slow < slips[c] <= _TOGETHER * slow
+            c for c, i in slipping if i < switch < i + 3 or slow < sizes[c] <= _TOGETHER * slow
         ]
 
     def touching(self, mode: Mode) -> set[int]:
@@ -147,16 +151,21 @@ class ContactModes:
         normals = (i for i in self._contacts.normals if not mode[i])
         return {at for i in normals for at in range(i, i + 3)}
 
-    def slips_now(self, k: Kinematics, x: State) -> list[int]:
-        """Normals of contacts whose points move along one another, closed or not."""
-        slips = np.linalg.norm(self._contacts.slips(k, x), axis=1) > slowest(x)
+    def slips_now(self, slips: Array, x: State) -> list[int]:
+        """Normals of contacts whose points move along one another, closed or not.
+
+        Args:
+            slips: As for `margins`.
+            x: State of all joints.
+        """
+        moving = np.linalg.norm(slips, axis=1) > slowest(x)
         return [
-            i for i, moves in zip(self._contacts.normals, slips.tolist(), strict=True) if moves
+            i for i, moves in zip(self._contacts.normals, moving.tolist(), strict=True) if moves
         ]
 
     def turning(self, mode: Mode) -> bool:
         """Whether a slip may turn."""
-        return any(not is_fine(mode[i + 1 : i + 3]) for _, i in self._slipping(mode))
+        return any(not is_fine(mode[i + 1 : i + 3]) for _, i in self.slipping(mode))
 
     def longest(self, left: Array, mode: Mode) -> float:
         """Length of a step in which no slip that may turn changes by much [s].
@@ -166,7 +175,7 @@ class ContactModes:
             mode: One entry each of these.
         """
         length = math.inf
-        for c, i in self._slipping(mode):
+        for c, i in self.slipping(mode):
             slip = self._contacts.moving[c]
             if slip is not None and not is_fine(mode[i + 1 : i + 3]):
                 rate = math.hypot(*left[i + 1 : i + 3])
@@ -191,7 +200,7 @@ class ContactModes:
                 found.update(zip((i + 1, i + 2), name, strict=True))
         return found
 
-    def _slipping(self, mode: Mode) -> list[tuple[int, int]]:
+    def slipping(self, mode: Mode) -> list[tuple[int, int]]:
         """Contacts that slip, and where their normals stand."""
         every = enumerate(self._contacts.normals)
         return [(c, i) for c, i in every if not mode[i] and any(mode[i + 1 : i + 3])]

@@ -54,6 +54,7 @@ class ExactRows:
         self.reach = tuple(reach_of(block, own) for _, own, block in exact)
         self.restitution = np.array([block.law.restitution for *_, block in exact])
         n, self.contacts = len(exact), None
+        self._is_alone = n == len(rows.rows)  # no row is solved for in every evaluation
         if rows.cones:
             from mbd_ros.core.dynamics.contact_modes import ContactModes
             from mbd_ros.core.dynamics.exact_contacts import ExactContacts
@@ -149,13 +150,14 @@ class ExactRows:
     def rates_left(self, y: State, u: Array | None, mode: Mode) -> Array:
         """The w = g'' of all rows in a mode; without a solve where none is on."""
         pushed = self.pushing(mode)
-        if pushed is None:
+        if pushed is None and not (self._is_alone and self.is_idle(mode)):
             self.solve(y, u, mode)
             return self.left
         a, motion = self._over.freely(y, u, mode), self._motion
         before, motion.mechanism.z = motion.mechanism.z, y.z
         try:
-            a = pushed(y.t, y.q, y.v, a)
+            if pushed is not None:
+                a = pushed(y.t, y.q, y.v, a)
             joint_a = motion.joint_motion(y.q, y.v, a)[2]
             J, b = self._rows.conditions(motion.mechanism.k, self._over.placed(y))
             return np.asarray((J.dot(joint_a) + b)[self._at])
@@ -186,8 +188,7 @@ class ExactRows:
         """Margins of the tangents of contacts in a mode, by the multipliers of the last solve."""
         if self.contacts is None:
             return {}
-        k = self._motion.mechanism.k
-        return self._modes.margins(k, self._over.placed(y), self.lam, mode)
+        return self._modes.margins(*self._over.slips(y), self.lam, mode)
 
     def leaving(
         self, y: State, u: Array | None, mode: Mode, switch: int, way: int
@@ -214,13 +215,12 @@ class ExactRows:
             mode: The present one.
             switch: Tangent of a slip that is slow; None at the start of a step.
         """
-        contacts, k = self.contacts, self._motion.mechanism.k
-        if contacts is None:
+        if self.contacts is None or not self._modes.slipping(mode):
             return {}
         if switch is None:
-            chosen = self._modes.turned(k, self._over.placed(y), mode)
+            chosen = self._modes.turned(*self._over.slips(y), mode)
         elif self.reach[switch] is Reach.FRICTION and mode[switch]:
-            chosen = self._modes.slow(k, self._over.placed(y), mode, switch)
+            chosen = self._modes.slow(*self._over.slips(y), mode, switch)
         else:
             return {}
         if not chosen:
@@ -232,8 +232,8 @@ class ExactRows:
         """Normals of contacts that slip, among those of closed ones."""
         if self.contacts is None:
             return []
-        x = self._over.placed(y)
-        return [i for i in self._modes.slips_now(self._motion.mechanism.k, x) if i in closed]
+        moving = self._modes.slips_now(*self._over.slips(y))
+        return [i for i in moving if i in closed]
 
     def longest(self, y: State, u: Array | None, mode: Mode) -> float:
         """Length of a step in which no slip of a contact changes by much [s]."""

@@ -66,9 +66,10 @@ class VelocityLevel:
         self._mechanism = Mechanism(system.robot, system.loads)
         self._rigid = RigidRows(self._mechanism, ConstraintRows(layout.rigid, nv))
         self._bilateral = self._rigid.constraints.slots
-        self._rows, self._pushing = layout.rows, layout.having(Kind.UNILATERAL, Kind.CONE)
+        self._rows, pushing = layout.rows, layout.having(Kind.UNILATERAL, Kind.CONE)
+        self._pushing = [(block, block.cones()) for block in pushing]
         self._restitution = np.zeros(len(layout.rows))
-        for block in self._pushing:
+        for block in pushing:
             normals = slice(block.slots.start, block.slots.stop, 3 if block.cones() else 1)
             self._restitution[normals] = block.law.restitution
         self._nothing = np.zeros((0, nv)), np.zeros(0)
@@ -133,10 +134,10 @@ class VelocityLevel:
         slots: list[int] = []
         J, rates = ([nothing] for nothing in self._nothing)
         cones: list[Cone] = []
-        for block in self._pushing:
+        for block, contacts in self._pushing:
             here = [i for i in range(block.slots.start, block.slots.stop) if i in wanted]
-            if block.law.kind is Kind.CONE:  # a normal and its tangents are one contact
-                touched = [cone for cone in block.cones() if not wanted.isdisjoint(_rows(cone))]
+            if contacts:  # a normal and its tangents are one contact
+                touched = [cone for cone in contacts if not wanted.isdisjoint(_rows(cone))]
                 here = [i for cone in touched for i in _rows(cone)]
                 first = range(len(slots), len(slots) + len(here), 3)
                 pairs = zip(touched, first, strict=True)

@@ -18,10 +18,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from mbd_ros.core.estimation.marker_tree import ancestry_of, orders, q_of_v
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
+from mbd_ros.core.vectors import cross
 
 Frames = NDArray[np.intp] | slice
 _SHARES = 25  # numbers of a marker that are summed: w, w p, w p p', w e, w p e'
@@ -89,15 +91,15 @@ class MarkerCost:
         model = robot.model
         places = [robot.places.points[point.number] for point in points]
         self._model, self._data, self.couplings = model, pin.Data(model), couplings
-        self._tasks, self._task_q = tasks, _q_of_v(model)
+        self._tasks, self._task_q = tasks, q_of_v(model)
         self._carriers = sorted({place.joint for place in places})
         of = [self._carriers.index(place.joint) for place in places]
         self._of_marker = np.array(of, dtype=np.intp)
         self._local = np.array([place.at.translation for place in places]).reshape(-1, 3)
         held = [self._data.oMi[joint] for joint in self._carriers]
         self._views = [(pose.rotation, pose.translation) for pose in held]  # live
-        self._order, self._moved = _orders(model, [place.joint for place in places])
-        self.ancestry = _ancestry(couplings, model.nv)
+        self._order, self._moved = orders(model, [place.joint for place in places])
+        self.ancestry = ancestry_of(couplings, model.nv)
         self._coupled = bool(couplings.pairs)
         self.y_of_q = self._task_q[couplings.v_index]
         self.reached = ((self._moved.any(axis=1) | (tasks > 0.0)) @ self.ancestry > 0.0) * 1.0
@@ -137,7 +139,7 @@ class MarkerCost:
         p, J = self._kinematics(q)
         G = self.tangent(q)
         v, omega = J[:, None, :3].transpose(0, 1, 3, 2), J[:, None, 3:].transpose(0, 1, 3, 2)
-        moves = (v + _cross(omega, p[:, :, None])) * self._moved.T[None, :, :, None]
+        moves = (v + cross(omega, p[:, :, None])) * self._moved.T[None, :, :, None]
         return np.array(moves.transpose(0, 1, 3, 2) @ G[:, None])
 
     def moved(self, q: Array, dy: Array) -> Array:
@@ -215,8 +217,8 @@ class MarkerCost:
         slope = (v * F).sum(axis=2) + (omega * spin).sum(axis=2)
         part = bent[:, None, None]
         turned = (part * C - sums[:, :, 4:13]).reshape(N, J.shape[2], 3, 3)
-        linear = w0 * v + _cross(omega, w1)
-        angular = _cross(v, part * F - w1) + _less_trace(turned, omega)
+        linear = w0 * v + cross(omega, w1)
+        angular = cross(v, part * F - w1) + _less_trace(turned, omega)
         half = v @ linear.transpose(0, 2, 1) + omega @ angular.transpose(0, 2, 1)
         half *= self._order
         return slope, half + half.transpose(0, 2, 1)
@@ -226,47 +228,3 @@ def _less_trace(A: Array, vectors: Array) -> Array:
     """(A - tr(A) 1) x of every matrix and vector."""
     trace = A[..., 0, 0] + A[..., 1, 1] + A[..., 2, 2]
     return np.array((A @ vectors[..., None])[..., 0] - trace[..., None] * vectors)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Products a x b of vectors in the last axis; numpy's own takes several times as long."""
-    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        out[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
-    return out
-
-
-def _orders(model: pin.Model, carriers: list[int]) -> tuple[Array, Array]:
-    """What coordinates have to do with one another, and with markers.
-
-    Returns:
-        1 where j stands before k on a chain, 1/2 where both belong to one joint, else 0, shape
-        (nv, nv); 1 where a coordinate moves a marker, shape (nv, n).
-    """
-    joint_of = np.zeros(model.nv, dtype=np.intp)
-    for j, joint in enumerate(model.joints):
-        if j:
-            joint_of[joint.idx_v : joint.idx_v + joint.nv] = j
-    above = np.zeros((model.njoints, model.njoints))
-    for j in range(model.njoints):
-        above[list(model.supports[j]), j] = 1.0
-    np.fill_diagonal(above, 0.5)
-    order = above[np.ix_(joint_of, joint_of)]
-    moved = above[np.ix_(joint_of, np.array(carriers, dtype=np.intp))] > 0.0
-    return order, moved.astype(np.float64)
-
-
-def _ancestry(couplings: Couplings, nv: int) -> Array:
-    ancestry = np.zeros((nv, len(couplings.v_index)))
-    ancestry[couplings.v_index, np.arange(len(couplings.v_index))] = 1.0
-    for pair in couplings.pairs:
-        ancestry[pair.child_v] = ancestry[pair.parent_v]
-    return ancestry
-
-
-def _q_of_v(model: pin.Model) -> Array:
-    """Place in q of every velocity coordinate; those of free bodies get that of the body."""
-    place = np.zeros(model.nv, dtype=np.intp)
-    for joint in list(model.joints)[1:]:
-        place[joint.idx_v : joint.idx_v + joint.nv] = joint.idx_q
-    return place

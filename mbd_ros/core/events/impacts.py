@@ -113,10 +113,11 @@ class Impacts:
             mode: In which it goes on otherwise.
         """
         rows, found = self._rows, list[Rest]()
-        rate = rows.approach(y)
-        rows.solve(y, u, mode)
-        for i in (i for i in self.closed(y) if mode[i] and rate[i] > 0.0 > rows.left[i]):
-            v, a, e = float(rate[i]), -float(rows.left[i]), float(rows.restitution[i])
-            if e < 1.0 and v * v <= 2.0 * a * rounding(y):
+        rate, slack = rows.approach(y), rounding(y)
+        leaving = [i for i in self.closed(y) if mode[i] and rate[i] > 0.0]
+        left = rows.rates_left(y, u, mode) if leaving else rate
+        for i in (i for i in leaving if left[i] < 0.0):
+            v, a, e = float(rate[i]), -float(left[i]), float(rows.restitution[i])
+            if e < 1.0 and v * v <= 2.0 * a * slack:
                 found.append(Rest(y.t + 2.0 * v / (a * (1.0 - e)), i))
         return found

@@ -51,6 +51,9 @@ class StepEvents:
         Raises:
             SolveError: A switch is not left.
         """
+        if found := self._inner.first_event(left):
+            h, gap = found
+            return (after, None) if math.isinf(h) else (self._advanced(x, h), (gap, 0))
         whole = h = after.t - x.t
         self._pass_over(x, u, after, left)
         late = self._late(after, u, left)
@@ -67,13 +70,16 @@ class StepEvents:
             h = self._zero(x, u, event, h, left)
             if h <= 4.0 * math.ulp(x.t):
                 return x, event
-            late = self._late(self._advanced(x, h), u, left, done)
+            after = self._advanced(x, h)
+            late = self._late(after, u, left, done)
             if late is None and self._field.has_contacts:  # bodies may have met and parted before
-                before = self._inside(x, u, self._advanced(x, h), left)
+                before = self._inside(x, u, after, left)
                 if before < h:
                     late = self._late(self._advanced(x, before), u, left, done)
-                    h = before if late is not None else h
-        return self._advanced(x, h), event
+                    if late is None:
+                        return self._advanced(x, h), event
+                    h = before
+        return after, event
 
     def _late(
         self, x: State, u: Array | None, left: Collection[int], done: Collection[Margin] = ()

@@ -1,7 +1,7 @@
 """Contract of integrators: a method is a value, its stepper owns the workspace."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, ClassVar
 
 from mbd_ros.core.memory import Memory, copied, recognised
@@ -136,6 +136,18 @@ class Stepper:
 
     def margin_again(self, which: tuple[int, int]) -> Callable[[float, float], float] | None:
         """The same by length and time after the last step, taken again; nan where that fails."""
+        return None
+
+    def first_event(self, left: Collection[int]) -> tuple[float, int] | None:
+        """When a gap closes in the last step before anything else happens.
+
+        Args:
+            left: Switches that the motion is just leaving.
+
+        Returns:
+            Length of the step until then [s], inf where nothing happens in it, and the number of
+            the switch; None where nobody knows it so.
+        """
         return None
 
 

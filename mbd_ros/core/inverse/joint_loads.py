@@ -22,6 +22,7 @@ from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.vectors import cross
 from mbd_ros.errors import ModelError
 
 _NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
@@ -142,7 +143,7 @@ class JointLoads:
                 points.append(pull.point)
                 forces.append(pull.force)
         at, force = np.array(points).reshape(-1, 3), np.array(forces).reshape(-1, 3)
-        np.add.at(on, (owners, bodies), np.concatenate((force, _cross(at, force)), axis=1))
+        np.add.at(on, (owners, bodies), np.concatenate((force, cross(at, force)), axis=1))
         scaled: Array = on * tension[:, None, None]
         return scaled
 
@@ -153,7 +154,7 @@ class JointLoads:
             for wrench in part.wrenches(self._k, x, float(reserve[i])):
                 body = self._body(wrench.frame)
                 on[0, body, :3] += wrench.force
-                on[0, body, 3:] += wrench.torque + _cross(wrench.point, wrench.force)
+                on[0, body, 3:] += wrench.torque + cross(wrench.point, wrench.force)
         return on
 
     def _body(self, frame: str) -> int:
@@ -165,7 +166,7 @@ class JointLoads:
     def _about(self, on: Array, origins: Array) -> Array:
         """Sums beyond each joint, about its origin, shape (.., links, 6)."""
         summed = np.einsum("lb,mbk->mlk", self._beyond, on)
-        summed[..., 3:] -= _cross(origins, summed[..., :3])
+        summed[..., 3:] -= cross(origins, summed[..., :3])
         return summed
 
     def _seen(self, loads: Array, origins: Array) -> Array:
@@ -176,18 +177,12 @@ class JointLoads:
             places = np.array([self._k.position(link.parent) for link in self.joined])
             force = -loads[..., :3]
             loads = np.concatenate(
-                (force, _cross(origins - places, force) - loads[..., 3:]), axis=-1
+                (force, cross(origins - places, force) - loads[..., 3:]), axis=-1
             )
         ends = [link.child if self.side == "child" else link.parent for link in self.joined]
         R = np.array([self._k.rotation(end) for end in ends])
         split = loads.reshape(*loads.shape[:-1], 2, 3)
         return np.asarray((split @ R).reshape(loads.shape))
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Products of vectors; np.cross takes ten times as long for a few of them."""
-    first, second = a[..., _NEXT] * b[..., _AFTER], a[..., _AFTER] * b[..., _NEXT]
-    return first - second
 
 
 def joined_links(robot: Robot, links: Sequence[str] = ()) -> tuple[Joined, ...]:

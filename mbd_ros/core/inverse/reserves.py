@@ -30,14 +30,14 @@ class CoordinateReserve(NamedTuple):
         optimal: Force at effort 1 [N·m or N].
         unit: N·m or N.
         at: Its place among velocities.
-        bounds: Smallest and largest effort.
+        limits: Smallest and largest effort.
     """
 
     name: str
     optimal: float
     unit: str
     at: int
-    bounds: tuple[float, float] = UNBOUNDED
+    limits: tuple[float, float] = UNBOUNDED
 
 
 class BodyReserve:
@@ -83,7 +83,7 @@ class BodyReserve:
         self._load = np.array([*force, *torque], dtype=np.float64)
         if not self._load.any():
             raise ModelError(f"residual {name}: gives neither a force nor a torque")
-        self.bounds = float(bounds[0]), float(bounds[1])
+        self.limits = float(bounds[0]), float(bounds[1])
         self.unit = "N" if self._load[:3].any() else "N·m"
         self._turns = expressed_in != "world"
         self._point = robot.point(frame, point)
@@ -129,7 +129,7 @@ class InputReserve:
         self.name, self.unit, self.reads = name, channel.unit, part.reads
         size = max(abs(channel.lower), abs(channel.upper))
         self.optimal = size if size < math.inf else 1.0
-        self.bounds = channel.lower / self.optimal, channel.upper / self.optimal
+        self.limits = channel.lower / self.optimal, channel.upper / self.optimal
         self._part, self._place = part, place
 
     def column(self, k: Kinematics, x: State) -> Array:

@@ -17,7 +17,8 @@ import numpy as np
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.inverse.muscle_frames import Frames, MuscleFrames
 from mbd_ros.core.inverse.reserves import Reserve
-from mbd_ros.core.inverse.sharing_criteria import DEFAULT, Criterion, sizes_of
+from mbd_ros.core.inverse.sharing_criteria import sizes_of
+from mbd_ros.core.inverse.sharing_wishes import NOTHING_SPECIAL, Wishes, check_wishes
 from mbd_ros.core.model.couplings import Slopes
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.muscles.muscle import Muscle
@@ -25,32 +26,7 @@ from mbd_ros.core.optimization.separable_cost import SeparableCost
 from mbd_ros.core.optimization.separable_program import Optimum, SeparableProgram
 from mbd_ros.core.state import NONE, Array
 from mbd_ros.core.thresholds import SINGULAR
-from mbd_ros.errors import ModelError, SolveError
-
-MOST_WITH_TRACKING = 3.0  # exponent beside a measured activation
-
-
-class Wishes(NamedTuple):
-    """What is asked of the activations.
-
-    Attributes:
-        criterion: What is minimised.
-        passive: Whether the elastic force of the fibres acts beside the active one.
-        rise: Fastest rise of an activation [1/s], inf without a limit.
-        fall: Fastest fall [1/s].
-        tracking: Price of (a - measured)^2, beside prices of about 1; 0 without tracking.
-        measured_is_least: Whether a measured activation is a lower bound: co-contraction.
-    """
-
-    criterion: Criterion = DEFAULT
-    passive: bool = False
-    rise: float = np.inf
-    fall: float = np.inf
-    tracking: float = 0.0
-    measured_is_least: bool = False
-
-
-NOTHING_SPECIAL = Wishes()
+from mbd_ros.errors import SolveError
 
 
 class Shares(NamedTuple):
@@ -117,14 +93,14 @@ class StaticOptimization:
         reserves: Sequence[Reserve] = (),
         wishes: Wishes = NOTHING_SPECIAL,
     ) -> None:
-        _check(muscles, wishes)
+        check_wishes(muscles, wishes)
         self.known, self.muscles, self.reserves = known, tuple(muscles), tuple(reserves)
         self.wishes, self.robot = wishes, robot
         self.names = tuple(part.name for part in (*muscles, *reserves))
         self._frames = MuscleFrames(robot, known.couplings, muscles, reserves)
         self._sizes, self._n = sizes_of(muscles), len(muscles)
         ends = [(muscle.inputs[0].lower, muscle.inputs[0].upper) for muscle in muscles]
-        ends += [reserve.bounds for reserve in reserves]
+        ends += [reserve.limits for reserve in reserves]
         self._lower, self._upper = np.array(ends, dtype=np.float64).T
         self._optimal = np.array([reserve.optimal for reserve in reserves])
         self._program = SeparableProgram(len(self.names), len(known.couplings.v_index))
@@ -250,16 +226,3 @@ def _scaled(A: Array) -> Array:
     A = A / np.where(rows > 0.0, rows, 1.0)
     columns = np.abs(A).max(axis=1, keepdims=True, initial=0.0)
     return np.asarray(A / np.where(columns > 0.0, columns, 1.0))
-
-
-def _check(muscles: Sequence[Muscle], wishes: Wishes) -> None:
-    if not muscles:
-        raise ModelError("static optimisation: the scene has no muscles")
-    exponent = wishes.criterion.exponent
-    if wishes.tracking > 0.0 and exponent > MOST_WITH_TRACKING:
-        raise ModelError(
-            f"static optimisation: exponent {exponent:g} beside measured activations that are "
-            f"tracked; accepted: 1 .. {MOST_WITH_TRACKING:g}"
-        )
-    if not (wishes.rise > 0.0 and wishes.fall > 0.0):
-        raise ModelError("static optimisation: rates of activation must be greater than 0")

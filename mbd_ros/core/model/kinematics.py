@@ -145,6 +145,10 @@ class Kinematics:
         """A vector as the only row of a matrix, shape (1, n)."""
         return vector.reshape(1, -1)
 
+    def searched(self, path: Any, x: Any) -> Any:
+        """What a path finds by a search at a state, which symbols leave to native code."""
+        return path.search(self, x)
+
     @staticmethod
     def any(values: Array) -> bool:
         """Whether a value is not zero; where nobody can know, it may be so."""

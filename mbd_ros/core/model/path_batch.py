@@ -1,14 +1,14 @@
 """Lengths, speeds and moment arms of all paths over many samples."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.paths import Path
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.model.sampled_kinematics import SampledKinematics
+from mbd_ros.core.model.sampled_kinematics import SampledKinematics, carriers
 from mbd_ros.core.state import Array
 
 
@@ -34,16 +34,19 @@ class PathBatch:
         robot: The robot.
         couplings: Its dependent joints.
         paths: By name.
+        search: As for `SampledKinematics`; numpy's own by default.
 
     Attributes:
         names: Of the paths, in the order of the results.
     """
 
-    def __init__(self, robot: Robot, couplings: Couplings, paths: Mapping[str, Path]) -> None:
+    def __init__(
+        self, robot: Robot, couplings: Couplings, paths: Mapping[str, Path], search: Any = None
+    ) -> None:
+        self._search = search
         self._robot, self._couplings = robot, couplings
         self.names, self._paths = tuple(paths), tuple(paths.values())
-        carriers = {int(place.joint) for place in robot.places.points} - {0}
-        self._joints = np.array(sorted(carriers), dtype=np.intp)
+        self._joints = carriers(robot)
 
     def evaluate(self, y: Array, w: Array | None = None) -> PathSamples:
         """Lengths, speeds and moment arms.
@@ -56,7 +59,7 @@ class PathBatch:
             SolveError: A geodesic is not found.
         """
         q, slopes = self._expanded(y)
-        k, n = SampledKinematics(self._robot, q, self._joints), len(y)
+        k, n = SampledKinematics(self._robot, q, self._joints, self._search), len(y)
         lengths, arms = np.empty((n, len(self._paths))), []
         for i, path in enumerate(self._paths):
             lengths[:, i], slope = path.sampled(k)

@@ -1,6 +1,7 @@
 """Kinematics of many configurations: arrays over all of them in place of calls for each."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -20,12 +21,17 @@ class SampledKinematics:
         robot: The robot.
         q: Configurations, shape (n, nq).
         joints: Indices of the joints that carry what is asked for.
+        search: Finds paths that wrap, as `wrapping.taut.taut` does, from path, points and places.
 
     Attributes:
         q: As given.
+        search: As given.
     """
 
-    def __init__(self, robot: Robot, q: Array, joints: NDArray[np.intp]) -> None:
+    def __init__(
+        self, robot: Robot, q: Array, joints: NDArray[np.intp], search: Any = None
+    ) -> None:
+        self.search = search
         self._robot, self.q, self._joints = robot, q, joints
         n, model = len(q), robot.model
         self._columns = [_supporting(model, joint) for joint in joints]
@@ -94,6 +100,12 @@ class SampledKinematics:
                 columns = self._columns[self._index[joint]]
                 whole[:, columns] += (wrench[:, None, :] @ self._jacobians[:, :, columns])[:, 0]
         return whole
+
+
+def carriers(robot: Robot) -> NDArray[np.intp]:
+    """Indices of the joints that carry points of parts."""
+    joints = {int(place.joint) for place in robot.places.points} - {0}
+    return np.array(sorted(joints), dtype=np.intp)
 
 
 def _supporting(model: object, joint: int) -> NDArray[np.intp]:

@@ -44,12 +44,11 @@ def cone_contact(A: Array, b: Array, mu: float, least: float = 0.0, slack: float
     rows: Rows = A.tolist()
     rates: list[float] = b.tolist()
     enough = EXACT * size_of(rows, rates, least)
-    if least == 0.0:
-        if rates[0] >= -enough * rows[0][0]:
-            return np.zeros(3)
-        for p in _pushes(rows, rates, mu):
-            if residual(rows, rates, p, mu, 0.0) <= enough:
-                return np.array(p)
+    if least == 0.0 and rates[0] >= -enough * rows[0][0]:
+        return np.zeros(3)
+    for p in (_pushes if least == 0.0 else _opens)(rows, rates, mu, least):
+        if residual(rows, rates, p, mu, least) <= enough:
+            return np.array(p)
     return every_answer(A, b, mu, least, slack)
 
 
@@ -72,7 +71,23 @@ def cone_residuals(
     return n * abs(normal - push), max(least - normal, 0.0), max(over, 0.0), correction
 
 
-def _pushes(A: Rows, b: list[float], mu: float) -> Iterator[list[float]]:
+def _opens(A: Rows, b: list[float], mu: float, least: float) -> Iterator[list[float]]:
+    """Candidates of a contact that opens though it pushes with the least p."""
+    (_, a_x, a_y), (_, S_xx, S_xy), (_, _, S_yy) = A
+    if mu == 0.0:
+        yield [least, 0.0, 0.0]
+        return
+    s_1, s_2, x, y = _axes(S_xx, S_xy, S_yy)
+    c_x, c_y, flat = b[1] + a_x * least, b[2] + a_y * least, _FLAT * max(S_xx, S_yy)
+    s_1, c_1 = (s_1, x * c_x + y * c_y) if s_1 > flat else (0.0, 0.0)
+    s_2, c_2 = (s_2, x * c_y - y * c_x) if s_2 > flat else (0.0, 0.0)
+    slip = _Slip(s_1, s_2, c_1, c_2, 0.0, 0.0, least, mu)
+    for sticks in (True, False):
+        p_1, p_2 = slip.at(0.0 if sticks else slip.root())
+        yield [least, x * p_1 - y * p_2, y * p_1 + x * p_2]
+
+
+def _pushes(A: Rows, b: list[float], mu: float, least: float) -> Iterator[list[float]]:
     """Candidates of a contact that does not open."""
     (n, a_x, a_y), (_, S_xx, S_xy), (_, _, S_yy) = A
     ahead = -b[0] / n  # the normal p that ends w_n without friction
@@ -87,11 +102,8 @@ def _pushes(A: Rows, b: list[float], mu: float) -> Iterator[list[float]]:
     s_2, c_2 = (s_2, x * c_y - y * c_x) if s_2 > flat else (0.0, 0.0)
     k_1, k_2 = -(x * a_x + y * a_y) / n, -(x * a_y - y * a_x) / n
     slip = _Slip(s_1, s_2, c_1, c_2, k_1, k_2, ahead, mu)
-    for alpha in (0.0, None):
-        if alpha is None:
-            alpha = slip.root()
-        p_1 = -c_1 / (s_1 + alpha) if c_1 else 0.0
-        p_2 = -c_2 / (s_2 + alpha) if c_2 else 0.0
+    for sticks in (True, False):
+        p_1, p_2 = slip.at(0.0 if sticks else slip.root())
         yield [ahead + k_1 * p_1 + k_2 * p_2, x * p_1 - y * p_2, y * p_1 + x * p_2]
 
 
@@ -127,6 +139,11 @@ class _Slip(NamedTuple):
     k_2: float
     ahead: float
     mu: float
+
+    def at(self, alpha: float) -> tuple[float, float]:
+        """The p along the axes."""
+        p_1 = -self.c_1 / (self.s_1 + alpha) if self.c_1 else 0.0
+        return p_1, -self.c_2 / (self.s_2 + alpha) if self.c_2 else 0.0
 
     def root(self) -> float:
         """An alpha with |p_t| = mu p_n: Newton's method on mu p_n / |p_t|, safe in a bracket.

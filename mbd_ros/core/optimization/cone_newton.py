@@ -17,6 +17,7 @@ import eigenpy
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.core.optimization.cone_places import cone_places
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import redundant
 
@@ -103,6 +104,7 @@ class ConeNewton:
 
     def __init__(self, A: Array, contacts: Contacts) -> None:
         self.A, self.contacts, self.depends = A, contacts, True
+        self._places = cone_places(len(A), tuple(contacts.normal.tolist()))
 
     def damped(self, by: float) -> "ConeNewton":
         """The same with a part of the identity added to A."""
@@ -130,38 +132,39 @@ class ConeNewton:
         seen = self.seen = self.see(b, bounds, p)
         best, smallest = p, math.inf
         for _ in range(steps + 1):
-            left, size = float(np.abs(seen.left).max()), 1.0 + float(np.abs(p).max())
+            left, size = largest(seen.left), 1.0 + largest(p)
             ends = left > 0.5 * smallest and left <= _SMALL * size
             if left < smallest:
                 best, smallest, self.seen = p, left, seen
             if ends or left <= enough * size or not left < math.inf:
                 break
             step = self._step(seen, bounds, p)
-            if not np.isfinite(step).all():
+            if not math.isfinite(step.dot(step)):
                 break
             p, seen = self._along(b, bounds, p, step, seen, halvings)
         return best, smallest
 
     def see(self, b: Array, bounds: Bounds, p: Array) -> Seen:
         """The map at some impulses."""
-        others, normal, first, second, mu = self.contacts
-        w = self.A.dot(p) + b
+        others, normal, *_, mu = self.contacts
+        w, tangents = self.A.dot(p) + b, self._places.tangents
         z, left, holds = p - w, np.empty(len(p)), np.empty(len(p), dtype=np.bool_)
         if len(others):
             own = z[others]
             inside = np.minimum(np.maximum(own, bounds.lower), bounds.upper)
             left[others], holds[others] = p[others] - inside, inside == own
-        push = z[normal]
+        push, along = z[normal], z[tangents]
         pushes, push = push > bounds.least, np.maximum(push, bounds.least)
         left[normal], holds[normal] = p[normal] - push, pushes
-        x, y, radius = z[first], z[second], mu * push
-        length = np.hypot(x, y)
+        length, radius = np.hypot(along[0], along[1]), mu * push
         slips = length > radius
-        share = np.divide(radius, length, out=np.ones(len(mu)), where=slips)
-        left[first], left[second] = p[first] - share * x, p[second] - share * y
-        holds[first] = holds[second] = ~slips
-        length = np.where(slips, length, 1.0)
-        return Seen(left, w, holds, slips, pushes, x / length, y / length, radius, share)
+        sticks = ~slips
+        length[sticks] = 1.0
+        share = radius / length
+        share[sticks] = 1.0
+        left[tangents], holds[tangents] = p[tangents] - share * along, sticks
+        along = along / length
+        return Seen(left, w, holds, slips, pushes, along[0], along[1], radius, share)
 
     def _along(
         self, b: Array, bounds: Bounds, p: Array, step: Array, seen: Seen, halvings: int
@@ -169,6 +172,8 @@ class ConeNewton:
         """Impulses after a step or a part of it, and the map there."""
         after = p + step
         found = self.see(b, bounds, after)
+        if not halvings:
+            return after, found
         size, share = float(seen.left.dot(seen.left)), 1.0
         best, smallest = (after, found), float(found.left.dot(found.left))
         for _ in range(halvings):
@@ -184,12 +189,10 @@ class ConeNewton:
 
     def _step(self, seen: Seen, bounds: Bounds, p: Array) -> Array:
         """The shortest step that Newton's method asks for, shape (m,)."""
-        off = (~seen.holds).nonzero()[0]
-        K, r = self.A, seen.w
-        if len(off):
-            K, r = K.copy(), r.copy()
-            K[off], r[off] = 0.0, seen.left[off]
-            K[off, off] = 1.0
+        K, r, holds = self.A, seen.w, seen.holds
+        if not holds.all():
+            K, r = holds[:, None] * K, np.where(holds, r, seen.left)
+            K.ravel()[:: len(r) + 1] += ~holds
             at = seen.slips.nonzero()[0]
             if len(at):
                 self._slide(K, r, seen, bounds, p, at)
@@ -199,18 +202,25 @@ class ConeNewton:
 
     def _slide(self, K: Array, r: Array, seen: Seen, bounds: Bounds, p: Array, at: Slots) -> None:
         """Rows of contacts that slip: along their friction, then across it."""
-        contacts, A = self.contacts, self.A
-        n, first, second = (each[at] for each in contacts[1:4])
-        mu, x, y, share = contacts.mu[at], seen.x[at], seen.y[at], seen.share[at]
-        pushes = seen.pushes[at]
-        K[first, first], K[first, second] = x, y
-        K[first, n] = np.where(pushes, -mu, 0.0)
-        most = mu * np.where(pushes, p[n], bounds.least[at])
-        r[first] = x * p[first] + y * p[second] - most
+        _, n, first, second, mu = self.contacts
+        x, y, share, pushes, least = seen.x, seen.y, seen.share, seen.pushes, bounds.least
+        along, across, A = self._places.friction, self._places.turns, self.A
+        if len(at) < len(mu):
+            n, first, second = n[at], first[at], second[at]
+            along, across = along[:, at], across[:, at]
+            mu, least, x, y, share, pushes = mu[at], least[at], x[at], y[at], share[at], pushes[at]
+        entries = K.ravel()
+        entries[along] = (np.where(pushes, -mu, 0.0), x, y)
+        r[first] = x * p[first] + y * p[second] - mu * np.where(pushes, p[n], least)
+        stays = 1.0 - share
         K[second] = (share * x)[:, None] * A[second] - (share * y)[:, None] * A[first]
-        K[second, first] -= (1.0 - share) * y
-        K[second, second] += (1.0 - share) * x
+        entries[across] += (-stays * y, stays * x)
         r[second] = x * p[second] - y * p[first]
+
+
+def largest(values: Array) -> float:
+    """The largest size among some numbers, NaN where one is none."""
+    return float(np.maximum.reduce(np.abs(values)))  # as `max`, for less time
 
 
 def shortest(K: Array, r: Array) -> tuple[Array, int]:

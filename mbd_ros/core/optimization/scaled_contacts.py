@@ -46,7 +46,7 @@ class ScaledContacts:
         for cone in cones:
             moves[cone.slots] = mobile[cone.slots.start]
             self._pulls_nothing[cone.slots.start + 1 : cone.slots.stop] = True
-        self._at, place = moves.nonzero()[0], np.cumsum(moves) - 1
+        self._at, place = moves.nonzero()[0], moves.cumsum() - 1
         at = self._at
         moved = [cone for cone in cones if moves[cone.slots.start]]
         normal = place[[cone.slots.start for cone in moved]].astype(np.intp)
@@ -61,7 +61,7 @@ class ScaledContacts:
         is_other[normal] = is_other[first] = is_other[second] = False
         others = is_other.nonzero()[0]
         contacts = Contacts(others, normal, first, second, np.where(is_free, 0.0, mu))
-        self._newton = ConeNewton(unit[:, None] * A[np.ix_(at, at)] * unit, contacts)
+        self._newton = ConeNewton(unit[:, None] * A.take(at, 0).take(at, 1) * unit, contacts)
 
     def solve(
         self,

@@ -62,7 +62,10 @@ class SeparableCost(NamedTuple):
         return np.where((x == 0.0) & (self.exponent == 1.0), self.weight, 0.0)
 
     def at_slope(self, slope: Array) -> Array:
-        """The x with f_i' = slope where p > 1, tracking left aside, shape (n,)."""
+        """The x with f_i' = slope where p > 1, tracking left aside but for p = 2, shape (n,)."""
+        if self.is_quadratic:
+            whole = slope - self.linear + 2.0 * self.stiffness * self.target
+            return whole / np.maximum(self.curvature(slope), TINY)
         rest = (slope - self.linear) / (self.exponent * np.maximum(self.weight, TINY))
         return np.sign(rest) * np.abs(rest) ** (1.0 / (self.exponent - 1.0))
 

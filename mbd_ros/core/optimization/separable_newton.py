@@ -138,21 +138,17 @@ def refined(problem: Problem, x: Array, lam: Array, most: int) -> Found:
     return best
 
 
-def ascended(problem: Problem, x: Array) -> Found:
+def ascended(problem: Problem, lam: Array) -> Found:
     """The best on the way of Newton's method on A x(lam) = b, each step as far as that helps.
 
-    For powers beyond 2 without tracking, whose x(s) has a closed form. b - A x(lam) is the slope
-    of the dual, which is concave, so that short enough steps rise.
+    For squares, and for powers beyond 2 without tracking, whose x(s) has a closed form. The slope
+    of the dual is b - A x(lam). It is concave, so that short enough steps rise.
 
     Args:
         problem: The problem.
-        x: Near the optimum, shape (n,).
+        lam: Start, shape (m,).
     """
     cost, A = problem.cost, problem.A
-    free = (x > problem.lower) & (x < problem.upper)
-    flat = np.maximum(cost.curvature(x)[free], TINY) ** -0.5
-    rows = (A[:, free] * flat).T
-    lam = _least(rows, flat * cost.slope(x)[free])
     x, free, left = _at(problem, lam)
     best = Found(x, lam, np.inf)
     for _ in range(_ASCENTS):
@@ -172,6 +168,13 @@ def ascended(problem: Problem, x: Array) -> Found:
             step, uphill = step / 2.0, uphill / 2.0
         lam = lam + step
     return best
+
+
+def multipliers_at(problem: Problem, x: Array) -> Array:
+    """The lam that explain an x best, of curved unknowns between their bounds."""
+    free = (x > problem.lower) & (x < problem.upper)
+    flat = np.maximum(problem.cost.curvature(x)[free], TINY) ** -0.5
+    return _least((problem.A[:, free] * flat).T, flat * problem.cost.slope(x)[free])
 
 
 def _at(problem: Problem, lam: Array) -> tuple[Array, NDArray[np.bool_], Array]:

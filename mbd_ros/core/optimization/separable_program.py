@@ -12,12 +12,18 @@ import numpy as np
 from mbd_ros.core.optimization.qp_solvers import counted
 from mbd_ros.core.optimization.separable_cost import SeparableCost
 from mbd_ros.core.optimization.separable_interior import interior_start
-from mbd_ros.core.optimization.separable_newton import Found, Problem, ascended, refined
+from mbd_ros.core.optimization.separable_newton import (
+    Found,
+    Problem,
+    ascended,
+    multipliers_at,
+    refined,
+)
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
 
 _SOLVED = 5.0e-9  # residual that is accepted
-_EXCHANGES = 12  # steps from a warm start
+_EXCHANGES = 12  # steps from a warm start where costs are no squares
 _REFINING = 30  # steps from an interior start
 _GENTLE = 3.0  # exponent up to which the interior start is near enough
 _RISE = 1.3  # of the exponent from one start to the next
@@ -119,7 +125,10 @@ class SeparableProgram:
         return Optimum(found.x.copy(), lam, lacking, found.residual, is_feasible, movable)
 
     def _feasible(self, problem: Problem) -> Found | None:
-        found = refined(problem, self._x, self._lam, _EXCHANGES)
+        if problem.cost.is_quadratic:
+            found = ascended(problem, self._lam)
+        else:
+            found = refined(problem, self._x, self._lam, _EXCHANGES)
         if found.residual > _SOLVED:
             self.statistics = counted(self.statistics, "cold")
             found = _from_inside(problem)
@@ -139,7 +148,8 @@ def _from_inside(problem: Problem) -> Found:
     found = refined(problem._replace(cost=first), x, lam, _REFINING)
     while first.exponent < cost.exponent and found.residual <= _NEAR:
         first = cost._replace(exponent=min(cost.exponent, _RISE * first.exponent))
-        found = ascended(problem._replace(cost=first), found.x)
+        harder = problem._replace(cost=first)
+        found = ascended(harder, multipliers_at(harder, found.x))
     is_done = first.exponent == cost.exponent
     return found if is_done else found._replace(residual=np.inf)
 

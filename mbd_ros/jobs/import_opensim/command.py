@@ -1,4 +1,4 @@
-"""The command `mbd-ros import-opensim`: a model of OpenSim as a description and a scene."""
+"""Commands `mbd-ros import-opensim` and `import-mjcf`: a model as a description and a scene."""
 
 import argparse
 from pathlib import Path
@@ -10,8 +10,8 @@ from mbd_ros.scene.locate import path_word
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `import-opensim` understands."""
-    parser.add_argument("model", type=path_word, help="MODEL.osim, or packed as MODEL.osim.gz")
+    """The words that both understand."""
+    parser.add_argument("model", type=path_word, help="MODEL.osim, MODEL.osim.gz or MODEL.xml")
     parser.add_argument(
         "-o",
         "--output",

@@ -1,4 +1,4 @@
-"""A model of OpenSim -> a robot description, a scene, and a list of what they leave out."""
+"""A model of OpenSim or MuJoCo -> a description, a scene, and a list of what they leave out."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
@@ -10,10 +10,9 @@ import yaml
 from mbd_ros.errors import DataError
 from mbd_ros.files.replacing import replacing
 from mbd_ros.scene.building import Origin
-from mbd_ros.scene.model_entry import brought_sections
-from mbd_ros.scene.osim.imported import Imported, import_osim
+from mbd_ros.scene.model_entry import brought_sections, format_of, import_model
+from mbd_ros.scene.osim.imported import Imported
 from mbd_ros.scene.osim.names import plain
-from mbd_ros.scene.osim.xml_text import read_osim
 from mbd_ros.scene.reader import build_scene
 from mbd_ros.scene.strict_yaml import mapping_of
 
@@ -24,7 +23,7 @@ def import_opensim(model: Path, folder: Path) -> Iterator[str]:
     """Write <name>.urdf, <name>.yaml and <name>.left_out.txt; all of them, or none.
 
     Args:
-        model: The .osim file.
+        model: The file; one that is no MJCF by its name is read as a model of OpenSim.
         folder: Where they are written; made where it is missing.
 
     Yields:
@@ -34,7 +33,7 @@ def import_opensim(model: Path, folder: Path) -> Iterator[str]:
         SceneError: The model cannot be read: names file and element.
         DataError: The files cannot be written.
     """
-    imported = import_osim(read_osim(model), str(model))
+    imported = import_model(model, format_of(model) or "osim", {})
     name = plain(imported.name)
     sections, absent = brought_sections(imported)
     lines = [*absent, *map(str, imported.left_out)]

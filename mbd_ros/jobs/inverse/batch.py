@@ -4,16 +4,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mbd_ros.errors import DataError, MbdError
+from mbd_ros.errors import DataError
 from mbd_ros.files.replacing import refuse_overwriting
 from mbd_ros.jobs.inverse.derivatives import Derivatives
 from mbd_ros.jobs.inverse.job import inverse_to
-from mbd_ros.jobs.inverse.observed import Say, Task
+from mbd_ros.jobs.inverse.observed import Task
 from mbd_ros.jobs.inverse.wrenches import refuse_unused
-from mbd_ros.scene.code_permission import is_permitted, permitting
+from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.several_motions import Outcome, do_motions, externals_of, outcome_of, places
+from mbd_ros.scene.code_permission import is_permitted
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.workers.opening import do_all, open_workers
-from mbd_ros.workers.remaining import watched
 from mbd_ros.workers.task import Task as WorkerTask
 
 
@@ -57,7 +57,7 @@ def inverse_of_one(batch: Batch, say: Say) -> None:
     """Do the only motion; `say` is told of it."""
     if batch.scheduler is not None or batch.workers is not None:
         raise DataError("--scheduler and --workers go with several motions")
-    _externals(batch)
+    externals_of(batch.external, len(batch.motions))
     _inverse(batch, say)
 
 
@@ -73,30 +73,16 @@ def inverse_of_all(batch: Batch, say: Say) -> None:
             names that would meet in the folder, or a folder that cannot be.
     """
     results = places(batch.motions, batch.out)
-    externals = _externals(batch)
+    externals = externals_of(batch.external, len(batch.motions))
     for out in results.values():
         refuse_overwriting(out, batch.wrenches, *externals)
     refuse_unused(load_scene(batch.scene), batch.wrenches)
-    try:
-        batch.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{batch.out}: cannot be made a folder ({error.strerror})") from error
     pairs = zip(results.items(), externals, strict=True)
     tasks = [_work(batch, motion, out, external) for (motion, out), external in pairs]
-    failed = []
-    with open_workers(batch.scheduler, batch.workers) as workers:
-        for task, result in watched(do_all(workers, tasks), tasks, workers.count):
-            lines, error = result.value or ([], result.failure)
-            if error:
-                failed.append(f"{task.name}: {error.removeprefix(f'{task.name}: ')}")
-            else:
-                say(f"{task.name}: {'; '.join(lines)}")
-    if failed:
-        told = "\n  ".join(sorted(failed))
-        raise DataError(f"{len(failed)} of {len(tasks)} motions failed:\n  {told}")
+    do_motions(tasks, batch.out, batch.scheduler, batch.workers, say)
 
 
-def one(argument: Mapping[str, Any]) -> tuple[list[str], str]:
+def one(argument: Mapping[str, Any]) -> Outcome:
     """One motion, in a worker.
 
     Args:
@@ -111,34 +97,17 @@ def one(argument: Mapping[str, Any]) -> tuple[list[str], str]:
         fields[name] = None if fields[name] is None else Path(fields[name])
     fields |= {name: [Path(path) for path in fields[name]] for name in ("motions", "external")}
     batch = Batch(**fields)
-    lines: list[str] = []
-    try:
-        with permitting(argument["allow_code"]):
-            _inverse(batch, lines.append)
-    except MbdError as error:
-        return lines, str(error)
-    return lines, ""
+    return outcome_of(lambda say: _inverse(batch, say), argument["allow_code"])
 
 
 def _inverse(batch: Batch, say: Say) -> None:
     derivatives = Derivatives(batch.derivatives, batch.cutoff, batch.half_width)
     (motion,) = batch.motions
     between = None if batch.time_range is None else (batch.time_range[0], batch.time_range[1])
-    (external,) = _externals(batch)
+    (external,) = externals_of(batch.external, len(batch.motions))
     more = batch.topic, batch.parts, batch.bounds, external, between
     asked = Task(motion, derivatives, batch.wrenches, *more)
     inverse_to(load_scene(batch.scene), asked, batch.out, say)
-
-
-def _externals(batch: Batch) -> list[Path | None]:
-    """External loads of each motion."""
-    files, count = list(batch.external or ()), len(batch.motions)
-    if len(files) not in (0, 1, count):
-        raise DataError(
-            f"--external names {len(files)} files for {count} motions; accepted: one for all, or "
-            "one for each"
-        )
-    return [*files] if len(files) == count else [files[0] if files else None] * count
 
 
 def _work(batch: Batch, motion: Path, out: Path, external: Path | None) -> WorkerTask:
@@ -149,17 +118,3 @@ def _work(batch: Batch, motion: Path, out: Path, external: Path | None) -> Worke
         fields[name] = None if fields[name] is None else str(place(fields[name]))
     argument = {"batch": fields, "allow_code": is_permitted()}
     return WorkerTask(str(motion), f"{__name__}:{one.__name__}", argument)
-
-
-def places(motions: Sequence[Path], folder: Path) -> dict[Path, Path]:
-    """Motion -> result of the same name, and so of the same format."""
-    taken: dict[Path, Path] = {}
-    sources = {motion.resolve() for motion in motions}
-    for motion in motions:
-        out = folder.resolve() / motion.resolve().name
-        if out in taken:
-            raise DataError(f"{taken[out]} and {motion} have the same name, results would meet")
-        if out in sources:
-            raise DataError(f"{motion}: its result would take its place; choose another folder")
-        taken[out] = motion
-    return {motion: out for out, motion in taken.items()}

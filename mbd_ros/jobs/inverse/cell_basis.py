@@ -1,31 +1,34 @@
-"""Quintic B-splines of uniform knots at many places a cell: sums over samples, and values.
+"""Quintic B-splines of uniform knots: sums over samples, and values at samples.
 
-Within a cell every spline is a polynomial of u, the place from the middle of the cell on. So sums
-over the samples of a cell are those of powers of u, and values are polynomials of each cell: small
-products of matrices, a cell each. A block of samples at a time stays in the cache.
+A row of samples lies in a few cells that follow each other, and sees the splines of these: sums
+and values are small products of matrices, a row each. A block of samples at a time stays in the
+cache.
 """
 
-import itertools
 import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
+from mbd_ros.jobs.inverse.nested_splines import joined_powers
 from mbd_ros.jobs.inverse.products import product
 from mbd_ros.jobs.inverse.spline_pieces import DEGREE, Wanted, pieces
 
 _WIDTH = DEGREE + 1  # splines that are not 0 in a cell
+_LENGTH = 16  # samples of a row, about
 _LOOSE = 2.0  # places that rows of one length may take, per sample
-_BLOCK = 8192  # samples
+_BLOCK = 4096  # samples
 _MIDDLE = 0.5
 _PIECES = pieces(_MIDDLE)
-_UPPER = tuple(itertools.combinations_with_replacement(range(_WIDTH), 2))
-_PAIRS = np.array([np.outer(_PIECES[p], _PIECES[q]).ravel() for p, q in _UPPER])
+_PAIRS = [(p, q) for p in range(_WIDTH) for q in range(p, _WIDTH)]
+_PRODUCTS = np.array([np.convolve(_PIECES[p], _PIECES[q]) for p, q in _PAIRS])
 
 
 class CellBasis:
-    """What `UniformBasis` is, quicker where cells hold several samples.
+    """The splines of uniform cells at places within them.
 
     Args:
         places: In cells from the beginning on, increasing, shape (n,).
@@ -34,142 +37,177 @@ class CellBasis:
     """
 
     def __init__(self, places: Array, cells: int, weights: Array) -> None:
-        self._cells, self._blocks = cells, list[tuple[slice, _Block]]()
-        for begin in range(0, len(places), _BLOCK):
-            rows = slice(begin, min(begin + _BLOCK, len(places)))
-            block = _Block(np.clip(places[rows], 0.0, cells), cells, weights[rows])
-            self._blocks.append((rows, block))
+        places = np.clip(places, 0.0, cells)
+        self._cells, self._weights = cells, weights
+        self._at = np.minimum(places.astype(np.intp), cells - 1)
+        self._u = places - self._at - _MIDDLE
+        self._several = max(_LENGTH * cells // len(places), 1)  # cells of a row
+        self._groups = -(-cells // self._several)
+        self._kept: list[tuple[slice, _Block]] = []
+        self._sums: list[Array] = []
+        self._normals: dict[int, Array] = {}
 
-    def normal(self) -> Array:
-        """Sums of weight b_i b_j over the samples, upper banded form, (DEGREE + 1, splines)."""
-        found = np.zeros((_WIDTH, self._cells + DEGREE))
-        for _, block in self._blocks:
-            products = block.of_cells(
-                block.weighted().swapaxes(0, 1) @ block.powers().transpose(1, 2, 0)
-            )
-            sums = product(_PAIRS, products.reshape(-1, _WIDTH * _WIDTH).T)
-            for (p, q), row in zip(_UPPER, sums, strict=True):
-                found[DEGREE - (q - p), block.own(q)] += row
-        return found
+    def normal(self, level: int = 0) -> Array:
+        """Sums of weight b_i b_j over the samples, upper banded form, (DEGREE + 1, splines).
+
+        Args:
+            level: Of cells 2^level times as wide, which `cells` is a multiple of.
+        """
+        if level not in self._normals:
+            powers = self._powers(level)
+            cells = powers.shape[1]
+            found = np.zeros((_WIDTH, cells + DEGREE))
+            for (p, q), row in zip(_PAIRS, product(_PRODUCTS, powers), strict=True):
+                found[DEGREE - (q - p), q : q + cells] += row
+            self._normals[level] = found
+        return self._normals[level]
+
+    def _powers(self, level: int) -> Array:
+        """Sums of weight u^k over the samples of each cell, k = 0 .. 10, shape (11, cells)."""
+        if not self._sums:
+            self._sums.append(np.empty((2 * DEGREE + 1, self._cells)))
+            weighted = self._weights.copy()
+            for own in self._sums[0]:
+                own[:] = np.bincount(self._at, weighted, self._cells)
+                weighted *= self._u
+        while len(self._sums) <= level:
+            self._sums.append(joined_powers(self._sums[-1]))
+        return self._sums[level]
 
     def projected(self, values: Array, chosen: NDArray[np.intp]) -> Array:
-        """Sums of weight b_i y over the samples, y m rows of values; shape (splines, m)."""
-        m = len(chosen)
-        projected = np.zeros((self._cells + DEGREE, m))
-        for rows, block in self._blocks:
-            placed = block.placed(values[:, rows], chosen)
-            moments = block.of_cells(block.weighted().swapaxes(0, 1) @ placed)
-            sums = product(_PIECES, moments.swapaxes(0, 1).reshape(_WIDTH, -1))
-            for p, of_cells in enumerate(sums.reshape(_WIDTH, -1, m)):
-                projected[block.own(p)] += of_cells
-        return projected
+        """Sums of weight b_i y over the samples, y m columns of values; shape (m, splines)."""
+        several, columns = self._several, _together(chosen)
+        projected = np.zeros((self._groups * several + DEGREE, len(chosen)))
+        for rows, block in self._blocks():
+            sums = block.sums(self._weights[rows], values[rows][:, columns])
+            for p in range(several + DEGREE):
+                projected[block.own(p)] += sums[:, p]
+        return np.ascontiguousarray(projected[: self._cells + DEGREE].T)
 
     def put(self, coefficients: Array, width: float, wanted: Wanted, rows: slice) -> None:
         """Derivatives of sums of splines at some samples.
 
         Args:
-            coefficients: Shape (splines, m).
+            coefficients: Shape (m, splines).
             width: Of a cell [s].
             wanted: See `spline_pieces.Wanted`.
             rows: The samples.
         """
-        for part, block in self._blocks:
+        orders = sorted({order for order, *_ in wanted})
+        lacking = self._groups * self._several - self._cells
+        padded = np.pad(coefficients, ((0, 0), (0, lacking)))
+        for part, block in self._blocks():
             own = slice(max(part.start, rows.start), min(part.stop, rows.stop))
             if own.start >= own.stop:
                 continue
             into = slice(own.start - rows.start, own.stop - rows.start)
             inside = slice(own.start - part.start, own.stop - part.start)
-            each = np.stack([coefficients[block.own(p)] for p in range(_WIDTH)])
-            polynomials = product(_PIECES.T, each.reshape(_WIDTH, -1)).reshape(each.shape)
-            polynomials, powers = block.of_rows(polynomials), block.powers()
+            found = block.values(padded, orders, width)
             for order, columns, target, places in wanted:
-                factors = np.array([math.perm(k, order) for k in range(order, _WIDTH)])
-                factors = factors / width**order
-                those = polynomials[order:, :, columns] * factors[:, None, None]
-                found = block.values(those, powers[: _WIDTH - order])
-                for column, place in zip(found, places, strict=True):
-                    target[into, place] = block.taken(column, inside)
+                at = block.places(orders.index(order), len(orders))[inside]
+                taken = np.take(found[:, _together(columns)], at, axis=0, mode="clip")
+                target[into, _together(places)] = taken
+
+    def _blocks(self) -> "Iterator[tuple[slice, _Block]]":
+        """Samples, and the block of them; made when they are first asked for."""
+        if not self._kept:
+            for begin in range(0, len(self._u), _BLOCK):
+                rows = slice(begin, begin + _BLOCK)
+                block = _Block(self._at[rows], self._u[rows], self._several)
+                self._kept.append((slice(begin, begin + len(block.u)), block))
+        return iter(self._kept)
+
+
+def _together(chosen: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+    """Columns, as a slice where they stand beside each other: a view of them."""
+    beside = bool((np.diff(chosen) == 1).all()) and len(chosen) > 0
+    return slice(int(chosen[0]), int(chosen[-1]) + 1) if beside else chosen
 
 
 class _Block:
-    """Samples in rows of one length; a row belongs to a cell, a cell may have several.
+    """Samples in rows of one length; a row has some cells, and these may have several rows.
 
-    Rows that are too long repeat the last sample of their cell, without weight.
+    Attributes:
+        u: Places of the samples from the middle of their cell on, shape (n,).
     """
 
-    def __init__(self, places: Array, cells: int, weights: Array) -> None:
-        n = len(places)
-        at = np.minimum(places.astype(np.intp), cells - 1)
-        starts = np.flatnonzero(np.diff(at, prepend=-1))
-        self._used = at[starts]  # cells that hold a sample
-        ends = np.append(starts[1:], n)
-        counts = ends - starts
+    def __init__(self, at: NDArray[np.intp], u: Array, several: int) -> None:
+        self.u, self._several, n = u, several, len(u)
+        group, self._offset = np.divmod(at, several) if several > 1 else (at, np.zeros_like(at))
+        starts = np.flatnonzero(np.diff(group, prepend=-1))
+        self._used = group[starts]  # groups that hold a sample
+        counts = np.diff(np.append(starts, n))
         length = int(counts.max())
         if length * len(counts) > _LOOSE * n:
             length = max(n // len(counts), 1)
-        self._of_cell = -(-counts // length)  # rows
-        self._first = np.cumsum(self._of_cell) - self._of_cell
-        self._places = np.repeat(self._first * length - starts, counts) + np.arange(n)
-        self._several = int(self._of_cell.max()) > 1
-        if self._several:
-            steps = np.arange(int(self._of_cell.sum())) - np.repeat(self._first, self._of_cell)
-            starts = np.repeat(starts, self._of_cell) + length * steps
-            ends = np.repeat(ends, self._of_cell)
-        samples = starts[:, None] + np.arange(length)
-        is_sample = samples < ends[:, None]
-        self._samples = np.minimum(samples, ends[:, None] - 1)
+        of_group = -(-counts // length)  # rows
+        self._first = np.cumsum(of_group) - of_group
+        self._rows, self._length = int(of_group.sum()), length
+        self._long = self._rows > len(of_group)
+        self._group = np.repeat(self._used, of_group) if self._long else self._used
+        place = np.repeat(self._first * length - starts, counts) + np.arange(n)
+        self._row, self._within = np.divmod(place, length)
+        self._weighted: Array | None = None  # splines, kept for the next signals
         first, last = int(self._used[0]), int(self._used[-1])
         self._span = slice(first, last + 1) if last - first + 1 == len(self._used) else None
-        self._u = np.take(places - at - _MIDDLE, self._samples)
-        self._weights = np.take(weights, self._samples) * is_sample
-
-    def powers(self) -> Array:
-        """Powers of u, shape (6, rows, length): cheaper to find again than to keep."""
-        powers = np.empty((_WIDTH, *self._u.shape))
-        powers[0] = 1.0
-        for k in range(1, _WIDTH):
-            np.multiply(powers[k - 1], self._u, out=powers[k])
-        return powers
-
-    def weighted(self) -> Array:
-        """Powers times weights, the same shape."""
-        weighted = np.empty((_WIDTH, *self._u.shape))
-        weighted[0] = self._weights
-        for k in range(1, _WIDTH):
-            np.multiply(weighted[k - 1], self._u, out=weighted[k])
-        return weighted
-
-    def placed(self, values: Array, chosen: NDArray[np.intp]) -> Array:
-        """Chosen rows of values of the samples, shape (k, n), as a view (rows, length, m)."""
-        placed = np.empty((len(chosen), *self._samples.shape))
-        for own, k in zip(placed, chosen, strict=True):
-            np.take(values[k], self._samples, out=own, mode="clip")
-        return placed.transpose(1, 2, 0)
-
-    @staticmethod
-    def values(polynomials: Array, powers: Array) -> Array:
-        """Polynomials, shape (k, rows, m), in their places, shape (m, rows, length)."""
-        values = np.empty((polynomials.shape[2], *powers.shape[1:]))
-        of_rows = polynomials.transpose(1, 2, 0)
-        np.matmul(of_rows, powers.swapaxes(0, 1), out=values.swapaxes(0, 1))
-        return values
-
-    def taken(self, placed: Array, samples: slice) -> Array:
-        """Values in their places, shape (rows, length), of some samples."""
-        return np.take(placed.reshape(-1), self._places[samples], mode="clip")
 
     def own(self, p: int) -> slice | NDArray[np.intp]:
-        """The spline p of each cell."""
-        span = self._span
-        return self._used + p if span is None else slice(span.start + p, span.stop + p)
+        """The spline p of each group of cells."""
+        span, several = self._span, self._several
+        if span is None:
+            return self._used * several + p
+        return slice(span.start * several + p, (span.stop - 1) * several + p + 1, several)
 
-    def of_cells(self, sums: Array) -> Array:
-        """Sums of rows, shape (rows, ..), to those of cells."""
-        if not self._several:
-            return sums
-        of_cells: Array = np.add.reduceat(sums, self._first, axis=0)
-        return of_cells
+    def places(self, k: int, count: int) -> NDArray[np.intp]:
+        """Where the samples stand in rows of `count` lengths, in the k-th of them."""
+        places: NDArray[np.intp] = (self._row * count + k) * self._length + self._within
+        return places
 
-    def of_rows(self, polynomials: Array) -> Array:
-        """Polynomials of cells, shape (6, cells, m), for each row."""
-        return np.repeat(polynomials, self._of_cell, axis=1) if self._several else polynomials
+    def sums(self, weights: Array, values: Array) -> Array:
+        """Sums of weight b_p y for each group, y m columns, shape (groups, splines, m)."""
+        placed = np.zeros((self._rows * self._length, values.shape[1]))
+        placed[self.places(0, 1)] = values
+        placed = placed.reshape(self._rows, self._length, -1)
+        if self._weighted is None:
+            self._weighted = self._splines([weights * self._polynomials(0, 1.0)])
+        sums = self._weighted @ placed
+        return np.add.reduceat(sums, self._first, axis=0) if self._long else sums
+
+    def values(self, coefficients: Array, orders: Sequence[int], width: float) -> Array:
+        """Derivatives of sums of splines in the places of samples, shape (places, m)."""
+        m, splines = len(coefficients), self._several + DEGREE
+        per_signal, one = coefficients.strides
+        shape, strides = (1 + int(self._group[-1]), splines, m), (one * self._several, one)
+        every = as_strided(coefficients, shape, (*strides, per_signal), writeable=False)
+        is_all = self._span is not None and not self._long
+        own = every[self._span if is_all else self._group]
+        basis = self._splines([self._polynomials(order, width) for order in orders])
+        return (basis.swapaxes(1, 2) @ own).reshape(-1, m)
+
+    def _polynomials(self, order: int, width: float) -> Array:
+        """Derivatives of the six splines of the cell of each sample, shape (6, n)."""
+        factors = np.array([math.perm(k, order) for k in range(order, _WIDTH)])
+        powers = np.empty((_WIDTH - order, len(self.u)))
+        powers[0] = 1.0
+        for k in range(1, len(powers)):
+            np.multiply(powers[k - 1], self.u, out=powers[k])
+        return product(_PIECES[:, order:] * (factors / width**order), powers)
+
+    def _splines(self, each: Sequence[Array]) -> Array:
+        """What samples have for the splines of their cells, in their rows.
+
+        Args:
+            each: For the six splines of a cell, shape (6, n).
+
+        Returns:
+            Shape (rows, splines, len(each) * length); 0 beside the six splines.
+        """
+        splines, long = self._several + DEGREE, len(each) * self._length
+        found = np.zeros(self._rows * splines * long)
+        base = (self._row * splines + self._offset) * long + self._within
+        for k, values in enumerate(each):
+            at = base + k * self._length
+            for own in values:
+                found[at] = own
+                at += long
+        return found.reshape(self._rows, splines, long)

@@ -12,6 +12,30 @@ from mbd_ros.workers.arguments import add_workers
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The words that `inverse` understands."""
     add_scene(parser)
+    add_motions(parser)
+    parser.add_argument(
+        "--time-range",
+        type=float,
+        nargs=2,
+        metavar=("FIRST", "LAST"),
+        help="solve these times alone [s]; derivatives come from the whole motion",
+    )
+    add_derivatives(parser)
+    parser.add_argument(
+        "--parts",
+        action="store_true",
+        help="also gravity, coriolis, inertial, ..; refused for scenes with loops",
+    )
+    parser.add_argument(
+        "--bounds",
+        action="store_true",
+        help="efforts within the limits of actuators, stops and friction within their laws",
+    )
+    add_workers(parser)
+
+
+def add_motions(parser: argparse.ArgumentParser) -> None:
+    """Motions, their loads, and where results go."""
     parser.add_argument(
         "motion",
         type=path_word,
@@ -39,29 +63,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "for all motions, or one for each",
     )
     parser.add_argument(
-        "--time-range",
-        type=float,
-        nargs=2,
-        metavar=("FIRST", "LAST"),
-        help="solve these times alone [s]; derivatives come from the whole motion",
-    )
-    add_derivatives(parser)
-    parser.add_argument(
-        "--parts",
-        action="store_true",
-        help="also gravity, coriolis, inertial, ..; refused for scenes with loops",
-    )
-    parser.add_argument(
-        "--bounds",
-        action="store_true",
-        help="efforts within the limits of actuators, stops and friction within their laws",
-    )
-    parser.add_argument(
         "--topic",
         default="/joint_states",
         help="JointState topic of a bag (default: %(default)s)",
     )
-    add_workers(parser)
 
 
 def add_derivatives(parser: argparse.ArgumentParser) -> None:

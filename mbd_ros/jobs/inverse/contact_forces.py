@@ -25,7 +25,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.formats import is_bag
 from mbd_ros.files.recordings import Source, name_of, read_columns, read_motion
 from mbd_ros.files.table import Result
-from mbd_ros.jobs.inverse.observed import Say
+from mbd_ros.jobs.lines import Say
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.part_entries import MeasuredWrench
 

@@ -7,7 +7,8 @@ may end again (a recording that was resampled), so the lowest frequency counts f
 stays flat for a while and after which no motion comes up.
 """
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ _SHARE = 0.005  # largest share of the variance that noise has, unless it is whi
 _WHITE = 6  # bands up to the last that make noise white
 _RENEWED = 1 / 8  # largest cut-off per rate of new values, where samples are repeated
 _HELD = 4  # samples a level, from which on a few levels are steps of an encoder
+_FIRST = 1000  # differences
 _AT_END = 3.49, 1.053  # of positions and velocities: the low-pass of t^4 / 4! on a grid
 _EXACT = 1.0e-14  # noise per largest value that is rounding of numbers
 _GENEROUS = 2.0  # times the least expected square error: motion lost is worse than noise left
@@ -65,16 +67,23 @@ def cutoffs(pieces: Sequence[tuple[Array, Array]], order: int) -> Array:
     Returns:
         [Hz], shape (m,); inf where there is no noise, or too little to tell.
     """
-    longest = max(pieces, key=lambda piece: len(piece[0]))[0]
-    signals = np.concatenate([values.T for _, values in pieces], axis=1)
+    longest, m = max(pieces, key=lambda piece: len(piece[0]))[0], pieces[0][1].shape[1]
     if len(longest) < FEWEST_TELLING:
-        return np.full(len(signals), np.inf)
+        return np.full(m, np.inf)
     bands = _bands(spectrum(pieces), order, _frequencies(longest))
-    rounding = [0.0 if order else _step(signal) ** 2 / 12.0 for signal in signals]
-    each = zip(np.abs(signals).max(axis=1), rounding, strict=True)
-    best = np.array([_best(bands, column, *sizes) for column, sizes in enumerate(each)])
-    fresh = np.array([_renewals(signal) for signal in signals]) * rate_of(longest)
+    signals = [functools.partial(_column, pieces, k) for k in range(m)]
+    best = np.array([_best(bands, *each) for each in enumerate(signals)])
+    repeats = np.any(
+        [(np.diff(values, axis=0) == 0.0).any(axis=0) for _, values in pieces], axis=0
+    )
+    renewals = [_renewals(signals[k]()) if repeats[k] else np.inf for k in range(m)]
+    fresh = np.array(renewals) * rate_of(longest)
     return np.minimum(best, np.maximum(_RENEWED * fresh, LOWEST))
+
+
+def _column(pieces: Sequence[tuple[Array, Array]], k: int) -> Array:
+    """A signal in all pieces; few are needed as a whole."""
+    return np.concatenate([values[:, k] for _, values in pieces])
 
 
 def _frequencies(times: Array) -> Array:
@@ -87,26 +96,33 @@ def _frequencies(times: Array) -> Array:
 
 def _bands(found: Spectrum, order: int, cutoff: Array) -> Bands:
     """The part that the low-pass of a cut-off does not pass and that of the next does."""
-    turn = 2.0 * np.pi * found.frequency
-    passed = np.array([*(response(found.frequency, f) for f in cutoff), np.ones_like(turn)])
-    share = np.diff(passed, axis=0) ** 2 * found.frequency[0]
-    energy = product(share, found.density)
-    force = product(share * turn ** (4 - 2 * order), found.density)
-    density = energy / (share * turn ** (2 * order)).sum(axis=1)[:, None]
-    return Bands(
-        cutoff, density, force, share.sum(axis=1), (share * turn**4).sum(axis=1), order, found.span
-    )
+    turn = np.square(2.0 * np.pi * found.frequency)
+    one, m = np.ones_like(turn), found.density.shape[1]
+    passed = np.array([*(response(found.frequency, f) for f in cutoff), one])
+    share = np.diff(passed, axis=0)
+    np.square(share, out=share)
+    wanted, given = (turn, turn) if order else (np.square(turn), one)
+    columns = [found.density, wanted[:, None] * found.density]
+    columns.append(np.stack([given, one, np.square(turn)], axis=1))
+    sums = found.frequency[0] * product(share, np.concatenate(columns, axis=1))
+    energy, force, (noise, width, gain) = sums[:, :m], sums[:, m : 2 * m], sums[:, 2 * m :].T
+    density = energy / noise[:, None]
+    return Bands(cutoff, density, force, width, gain, order, found.span)
 
 
 def _step(signal: Array) -> float:
     """Resolution of a signal that only takes multiples of a step; 0 for any other."""
-    steps = np.diff(np.unique(signal))
+    steps = np.diff(np.sort(signal))
     steps = steps[steps > 1e-9 * np.ptp(signal)]
     few = len(steps) < 8
     if len(steps) == 0 or (few and len(signal) < _HELD * (len(steps) + 1)):
         return 0.0
-    multiples = steps / steps.min()
-    return float(steps.min()) if np.abs(multiples - np.rint(multiples)).max() < 0.02 else 0.0
+    step = float(steps.min())
+    for some in (steps[:_FIRST], steps[_FIRST:]):  # most signals are found out by few
+        multiples = some / step
+        if np.abs(multiples - np.rint(multiples)).max(initial=0.0) >= 0.02:
+            return 0.0
+    return step
 
 
 def _renewals(signal: Array) -> float:
@@ -123,14 +139,14 @@ def _renewals(signal: Array) -> float:
     return 1.0 / usual if usual > 1.0 else np.inf
 
 
-def _best(bands: Bands, column: int, size: float, rounding: float) -> float:
-    """Cut-off of the signal in a column, of its largest size and the variance of its rounding."""
+def _best(bands: Bands, column: int, signal: Callable[[], Array]) -> float:
+    """Cut-off of a signal, which is that of a column."""
     density, acceleration = bands.density[:, column], bands.acceleration[:, column]
-    first = _first_of_noise(bands, density, rounding)
+    first = _first_of_noise(bands, density, signal)
     if first is None:
         return np.inf
     at_first = density[first] * (2.0 * np.pi * bands.cutoff[first]) ** (2 * bands.order)
-    if at_first * bands.cutoff[-1] <= (_EXACT * size) ** 2:
+    if at_first * bands.cutoff[-1] <= (_EXACT * np.abs(signal()).max()) ** 2:
         return np.inf
     noise = np.minimum(density, density[first])
     noise[:first] = density[first]
@@ -156,15 +172,15 @@ def _lost_at_ends(bands: Bands, lost: Array) -> Array:
     return both
 
 
-def _first_of_noise(bands: Bands, density: Array, rounding: float) -> int | None:
+def _first_of_noise(bands: Bands, density: Array, signal: Callable[[], Array]) -> int | None:
     """First band that is noise and has only noise beyond it; None without any.
 
     Args:
         bands: The bands.
         density: Of the signal in them.
-        rounding: Variance of its rounding [rad^2 or m^2].
+        signal: Gives its samples.
     """
-    count = len(density)
+    count, variance = len(density), None
     above = np.cumsum((density * bands.width)[::-1])[::-1]
     rising = density * bands.cutoff**_STEEPEST
     density = np.maximum(density, np.finfo(np.float64).tiny)
@@ -174,11 +190,13 @@ def _first_of_noise(bands: Bands, density: Array, rounding: float) -> int | None
     for k in range(count - 1):
         if not _is_flat(rising[k : k + 1 + _BANDS]):
             continue
-        if above[k] <= 2.0 * rounding:
-            return k
         is_noise = comes_up[k] <= _HUMP
         is_white = count - k >= _WHITE and highest[k] <= _HUMP * lowest[k]
         if is_noise and (is_white or above[k] <= _SHARE * above[0]):
+            return k
+        if variance is None:  # of rounding; sorts the samples, which few signals need
+            variance = 0.0 if bands.order else _step(signal()) ** 2 / 12.0
+        if above[k] <= 2.0 * variance:
             return k
     return None
 

@@ -16,9 +16,10 @@ from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse import loops, open_chains
 from mbd_ros.jobs.inverse.commands import commands_of
 from mbd_ros.jobs.inverse.derivatives import Derivatives
-from mbd_ros.jobs.inverse.observed import Observed, Say, Task, observe_motion
+from mbd_ros.jobs.inverse.observed import Observed, Task, observe_motion
 from mbd_ros.jobs.inverse.open_chains import Violations
 from mbd_ros.jobs.inverse.outcome import about_result, check_finite
+from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.progress import Watch, watching
 from mbd_ros.scene.built_scene import Scene
 

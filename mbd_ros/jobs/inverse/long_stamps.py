@@ -36,21 +36,13 @@ class Window:
     Args:
         core: Those to find.
         wide: Those to look at.
-        times: Of `wide` [s].
-        stretch: What they are a window of.
+        low_pass: Of `wide`.
     """
 
-    def __init__(self, core: slice, wide: slice, times: Array, stretch: Stretch) -> None:
+    def __init__(self, core: slice, wide: slice, low_pass: LowPass) -> None:
         self.core, self.wide = core, wide
         self.own = slice(core.start - wide.start, core.stop - wide.start)  # of `wide`
-        self._times, self._stretch = times, stretch
-        self._low_passes: dict[float, LowPass] = {}
-
-    def low_pass(self, cutoff: float) -> LowPass:
-        """That of a cut-off [Hz]."""
-        if cutoff not in self._low_passes:
-            self._low_passes[cutoff] = LowPass(self._times, cutoff, self._stretch)
-        return self._low_passes[cutoff]
+        self.low_pass = low_pass
 
 
 class Windows:
@@ -115,7 +107,8 @@ def _windows(stamps: Stamps, cutoff: Array) -> Iterator[Window]:
             first = bisect.bisect_left(rows, at(begin) - beside, key=at)
             last = bisect.bisect_right(rows, at(end - 1) + beside, key=at)
             wide = slice(part.start + first, part.start + last)
-            yield Window(slice(begin, end), wide, times_of(stamps, wide), stretch)
+            low_pass = LowPass(times_of(stamps, wide), cutoff, stretch)
+            yield Window(slice(begin, end), wide, low_pass)
 
 
 def parts_of(stamps: Stamps) -> list[slice]:

@@ -1,7 +1,7 @@
 """What inverse dynamics is asked for, and the samples that it is asked at."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -18,12 +18,12 @@ from mbd_ros.jobs.inverse.causal import causal_line, observe
 from mbd_ros.jobs.inverse.derivatives import OPENSIM, Derivatives, differentiate
 from mbd_ros.jobs.inverse.loop_closing import close_loops
 from mbd_ros.jobs.inverse.wrenches import read_loads, wrench_at
+from mbd_ros.jobs.lines import Say
 from mbd_ros.scene.built_scene import Scene
 
 if TYPE_CHECKING:
     from mbd_ros.jobs.inverse.external import ExternalLoads
 
-Say = Callable[[str], None]
 _NEAR = 0.01  # steps of the motion: times that were resampled are a little off
 
 

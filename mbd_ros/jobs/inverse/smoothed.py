@@ -94,12 +94,8 @@ class SmoothedSource:
         if not self._pairs:
             return
         if self._tau is None:
-            self._tau = self._spool(2 * len(self._pairs))
-        effort = self._effort[self._tau.rows : self._tau.rows + table.rows]
-        tau, k = np.empty((table.rows, self._tau.width)), len(self._pairs)
-        for i, (j, name) in enumerate(self._pairs):
-            tau[:, i], tau[:, k + i] = effort[:, j], table[name]
-        self._tau.append(tau)
+            self._tau = self._spool(len(self._pairs))
+        self._tau.append(np.column_stack([table[name] for _, name in self._pairs]))
 
     def lines(self) -> Iterator[str]:
         """See `streamed.Source`."""
@@ -113,8 +109,20 @@ class SmoothedSource:
     def last_lines(self) -> Iterator[str]:
         """How far the torques are off the measured efforts."""
         if self._tau is not None:
-            cutoff = self._cutoff[[j for j, _ in self._pairs]]
-            yield from off_the_effort(self._windows, self._tau, cutoff)
+            joints = [j for j, _ in self._pairs]
+            sides = _Sides(self._effort, joints, self._tau)
+            yield from off_the_effort(self._windows, sides, self._cutoff[joints])
+
+
+class _Sides:
+    """Measured efforts of some joints, then their torques, by rows."""
+
+    def __init__(self, effort: Spool, joints: list[int], tau: Spool) -> None:
+        self._effort, self._joints, self._tau = effort, joints, tau
+
+    def __getitem__(self, rows: slice) -> Array:
+        """Some rows, shape (n, 2 * joints)."""
+        return np.hstack([self._effort[rows][:, self._joints], self._tau[rows]])
 
 
 class _Moving:

@@ -10,8 +10,8 @@ from mbd_ros.core.state import Array
 
 DEGREE = 5
 
-# order of a derivative, columns of the coefficients, where its values go, and in which columns
-Wanted = Sequence[tuple[int, slice, Array, NDArray[np.intp]]]
+# order of a derivative, signals that pass, where its values go, and in which columns
+Wanted = Sequence[tuple[int, NDArray[np.intp], Array, NDArray[np.intp]]]
 
 
 def pieces(origin: float) -> Array:

@@ -17,8 +17,9 @@ from mbd_ros.files.times import time_columns
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse import open_chains
 from mbd_ros.jobs.inverse.causal import causal_line, observe
-from mbd_ros.jobs.inverse.observed import Say, Task
+from mbd_ros.jobs.inverse.observed import Task
 from mbd_ros.jobs.inverse.outcome import about_result, check_finite
+from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.progress import watching
 from mbd_ros.scene.built_scene import Scene
 

@@ -11,8 +11,6 @@ from mbd_ros.files.table import Table
 from mbd_ros.jobs.inverse.long_stamps import Windows
 from mbd_ros.jobs.inverse.zero_phase import Rows, low_passed
 
-_BLOCK = 8192  # samples that stay in the cache
-
 
 def unexplained(motion: Motion, table: Table, cutoff: Array) -> Iterator[str]:
     """A line, where the motion has measured efforts.
@@ -29,8 +27,8 @@ def unexplained(motion: Motion, table: Table, cutoff: Array) -> Iterator[str]:
     if not pairs:
         return
     tau = [*(effort[:, j] for j, _ in pairs), *(table[name] for _, name in pairs)]
-    cutoff = cutoff[[j for j, _ in pairs]]
-    yield from off_the_effort(Windows(motion.stamps, cutoff), np.column_stack(tau), cutoff)
+    windows, own = Windows(motion.stamps, cutoff), cutoff[[j for j, _ in pairs]]
+    yield from off_the_effort(windows, np.column_stack(tau), own)
 
 
 def driven(
@@ -52,16 +50,15 @@ def off_the_effort(windows: Windows, tau: Rows, cutoff: Array) -> Iterator[str]:
         cutoff: Of the low-pass of each joint [Hz], shape (m,).
     """
     total, off = 0.0, 0.0
-    for passed in low_passed(windows, tau, np.tile(cutoff, 2)):
-        for begin in range(0, len(passed), _BLOCK):
-            known, found = np.split(passed[begin : begin + _BLOCK].T, 2)
-            unit = max(np.abs(known).max(), np.abs(found).max())  # squares may overflow
-            if not np.isfinite(unit):
-                return
-            if unit > 0.0:
-                known, found = known / unit, found / unit
-                total = math.hypot(total, unit * math.sqrt(np.square(known).sum()))
-                off = math.hypot(off, unit * math.sqrt(np.square(found - known).sum()))
+    for passed, step in low_passed(windows, tau, np.tile(cutoff, 2)):
+        known, found = np.split(passed, 2, axis=1)
+        unit = max(np.abs(known).max(initial=0.0), np.abs(found).max(initial=0.0))
+        if not np.isfinite(unit):
+            return
+        if unit > 0.0:  # squares may overflow
+            known, found, weight = known / unit, found / unit, unit * math.sqrt(step)
+            total = math.hypot(total, weight * math.sqrt(np.square(known).sum()))
+            off = math.hypot(off, weight * math.sqrt(np.square(found - known).sum()))
     if total > 0.0 and math.isfinite(off):
         yield (
             f"off the measured effort by {100.0 * off / total:.3g} % (norm of differences over "

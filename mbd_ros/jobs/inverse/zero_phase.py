@@ -105,45 +105,38 @@ def smoothed(
         measured: Joints whose velocity is used, shape (m,).
         cutoff: That of `chosen_cutoffs`.
     """
+    m = len(cutoff)
+    derived, given = np.flatnonzero(~measured), np.flatnonzero(measured)
+    chosen = np.concatenate([derived, given, m + given])
+    ours = np.arange(len(derived))
+    theirs = len(derived) + np.arange(len(given))
     for window in windows:
-        values, m = np.ascontiguousarray(moving[window.wide].T), len(cutoff)
         rows = window.core.stop - window.core.start
-        smooth, rate, push = found = np.empty((3, m, rows)).swapaxes(1, 2)
-        for f in np.unique(cutoff):
-            derived, given = (
-                np.flatnonzero((cutoff == f) & each) for each in (~measured, measured)
-            )
-            ours, theirs, rates = _places(len(derived), len(given))
-            wanted = [(k, ours, found[k], derived) for k in range(3) if derived.size]
-            if given.size:
-                wanted += [(0, theirs, smooth, given)]
-                wanted += [(0, rates, rate, given), (1, rates, push, given)]
-            chosen = np.concatenate([derived, given, m + given])
-            window.low_pass(f).put(values, chosen, wanted, window.own)
+        smooth, rate, push = found = np.empty((3, rows, m))
+        wanted = [(k, ours, found[k], derived) for k in range(3) if len(ours)]
+        if len(given):
+            rates = theirs + len(given)
+            wanted += [(0, theirs, smooth, given)]
+            wanted += [(0, rates, rate, given), (1, rates, push, given)]
+        window.low_pass.put(moving[window.wide], chosen, cutoff[chosen % m], wanted, window.own)
         yield window.core, smooth, rate, push
 
 
-def _places(derived: int, given: int) -> tuple[slice, slice, slice]:
-    """Columns of positions to derive, of positions beside velocities, and of these."""
-    return slice(0, derived), slice(derived, derived + given), slice(derived + given, None)
-
-
-def low_passed(windows: Windows, values: Rows, cutoff: Array) -> Iterator[Array]:
-    """Signals of the joints through the low-pass of their motion, window by window.
+def low_passed(windows: Windows, values: Rows, cutoff: Array) -> Iterator[tuple[Array, float]]:
+    """Signals of the joints through the low-pass of their motion, in pieces.
 
     Args:
         windows: Of all stamps and the cut-offs.
         values: One a joint, shape (n, m), or what gives some rows of them.
         cutoff: That of the result of `zero_phase`.
+
+    Yields:
+        Signals of one or several joints at times that are a step apart, and the step [s].
     """
+    every = np.arange(len(cutoff))
     for window in windows:
-        signals = np.ascontiguousarray(values[window.wide].T)
-        passed = np.empty((len(cutoff), window.core.stop - window.core.start)).T
-        for f in np.unique(cutoff):
-            at = np.flatnonzero(cutoff == f)
-            wanted = [(0, slice(None), passed, at)]
-            window.low_pass(f).put(signals, at, wanted, window.own)
-        yield passed
+        wide, own = values[window.wide], window.own
+        yield from (found[1:] for found in window.low_pass.spread(wide, every, cutoff, own))
 
 
 def _chosen(

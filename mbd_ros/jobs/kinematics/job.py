@@ -1,6 +1,5 @@
 """Motion from recorded markers: `mbd-ros kinematics`."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,11 +21,10 @@ from mbd_ros.jobs.kinematics.matching import Matched, match
 from mbd_ros.jobs.kinematics.remarks import remarks_of
 from mbd_ros.jobs.kinematics.solver import NO_TASK, read_tasks, solver_of, targets_of
 from mbd_ros.jobs.kinematics.tables import RESIDUALS, residual_table, sample_table
+from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.kinematics_task import KinematicsTask
-
-Say = Callable[[str], None]
 
 
 def kinematics(

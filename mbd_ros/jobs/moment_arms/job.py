@@ -16,9 +16,10 @@ from mbd_ros.files.times import time_columns
 from mbd_ros.jobs.columns import joint_columns
 from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse.derivatives import Derivatives, differentiate
-from mbd_ros.jobs.inverse.observed import Say
+from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.path_search import QuickestSearch
 
 _ROUNDING = 1.0e-12  # m or -, arms of joints that do not change a path
 
@@ -52,7 +53,7 @@ def moment_arms(scene: Scene, motion: Source, *, topic: str = "/joint_states") -
     samples = differentiate(scene, where, complete, Derivatives("given")).samples
     at, y = IndependentCoordinates(scene.robot, scene.couplings), samples[1].copy()
     y[:, at.joint_y] = recorded.position[:, : len(at.joint_y)]  # functions of angles as recorded
-    batch = PathBatch(scene.robot, scene.couplings, paths)
+    batch = PathBatch(scene.robot, scene.couplings, paths, QuickestSearch())
     with about(where):
         found = batch.evaluate(y, samples[2] if has_speeds else None)
     joints = [scene.robot.joint(name) for name in scene.couplings.independent]

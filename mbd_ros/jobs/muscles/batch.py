@@ -4,21 +4,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mbd_ros.errors import DataError, MbdError
+from mbd_ros.errors import DataError
 from mbd_ros.files.replacing import refuse_overwriting
-from mbd_ros.jobs.inverse.batch import places
 from mbd_ros.jobs.inverse.derivatives import Derivatives
-from mbd_ros.jobs.inverse.observed import Say, Task
+from mbd_ros.jobs.inverse.observed import Task
+from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.muscles.job import Sharing, muscles_to
+from mbd_ros.jobs.several_motions import Outcome, do_motions, externals_of, outcome_of, places
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.code_permission import is_permitted, permitting
+from mbd_ros.scene.code_permission import is_permitted
 from mbd_ros.scene.muscles_task import muscles_task
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.workers.opening import do_all, open_workers
-from mbd_ros.workers.remaining import watched
 from mbd_ros.workers.task import Task as WorkerTask
 
-_PATHS = ("scene", "out", "wrenches", "external", "task")
+_PATHS = ("scene", "out", "wrenches", "task")
 
 
 class Batch(NamedTuple):
@@ -30,7 +29,7 @@ class Batch(NamedTuple):
         scene: The scene.
         out: Folder of the results; the result itself where there is one motion.
         wrenches: Table or bag of the external loads of every motion.
-        external: External loads of OpenSim (.xml) of every motion.
+        external: External loads of OpenSim (.xml): none, of every motion, or one each.
         derivatives: given, causal, zero-phase or opensim.
         cutoff: Of the filters [Hz].
         half_width: Samples on either side of a local zero-phase fit.
@@ -45,7 +44,7 @@ class Batch(NamedTuple):
     scene: Path
     out: Path
     wrenches: Path | None
-    external: Path | None
+    external: Sequence[Path]
     derivatives: str
     cutoff: float | None
     half_width: int | None
@@ -74,28 +73,16 @@ def muscles_of_all(batch: Batch, say: Say) -> None:
             names that would meet in the folder, or a folder that cannot be.
     """
     results = places(batch.motions, batch.out)
+    externals = externals_of(batch.external, len(batch.motions))
     for out in results.values():
-        refuse_overwriting(out, batch.wrenches, batch.external)
+        refuse_overwriting(out, batch.wrenches, *externals)
     _options(batch, load_scene(batch.scene))
-    try:
-        batch.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{batch.out}: cannot be made a folder ({error.strerror})") from error
-    tasks = [_work(batch, motion, out) for motion, out in results.items()]
-    failed = []
-    with open_workers(batch.scheduler, batch.workers) as workers:
-        for task, result in watched(do_all(workers, tasks), tasks, workers.count):
-            lines, error = result.value or ([], result.failure)
-            if error:
-                failed.append(f"{task.name}: {error.removeprefix(f'{task.name}: ')}")
-            else:
-                say(f"{task.name}: {'; '.join(lines)}")
-    if failed:
-        told = "\n  ".join(sorted(failed))
-        raise DataError(f"{len(failed)} of {len(tasks)} motions failed:\n  {told}")
+    pairs = zip(results.items(), externals, strict=True)
+    tasks = [_work(batch, motion, out, external) for (motion, out), external in pairs]
+    do_motions(tasks, batch.out, batch.scheduler, batch.workers, say)
 
 
-def one(argument: Mapping[str, Any]) -> tuple[list[str], str]:
+def one(argument: Mapping[str, Any]) -> Outcome:
     """One motion, in a worker.
 
     Args:
@@ -108,20 +95,18 @@ def one(argument: Mapping[str, Any]) -> tuple[list[str], str]:
     fields = dict(argument["batch"])
     for name in _PATHS:
         fields[name] = None if fields[name] is None else Path(fields[name])
-    batch = Batch(**{**fields, "motions": [Path(motion) for motion in fields["motions"]]})
-    lines: list[str] = []
-    try:
-        with permitting(argument["allow_code"]):
-            _muscles(batch, load_scene(batch.scene), lines.append)
-    except MbdError as error:
-        return lines, str(error)
-    return lines, ""
+    fields |= {name: [Path(path) for path in fields[name]] for name in ("motions", "external")}
+    batch = Batch(**fields)
+    return outcome_of(
+        lambda say: _muscles(batch, load_scene(batch.scene), say), argument["allow_code"]
+    )
 
 
 def _muscles(batch: Batch, scene: Scene, say: Say) -> None:
     derivatives = Derivatives(batch.derivatives, batch.cutoff, batch.half_width)
     (motion,) = batch.motions
-    task = Task(motion, derivatives, batch.wrenches, batch.topic, external=batch.external)
+    (external,) = externals_of(batch.external, 1)
+    task = Task(motion, derivatives, batch.wrenches, batch.topic, external=external)
     options = _options(batch, scene)
     asked = muscles_task(scene, options, "muscles")
     muscles_to(scene, Sharing(task, asked, options), batch.out, say)
@@ -145,10 +130,11 @@ def _options(batch: Batch, scene: Scene) -> dict[str, Any]:
     return options
 
 
-def _work(batch: Batch, motion: Path, out: Path) -> WorkerTask:
+def _work(batch: Batch, motion: Path, out: Path, external: Path | None) -> WorkerTask:
     place = Path if batch.scheduler is None else Path.absolute
     fields = batch._asdict() | {"motions": [str(place(motion))], "out": str(out)}
-    for name in ("scene", "wrenches", "external", "task"):
+    fields["external"] = [] if external is None else [str(place(external))]
+    for name in ("scene", "wrenches", "task"):
         fields[name] = None if fields[name] is None else str(place(fields[name]))
     argument = {"batch": fields, "allow_code": is_permitted()}
     return WorkerTask(str(motion), f"{__name__}:{one.__name__}", argument)

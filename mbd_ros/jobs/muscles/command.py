@@ -6,7 +6,7 @@ from typing import Any
 
 from mbd_ros.errors import OK
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.inverse.command import add_derivatives
+from mbd_ros.jobs.inverse.command import add_derivatives, add_motions
 from mbd_ros.jobs.lines import say
 from mbd_ros.scene.locate import path_word
 from mbd_ros.workers.arguments import add_workers
@@ -30,24 +30,8 @@ _OPTIONS = (  # keys of the section `muscles` of a task file
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The words that `muscles` understands."""
     add_scene(parser)
-    parser.add_argument(
-        "motion", type=path_word, nargs="+", help="as for `inverse`, of joints of the scene"
-    )
-    parser.add_argument(
-        "-o",
-        "--out",
-        type=path_word,
-        required=True,
-        help="CSV (.gz), .npz, .parquet, .sto or bag; of several motions a folder (required)",
-    )
-    parser.add_argument("--wrenches", type=path_word, help="CSV or bag of the external loads")
-    parser.add_argument(
-        "--external",
-        type=path_word,
-        help="external loads of OpenSim (.xml with its .mot), in place of those of the scene",
-    )
+    add_motions(parser)
     add_derivatives(parser)
-    parser.add_argument("--topic", default="/joint_states", help="JointState topic of a bag")
     _add_sharing(parser)
     _add_measured(parser)
     _add_loads(parser)

@@ -16,7 +16,8 @@ from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.files.times import time_columns
 from mbd_ros.jobs.inverse.derivatives import Derivatives
-from mbd_ros.jobs.inverse.observed import Say, Task, observe_motion
+from mbd_ros.jobs.inverse.observed import Task, observe_motion
+from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.jobs.muscles.columns import load_columns, share_columns, topics
 from mbd_ros.jobs.muscles.measured import measured_activations

@@ -1,6 +1,6 @@
 """A scene of a person's size: `mbd-ros scale`."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from mbd_ros.errors import DataError, SceneError
 from mbd_ros.files.recordings import Source
 from mbd_ros.files.replacing import replacing
 from mbd_ros.jobs.kinematics.capture import read_capture
+from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.scale.factors import factor_lines, factors_of
 from mbd_ros.jobs.scale.scaled_sections import left_as_they_are, scaled_sections
 from mbd_ros.jobs.scale.scaled_urdf import ScaledUrdf
@@ -20,7 +21,6 @@ from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.scale_task import ScaleTask
 from mbd_ros.scene.task_reader import read_task
 
-Say = Callable[[str], None]
 _LENGTHS = ("optimal_fiber_length", "tendon_slack_length")
 _WIDTH = 140
 
@@ -84,7 +84,7 @@ def scaled_entries(
     stretch = {(recipe.rename or {}).get(n, n): f for n, f in urdf.stretch.items()}
     entries = scaled_sections(scene.entries, factors, stretch)
     given = entries.get("robot") or {}
-    entries["robot"] = {k: v for k, v in given.items() if k not in ("urdf", "osim")}
+    entries["robot"] = {k: v for k, v in given.items() if k not in ("urdf", "osim", "mjcf")}
     if entries.get("muscles"):
         entries["muscles"] = _scaled_muscles(scene, scene_from(_without(entries), urdf=urdf.text))
     for line in factor_lines(factors):

@@ -14,9 +14,10 @@ from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.files.times import RUN, TIME
 from mbd_ros.jobs.columns import body_columns, joint_columns, whole_bodies
+from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.jobs.simulate.ensemble_starts import Starts, read_starts
-from mbd_ros.jobs.simulate.job import Interrupted, Say
+from mbd_ros.jobs.simulate.job import Interrupted
 from mbd_ros.jobs.simulate.run import Run, check_words
 from mbd_ros.scene.batch import Batch
 from mbd_ros.scene.batch_runs import Runs

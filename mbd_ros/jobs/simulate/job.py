@@ -3,7 +3,7 @@
 import math
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from mbd_ros.errors import FAILED, DataError, DivergedError, MbdError, SolveErro
 from mbd_ros.files.recordings import Source
 from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.jobs.error_source import about
+from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.jobs.progress import Watch, announce, watching
 from mbd_ros.jobs.progress import progress as shown
@@ -30,8 +31,6 @@ from mbd_ros.scene.start_check import fiber_warnings, start_warnings
 
 if TYPE_CHECKING:
     from mbd_ros.core.optimization.contact_problem import Residuals
-
-Say = Callable[[str], None]
 
 
 class Interrupted(MbdError):

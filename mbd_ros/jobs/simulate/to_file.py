@@ -7,8 +7,9 @@ from mbd_ros.errors import INTERRUPTED, DataError
 from mbd_ros.files.formats import FOLDER, format_of, suffix_of
 from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result
+from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.simulate.events import EVENTS
-from mbd_ros.jobs.simulate.job import Interrupted, Say, run_simulation
+from mbd_ros.jobs.simulate.job import Interrupted, run_simulation
 from mbd_ros.jobs.simulate.run import Run, check_stamps
 from mbd_ros.scene.built_scene import Scene
 

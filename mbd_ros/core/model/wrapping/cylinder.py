@@ -35,7 +35,7 @@ class Cylinder(Surface):
 
     def __init__(self, radius: float, length: float, side: Side = "all") -> None:
         super().__init__(side)
-        self.size, self._half = radius, length / 2.0
+        self.size, self.half_length = radius, length / 2.0
 
     def holds(self, points: Array) -> Mask:
         """Whether points are nearer to the axis than the radius, shape (n,)."""
@@ -55,7 +55,7 @@ class Cylinder(Surface):
         flat = to_a + radius * angle + to_b
         slope = (b[:, 2] - a[:, 2]) / flat
         first, last = a[:, 2] + slope * to_a, b[:, 2] - slope * to_b
-        beyond = (np.abs(first) > self._half) & (np.abs(last) > self._half)
+        beyond = (np.abs(first) > self.half_length) & (np.abs(last) > self.half_length)
         c, s, steep = np.cos(begin), np.sin(begin), np.sqrt(1.0 + slope * slope)
         direction = np.stack((-turn * s / steep, turn * c / steep, slope / steep), axis=-1)
         start = np.stack((radius * c, radius * s, first), axis=-1)

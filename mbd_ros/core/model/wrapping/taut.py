@@ -5,7 +5,7 @@ are those of straight lines between points that bodies hold: dl = sum e . (dx_en
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from mbd_ros.core.state import Array
 
 
 class Taut(NamedTuple):
-    """A path of n samples.
+    """A path of n samples, or of one without their axis.
 
     Attributes:
         length: [m], shape (n,).
@@ -25,7 +25,7 @@ class Taut(NamedTuple):
             origin [m], shape (n, wraps, 6).
     """
 
-    length: Array
+    length: Any
     by_points: Array
     by_wraps: Array
 

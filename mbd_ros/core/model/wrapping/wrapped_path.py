@@ -1,7 +1,7 @@
 """A path through points and over surfaces, as parts see it: one state at a time."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.sampled_kinematics import SampledKinematics
 from mbd_ros.core.model.via_points import ViaPoint
 from mbd_ros.core.model.wrapping.chain import Arc, Chain, Placed, link
+from mbd_ros.core.model.wrapping.contact_rates import contact_rates, surface_motion
 from mbd_ros.core.model.wrapping.routes import Reach, Router
 from mbd_ros.core.model.wrapping.surface import Surface, cross
 from mbd_ros.core.model.wrapping.taut import Taut, taut
@@ -60,13 +61,6 @@ class Wrap:
         )
 
 
-class _Motion(NamedTuple):
-    """Velocity and acceleration of a body about a point: those of p are first + second (p)."""
-
-    linear: tuple[Array, Array]
-    turning: tuple[Array, Array]
-
-
 class WrappedPath(Path):
     """Straight lines through points, and shortest paths over surfaces between them.
 
@@ -98,34 +92,52 @@ class WrappedPath(Path):
         over = ", ".join(f"{wrap.name} ({type(wrap.surface).__name__.lower()})" for wrap in wraps)
         self.over = " - ".join(point.frame for point in points) + f", around {over}"
         self._nv = int(robot.model.nv)
+        self._last: tuple[bytes, Any] = (b"", None)
 
     def length(self, k: Kinematics, x: State) -> float:
         """The l [m]."""
-        return float(self._taut(k, x).length[0])
+        return k.searched(self, x).length
 
     def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
         """The l [m] and J, shape (nv,)."""
-        length, by_points, by_wraps = self._taut(k, x)
-        slope = np.zeros(self._nv)
-        for point, change in zip(self.points, by_points[0], strict=True):
+        length, by_points, by_wraps = k.searched(self, x)
+        slope = k.zeros(self._nv)
+        for point, change in zip(self.points, by_points, strict=True):
             if point.moves:
-                slope += change @ point.jacobian(k, x)
-        for wrap, change in zip(self.wraps, by_wraps[0], strict=True):
-            if wrap.point.moves and change.any():
-                slope += change @ k.spatial_jacobian(wrap.point)
-        return float(length[0]), slope
+                slope = slope + k.dot(change, point.jacobian(k, x))
+        for wrap, change in zip(self.wraps, by_wraps, strict=True):
+            if wrap.point.moves and k.any(change):
+                slope = slope + k.dot(change, k.spatial_jacobian(wrap.point))
+        return length, slope
+
+    def search(self, k: Kinematics, x: State) -> Taut:
+        """The taut path at a state: its length, shapes (m, 3) and (wraps, 6) of its slopes.
+
+        Parts ask for lengths, then for slopes: the last answer is kept for the same places.
+
+        Raises:
+            SolveError: A geodesic is not found.
+        """
+        places, points = self._where(k, x)
+        key = b"".join([points.tobytes(), *(x.tobytes() for place in places for x in place[1:])])
+        last, found = self._last
+        if key != last:
+            whole = self._taut(points, places)
+            found = Taut(float(whole.length[0]), whole.by_points[0], whole.by_wraps[0])
+            self._last = key, found
+        return found
 
     def drift(self, k: Kinematics, x: State) -> float:
         """J' v: lines turn and contacts slide as their conditions stay met."""
         places, points = self._where(k, x)
         speeds = [point.velocity(k, x) for point in self.points]
         pushes = [point.acceleration(k, x) for point in self.points]
-        motions = [_motion(k, wrap) for wrap in self.wraps]
+        motions = [surface_motion(k, wrap.point, wrap.axes) for wrap in self.wraps]
         bent = 0.0
         for line, (wraps, chain) in enumerate(self._chains(points, places)):
             nodes = [(speeds[line], pushes[line], np.zeros(3))]
             at, moved = [places[w] for w in wraps], [motions[w] for w in wraps]
-            nodes += _contacts(chain, at, moved, (speeds[line], speeds[line + 1]))
+            nodes += contact_rates(chain, at, moved, (speeds[line], speeds[line + 1]))
             nodes += [(speeds[line + 1], pushes[line + 1], np.zeros(3))]
             for straight, a, b in zip(chain.lines, nodes[::2], nodes[1::2], strict=True):
                 e, past = straight.direction[0], b[0] - a[0]
@@ -170,10 +182,7 @@ class WrappedPath(Path):
             Placed(wrap.surface, k.rotation(wrap.point), k.position(wrap.point))
             for wrap in self.wraps
         ]
-        try:
-            length, by_points, by_wraps = taut(points, self.reaches, places)
-        except SolveError as error:
-            raise self._named(error) from error
+        length, by_points, by_wraps = self._taut(points, places, k.search)
         slopes = slopes_of(k, self.points, points, by_points)
         wrenches: dict[int, Array] = {}
         for i, wrap in enumerate(self.wraps):
@@ -187,9 +196,11 @@ class WrappedPath(Path):
         points = np.array([[point.position(k, x) for point in self.points]])
         return [wrap.placed(k) for wrap in self.wraps], points
 
-    def _taut(self, k: Kinematics, x: State) -> Taut:
-        places, points = self._where(k, x)
+    def _taut(self, points: Array, places: list[Placed], search: Any = None) -> Taut:
         try:
+            if search is not None:
+                found: Taut = search(self, points, places)
+                return found
             return taut(points, self.reaches, places)
         except SolveError as error:
             raise self._named(error) from error
@@ -218,42 +229,3 @@ def _along(place: Placed, arc: Arc) -> Array:
     starts, ways = np.repeat(arc.start, _DRAWN, axis=0), np.repeat(arc.direction, _DRAWN, axis=0)
     flow = place.surface.flow(starts, ways, np.linspace(0.0, 1.0, _DRAWN) * arc.length)
     return flow.end @ place.rotation[0].T + place.origin[0]
-
-
-def _motion(k: Kinematics, wrap: Wrap) -> _Motion:
-    """How a surface moves at zero joint acceleration."""
-    v, a = k.velocity(wrap.point), k.acceleration(wrap.point)
-    rates = np.array([k.velocity(axis) - v for axis in wrap.axes]).T
-    bends = np.array([k.acceleration(axis) - a for axis in wrap.axes]).T
-    return _Motion((v, a), (rates, bends))
-
-
-def _contacts(
-    chain: Chain, places: Sequence[Placed], motions: Sequence[_Motion], speeds: tuple[Array, Array]
-) -> list[tuple[Array, Array, Array]]:
-    """Of every contact: velocity and its rate for what the body holds there, and its sliding."""
-    if not places:
-        return []
-    held, turned = [speeds[0]], []
-    for place, motion, ends in zip(places, motions, chain.ends, strict=True):
-        rotation = place.rotation[0]
-        for contact in ends:
-            held.append(motion.linear[0] + motion.turning[0] @ place.inwards(contact.point)[0])
-            turned.append(contact.frame[0] @ (rotation @ motion.turning[0].T))
-    held.append(speeds[1])
-    rates = []
-    for i, contact in enumerate(contact for ends in chain.ends for contact in ends):
-        straight = chain.lines[(i + 1) // 2]
-        e, (a, b) = straight.direction[0], (2 * ((i + 1) // 2), 2 * ((i + 1) // 2) + 1)
-        past = held[b] - held[a]
-        turn = (past - e * (e @ past)) / straight.length[0]
-        rates.append(contact.frame[0] @ turn + turned[i] @ e)
-    unknowns = -np.linalg.solve(chain.slopes[0], np.concatenate(rates))
-    contacts = []
-    for i, contact in enumerate(contact for ends in chain.ends for contact in ends):
-        place, motion = places[i // 2], motions[i // 2]
-        slide = contact.moves[0] @ unknowns[4 * (i // 2) : 4 * (i // 2) + 4]
-        inside = place.rotation[0].T @ slide
-        push = motion.linear[1] + motion.turning[1] @ place.inwards(contact.point)[0]
-        contacts.append((held[i + 1], push + motion.turning[0] @ inside, slide))
-    return contacts

@@ -1,0 +1,41 @@
+"""The search of paths that wrap, in native code where it can be compiled."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from mbd_ros.core.model.wrapping.chain import Placed
+from mbd_ros.core.model.wrapping.taut import Taut, taut
+from mbd_ros.core.state import Array
+from mbd_ros.scene.compiling import Impossible, attempted
+
+
+class QuickestSearch:
+    """Taut paths by native code, by numpy where there is no compiler; made when one is asked for.
+
+    Both find the same paths to rounding.
+    """
+
+    def __init__(self) -> None:
+        self._native: Any = None
+        self._is_tried = False
+
+    def __call__(self, path: Any, points: Array, places: Sequence[Placed]) -> Taut:
+        """As `wrapping.taut.taut`, of a `WrappedPath`."""
+        if not self._is_tried:
+            self._native, self._is_tried = _native(), True
+        if self._native is None:
+            return taut(points, path.reaches, places)
+        found: Taut = self._native(path, points, places)
+        return found
+
+
+def _native() -> Any:
+    def take() -> Any:
+        from mbd_ros.compiled.runs.path_search import PathSearch
+
+        return PathSearch()
+
+    try:
+        return attempted(take)
+    except Impossible:  # numpy does the same
+        return None

@@ -1,0 +1,116 @@
+"""Broken models of MuJoCo are refused by file, element and what is wrong; odd ones are read."""
+
+import pytest
+
+from mbd_ros.errors import SceneError
+from mbd_ros.scene.reader import load_scene
+
+GOOD = """<mujoco><default><default class="thin"><geom size="0.01"/></default></default>
+<worldbody><body name="a"><joint name="a" pos="0 0 0"/><geom size="0.1" class="thin"/>
+<site name="s" pos="0.1 0 0"/><body name="b"><joint name="b" type="slide"/><geom size="0.1"/>
+</body></body></worldbody>
+<equality><joint joint1="b" joint2="a" polycoef="0 1"/></equality>
+<tendon><fixed name="f"><joint joint="a" coef="1"/></fixed></tendon>
+<actuator><motor name="m" joint="a"/></actuator></mujoco>"""
+BAD = {
+    "truncated": (GOOD[:200], ("not well-formed XML",)),
+    "another format": ("<robot name='a'/>", ("expected <mujoco>, found <robot>",)),
+    "unknown section": (GOOD.replace("actuator>", "actuators>"), ("unknown element <actuators>",)),
+    "unknown element": (GOOD.replace('<geom size="0.1"/>', "<gem/>"), ("unknown element", "gem")),
+    "unknown attribute": (
+        GOOD.replace('pos="0 0 0"', 'rnage="0 1"'),
+        ("joint 'a'", "unknown attribute 'rnage'", "range"),
+    ),
+    "count": (GOOD.replace('pos="0 0 0"', 'pos="0 0"'), ("joint 'a'", "pos has 2 numbers")),
+    "no number": (GOOD.replace('pos="0 0 0"', 'pos="0 x 0"'), ("pos holds 'x'",)),
+    "not finite": (GOOD.replace('pos="0 0 0"', 'pos="0 nan 0"'), ("pos holds nan",)),
+    "word": (GOOD.replace('"slide"', '"glide"'), ("type is 'glide'", "hinge, slide, ball, free")),
+    "axis": (GOOD.replace('pos="0 0 0"', 'axis="0 0 0"'), ("axis has no length",)),
+    "range": (GOOD.replace('pos="0 0 0"', 'range="2 1"'), ("range is '2 1'",)),
+    "class": (GOOD.replace('"thin"/>', '"fat"/>'), ("no default class 'fat'", "thin")),
+    "joint of an equality": (GOOD.replace('joint2="a"', 'joint2="z"'), ("no joint 'z'", "a, b")),
+    "joint of a tendon": (GOOD.replace('joint="a" c', 'joint="z" c'), ("no joint 'z'",)),
+    "joint of an actuator": (GOOD.replace('"m" joint="a"', '"m" joint="z"'), ("motor 'm'",)),
+    "tendon": (GOOD.replace('"m" joint="a"', '"m" tendon="z"'), ("no tendon 'z'",)),
+    "two bodies": (GOOD.replace('<body name="b">', '<body name="a">'), ("two bodies 'a'",)),
+    "two joints": (GOOD.replace('name="b" type', 'name="a" type'), ("two joints",)),
+    "size": (GOOD.replace('size="0.1"', 'size="-1"'), ("expected 1 positive",)),
+    "inertia of a mesh": (
+        GOOD.replace('<geom size="0.1"/>', '<geom type="mesh" mesh="bone"/>'),
+        ("there is no mesh 'bone'",),
+    ),
+    "file of a mesh": (
+        GOOD.replace('<geom size="0.1"/>', '<geom type="mesh" mesh="bone"/>').replace(
+            "<worldbody>", '<asset><mesh file="bone.stl"/></asset><worldbody>'
+        ),
+        ("bone.stl is not there", "give <inertial>", "mass='0'"),
+    ),
+    "flat mesh": (
+        GOOD.replace('<geom size="0.1"/>', '<geom type="mesh" mesh="m"/>').replace(
+            "<worldbody>",
+            '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 1 1 0"/></asset><worldbody>',
+        ),
+        ("its mesh is flat",),
+    ),
+    "shell": (
+        GOOD.replace('<geom size="0.1"/>', '<geom size="0.1" shellinertia="true"/>'),
+        ("no <inertial>", "shell of a sphere"),
+    ),
+    "free joint inside": (GOOD.replace('"slide"', '"free"'), ("a free joint stands alone",)),
+    "replicate": (GOOD.replace("<site", "<replicate/><site"), ("<replicate>", "write its bodies")),
+    "missing include": (
+        GOOD.replace("<default>", '<include file="z.xml"/><default>', 1),
+        ("z.xml",),
+    ),
+    "circle": (GOOD.replace("<default>", '<include file="bad.xml"/><default>', 1), ("before",)),
+    "entity": ('<!DOCTYPE a [<!ENTITY b "c">]>' + GOOD, ("DOCTYPE",)),
+    "global": (
+        GOOD.replace("<default>", '<compiler coordinate="global"/><default>', 1),
+        ("local",),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_model_is_refused(tmp_path, name):
+    text, wanted = BAD[name]
+    file = tmp_path / "bad.xml"
+    file.write_text(text)
+    with pytest.raises(SceneError) as caught:
+        load_scene(file)
+    for word in ("bad.xml", *wanted):
+        assert word in str(caught.value)
+
+
+def test_files_are_included_and_looks_need_no_mesh(tmp_path):
+    """A visual mesh that is not there is no matter; joint and body may have one name."""
+    look = '<geom type="mesh" mesh="bone" mass="0" contype="0" conaffinity="0"/>'
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "b.xml").write_text(f"<mujocoinclude>{look}</mujocoinclude>")
+    text = GOOD.replace("<site", '<include file="parts/b.xml"/><site')
+    file = tmp_path / "good.mjcf"
+    file.write_text(text)
+    scene = load_scene(file)
+    assert [joint.name for joint in scene.parts["robot"].joints] == ["a", "b"]
+    assert scene.entries["couplings"]["b"] == {"parent": "a", "polynomial": [0.0, 1.0]}
+
+
+@pytest.mark.parametrize("kind", ["free", "ball"])
+def test_what_joints_do_not_have_is_listed(tmp_path, kind):
+    """A free base has no hinge, a ball has three; each is named once."""
+    file = tmp_path / "good.xml"
+    joint = f'<joint name="j" type="{kind}" damping="0.1" armature="0.2"/>'
+    file.write_text(
+        f'<mujoco><worldbody><body name="a">{joint}<geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    left_out = load_scene(file).parts["robot"].ignored
+    assert "joint j (without its damping, armature)" in left_out
+
+
+def test_entries_of_a_scene_win(tmp_path):
+    (tmp_path / "good.xml").write_text(GOOD)
+    file = tmp_path / "scene.yaml"
+    file.write_text("robot: {mjcf: good.xml, locked: {a: 0.3}, gravity: [0, 0, -1]}\n")
+    scene = load_scene(file)
+    assert scene.parts["robot"].joints == ()
+    assert any("'a' is locked" in line for line in scene.parts["robot"].ignored)
