@@ -329,6 +329,8 @@ def test_files_of_a_laboratory_give_the_exact_optimum(
     }
     ours = mbd.read_result(residuals)["samples"]["objective"] * 2.0 * sum(weights.values())
     assert (ours <= exact[:, -1] * (1.0 + 1e-9)).all()
+    torques = mbd.load_scene(scene).inverse(out)
+    assert "positions alone: opensim derivatives" in torques.metadata["remarks"]
 
 
 def test_command_leaves_nothing_behind_where_it_fails(tmp_path, swing, capsys):

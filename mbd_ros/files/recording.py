@@ -20,6 +20,8 @@ class Recording(NamedTuple):
         assumed: Required joints that a storage of a laboratory lacks, at the position assumed.
         unused: Labels of such a storage that are of no joint asked for; None of other sources.
         remarks: What is odd about such a storage, for people.
+        of_laboratory: Whether it is such a storage, or a motion found from markers: a motion of
+            these may have positions alone.
     """
 
     motion: Motion
@@ -28,3 +30,4 @@ class Recording(NamedTuple):
     assumed: tuple[str, ...] = ()
     unused: tuple[str, ...] | None = None
     remarks: tuple[str, ...] = ()
+    of_laboratory: bool = False

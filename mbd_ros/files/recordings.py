@@ -22,6 +22,7 @@ Source = str | Path | Result  # of a motion
 CSV = (".csv", ".csv.gz")  # strict: nan stands only where it has a meaning
 _WRENCHES = "wrenches"  # table of the plates of a .c3d
 _IN_MEMORY = "the result"
+_FROM_MARKERS = "kinematics"  # the job
 
 
 def read_motion(
@@ -66,7 +67,7 @@ def read_motion(
 
         wanted = Wanted(tuple(joints), tuple(needed), bodies, frozenset(members))
         return bag_motion(Path(source), topic, wanted)
-    table, where, labels, remarks = _samples(source, (), joints, sliding)
+    table, where, labels, remarks, of_laboratory = _samples(source, (), joints, sliding)
     lacking: list[str] = []
     if labels is not None and assumed is not None:
         lacking = [name for name in needed if f"{name}.position" not in table]
@@ -82,7 +83,7 @@ def read_motion(
     fields = position, velocity, acceleration, effort, command
     moving = tuple(_body(table, where, name) for name in bodies)
     motion = Motion(tuple(joints), motion_stamps(table, where), *fields, moving)
-    return Recording(motion, Counter(), False, tuple(lacking), labels, remarks)
+    return Recording(motion, Counter(), False, tuple(lacking), labels, remarks, of_laboratory)
 
 
 class _Samples(NamedTuple):
@@ -93,12 +94,14 @@ class _Samples(NamedTuple):
         where: Its name.
         unused: Labels of a storage that are of no joint; None of other sources.
         remarks: What is odd about a storage.
+        of_laboratory: As of a `Recording`.
     """
 
     table: Table
     where: str
     unused: tuple[str, ...] | None = None
     remarks: tuple[str, ...] = ()
+    of_laboratory: bool = False
 
 
 def _constant(table: Table, joint: str, position: float) -> Column:
@@ -170,9 +173,10 @@ def _samples(
     if not table.rows:
         raise DataError(f"{where}: table {MAIN} has no row")
     if not is_storage(source):
-        return _Samples(table, where)
+        return _Samples(table, where, of_laboratory=source.metadata.get("job") == _FROM_MARKERS)
     unused, remarks = tuple(other_labels(table, joints)), tuple(source.metadata[REMARKS])
-    return _Samples(joint_columns(source, table, where, joints, sliding), where, unused, remarks)
+    table = joint_columns(source, table, where, joints, sliding)
+    return _Samples(table, where, unused, remarks, of_laboratory=True)
 
 
 def _check_columns(table: Table, where: str, names: Iterable[str]) -> None:

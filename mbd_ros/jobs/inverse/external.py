@@ -55,7 +55,9 @@ class ExternalLoads:
 
         self._check_times(load, stamps)
         begin = load.stamps[0]
-        known, times = (load.stamps - begin) * NANOSECOND, (stamps - begin) * NANOSECOND
+        known = (load.stamps - begin) * NANOSECOND
+        beyond = np.diff(known).max(initial=0.0)  # a spline goes on for a step of its own
+        times = np.clip((stamps - begin) * NANOSECOND, -beyond, known[-1] + beyond)
         whole = np.hstack([load.force, load.point, load.torque])
         if len(known) == 1:
             force, point, torque = np.split(np.repeat(whole, len(stamps), axis=0), 3, axis=1)
@@ -65,9 +67,10 @@ class ExternalLoads:
         return np.hstack([force, torque + np.cross(point, force)])
 
     def _check_times(self, load: ExternalLoad, stamps: NDArray[np.int64]) -> None:
-        """Refuse loads that do not reach over the motion, but for a step of theirs."""
+        """Refuse loads that do not reach over the motion, but for a step of one of both."""
         first, last = load.stamps[[0, -1]]
-        step = (last - first) // max(len(load.stamps) - 1, 1)
+        steps = [np.diff(times).max(initial=0) for times in (load.stamps, stamps)]
+        step = max(steps)  # a filter that resamples begins up to a step earlier
         if first - step <= stamps[0] and stamps[-1] <= last + step:
             return
         ours, theirs = (_range(times) for times in (stamps, load.stamps))

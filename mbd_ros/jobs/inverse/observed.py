@@ -84,7 +84,7 @@ def observe_motion(
     loads, dropped = dict[str, WrenchSamples](), Counter[str]()
     if external is None:
         loads, dropped = read_loads(scene, task.motion, task.wrenches)
-    if recording.unused is not None and derivatives.source == "given" and motion.velocity is None:
+    if recording.of_laboratory and derivatives.source == "given" and motion.velocity is None:
         derivatives = derivatives._replace(source="zero-phase" if motion.bodies else OPENSIM)
         say(f"positions alone: {derivatives.source} derivatives")
     if derivatives.source == "causal":
