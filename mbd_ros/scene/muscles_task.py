@@ -26,6 +26,7 @@ from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.locate import find_file
+from mbd_ros.scene.path_search import QuickestSearch
 
 Objective = Literal["activation", "stress", "volume", "metabolic"]
 Use = Literal["track", "least"]
@@ -68,7 +69,8 @@ class MusclesTask:
         known: Any = scene.inverse_dynamics()
         try:
             return StaticOptimization(
-                scene.robot, known, scene.muscles, self.reserves, self.wishes
+                *(scene.robot, known, scene.muscles, self.reserves, self.wishes),
+                search=QuickestSearch(),
             )
         except ModelError as error:
             raise SceneError(f"{scene.name}: {error}") from error

@@ -6,12 +6,13 @@ from typing import Any, NamedTuple
 from mbd_ros.core.model.wrapping.cylinder import Cylinder
 from mbd_ros.core.model.wrapping.ellipsoid import Ellipsoid
 from mbd_ros.core.model.wrapping.sphere import Sphere
+from mbd_ros.core.model.wrapping.torus import Torus
 
 NATIVE = Path(__file__).parents[1] / "native"
-SURFACES = (Cylinder, Sphere, Ellipsoid)  # in the order of `kind` of native/surfaces.h
+SURFACES = (Cylinder, Sphere, Ellipsoid, Torus)  # in the order of `kind` of native/surfaces.h
 _FILES = (
-    *("surfaces.h", "ellipsoid.h", "geodesics.h", "chain.h", "geodesic_search.h", "routes.h"),
-    "wraps.h",
+    *("surfaces.h", "ellipsoid.h", "torus.h", "curved_flow.h", "geodesics.h", "chain.h"),
+    *("geodesic_search.h", "routes.h", "wraps.h"),
 )
 
 
@@ -24,7 +25,7 @@ class SurfaceRow(NamedTuple):
         sign: Of its side, 0 for all.
         size: Typical length [m].
         half: Half the length of a cylinder [m].
-        axes: Half axes of an ellipsoid [m].
+        axes: Half axes of an ellipsoid; the first is the radius of the circle of a torus [m].
     """
 
     kind: int
@@ -38,6 +39,8 @@ class SurfaceRow(NamedTuple):
 def row_of(surface: Any) -> SurfaceRow:
     """A surface of a shape that native code knows."""
     axes = surface.half_axes.tolist() if isinstance(surface, Ellipsoid) else [0.0] * 3
+    if isinstance(surface, Torus):
+        axes[0] = float(surface.outer)
     half = float(getattr(surface, "half_length", 0.0))
     given = float(surface.sign), float(surface.size), half, tuple(axes)
     return SurfaceRow(SURFACES.index(type(surface)), surface.axis, *given)

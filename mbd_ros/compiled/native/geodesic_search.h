@@ -16,7 +16,7 @@ static int is_astray(const double *a, const double *b, int count, const Placed *
                      const Arc *arcs, const Arc *guess, int checks_side) {
   const Surface *s = over->surface;
   for (int i = 0; checks_side && i < count; i++)
-    if (over[i].surface->sign != 0.0 && over[i].surface->kind == ELLIPSOID &&
+    if (over[i].surface->sign != 0.0 && over[i].surface->kind >= ELLIPSOID &&
         !on_side(over[i].surface, arcs[i].middle))
       return 1;
   if (count > 1 || s->kind != ELLIPSOID || s->sign != 0.0) return 0;

@@ -10,6 +10,7 @@ static int holds(const Surface *s, const double *p) {
 static int meets(const Surface *s, const double *a, const double *b) {
   double middle[3], u[3], v[3];
   if (s->kind == CYLINDER) return cylinder_meets(s, a, b);
+  if (s->kind == TORUS) return torus_meets(s, a, b);
   for (int i = 0; i < 3; i++) {
     double over = s->kind == SPHERE ? s->size : s->a[i];
     u[i] = a[i] / over;
@@ -23,19 +24,24 @@ static int meets(const Surface *s, const double *a, const double *b) {
 static int touch_surface(const Surface *s, const double *a, const double *b, int code, Arc *arc) {
   if (s->kind == CYLINDER) return cylinder_touch(s, a, b, code, arc);
   if (s->kind == SPHERE) return sphere_touch(s, a, b, code, arc);
+  if (s->kind == TORUS) return torus_touch(s, a, b, code, arc);
   ellipsoid_touch(s, a, b, s->sign, arc);
   return code;
 }
 
 /* Completes an arc, roughly where that is enough; whether it can be followed. */
 static int follow(const Surface *s, int is_rough, Arc *arc, Flow *flow) {
-  if (s->kind == ELLIPSOID) return ellipsoid_flow(s, is_rough, arc, flow);
+  if (s->kind >= ELLIPSOID) return curved_flow(s, is_rough, arc, flow);
   if (s->kind == CYLINDER) cylinder_flow(s, arc, flow);
   else sphere_flow(s, arc, flow);
   return 1;
 }
 
 static void normal_at(const Surface *s, const double *p, double *out) {
+  if (s->kind == TORUS) {
+    from_ring(s, p, out);
+    return;
+  }
   for (int i = 0; i < 3; i++) out[i] = s->kind == ELLIPSOID ? p[i] / (s->a[i] * s->a[i]) : p[i];
   if (s->kind == CYLINDER) out[2] = 0.0;
   unit3(out, out);
@@ -43,6 +49,10 @@ static void normal_at(const Surface *s, const double *p, double *out) {
 
 /* Change of the normal along a tangent. */
 static void bend(const Surface *s, const double *p, const double *along, double *out) {
+  if (s->kind == TORUS) {
+    torus_bend(s, p, along, out);
+    return;
+  }
   if (s->kind != ELLIPSOID) {
     for (int i = 0; i < 3; i++) out[i] = along[i] / s->size;
     if (s->kind == CYLINDER) out[2] = 0.0;
@@ -63,6 +73,13 @@ static void put_on(const Surface *s, double *p) {
     double scale = s->size / sqrt(flat);
     p[0] *= scale;
     p[1] *= scale;
+    return;
+  }
+  if (s->kind == TORUS) {
+    double n[3], out[3], middle[3];
+    from_ring(s, p, n);
+    ring_at(s, p, out, middle);
+    for (int i = 0; i < 3; i++) p[i] = middle[i] + s->size * n[i];
     return;
   }
   double u[3];

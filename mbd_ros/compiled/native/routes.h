@@ -118,7 +118,7 @@ static int press(Router *r, int line, const Held *before, const Held *now, int w
     for (int j = 0; was && j < was->count; j++)
       if (was->wraps[j] == wraps[i] && !(guess && wraps[i] == which)) arcs[i] = was->arcs[j];
   }
-  int is_done = guess && count == 1 && r->places[which].surface->kind != ELLIPSOID;
+  int is_done = guess && count == 1 && r->places[which].surface->kind < ELLIPSOID;
   return store(r, line, count, wraps, arcs, is_done);
 }
 

@@ -1,16 +1,16 @@
-/* Surfaces that paths wrap over, one sample at a time, as in core/model/wrapping: cylinder, sphere
- * and ellipsoid, in axes of their own. Sources of the formulas are named there.
+/* Surfaces that paths wrap over, one sample at a time, as in core/model/wrapping: cylinder and
+ * sphere, in axes of their own. Sources of the formulas are named there.
  */
 #include <math.h>
 #include <string.h>
 
-enum kind { CYLINDER, SPHERE, ELLIPSOID };
+enum kind { CYLINDER, SPHERE, ELLIPSOID, TORUS };
 enum code { NO_WRAP, MAY_WRAP, MUST_WRAP };
 
 typedef struct {
   int kind, axis;
   double sign, size, half;  /* sign: of the half that paths go over, 0 for all */
-  double a[3];              /* half axes */
+  double a[3];              /* half axes; of a torus the radius of its circle */
 } Surface;
 
 /* A geodesic: where it starts, which way, how far, and points half-way and at its end. */

@@ -5,7 +5,7 @@ With the lengths l_i of paths, J_i = dl_i/dq and G of the couplings, a tension F
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -52,6 +52,7 @@ class MuscleFrames:
         couplings: Its dependent joints.
         muscles: At least one.
         reserves: What helps them.
+        search: As for `PathBatch`.
     """
 
     def __init__(
@@ -60,10 +61,12 @@ class MuscleFrames:
         couplings: Couplings,
         muscles: Sequence[Muscle],
         reserves: Sequence[Reserve] = (),
+        search: Any = None,
     ) -> None:
         self._couplings, self._muscles = couplings, tuple(muscles)
         self._tendons = RigidTendons([muscle.contraction for muscle in muscles])
-        self._batch = PathBatch(robot, couplings, {part.name: part.path for part in muscles})
+        paths = {part.name: part.path for part in muscles}
+        self._batch = PathBatch(robot, couplings, paths, search)
         self._k, self._nv = Kinematics(robot), int(robot.model.nv)
         self._fixed = np.zeros((len(couplings.v_index), len(reserves)))
         self._varying: list[tuple[int, BodyReserve | InputReserve]] = []
@@ -72,9 +75,9 @@ class MuscleFrames:
                 self._fixed[:, i] = couplings.v_index == reserve.at
             else:
                 self._varying.append((i, reserve))
-        paths = [muscle.path.reads for muscle in muscles]
+        read = [muscle.path.reads for muscle in muscles]
         reserved = [part.reads for _, part in self._varying]
-        self._reads = max([Reads.POSITION, *paths, *reserved])
+        self._reads = max([Reads.POSITION, *read, *reserved])
         self._reads_of_reserves = max([Reads.POSITION, *reserved])
 
     def at(self, y: Array, w: Array, q: Array, v: Array, slopes: Slopes) -> Frames:

@@ -10,7 +10,7 @@ Source: K. R. Kaufman, K. An, W. Litchy, E. Chao, J. Biomech. 24 (1991) 781, 793
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -75,6 +75,7 @@ class StaticOptimization:
         muscles: At least one.
         reserves: What helps them.
         wishes: What is asked.
+        search: Finds paths that wrap in many frames, as for `PathBatch`.
 
     Attributes:
         names: Of muscles, then of reserves.
@@ -92,12 +93,13 @@ class StaticOptimization:
         muscles: Sequence[Muscle],
         reserves: Sequence[Reserve] = (),
         wishes: Wishes = NOTHING_SPECIAL,
+        search: Any = None,
     ) -> None:
         check_wishes(muscles, wishes)
         self.known, self.muscles, self.reserves = known, tuple(muscles), tuple(reserves)
         self.wishes, self.robot = wishes, robot
         self.names = tuple(part.name for part in (*muscles, *reserves))
-        self._frames = MuscleFrames(robot, known.couplings, muscles, reserves)
+        self._frames = MuscleFrames(robot, known.couplings, muscles, reserves, search)
         self._sizes, self._n = sizes_of(muscles), len(muscles)
         ends = [(muscle.inputs[0].lower, muscle.inputs[0].upper) for muscle in muscles]
         ends += [reserve.limits for reserve in reserves]

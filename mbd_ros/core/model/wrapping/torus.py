@@ -38,7 +38,7 @@ class Torus(Surface):
 
     def __init__(self, inner: float, outer: float, side: Side = "all") -> None:
         super().__init__(side)
-        self._r, self._R, self.size = inner, outer, inner
+        self._r, self._R, self.size, self.outer = inner, outer, inner, outer
         self._cylinder = Cylinder(inner, _LONG * outer, "x")
 
     def holds(self, points: Array) -> Mask:
