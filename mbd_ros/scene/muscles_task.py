@@ -67,10 +67,13 @@ class MusclesTask:
                 f"leave out the loops {rows}"
             )
         known: Any = scene.inverse_dynamics()
+        search = QuickestSearch()
+        if any(getattr(muscle.path, "wraps", ()) for muscle in scene.muscles):
+            search.prepare()  # before frames are waited for
         try:
             return StaticOptimization(
                 *(scene.robot, known, scene.muscles, self.reserves, self.wishes),
-                search=QuickestSearch(),
+                search=search,
             )
         except ModelError as error:
             raise SceneError(f"{scene.name}: {error}") from error

@@ -19,10 +19,14 @@ class QuickestSearch:
         self._native: Any = None
         self._is_tried = False
 
-    def __call__(self, path: Any, points: Array, places: Sequence[Placed]) -> Taut:
-        """As `wrapping.taut.taut`, of a `WrappedPath`."""
+    def prepare(self) -> None:
+        """Compile what is not yet."""
         if not self._is_tried:
             self._native, self._is_tried = _native(), True
+
+    def __call__(self, path: Any, points: Array, places: Sequence[Placed]) -> Taut:
+        """As `wrapping.taut.taut`, of a `WrappedPath`."""
+        self.prepare()
         if self._native is None:
             return taut(points, path.reaches, places)
         found: Taut = self._native(path, points, places)

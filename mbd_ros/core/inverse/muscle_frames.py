@@ -18,7 +18,7 @@ from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.muscles.rigid_tendons import RigidTendons
 from mbd_ros.core.state import Array, State
 
-_FEW = 4  # frames that cost less one by one
+_FEW = 4  # frames that cost less one by one, but where a search takes many
 
 
 class Frames(NamedTuple):
@@ -67,6 +67,8 @@ class MuscleFrames:
         self._tendons = RigidTendons([muscle.contraction for muscle in muscles])
         paths = {part.name: part.path for part in muscles}
         self._batch = PathBatch(robot, couplings, paths, search)
+        wraps = any(getattr(path, "wraps", ()) for path in paths.values())
+        self._few = 0 if wraps and search is not None else _FEW
         self._k, self._nv = Kinematics(robot), int(robot.model.nv)
         self._fixed = np.zeros((len(couplings.v_index), len(reserves)))
         self._varying: list[tuple[int, BodyReserve | InputReserve]] = []
@@ -90,7 +92,7 @@ class MuscleFrames:
             v: Velocities, shape (nv, frames).
             slopes: What `Couplings.expand` gave for them.
         """
-        if len(y) < _FEW:
+        if len(y) < self._few:
             length, speed, arms, helping = self._one_by_one(q, v, slopes)
         else:
             length, speed, arms = self._batch.evaluate(y, w)
