@@ -8,7 +8,7 @@ libraries than this package. All muscles start at an activation of 0.05 in equil
 constant excitations between 0.05 and 0.4. The error is the largest of positions and velocities
 [rad, rad/s] against the same program at its finest, since paths that wrap differ in themselves.
 With its wraps, `arm26` takes `--duration 0.85`: later its elbow is so far beyond its range that
-triceps jump to the other side of their cylinder, in both programs.
+triceps jump to the other side of their cylinder.
 """
 
 import argparse
