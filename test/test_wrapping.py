@@ -11,7 +11,7 @@ from scipy.integrate import quad, solve_ivp
 
 import mbd_ros as mbd
 from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.model.wrapping.chain import Placed
+from mbd_ros.core.model.wrapping.arcs import Placed
 from mbd_ros.core.model.wrapping.cylinder import Cylinder
 from mbd_ros.core.model.wrapping.ellipsoid import Ellipsoid
 from mbd_ros.core.model.wrapping.routes import Reach, Router

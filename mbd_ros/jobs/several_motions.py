@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from mbd_ros.errors import DataError, MbdError
+from mbd_ros.files.replacing import refuse_overwriting
 from mbd_ros.jobs.lines import Say
 from mbd_ros.scene.code_permission import permitting
 from mbd_ros.workers.opening import do_all, open_workers
@@ -43,6 +44,28 @@ def externals_of(files: Sequence[Path], count: int) -> list[Path | None]:
             "one for each"
         )
     return [*files] if len(files) == count else [files[0] if files else None] * count
+
+
+def orders_of(
+    motions: Sequence[Path], folder: Path, wrenches: Path | None, external: Sequence[Path]
+) -> list[tuple[Path, Path, Path | None]]:
+    """Each motion with its result in a folder and its external loads.
+
+    Args:
+        motions: Of different names.
+        folder: Of the results.
+        wrenches: Loads of all motions; None without.
+        external: As for `externals_of`.
+
+    Raises:
+        DataError: Names that would meet, or a result in the place of what is read.
+    """
+    results = places(motions, folder)
+    externals = externals_of(external, len(motions))
+    for out in results.values():
+        refuse_overwriting(out, wrenches, *externals)
+    pairs = zip(results.items(), externals, strict=True)
+    return [(motion, out, loads) for (motion, out), loads in pairs]
 
 
 def do_motions(

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from mbd_ros.core.model.wrapping.chain import Placed
+from mbd_ros.core.model.wrapping.arcs import Placed
 from mbd_ros.core.model.wrapping.taut import Taut, taut
 from mbd_ros.core.state import Array
 from mbd_ros.scene.compiling import Impossible, attempted

@@ -5,13 +5,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.replacing import refuse_overwriting
 from mbd_ros.jobs.inverse.derivatives import Derivatives
 from mbd_ros.jobs.inverse.job import inverse_to
 from mbd_ros.jobs.inverse.observed import Task
 from mbd_ros.jobs.inverse.wrenches import refuse_unused
 from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.several_motions import Outcome, do_motions, externals_of, outcome_of, places
+from mbd_ros.jobs.several_motions import Outcome, do_motions, externals_of, orders_of, outcome_of
 from mbd_ros.scene.code_permission import is_permitted
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.workers.task import Task as WorkerTask
@@ -72,13 +71,9 @@ def inverse_of_all(batch: Batch, say: Say) -> None:
         DataError: Motions that failed, by name, when the others are done; before any is done
             names that would meet in the folder, or a folder that cannot be.
     """
-    results = places(batch.motions, batch.out)
-    externals = externals_of(batch.external, len(batch.motions))
-    for out in results.values():
-        refuse_overwriting(out, batch.wrenches, *externals)
+    orders = orders_of(batch.motions, batch.out, batch.wrenches, batch.external)
     refuse_unused(load_scene(batch.scene), batch.wrenches)
-    pairs = zip(results.items(), externals, strict=True)
-    tasks = [_work(batch, motion, out, external) for (motion, out), external in pairs]
+    tasks = [_work(batch, *order) for order in orders]
     do_motions(tasks, batch.out, batch.scheduler, batch.workers, say)
 
 

@@ -16,7 +16,7 @@ from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse import loops, open_chains
 from mbd_ros.jobs.inverse.commands import commands_of
 from mbd_ros.jobs.inverse.derivatives import Derivatives
-from mbd_ros.jobs.inverse.observed import Observed, Task, observe_motion
+from mbd_ros.jobs.inverse.observed import Observed, Task, loads_of_laboratory, observe_motion
 from mbd_ros.jobs.inverse.open_chains import Violations
 from mbd_ros.jobs.inverse.outcome import about_result, check_finite
 from mbd_ros.jobs.lines import Say
@@ -25,7 +25,6 @@ from mbd_ros.scene.built_scene import Scene
 
 if TYPE_CHECKING:
     from mbd_ros.jobs.inverse.contact_forces import KnownContact
-    from mbd_ros.jobs.inverse.external import ExternalLoads
 
 
 def inverse(
@@ -121,7 +120,7 @@ def _in_pieces(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
 
 def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     """See `inverse`."""
-    external = _external(scene, task)
+    external = loads_of_laboratory(scene, task)
     if external is not None:
         scene = external.scene
         for text in external.remarks:
@@ -154,17 +153,6 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
             say(text)
     done = task._replace(derivatives=observed.derivatives)
     return Result({MAIN: table}, about_result(scene, done, way.topics(scene)))
-
-
-def _external(scene: Scene, task: Task) -> "ExternalLoads | None":
-    """The loads of a laboratory, if any."""
-    if task.external is None:
-        return None
-    if task.wrenches is not None:
-        raise DataError(f"--external {task.external}: --wrenches gives the loads already")
-    from mbd_ros.jobs.inverse.external import ExternalLoads  # reads XML, loads scipy
-
-    return ExternalLoads(scene, task.external)
 
 
 def _known_contacts(scene: Scene, task: Task, say: Say) -> "tuple[Scene, list[KnownContact]]":

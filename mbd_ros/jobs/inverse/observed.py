@@ -70,6 +70,21 @@ class Observed(NamedTuple):
     derivatives: Derivatives
 
 
+def loads_of_laboratory(scene: Scene, task: Task) -> "ExternalLoads | None":
+    """The external loads that a motion names, and the scene that carries them; None without.
+
+    Raises:
+        DataError: As `ExternalLoads`, or wrenches beside them.
+    """
+    if task.external is None:
+        return None
+    if task.wrenches is not None:
+        raise DataError(f"--external {task.external}: --wrenches gives the loads already")
+    from mbd_ros.jobs.inverse.external import ExternalLoads  # reads XML, loads scipy
+
+    return ExternalLoads(scene, task.external)
+
+
 def observe_motion(
     scene: Scene, task: Task, say: Say, external: "ExternalLoads | None" = None
 ) -> Observed:

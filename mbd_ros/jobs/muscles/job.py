@@ -16,7 +16,7 @@ from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.files.times import time_columns
 from mbd_ros.jobs.inverse.derivatives import Derivatives
-from mbd_ros.jobs.inverse.observed import Task, observe_motion
+from mbd_ros.jobs.inverse.observed import Task, loads_of_laboratory, observe_motion
 from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.jobs.muscles.columns import load_columns, share_columns, topics
@@ -122,13 +122,8 @@ def muscles_to(scene: Scene, order: Sharing, out: Path, say: Say) -> None:
 
 def run_muscles(scene: Scene, order: Sharing, say: Say) -> Result:
     """See `muscles`."""
-    task, external = order.motion, None
-    if task.external is not None:
-        if task.wrenches is not None:
-            raise DataError(f"--external {task.external}: --wrenches gives the loads already")
-        from mbd_ros.jobs.inverse.external import ExternalLoads  # reads XML, loads scipy
-
-        external = ExternalLoads(scene, task.external)
+    task, external = order.motion, loads_of_laboratory(scene, order.motion)
+    if external is not None:
         scene = external.scene
     for text in scene.robot.doubts:
         say(f"warning: {text}")

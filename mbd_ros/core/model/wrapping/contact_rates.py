@@ -7,7 +7,8 @@ import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.points import Point
-from mbd_ros.core.model.wrapping.chain import Chain, Placed
+from mbd_ros.core.model.wrapping.arcs import Placed
+from mbd_ros.core.model.wrapping.chain import Chain
 from mbd_ros.core.state import Array
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.model.wrapping.chain import Arc, Placed
+from mbd_ros.core.model.wrapping.arcs import Arc, Placed
 from mbd_ros.core.model.wrapping.search import solved
 from mbd_ros.core.model.wrapping.surface import (
     MUST_WRAP,

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbd_ros.core.model.wrapping.chain import Arc, Placed, shortest
+from mbd_ros.core.model.wrapping.arcs import Arc, Placed
+from mbd_ros.core.model.wrapping.chain import shortest
 from mbd_ros.core.model.wrapping.ellipsoid import Ellipsoid
 from mbd_ros.core.model.wrapping.surface import Mask, Numbers, dot, unit
 from mbd_ros.core.state import Array

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.model.wrapping.chain import Placed
+from mbd_ros.core.model.wrapping.arcs import Placed
 from mbd_ros.core.model.wrapping.routes import Reach, Route, Router
 from mbd_ros.core.model.wrapping.surface import cross, dot
 from mbd_ros.core.state import Array

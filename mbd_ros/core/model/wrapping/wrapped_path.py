@@ -12,7 +12,8 @@ from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.sampled_kinematics import SampledKinematics
 from mbd_ros.core.model.via_points import ViaPoint
-from mbd_ros.core.model.wrapping.chain import Arc, Chain, Placed, link
+from mbd_ros.core.model.wrapping.arcs import Arc, Placed
+from mbd_ros.core.model.wrapping.chain import Chain, link
 from mbd_ros.core.model.wrapping.contact_rates import contact_rates, surface_motion
 from mbd_ros.core.model.wrapping.routes import Reach, Router
 from mbd_ros.core.model.wrapping.surface import Surface, cross
