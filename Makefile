@@ -22,7 +22,7 @@ OTHER_PYTHON := other_python
 endif
 endif
 
-.PHONY: venv test demo lint format report soak fuzz fuzz-nodes bench against imports colcon clean other_python
+.PHONY: venv test browser demo lint format report soak fuzz fuzz-nodes bench against imports colcon clean other_python
 
 venv: .venv/installed
 
@@ -36,10 +36,18 @@ venv: .venv/installed
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
 
-test: venv .venv/report
-	$(BIN)/python -m pytest -n 2 --dist worksteal --ignore=test/nodes
+test: venv .venv/report browser
+	$(BIN)/python -m pytest -n 2 --dist worksteal --ignore=test/nodes --ignore=test/browser
+	$(BIN)/python -m pytest test/browser
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not soak and not alone" test/nodes
 	$(BIN)/python -m pytest -m "alone and not soak" test/nodes
+
+# For tests of pages. Where nothing may be installed they are skipped, and say why.
+browser:
+	@command -v chromium >/dev/null || command -v chromium-browser >/dev/null || command -v google-chrome >/dev/null || { \
+	export DEBIAN_FRONTEND=noninteractive; timeout 300 apt-get update -qq && \
+	timeout 600 apt-get install -y -qq --no-install-recommends chromium; } </dev/null || \
+	echo "Chromium is missing and cannot be installed here: tests in a browser are skipped" >&2
 
 demo: venv
 	$(BIN)/mbd-ros demo -o demo_out

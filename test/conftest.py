@@ -2,6 +2,7 @@
 
 import gc
 import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -10,6 +11,9 @@ import pytest
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # as the command line does, before OpenMP is loaded
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # what shells do to background jobs
     signal.signal(signal.SIGINT, signal.default_int_handler)  # processes of tests inherit it
+
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
+SCREENSHOTS = Path(__file__).parents[1] / "build" / "screenshots"
 
 
 def pytest_collection_finish():
@@ -39,3 +43,28 @@ def data_dir():
     if not folder.is_dir():
         pytest.skip(f"no recorded data at {folder}: set MBD_ROS_DATA")
     return folder
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Chromium with software rendering, driven by Playwright; skipped where either is missing."""
+    found = next(filter(None, map(shutil.which, CHROMIUM)), None)
+    if found is None:
+        pytest.skip("no Chromium on this machine: apt-get install chromium")
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with playwright.sync_playwright() as started:
+        words = ["--no-sandbox", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+        opened = started.chromium.launch(executable_path=found, args=words)
+        yield opened
+        opened.close()
+
+
+@pytest.fixture
+def screenshot():
+    """Keeps what a tab shows as build/screenshots/NAME.png, to be looked at."""
+
+    def keep(tab, name):
+        SCREENSHOTS.mkdir(parents=True, exist_ok=True)
+        tab.screenshot(path=SCREENSHOTS / f"{name}.png")
+
+    return keep

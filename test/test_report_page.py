@@ -1,7 +1,6 @@
 """The page of a report in a browser without network, and what keeps together on it."""
 
 import re
-import shutil
 import sys
 
 import pytest
@@ -120,24 +119,17 @@ def test_progress_is_shown_on_a_terminal(monkeypatch, capsys):
     assert said.endswith("\r\x1b[K")
 
 
-@pytest.mark.soak
 @pytest.mark.parametrize("width", [1280, 360])
-def test_a_browser_without_network_has_nothing_to_say(tmp_path, width):
-    playwright = pytest.importorskip("playwright.sync_api")
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-    if chromium is None:
-        pytest.skip("no chromium")
+def test_a_browser_without_network_has_nothing_to_say(browser, tmp_path, width):
     (tmp_path / "index.html").write_text(PAGE, encoding="utf-8")
-    with playwright.sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        context = browser.new_context(viewport={"width": width, "height": 800}, offline=True)
-        view, said, asked = context.new_page(), [], []
-        view.on("console", lambda message: said.append(message.text))
-        view.on("pageerror", lambda error: said.append(str(error)))
-        view.on("request", lambda request: asked.append(request.url))
-        view.goto(f"file://{tmp_path}/index.html")
-        assert view.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        assert view.evaluate("[...document.images].every(i => i.complete && i.naturalWidth)")
-        browser.close()
+    context = browser.new_context(viewport={"width": width, "height": 800}, offline=True)
+    view, said, asked = context.new_page(), [], []
+    view.on("console", lambda message: said.append(message.text))
+    view.on("pageerror", lambda error: said.append(str(error)))
+    view.on("request", lambda request: asked.append(request.url))
+    view.goto(f"file://{tmp_path}/index.html")
+    assert view.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert view.evaluate("[...document.images].every(i => i.complete && i.naturalWidth)")
+    context.close()
     assert said == []
     assert [url for url in asked if not url.startswith(("file:", "data:"))] == []

@@ -2,7 +2,6 @@
 
 import io
 import re
-import shutil
 import socket
 import threading
 import time
@@ -13,11 +12,6 @@ from PIL import Image
 
 from mbd_ros.scene.reader import load_scene
 
-pytestmark = pytest.mark.soak  # software rendering beside other tests is too slow
-
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
 NOTICE = 190  # px
 EVIL = "<img src=x onerror=alert(1)>"
 URDF = f"""
@@ -60,18 +54,6 @@ class Served:
         self._ends.set()
         self._thread.join()
         self.page.close()
-
-
-@pytest.fixture(scope="module")
-def browser():
-    if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine: apt-get install chromium")
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with playwright.sync_playwright() as started:
-        words = ["--no-sandbox", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
-        opened = started.chromium.launch(executable_path=CHROMIUM, args=words)
-        yield opened
-        opened.close()
 
 
 @pytest.fixture
