@@ -22,7 +22,7 @@ OTHER_PYTHON := other_python
 endif
 endif
 
-.PHONY: venv test browser demo lint format report soak fuzz fuzz-nodes bench against imports colcon clean other_python
+.PHONY: venv test browser demo lint format report docs links soak fuzz fuzz-nodes bench against imports colcon clean other_python
 
 venv: .venv/installed
 
@@ -36,7 +36,7 @@ venv: .venv/installed
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
 
-test: venv .venv/report browser
+test: venv .venv/report .venv/docs browser
 	$(BIN)/python -m pytest -n 2 --dist worksteal --ignore=test/nodes --ignore=test/browser
 	$(BIN)/python -m pytest test/browser
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not soak and not alone" test/nodes
@@ -67,6 +67,18 @@ format: venv
 
 report: venv .venv/report
 	$(BIN)/mbd-ros report -o report_out
+
+.venv/docs: requirements/docs.txt .venv/report
+	$(BIN)/python -m pip install --quiet -r requirements/docs.txt
+	@touch $@
+
+docs: venv .venv/docs
+	$(BIN)/python docs/site/build.py docs_out
+	@echo "docs: docs_out/index.html"
+
+# Asks the servers of others, so that it fails where one of them is away; `make docs` checks all links of our own.
+links: venv .venv/docs
+	$(BIN)/python docs/site/build.py build/links linkcheck
 
 soak: venv
 	$(BIN)/python -m pytest -m soak --timeout 0
@@ -112,5 +124,5 @@ colcon: venv $(COLCON_VENV)/pinned
 	@echo "colcon: built as ros.ament_python, executables under lib/mbd_ros, the installed package runs"
 
 clean:
-	rm -rf .venv build install log dist demo_out report_out *.egg-info .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .venv build install log dist demo_out report_out docs_out *.egg-info .mypy_cache .pytest_cache .ruff_cache
 	find mbd_ros msg_adapters test launch -name __pycache__ -prune -exec rm -rf {} +

@@ -54,6 +54,7 @@ setup(
         "biomechanics": ["ezc3d"],
         "compiled": ["casadi"],
         "dask": ["dask[distributed]"],
+        "docs": ["furo", "latex2mathml", "myst-parser", "sphinx"],
         "peers": ["drake", "exudyn", "mujoco"],
         "tables": ["pandas", "pyarrow"],
         "view": ["viser"],

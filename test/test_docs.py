@@ -146,9 +146,9 @@ def test_every_command_and_option_exists(page, words):
     assert commands <= {*words, *EXAMPLES}
 
 
-def test_the_readme_lists_every_page():
-    listed = set(LINK.findall((ROOT / "README.md").read_text(encoding="utf-8")))
-    assert [page.name for page in PAGES[2:] if f"docs/{page.name}" not in listed] == []
+def test_the_index_lists_every_page():
+    listed = set(LINK.findall((ROOT / "docs/index.md").read_text(encoding="utf-8")))
+    assert [page.name for page in PAGES[2:] if page.name not in {"index.md", *listed}] == []
 
 
 def test_the_first_screen_of_the_readme_runs(tmp_path, monkeypatch, capsys):

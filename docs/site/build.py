@@ -1,0 +1,98 @@
+"""Build the site: `make docs`, or `python docs/site/build.py FOLDER [BUILDER]`.
+
+The pages of `docs/` go into one folder with those that are made from the package, and
+`docs/index.md` says in which order they stand: a heading is a group, each link in it a page.
+A warning ends the build with an error; so does a page that no group has, or a dead link.
+"""
+
+import re
+import shutil
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import command_reference
+import node_reference
+import python_reference
+import scene_reference
+from sphinx.cmd.build import main as sphinx_build
+
+SITE = Path(__file__).parent
+DOCS = SITE.parent
+ROOT = DOCS.parent
+SOURCE = ROOT / "build/docs_source"
+MADE = {
+    "scene_reference": scene_reference,
+    "node_reference": node_reference,
+    "command_reference": command_reference,
+    "python_reference": python_reference,
+}
+GROUP_OF_MADE = "Reference"
+OF_PROJECT = ("CONTRIBUTING", "CHANGELOG")
+_HEADING = re.compile(r"^## (.+)$", re.MULTILINE)
+_PAGE = re.compile(r"\]\((\w+)\.md\)")
+_NAMED_BY_FILE = re.compile(r"\[(?:docs/)?\w+\.md\]\((?=\w+\.md)")
+_OF_SOURCES = re.compile(r"\[([^\]]+)\]\(\.\./(?!CONTRIBUTING|CHANGELOG)[^)]+\)")
+
+
+def main(words: list[str]) -> int:
+    """Put the pages together and build them.
+
+    Args:
+        words: Folder of the result, and the builder of Sphinx: html by default, linkcheck too.
+    """
+    out, builder = Path(words[0]), (words[1:] or ["html"])[0]
+    assemble(SOURCE)
+    options = ["-b", builder, "-c", str(SITE), "-W", "--keep-going", "-q", "-j", "2"]
+    doctrees = ROOT / "build/docs_doctrees"
+    return int(sphinx_build([*options, "-d", str(doctrees), str(SOURCE), str(out)]))
+
+
+def assemble(folder: Path) -> None:
+    """Write all pages into a folder, replacing what it held.
+
+    Args:
+        folder: Of the pages, flat, with the pictures of `docs/images` in `images/`.
+    """
+    texts = {page.stem: page.read_text(encoding="utf-8") for page in DOCS.glob("*.md")}
+    for name in OF_PROJECT:
+        texts[name] = (ROOT / f"{name}.md").read_text(encoding="utf-8")
+    texts = {name: at_one_level(text) for name, text in texts.items()}
+    texts |= {name: module.page() for name, module in MADE.items()}
+    texts["index"] += navigation(texts["index"])
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(DOCS / "images", folder / "images")
+    for name, text in texts.items():
+        (folder / f"{name}.md").write_text(text, encoding="utf-8")
+
+
+def at_one_level(text: str) -> str:
+    """A page as it stands in the folder of all pages.
+
+    Links count from there, those that show the name of a page show its title, and those to source
+    files are text.
+    """
+    text = text.replace("](docs/", "](").replace("](../CO", "](CO").replace("](../CH", "](CH")
+    return _OF_SOURCES.sub(r"\1", _NAMED_BY_FILE.sub("[](", text))
+
+
+def navigation(index: str) -> str:
+    """Tables of contents for the side of the site, one a group of the index."""
+    lines = []
+    for title, pages in groups(index).items():
+        entries = "\n".join(pages)
+        lines.append(f"\n```{{toctree}}\n:hidden:\n:caption: {title}\n\n{entries}\n```\n")
+    return "".join(lines)
+
+
+def groups(index: str) -> Mapping[str, list[str]]:
+    """Pages by the heading under which the index lists them, and what is made here."""
+    _, *pieces = _HEADING.split(index)
+    titles, texts = pieces[::2], pieces[1::2]
+    found = {title: _PAGE.findall(text) for title, text in zip(titles, texts, strict=True)}
+    found[GROUP_OF_MADE] += MADE
+    return found
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

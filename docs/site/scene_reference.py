@@ -1,0 +1,140 @@
+"""The page of sections and parts: signature, example and docstring of each."""
+
+import inspect
+import re
+import typing
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from typing import Any
+
+import yaml
+from docstrings import body, summary
+from tables import code, table
+
+from mbd_ros.core.ranges import ANY_NUMBER, LARGEST, SMALLEST, Within, described
+from mbd_ros.scene.docstrings import entries
+from mbd_ros.scene.registry import PARTS, types_of
+from mbd_ros.scene.sections import SECTIONS, TASKS, Form, Section
+
+_HEAD = """\
+# Sections and parts
+
+Made from the tables of sections and parts, their signatures, docstrings and examples, by
+`make docs`. [scene.md](scene.md) explains them in context. An example holds for one of the
+embedded robots. The keys `type` and `name` are those of every part.
+"""
+
+
+def page() -> str:
+    """The page as Markdown."""
+    pieces = [_HEAD, _overview()]
+    for section in SECTIONS:
+        if types_of(section):
+            pieces.append(f"## {section.key}\n\n{_form(section)}")
+            pieces += [_part(section, name, where) for name, where in types_of(section).items()]
+    return "\n\n".join(pieces) + "\n"
+
+
+def controllers() -> str:
+    """The control laws as Markdown: parts of nodes, not of scenes."""
+    laws = PARTS["controllers"].items()
+    return "\n\n".join(_described(name, _found(where), {}) for name, where in laws)
+
+
+def _overview() -> str:
+    rows = [
+        (code(s.key), s.form.value, ", ".join(map(code, types_of(s))), "scene") for s in SECTIONS
+    ]
+    rows += [(code(s.key), s.form.value, "", "task file") for s in TASKS]
+    return table(("section", "holds", "types", "stands in"), rows)
+
+
+def _form(section: Section) -> str:
+    built = [code(key) for key in section.after]
+    after = f", built after {', '.join(built)}" if built else ""
+    return f"Holds {section.form.value}{after}."
+
+
+def _part(section: Section, name: str, where: str) -> str:
+    part = _found(where)
+    example = {"type": name, **getattr(part, "example", {})}
+    entry: Any = example
+    if section.form is Form.LIST:
+        entry = [example]
+    elif section.form is Form.NAMED:
+        entry = {"my_name": example}
+    return _described(name, part, {section.key: entry})
+
+
+def _described(name: str, part: Any, example: Mapping[str, Any]) -> str:
+    pieces = [f"### {name}", summary(part)]
+    if example:
+        written = yaml.safe_dump(example, sort_keys=False, default_flow_style=None, width=96)
+        pieces.append(f"```yaml\n{written}```")
+    rows = list(_keys(part))
+    if rows:
+        pieces.append(table(("key", "takes", "unit", "default", "accepted", "means"), rows))
+    pieces += [body(part), f"Code: `{part.__module__}`"]
+    return "\n\n".join(piece for piece in pieces if piece)
+
+
+def _keys(part: Any) -> Iterator[tuple[str, ...]]:
+    """A row for each argument of a constructor that a file gives."""
+    hints = typing.get_type_hints(part.__init__, include_extras=True)
+    texts = entries(part.__doc__) or entries(part.__init__.__doc__)
+    parameters = inspect.signature(part).parameters.values()
+    for parameter in parameters:
+        if parameter.kind is not parameter.KEYWORD_ONLY:
+            continue
+        name, says = parameter.name, described(hints.get(parameter.name, Any))
+        accepted = f"{says.length} numbers" if says.length else _range(says.within)
+        yield (
+            code(name),
+            _kind(says.kind),
+            says.unit,
+            _default(parameter.default),
+            accepted,
+            texts.get(name, ""),
+        )
+
+
+def _range(within: Within | None) -> str:
+    """A range in words; its end is left out where it only keeps products finite."""
+    if within is None or within == ANY_NUMBER:
+        return ""
+    if within.high == LARGEST and not within.of_size:
+        return {0.0: ">= 0", SMALLEST: "> 0"}.get(within.low, f">= {within.low:g}")
+    return str(within)
+
+
+def _kind(hint: Any) -> str:
+    """The words for a type in a file."""
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    words = {float: "number", int: "integer", str: "word", bool: "true or false"}
+    if origin is typing.Literal:
+        return " or ".join(map(code, inner))
+    if hint in words:
+        return words[hint]
+    if origin is typing.Annotated:
+        return _kind(inner[0])
+    if inner and origin is not None and inspect.isclass(origin) and issubclass(origin, Mapping):
+        return f"mapping to {_kind(inner[1])}"
+    if inner and inspect.isclass(origin) and origin.__name__ in ("Sequence", "list", "tuple"):
+        return f"list of {_kind(inner[0]).replace('number', 'numbers').replace('word', 'words')}"
+    if inner:
+        return " or ".join(_kind(one) for one in inner if one is not type(None))
+    return getattr(hint, "__name__", str(hint)) if hint is not Any else "see below"
+
+
+def _default(value: Any) -> str:
+    if value is inspect.Parameter.empty:
+        return "required"
+    if value is None:
+        return "none"
+    plain = list(value) if isinstance(value, tuple) else value
+    return code(re.sub(r"\n(\.\.\.)?", "", yaml.safe_dump(plain, default_flow_style=True)))
+
+
+def _found(where: str) -> Any:
+    module, _, name = where.partition(":")
+    return getattr(import_module(module), name)
