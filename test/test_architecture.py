@@ -25,10 +25,10 @@ ORDER = (  # of the rooms: each may import those before it
     "mbd_ros.workers",
     "mbd_ros.jobs",
     "mbd_ros.api",
+    "mbd_ros.view",
     "mbd_ros.nodes",
     "mbd_ros.demo",
     "mbd_ros.report",
-    "mbd_ros.view",
     "mbd_ros.cli",
     "programs",
 )

@@ -4,19 +4,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from mbd_ros.core.state import Array
 from mbd_ros.errors import printable
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.view.curves import ALL, QUANTITIES, Curves, MotionCurves, cursor
+from mbd_ros.view.curves import ALL, QUANTITIES, MotionCurves, cursor
 from mbd_ros.view.motion import ViewedMotion
 from mbd_ros.view.pictures import film, picture
+from mbd_ros.view.plot import MOST, Plot
 from mbd_ros.view.rerun import Rerun
 from mbd_ros.view.stage import Stage
 
-_COLOURS = ("#c0392b", "#2471a3", "#1e8449", "#b9770e", "#6c3483", "#117a65", "#839192", "#d35400")
-_CURVES = 12  # at once: more are not told apart
 _STEPS = 1000  # of a slider
 _NOBODY = "nobody"
 
@@ -42,8 +38,6 @@ class Controls:
         self._names = {index: name for name, index in self._indices.items()}
         self._asks, self.reached = False, 0.0
         self._seen: tuple[Any, ...] = ()
-        self._plot: Any = None
-        self._drawn: tuple[str, str] | None = None
         self._time_of(scene.name)
         self._view_of()
         self._plot_of()
@@ -82,7 +76,7 @@ class Controls:
             self._joint = gui.add_dropdown("joint", [ALL, *self._indices], initial_value=ALL)
             self._quantity = gui.add_dropdown("quantity", QUANTITIES, initial_value="position")
             self._values = gui.add_text("values", "", multiline=True, disabled=True)
-            self._folder = gui.add_folder("plot")
+            self._plot = Plot(gui, gui.add_folder("plot"))
 
     def _run_of(self) -> None:
         gui, given = self._gui, {**self.rerun.starts, **self.rerun.numbers}
@@ -186,7 +180,7 @@ class Controls:
     def show_motion(self, motion: ViewedMotion, curves: MotionCurves) -> None:
         """Begin with a motion."""
         end = float(motion.times[-1])
-        self._curves, self._drawn = curves, None
+        self._curves = curves
         self._slider.max = end or 1.0
         self._slider.step = (end or 1.0) / _STEPS
         self._slider.value, self._slider.disabled = 0.0, end == 0.0
@@ -196,38 +190,9 @@ class Controls:
         joint, quantity = self._joint.value, self._quantity.value
         lines = self._curves.values(joint, row)
         self._values.value = "\n".join(lines or ["click on a link, or choose a joint"])
-        curves = self._curves.of(joint, quantity)
-        curves = Curves(curves.times, curves.names[:_CURVES], curves.values[:, :_CURVES])
-        if len(curves.times) < 2 or not curves.names:
-            self._clear_plot()
-            return
-        columns = [*curves.values.T, cursor(curves, now)]
-        data = tuple(np.ascontiguousarray(one) for one in (curves.times, *columns))
-        if self._drawn == (joint, quantity) and self._plot is not None:
-            self._plot.data = data
-            return
-        self._drawn = joint, quantity
-        self._draw_plot(curves, data)
-
-    def _clear_plot(self) -> None:
-        if self._plot is not None:
-            self._plot.remove()
-            self._plot = None
-
-    def _draw_plot(self, curves: Curves, data: tuple[Array, ...]) -> None:
-        self._clear_plot()
-        series = [
-            {"label": name, "stroke": _COLOURS[i % len(_COLOURS)], "width": 1.5}
-            for i, name in enumerate(curves.names)
-        ]
-        ends = {"label": "now", "stroke": "#888888", "width": 1}
-        with self._folder:
-            self._plot = self._gui.add_uplot(
-                data,
-                ({"label": "s"}, *series, ends),
-                scales={"x": {"time": False, "auto": True}, "y": {"auto": True}},
-                height=220,
-            )
+        curves = self._curves.of(joint, quantity).first(MOST)
+        beside = [("now", cursor(curves, now))] if len(curves.times) > 1 else []
+        self._plot.show((joint, quantity, self._curves), curves, beside)
 
     def _on_picture(self, event: Any) -> None:
         picture(event.client)

@@ -35,6 +35,10 @@ class Curves(NamedTuple):
     names: tuple[str, ...]
     values: Array
 
+    def first(self, count: int) -> "Curves":
+        """The first curves, so many at most."""
+        return Curves(self.times, self.names[:count], self.values[:, :count])
+
 
 class MotionCurves:
     """Curves of a motion by joint or free body, and by quantity.

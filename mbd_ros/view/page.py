@@ -16,16 +16,16 @@ from mbd_ros.files.recordings import Source
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.view.controls import Controls
 from mbd_ros.view.curves import MotionCurves
+from mbd_ros.view.follower import Follower
 from mbd_ros.view.frames import Drawn, Frames, force_scale
 from mbd_ros.view.motion import ViewedMotion, still, viewed_motion
 from mbd_ros.view.player import Player
 from mbd_ros.view.rerun import Rerun
-from mbd_ros.view.solids import Solid, solids_of
-from mbd_ros.view.stage import Stage
+from mbd_ros.view.solids import extent, solids_of
+from mbd_ros.view.stage import Stage, show_ground
 
 _RATE = 30.0  # frames a second, at most
 _LOOKED_AT = 20  # samples whose forces give the scale of arrows
-_SMALLEST = 0.05  # m, of what is looked at
 
 
 class Page:
@@ -57,9 +57,8 @@ class Page:
         self._solids, lacking = solids_of(scene.robot)
         self.remarks = list(lacking)
         self._ghost: tuple[Stage, ViewedMotion] | None = None
-        self._followed: tuple[int | None, Array | None] = None, None
         rerun = Rerun(scene, named)
-        self._size, centre = extent(self._solids, self._frames.at(still(scene).states[0]))
+        self._size, centre = extent(self._solids, self._frames.at(still(scene).states[0]).poses)
         with contextlib.redirect_stdout(io.StringIO()):  # viser greets there
             name = Path(scene.name).name
             self._server = viser.ViserServer(host=host, port=port, label=name, verbose=False)
@@ -70,7 +69,7 @@ class Page:
         self._controls = Controls(self._server, scene, rerun)
         for solid, node in self._stage.solids:
             node.on_click(self._controls.chooser(solid.joint))
-        self._player = Player(self._controls)
+        self._player, self._follower = Player(self._controls), Follower(self._server)
         self._show(still(scene))
 
     def simulate(self, duration: float) -> None:
@@ -121,18 +120,8 @@ class Page:
             self._server.stop()
 
     def _set_up(self, centre: Array) -> None:
-        server, size = self._server, self._size
-        server.gui.configure_theme(show_logo=False, show_share_button=False)
-        server.scene.set_up_direction("+z")
-        server.scene.add_grid(
-            "/ground",
-            width=8.0 * size,
-            height=8.0 * size,
-            cell_size=size / 4.0,
-            section_size=size,
-        )
-        server.initial_camera.position = centre + np.array([0.9, -1.25, 0.6]) * size
-        server.initial_camera.look_at = centre
+        self._server.gui.configure_theme(show_logo=False, show_share_button=False)
+        show_ground(self._server, self._size, centre)
 
     def _run_again(self) -> None:
         controls = self._controls
@@ -177,34 +166,10 @@ class Page:
             drawn = self._drawn(self._motion, row, self._most)
             controls.apply_to(self._stage)
             self._stage.draw(drawn, self._scale * controls.scale)
-            self._follow(drawn)
+            joint = controls.followed
+            self._follower.follow(joint, None if joint is None else drawn.poses[joint, :3])
             if self._ghost is not None:
                 stage, motion = self._ghost
                 other = int(np.searchsorted(motion.times, now).clip(0, len(motion.times) - 1))
                 stage.place(self._frames.at(motion.states[other]))
         controls.show_sample(now, row)
-
-    def _follow(self, drawn: Drawn) -> None:
-        """Move cameras with the joint that they follow."""
-        joint = self._controls.followed
-        place = None if joint is None else drawn.poses[joint, :3].copy()
-        before, self._followed = self._followed, (joint, place)
-        if place is None or before[1] is None or before[0] != joint:
-            return
-        for client in self._server.get_clients().values():
-            client.camera.position = client.camera.position + place - before[1]
-            client.camera.look_at = client.camera.look_at + place - before[1]
-
-
-def extent(solids: Sequence[Solid], drawn: Drawn) -> tuple[float, Array]:
-    """Largest side of the box around all solids [m], at least 0.05, and its centre, shape (3,)."""
-    corners = [drawn.poses[1:, :3]] if not solids else []
-    for solid in solids:
-        pose = drawn.poses[solid.joint]
-        w, xyz = pose[3], pose[4:]
-        points = solid.surface.vertices
-        cross = np.cross(xyz, points)
-        corners.append(points + 2.0 * (w * cross + np.cross(xyz, cross)) + pose[:3])
-    every = np.concatenate([*corners, np.zeros((1, 3))] if not solids else corners)
-    low, high = every.min(axis=0), every.max(axis=0)
-    return max(float((high - low).max()), _SMALLEST), (low + high) / 2.0

@@ -1,7 +1,7 @@
 """What links look like: their `<visual>` geometry, or bones where there is none to draw."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -13,6 +13,7 @@ from mbd_ros.core.model.points import rotation_matrix
 from mbd_ros.core.model.recipe import Recipe
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.urdf import parse_urdf
+from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.collision_shapes import Collision, geometry_of, names_of_link
 from mbd_ros.view import surfaces
@@ -20,6 +21,7 @@ from mbd_ros.view.surfaces import Surface
 
 GREY, BONE = (168, 176, 186), (222, 208, 178)  # red, green, blue
 _SHORTEST = 1.0e-4  # m, of a bone
+_SMALLEST = 0.05  # m, of what is looked at
 
 
 class Solid(NamedTuple):
@@ -205,3 +207,22 @@ def _rgb(material: ElementTree.Element) -> tuple[int, int, int] | None:
         return None
     r, g, b = (round(255 * min(max(value, 0.0), 1.0)) for value in values)
     return r, g, b
+
+
+def extent(solids: Sequence[Solid], poses: Array) -> tuple[float, Array]:
+    """Largest side of the box around all solids [m], at least 0.05, and its centre, shape (3,).
+
+    Args:
+        solids: What there is.
+        poses: As those of `Drawn`, shape (njoints, 7).
+    """
+    corners = [poses[1:, :3]] if not solids else []
+    for solid in solids:
+        pose = poses[solid.joint]
+        w, xyz = pose[3], pose[4:]
+        points = solid.surface.vertices
+        cross = np.cross(xyz, points)
+        corners.append(points + 2.0 * (w * cross + np.cross(xyz, cross)) + pose[:3])
+    every = np.concatenate([*corners, np.zeros((1, 3))] if not solids else corners)
+    low, high = every.min(axis=0), every.max(axis=0)
+    return max(float((high - low).max()), _SMALLEST), (low + high) / 2.0

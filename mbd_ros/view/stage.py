@@ -125,3 +125,18 @@ class Stage:
                 point_shape="circle",
                 precision="float32",
             )
+
+
+def show_ground(server: Any, size: float, centre: Array) -> None:
+    """A grid at height 0, and where cameras begin.
+
+    Args:
+        server: The `viser.ViserServer`.
+        size: Of what is looked at [m].
+        centre: Of it [m], shape (3,).
+    """
+    server.scene.set_up_direction("+z")
+    sides = {"width": 8.0 * size, "height": 8.0 * size}
+    server.scene.add_grid("/ground", **sides, cell_size=size / 4.0, section_size=size)
+    server.initial_camera.position = centre + np.array([0.9, -1.25, 0.6]) * size
+    server.initial_camera.look_at = centre

@@ -63,3 +63,25 @@ def test_a_wrench_moves_what_it_pushes(tmp_path):
         commands.take(np.zeros(1))
         ends.append([live.tick().velocity[0] for _ in range(10)][-1])
     assert abs(ends[1] - ends[0]) > 0.01
+
+
+def test_a_push_on_a_link_acts_as_the_load_of_that_link(domain, tmp_path):
+    """Ticks are those of a scene with that load; a frame that cannot be pushed is named."""
+    path = tmp_path / "local.yaml"
+    path.write_text(PENDULUM + "external_wrenches: {push: {frame: rod}}\n", encoding="utf-8")
+    scene, watch = load_scene(path), CommandWatch(TIMEOUT, 0.0)
+    heard = [(scene.wrenches["push"].u, watch)]
+    commands = CommandWatch(TIMEOUT, 0.0)
+    live = LiveSimulation(scene.simulation, scene.initial, TICK, commands, scene.safe, heard)
+    times = {"rate": 1 / TICK, "command_timeout": TIMEOUT, "safe_ramp": 0.0, "paused": "true"}
+    with simulated(domain, tmp_path, PENDULUM, **times, pushed_links="['*']") as client:
+        publisher = client.probe.node.create_publisher(WrenchStamped, f"{NAME}/push", DEEP)
+        client.probe.spin_until(publisher.get_subscription_count)
+        publisher.publish(write_wrench(WrenchStamped(), 1, "rod", LOAD))
+        publisher.publish(write_wrench(WrenchStamped(), 1, "bar", 9.0 * LOAD))
+        client.node.wait_for("frame bar is no pushed link: rod")
+        watch.take(LOAD)
+        for _ in range(8):
+            now, sample = live.tick(), client.step()
+            np.testing.assert_allclose(sample.velocity, now.velocity, rtol=0, atol=1e-12)
+        assert watch.weight == 1.0

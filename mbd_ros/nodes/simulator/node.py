@@ -75,8 +75,8 @@ class SimulatorNode(SceneNode):
         )[: 2 * plant.has_actuators]:
             take = self._on_command(topic, read)
             self.subscribe(kind, topic, take, qos, single_publisher=True)
-        for name, wrench in plant.scene.wrenches.items():
-            self.subscribe(WrenchStamped, wrench.heard_on, self._on_wrench(name), SENSOR)
+        for topic, hear in plant.loads.items():
+            self.subscribe(WrenchStamped, topic, self._on_wrench(hear), SENSOR)
 
     def activate_core(self) -> None:
         """Continue from the kept state; show it at once.
@@ -204,10 +204,10 @@ class SimulatorNode(SceneNode):
 
         return take
 
-    def _on_wrench(self, name: str) -> Callable[[Any], None]:
+    def _on_wrench(self, hear: Callable[[Any], None]) -> Callable[[Any], None]:
         def take(msg: Any) -> None:
             try:
-                self._plant.hear(name, msg)
+                hear(msg)
             except MessageError as error:
                 self.drop("wrench", f"{error}; the last good one is held")
 

@@ -76,4 +76,11 @@ PARAMETERS = (
         "Ticks run in native code, as with solver compiled; false is as the scene says.",
         False,
     ),
+    Parameter(
+        "pushed_links",
+        list[str],
+        "Links that a WrenchStamped on ~/push may load, the link as its frame; * is all that "
+        "move.",
+        (),
+    ),
 )

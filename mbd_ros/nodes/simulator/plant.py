@@ -15,6 +15,7 @@ from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.files.topics import WORLD, by_member
 from mbd_ros.nodes.shell.wrenches import read_load
 from mbd_ros.nodes.simulator.commands import command_reader
+from mbd_ros.nodes.simulator.pushes import Pushes
 from mbd_ros.scene.built_scene import Scene, Tell
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_motion import JointMotionWriter
@@ -38,8 +39,9 @@ class Plant:
         tell: Is told what takes time.
 
     Attributes:
-        scene: The scene.
+        scene: The scene, with a load for every link that can be pushed.
         live: The simulation.
+        pushes: Which links these are.
         reader: Messages to commands.
         has_actuators: Whether anything can be commanded.
         wrenches: What takes the external loads, by name.
@@ -54,7 +56,8 @@ class Plant:
     """
 
     def __init__(self, values: Any, description: str | None, tell: Tell | None = None) -> None:
-        self.scene = scene = load_scene(values.scene, description)
+        self.pushes = Pushes(load_scene(values.scene, description), values.pushed_links)
+        self.scene = scene = self.pushes.scene
         self.has_actuators = bool(scene.commanded)
         self.reader = command_reader(scene, values.joints)
         times = values.command_timeout, values.safe_ramp
@@ -102,19 +105,30 @@ class Plant:
         return f"no command {since}, instead: {self.scene.safe}"
 
     def hear(self, name: str, msg: Any) -> None:
-        """Take a WrenchStamped of an external load.
-
-        Raises:
-            MessageError: It is in another frame, or not finite.
-        """
+        """Take a WrenchStamped of an external load; MessageError as that of `read_load`."""
         self.wrenches[name].take(read_load(msg, self.scene.wrenches[name]).wrench)
+
+    @property
+    def loads(self) -> dict[str, Callable[[Any], None]]:
+        """Topic -> what takes its WrenchStamped."""
+        found = {self.scene.wrenches[n].heard_on: partial(self.hear, n) for n in self.heard}
+        return found | ({"~/push": self._push} if self.pushes.loads else {})
+
+    def _push(self, msg: Any) -> None:
+        name, wrench = self.pushes.read(msg)
+        self.wrenches[name].take(wrench)
+
+    @property
+    def heard(self) -> dict[str, CommandWatch]:
+        """What takes the external loads of the scene itself, by name."""
+        return {n: one for n, one in self.wrenches.items() if n not in self.pushes.loads}
 
     @property
     def lost_wrenches(self) -> list[str]:
         """A text for every external load that is no longer heard."""
         return [
             f"no wrench '{name}' for {watch.age:.3g} s, instead: none"
-            for name, watch in self.wrenches.items()
+            for name, watch in self.heard.items()
             if watch.held is not None and watch.is_safe
         ]
 
@@ -167,7 +181,7 @@ class Plant:
         """Contents and origin of the motion, for diagnostics."""
         robot, live, watch = self.scene.robot, self.live, self.live.watch
         system, violation = live.simulation.system, live.violation()
-        unheard = [name for name, one in self.wrenches.items() if one.held is None]
+        unheard = [name for name, one in self.heard.items() if one.held is None]
         details = {
             "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
             "joints dropped": ", ".join(robot.locked) or "none",

@@ -1,0 +1,98 @@
+"""The server of a page that robots are led from: `viser` behind a guard."""
+
+import asyncio
+import contextlib
+import io
+import ipaddress
+import secrets
+from collections.abc import Sequence
+from typing import Any
+
+from mbd_ros.errors import MbdError, printable
+from mbd_ros.view.guard import LOOPBACK, Guard
+
+_PORTS = 100  # that are tried
+_PATIENCE = 10.0  # s
+
+
+class PageServer:
+    """A `viser` server whose every connection is looked at first.
+
+    Args:
+        host: Address to listen on.
+        port: Port; the next one that is free where it is taken.
+        label: Title of the panel.
+        token: What a browser must know. Empty: none is asked for on this machine, and one is made
+            up for another `host`.
+        origins: As for `Guard`.
+
+    Attributes:
+        viser: The `viser.ViserServer`.
+        token: As given or made up.
+        address: Of the page, without token.
+
+    Raises:
+        MbdError: Nothing can be listened to there.
+    """
+
+    def __init__(
+        self, host: str, port: int, label: str, token: str = "", origins: Sequence[str] = ()
+    ) -> None:
+        import viser  # takes long, and is asked for by pages alone
+
+        self.token = token or ("" if is_loopback(host) else secrets.token_urlsafe(16))
+        with contextlib.redirect_stdout(io.StringIO()):  # viser greets there
+            self.viser: Any = viser.ViserServer(
+                host="127.0.0.1", port=0, label=printable(label), verbose=False
+            )
+        self.viser.request_share_url = lambda: None  # any page could ask for a public address
+        self.viser.gui.configure_theme(show_logo=False, show_share_button=False)
+        self._guard = Guard(self.viser.get_port(), self.token, origins)
+        try:
+            found = self._listen(host, port)
+        except OSError as error:
+            self.close()
+            raise MbdError(f"host '{host}', port {port}: {error.strerror or error}") from error
+        self.address = f"http://{f'[{host}]' if ':' in host else host}:{found}"
+
+    @property
+    def browsers(self) -> int:
+        """How many are connected."""
+        return len(self.viser.get_clients())
+
+    def close(self) -> None:
+        """End it."""
+        self._do(self._guard.close())
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.viser.stop()
+
+    def _listen(self, host: str, port: int) -> int:
+        for tried in range(port, min(port + _PORTS, 65536)):
+            try:
+                self._do(self._guard.listen(host, tried))
+            except OSError as error:
+                if error.errno is None or not _is_taken(error):
+                    raise
+                continue
+            return tried
+        raise MbdError(f"port {port} and {_PORTS - 1} after it are taken")
+
+    def _do(self, work: Any) -> None:
+        loop = self.viser.get_event_loop()
+        asyncio.run_coroutine_threadsafe(work, loop).result(_PATIENCE)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address is this machine's own, which no other one reaches."""
+    if host in LOOPBACK:
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _is_taken(error: OSError) -> bool:
+    import errno
+
+    return error.errno == errno.EADDRINUSE
