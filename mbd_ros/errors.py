@@ -62,6 +62,10 @@ class JammedError(SolveError):
     """Friction leaves contacts that slip no consistent acceleration (Painlevé): names them."""
 
 
+class FallError(MbdError):
+    """A motion that does not come to the end of a cycle: says when it ended, and why."""
+
+
 class DivergedError(MbdError):
     """A simulation that stopped being finite: names joint, time and last finite state."""
 

@@ -28,6 +28,10 @@ MASSLESS = 1.0e-30  # Of the largest moment of inertia: what rounding leaves of 
 SINGULAR = 1.0e-7  # Of the largest one, columns scaled; loops that are closed leave 1e-13.
 FIXED_BY_OTHERS = 1.0e-9  # Of a row of length one: what rounding leaves where others fix it.
 
+# Return maps of gaits.
+FORGOTTEN = 1.0e-8  # Singular value of a derivative by differences over 1 or the largest one: what
+# they leave of a direction in which resets forget everything.
+
 # Rows and mobilities that vanish.
 ROUNDED_ROW = 1.0e-13  # Entries of a row [m/rad or 1]: no mechanism has rows as small as that.
 ZERO_ROW = 1.0e-20  # Of the largest A_ii: what rounding leaves of J = 0, squared.
