@@ -1,11 +1,16 @@
 """Words of `mbd-ros view`."""
 
 import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from mbd_ros.errors import OK
+from mbd_ros.errors import OK, DataError
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.lines import say
+from mbd_ros.jobs.lines import say, say_all
 from mbd_ros.scene.locate import path_word
+
+if TYPE_CHECKING:
+    from mbd_ros.scene.built_scene import Scene
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,6 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "motion", nargs="?", type=path_word, help="result, table or bag; else the scene is run"
     )
     parser.add_argument("--ghost", type=path_word, help="a second motion, drawn through")
+    text = "writes one .html that opens from a file without a network, and serves nothing"
+    parser.add_argument("-o", "--out", type=path_word, metavar="FILE", help=text)
     parser.add_argument("-t", "--time", type=float, default=2.0, help="simulated s (default: 2)")
     parser.add_argument(
         "--parameter",
@@ -39,6 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
     from mbd_ros.view.page import Page
 
     scene = load_scene(arguments.scene)
+    if arguments.out is not None:
+        return _write(arguments, scene)
     page = Page(scene, host=arguments.host, port=arguments.port, named=arguments.parameter)
     try:
         if arguments.motion is None:
@@ -47,8 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
             page.show(arguments.motion, topic=arguments.topic)
         if arguments.ghost is not None:
             page.show_ghost(arguments.ghost, topic=arguments.topic)
-        for line in page.said:
-            say(line)
+        say_all(page.said)
         say(f"{page.address}  (Ctrl-C ends it)")
         if not arguments.no_browser:
             import webbrowser
@@ -59,4 +67,31 @@ def run(arguments: argparse.Namespace) -> int:
         return OK
     finally:
         page.close()
+    return OK
+
+
+def _write(arguments: argparse.Namespace, scene: "Scene") -> int:
+    """Write the motion as one file."""
+    from mbd_ros.files.replacing import replacing
+    from mbd_ros.view.frames import Frames
+    from mbd_ros.view.motion import viewed_motion
+    from mbd_ros.view.recording import animated_page
+    from mbd_ros.view.rerun import Rerun
+
+    out, topic = arguments.out, arguments.topic
+    if out.suffix != ".html":
+        raise DataError(f"{out}: the page is a .html file")
+    if arguments.parameter:
+        raise DataError("--parameter: sliders are of the page that is served, not of that of -o")
+    rows, motion, said = Frames(scene).rows, arguments.motion, list[str]()
+    if motion is None:
+        rerun = Rerun(scene)
+        rerun.duration = arguments.time
+        _, motion, said = rerun.run({})
+    viewed = viewed_motion(scene, motion, rows, topic)
+    ghost = arguments.ghost and viewed_motion(scene, arguments.ghost, rows, topic)
+    page = animated_page(scene, viewed, Path(scene.name).name, ghost)
+    with replacing(out) as file:
+        file.write(page.text.encode())
+    say_all([*page.remarks, *viewed.remarks, *said, f"{out}: {len(page.text) / 1e6:.1f} MB"])
     return OK

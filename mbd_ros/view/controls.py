@@ -7,11 +7,11 @@ from typing import Any
 from mbd_ros.errors import printable
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.view.curves import ALL, QUANTITIES, MotionCurves, cursor
+from mbd_ros.view.drawing import Drawing
 from mbd_ros.view.motion import ViewedMotion
 from mbd_ros.view.pictures import film, picture
 from mbd_ros.view.plot import MOST, Plot
 from mbd_ros.view.rerun import Rerun
-from mbd_ros.view.stage import Stage
 
 _STEPS = 1000  # of a slider
 _NOBODY = "nobody"
@@ -59,12 +59,14 @@ class Controls:
                 name: gui.add_checkbox(name, value)
                 for name, value in (
                     ("forces", True),
+                    ("moments", False),
+                    ("reactions", False),
                     ("cones", True),
                     ("paths", True),
                     ("frames", False),
                 )
             }
-            self._scale = gui.add_slider("scale of forces", 0.1, 10.0, 0.1, 1.0)
+            self._scale = gui.add_slider("scale of arrows", 0.1, 10.0, 0.1, 1.0)
             followed = [_NOBODY, *self._indices]
             self._followed = gui.add_dropdown("follow", followed, initial_value=_NOBODY)
             gui.add_button("picture").on_click(self._on_picture)
@@ -165,12 +167,15 @@ class Controls:
         before, self._seen = self._seen, seen
         return seen != before
 
-    def apply_to(self, stage: Stage) -> None:
-        """Let a stage show what is chosen."""
-        shown = {name: bool(one.value) for name, one in self._shown.items()}
-        stage.shows_arrows, stage.shows_cones = shown["forces"], shown["cones"]
-        stage.shows_paths = shown["paths"]
-        stage.show_axes(shown["frames"])
+    def apply_to(self, drawing: Drawing) -> None:
+        """Let a drawing show what is chosen."""
+        shown = {name for name, one in self._shown.items() if one.value}
+        drawing.shown, drawing.scale = shown & {"forces", "moments", "reactions"}, self.scale
+        if {"moments", "reactions"} <= shown:
+            drawing.shown.add("reaction moments")
+        stage = drawing.stage
+        stage.shows_cones, stage.shows_paths = "cones" in shown, "paths" in shown
+        stage.show_axes("frames" in shown)
 
     def say(self, lines: Sequence[str]) -> None:
         """Show lines for people."""

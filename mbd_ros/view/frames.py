@@ -3,7 +3,6 @@
 Lengths are in metres, in the world less `Robot.origin`: a robot far away stands at the origin.
 """
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,13 +10,15 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.showing import Showing
+from mbd_ros.core.inverse.reactions import JointReactions
 from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 from mbd_ros.scene.built_scene import Scene
 
 SLACK, TIGHT = np.array([90.0, 130.0, 200.0]), np.array([220.0, 40.0, 40.0])
-CLOSURE = np.array([40.0, 160.0, 90.0])
+CLOSURE, COUPLING = np.array([40.0, 160.0, 90.0]), np.array([150.0, 90.0, 190.0])
 _NO_LINES, _NO_POINTS = np.zeros((0, 2, 3)), np.zeros((0, 3))
 
 
@@ -27,10 +28,12 @@ class Drawn(NamedTuple):
     Attributes:
         poses: Of every joint of the model: place [m], then quaternion (w, x, y, z), shape
             (njoints, 7), overwritten by the next one.
-        lines: Begin and end of every piece of a path, then of a closure, shape (n, 2, 3).
+        lines: Begin and end of every piece of a path, then of a closure, then from a joint to
+            each that follows it, shape (n, 2, 3).
         colours: Of lines, 0 .. 255, shape (n, 3), uint8.
         points: Of markers, then both ends of every closure, shape (m, 3).
-        arrows: Where forces act, and the forces [N], shape (k, 2, 3).
+        arrows: Where forces of constraints and contacts act, and the forces [N], shape (k, 2, 3).
+        moments: The same with their moments [N·m], shape (k, 2, 3).
         cones: Tips of friction cones, normal forces [N] and coefficients, shape (c, 7).
     """
 
@@ -39,6 +42,7 @@ class Drawn(NamedTuple):
     colours: NDArray[np.uint8]
     points: Array
     arrows: Array
+    moments: Array
     cones: Array
 
 
@@ -69,6 +73,12 @@ class Frames:
         self._closures = [p for p in scene.constraints if not hasattr(p, "path")]
         self._sizes = [_row_count(p, system.layout) for p in self._closures]
         self._points = [s.point for s in scene.sensors if hasattr(s, "point")]
+        self._coupled = _coupled(scene)
+        self._rows = ConstraintRows(system.layout.blocks, robot.model.nv)
+        forces = (*loads.actuators, *loads.forces)
+        self._reactions = JointReactions(robot, self._rows, forces=forces)
+        at_v = {int(joint.idx_v): i for i, joint in enumerate(robot.model.joints) if i}
+        self._jointed = [at_v[joint.v] for joint in robot.joints]
         self._poses = np.zeros((robot.model.njoints, 7))
 
     def at(
@@ -83,25 +93,49 @@ class Frames:
             most: Tension that is red [N]; 0 for that of the tightest path of the state.
         """
         a = np.zeros(self._model.nv) if a is None else a
-        values, arrows, cones = np.zeros(0), _NO_LINES, np.zeros((0, 7))
+        values, arrows, moments, cones = np.zeros(0), _NO_LINES, _NO_LINES, np.zeros((0, 7))
         if multipliers is not None:
-            values, arrows, cones = self._forces(x, a, multipliers)
+            values, arrows, moments, cones = self._forces(x, a, multipliers)
         self._k.refresh(x.q, x.v, Reads.POSITION)
         lines, tensions = self._path_lines(x, values)
-        closures = self._closure_lines(x)
+        closures, coupled = self._closure_lines(x), self._coupled_lines()
         colours = np.concatenate(
-            (tension_colours(tensions, most), np.tile(CLOSURE, (len(closures), 1)))
+            (
+                tension_colours(tensions, most),
+                np.tile(CLOSURE, (len(closures), 1)),
+                np.tile(COUPLING, (len(coupled), 1)),
+            )
         )
         markers = np.array([self._k.position(point) for point in self._points]).reshape(-1, 3)
         points = np.concatenate((markers, closures.reshape(-1, 3)))
         return Drawn(
             self._placed(),
-            np.concatenate((lines, closures)),
+            np.concatenate((lines, closures, coupled)),
             colours.astype(np.uint8),
             points,
             arrows,
+            moments,
             cones,
         )
+
+    def reactions(self, x: State, a: Array, multipliers: Array) -> tuple[Array, Array]:
+        """What joints pass from parents to children, as arrows of forces and of moments.
+
+        Args:
+            x: State of all joints.
+            a: Accelerations [rad/s^2 or m/s^2], shape (nv,).
+            multipliers: Of all rows, shape (m,).
+
+        Returns:
+            Places of the joints with forces [N], and with moments about them [N·m], each of
+            shape (joints, 2, 3).
+        """
+        u = self._system.loads.inputs(x, None)
+        lam = multipliers[self._rows.slots]
+        world = self._reactions.solve(x, a, lam, u=u).world.reshape(-1, 2, 3)
+        self._k.refresh(x.q, x.v, Reads.POSITION)
+        places = np.array([self._data.oMi[i].translation for i in self._jointed]).reshape(-1, 3)
+        return np.stack((places, world[:, 0]), axis=1), np.stack((places, world[:, 1]), axis=1)
 
     def tensions(self, x: State, a: Array, multipliers: Array) -> Array:
         """Tension of every path [N], shape (paths,), NaN where it is unknown."""
@@ -119,14 +153,15 @@ class Frames:
             )
         return self._poses
 
-    def _forces(self, x: State, a: Array, lam: Array) -> tuple[Array, Array, Array]:
-        """Values of all numbers, arrows and cones."""
+    def _forces(self, x: State, a: Array, lam: Array) -> tuple[Array, Array, Array, Array]:
+        """Values of all numbers, arrows of forces, of moments, and cones."""
         u, showing = self._system.loads.inputs(x, None), self._showing
         values = showing.at(x, u, a, lam)
-        arrows = [(one.point, one.force) for one in showing.wrenches(x, u, a, lam)]
-        arrows += [(w.point, w.force) for w in self._exerted(x, lam)]
+        exerted = [*showing.wrenches(x, u, a, lam), *self._exerted(x, lam)]
+        arrows = np.array([(w.point, w.force) for w in exerted]).reshape(-1, 2, 3)
+        moments = np.array([(w.point, w.torque) for w in exerted]).reshape(-1, 2, 3)
         cones = [(*c.point, *c.normal, c.mu) for c in showing.cones_at(x, u, a, lam)]
-        return values, np.array(arrows).reshape(-1, 2, 3), np.array(cones).reshape(-1, 7)
+        return values, arrows, moments, np.array(cones).reshape(-1, 7)
 
     def _exerted(self, x: State, lam: Array) -> list[Any]:
         """Wrenches of constraints that show no arrows themselves."""
@@ -159,6 +194,12 @@ class Frames:
                 pairs.append((wrenches[0].point, wrenches[1].point))
         return np.array(pairs).reshape(-1, 2, 3)
 
+    def _coupled_lines(self) -> Array:
+        """From a joint to each that follows it, where they are apart."""
+        places = np.array([oMi.translation for oMi in self._data.oMi])
+        lines = places[self._coupled]
+        return lines[np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1) > 0.0]
+
 
 def tension_colours(tensions: Array, most: float = 0.0) -> Array:
     """Blue where slack or unknown, red at the largest tension, shape (n, 3).
@@ -173,61 +214,6 @@ def tension_colours(tensions: Array, most: float = 0.0) -> Array:
     return SLACK + share[:, None] * (TIGHT - SLACK)
 
 
-def arrow_ends(arrows: Array, scale: float, shortest: float = 1.0e-6) -> Array:
-    """Begin and end of arrows of forces, without those that are too short to be seen.
-
-    Args:
-        arrows: Where forces act [m], and the forces [N], shape (n, 2, 3).
-        scale: Length per force [m/N].
-        shortest: Length from which an arrow is drawn [m].
-    """
-    lengths = np.linalg.norm(arrows[:, 1], axis=1) * scale
-    seen = arrows[lengths > shortest]
-    return np.stack((seen[:, 0], seen[:, 0] + scale * seen[:, 1]), axis=1)
-
-
-def cone_lines(cones: Array, scale: float, around: int = 12) -> Array:
-    """Lines from the tips of friction cones to their rims, and along these.
-
-    Args:
-        cones: Tip [m], normal force [N] and coefficient, shape (n, 7).
-        scale: Height per force [m/N].
-        around: Lines of a cone.
-
-    Returns:
-        Shape (2 n around, 2, 3).
-    """
-    pieces = [_NO_LINES]
-    turn = np.arange(around) * (2.0 * np.pi / around)
-    for cone in cones:
-        axis = cone[3:6] * scale
-        height = float(np.linalg.norm(axis))
-        if height <= 0.0:
-            continue
-        across = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-        across /= np.linalg.norm(across)
-        beside = np.cross(axis / height, across)
-        out = np.outer(np.cos(turn), across) + np.outer(np.sin(turn), beside)
-        rim = cone[:3] + axis + cone[6] * height * out
-        tips = np.broadcast_to(cone[:3], rim.shape)
-        pieces.append(np.stack((tips, rim), axis=1))
-        pieces.append(np.stack((rim, np.roll(rim, -1, axis=0)), axis=1))
-    return np.concatenate(pieces)
-
-
-def force_scale(forces: Sequence[Array], size: float) -> float:
-    """Length per force [m/N] at which the largest of forces is a third of a size.
-
-    Args:
-        forces: Arrows of several states, each of shape (n, 2, 3).
-        size: Of the robot [m].
-    """
-    most = max(
-        (float(np.linalg.norm(f[:, 1], axis=1).max(initial=0.0)) for f in forces), default=0.0
-    )
-    return size / (3.0 * most) if most > 0.0 else 0.001
-
-
 def _tension(part: Any, named: dict[str, int]) -> int | None:
     """Which number is the tension of a part with a path."""
     return next(
@@ -238,3 +224,10 @@ def _tension(part: Any, named: dict[str, int]) -> int | None:
 def _row_count(part: Any, layout: Any) -> int:
     found = (b.slots.stop - b.slots.start for b in layout.blocks if b.part is part)
     return next(found, 0)
+
+
+def _coupled(scene: Scene) -> NDArray[np.intp]:
+    """Joints of the model, each that is followed with the one that follows, shape (n, 2)."""
+    at_v = {int(joint.idx_v): i for i, joint in enumerate(scene.robot.model.joints) if i}
+    pairs = [(at_v[pair.parent_v], at_v[pair.child_v]) for pair in scene.couplings.pairs]
+    return np.array(pairs, dtype=np.intp).reshape(-1, 2)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.errors import SceneError
+from mbd_ros.errors import DataError, SceneError
 from mbd_ros.files.table import Result
 from mbd_ros.jobs.simulate.job import Interrupted, simulate
 from mbd_ros.scene.built_scene import Scene
@@ -23,7 +23,6 @@ class Rerun:
         named: Numbers to change, `<part>.<argument>`.
 
     Attributes:
-        duration: Of a run [s].
         starts: Independent joint -> first position, lowest and highest [rad or m].
         numbers: Number -> value, lowest and highest.
 
@@ -31,8 +30,8 @@ class Rerun:
         SceneError: There is no such number.
     """
 
-    def __init__(self, scene: Scene, named: Sequence[str]) -> None:
-        self._scene, self.duration = scene, 2.0
+    def __init__(self, scene: Scene, named: Sequence[str] = ()) -> None:
+        self._scene, self._duration = scene, 2.0
         self.starts = {
             joint.name: _ranged(float(scene.initial.q[joint.q]), joint.lower, joint.upper)
             for joint in scene.robot.joints
@@ -40,6 +39,17 @@ class Rerun:
         }
         self.starts = dict(list(self.starts.items())[:_MOST])
         self.numbers = {name: self._number(name) for name in named}
+
+    @property
+    def duration(self) -> float:
+        """Of a run [s]."""
+        return self._duration
+
+    @duration.setter
+    def duration(self, value: float) -> None:
+        if not 0.0 < value < np.inf:
+            raise DataError(f"--time {value:g}: accepted are finite times > 0")
+        self._duration = value
 
     def _number(self, name: str) -> tuple[float, float, float]:
         from mbd_ros.scene.from_python import changed_origin
@@ -78,7 +88,7 @@ class Rerun:
             scene = scene.with_(initial=initial)
         said = list[str]()
         try:
-            return scene, simulate(scene, self.duration, say=said.append), said
+            return scene, simulate(scene, self._duration, say=said.append), said
         except Interrupted as error:
             if error.result is None:
                 raise

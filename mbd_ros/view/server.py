@@ -1,4 +1,4 @@
-"""The server of a page that robots are led from: `viser` behind a guard."""
+"""The server of a page: `viser` behind a guard."""
 
 import asyncio
 import contextlib
@@ -7,6 +7,7 @@ import ipaddress
 import secrets
 from collections.abc import Sequence
 from typing import Any
+from urllib.parse import quote
 
 from mbd_ros.errors import MbdError, printable
 from mbd_ros.view.guard import LOOPBACK, Guard
@@ -38,14 +39,8 @@ class PageServer:
     def __init__(
         self, host: str, port: int, label: str, token: str = "", origins: Sequence[str] = ()
     ) -> None:
-        import viser  # takes long, and is asked for by pages alone
-
         self.token = token or ("" if is_loopback(host) else secrets.token_urlsafe(16))
-        with contextlib.redirect_stdout(io.StringIO()):  # viser greets there
-            self.viser: Any = viser.ViserServer(
-                host="127.0.0.1", port=0, label=printable(label), verbose=False
-            )
-        self.viser.request_share_url = lambda: None  # any page could ask for a public address
+        self.viser = started(label)
         self.viser.gui.configure_theme(show_logo=False, show_share_button=False)
         self._guard = Guard(self.viser.get_port(), self.token, origins)
         try:
@@ -56,6 +51,11 @@ class PageServer:
         self.address = f"http://{f'[{host}]' if ':' in host else host}:{found}"
 
     @property
+    def address_with_token(self) -> str:
+        """Of the page, for whoever may see it."""
+        return f"{self.address}/?token={quote(self.token)}" if self.token else self.address
+
+    @property
     def browsers(self) -> int:
         """How many are connected."""
         return len(self.viser.get_clients())
@@ -63,8 +63,7 @@ class PageServer:
     def close(self) -> None:
         """End it."""
         self._do(self._guard.close())
-        with contextlib.redirect_stdout(io.StringIO()):
-            self.viser.stop()
+        stop(self.viser)
 
     def _listen(self, host: str, port: int) -> int:
         for tried in range(port, min(port + _PORTS, 65536)):
@@ -80,6 +79,22 @@ class PageServer:
     def _do(self, work: Any) -> None:
         loop = self.viser.get_event_loop()
         asyncio.run_coroutine_threadsafe(work, loop).result(_PATIENCE)
+
+
+def started(label: str) -> Any:
+    """A `viser.ViserServer` on a port of this machine that is told to nobody."""
+    import viser  # takes long, and is asked for by pages alone
+
+    with contextlib.redirect_stdout(io.StringIO()):  # it greets there
+        server = viser.ViserServer(host="127.0.0.1", port=0, label=printable(label), verbose=False)
+    server.request_share_url = lambda: None  # any page could ask for a public address
+    return server
+
+
+def stop(server: Any) -> None:
+    """End it."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
 
 
 def is_loopback(host: str) -> bool:

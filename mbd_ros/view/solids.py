@@ -21,7 +21,6 @@ from mbd_ros.view.surfaces import Surface
 
 GREY, BONE = (168, 176, 186), (222, 208, 178)  # red, green, blue
 _SHORTEST = 1.0e-4  # m, of a bone
-_SMALLEST = 0.05  # m, of what is looked at
 
 
 class Solid(NamedTuple):
@@ -209,20 +208,19 @@ def _rgb(material: ElementTree.Element) -> tuple[int, int, int] | None:
     return r, g, b
 
 
-def extent(solids: Sequence[Solid], poses: Array) -> tuple[float, Array]:
-    """Largest side of the box around all solids [m], at least 0.05, and its centre, shape (3,).
+def box_around(solids: Sequence[Solid], poses: Array) -> tuple[Array, Array]:
+    """Least and greatest corner of the box around all solids [m], each of shape (3,).
 
     Args:
-        solids: What there is.
+        solids: What there is; without any the box is around the joints and the origin.
         poses: As those of `Drawn`, shape (njoints, 7).
     """
-    corners = [poses[1:, :3]] if not solids else []
+    corners = [] if solids else [poses[1:, :3], np.zeros((1, 3))]
     for solid in solids:
         pose = poses[solid.joint]
         w, xyz = pose[3], pose[4:]
         points = solid.surface.vertices
         cross = np.cross(xyz, points)
         corners.append(points + 2.0 * (w * cross + np.cross(xyz, cross)) + pose[:3])
-    every = np.concatenate([*corners, np.zeros((1, 3))] if not solids else corners)
-    low, high = every.min(axis=0), every.max(axis=0)
-    return max(float((high - low).max()), _SMALLEST), (low + high) / 2.0
+    every = np.concatenate(corners)
+    return every.min(axis=0), every.max(axis=0)

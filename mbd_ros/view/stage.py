@@ -1,15 +1,23 @@
 """The three-dimensional half of the page: nodes that are made once and moved by a frame."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from mbd_ros.core.state import Array
-from mbd_ros.view.frames import Drawn, arrow_ends, cone_lines
+from mbd_ros.view.arrows import cone_lines
+from mbd_ros.view.frames import Drawn
 from mbd_ros.view.solids import Solid
 
-ARROW, CONE, MARKER, GHOST = (214, 90, 30), (120, 90, 200), (20, 140, 140), (110, 160, 210)
+COLOURS = {  # of arrows
+    "forces": (214, 90, 30),
+    "moments": (160, 50, 160),
+    "reactions": (30, 110, 190),
+    "reaction moments": (90, 60, 180),
+}
+CONE, MARKER, GHOST = (120, 90, 200), (20, 140, 140), (110, 160, 210)
+_NONE = np.zeros((0, 2, 3))
 _SOFT = 0.35  # opacity of a ghost, and of what stands for an inertia
 
 
@@ -31,7 +39,7 @@ class Stage:
     ) -> None:
         self._scene, self._root, self._size = scene, root, size
         self._joints, self.solids = dict[int, Any](), list[tuple[Solid, Any]]()
-        self.shows_frames = self.shows_arrows = self.shows_cones = self.shows_paths = True
+        self.shows_cones = self.shows_paths = True
         for i, solid in enumerate(solids):
             if solid.joint not in self._joints:
                 self._joints[solid.joint] = self._frame(solid.joint)
@@ -57,19 +65,21 @@ class Stage:
         for joint, node in self._joints.items():
             node.position, node.wxyz = drawn.poses[joint, :3], drawn.poses[joint, 3:]
 
-    def draw(self, drawn: Drawn, scale: float) -> None:
+    def draw(self, drawn: Drawn, arrows: Mapping[str, Array], cone_scale: float) -> None:
         """Move everything.
 
         Args:
             drawn: What to draw.
-            scale: Length of arrows and cones per force [m/N].
+            arrows: Key of `COLOURS` -> begin and end of each arrow [m], shape (n, 2, 3); those
+                that are not named are hidden.
+            cone_scale: Height of cones per force [m/N].
         """
         self.place(drawn)
         lines = drawn.lines if self.shows_paths else drawn.lines[:0]
         self._lines("lines", lines, drawn.colours[: len(lines)], 0.012)
-        ends = arrow_ends(drawn.arrows, scale, self._size * 1.0e-3)
-        self._arrows(ends if self.shows_arrows else ends[:0])
-        rims = cone_lines(drawn.cones if self.shows_cones else drawn.cones[:0], scale)
+        for name in COLOURS:
+            self._arrows(name, arrows.get(name, _NONE))
+        rims = cone_lines(drawn.cones if self.shows_cones else drawn.cones[:0], cone_scale)
         self._lines("cones", rims, np.tile(np.array(CONE, np.uint8), (len(rims), 1)), 0.002)
         self._points(drawn.points)
 
@@ -95,18 +105,18 @@ class Stage:
                 f"{self._root}/{name}", pieces, both, thickness=thickness * self._size
             )
 
-    def _arrows(self, ends: Array) -> None:
-        node = self._nodes.get("arrows")
+    def _arrows(self, name: str, ends: Array) -> None:
+        node = self._nodes.get(name)
         if node is not None:
             node.visible = len(ends) > 0
             if len(ends):
                 node.points = ends.astype(np.float32)
         elif len(ends):
             thick = self._size * 0.006
-            self._nodes["arrows"] = self._scene.add_arrows(
-                f"{self._root}/arrows",
+            self._nodes[name] = self._scene.add_arrows(
+                f"{self._root}/{name}",
                 ends,
-                ARROW,
+                COLOURS[name],
                 shaft_radius=thick,
                 head_radius=2.2 * thick,
                 head_length=5.0 * thick,
@@ -125,18 +135,3 @@ class Stage:
                 point_shape="circle",
                 precision="float32",
             )
-
-
-def show_ground(server: Any, size: float, centre: Array) -> None:
-    """A grid at height 0, and where cameras begin.
-
-    Args:
-        server: The `viser.ViserServer`.
-        size: Of what is looked at [m].
-        centre: Of it [m], shape (3,).
-    """
-    server.scene.set_up_direction("+z")
-    sides = {"width": 8.0 * size, "height": 8.0 * size}
-    server.scene.add_grid("/ground", **sides, cell_size=size / 4.0, section_size=size)
-    server.initial_camera.position = centre + np.array([0.9, -1.25, 0.6]) * size
-    server.initial_camera.look_at = centre

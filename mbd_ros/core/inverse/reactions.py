@@ -61,7 +61,12 @@ class JointReactions:
         self._joints = [at[joint.v] for joint in robot.joints]
 
     def solve(
-        self, x: State, a: Array, multipliers: Array, wrenches: Sequence[Array] = ()
+        self,
+        x: State,
+        a: Array,
+        multipliers: Array,
+        wrenches: Sequence[Array] = (),
+        u: Array = NONE,
     ) -> Reactions:
         """Reactions of a motion that satisfies the equation of motion.
 
@@ -70,12 +75,13 @@ class JointReactions:
             a: Acceleration of all joints [rad/s^2 or m/s^2], shape (nv,).
             multipliers: One a row of the constraints, shape (m,).
             wrenches: One (6,) array [N, N·m] for every load; none means unloaded.
+            u: All inputs; none where no force reads any.
         """
         model, data = self._model, self._data
         self._k.refresh(x.q, x.v)
         closures = self._constraints.wrenches(self._k, x, multipliers)
         self._loads.set(self._k, wrenches)
-        exerted = (w for force in self._forces for w in force.wrenches(self._k, x, NONE))
+        exerted = (w for force in self._forces for w in force.wrenches(self._k, x, u))
         for wrench in (*closures, *exerted):
             self._loads.add(self._k, wrench)
         pin.rnea(model, data, x.q, x.v, a, self._loads.forces)
