@@ -14,6 +14,7 @@ from mbd_ros.core.model.path_batch import PathBatch
 from mbd_ros.core.state import State
 from mbd_ros.errors import DataError
 from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.scene.path_search import straight_paths
 
 ARM26, GAIT = "arm26_muscles", "gait10dof18musc_muscles"
 MODELS = {ARM26: "raw/arm26.osim.gz", GAIT: "raw/subject01.osim.gz"}
@@ -107,6 +108,48 @@ def test_samples_are_those_of_the_paths_one_by_one(data_dir):
             assert found.lengths[j, i] == pytest.approx(length, abs=1e-14)
             np.testing.assert_allclose(found.arms[j, i], -slope, atol=1e-11)
             assert found.speeds[j, i] == pytest.approx(slope @ w[j], abs=1e-11)
+
+
+def native_and_one_by_one(scene):
+    """Largest difference of lengths, speeds and columns at random states."""
+    paths = list(scene.parts["paths"].values())
+    robot, couplings, data = scene.robot, scene.couplings, scene.robot.model.createData()
+    native = straight_paths(robot, data, couplings, paths, len(paths))
+    assert native is not None
+    rng, k, off = np.random.default_rng(5), Kinematics(robot, data), 0.0
+    for _ in range(100):
+        q, v, a = np.zeros(robot.model.nq), np.zeros(robot.model.nv), np.zeros(robot.model.nv)
+        q[couplings.q_index] = rng.uniform(-1.5, 1.5, len(couplings.q_index))
+        v[couplings.v_index] = rng.normal(size=len(couplings.v_index))
+        slopes = couplings.expand(q, v, a)
+        k.refresh(q, v)
+        native(q, v, slopes)
+        G = couplings.jacobian(q)
+        for i, path in enumerate(paths):
+            length, slope = path.measured(k, State(0.0, q, v))
+            found = native.length[i] - length, native.speed[i] - slope @ v
+            off = max(off, *np.abs(found), np.abs(native.columns[:, i] + G.T @ slope).max())
+    return off
+
+
+@pytest.mark.parametrize("name", ["muscle_leg", *SMALL, GAIT])
+def test_native_paths_are_those_one_by_one(data_dir, name):
+    """Conditional and moving points, coupled joints; arms are some 0.1 m."""
+    folder = data_dir / "opensim" / "moment_arm_test_models" / name
+    file = folder / f"{name}_40600.osim.gz" if name in SMALL else name
+    if name == GAIT:
+        file = data_dir / "opensim" / GAIT / MODELS[GAIT]
+    assert native_and_one_by_one(mbd.load_scene(file)) <= 1e-14
+
+
+@pytest.mark.parametrize("name", ["muscle_leg", "muscle_arm"])
+def test_paths_are_not_native_without_a_compiler_or_with_wraps(monkeypatch, name):
+    if name == "muscle_leg":
+        monkeypatch.setenv("CC", "no_such_compiler")
+    scene = mbd.load_scene(name)
+    paths, robot = list(scene.parts["paths"].values()), scene.robot
+    data = robot.model.createData()
+    assert straight_paths(robot, data, scene.couplings, paths, len(paths)) is None
 
 
 def test_dependent_joints_move_along(data_dir):

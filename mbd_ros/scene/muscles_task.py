@@ -26,7 +26,7 @@ from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.locate import find_file
-from mbd_ros.scene.path_search import QuickestSearch
+from mbd_ros.scene.path_search import QuickestSearch, straight_paths
 
 Objective = Literal["activation", "stress", "volume", "metabolic"]
 Use = Literal["track", "least"]
@@ -54,8 +54,12 @@ class MusclesTask:
     links: tuple[str, ...]
     by_muscle: bool
 
-    def solver(self, scene: Scene) -> StaticOptimization:
+    def solver(self, scene: Scene, is_live: bool = False) -> StaticOptimization:
         """Static optimisation with its own Pinocchio data.
+
+        Args:
+            scene: The scene.
+            is_live: Whether frames come one by one, which native code is worth then.
 
         Raises:
             SceneError: The scene has no muscles, or loops.
@@ -74,6 +78,7 @@ class MusclesTask:
             return StaticOptimization(
                 *(scene.robot, known, scene.muscles, self.reserves, self.wishes),
                 search=search,
+                quick=straight_paths if is_live else None,
             )
         except ModelError as error:
             raise SceneError(f"{scene.name}: {error}") from error

@@ -1,8 +1,11 @@
 """The search of paths that wrap, in native code where it can be compiled."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.paths import Path
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.wrapping.arcs import Placed
 from mbd_ros.core.model.wrapping.taut import Taut, taut
 from mbd_ros.core.state import Array
@@ -22,7 +25,7 @@ class QuickestSearch:
     def prepare(self) -> None:
         """Compile what is not yet."""
         if not self._is_tried:
-            self._native, self._is_tried = _native(), True
+            self._native, self._is_tried = _native(_search), True
 
     def __call__(self, path: Any, points: Array, places: Sequence[Placed]) -> Taut:
         """As `wrapping.taut.taut`, of a `WrappedPath`."""
@@ -33,12 +36,28 @@ class QuickestSearch:
         return found
 
 
-def _native() -> Any:
+def straight_paths(
+    robot: Robot, data: Any, couplings: Couplings, paths: Sequence[Path], width: int
+) -> Any:
+    """A `compiled.runs.straight_paths.StraightPaths`, or None where there cannot be one."""
+    if not all(path.corners() for path in paths):
+        return None
+
     def take() -> Any:
-        from mbd_ros.compiled.runs.path_search import PathSearch
+        from mbd_ros.compiled.runs.straight_paths import StraightPaths
 
-        return PathSearch()
+        return StraightPaths(robot, data, couplings, paths, width)
 
+    return _native(take)
+
+
+def _search() -> Any:
+    from mbd_ros.compiled.runs.path_search import PathSearch
+
+    return PathSearch()
+
+
+def _native(take: Callable[[], Any]) -> Any:
     try:
         return attempted(take)
     except Impossible:  # numpy does the same

@@ -83,9 +83,14 @@ class Library:
         Args:
             name: As CasADi calls it.
         """
-        native = self._quick[f"call_{name}"]
-        native.argtypes, native.restype = (ctypes.c_void_p,), None
+        native = self.entry(f"call_{name}")
         return NativeFunction(native, self.source.signatures[name], self.source.lanes)
+
+    def entry(self, name: str) -> ctypes._CFuncPtr:
+        """What takes one address and returns nothing, while no other thread runs."""
+        native = self._quick[name]
+        native.argtypes, native.restype = (ctypes.c_void_p,), None
+        return native
 
 
 def load(source: Source, say: cache.Say = _silent, check: Check = _trusted) -> Library:

@@ -40,6 +40,24 @@ class TorqueComponents(NamedTuple):
     external: Array
 
 
+class Expanded(NamedTuple):
+    """One sample of all joints; all but the torques are live views.
+
+    Attributes:
+        tau: As of `Torques`, shape (nv_y,).
+        q: Configuration, shape (nq,).
+        v: Velocity, shape (nv,).
+        a: Acceleration, shape (nv,).
+        slopes: Of the couplings there, see `Couplings.expand`.
+    """
+
+    tau: Array
+    q: Array
+    v: Array
+    a: Array
+    slopes: Slopes
+
+
 class InverseDynamics:
     """Inverse dynamics with dependent joints and external wrenches.
 
@@ -101,6 +119,15 @@ class InverseDynamics:
             return Torques(tau, self._no_multipliers, self._rank, residual)
         self._expand(position, velocity, acceleration)
         return self._torques(*self.couplings.reduce(self._full(wrenches), self._slopes))
+
+    def expanded(
+        self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
+    ) -> Expanded:
+        """Torques of one sample with the motion of all joints; arguments as `solve`."""
+        self._expand(position, velocity, acceleration)
+        full = self._full(wrenches)
+        tau, _ = self.couplings.reduce(full, self._slopes)
+        return Expanded(tau, self._q, self._v, self._a, self._slopes)
 
     def components(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()

@@ -4,10 +4,11 @@ With the lengths l_i of paths, J_i = dl_i/dq and G of the couplings, a tension F
 -G' J_i' F_i on the independent coordinates.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from mbd_ros.core.inverse.reserves import BodyReserve, CoordinateReserve, InputReserve, Reserve
 from mbd_ros.core.model.couplings import Couplings, Slopes
@@ -53,6 +54,8 @@ class MuscleFrames:
         muscles: At least one.
         reserves: What helps them.
         search: As for `PathBatch`.
+        quick: Makes of robot, Pinocchio data, couplings, paths and number of columns what finds
+            all paths at a state, see `compiled.runs.straight_paths`, or None where it cannot.
     """
 
     def __init__(
@@ -62,6 +65,7 @@ class MuscleFrames:
         muscles: Sequence[Muscle],
         reserves: Sequence[Reserve] = (),
         search: Any = None,
+        quick: Callable[..., Any] | None = None,
     ) -> None:
         self._couplings, self._muscles = couplings, tuple(muscles)
         self._tendons = RigidTendons([muscle.contraction for muscle in muscles])
@@ -69,7 +73,8 @@ class MuscleFrames:
         self._batch = PathBatch(robot, couplings, paths, search)
         wraps = any(getattr(path, "wraps", ()) for path in paths.values())
         self._few = 0 if wraps and search is not None else _FEW
-        self._k, self._nv = Kinematics(robot), int(robot.model.nv)
+        self._nv, data = int(robot.model.nv), pin.Data(robot.model)
+        self._k = Kinematics(robot, data)
         self._fixed = np.zeros((len(couplings.v_index), len(reserves)))
         self._varying: list[tuple[int, BodyReserve | InputReserve]] = []
         for i, reserve in enumerate(reserves):
@@ -81,6 +86,12 @@ class MuscleFrames:
         reserved = [part.reads for _, part in self._varying]
         self._reads = max([Reads.POSITION, *read, *reserved])
         self._reads_of_reserves = max([Reads.POSITION, *reserved])
+        count = len(muscles) + len(reserves)
+        self._quick: Any = None
+        if quick is not None:
+            self._quick = quick(robot, data, couplings, tuple(paths.values()), count)
+        if self._quick is not None:
+            self._quick.columns[:, len(muscles) :] = self._fixed
 
     def at(self, y: Array, w: Array, q: Array, v: Array, slopes: Slopes) -> Frames:
         """The frames.
@@ -92,14 +103,30 @@ class MuscleFrames:
             v: Velocities, shape (nv, frames).
             slopes: What `Couplings.expand` gave for them.
         """
+        if self._quick is not None and len(y) == 1:
+            length, speed, columns = self._at_once(q[:, 0], v[:, 0], slopes)
+            return self._frames(length, speed, columns)
         if len(y) < self._few:
             length, speed, arms, helping = self._one_by_one(q, v, slopes)
         else:
             length, speed, arms = self._batch.evaluate(y, w)
             helping = self._reserved(q, v, slopes)
-        forces = self._tendons.at(length, speed)
         columns = np.concatenate((arms.transpose(0, 2, 1), helping), axis=2)
+        return self._frames(length, speed, columns)
+
+    def _frames(self, length: Array, speed: Array, columns: Array) -> Frames:
+        forces = self._tendons.at(length, speed)
         return Frames(length, speed, forces.active, forces.passive, forces.fiber_velocity, columns)
+
+    def _at_once(self, q: Array, v: Array, slopes: Slopes) -> tuple[Array, ...]:
+        """Lengths, speeds and columns of one frame."""
+        self._k.refresh(q, v, self._reads)
+        self._quick(q, v, slopes)
+        columns = self._quick.columns[None].copy()
+        if self._varying:
+            helping = np.array([[r.column(self._k, State(0.0, q, v)) for _, r in self._varying]])
+            columns[:, :, len(self._muscles) :] = self._filled(helping, slopes)
+        return self._quick.length[None].copy(), self._quick.speed[None].copy(), columns
 
     def _one_by_one(self, q: Array, v: Array, slopes: Slopes) -> tuple[Array, ...]:
         """Lengths, speeds, moment arms and columns of reserves of few frames."""

@@ -9,8 +9,10 @@ have no dynamics here: no frame knows of another, unless rates of activation are
 Source: K. R. Kaufman, K. An, W. Litchy, E. Chao, J. Biomech. 24 (1991) 781, 793.
 """
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +31,8 @@ from mbd_ros.core.thresholds import SINGULAR
 from mbd_ros.errors import SolveError
 
 
-class Shares(NamedTuple):
+@dataclass(frozen=True)
+class Shares:
     """One row a frame.
 
     Attributes:
@@ -43,8 +46,8 @@ class Shares(NamedTuple):
         objective: Value of the cost, shape (frames,).
         residual: Largest violation of the conditions of the optimum, shape (frames,).
         is_feasible: Whether nothing lacks, shape (frames,).
-        rank: Independent combinations of muscles and reserves, shape (frames,).
-        null_space: Dimension of activations and efforts that together exert nothing.
+        effects: Force of the independent coordinates by full activations and by efforts of 1
+            [N·m or N], shape (frames, nv_y, n + r).
         movable: Muscles and reserves that other optima have otherwise, by their place in `names`;
             none where the optimum of the frame is unique.
     """
@@ -58,9 +61,18 @@ class Shares(NamedTuple):
     objective: Array
     residual: Array
     is_feasible: Array
-    rank: Array
-    null_space: Array
+    effects: Array
     movable: tuple[tuple[int, ...], ...]
+
+    @cached_property
+    def rank(self) -> Array:
+        """Independent combinations of muscles and reserves, shape (frames,)."""
+        return np.asarray(np.linalg.matrix_rank(_scaled(self.effects), tol=SINGULAR))
+
+    @property
+    def null_space(self) -> Array:
+        """Dimension of activations and efforts that together exert nothing, shape (frames,)."""
+        return np.asarray(self.effects.shape[2] - self.rank)
 
 
 class StaticOptimization:
@@ -76,6 +88,7 @@ class StaticOptimization:
         reserves: What helps them.
         wishes: What is asked.
         search: Finds paths that wrap in many frames, as for `PathBatch`.
+        quick: As for `MuscleFrames`.
 
     Attributes:
         names: Of muscles, then of reserves.
@@ -94,12 +107,13 @@ class StaticOptimization:
         reserves: Sequence[Reserve] = (),
         wishes: Wishes = NOTHING_SPECIAL,
         search: Any = None,
+        quick: Callable[..., Any] | None = None,
     ) -> None:
         check_wishes(muscles, wishes)
         self.known, self.muscles, self.reserves = known, tuple(muscles), tuple(reserves)
         self.wishes, self.robot = wishes, robot
         self.names = tuple(part.name for part in (*muscles, *reserves))
-        self._frames = MuscleFrames(robot, known.couplings, muscles, reserves, search)
+        self._frames = MuscleFrames(robot, known.couplings, muscles, reserves, search, quick)
         self._sizes, self._n = sizes_of(muscles), len(muscles)
         ends = [(muscle.inputs[0].lower, muscle.inputs[0].upper) for muscle in muscles]
         ends += [reserve.limits for reserve in reserves]
@@ -137,8 +151,7 @@ class StaticOptimization:
         Raises:
             SolveError: A frame whose answer does not pass the check, by its time.
         """
-        needed = self._needed(position, velocity, acceleration, wrenches)
-        self.motion, slopes = self._expanded(position, velocity, acceleration)
+        needed, slopes = self._needed(position, velocity, acceleration, wrenches)
         frames = self._frames.at(position, velocity, *self.motion[:2], slopes)
         gains = np.concatenate((frames.active, np.tile(self._optimal, (len(times), 1))), axis=1)
         A, b = frames.columns * gains[:, None, :], needed
@@ -156,26 +169,29 @@ class StaticOptimization:
         force = x[:, : self._n] * frames.active
         if self.wishes.passive:
             force += frames.passive
-        rank = np.linalg.matrix_rank(_scaled(A), tol=SINGULAR)
         return Shares(
             *(frames, needed, x[:, : self._n], force, x[:, self._n :] * self._optimal),
             np.array([optimum.lacking for optimum in found]),
             np.array(values),
             np.array([optimum.residual for optimum in found]),
             np.array([optimum.is_feasible for optimum in found]),
-            rank,
-            A.shape[2] - rank,
+            A,
             tuple(optimum.movable for optimum in found),
         )
 
     def _needed(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array]
-    ) -> Array:
-        """What the motion needs without muscles, shape (frames, nv_y)."""
+    ) -> tuple[Array, Slopes]:
+        """What the motion needs without muscles, shape (frames, nv_y), and slopes of couplings."""
         if len(position) > 1:
-            return self.known.batch(position, velocity, acceleration, wrenches).tau
+            self.motion, slopes = self._expanded(position, velocity, acceleration)
+            return self.known.batch(position, velocity, acceleration, wrenches).tau, slopes
         loads = [wrench[0] for wrench in wrenches]
-        return self.known.solve(position[0], velocity[0], acceleration[0], loads).tau[None]
+        tau, q, v, a, slopes = self.known.expanded(
+            position[0], velocity[0], acceleration[0], loads
+        )
+        self.motion = q[:, None].copy(), v[:, None].copy(), a[:, None].copy()
+        return tau[None], slopes
 
     def _expanded(
         self, position: Array, velocity: Array, acceleration: Array

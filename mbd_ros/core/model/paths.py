@@ -9,7 +9,7 @@ in biomechanical models using generalized coordinates, ASME IDETC 2013, DETC2013
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.sampled_kinematics import SampledKinematics
 from mbd_ros.core.state import Array, State
+
+if TYPE_CHECKING:
+    from mbd_ros.core.model.via_points import ViaPoint
 
 
 class Pull(NamedTuple):
@@ -66,6 +69,10 @@ class Path:
 
     def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
         """Where it runs: corners of lines, in the world less `Robot.origin` [m], shape (n, 3)."""
+        return ()
+
+    def corners(self) -> "Sequence[ViaPoint]":
+        """All points of straight lines, there or not; none where it has more than these."""
         return ()
 
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:

@@ -111,9 +111,13 @@ class PointPath(Path):
         """All points."""
         return (np.array([end.point.position(k, x) for end in (self._first, *self._rest)]),)
 
+    def corners(self) -> Sequence[ViaPoint]:
+        """All points."""
+        return [end.point for end in (self._first, *self._rest)]
+
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
         """The l [m] and J of n samples."""
-        points = [end.point for end in (self._first, *self._rest)]
+        points = self.corners()
         places = np.stack([point.sampled(k) for point in points], axis=1)
         ways = places[:, 1:] - places[:, :-1]
         rigid = [end.length for end in self._rest]

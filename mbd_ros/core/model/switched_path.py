@@ -1,5 +1,6 @@
 """Paths that go another way while a joint is somewhere."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.paths import Path, Pull
 from mbd_ros.core.model.sampled_kinematics import SampledKinematics
-from mbd_ros.core.model.via_points import Interval
+from mbd_ros.core.model.via_points import Interval, ViaPoint
 from mbd_ros.core.state import Array, State
 
 
@@ -47,6 +48,10 @@ class SwitchedPath(Path):
     def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
         """Corners of the path that there is."""
         return self._asked(k, x, "lines")
+
+    def corners(self) -> Sequence[ViaPoint]:
+        """All points of the path inside, which has more than the other one."""
+        return self._inside.corners()
 
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
         """The l [m] and J of n samples."""

@@ -56,12 +56,18 @@ class ViaPoint:
         frame: Name of the link.
         within: As given.
         moves: Whether any joint moves it.
+        is_held: By its link, at one place.
+        joint: The joint that slides it along its link; None where it is held.
+        directions: Ways that it slides, in axes of the joint that carries it, shape (3,), each
+            with its function of the position of `joint` [m].
 
     Raises:
         ModelError: Unknown frame.
     """
 
-    is_held = True  # by its link, at one place
+    is_held = True
+    joint: Joint | None = None
+    directions: Sequence[tuple[Array, CouplingFunction]] = ()
 
     def __init__(
         self, robot: Robot, frame: str, point: Sequence[float], within: Interval | None = None
@@ -128,7 +134,8 @@ class MovingViaPoint(ViaPoint):
     ) -> None:
         begin = np.array([0.0 if axis in functions else float(point[i]) for i, axis in _NUMBERED])
         super().__init__(robot, frame, begin.tolist(), within)
-        self.moves, self._joint = True, robot.joint(joint)
+        self._joint = robot.joint(joint)
+        self.moves, self.joint = True, self._joint
         self._axes = [
             (robot.point(frame, (begin + np.eye(3)[i]).tolist()), functions[axis])
             for i, axis in _NUMBERED
@@ -136,7 +143,7 @@ class MovingViaPoint(ViaPoint):
         ]
         places = robot.places.points
         rotation = places[self.point.number].at.rotation
-        self._directions = [
+        self.directions = [
             (rotation[:, i], functions[axis]) for i, axis in _NUMBERED if axis in functions
         ]
 
@@ -198,7 +205,7 @@ class MovingViaPoint(ViaPoint):
         """Way along the axes, in those of the carrying joint, and its slope, shape (n, 3)."""
         q = k.q[:, self._joint.q]
         offset, slope = np.zeros((2, len(q), 3))
-        for axis, function in self._directions:
+        for axis, function in self.directions:
             value, rate, _ = function(q)
             offset += np.multiply.outer(np.broadcast_to(value, q.shape), axis)
             slope += np.multiply.outer(np.broadcast_to(rate, q.shape), axis)

@@ -3,6 +3,7 @@
 f_i(x) = linear_i x + weight_i |x|^p + stiffness_i (x - target_i)^2,   p >= 1
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -61,11 +62,18 @@ class SeparableCost(NamedTuple):
         """Half the jump of f_i' at x, shape (n,): weight_i at 0 where p = 1, else 0."""
         return np.where((x == 0.0) & (self.exponent == 1.0), self.weight, 0.0)
 
+    def inverse_slope(self) -> Callable[[Array], Array]:
+        """The `at_slope` of many slopes."""
+        if not self.is_quadratic:
+            return self.at_slope
+        at_zero = self.linear - 2.0 * self.stiffness * self.target
+        curvature = np.maximum(2.0 * (self.stiffness + self.weight), TINY)
+        return lambda slope: (slope - at_zero) / curvature
+
     def at_slope(self, slope: Array) -> Array:
         """The x with f_i' = slope where p > 1, tracking left aside but for p = 2, shape (n,)."""
         if self.is_quadratic:
-            whole = slope - self.linear + 2.0 * self.stiffness * self.target
-            return whole / np.maximum(self.curvature(slope), TINY)
+            return self.inverse_slope()(slope)
         rest = (slope - self.linear) / (self.exponent * np.maximum(self.weight, TINY))
         return np.sign(rest) * np.abs(rest) ** (1.0 / (self.exponent - 1.0))
 

@@ -8,6 +8,7 @@ M. Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13 (2002), on the exchange;
 S. Wright, Numerical Optimization, 2006, ch. 12, on the conditions.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ _RIDGE = 1.0e-15  # beside the largest entry of a diagonal
 _AT_BOUND = 1.0e-7  # of the distance of bounds, at most 1: near enough for a vertex to try
 _PRESSED = 1.0e-7  # of the largest slope: a multiplier that holds an unknown at its bound
 _ASCENTS = 40
+_FAR = 1.0e-6  # a row that lacks more leaves nothing to judge
 _FLAT = 1.0e-14  # of the largest curvature: less counts as this
 _HALVINGS = 30
 
@@ -58,15 +60,27 @@ class Problem(NamedTuple):
         cost, A, b, lower, upper = self
         if not ((x >= lower) & (x <= upper)).all():
             return np.inf
-        terms = np.abs(A).dot(np.abs(x)) + np.abs(b) + TINY
         slope = cost.slope(x)
         left = slope - A.T.dot(lam)
-        wrong = np.maximum(np.abs(left) - cost.kink(x), 0.0)
+        wrong = np.abs(left)
+        if cost.exponent == 1.0:
+            wrong = np.maximum(wrong - cost.kink(x), 0.0)
         wrong[((x <= lower) & (left > 0.0)) | ((x >= upper) & (left < 0.0))] = 0.0
         size = np.maximum(np.abs(slope), cost.weight + cost.stiffness).max(initial=TINY)
-        worst = float((np.abs(A.dot(x) - b) / terms).max(initial=0.0))
+        worst = self.missing(x, b - A.dot(x), np.abs(A))
         worst = max(worst, float(wrong.max(initial=0.0) / size))
         return worst if worst < np.inf else np.inf
+
+    def missing(self, x: Array, left: Array, sizes: Array) -> float:
+        """Largest violation of a row, relative to its terms.
+
+        Args:
+            x: Shape (n,).
+            left: b - A x.
+            sizes: Of the entries of A.
+        """
+        terms = sizes.dot(np.abs(x)) + np.abs(self.b) + TINY
+        return float((np.abs(left) / terms).max(initial=0.0))
 
     def movable(self, x: Array, lam: Array) -> tuple[int, ...]:
         """Unknowns that other optima have otherwise; none where the cost bends everywhere.
@@ -76,6 +90,8 @@ class Problem(NamedTuple):
         """
         cost, A, _, lower, upper = self
         is_bent = (cost.stiffness > 0.0) | ((cost.weight > 0.0) & (cost.exponent > 1.0))
+        if is_bent.all():
+            return ()
         slope = cost.slope(x)
         left = np.abs(slope - A.T.dot(lam))
         at_end = (x <= lower) | (x >= upper)
@@ -148,21 +164,23 @@ def ascended(problem: Problem, lam: Array) -> Found:
         problem: The problem.
         lam: Start, shape (m,).
     """
-    cost, A = problem.cost, problem.A
-    x, free, left = _at(problem, lam)
+    cost, A, sizes = problem.cost, problem.A, np.abs(problem.A)
+    x_at = _answers(problem)
+    x, free, left = x_at(lam)
     best = Found(x, lam, np.inf)
     for _ in range(_ASCENTS):
-        residual = problem.residual(x, lam)
-        if residual < best.residual:
-            best = Found(x, lam, residual)
-        if residual <= _EXACT:
-            break
+        if problem.missing(x, left, sizes) <= _FAR:
+            residual = problem.residual(x, lam)
+            if residual < best.residual:
+                best = Found(x, lam, residual)
+            if residual <= _EXACT:
+                break
         stiff = cost.curvature(x)
         give = free / np.maximum(stiff, _FLAT * stiff[free].max(initial=TINY))
         step = _solved((A * give).dot(A.T), left)
         uphill = left.dot(step)
         for _ in range(_HALVINGS):
-            x, free, left = _at(problem, lam + step)
+            x, free, left = x_at(lam + step)
             if left.dot(step) >= -0.5 * uphill:
                 break
             step, uphill = step / 2.0, uphill / 2.0
@@ -177,11 +195,17 @@ def multipliers_at(problem: Problem, x: Array) -> Array:
     return _least((problem.A[:, free] * flat).T, flat * problem.cost.slope(x)[free])
 
 
-def _at(problem: Problem, lam: Array) -> tuple[Array, NDArray[np.bool_], Array]:
-    """The x(lam), which of it lies between the bounds, and b - A x."""
-    y = problem.cost.at_slope(problem.A.T.dot(lam))
-    x = problem.kept(y)
-    return x, x == y, problem.b - problem.A.dot(x)
+def _answers(problem: Problem) -> Callable[[Array], tuple[Array, NDArray[np.bool_], Array]]:
+    """From lam to x(lam), which of it lies between the bounds, and b - A x."""
+    cost, A, b, lower, upper = problem
+    unbounded = cost.inverse_slope()
+
+    def at(lam: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+        y = unbounded(A.T.dot(lam))
+        x = np.minimum(np.maximum(y, lower), upper)
+        return x, x == y, b - A.dot(x)
+
+    return at
 
 
 def _solved(M: Array, r: Array) -> Array:

@@ -74,7 +74,7 @@ class LiveSharing:
         if self._joint_loads is not None:
             x, force, reserve = State(self.time, q, v), shares.force[0], shares.reserve[0]
             self.loads, _ = self._joint_loads.solve(x, a, force, reserve, wrenches)
-        return Torques(shares.needed[0], self._none, int(shares.rank[0]))
+        return Torques(shares.needed[0], self._none, len(shares.needed[0]))
 
     def _lacking(self, shares: Shares) -> str:
         lacking = shares.lacking[0]

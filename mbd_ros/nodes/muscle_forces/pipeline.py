@@ -61,7 +61,7 @@ class MusclePipeline(Pipeline):
             tracking=values.emg_weight if use == "track" else 0.0,
             measured_is_least=use == "least",
         )
-        optimization = replace(asked, wishes=wishes).solver(scene)
+        optimization = replace(asked, wishes=wishes).solver(scene, is_live=True)
         loads = asked.loads(scene)
         names = coordinate_names(scene.robot, scene.couplings)
         self._sharing = self._solver = LiveSharing(optimization, loads, names)
