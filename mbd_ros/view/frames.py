@@ -55,6 +55,7 @@ class Frames:
     Attributes:
         rows: Names of the columns of all multipliers.
         arrow_names: What exerts the forces, in the order of arrows.
+        showing: What parts show.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -62,13 +63,13 @@ class Frames:
         self._system, self._model, self._data = system, robot.model, pin.Data(robot.model)
         self._k = Kinematics(robot, self._data)
         loads = system.loads
-        self._showing = Showing(self._k, system.layout, (*loads.actuators, *loads.forces))
+        self.showing = Showing(self._k, system.layout, (*loads.actuators, *loads.forces))
         self.rows = tuple(row.name for row in system.layout.rows)
-        self.arrow_names = tuple(arrow.name for arrow in self._showing.arrows)
+        self.arrow_names = tuple(arrow.name for arrow in self.showing.arrows)
         every = (*scene.constraints, *scene.muscles, *loads.forces)
         unique = {id(part): part for part in every if hasattr(part, "path")}
         self._paths = list(unique.values())
-        named = {number.name: i for i, number in enumerate(self._showing.numbers)}
+        named = {number.name: i for i, number in enumerate(self.showing.numbers)}
         self._tensions = [_tension(part, named) for part in self._paths]
         self._closures = [p for p in scene.constraints if not hasattr(p, "path")]
         self._sizes = [_row_count(p, system.layout) for p in self._closures]
@@ -140,7 +141,7 @@ class Frames:
     def tensions(self, x: State, a: Array, multipliers: Array) -> Array:
         """Tension of every path [N], shape (paths,), NaN where it is unknown."""
         u = self._system.loads.inputs(x, None)
-        values = self._showing.at(x, u, a, multipliers)
+        values = self.showing.at(x, u, a, multipliers)
         return np.array([np.nan if i is None else values[i] for i in self._tensions])
 
     def _placed(self) -> Array:
@@ -155,7 +156,7 @@ class Frames:
 
     def _forces(self, x: State, a: Array, lam: Array) -> tuple[Array, Array, Array, Array]:
         """Values of all numbers, arrows of forces, of moments, and cones."""
-        u, showing = self._system.loads.inputs(x, None), self._showing
+        u, showing = self._system.loads.inputs(x, None), self.showing
         values = showing.at(x, u, a, lam)
         exerted = [*showing.wrenches(x, u, a, lam), *self._exerted(x, lam)]
         arrows = np.array([(w.point, w.force) for w in exerted]).reshape(-1, 2, 3)

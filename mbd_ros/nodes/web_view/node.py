@@ -1,0 +1,223 @@
+"""Node `web_view`: a page that shows robots as their topics tell of them, and leads them."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.validate_topic_name import validate_topic_name
+
+from mbd_ros.core.state import Array
+from mbd_ros.nodes.shell.parameters import ParameterError
+from mbd_ros.nodes.shell.scene_node import SceneNode
+from mbd_ros.nodes.web_view.leading import Leading
+from mbd_ros.nodes.web_view.parameters import PARAMETERS
+from mbd_ros.nodes.web_view.robot_topics import RobotTopics, within
+from mbd_ros.nodes.web_view.simulator_client import SimulatorClient
+from mbd_ros.scene.reader import load_scene
+from mbd_ros.view.live_page import LivePage
+from mbd_ros.view.live_robot import LiveRobot
+from mbd_ros.view.server import PageServer
+from msg_adapters.diagnostics import ERROR, OK, STALE, WARN, read_diagnostics
+
+_SILENT = 1.0  # s without joint states that are reported
+_REPORTS = 50  # nodes whose diagnostics are shown
+_LEVELS = {OK: "ok", WARN: "WARN", ERROR: "ERROR", STALE: "STALE"}
+
+
+class _Robot(NamedTuple):
+    """One robot of the page."""
+
+    view: LiveRobot
+    topics: RobotTopics
+    simulator: SimulatorClient
+    leading: Leading
+
+
+class WebViewNode(SceneNode):
+    """Shows robots in browsers, at most 30 times a second, and hands on what people ask for."""
+
+    NAME = "web_view"
+    PARAMETERS = PARAMETERS
+    _page: LivePage
+
+    def __init__(self, argv: Sequence[str] = ()) -> None:
+        super().__init__(argv)
+        self._robots: list[_Robot] = []
+        self._reports: dict[str, str] = {}
+        self._frames = 0
+
+    def build(self, description: str | None) -> None:
+        """Read the scenes and what is drawn of them."""
+        values = self.parameters
+        spaces = values.namespaces or ("",)
+        _check_spaces(spaces)
+        names = values.scenes or (values.scene,) * len(spaces)
+        if len(names) != len(spaces):
+            raise ParameterError(
+                f"parameter 'scenes' has {len(names)} entries; accepted: one for each of the "
+                f"{len(spaces)} namespaces, or none"
+            )
+        if len(values.offsets) not in (0, 3 * len(spaces)):
+            raise ParameterError(
+                f"parameter 'offsets' has {len(values.offsets)} numbers; accepted: x, y and z for "
+                f"each of {len(spaces)} robots, or none"
+            )
+        scenes = {}
+        for name in names:
+            if name not in scenes:
+                own = description if name == values.scene else None
+                scenes[name] = load_scene(name, own)
+        kept = max(2, round(values.window * values.rate))
+        self._views = [
+            LiveRobot(space, scenes[name], kept) for space, name in zip(spaces, names, strict=True)
+        ]
+        self._spaces = spaces
+
+    def configure_core(self) -> None:
+        """Build, open the page, and listen."""
+        super().configure_core()
+        values = self.parameters
+        label = Path(self._views[0].scene.name).name
+        server = PageServer(values.host, values.port, label, values.token, values.origins)
+        self._entities.keep(self.state, PageServer.close, server)
+        self._page = LivePage(server, self._views, label, self._offsets())
+        self._robots = [
+            self._robot(space, view) for space, view in zip(self._spaces, self._views, strict=True)
+        ]
+        self.subscribe(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        made_up = bool(server.token) and not values.token
+        self.get_logger().info(
+            f"page: {server.address}{f'/?token={server.token}' if made_up else ''}"
+        )
+
+    def replace(self, description: str) -> None:
+        """Keep the robot; a page that shows another one is made by the next configuration."""
+        load_scene(self.parameters.scene, description)  # says what is wrong with it
+        self._description = description
+        raise ParameterError("a page keeps its robot; clean up and configure to change it")
+
+    def activate_core(self) -> None:
+        """Draw from now on."""
+        self.every(1.0 / self.parameters.rate, self._draw)
+        self.every(1.0, self._look)
+
+    def deactivate_core(self) -> None:
+        """Let everything go."""
+        for robot in self._robots:
+            robot.leading.let_go()
+
+    def health(self) -> tuple[int, str, dict[str, str]]:
+        """Whether the robots are heard, and how much is drawn."""
+        silent = [line for line in map(_state, self._robots) if line]
+        frames, self._frames = self._frames, 0
+        details = {
+            "page": self._page.server.address,
+            "token": "asked for" if self._page.server.token else "none, this machine alone",
+            "browsers": str(self._page.server.browsers),
+            "frames in the last second": str(frames),
+            "not drawn": "; ".join(line for robot in self._views for line in robot.remarks)
+            or "none",
+        }
+        for robot in self._robots:
+            title = f" of {robot.view.title}" if robot.view.title else ""
+            details[f"messages a second{title}"] = f"{robot.topics.rate:.0f}"
+        return (STALE if silent else OK), "; ".join(silent) or "shown", details
+
+    def _robot(self, space: str, view: LiveRobot) -> _Robot:
+        values, name = self.parameters, partial(within, space)
+        tell = self._answer_of(view)
+        topics = RobotTopics(self, space, view.scene, view.frames, values)
+        view.measure(topics.loads)
+        return _Robot(
+            view,
+            topics,
+            SimulatorClient(self._ask_of, name(values.simulator), tell),
+            Leading(self, name, view.scene, values, tell),
+        )
+
+    def _ask_of(self, kind: type, service: str) -> Any:
+        """A client that ends with this configuration."""
+        client = self.create_client(kind, service)
+        self._entities.keep(self.state, self.destroy_client, client)
+        return client
+
+    def _answer_of(self, view: LiveRobot) -> Any:
+        before = f"{view.title}: " if view.title else ""
+        return lambda line: self._page.answer(f"{before}{line}")
+
+    def _offsets(self) -> Array | None:
+        given = self.parameters.offsets
+        return np.array(given).reshape(-1, 3) if given else None
+
+    def _draw(self) -> None:
+        """A frame: what was heard, and what people did."""
+        self._do_wishes()
+        page = self._page
+        if not page.server.browsers:
+            self._let_go(None)
+            return
+        page.draw([robot.topics.sample() for robot in self._robots])
+        self._frames += 1
+        pulled = page.pulled()
+        self._let_go(None if pulled is None else pulled.robot)
+        if pulled is not None:
+            robot = self._robots[pulled.robot]
+            robot.leading.pull(pulled, robot.topics.k)
+        reached = page.reached([robot.topics.q for robot in self._robots])
+        if reached is not None:
+            self._robots[reached[0]].leading.lead(reached[1])
+
+    def _do_wishes(self) -> None:
+        while (wish := self._page.take_wish()) is not None:
+            self._robots[wish.robot].simulator.do(wish)
+
+    def _let_go(self, held: int | None) -> None:
+        for number, robot in enumerate(self._robots):
+            if number != held:
+                robot.leading.let_go()
+
+    def _look(self) -> None:
+        """Once a second: how robots and nodes are."""
+        for robot in self._robots:
+            robot.topics.measure_rate()
+        if self._page.server.browsers:
+            lines = [
+                _state(r) or f"{_title(r)}{r.topics.rate:.0f} messages a second"
+                for r in self._robots
+            ]
+            self._page.report(lines, list(self._reports.values()))
+
+    def _on_diagnostics(self, msg: Any) -> None:
+        for health in read_diagnostics(msg):
+            if health.name in self._reports or len(self._reports) < _REPORTS:
+                level = _LEVELS.get(health.level, str(health.level))
+                self._reports[health.name] = f"{health.name}: {level} {health.message}"[:300]
+
+
+def _title(robot: _Robot) -> str:
+    return f"{robot.view.title}: " if robot.view.title else ""
+
+
+def _state(robot: _Robot) -> str:
+    """What is wrong with the stream of a robot; empty where nothing is."""
+    age = robot.topics.age
+    if age <= _SILENT:
+        return ""
+    since = "yet" if age == float("inf") else f"for {age:.1f} s"
+    return f"{_title(robot)}no joint states {since}"
+
+
+def _check_spaces(spaces: Sequence[str]) -> None:
+    if len(set(spaces)) != len(spaces):
+        raise ParameterError("parameter 'namespaces' repeats one; accepted: each once")
+    for space in spaces:
+        try:
+            validate_topic_name(within(space, "x"))
+        except InvalidTopicNameException as error:
+            raise ParameterError(
+                f"parameter 'namespaces': '{space}' is no namespace: {error}"
+            ) from error

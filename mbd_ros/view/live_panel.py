@@ -1,0 +1,190 @@
+"""The panel of a live page; texts of others are values of fields, which are never read as HTML."""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from mbd_ros.errors import printable
+from mbd_ros.view.curves import ALL
+from mbd_ros.view.live_curves import QUANTITIES
+from mbd_ros.view.live_robot import LiveRobot
+from mbd_ros.view.plot import MOST, Plot
+from mbd_ros.view.stage import Stage
+
+_NOBODY = "nobody"
+_WAITING = 20  # wishes that are kept
+COMMANDS = ("pause", "run", "step", "reset")
+REAL_TIME_FACTOR = "real-time factor"
+
+
+class Wish(NamedTuple):
+    """What somebody asked a page for.
+
+    Attributes:
+        robot: Which of the robots.
+        what: One of `COMMANDS`, or `REAL_TIME_FACTOR`.
+        value: That factor; 0 otherwise.
+    """
+
+    robot: int
+    what: str
+    value: float = 0.0
+
+
+class LivePanel:
+    """Buttons, what is shown, curves, values, the mouse, and reports; one robot at a time.
+
+    Args:
+        gui: The `viser.GuiApi`.
+        robots: The robots of the page.
+        title: Of the page.
+
+    Attributes:
+        wishes: What is to be done, the oldest first.
+    """
+
+    def __init__(self, gui: Any, robots: Sequence[LiveRobot], title: str) -> None:
+        self._gui, self._robots = gui, robots
+        self.wishes: deque[Wish] = deque(maxlen=_WAITING)
+        self._known = [_joints(robot) for robot in robots]
+        self._texts: dict[str, str] = {}
+        self._seen: tuple[Any, ...] = ()
+        self._titles = [printable(robot.title) or title for robot in robots]
+        self._robot_dropdown = gui.add_dropdown(
+            "robot", self._titles, initial_value=self._titles[0], visible=len(robots) > 1
+        )
+        self._fields = {"state": gui.add_text("state", "", multiline=True, disabled=True)}
+        self._simulator_of()
+        self._view_of()
+        self._plot_of()
+        self._mouse_of()
+        with gui.add_folder("diagnostics", expand_by_default=False):
+            field = gui.add_text("reports", "", multiline=True, disabled=True)
+            self._fields["reports"] = field
+        self._robot_dropdown.on_update(self._on_robot)
+
+    def _simulator_of(self) -> None:
+        gui = self._gui
+        with gui.add_folder("simulator"):
+            buttons = gui.add_button_group("time", COMMANDS)
+            buttons.on_click(lambda _: self._ask(buttons.value))
+            factor = gui.add_number(REAL_TIME_FACTOR, 1.0, min=0.0, max=1000.0, step=0.05)
+            factor.on_update(lambda _: self._ask(REAL_TIME_FACTOR, float(factor.value)))
+            self._fields["answer"] = gui.add_text("answer", "", multiline=True, disabled=True)
+
+    def _view_of(self) -> None:
+        gui = self._gui
+        with gui.add_folder("view", expand_by_default=False):
+            self._shown = {
+                name: gui.add_checkbox(name, name != "frames")
+                for name in ("forces", "cones", "paths", "frames")
+            }
+            self._scale = gui.add_slider("scale of forces", 0.1, 10.0, 0.1, 1.0)
+            followed = [_NOBODY, *self._known[0]]
+            self._followed = gui.add_dropdown("follow", followed, initial_value=_NOBODY)
+
+    def _plot_of(self) -> None:
+        gui = self._gui
+        with gui.add_folder("curves"):
+            joints = [ALL, *self._known[0]]
+            self._joint = gui.add_dropdown("joint", joints, initial_value=ALL)
+            self._quantity = gui.add_dropdown("quantity", QUANTITIES, initial_value="position")
+            self._fields["values"] = gui.add_text("values", "", multiline=True, disabled=True)
+            self._plot = Plot(gui, gui.add_folder("plot"))
+
+    def _mouse_of(self) -> None:
+        gui = self._gui
+        with gui.add_folder("mouse"):
+            self._pulls = gui.add_checkbox("pull without shift", False)
+            self._strength = gui.add_slider("strength", 0.1, 10.0, 0.1, 1.0)
+            self._reaches = gui.add_checkbox("target of the joint", False)
+
+    def _ask(self, what: str, value: float = 0.0) -> None:
+        self.wishes.append(Wish(self.robot, what, value))
+
+    def _on_robot(self, _: Any) -> None:
+        known = self._known[self.robot]
+        self._followed.options = [_NOBODY, *known]
+        self._joint.options = [ALL, *known]
+
+    def chooser(self, number: int, joint: int) -> Callable[[Any], None]:
+        """What a click on a solid does: choose its robot, and its joint or free body."""
+        name = next((n for n, at in self._known[number].items() if at == joint), None)
+
+        def choose(_: Any) -> None:
+            if name is not None:
+                self._robot_dropdown.value = self._titles[number]
+                self._on_robot(None)
+                self._joint.value = name
+
+        return choose
+
+    @property
+    def robot(self) -> int:
+        """Which robot is chosen."""
+        return self._titles.index(self._robot_dropdown.value)
+
+    @property
+    def joint(self) -> int | None:
+        """Index in the model of the chosen joint or free body; None for all."""
+        return self._known[self.robot].get(self._joint.value)
+
+    @property
+    def followed(self) -> int | None:
+        """Index in the model of the joint that cameras follow; None without one."""
+        return self._known[self.robot].get(self._followed.value)
+
+    @property
+    def scale(self) -> float:
+        """Factor of the length of arrows."""
+        return float(self._scale.value)
+
+    @property
+    def pulls_without_shift(self) -> bool:
+        """Whether any drag on a link pulls."""
+        return bool(self._pulls.value)
+
+    @property
+    def strength(self) -> float:
+        """Factor of the force of the mouse."""
+        return float(self._strength.value)
+
+    @property
+    def reaches(self) -> bool:
+        """Whether the chosen joint has a target."""
+        return bool(self._reaches.value)
+
+    def changed(self) -> bool:
+        """Whether something is to be drawn in another way than at the last call."""
+        seen = (*(one.value for one in self._shown.values()), self.scale)
+        before, self._seen = self._seen, seen
+        return seen != before
+
+    def apply_to(self, stage: Stage) -> None:
+        """Let a stage show what is chosen."""
+        shown = {name: bool(one.value) for name, one in self._shown.items()}
+        stage.shows_arrows, stage.shows_cones = shown["forces"], shown["cones"]
+        stage.shows_paths = shown["paths"]
+        stage.show_axes(shown["frames"])
+
+    def say(self, where: str, lines: Sequence[str]) -> None:
+        """Show lines in `state`, `answer`, `values` or `reports`."""
+        text = printable("\n".join(lines))
+        if self._texts.get(where) != text:
+            self._texts[where] = self._fields[where].value = text
+
+    def plot(self) -> None:
+        """Bring curves and values of the chosen joint up to date."""
+        curves, joint = self._robots[self.robot].curves, self._joint.value
+        lines = curves.values(joint)
+        self.say("values", lines or ["click on a link, or choose a joint"])
+        choice = self.robot, joint, self._quantity.value
+        self._plot.show(choice, curves.of(joint, self._quantity.value).first(MOST))
+
+
+def _joints(robot: LiveRobot) -> dict[str, int]:
+    """Joint or free body -> its index in the model."""
+    model = robot.scene.robot.model
+    at_v = {int(j.idx_v): i for i, j in enumerate(model.joints) if i and j.nv == 1}
+    found = {joint.name: at_v[joint.v] for joint in robot.scene.robot.joints}
+    return found | {base.name: base.joint for base in robot.scene.robot.bases}

@@ -1,0 +1,126 @@
+"""One of the robots of a live page: its solids, forces and curves."""
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import MbdError, printable
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.view.frames import Drawn, Frames, force_scale
+from mbd_ros.view.live_curves import LiveCurves, LiveSample
+from mbd_ros.view.solids import extent, solids_of
+from mbd_ros.view.stage import MARKER, Stage
+
+_LINE = np.array((MARKER,), np.uint8)
+_FADING = 0.998  # a frame, of the largest force and tension: half of them within 12 s
+
+
+class LiveRobot:
+    """Draws a scene as samples of it come.
+
+    Args:
+        title: What people call it; empty for the only one.
+        scene: The scene.
+        kept: Samples that curves show.
+
+    Attributes:
+        title: As given.
+        scene: The scene.
+        frames: What is drawn of it.
+        curves: Its last seconds.
+        remarks: What cannot be drawn, a line each.
+        size: Of the robot [m].
+        centre: Of it at the start, less `Robot.origin` [m], shape (3,).
+        offset: From there to the page [m], shape (3,).
+        drawn: What was drawn last.
+        masses: What each joint of the model carries [kg], shape (njoints,).
+        stage: Its half of the page, once `show` was called.
+    """
+
+    stage: Stage
+    curves: LiveCurves
+
+    def __init__(self, title: str, scene: Scene, kept: int) -> None:
+        self.title, self.scene, self.frames = title, scene, Frames(scene)
+        self.solids, lacking = solids_of(scene.robot)
+        self.remarks = list(lacking)
+        self._kept = kept
+        self.measure(())
+        begin = scene.initial._replace(t=0.0)
+        self.begin: State = begin._replace(z=np.nan_to_num(begin.z))
+        self.drawn: Drawn = self.frames.at(self.begin)
+        self.size, self.centre = extent(self.solids, self.drawn.poses)
+        self.offset = np.zeros(3)
+        model = scene.robot.model
+        data = pin.Data(model)
+        pin.computeSubtreeMasses(model, data)
+        self.masses = np.array(list(data.mass))
+        self._no_acceleration = np.zeros(model.nv)
+        self._most = np.zeros(2)  # force [N], tension [N]
+        self.fault = ""
+
+    def measure(self, loads: tuple[str, ...]) -> None:
+        """Have curves for the loads of samples, by their names."""
+        self.curves = LiveCurves(self.scene, self.frames.rows, loads, self._kept)
+
+    def show(self, server: Any, root: str) -> None:
+        """Put it on a page, where it begins.
+
+        Args:
+            server: The `viser.ViserServer`.
+            root: Name of the node above all.
+        """
+        server.scene.add_frame(root, show_axes=False, position=self.offset)
+        self.stage = Stage(server.scene, root, self.solids, self.size)
+        self.stage.draw(self.drawn, 0.0)
+        if self.title:
+            high = self.centre + np.array([0.0, 0.0, 0.6 * self.size])
+            server.scene.add_label(f"{root}/title", printable(self.title), position=high)
+
+    def draw(self, sample: LiveSample, scale: float) -> None:
+        """Draw a sample.
+
+        Args:
+            sample: What is known.
+            scale: Factor of the length of arrows.
+        """
+        self.drawn = drawn = self._with_loads(self._drawn(sample), sample)
+        self._most *= _FADING
+        largest = float(np.linalg.norm(drawn.arrows[:, 1], axis=1).max(initial=0.0))
+        self._most[0] = max(self._most[0], largest)
+        steady = np.array([[np.zeros(3), [self._most[0], 0.0, 0.0]]])
+        self.stage.draw(drawn, scale * force_scale([steady], self.size))
+
+    def place_of(self, joint: int) -> Array:
+        """Where a joint of the model was drawn, on the page [m], shape (3,)."""
+        place: Array = self.drawn.poses[joint, :3] + self.offset
+        return place
+
+    def _drawn(self, sample: LiveSample) -> Drawn:
+        lam = sample.multipliers
+        is_known = bool(np.isfinite(lam).all())
+        try:
+            self.fault = ""
+            if is_known:
+                self._note_tension(sample)
+                a = self._no_acceleration
+                return self.frames.at(sample.state, a, lam, float(self._most[1]))
+        except MbdError as error:
+            self.fault = f"no forces: {error}"
+        return self.frames.at(sample.state)
+
+    def _note_tension(self, sample: LiveSample) -> None:
+        found = self.frames.tensions(sample.state, self._no_acceleration, sample.multipliers)
+        self._most[1] = max(self._most[1], float(np.nan_to_num(found).max(initial=0.0)))
+
+    def _with_loads(self, drawn: Drawn, sample: LiveSample) -> Drawn:
+        loads = sample.loads[np.isfinite(sample.loads).all(axis=(1, 2))]
+        return drawn._replace(
+            poses=drawn.poses.copy(),
+            arrows=np.concatenate((drawn.arrows, loads)),
+            points=np.concatenate((drawn.points, sample.points)),
+            lines=np.concatenate((drawn.lines, sample.lines)),
+            colours=np.concatenate((drawn.colours, np.tile(_LINE, (len(sample.lines), 1)))),
+        )
