@@ -13,7 +13,7 @@ _LINE, _MAIN_LINE = (226, 229, 233), (196, 202, 209)
 _SUNK = 0.02  # of the size: what is deeper than that has its grid below it
 _FROM = np.array([0.6, -1.05, 0.35])  # where the camera stands, in sizes, z up
 _SUN, _SHADE = np.array([1.0, -2.0, 3.0]), (150, 150, 165)
-_SMALLEST = 0.05  # m, of what is looked at
+SMALLEST = 0.05  # m, of what is looked at
 
 
 def upright(robot: Robot) -> Array:
@@ -40,7 +40,7 @@ def show_ground(server: Any, axes: Array, low: Array, high: Array) -> float:
     Returns:
         The size of what is looked at, its largest side [m], at least 0.05.
     """
-    scene, size = server.scene, max(float((high - low).max()), _SMALLEST)
+    scene, size = server.scene, max(float((high - low).max()), SMALLEST)
     scene.set_up_direction(axes[:, 2])
     scene.configure_default_lights(enabled=False)
     scene.configure_environment_map(None)

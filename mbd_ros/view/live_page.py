@@ -7,13 +7,13 @@ import numpy as np
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.view.follower import Follower
+from mbd_ros.view.ground import show_ground
 from mbd_ros.view.live_curves import LiveSample
 from mbd_ros.view.live_panel import LivePanel, Wish
 from mbd_ros.view.live_robot import LiveRobot
 from mbd_ros.view.pull import Pull, Pulled
 from mbd_ros.view.reach import Reach
 from mbd_ros.view.server import PageServer
-from mbd_ros.view.stage import show_ground
 
 _PLOTTED = 6  # frames for one of curves and texts
 _APART = 1.5  # sizes between robots that would stand in each other
@@ -41,9 +41,9 @@ class LivePage:
         places = _offsets(robots) if offsets is None else offsets
         for robot, offset in zip(robots, places, strict=True):
             robot.offset = offset
-        low = np.min([r.centre + r.offset - r.size / 2.0 for r in robots], axis=0)
-        high = np.max([r.centre + r.offset + r.size / 2.0 for r in robots], axis=0)
-        show_ground(viser, float((high - low).max()), (low + high) / 2.0)
+        low = np.min([robot.low + robot.offset for robot in robots], axis=0)
+        high = np.max([robot.high + robot.offset for robot in robots], axis=0)
+        show_ground(viser, robots[0].up, low, high)
         for number, robot in enumerate(robots):
             robot.show(viser, f"/{number}")
         self._panel = LivePanel(viser.gui, robots, title)
@@ -76,7 +76,7 @@ class LivePage:
                 if is_changed:
                     panel.apply_to(robot.stage)
                 if newest is not None and (is_changed or sample is not None):
-                    robot.draw(newest, panel.scale)
+                    robot.draw(newest, panel.arrows, panel.scale)
             followed = panel.followed
             place = None if followed is None else self.robots[panel.robot].place_of(followed)
             self._follower.follow((panel.robot, followed), place)
@@ -135,11 +135,11 @@ class LivePage:
 
 
 def _offsets(robots: Sequence[LiveRobot]) -> list[Array]:
-    """Robots of one scene side by side along y, others where their scenes place them."""
+    """Robots of one scene side by side, others where their scenes place them."""
     count: dict[str, int] = {}
     offsets = []
     for robot in robots:
         before = count.get(robot.scene.name, 0)
         count[robot.scene.name] = before + 1
-        offsets.append(np.array([0.0, before * _APART * robot.size, 0.0]))
+        offsets.append(robot.up[:, 1] * before * _APART * robot.size)
     return offsets

@@ -13,6 +13,8 @@ from mbd_ros.view.stage import Stage
 
 _NOBODY = "nobody"
 _WAITING = 20  # wishes that are kept
+_SHOWN = {"forces": True, "moments": False, "cones": True, "paths": True, "frames": False}
+_ARROWS = ("forces", "moments")
 COMMANDS = ("pause", "run", "step", "reset")
 REAL_TIME_FACTOR = "real-time factor"
 
@@ -75,11 +77,8 @@ class LivePanel:
     def _view_of(self) -> None:
         gui = self._gui
         with gui.add_folder("view", expand_by_default=False):
-            self._shown = {
-                name: gui.add_checkbox(name, name != "frames")
-                for name in ("forces", "cones", "paths", "frames")
-            }
-            self._scale = gui.add_slider("scale of forces", 0.1, 10.0, 0.1, 1.0)
+            self._shown = {name: gui.add_checkbox(name, on) for name, on in _SHOWN.items()}
+            self._scale = gui.add_slider("scale of arrows", 0.1, 10.0, 0.1, 1.0)
             followed = [_NOBODY, *self._known[0]]
             self._followed = gui.add_dropdown("follow", followed, initial_value=_NOBODY)
 
@@ -100,7 +99,8 @@ class LivePanel:
             self._reaches = gui.add_checkbox("target of the joint", False)
 
     def _ask(self, what: str, value: float = 0.0) -> None:
-        self.wishes.append(Wish(self.robot, what, value))
+        if what in (*COMMANDS, REAL_TIME_FACTOR):
+            self.wishes.append(Wish(self.robot, what, value))
 
     def _on_robot(self, _: Any) -> None:
         known = self._known[self.robot]
@@ -122,7 +122,8 @@ class LivePanel:
     @property
     def robot(self) -> int:
         """Which robot is chosen."""
-        return self._titles.index(self._robot_dropdown.value)
+        chosen = self._robot_dropdown.value
+        return self._titles.index(chosen) if chosen in self._titles else 0
 
     @property
     def joint(self) -> int | None:
@@ -133,6 +134,11 @@ class LivePanel:
     def followed(self) -> int | None:
         """Index in the model of the joint that cameras follow; None without one."""
         return self._known[self.robot].get(self._followed.value)
+
+    @property
+    def arrows(self) -> list[str]:
+        """Which arrows are shown."""
+        return [name for name in _ARROWS if self._shown[name].value]
 
     @property
     def scale(self) -> float:
@@ -163,8 +169,7 @@ class LivePanel:
     def apply_to(self, stage: Stage) -> None:
         """Let a stage show what is chosen."""
         shown = {name: bool(one.value) for name, one in self._shown.items()}
-        stage.shows_arrows, stage.shows_cones = shown["forces"], shown["cones"]
-        stage.shows_paths = shown["paths"]
+        stage.shows_cones, stage.shows_paths = shown["cones"], shown["paths"]
         stage.show_axes(shown["frames"])
 
     def say(self, where: str, lines: Sequence[str]) -> None:
@@ -178,8 +183,10 @@ class LivePanel:
         curves, joint = self._robots[self.robot].curves, self._joint.value
         lines = curves.values(joint)
         self.say("values", lines or ["click on a link, or choose a joint"])
-        choice = self.robot, joint, self._quantity.value
-        self._plot.show(choice, curves.of(joint, self._quantity.value).first(MOST))
+        asked = self._quantity.value
+        quantity = asked if asked in QUANTITIES else QUANTITIES[0]
+        choice = self.robot, joint, quantity
+        self._plot.show(choice, curves.of(joint, quantity).first(MOST))
 
 
 def _joints(robot: LiveRobot) -> dict[str, int]:

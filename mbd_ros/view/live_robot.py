@@ -1,5 +1,6 @@
 """One of the robots of a live page: its solids, forces and curves."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -8,13 +9,17 @@ import pinocchio as pin
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import MbdError, printable
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.view.frames import Drawn, Frames, force_scale
+from mbd_ros.view.arrows import arrow_ends, largest, length_per
+from mbd_ros.view.frames import Drawn, Frames
+from mbd_ros.view.ground import SMALLEST, upright
 from mbd_ros.view.live_curves import LiveCurves, LiveSample
-from mbd_ros.view.solids import extent, solids_of
+from mbd_ros.view.solids import box_around, solids_of
 from mbd_ros.view.stage import MARKER, Stage
 
 _LINE = np.array((MARKER,), np.uint8)
-_FADING = 0.998  # a frame, of the largest force and tension: half of them within 12 s
+_SHORTEST = 1.0e-3  # of the size of the robot, an arrow
+_TENSION = 2  # its place among what is largest
+_FADING = 0.998  # a frame, of what is largest: half of them within 12 s
 
 
 class LiveRobot:
@@ -32,7 +37,9 @@ class LiveRobot:
         curves: Its last seconds.
         remarks: What cannot be drawn, a line each.
         size: Of the robot [m].
-        centre: Of it at the start, less `Robot.origin` [m], shape (3,).
+        low: Least corner of the box around it at the start, less `Robot.origin` [m], shape (3,).
+        high: Greatest corner.
+        up: Axes whose last one is up, shape (3, 3).
         offset: From there to the page [m], shape (3,).
         drawn: What was drawn last.
         masses: What each joint of the model carries [kg], shape (njoints,).
@@ -51,14 +58,15 @@ class LiveRobot:
         begin = scene.initial._replace(t=0.0)
         self.begin: State = begin._replace(z=np.nan_to_num(begin.z))
         self.drawn: Drawn = self.frames.at(self.begin)
-        self.size, self.centre = extent(self.solids, self.drawn.poses)
-        self.offset = np.zeros(3)
+        self.low, self.high = box_around(self.solids, self.drawn.poses)
+        self.size = max(float((self.high - self.low).max()), SMALLEST)
+        self.up, self.offset = upright(scene.robot), np.zeros(3)
         model = scene.robot.model
         data = pin.Data(model)
         pin.computeSubtreeMasses(model, data)
         self.masses = np.array(list(data.mass))
         self._no_acceleration = np.zeros(model.nv)
-        self._most = np.zeros(2)  # force [N], tension [N]
+        self._most = np.zeros(3)  # force [N], moment [N·m], tension [N]
         self.fault = ""
 
     def measure(self, loads: tuple[str, ...]) -> None:
@@ -74,24 +82,28 @@ class LiveRobot:
         """
         server.scene.add_frame(root, show_axes=False, position=self.offset)
         self.stage = Stage(server.scene, root, self.solids, self.size)
-        self.stage.draw(self.drawn, 0.0)
+        self.stage.draw(self.drawn, {}, 0.0)
         if self.title:
-            high = self.centre + np.array([0.0, 0.0, 0.6 * self.size])
+            high = (self.low + self.high) / 2.0 + self.up[:, 2] * 0.6 * self.size
             server.scene.add_label(f"{root}/title", printable(self.title), position=high)
 
-    def draw(self, sample: LiveSample, scale: float) -> None:
+    def draw(self, sample: LiveSample, shown: Sequence[str], scale: float) -> None:
         """Draw a sample.
 
         Args:
             sample: What is known.
-            scale: Factor of the length of arrows.
+            shown: Which arrows: `forces`, `moments`.
+            scale: Factor of their length.
         """
         self.drawn = drawn = self._with_loads(self._drawn(sample), sample)
         self._most *= _FADING
-        largest = float(np.linalg.norm(drawn.arrows[:, 1], axis=1).max(initial=0.0))
-        self._most[0] = max(self._most[0], largest)
-        steady = np.array([[np.zeros(3), [self._most[0], 0.0, 0.0]]])
-        self.stage.draw(drawn, scale * force_scale([steady], self.size))
+        arrows, lengths = {"forces": drawn.arrows, "moments": drawn.moments}, {}
+        for i, (name, each) in enumerate(arrows.items()):
+            self._most[i] = max(self._most[i], largest(each))
+            lengths[name] = scale * length_per(float(self._most[i]), self.size)
+        shortest = _SHORTEST * self.size
+        ends = {n: arrow_ends(arrows[n], lengths[n], shortest) for n in shown}
+        self.stage.draw(drawn, ends, lengths["forces"])
 
     def place_of(self, joint: int) -> Array:
         """Where a joint of the model was drawn, on the page [m], shape (3,)."""
@@ -106,14 +118,16 @@ class LiveRobot:
             if is_known:
                 self._note_tension(sample)
                 a = self._no_acceleration
-                return self.frames.at(sample.state, a, lam, float(self._most[1]))
+                return self.frames.at(sample.state, a, lam, float(self._most[_TENSION]))
         except MbdError as error:
             self.fault = f"no forces: {error}"
         return self.frames.at(sample.state)
 
     def _note_tension(self, sample: LiveSample) -> None:
         found = self.frames.tensions(sample.state, self._no_acceleration, sample.multipliers)
-        self._most[1] = max(self._most[1], float(np.nan_to_num(found).max(initial=0.0)))
+        self._most[_TENSION] = max(
+            self._most[_TENSION], float(np.nan_to_num(found).max(initial=0.0))
+        )
 
     def _with_loads(self, drawn: Drawn, sample: LiveSample) -> Drawn:
         loads = sample.loads[np.isfinite(sample.loads).all(axis=(1, 2))]

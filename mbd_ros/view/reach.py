@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.estimation.marker_fit import Fit
 from mbd_ros.core.estimation.marker_kinematics import Mark, MarkerKinematics
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError, SolveError
@@ -11,6 +12,7 @@ from mbd_ros.view.live_robot import LiveRobot
 from mbd_ros.view.stage import Stage
 
 _POSTURE = 1.0e-4  # weight of a radian beside one of a size of the robot, squared
+_NEAR, _BETTER = 1.0e-5, 0.9  # of the size, where it is reached; of a miss, what is progress
 _STEPS = 20  # of the solver: the next frame goes on
 
 
@@ -56,26 +58,28 @@ class Reach:
         self._q = start.copy()
         self._place = self._held_at(held)
         self._wanted: Array | None = None
+        self._goal: Array | None = None
+        self._miss = np.inf
         self._show(server)
 
     def posture(self) -> Array | None:
-        """The configuration for the place of the handle, shape (nq,); None where it is unmoved.
+        """The configuration for the place of the handle, shape (nq,); None where it stays.
 
         Raises:
             SolveError: Loops do not close there.
         """
         wanted, self._wanted = self._wanted, None
-        if wanted is None:
+        if wanted is not None:
+            self._goal, self._miss = wanted, np.inf
+        if self._goal is None:
             return None
-        robot = self.robot.scene.robot
-        asked = {j.name: self._q[[j.q]] for j in robot.joints if j.name in self._solver.tasks}
-        place = (wanted - self.robot.offset + robot.origin).reshape(1, 1, 3)
-        seen = self._solver.seen(place, np.zeros(1), asked)
-        fit = self._solver.solver.fit(self._q[None], seen, steps=_STEPS)
-        if not np.isfinite(fit.q).all():
-            raise SolveError("no posture for this target")
+        goal, self._goal = self._goal, None
+        fit = self._fitted(goal)
+        miss = float(np.linalg.norm(fit.misses[0, 0]))
+        if _NEAR * self.robot.size < miss < _BETTER * self._miss:
+            self._goal, self._miss = goal, miss  # the posture holds it back: again from there
         self._q = fit.q[0]
-        state = self.robot.begin._replace(q=self._q, v=np.zeros(robot.model.nv))
+        state = self.robot.begin._replace(q=self._q, v=np.zeros_like(self.robot.begin.v))
         self._ghost.place(self.robot.frames.at(state))
         return self._q
 
@@ -83,6 +87,16 @@ class Reach:
         """Take handle and ghost away."""
         self._handle.remove()
         self._ghost.remove()
+
+    def _fitted(self, goal: Array) -> Fit:
+        robot = self.robot.scene.robot
+        asked = {j.name: self._q[[j.q]] for j in robot.joints if j.name in self._solver.tasks}
+        place = (goal - self.robot.offset + robot.origin).reshape(1, 1, 3)
+        seen = self._solver.seen(place, np.zeros(1), asked)
+        fit = self._solver.solver.fit(self._q[None], seen, steps=_STEPS)
+        if not np.isfinite(fit.q).all():
+            raise SolveError("no posture for this target")
+        return fit
 
     def _held_at(self, held: Array) -> Array:
         pose = self.robot.drawn.poses[self.joint]

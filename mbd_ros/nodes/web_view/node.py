@@ -89,10 +89,9 @@ class WebViewNode(SceneNode):
             self._robot(space, view) for space, view in zip(self._spaces, self._views, strict=True)
         ]
         self.subscribe(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        made_up = bool(server.token) and not values.token
-        self.get_logger().info(
-            f"page: {server.address}{f'/?token={server.token}' if made_up else ''}"
-        )
+        is_given = bool(values.token)
+        page = server.address if is_given else server.address_with_token
+        self.get_logger().info(f"page: {page}")
 
     def replace(self, description: str) -> None:
         """Keep the robot; a page that shows another one is made by the next configuration."""

@@ -1,0 +1,159 @@
+"""The node `web_view` over DDS and websockets: what a page is told, and what it asks for."""
+
+import signal
+import socket
+import time
+from collections import Counter
+
+import numpy as np
+import pytest
+from nodes.conftest import ROOT
+from nodes.joint_stream import ACTIVE
+from sensor_msgs.msg import JointState
+
+pytest.importorskip("viser", reason="viser is not installed")
+
+from nodes.page_client import PageClient
+from viser import _messages
+from websockets.exceptions import InvalidStatus
+
+from mbd_ros.scene.reader import load_scene
+
+NAME = "/web_view"
+TARGET = ("-m", "mbd_ros.nodes", "web_view")
+ARM = ROOT / "config/scenes/arm7.yaml"
+JOINTS = [f"joint{i}" for i in range(1, 8)]
+
+
+def free_port():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        return taken.getsockname()[1]
+
+
+@pytest.fixture
+def view(start_node):
+    """Starts a node with parameters; the node and the address of its page."""
+
+    def start(scene=ARM, **values):
+        port = free_port()
+        lines = "".join(f"    {name}: {value}\n" for name, value in values.items())
+        text = f"/**:\n  ros__parameters:\n    scene: {scene}\n    port: {port}\n{lines}"
+        node = start_node(text, target=TARGET)
+        node.wait_for(ACTIVE)
+        return node, f"http://127.0.0.1:{port}"
+
+    return start
+
+
+class Streams:
+    """Joint states of some robots at 500 Hz."""
+
+    def __init__(self, probe, topics):
+        self._probe = probe
+        self._topics = [probe.node.create_publisher(JointState, topic, 10) for topic in topics]
+        self._message, self.sent = JointState(name=JOINTS), 0
+        for topic in self._topics:
+            probe.spin_until(topic.get_subscription_count)
+
+    def run(self, seconds):
+        """Publish for so many seconds."""
+        end, due = time.monotonic() + seconds, time.monotonic()
+        while (now := time.monotonic()) < end:
+            self.sent += 1
+            self._message.header.stamp = self._probe.node.get_clock().now().to_msg()
+            angle = 0.5 * np.sin(2.0 * self.sent / 500.0)
+            self._message.position = [angle] * len(JOINTS)
+            for topic in self._topics:
+                topic.publish(self._message)
+            due = max(due + 0.002, now)
+            time.sleep(max(0.0, due - time.monotonic()))
+
+
+def turned(messages):
+    """Joint of the page -> how often it was turned."""
+    return Counter(m["name"] for m in messages if m["type"] == "SetOrientationMessage")
+
+
+def test_robots_by_namespace_get_thirty_frames_a_second_and_a_sleeping_browser_costs_nothing(
+    view, probe
+):
+    _, address = view(namespaces="[left, right]")
+    streams = Streams(probe, ["/left/joint_states", "/right/joint_states"])
+    sleeping = PageClient(address)  # never reads
+    page = PageClient(address)
+    page.hear(0.5)
+    titles = [m for key, m in page.state.items() if key[0] == "LabelMessage"]
+    assert [m["props"]["text"] for m in titles] == ["left", "right"]
+    streams.run(0.5)
+    page.hear(0.2)
+    begin = time.monotonic()
+    streams.run(3.0)
+    counts = turned(page.hear(0.2))
+    lasted = time.monotonic() - begin
+    frames = {name: n / lasted for name, n in counts.items()}
+    assert {name[:2] for name in frames} == {"/0", "/1"}
+    assert min(frames.values()) > 5.0 and max(frames.values()) <= 30.5
+    page.close()
+    sleeping.socket.socket.close()
+
+
+def test_another_address_asks_for_a_token_before_anything_is_sent(view):
+    node, address = view(host="0.0.0.0", origins="['https://robots.example']")
+    token = node.log.partition("/?token=")[2].split()[0]
+    for refused in (address, f"{address}/?token=other", f"{address}/?token="):
+        with pytest.raises(InvalidStatus, match="401"):
+            PageClient(refused)
+    with pytest.raises(InvalidStatus, match="403"):
+        PageClient(f"{address}/?token={token}", origin="http://elsewhere.example")
+    for origin in (None, address, "https://robots.example"):
+        page = PageClient(f"{address}/?token={token}", origin=origin)
+        page.labelled("state")
+        page.close()
+    assert node.stop(signal.SIGTERM) == 0
+    assert "Traceback" not in node.log
+
+
+def test_a_target_is_reached_by_the_reference_that_the_controller_gets(view, probe):
+    """Forward kinematics of the reference put the led link where its handle was dragged."""
+    import pinocchio as pin
+
+    scene = load_scene(ARM)
+    heard = []
+    probe.node.create_subscription(JointState, "/my_controller/reference", heard.append, 10)
+    _, address = view()
+    page = PageClient(address)
+    page.set("joint", "joint6")
+    page.set("target of the joint", True)
+    page.wait_for(lambda m: m["type"] == "TransformControlsMessage")
+    page.hear(0.3)
+    start = np.array(page.state["SetPositionMessage", "/handle"]["position"])
+    wanted = start + np.array([-0.1, 0.15, -0.1])
+    turn = (1.0, 0.0, 0.0, 0.0)
+    page.say(_messages.TransformControlsUpdateMessage("/handle", turn, tuple(wanted)))
+    probe.spin_until(lambda: heard)
+    model, data = scene.robot.model, pin.Data(scene.robot.model)
+    pin.forwardKinematics(model, data, scene.initial.q)
+    held = data.oMi[6].actInv(start)
+
+    def missed():
+        pin.forwardKinematics(model, data, np.array(heard[-1].position))
+        return np.linalg.norm(data.oMi[6].act(held) - wanted)
+
+    probe.spin_until(lambda: missed() < 1e-4)
+    assert heard[-1].name == JOINTS
+    page.close()
+
+
+def test_bad_parameters_are_named(view, start_node):
+    for lines, said in (
+        ("namespaces: [a, a]", "parameter 'namespaces' repeats one"),
+        ("namespaces: ['a b']", "is no namespace"),
+        ("scenes: [arm7, arm7]", "parameter 'scenes' has 2 entries"),
+        ("offsets: [1.0]", "parameter 'offsets' has 1 numbers"),
+        ("host: 192.0.2.1", "host '192.0.2.1', port 8080"),
+    ):
+        text = f"/**:\n  ros__parameters:\n    scene: {ARM}\n    {lines}\n"
+        node = start_node(text, target=TARGET)
+        node.wait_for(said)
+        assert node.stop() == 0
