@@ -188,7 +188,7 @@ def test_launch_files_can_be_included_together():
         for name, default in own.items():
             assert defaults.setdefault(name, default) == default, (path, name)
     parameters = [name for own in arguments.values() for name in own if "parameters" in name]
-    assert len(parameters) == len(set(parameters)) == 5
+    assert len(parameters) == len(set(parameters)) == 6
     assert "parameters" not in parameters
 
 

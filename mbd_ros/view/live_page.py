@@ -60,11 +60,14 @@ class LivePage:
         """The oldest wish that was not taken yet."""
         return self._panel.wishes.popleft() if self._panel.wishes else None
 
-    def draw(self, samples: Sequence[LiveSample | None]) -> None:
+    def draw(self, samples: Sequence[LiveSample | None]) -> bool:
         """Draw the robots.
 
         Args:
             samples: Of each robot; None to leave it as it is.
+
+        Returns:
+            Whether anything was drawn anew.
         """
         panel, is_changed = self._panel, self._panel.changed()
         with self.server.viser.atomic():
@@ -83,6 +86,7 @@ class LivePage:
         if self._frame % _PLOTTED == 0:
             panel.plot()
         self._frame += 1
+        return is_changed or any(sample is not None for sample in samples)
 
     def pulled(self) -> Pulled | None:
         """The force of the mouse; None while nobody pulls."""

@@ -34,7 +34,7 @@ pytestmark = [
 ]
 NODES = (
     *("simulator", "inverse_dynamics", "joint_state_projector"),
-    *("qp_controller", "sliding_mode_controller"),
+    *("qp_controller", "sliding_mode_controller", "web_view"),
 )
 TWO = """from launch import LaunchDescription
 from launch.actions import IncludeLaunchDescription

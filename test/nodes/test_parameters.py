@@ -12,7 +12,7 @@ from msg_adapters.diagnostics import ERROR
 
 NODES = (
     *("simulator", "sliding_mode_controller", "qp_controller"),
-    *("inverse_dynamics", "joint_state_projector", "muscle_forces"),
+    *("inverse_dynamics", "joint_state_projector", "muscle_forces", "web_view"),
 )
 
 

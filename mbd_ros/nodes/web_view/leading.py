@@ -11,7 +11,6 @@ from sensor_msgs.msg import JointState
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.state import Array
-from mbd_ros.nodes.shell.joint_state_node import SENSOR
 from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.view.pull import Pulled
@@ -19,6 +18,7 @@ from msg_adapters.joint_state_cdr import JointStateCdrWriter
 from msg_adapters.wrench import write_wrench
 
 _REFERENCE = "/reference"
+_DEPTH = 10
 
 
 class Leading:
@@ -46,11 +46,11 @@ class Leading:
         self._node, self._within, self._tell = node, within, tell
         self._robot, self._values = scene.robot, values
         simulator, points = values.simulator, scene.robot.places.points
-        self._push = node.publish_to(WrenchStamped, within(f"{simulator}/push"), SENSOR)
+        self._push = node.publish_to(WrenchStamped, within(f"{simulator}/push"), _DEPTH)
         self._loads: dict[int, tuple[Publisher, Point, str]] = {}
         for wrench in scene.wrenches.values():
             topic = within(wrench.heard_on.replace("~/", f"{simulator}/", 1))
-            publisher = node.publish_to(WrenchStamped, topic, SENSOR)
+            publisher = node.publish_to(WrenchStamped, topic, _DEPTH)
             joint = points[wrench.carrier.number].joint
             self._loads[joint] = publisher, wrench.about, wrench.expressed_in
         self._joints = _led(scene)
@@ -91,7 +91,7 @@ class Leading:
         if topic is None:
             return
         if self._reference is None or self._reference.topic_name != topic:
-            self._reference = self._node.publish_to(JointState, topic, 10)
+            self._reference = self._node.publish_to(JointState, topic, _DEPTH)
         stamp = self._node.get_clock().now().nanoseconds
         self._reference.publish(self._writer.write(stamp, position=q[self._at]))
 

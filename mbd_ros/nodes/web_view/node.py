@@ -24,7 +24,8 @@ from mbd_ros.view.server import PageServer
 from msg_adapters.diagnostics import ERROR, OK, STALE, WARN, read_diagnostics
 
 _SILENT = 1.0  # s without joint states that are reported
-_REPORTS = 50  # nodes whose diagnostics are shown
+_REPORTS, _LONGEST = 50, 300  # nodes whose diagnostics are shown, and characters of each
+_REACHED = "real-time factor reached"  # in diagnostics of simulators
 _LEVELS = {OK: "ok", WARN: "WARN", ERROR: "ERROR", STALE: "STALE"}
 
 
@@ -48,6 +49,7 @@ class WebViewNode(SceneNode):
         super().__init__(argv)
         self._robots: list[_Robot] = []
         self._reports: dict[str, str] = {}
+        self._reached: dict[str, str] = {}
         self._frames = 0
 
     def build(self, description: str | None) -> None:
@@ -159,8 +161,7 @@ class WebViewNode(SceneNode):
         if not page.server.browsers:
             self._let_go(None)
             return
-        page.draw([robot.topics.sample() for robot in self._robots])
-        self._frames += 1
+        self._frames += page.draw([robot.topics.sample() for robot in self._robots])
         pulled = page.pulled()
         self._let_go(None if pulled is None else pulled.robot)
         if pulled is not None:
@@ -184,17 +185,21 @@ class WebViewNode(SceneNode):
         for robot in self._robots:
             robot.topics.measure_rate()
         if self._page.server.browsers:
-            lines = [
-                _state(r) or f"{_title(r)}{r.topics.rate:.0f} messages a second"
-                for r in self._robots
-            ]
+            lines = [_state(robot) or self._stream(robot) for robot in self._robots]
             self._page.report(lines, list(self._reports.values()))
+
+    def _stream(self, robot: _Robot) -> str:
+        """How fast a robot is heard, and how fast its simulation says that it is."""
+        heard = f"{_title(robot)}{robot.topics.rate:.0f} messages a second"
+        reached = self._reached.get(self.resolve_service_name(robot.simulator.name))
+        return f"{heard}, real-time factor {reached}" if reached else heard
 
     def _on_diagnostics(self, msg: Any) -> None:
         for health in read_diagnostics(msg):
             if health.name in self._reports or len(self._reports) < _REPORTS:
                 level = _LEVELS.get(health.level, str(health.level))
-                self._reports[health.name] = f"{health.name}: {level} {health.message}"[:300]
+                self._reports[health.name] = f"{health.name}: {level} {health.message}"[:_LONGEST]
+                self._reached[health.name] = health.values.get(_REACHED, "")[:_LONGEST]
 
 
 def _title(robot: _Robot) -> str:

@@ -21,12 +21,15 @@ class SimulatorClient:
         ask_of: Makes a client of a service of that type and name.
         name: Of the simulator, relative or absolute.
         tell: Is told the answers.
+
+    Attributes:
+        name: As given.
     """
 
     def __init__(
         self, ask_of: Callable[[type, str], Any], name: str, tell: Callable[[str], None]
     ) -> None:
-        self._name, self._tell = name, tell
+        self.name, self._tell = name, tell
         self._clients = {what: ask_of(Trigger, f"{name}/{what}") for what in _TRIGGERS}
         self._pause = ask_of(SetBool, f"{name}/pause")
         self._parameters = ask_of(SetParameters, f"{name}/set_parameters")
@@ -48,7 +51,7 @@ class SimulatorClient:
         if client in self._waiting:
             client.remove_pending_request(self._waiting.pop(client))
         if not client.service_is_ready():
-            self._tell(f"{what}: no {self._name} there")
+            self._tell(f"{what}: no {self.name} there")
             return
         self._tell(f"{what}: asked")
         self._waiting[client] = future = client.call_async(request)
