@@ -60,11 +60,15 @@ class Guard(NamedTuple):
         name: Unique in the part; empty where the part has only one.
         direction: 1 where it acts on the way up, -1 on the way down, 0 both ways.
         armed: Whether it acts in a mode, in all by default. It acts only after it has left zero.
+        condition: Whether it acts at a state of all joints where it is zero; by default, it does.
+        ends: Whether it ends a phase: nothing else happens in that phase then.
     """
 
     name: str
     direction: int = 0
     armed: Callable[[Mode], bool] | None = None
+    condition: Callable[[State], bool] | None = None
+    ends: bool = False
 
 
 class Slots(NamedTuple):

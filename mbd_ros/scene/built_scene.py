@@ -18,6 +18,7 @@ from mbd_ros.scene.measured_scene import MeasuredScene
 from mbd_ros.scene.part_entries import Solver, build_part
 
 if TYPE_CHECKING:
+    from mbd_ros.core.dynamics.phased_system import PhasedSystem
     from mbd_ros.scene.batch import Batch
 
 DEFAULT_INTEGRATOR = {"type": "dopri5"}
@@ -108,15 +109,29 @@ class Scene(MeasuredScene):
         """
         where = f"{self.name}: solver"
         chosen = self.chosen_solver(solver)
-        every = (*self.forces, *forces, *self.wrenches.values())
         try:
-            given = self.inputs.sources(sources)
-            loads = Loads(self.robot.model.nv, every, self.commanded, given)
+            loads = self._loads(forces, sources)
             return build_system(
                 self.robot, self.couplings, self.constraints, loads, chosen.tier, chosen.backend
             )
         except ModelError as error:
             raise SceneError(f"{where}: {error}") from error
+
+    def phased_system(
+        self,
+        forces: Sequence[Load] = (),
+        solver: Mapping[str, str] | None = None,
+        sources: Mapping[str, Source] = _NO_SOURCES,
+    ) -> "PhasedSystem":
+        """The systems of all phases, behind one; arguments and errors as for `system`."""
+        from mbd_ros.scene.phased_systems import phased_system
+
+        return phased_system(self, self._loads(forces, sources), self.chosen_solver(solver))
+
+    def _loads(self, forces: Sequence[Load], sources: Mapping[str, Source]) -> Loads:
+        every = (*self.forces, *forces, *self.wrenches.values())
+        given = self.inputs.sources(sources)
+        return Loads(self.robot.model.nv, every, self.commanded, given)
 
     def chosen_solver(self, entry: Mapping[str, str] | None) -> Solver:
         """The solver of an entry; without one that of the scene."""
@@ -183,19 +198,23 @@ class Scene(MeasuredScene):
         Raises:
             SceneError: Names file and key.
         """
-        system = self.system(forces, solver, sources)
+        build = self.phased_system if self.phases else self.system
+        system: System = build(forces, solver, sources)
         correction = self.stabilization
         if integrator is None:
             method = self.method
         else:
             method = build_part("integrators", integrator, f"{self.name}: integrator")
         if stabilization is not None or correction is None:
-            given = stabilization or {"type": "projection" if system.held.rows else "none"}
+            has_rows = bool(self.phases) or bool(system.held.rows)
+            given = stabilization or {"type": "projection" if has_rows else "none"}
             correction = build_part("stabilization", given, f"{self.name}: stabilization")
         try:
             parts = system, method, correction, self.dt if dt is None else dt
             chosen = self.chosen_solver(solver)
-            if not chosen.compiles:
+            if self.phases and chosen.must_compile:
+                raise ModelError("solver: compiled does not serve phases; accepted: plain, auto")
+            if self.phases or not chosen.compiles:
                 return Simulation(*parts)
             from mbd_ros.scene.compiling import compiled_simulation, kept_for
 

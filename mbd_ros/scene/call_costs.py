@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.dynamics.phased_system import inward
 from mbd_ros.core.dynamics.system import System, evaluation_at
 from mbd_ros.core.state import State
 from mbd_ros.scene.built_scene import Scene
@@ -57,7 +58,8 @@ def forward_cost(scene: Scene, system: System, x: State) -> str:
     bare = _best(partial(pin.aba, model, pin.Data(model), given.q, given.v, np.zeros(model.nv)))
     y = x  # else in its mode
     if system.exact is not None:
-        y = scene.simulation(solver={"type": "plain"}).start(given)
+        simulation = scene.simulation(solver={"type": "plain"})
+        y = inward(simulation.system, simulation.start(given))
     ours = _best(evaluation_at(system, y))
     return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"
 

@@ -49,6 +49,9 @@ def _lines(scene: Scene, tell: Tell | None) -> Iterator[str]:
     yield from member_lines(scene)
     yield line("gravity", f"{gravity} m/s^2, included in every torque")
     system = scene.system()
+    if scene.phases:
+        phased = scene.phased_system()
+        system = phased.systems[phased.first]
     fault = _mass_fault(scene, system)
     start, factor = _held_start(scene, system) if fault else _start(scene, system)
     if scene.integrator is not None:  # the default one takes every scene

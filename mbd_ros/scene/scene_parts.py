@@ -24,6 +24,7 @@ from mbd_ros.scene.sections import Section
 if TYPE_CHECKING:
     from mbd_ros.core.muscles.muscle import Muscle
     from mbd_ros.core.sensor import Sensor
+    from mbd_ros.scene.phase_entries import PhasePlan
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -129,6 +130,11 @@ class SceneParts:
     def commanded(self) -> tuple[Actuator, ...]:
         """Actuators, then muscles: the parts whose inputs are commands."""
         return (*self.actuators, *self.muscles)
+
+    @property
+    def phases(self) -> "Mapping[str, PhasePlan]":
+        """Phases of the motion by name, empty where it has none."""
+        return self.parts.get("phases", {})
 
     @property
     def stabilization(self) -> Stabilization | None:

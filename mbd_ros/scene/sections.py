@@ -145,6 +145,13 @@ SECTIONS = (
         parts="sensors",
     ),
     Section(
+        "phases",
+        Form.NAMED,
+        "mbd_ros.scene.phase_entries:build_phases",
+        (*_EVERY_ROBOT, "couplings", "constraints", "contacts"),
+        check="phase: {name}, {part.on}; {part.told}",
+    ),
+    Section(
         "stabilization",
         Form.SINGLE,
         f"{_PARTS}:build_method",
@@ -166,7 +173,7 @@ SECTIONS = (
         "initial",
         Form.SINGLE,
         f"{_ENTRIES}:build_initial",
-        (*_EVERY_ROBOT, "couplings"),
+        (*_EVERY_ROBOT, "couplings", "phases"),
         absent=_NOTHING,
     ),
     Section("safe", Form.SINGLE, f"{_ENTRIES}:build_safe", (), absent=_NOTHING),

@@ -27,6 +27,7 @@ class _Initial:
     pose: Mapping[str, Any] | None = None
     twist: Mapping[str, Any] | None = None
     internal: Mapping[str, Any] | None = None
+    phase: str | None = None
 
 
 def build_solver(site: Site, given: Any) -> Any:
@@ -71,6 +72,10 @@ def build_initial(site: Site, given: Any) -> State:
             except ModelError as error:
                 raise SceneError(f"{where}: {error}") from error
             (q if index == "q" else v)[getattr(joint, index)] = number
+    if initial.phase is not None:
+        from mbd_ros.scene.phase_entries import known
+
+        known(initial.phase, site.parts.get("phases", {}), "phase", f"{site.where}.phase")
     _place_bases(robot, initial, site.where, q, v)
     couplings.expand(q, v, np.zeros(robot.model.nv))
     return State(0.0, q, v)

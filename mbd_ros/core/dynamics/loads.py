@@ -7,7 +7,7 @@ import numpy as np
 
 from mbd_ros.core.dynamics.inputs import Sources
 from mbd_ros.core.model.kinematics import Kinematics, Reads
-from mbd_ros.core.parts import Actuator, Load
+from mbd_ros.core.parts import Actuator, Load, Part
 from mbd_ros.core.state import Array, State
 
 
@@ -20,6 +20,7 @@ class Loads:
         actuators: Actuators, in the order of their commands.
         sources: What gives u; by default there are only the safe values of the inputs of these
             loads, in this order: actuators, forces.
+        watching: Parts that exert nothing and have guards; they see the multipliers of all rows.
 
     Attributes:
         is_empty: Whether the sum is always zero.
@@ -35,8 +36,10 @@ class Loads:
         forces: Sequence[Load] = (),
         actuators: Sequence[Actuator] = (),
         sources: Sources | None = None,
+        watching: Sequence[Part] = (),
     ) -> None:
         self.forces, self.actuators = tuple(forces), tuple(actuators)
+        self.watching = tuple(watching)
         self.is_empty = not forces and not actuators
         self.reads = max((part.reads for part in (*actuators, *forces)), default=Reads.NOTHING)
         self.commands = tuple(joint for a in actuators for joint in a.joints)
@@ -66,7 +69,11 @@ class Loads:
 
     def having(self, forces: Sequence[Load]) -> "Loads":
         """The same actuators beside other forces."""
-        return Loads(len(self._zero), forces, self.actuators, self.sources)
+        return Loads(len(self._zero), forces, self.actuators, self.sources, self.watching)
+
+    def watched_by(self, parts: Sequence[Part]) -> "Loads":
+        """The same loads with other guards."""
+        return Loads(len(self._zero), self.forces, self.actuators, self.sources, parts)
 
     def beside(self, k: Kinematics, x: State) -> "Loads":
         """The loads near a state, smooth across the surfaces at which they jump.

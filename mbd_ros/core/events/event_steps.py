@@ -100,6 +100,8 @@ class EventSteps(Stepper):
                 break
             assert margin is not None
             x, after = self._follow(happens.happened(x, u, margin)), None
+            if happens.ended:
+                return x
         after = self.field.onto(after, u)
         if happens.left:
             happens.left &= self.field.close(after, u)
@@ -122,6 +124,21 @@ class EventSteps(Stepper):
         """Forget mode, events and earlier steps."""
         self._inner.restart()
         self._forget()
+
+    @property
+    def pace(self) -> tuple[float, ...]:
+        """As `Stepper.pace`."""
+        return self._inner.pace
+
+    @pace.setter
+    def pace(self, pace: tuple[float, ...]) -> None:
+        """As `Stepper.pace`."""
+        self._inner.pace = pace
+
+    @property
+    def ended(self) -> tuple[str, ...]:
+        """Names of the guards that ended the phase in the last step."""
+        return self._transitions.ended
 
     @property
     def events(self) -> EventLog:

@@ -157,6 +157,14 @@ class ModeField:
         values = np.abs(self.guards.values(y, u, self._mode)) <= rounding(y)
         return [i for i in self.watched if i == guard or values[i - self._first]]
 
+    def idle(self, y: State, fired: Collection[int]) -> list[int]:
+        """Those of guards that are zero which do not act there, by their condition."""
+        return [i for i in fired if not self.guards.acts(y, i - self._first)]
+
+    def ending(self, fired: Collection[int]) -> list[int]:
+        """Those of guards that end a phase."""
+        return [i for i in fired if self.guards.guards[i - self._first].ends]
+
     def begin(self, y: State) -> None:
         """Take the mode that the heights of a state say."""
         rows = () if self.rows is None else self.rows.ways(y)[0]

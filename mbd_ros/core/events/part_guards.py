@@ -12,14 +12,15 @@ from mbd_ros.core.parts import Guard, Part
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import ModelError
 
-_NO_ROWS = slice(0, 0)
+_NO_ROWS, _ALL_ROWS = slice(0, 0), slice(None)
 
 
 def guarding(system: Any) -> Iterator[tuple[Part, slice]]:
-    """Parts with guards and the slots of their multipliers: constraints, then loads."""
+    """Parts with guards and the slots of the multipliers they see: constraints, loads, others."""
     blocks = ((block.part, block.slots) for block in system.layout.blocks)
     loads = ((part, _NO_ROWS) for part in (*system.loads.actuators, *system.loads.forces))
-    yield from ((part, slots) for part, slots in (*blocks, *loads) if part.guards)
+    others = ((part, _ALL_ROWS) for part in system.loads.watching)
+    yield from ((part, slots) for part, slots in (*blocks, *loads, *others) if part.guards)
 
 
 class PartGuards:
@@ -80,6 +81,11 @@ class PartGuards:
             acts = acts and (guard.armed is None or guard.armed(mode))
             found.append(side if acts else 0)
         return found
+
+    def acts(self, y: State, guard: int) -> bool:
+        """Whether a guard acts at a state where it is zero."""
+        condition = self.guards[guard].condition
+        return condition is None or condition(self._system.expand(y))
 
     def reset(self, y: State, u: Array | None, fired: Collection[int]) -> State:
         """The state after the resets of the parts whose guards have fired, in their order."""

@@ -158,11 +158,21 @@ class StepEvents:
         field, whole = self._field, after.t - x.t
         close = [i for i in field.watched if i in left]
         for i in close:
-            margin = field.margin(after, u, (i, 0))
-            if margin < -rounding(after) and not self._beyond(x, u, (i, 0), whole, _LEFT * whole):
+            if self._first_side(x, u, after, i) < -rounding(after):
                 field.unwatch(i)
         if close:
             self._advanced(x, whole, after.t)
+
+    def _first_side(self, x: State, u: Array | None, after: State, guard: int) -> float:
+        """Margin of a guard that was zero at the start, where it first is something else."""
+        whole, slack = after.t - x.t, rounding(x)
+        margin, near = self._margin(x, u, (guard, 0)), _LEFT * whole
+        while near < whole:
+            found = margin(near)
+            if abs(found) > slack:
+                return found
+            near /= _SHRINK
+        return self._field.margin(after, u, (guard, 0))
 
     def _inside(self, x: State, u: Array | None, after: State, left: Collection[int]) -> float:
         """Length after which a margin may be negative, though none is at the end."""

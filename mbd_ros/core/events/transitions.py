@@ -31,6 +31,7 @@ class Transitions:
         left: Switches that the motion is just leaving, and guards that were zero just now.
         rests: Bounces that have not ended.
         events: What happened so far.
+        ended: Names of the guards that end the phase, at the end of the last step.
     """
 
     def __init__(self, field: ModeField, dt: float) -> None:
@@ -42,6 +43,7 @@ class Transitions:
 
     def forget(self) -> None:
         """Start anew."""
+        self.ended: tuple[str, ...] = ()
         self.known = frozenset(), (), Pace(), EventLog()
 
     @property
@@ -61,6 +63,14 @@ class Transitions:
             return field.onto_rows(x)._replace(mode=field.mode)
         switch, way = margin or (-1, 0)
         fired, impact = field.fired(x, u, switch), None
+        if idle := field.idle(x, fired):
+            self.left |= frozenset(idle)
+            fired = [i for i in fired if i not in idle]
+            if switch in idle and not fired:
+                return x
+        if ending := field.ending(fired):
+            self.ended = tuple(field.names[i] for i in ending)
+            return x
         if fired:
             x = self.begun(field.inside(field.reset(x, u, fired)), u)
             self.left |= frozenset(fired)

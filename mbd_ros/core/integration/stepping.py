@@ -72,6 +72,11 @@ class Stepper:
         """Mean forces of rows that give way in the last step; None where nobody has to know."""
         return None
 
+    @property
+    def ended(self) -> tuple[str, ...]:
+        """Names of the guards that ended a phase in the last step; empty while it goes on."""
+        return ()
+
     def forget_residuals(self) -> None:
         """Begin to look for the worst residuals anew."""
 

@@ -4,6 +4,7 @@ import math
 from typing import TYPE_CHECKING
 
 from mbd_ros.core.dynamics.overshoots import Overshoots
+from mbd_ros.core.dynamics.phased_system import PhasedSystem, during
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.blocks import BlockStepper
 from mbd_ros.core.integration.stepping import Integrator
@@ -53,7 +54,9 @@ class CheckedSteps:
         self.steps, self.worst = 0, (1.0, 0.0)
         has_stops = any(block.part.stops for block in system.layout.smoothed)
         self.overshoots = Overshoots(system) if has_stops else None
-        self._is_corrected = bool(system.held.rows) and not integrator.keeps_constraints
+        systems = system.systems if isinstance(system, PhasedSystem) else (system,)
+        has_rows = any(one.held.rows for one in systems)
+        self._is_corrected = has_rows and not integrator.keeps_constraints
         self._nz = system.internals.nz
         self._made_by = integrator.title, dt, system.nq, system.nv, self._nz
         self._evaluations = self.system.evaluations  # before the start
@@ -63,7 +66,7 @@ class CheckedSteps:
         """The nearest consistent state; that of the last start where it began from here, too."""
         if self._began is not None and is_same(x, self._began[0]):
             return self._began[1]
-        y = consistent(self.system, x)
+        y = consistent(during(self.system, x), x)
         self._began = x, y
         return y
 
@@ -71,9 +74,10 @@ class CheckedSteps:
         """The state after a step, on the rows."""
         if not self._is_corrected:
             return y
-        corrected = self.stabilization.correct(self.system, y)
-        if self.system.condition > self.worst[0]:
-            self.worst = self.system.condition, y.t
+        system = during(self.system, y)
+        corrected = self.stabilization.correct(system, y)
+        if system.condition > self.worst[0]:
+            self.worst = system.condition, y.t
         return corrected
 
     def _step(self, y: State, u: Array | None, end: float, most: int = 1) -> State:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.dynamics.phased_system import during
 from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.model.base_motion import world_pose
 from mbd_ros.core.model.joints import Base, Joint
@@ -153,7 +154,7 @@ class LiveSimulation:
 
     def violation(self) -> Violation:
         """How far the newest state is off the bilateral rows."""
-        return violation(self.simulation.system, self._y)
+        return violation(during(self.simulation.system, self._y), self._y)
 
     def wrenches(self) -> list[Wrench]:
         """The arrows of `showing` at the newest state."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.dynamics.inputs import command_names
+from mbd_ros.core.dynamics.phased_system import during
 from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.parts import Part
@@ -140,7 +141,7 @@ def _commands(system: System, times: Array) -> list[Column]:
 def _row(system: System, showing: Showing, x: State, seen: Seen) -> tuple[Any, ...]:
     """Time, q, v, a, effort, outputs and balance of one state."""
     y, (a, lam, _) = system.reduce(x), seen
-    balance = system.energy(y), *violation(system, y)
+    balance = system.energy(y), *violation(during(system, y), y)
     effort = system.loads.actuator_torque(system.k, x, None)
     shown = showing.at(x, system.loads.inputs(x, None), a, lam)
     return x.t, x.q, x.v, a, effort, shown, balance

@@ -1,0 +1,193 @@
+"""One system a phase, behind one `System`: the mode of a state says which."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.dynamics.mass import Mass
+from mbd_ros.core.dynamics.system import Accelerator, Derivatives, System
+from mbd_ros.core.rows.row_factor import RowFactor
+from mbd_ros.core.rows.row_layout import RowLayout
+from mbd_ros.core.state import Array, Evaluation, Mode, State
+
+Slots = NDArray[np.intp]
+
+
+class PhasedSystem:
+    """The systems of all phases, with the multipliers of the whole scene.
+
+    The mode of a state begins with the number of its phase; one entry for each switch of the
+    scene follows, 1 where the phase does not have it. A state without a mode is in the first
+    phase, and what takes no state answers for that one.
+
+    Args:
+        phases: What else is known of each, `core.events.phase.Phase`.
+        systems: One a phase.
+        layout: All rows of the scene.
+        slots: Where the multipliers of each system stand among those of the scene.
+        first: Number of the phase that begins.
+
+    Attributes:
+        phases: As given.
+        systems: As given.
+        slots: As given.
+        first: As given.
+        switches: Names of the switches of all phases.
+    """
+
+    def __init__(
+        self,
+        phases: Sequence[Any],
+        systems: Sequence[System],
+        layout: RowLayout,
+        slots: Sequence[Slots],
+        first: int = 0,
+    ) -> None:
+        self.phases = tuple(phases)
+        self.systems, self.layout, self.slots, self.first = tuple(systems), layout, slots, first
+        self.multiplier_rows = layout.rows
+        names = [() if s.exact is None else s.exact.names for s in systems]
+        self.switches = tuple(dict.fromkeys(name for each in names for name in each))
+        self._at = [[self.switches.index(name) for name in each] for each in names]
+        now = self._now = self.systems[first]
+        self.robot, self.model, self.loads, self.k = now.robot, now.model, now.loads, now.k
+        self.internals, self.sizes, self.tier = now.internals, now.sizes, now.tier
+        self.chart, self.nq, self.nv = now.chart, now.nq, now.nv
+        self.rows, self.constraints, self.held = now.rows, now.constraints, now.held
+        self.bounded, self.exact = now.bounded, now.exact
+
+    def phase(self, x: State) -> int:
+        """Number of the phase of a state."""
+        return x.mode[0] if x.mode else self.first
+
+    def during(self, x: State) -> System:
+        """The system of the phase of a state."""
+        return self.systems[self.phase(x)]
+
+    def inward(self, x: State) -> State:
+        """The state with the mode that the system of its phase has for it."""
+        if not x.mode:
+            return x
+        return x._replace(mode=tuple(x.mode[1 + i] for i in self._at[x.mode[0]]))
+
+    def outward(self, phase: int, x: State) -> State:
+        """The state of a system with the mode that the scene has for it."""
+        mode = [phase, *(1 for _ in self.switches)]
+        for i, way in zip(self._at[phase], x.mode, strict=True):
+            mode[1 + i] = way
+        return x._replace(mode=tuple(mode))
+
+    def impulse(self, phase: int, of_phase: Array) -> Array:
+        """Numbers one a multiplier of a phase, as those of the scene, 0 elsewhere."""
+        whole = np.zeros(len(self.multiplier_rows))
+        whole[self.slots[phase]] = of_phase
+        return whole
+
+    def evaluate(self, x: State, u: Array | None = None) -> Evaluation:
+        """As `System.evaluate`, with the multipliers of the scene."""
+        phase = self.phase(x)
+        found = self.systems[phase].evaluate(self.inward(x), u)
+        return found._replace(x=x, lam=self.impulse(phase, found.lam))
+
+    def accelerator(self, mode: Mode = ()) -> Accelerator:
+        """As `System.accelerator`."""
+        if not mode:
+            return self._now.accelerator()
+        return self.systems[mode[0]].accelerator(tuple(mode[1 + i] for i in self._at[mode[0]]))
+
+    def rates(self, y: State, u: Array | None = None) -> Array:
+        """As `System.rates`."""
+        return self.during(y).rates(self.inward(y), u)
+
+    def at_rest(self, y: State, u: Array | None = None) -> Array:
+        """As `System.at_rest`."""
+        return self.during(y).at_rest(self.inward(y), u)
+
+    def derivatives(self, y: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
+        """As `System.derivatives`."""
+        return self.during(y).derivatives(self.inward(y), u, inputs=inputs)
+
+    def with_loads(self, loads: Loads) -> "PhasedSystem":
+        """As `System.with_loads`; guards of each phase stay."""
+        changed = [
+            system.with_loads(loads.watched_by(system.loads.watching)) for system in self.systems
+        ]
+        return PhasedSystem(self.phases, changed, self.layout, self.slots, self.first)
+
+    def with_gains(self, kp: float, kd: float) -> "PhasedSystem":
+        """As `System.with_gains`."""
+        changed = [system.with_gains(kp, kd) for system in self.systems]
+        if all(one is other for one, other in zip(changed, self.systems, strict=True)):
+            return self
+        return PhasedSystem(self.phases, changed, self.layout, self.slots, self.first)
+
+    def expand(self, y: State) -> State:
+        """As `System.expand`."""
+        return self.during(y).expand(y)
+
+    def reduce(self, x: State) -> State:
+        """As `System.reduce`."""
+        return self.during(x).reduce(x)
+
+    def lift(self, y: State, a: Array) -> Array:
+        """As `System.lift`."""
+        return self.during(y).lift(y, a)
+
+    def energy(self, y: State) -> float:
+        """As `System.energy`."""
+        return self.during(y).energy(y)
+
+    def applied_with(self, y: State, u: Array | None = None) -> Array:
+        """As `System.applied_with`."""
+        return self.during(y).applied_with(y, u)
+
+    def integrated(self, a: Array) -> Array:
+        """As `System.integrated`."""
+        return self._now.integrated(a)
+
+    def mass(self, q: Array) -> Mass:
+        """As `System.mass`."""
+        return self._now.mass(q)
+
+    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """As `System.applied`."""
+        return self._now.applied(t, q, v, u)
+
+    def residual(self, t: float, q: Array) -> Array:
+        """As `System.residual`."""
+        return self._now.residual(t, q)
+
+    def jacobian(self, t: float, q: Array) -> Array:
+        """As `System.jacobian`."""
+        return self._now.jacobian(t, q)
+
+    def rate(self, t: float, q: Array) -> Array:
+        """As `System.rate`."""
+        return self._now.rate(t, q)
+
+    def factorise(self, t: float, q: Array) -> RowFactor:
+        """As `System.factorise`."""
+        return self._now.factorise(t, q)
+
+    @property
+    def condition(self) -> float:
+        """As `System.condition`."""
+        return self._now.condition
+
+    @property
+    def evaluations(self) -> int:
+        """As `System.evaluations`, of all phases."""
+        return sum(system.evaluations for system in self.systems)
+
+
+def during(system: System, x: State) -> System:
+    """The system of the phase of a state; the system itself where it has no phases."""
+    return system.during(x) if isinstance(system, PhasedSystem) else system
+
+
+def inward(system: System, x: State) -> State:
+    """The state with the mode that the system of its phase has for it."""
+    return system.inward(x) if isinstance(system, PhasedSystem) else x

@@ -1,0 +1,240 @@
+"""Steps from phase to phase."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.dynamics.phased_system import PhasedSystem
+from mbd_ros.core.dynamics.row_heights import rounding
+from mbd_ros.core.events.event import Event
+from mbd_ros.core.events.event_log import EventLog
+from mbd_ros.core.events.phase import Exit, Phase
+from mbd_ros.core.integration.stepping import Stepper
+from mbd_ros.core.memory import Memory
+from mbd_ros.core.names import label
+from mbd_ros.core.projection.assembly import violation
+from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import ASSEMBLED
+from mbd_ros.errors import SolveError
+
+_MOST_AT_ONCE = 100  # phases that may follow one another at one time
+
+
+class _Pair(NamedTuple):
+    """A state as the scene sees it, and as the system of its phase does."""
+
+    outer: State | None = None
+    inner: State | None = None
+
+
+class PhaseSteps(Stepper):
+    """Steps in one phase after the other, each by steps of its own from event to event.
+
+    Where a guard that ends the phase is zero, the first exit in the order of the scene that fires
+    says what is reset and which phase follows. That is one event. A phase that begins decides
+    anew in which mode it goes on, impacts of contacts that belong to no phase included.
+
+    Args:
+        system: The systems of the phases.
+        stepper_of: Makes the steps of a system.
+
+    Attributes:
+        phases: What ends each, and what follows.
+        now: Number of the phase.
+        since: When it began [s].
+    """
+
+    now: int
+    since: float
+    kept = ("now", "since", "events_so_far", "_stepped", "_last", "_at_once")
+
+    def __init__(
+        self,
+        system: PhasedSystem,
+        stepper_of: Callable[[Any], Stepper],
+    ) -> None:
+        self.system = system
+        phases: tuple[Phase, ...] = system.phases
+        self.phases = phases
+        self._steppers = [stepper_of(one) for one in system.systems]
+        self.is_fixed = self.ends_at_samples = self._steppers[0].is_fixed
+        timed = (label(p, e.name) for p in phases for e in p.exits if e.after is not None)
+        named = (name for stepper in self._steppers for name in stepper.guards)
+        silent = {label(p, check.name) for p in phases for check in p.checks}
+        every = dict.fromkeys((*named, *timed))
+        self.guards = tuple(name for name in every if name not in silent)
+        self.switches = ("phase", *system.switches)
+        self.restart()
+
+    def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
+        """As `Stepper.step`; it ends where the phase does.
+
+        Raises:
+            SolveError: As the steps in a phase; or a contact that is held would open or slip, no
+                guard has fired within the limit of the phase, or what a reset leaves breaks what
+                holds in the next one.
+        """
+        phase, inner = self.phases[self.now], self._steppers[self.now]
+        y = self._inward(x)
+        timed = [e for e in phase.exits if e.after is not None]
+        due = self.since + min((float(e.after or 0.0) for e in timed), default=math.inf)
+        over = self.since + phase.limit
+        self._stepped = self.now
+        most = min(due, over)
+        after = inner.step(y, u, min(end, most)) if y.t < most else y
+        self._collect()
+        if not math.isfinite(after.v.dot(after.v)):
+            return after
+        fired = list(inner.ended)
+        fired += [label(phase, e.name) for e in timed if after.t >= self.since + (e.after or 0.0)]
+        if fired:
+            return self._ended(after, u, fired)
+        if after.t >= over:
+            names = ", ".join(one.name for one in phase.exits)
+            raise SolveError(
+                f"phase {phase.name} began at t = {self.since:.9g} s and none of its guards "
+                f"({names}) has fired within its limit of {phase.limit:g} s"
+            )
+        return self._outward(after)
+
+    def settle(self, x: State, u: Array | None) -> State:
+        """As `Stepper.settle`, in the phase of the state."""
+        self.now = self._stepped = self.system.phase(x)
+        self.since = x.t
+        y = self._steppers[self.now].settle(self.system.inward(x), u)
+        self._collect()
+        self._refuse_unheld(y, u)
+        return self._outward(y)
+
+    def restart(self) -> None:
+        """As `Stepper.restart`: from the first phase on."""
+        for stepper in self._steppers:
+            stepper.restart()
+        self.now = self._stepped = self.system.first
+        self.since, self._at_once = 0.0, 0
+        self._last, self.events_so_far = _Pair(), EventLog()
+
+    @property
+    def events(self) -> EventLog:
+        """As `Stepper.events`."""
+        return self.events_so_far
+
+    def take_events(self) -> EventLog:
+        """As `Stepper.take_events`."""
+        taken, self.events_so_far = self.events_so_far, EventLog()
+        return taken
+
+    def memory(self) -> Memory:
+        """As `Stepper.memory`, with that of the steps in the phase, and before it."""
+        used = {self.now, self._stepped}
+        return {**super().memory(), "steppers": {i: self._steppers[i].memory() for i in used}}
+
+    def recall(self, memory: Memory, x: State) -> None:
+        """As `Stepper.recall`."""
+        super().recall({name: memory[name] for name in self.kept}, x)
+        y = self._inward(x)
+        for i, known in memory["steppers"].items():
+            self._steppers[i].recall(known, y)
+
+    def continue_from(self, x: State) -> None:
+        """As `Stepper.continue_from`."""
+        y = self.system.inward(x)
+        self._last = _Pair(x, y)
+        self._steppers[self.now].continue_from(y)
+
+    def interpolate(self, t: float) -> State:
+        """As `Stepper.interpolate`: in the phase of the last step."""
+        last = self._last.outer
+        if last is not None and t == last.t:
+            return last
+        return self.system.outward(self._stepped, self._steppers[self._stepped].interpolate(t))
+
+    def _ended(self, y: State, u: Array | None, fired: Sequence[str]) -> State:
+        """The state in the next phase."""
+        system, old = self.system, self.now
+        phase = self.phases[old]
+        exit_ = next((e for e in phase.exits if label(phase, e.name) in fired), None)
+        if exit_ is None:
+            failed = next(one for one in phase.checks if label(phase, one.name) in fired)
+            raise SolveError(f"t = {y.t:.9g} s, phase {phase.name}: {failed.failure}")
+        before = system.systems[old].expand(y)
+        struck = exit_.reset.after(before)
+        self._count(y.t)
+        self.now, self.since = exit_.then, y.t
+        after = self._entered(struck.x, u, phase, exit_)
+        outer = self._outward(after)
+        failures = {label(phase, check.name) for check in phase.checks}
+        names = tuple(name for name in fired if name not in failures)
+        expand = system.systems[self.now].expand
+        sides = (
+            system.outward(old, before),
+            system.outward(self.now, expand(after)),
+        )
+        event = Event(y.t, names, *sides, struck.impulse, struck.share)
+        self.events_so_far = self.events_so_far.after(event)
+        self._collect()
+        self._refuse_unheld(after, u)
+        return outer
+
+    def _entered(self, x: State, u: Array | None, phase: Phase, exit_: Exit) -> State:
+        """The first state of the phase that has just become the present one."""
+        new, inner = self.phases[self.now], self._steppers[self.now]
+        system = self.system.systems[self.now]
+        y = system.reduce(x._replace(mode=()))
+        off = violation(system, y)
+        fastest = float(np.abs(y.v).max(initial=0.0))
+        if off.position > ASSEMBLED or off.velocity > ASSEMBLED * (1.0 + fastest):
+            raise SolveError(
+                f"t = {x.t:.9g} s: {label(phase, exit_.name)} leads to phase {new.name}, whose "
+                f"rows are {off.position:.3g} m or rad open and move apart with "
+                f"{off.velocity:.3g} m/s or rad/s: its reset has to close them"
+            )
+        pace = self._steppers[self._stepped].pace
+        inner.restart()
+        y = inner.settle(y, u)
+        if pace and inner.pace:
+            inner.pace = pace
+        return y
+
+    def _refuse_unheld(self, y: State, u: Array | None) -> None:
+        """Refuse a phase in which a contact that is held would open or slip from the start."""
+        phase = self.phases[self.now]
+        if not phase.checks:
+            return
+        system = self.system.systems[self.now]
+        x, k = system.expand(y), system.k
+        now = system.evaluate(x, u)
+        for check in phase.checks:
+            k.refresh(x.q, x.v, check.crossing.reads)
+            if check.crossing.value(k, x, now.lam) < -rounding(y):
+                raise SolveError(f"t = {y.t:.9g} s, phase {phase.name}: {check.failure}")
+
+    def _collect(self) -> None:
+        """Take the events of the steps in the phase."""
+        for event in self._steppers[self.now].take_events():
+            sides = (self.system.outward(self.now, x) for x in (event.before, event.after))
+            before, after = sides
+            impulse = self.system.impulse(self.now, event.impulse)
+            event = event._replace(before=before, after=after, impulse=impulse)
+            self.events_so_far = self.events_so_far.after(event)
+
+    def _count(self, t: float) -> None:
+        """Refuse phases that follow one another in no time."""
+        self._at_once = self._at_once + 1 if t <= self.since else 0
+        if self._at_once > _MOST_AT_ONCE:
+            names = ", ".join(phase.name for phase in self.phases)
+            raise SolveError(f"t = {t:.9g} s: phases follow one another without end: {names}")
+
+    def _inward(self, x: State) -> State:
+        """The state as the system of its phase sees it; the same object where that was made."""
+        if x is not self._last.outer or self._last.inner is None:
+            self._last = _Pair(x, self.system.inward(x))
+        assert self._last.inner is not None
+        return self._last.inner
+
+    def _outward(self, y: State) -> State:
+        x = self.system.outward(self.now, y)
+        self._last = _Pair(x, y)
+        return x

@@ -1,0 +1,264 @@
+"""Section `phases`: what holds in each phase of a motion, what ends it, and what is reset then."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
+
+from mbd_ros.core.ranges import NotNegative, Positive, Unit
+from mbd_ros.errors import SceneError
+from mbd_ros.scene import schema
+from mbd_ros.scene.building import Site
+from mbd_ros.scene.nearest import nearest
+from mbd_ros.scene.part_names import checked_name
+
+_KINDS = ("touch_down", "lift_off", "slip", "joint", "joints", "force", "multiplier", "time")
+
+
+@dataclass(frozen=True)
+class WhenEntry:
+    """Where a guard acts: a sum of joint positions times factors beyond a level."""
+
+    joint: str | None = None
+    joints: Mapping[str, float] | None = None
+    above: float | None = None
+    below: float | None = None
+
+
+@dataclass(frozen=True)
+class ResetEntry:
+    """What happens at once: an impact, then joints under other names."""
+
+    impact: Sequence[str] | None = None
+    exchange: Mapping[str, Any] | None = None
+    relabel: Mapping[str, Mapping[str, float]] | None = None
+    shift: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class GuardEntry:
+    """What ends a phase."""
+
+    touch_down: str | None = None
+    lift_off: str | None = None
+    slip: str | None = None
+    joint: str | None = None
+    joints: Mapping[str, float] | None = None
+    force: str | None = None
+    multiplier: str | None = None
+    time: Annotated[NotNegative, Unit("s")] | None = None
+    at: float = 0.0
+    direction: Literal["up", "down", "both"] | None = None
+    when: Mapping[str, Any] | None = None
+    then: str | None = None
+    reset: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class _PhaseEntry:
+    contacts: Sequence[str] = ()
+    held: bool = True
+    constraints: Sequence[str] | None = None
+    couplings: Sequence[str] | None = None
+    until: Mapping[str, Any] = field(default_factory=dict)
+    then: str | None = None
+    reset: Mapping[str, Any] | None = None
+    limit: Annotated[Positive, Unit("s")] | None = None
+
+
+@dataclass(frozen=True)
+class GuardPlan:
+    """A guard by names.
+
+    Attributes:
+        name: Unique in the phase.
+        entry: What it looks at.
+        when: Where it acts; None for everywhere.
+        then: Name of the next phase.
+        reset: What happens at once.
+        where: File and key, for the messages.
+    """
+
+    name: str
+    entry: GuardEntry
+    when: WhenEntry | None
+    then: str
+    reset: ResetEntry
+    where: str
+
+
+@dataclass(frozen=True)
+class PhasePlan:
+    """A phase by names, which `phased_systems` makes a system of.
+
+    Attributes:
+        name: Unique in the scene.
+        contacts: Names of the contacts that are on.
+        held: Whether these are held closed.
+        constraints: Names of the constraints that are on; None for all.
+        couplings: Dependent joints that are; None for all.
+        guards: What ends it, in the order of the file.
+        limit: Longest time in it [s]; None without one.
+        where: File and key, for the messages.
+    """
+
+    name: str
+    contacts: tuple[str, ...]
+    held: bool
+    constraints: tuple[str, ...] | None
+    couplings: tuple[str, ...] | None
+    guards: tuple[GuardPlan, ...]
+    limit: float | None
+    where: str
+
+    @property
+    def told(self) -> str:
+        """What ends it, for people."""
+        return ", ".join(f"{guard.name} -> {guard.then}" for guard in self.guards)
+
+    @property
+    def on(self) -> str:
+        """The contacts that are on, for people."""
+        how = "held" if self.held else "open or closed"
+        return f"{how}: {', '.join(self.contacts)}" if self.contacts else "no contact"
+
+
+def build_phases(site: Site, entries: Any) -> dict[str, PhasePlan]:
+    """The `phases` section.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    given = schema.value(entries, Mapping[str, Any], site.where)
+    if not given:
+        raise SceneError(f"{site.where}: no phase; accepted: one or more, by name")
+    names = _Names(site, tuple(given))
+    return {name: _phase(names, name, entry) for name, entry in given.items()}
+
+
+class _Names:
+    """What a scene knows by name.
+
+    Args:
+        site: Where the section is built.
+        phases: Names of all phases.
+    """
+
+    def __init__(self, site: Site, phases: Sequence[str]) -> None:
+        self.site, self.phases = site, phases
+        self.contacts = [part.name for part in site.parts.get("contacts", ())]
+        self.rigid = [p.name for p in site.parts.get("contacts", ()) if hasattr(p, "residual")]
+        self.constraints = [part.name for part in site.parts.get("constraints", ())]
+        self.dependent = list(site.parts["couplings"].dependent)
+        assert site.robot is not None
+        self.joints = [joint.name for joint in site.robot.joints]
+
+
+def known(name: Any, names: Collection[str], what: str, where: str) -> str:
+    """A name that exists.
+
+    Args:
+        name: What was given.
+        names: Those that exist.
+        what: What they name.
+        where: File and key, for the messages.
+
+    Raises:
+        SceneError: It does not; names those that are near, or all.
+    """
+    word = str(schema.value(name, str, where))
+    if word not in names:
+        there = ", ".join(nearest(word, names) or names) or "none"
+        raise SceneError(f"{where}: unknown {what} '{word}', there are: {there}")
+    return word
+
+
+def _listed(
+    given: Sequence[str] | None, names: Collection[str], what: str, where: str
+) -> tuple[str, ...] | None:
+    if given is None:
+        return None
+    return tuple(known(name, names, what, f"{where}[{i}]") for i, name in enumerate(given))
+
+
+def _phase(names: _Names, name: str, given: Any) -> PhasePlan:
+    where = f"{names.site.where}.{name}"
+    checked_name(name, where)
+    entry: _PhaseEntry = schema.call(_PhaseEntry, given, where)
+    accepted = names.rigid if entry.held else names.contacts
+    contacts = _listed(entry.contacts, names.contacts, "contact", f"{where}.contacts") or ()
+    for one in contacts:
+        if one not in accepted:
+            raise SceneError(
+                f"{where}.contacts: {one} is compliant and cannot be held; accepted: held: false"
+            )
+    if not entry.until:
+        raise SceneError(
+            f"{where}: no guard ends it; accepted: until: {{NAME: {{touch_down: CONTACT}}}} and "
+            f"then: PHASE, with one of {', '.join(_KINDS)}"
+        )
+    guards = tuple(_guard(names, entry, contacts, where, *pair) for pair in entry.until.items())
+    return PhasePlan(
+        name,
+        contacts,
+        entry.held,
+        _listed(entry.constraints, names.constraints, "constraint", f"{where}.constraints"),
+        _listed(entry.couplings, names.dependent, "dependent joint", f"{where}.couplings"),
+        guards,
+        entry.limit,
+        where,
+    )
+
+
+def _guard(
+    names: _Names, phase: _PhaseEntry, on: Collection[str], where: str, name: str, given: Any
+) -> GuardPlan:
+    key = f"{where}.until.{name}"
+    checked_name(name, key)
+    entry: GuardEntry = schema.call(GuardEntry, given, key)
+    chosen = [kind for kind in _KINDS if getattr(entry, kind) is not None]
+    if len(chosen) != 1:
+        raise SceneError(
+            f"{key}: expected one of {', '.join(_KINDS)}, got {', '.join(chosen) or 'none'}"
+        )
+    kind = chosen[0]
+    if kind == "touch_down":
+        known(entry.touch_down, names.contacts, "contact", f"{key}.touch_down")
+    elif kind in ("lift_off", "slip", "force"):
+        held = on if phase.held else ()
+        known(getattr(entry, kind), held, "contact that is held", f"{key}.{kind}")
+    _joints(names, entry, key)
+    when: WhenEntry | None = None
+    if entry.when is not None:
+        when = schema.call(WhenEntry, entry.when, f"{key}.when")
+        _joints(names, when, f"{key}.when")
+        if (when.above is None) == (when.below is None):
+            raise SceneError(f"{key}.when: expected one of above, below")
+        if (when.joint is None) == (when.joints is None):
+            raise SceneError(f"{key}.when: expected one of joint, joints")
+    then = entry.then if entry.then is not None else phase.then
+    if then is None:
+        raise SceneError(f"{key}: key 'then' is missing, there and in {where}: the next phase")
+    then = known(then, names.phases, "phase", f"{key}.then")
+    reset = entry.reset if entry.reset is not None else phase.reset
+    return GuardPlan(name, entry, when, then, _reset(names, reset, f"{key}.reset"), key)
+
+
+def _joints(names: _Names, entry: Any, where: str) -> None:
+    if entry.joint is not None:
+        known(entry.joint, names.joints, "joint", f"{where}.joint")
+    for name in entry.joints or ():
+        known(name, names.joints, "joint", f"{where}.joints")
+    if entry.joints is not None and not entry.joints:
+        raise SceneError(f"{where}.joints: no joint; accepted: {{JOINT: factor, ..}}")
+
+
+def _reset(names: _Names, given: Any, where: str) -> ResetEntry:
+    entry: ResetEntry = schema.call(ResetEntry, {} if given is None else given, where)
+    _listed(entry.impact, names.rigid, "rigid contact", f"{where}.impact")
+    for key in ("exchange", "relabel", "shift"):
+        for name in getattr(entry, key) or ():
+            known(name, names.joints, "joint", f"{where}.{key}")
+    for name, sources in (entry.relabel or {}).items():
+        for source in sources:
+            known(source, names.joints, "joint", f"{where}.relabel.{name}")
+    return entry
