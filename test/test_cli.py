@@ -65,7 +65,7 @@ def test_check_says_what_is_built_and_what_is_not(capsys, tmp_path):
     )
     assert said["out"] == (
         "robots; bodies; paths; constraints; contacts; actuators; muscles; sensors; "
-        "stabilization; solver; integrator; dt; initial; safe"
+        "phases; stabilization; solver; integrator; dt; initial; safe"
     )
     inverse, forward = said["cost"].split("; ")
     assert re.fullmatch(r"one .* call \d+\.\d us, \d+\.\d x a bare rnea of 4 joints", inverse)
