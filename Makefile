@@ -22,7 +22,7 @@ OTHER_PYTHON := other_python
 endif
 endif
 
-.PHONY: venv test browser demo lint format report docs links soak fuzz fuzz-nodes bench against imports colcon clean other_python
+.PHONY: venv test browser demo lint format report docs links picture soak fuzz fuzz-nodes bench against imports colcon clean other_python
 
 venv: .venv/installed
 
@@ -75,6 +75,9 @@ report: venv .venv/report
 docs: venv .venv/docs
 	$(BIN)/python docs/site/build.py docs_out
 	@echo "docs: docs_out/index.html"
+
+picture: venv
+	$(BIN)/python docs/site/moving_picture.py
 
 # Asks the servers of others, so that it fails where one of them is away; `make docs` checks all links of our own.
 links: venv .venv/docs

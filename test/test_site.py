@@ -75,6 +75,7 @@ def test_references_are_complete(site):
     parts = {name for kind, names in PARTS.items() if kind != "controllers" for name in names}
     assert {name.replace("_", "-") for name in parts} <= site["scene_reference.html"].ids
     assert {name.replace("_", "-") for name in NODES} <= site["node_reference.html"].ids
+    assert "math" in site["theory.html"].tags
     assert set(all_words()) <= site["command_reference.html"].ids
     interface = {"mbd_ros.api.load_scene", "mbd_ros.api.Scene.simulate", "mbd_ros.core.parts.Load"}
     assert interface <= site["python_reference.html"].ids

@@ -27,3 +27,6 @@ autodoc_typehints_description_target = "documented"
 autodoc_member_order = "bysource"
 napoleon_google_docstring, napoleon_numpy_docstring = True, False
 napoleon_use_ivar = True
+
+html_static_path = ["static"]
+html_css_files = ["equations.css"]

@@ -1,0 +1,167 @@
+"""Commands and code of the README and of the task pages do what the pages say."""
+
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from page_blocks import ROOT, blocks, commands, task_pages
+
+from mbd_ros.cli import main
+from mbd_ros.nodes.table import NODES
+
+PAGES = task_pages()
+IDS = [page.name for page in PAGES]
+MINUTES = ("demo", "report")  # commands that run for longer than others
+PROCESSES = ("replay", *MINUTES)  # which take hold of signals or of this process's files
+IN_A_SHELL = ("eval", "export", "ros2", "pip", "colcon", "make", "dask", ".")  # checked, not run
+SYNOPSIS = re.compile(r"\b[A-Z]{2,}\b|\.\.(?!/)|\||\[")  # SCENE, `..`, [a|b]
+ELSEWHERE = {"laboratory.md": "test_laboratory.py"}  # recordings of others
+
+
+def is_long(page):
+    """Whether a page runs a command of minutes."""
+    lines = [line for b in blocks(page) if b.kind == "bash" for line in commands(b)]
+    return any(line.split()[:2] == ["mbd-ros", name] for line in lines for name in MINUTES)
+
+
+def run(line, folder):
+    """Run a command of a page; those that serve a page in a browser only until it is there."""
+    words = shlex.split(line)
+    assert words[0] == "mbd-ros", line
+    if words[1] == "view":
+        serve(words[1:], folder)
+        return
+    if words[1] in PROCESSES:
+        started = [sys.executable, "-m", "mbd_ros", *words[1:]]
+        ran = subprocess.run(started, cwd=folder, capture_output=True, text=True, timeout=600)
+        sys.stdout.write(ran.stdout)
+        assert ran.returncode == 0, ran.stderr
+        return
+    try:
+        code = main(words[1:])
+    except SystemExit as ended:  # of --help
+        code = ended.code
+    assert code == 0, line
+
+
+def serve(words, folder):
+    pytest.importorskip("viser", reason="viser is not installed")
+    command = [sys.executable, "-m", "mbd_ros", *words, "--no-browser"]
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    served = subprocess.Popen(
+        command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert any("http://127.0.0.1:" in line for line in served.stdout), words
+        served.send_signal(signal.SIGINT)
+        assert served.wait(20) == 0
+    finally:
+        served.kill()
+
+
+@pytest.fixture
+def follow(tmp_path, monkeypatch):
+    """A function that does what a page says, in an empty folder; it returns that folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def followed(name):
+        names = {}
+        page = ROOT / name
+        for block in blocks(page):
+            if block.file:
+                Path(block.file).write_text(block.text, encoding="utf-8")
+            elif block.kind == "python":
+                exec(block.text, names)
+            elif block.kind == "bash":
+                for line in commands(block):
+                    if line.split()[0] not in (*IN_A_SHELL, *NODES):
+                        run(line, tmp_path)
+        return tmp_path
+
+    return followed
+
+
+def table(name):
+    names = Path(name).read_text(encoding="utf-8").split("\n", 1)[0].split(",")
+    values = np.loadtxt(name, delimiter=",", skiprows=1)
+    return dict(zip(names, values.T, strict=True))
+
+
+def test_get_started(follow, capsys):
+    folder = follow("docs/get_started.md")
+    assert {"swing.csv", "swing.png"} <= {path.name for path in folder.iterdir()}
+    said = capsys.readouterr().out
+    assert "prosthetic_leg" in said and "ros__parameters" in said and "--derivatives" in said
+
+
+def test_my_first_scene(follow, capsys):
+    follow("docs/first_scene.md")
+    found, events = table("torques.csv"), table("stops.csv")
+    spring = -5.0 * found["shoulder.position"] - 0.3 * found["shoulder.velocity"]
+    np.testing.assert_allclose(found["shoulder.effort"], spring, rtol=0, atol=1e-9)
+    swing = table("swing.csv")
+    stop = swing["elbow_joint_stop.torque"]
+    np.testing.assert_allclose(found["elbow.effort"], -stop, rtol=0, atol=1e-9)
+    assert len(events["time"]) > 2
+    lines = [line for line in capsys.readouterr().out.splitlines() if "N m/rad: up to" in line]
+    assert len(lines) == 3
+    tendon = table("tendon_torques.csv")
+    assert "elbow.effort" not in tendon and np.abs(tendon["elbow.multiplier"]).max() > 0.1
+
+
+def test_my_bag(follow, capsys):
+    """Zero-phase torques of the recording are those of its springs."""
+    folder = follow("docs/my_bag.md")
+    found = table("torques.csv")
+    q, v = found["wrist_flexion.position"], found["wrist_flexion.velocity"]
+    inside = slice(50, -50)  # a low-pass sees one side only at both ends
+    spring = (-1.0 * q - 0.1 * v)[inside]
+    assert np.abs(found["wrist_flexion.effort"][inside] - spring).max() < 0.01
+    assert "0 lost" in capsys.readouterr().out
+    assert {p.name for p in (folder / "results").iterdir()} == {"recorded.mcap", "torques.mcap"}
+
+
+def test_my_prosthesis(follow, capsys):
+    follow("docs/my_prosthesis.md")
+    said = capsys.readouterr().out
+    assert float(re.search(r"gives up to ([\d.]+) N m", said)[1]) > 0.1
+    torques = table("torques.csv")
+    assert any(re.fullmatch(r".*loop_closure.*\.force_x|knee_loop\.force_x", c) for c in torques)
+    stance = table("stance.csv")
+    assert np.abs(stance["ankle.external"]).max() > 10.0
+
+
+TESTED = {"get_started.md", "first_scene.md", "my_bag.md", "my_prosthesis.md", "README.md"}
+OTHERS = [page for page in PAGES if page.name not in TESTED]
+
+
+@pytest.mark.parametrize("page", [p for p in OTHERS if not is_long(p)], ids=lambda p: p.name)
+def test_commands_of_a_task_page_run(page, follow):
+    if page.name not in ELSEWHERE:
+        follow(f"docs/{page.name}")
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("page", [p for p in OTHERS if is_long(p)], ids=lambda p: p.name)
+def test_commands_that_take_minutes_run(page, follow):
+    follow(f"docs/{page.name}")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=IDS)
+def test_every_command_of_a_page_is_run_or_a_synopsis(page):
+    """What looks like a command stands in a block that runs, or shows its words in general."""
+    text = page.read_text(encoding="utf-8")
+    ran = {line for b in blocks(page) if b.kind == "bash" for line in commands(b)}
+    shown = re.findall(r"^(?: {4})?(mbd-ros .*?)(?:\s+#.*)?$", text, re.MULTILINE)
+    if page.name in ELSEWHERE:
+        pages = (ROOT / "test" / ELSEWHERE[page.name]).read_text(encoding="utf-8")
+        assert page.name in pages
+        return
+    left = {line for line in shown if line not in ran and not SYNOPSIS.search(line)}
+    assert left == set()
