@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from muscle_arm import SCENE, URDF, motion
 from scipy.interpolate import CubicSpline
 
 from mbd_ros import read_result, scene_from
@@ -184,6 +185,23 @@ def test_a_time_range_takes_samples_out_behind_the_filter(laboratory, tmp_path):
     assert part.metadata["inputs"]["time_range"] == [0.0, 1.0]
     with pytest.raises(DataError, match="--time-range 3 4: no sample is there, the motion is at"):
         scene.inverse(tmp_path / "walk.mot", **options, time_range=(3.0, 4.0))
+
+
+def test_muscles_share_a_part_and_say_what_is_odd_about_loads(laboratory):
+    path, times, values = laboratory
+    odd = plate([*times, times[-1]], [*values, values[-1]])
+    (path.parents[1] / "data" / "plate.mot").write_text(odd)
+    scene = scene_from(SCENE, urdf=URDF)
+    given = {"external": changed(path, body="lower"), "reserves": 100.0}
+    whole = scene.muscle_forces(motion(), **given)
+    assert "1 rows at the time of the row before" in "\n".join(whole.metadata["remarks"])
+    part = scene.muscle_forces(motion(), **given, time_range=(0.1, 0.2))
+    time = whole["samples"]["time"]
+    inside = (time > 0.0999) & (time < 0.2001)
+    assert part["samples"]["time"].tolist() == time[inside].tolist()
+    expected = whole["samples"]["front.activation"][inside]
+    assert part["samples"]["front.activation"] == pytest.approx(expected, abs=1e-12)
+    assert part.metadata["inputs"]["time_range"] == [0.1, 0.2]
 
 
 def test_a_motion_in_degrees_of_some_joints_gives_torques_and_says_what_is_assumed(tmp_path):

@@ -157,11 +157,13 @@ def test_a_task_file_says_the_same_and_options_win(files, capsys):
     task = files / "task.yaml"
     task.write_text("muscles: {objective: stress, reserves: {shoulder: 2.0, elbow: 3.0}}\n")
     words = ["muscles", files / "arm.yaml", files / "swing.csv", "-o", files / "a.npz"]
-    words += ["--task", task, "--exponent", "2"]
+    words += ["--task", task, "--exponent", "2", "--time-range", "0", "0.1"]
     assert main([str(word) for word in words]) == 0
     said = capsys.readouterr().out
     assert "objective: stress, exponent 2, 6 muscles and 2 reserves" in said
-    asked = mbd.read_result(files / "a.npz").metadata["inputs"]
+    found = mbd.read_result(files / "a.npz")
+    asked = found.metadata["inputs"]
+    assert found["samples"].rows == 4
     assert asked["reserves"] == {"shoulder": 2.0, "elbow": 3.0}
 
 

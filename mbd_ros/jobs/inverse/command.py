@@ -13,13 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The words that `inverse` understands."""
     add_scene(parser)
     add_motions(parser)
-    parser.add_argument(
-        "--time-range",
-        type=float,
-        nargs=2,
-        metavar=("FIRST", "LAST"),
-        help="solve these times alone [s]; derivatives come from the whole motion",
-    )
+    add_time_range(parser)
     add_derivatives(parser)
     parser.add_argument(
         "--parts",
@@ -66,6 +60,17 @@ def add_motions(parser: argparse.ArgumentParser) -> None:
         "--topic",
         default="/joint_states",
         help="JointState topic of a bag (default: %(default)s)",
+    )
+
+
+def add_time_range(parser: argparse.ArgumentParser) -> None:
+    """Which part of a motion is solved."""
+    parser.add_argument(
+        "--time-range",
+        type=float,
+        nargs=2,
+        metavar=("FIRST", "LAST"),
+        help="solve these times alone [s]; derivatives come from the whole motion",
     )
 
 

@@ -29,6 +29,7 @@ class Batch(NamedTuple):
         out: Folder of the results; the result itself where there is one motion.
         wrenches: Table or bag of the external loads of every motion.
         external: External loads of OpenSim (.xml): none, of every motion, or one each.
+        time_range: First and last time that is solved [s]; None for all.
         derivatives: given, causal, zero-phase or opensim.
         cutoff: Of the filters [Hz].
         half_width: Samples on either side of a local zero-phase fit.
@@ -44,6 +45,7 @@ class Batch(NamedTuple):
     out: Path
     wrenches: Path | None
     external: Sequence[Path]
+    time_range: Sequence[float] | None
     derivatives: str
     cutoff: float | None
     half_width: int | None
@@ -101,7 +103,9 @@ def _muscles(batch: Batch, scene: Scene, say: Say) -> None:
     derivatives = Derivatives(batch.derivatives, batch.cutoff, batch.half_width)
     (motion,) = batch.motions
     (external,) = externals_of(batch.external, 1)
-    task = Task(motion, derivatives, batch.wrenches, batch.topic, external=external)
+    between = None if batch.time_range is None else (batch.time_range[0], batch.time_range[1])
+    given = motion, derivatives, batch.wrenches, batch.topic
+    task = Task(*given, external=external, time_range=between)
     options = _options(batch, scene)
     asked = muscles_task(scene, options, "muscles")
     muscles_to(scene, Sharing(task, asked, options), batch.out, say)

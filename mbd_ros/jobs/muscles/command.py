@@ -6,7 +6,7 @@ from typing import Any
 
 from mbd_ros.errors import OK
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.inverse.command import add_derivatives, add_motions
+from mbd_ros.jobs.inverse.command import add_derivatives, add_motions, add_time_range
 from mbd_ros.jobs.lines import say
 from mbd_ros.scene.locate import path_word
 from mbd_ros.workers.arguments import add_workers
@@ -31,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The words that `muscles` understands."""
     add_scene(parser)
     add_motions(parser)
+    add_time_range(parser)
     add_derivatives(parser)
     _add_sharing(parser)
     _add_measured(parser)

@@ -53,6 +53,7 @@ def muscles(
     half_width: int | None = None,
     wrenches: Source | None = None,
     external: str | Path | None = None,
+    time_range: tuple[float, float] | None = None,
     topic: str = "/joint_states",
     say: Say | None = None,
     progress: Watch = False,
@@ -68,6 +69,7 @@ def muscles(
         half_width: Samples on either side of a local zero-phase fit, in place of a cut-off.
         wrenches: Result, file or bag of the external loads; a bag motion carries its own.
         external: External loads of OpenSim (.xml), in place of those of the scene.
+        time_range: First and last time that is solved [s]; derivatives come from the whole motion.
         topic: JointState topic of a bag.
         say: Is called with each line for people; without it the lines are
             `metadata["remarks"]`.
@@ -90,7 +92,7 @@ def muscles(
     with watching(progress):
         loads = None if external is None else Path(external)
         chosen = Derivatives(derivatives, cutoff, half_width)
-        task = Task(motion, chosen, wrenches, topic, external=loads)
+        task = Task(motion, chosen, wrenches, topic, external=loads, time_range=time_range)
         asked = muscles_task(scene, options, "muscles")
         result = run_muscles(scene, Sharing(task, asked, options), say or remarks.append)
     if say is None:
@@ -125,6 +127,8 @@ def run_muscles(scene: Scene, order: Sharing, say: Say) -> Result:
     task, external = order.motion, loads_of_laboratory(scene, order.motion)
     if external is not None:
         scene = external.scene
+        for text in external.remarks:
+            say(text)
     for text in scene.robot.doubts:
         say(f"warning: {text}")
     solver = order.asked.solver(scene)
@@ -189,6 +193,7 @@ def _about(scene: Scene, order: Sharing, solver: StaticOptimization) -> dict[str
         "motion": task.motion,
         "wrenches": task.wrenches,
         "external": task.external,
+        "time_range": task.time_range and list(task.time_range),
         "derivatives": source,
         "cutoff": cutoff,
         "half_width": half_width,
