@@ -74,6 +74,52 @@ def test_markers_of_a_simulation_give_its_motion_back(leg, swing):
     ]
 
 
+TURNS = {
+    "x,z,-y": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    "-y,x,z": [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
+}
+
+
+def turned(swing, axes):
+    """A recording in other axes; `axes` are those that turn it back."""
+    R, samples = np.array(TURNS[axes], dtype=float), swing["samples"]
+    names = {label: [f"{name}.position_{a}" for a in "xyz"] for label, name in
+             zip(MARKERS, SENSORS, strict=True)}  # fmt: skip
+    places = {n: np.column_stack([samples[a] for a in each]) @ R for n, each in names.items()}
+    return recorded(swing, **places)
+
+
+@pytest.mark.parametrize("axes", TURNS)
+def test_other_axes_of_a_recording_are_named_and_turned(leg, swing, axes):
+    found = leg.kinematics(turned(swing, axes), limits=False)
+    said = "\n".join(found.metadata["remarks"])
+    assert "warning: the recording seems to have other axes than the scene" in said
+    assert f"mm with --axes {axes}" in said
+    result = leg.kinematics(turned(swing, axes), limits=False, axes=axes)
+    assert_same_motion(result, swing)
+    assert "other axes" not in "\n".join(result.metadata["remarks"])
+
+
+def test_markers_that_miss_for_another_reason_are_not_turned(leg, swing):
+    places = np.random.default_rng(3).normal(size=(len(swing["samples"]["time"]), 3))
+    said = leg.kinematics(recorded(swing, toe=places), limits=False).metadata["remarks"]
+    assert "other axes" not in "\n".join(said)
+
+
+@pytest.mark.parametrize(
+    ("axes", "match"),
+    [
+        ("x,z,y", "--axes x,z,y is a mirror image; accepted: three of"),
+        ("x,y", "--axes x,y: accepted: three of x, y, z, -x"),
+        ("x,y,up", "--axes x,y,up: accepted"),
+        ("screen", "--axes screen: it has no POINT:X_SCREEN, Y_SCREEN"),
+    ],
+)
+def test_axes_that_are_none_are_refused(leg, swing, axes, match):
+    with pytest.raises(DataError, match=match):
+        leg.kinematics(recorded(swing), axes=axes)
+
+
 def test_millimetres_are_asked_for_by_name(leg, swing):
     far = recorded(swing, scale=1e5)
     with pytest.raises(DataError, match="looks like millimetres .6 markers.: say --unit mm"):

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, install_hint
-from mbd_ros.files.markers import GROUND, MARKERS, RATE
+from mbd_ros.files.markers import GROUND, MARKERS, RATE, SCREEN
 from mbd_ros.files.replacing import replacing
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.files.text_file import reading
@@ -70,7 +70,9 @@ class C3d:
         except _BROKEN as error:
             raise DataError(f"{path}: cannot be read as .c3d, or is cut ({error})") from error
         labels = [name for name in tables[MAIN] if name != TIME]
-        return Result(tables, {MARKERS: labels, RATE: _rate(whole, "POINT")})
+        about = {MARKERS: labels, RATE: _rate(whole, "POINT")}
+        screen = [_parameter(whole, "POINT", f"{axis}_SCREEN", [""])[0] for axis in "XY"]
+        return Result(tables, {**about, SCREEN: screen} if all(screen) else about)
 
     def write(self, path: Path, result: Result) -> None:
         """Write the markers of a table, in mm.

@@ -14,6 +14,7 @@ from mbd_ros.files.times import motion_stamps
 
 GROUND = "ground"  # frame of markers and plates
 MARKERS, RATE = "markers", "rate"  # metadata: labels, and frames a second [Hz]
+SCREEN = "screen"  # metadata: axes to the right and upwards on a screen, as +X, +Z
 
 
 class MarkerSamples(NamedTuple):

@@ -42,6 +42,7 @@ class KinematicsTask:
         smoothness: See `jobs.kinematics.smooth_trial`; 0 fits frames alone.
         limits: Whether joints keep their limits.
         unit: Of the recorded places; None for that of the file.
+        axes: Recorded axis along each axis of the scene, as `x,z,-y`, or `screen`; None: the same.
         motion: File of the positions that coordinate tasks follow.
         source: The file, for messages; empty without one.
     """
@@ -53,6 +54,7 @@ class KinematicsTask:
     smoothness: float = 0.0
     limits: bool = True
     unit: str | None = None
+    axes: str | None = None
     motion: Path | None = None
     source: str = ""
 
@@ -90,6 +92,7 @@ def _task(
     smoothness: NotNegative = 0.0,
     limits: bool = True,
     unit: str | None = None,
+    axes: str | None = None,
     motion: str | None = None,
 ) -> KinematicsTask:
     file = None
@@ -103,7 +106,7 @@ def _task(
         refuse_unknown_joints(site.origin.task_of, tasks, f"{site.where}.coordinates")
     if file is None and any(task.from_motion for task in tasks.values()):
         raise SceneError(f"{site.where}.coordinates: from_motion asks for a key 'motion'")
-    given = markers, tasks, begin, end, smoothness, limits, unit, file
+    given = markers, tasks, begin, end, smoothness, limits, unit, axes, file
     return KinematicsTask(*given, source=site.origin.name)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.formats import is_bag, read_result
+from mbd_ros.files.markers import SCREEN
 from mbd_ros.files.recordings import Source, name_of
 from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.files.times import TIME
@@ -26,12 +27,15 @@ class Capture(NamedTuple):
         labels: Of the markers.
         times: [s], increasing, shape (N,).
         places: In the world [m], NaN where one was not seen, shape (N, n, 3).
+        screen: Recorded axes to the right and upwards on a screen, as `+X`, `+Z`; empty where the
+            recording does not say them.
     """
 
     where: str
     labels: tuple[str, ...]
     times: Array
     places: Array
+    screen: tuple[str, ...] = ()
 
     def between(self, begin: float | None, end: float | None) -> "Capture":
         """The frames of a range of times.
@@ -88,7 +92,7 @@ def read_capture(source: Source, unit: str | None = None) -> Capture:
     if not len(times) or not np.isfinite(times).all() or (np.diff(times) <= 0.0).any():
         raise DataError(f"{where}: column {TIME}: must be finite and increase from row to row")
     _refuse_far(where, tuple(found), places, times)
-    return Capture(where, tuple(found), times, places)
+    return Capture(where, tuple(found), times, places, tuple(source.metadata.get(SCREEN, ())))
 
 
 def _markers(table: Table) -> dict[str, tuple[Array, str]]:

@@ -30,6 +30,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--unit", choices=("m", "mm", "cm"), help="of the markers (default: of the file)"
     )
     parser.add_argument(
+        "--axes",
+        help="recorded axis along each axis of the scene, as x,z,-y, or screen: as the .c3d says "
+        "by X_SCREEN, Y_SCREEN (default: x,y,z)",
+    )
+    parser.add_argument(
         "--smoothness",
         type=float,
         help="error of markers over error of accelerations in m s^2/rad: fits the whole trial",
@@ -45,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     from mbd_ros.jobs.kinematics.solver import NO_TASK
     from mbd_ros.scene.reader import load_scene
 
-    names = ("begin", "end", "unit", "smoothness")
+    names = ("begin", "end", "unit", "axes", "smoothness")
     options = {name: getattr(arguments, name) for name in names}
     if arguments.no_limits:
         options["limits"] = False

@@ -16,6 +16,7 @@ from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result
 from mbd_ros.jobs.columns import state_topics
 from mbd_ros.jobs.error_source import about
+from mbd_ros.jobs.kinematics.axes import axes_lines, turned
 from mbd_ros.jobs.kinematics.capture import Capture, read_capture
 from mbd_ros.jobs.kinematics.matching import Matched, match
 from mbd_ros.jobs.kinematics.remarks import remarks_of
@@ -35,6 +36,7 @@ def kinematics(
     begin: float | None = None,
     end: float | None = None,
     unit: str | None = None,
+    axes: str | None = None,
     smoothness: float | None = None,
     limits: bool | None = None,
     say: Say | None = None,
@@ -49,6 +51,8 @@ def kinematics(
         begin: First time [s], in place of that of the task.
         end: Last time [s], likewise.
         unit: Of the places: m, mm or cm.
+        axes: Recorded axis along each axis of the scene, as `x,z,-y`; `screen` where a .c3d says
+            them.
         smoothness: In place of that of the task; 0 fits frames alone.
         limits: Whether joints keep their limits.
         say: Is called with each line for people; without it the lines are
@@ -64,7 +68,8 @@ def kinematics(
         SolveError: A mechanism with loops does not close.
     """
     asked = read_tasks(scene, task)
-    given = {"begin": begin, "end": end, "unit": unit, "smoothness": smoothness, "limits": limits}
+    given = {"begin": begin, "end": end, "unit": unit, "axes": axes}
+    given |= {"smoothness": smoothness, "limits": limits}
     asked = replace(asked, **{key: one for key, one in given.items() if one is not None})
     remarks: list[str] = []
     found = _fitted(scene, markers, asked, say or remarks.append)
@@ -107,6 +112,8 @@ class _Found(NamedTuple):
 
 def _fitted(scene: Scene, source: Source, task: KinematicsTask, say: Say) -> _Found:
     capture = read_capture(source, task.unit).between(task.begin, task.end)
+    if task.axes is not None:
+        capture = turned(capture, task.axes)
     matched = match(scene, capture, task)
     for line in matched.lines:
         say(line)
@@ -120,7 +127,10 @@ def _fitted(scene: Scene, source: Source, task: KinematicsTask, say: Say) -> _Fo
             from mbd_ros.jobs.kinematics.smooth_trial import smooth_trial  # loads scipy
 
             fit = smooth_trial(solver.solver, fit, seen, task.smoothness)
-        for line in remarks_of(solver, capture, seen, fit):
+        for line in (
+            *remarks_of(solver, capture, seen, fit),
+            *axes_lines(solver, scene.initial.q, capture, seen, fit),
+        ):
             say(line)
     return _Found(solver, capture.times, seen, fit)
 
