@@ -11,6 +11,8 @@ from mbd_ros.files.formats import read_result
 from mbd_ros.files.markers import read_markers
 from mbd_ros.files.recordings import read_wrenches
 from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.jobs.kinematics.axes import turned
+from mbd_ros.jobs.kinematics.capture import read_capture
 
 CORNERS = np.array([[0.5, 0.9, 0.0], [0.1, 0.9, 0.0], [0.1, 0.3, 0.0], [0.5, 0.3, 0.0]])  # m
 TURN = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])  # of a plate, about z
@@ -22,8 +24,28 @@ def ezc3d():
     return pytest.importorskip("ezc3d", reason="ezc3d is optional (extra: biomechanics)")
 
 
+CALIBRATION = np.eye(6) + 0.1 * np.random.default_rng(1).standard_normal((6, 6))
+CALIBRATION[:3, 3:] *= 1e-3  # from N·mm to N
+SPACING = np.array([0.12, 0.2])  # m, of the sensors of a plate of type 3 from its middle
+
+
+def channels_of(kind, force, moment, spacing):
+    """What a plate sends for a force and its moment about the middle of its sensors."""
+    if kind == 4:
+        return np.linalg.solve(CALIBRATION, np.vstack([force.T, moment.T]))
+    if kind != 3:
+        return np.vstack([force.T, moment.T])
+    (x, y, z), (a, b) = force.T, spacing
+    mx, my, mz = (m / (4.0 * d) for m, d in zip(moment.T, (b, a, b), strict=True))
+    pairs = [x / 2.0 - 2.0 * mz, x / 2.0 + 2.0 * mz, y / 2.0, y / 2.0]
+    signs = ((1, -1), (1, 1), (-1, 1), (-1, -1))
+    return np.vstack([*pairs, *(z / 4.0 + s * mx + t * my for s, t in signs)])
+
+
 def recording(ezc3d, path, wrenches=(), kind=2, unit="mm", first=50):
     """Two markers at 100 Hz, and at 200 Hz plates whose channels follow from their wrenches."""
+    origin = np.array([*SPACING, DEPTH[2]]) if kind == 3 else DEPTH
+    depth = DEPTH * [0.0, 0.0, 1.0] if kind == 3 else DEPTH
     scale = {"mm": 1000.0, "m": 1.0}[unit]
     rng, whole = np.random.default_rng(6), ezc3d.c3d()
     positions = rng.standard_normal((3, 2, 4))
@@ -43,29 +65,33 @@ def recording(ezc3d, path, wrenches=(), kind=2, unit="mm", first=50):
         centre = places.mean(axis=0)
         at_centre = (torque - np.cross(centre, force)) @ R
         F = force @ R
-        channels += [*F.T, *(scale * (at_centre + np.cross(DEPTH, F))).T]
+        moment = scale * (at_centre + np.cross(depth, F))
+        channels += [*channels_of(kind, F, moment, scale * SPACING)]
         corners.append(scale * places.T)
     if wrenches:
         n, plates = len(wrenches), whole["parameters"]["FORCE_PLATFORM"]
         plates["USED"]["value"], plates["TYPE"]["value"] = [n], [kind] * n
         plates["CORNERS"]["value"] = np.stack(corners, axis=2)
-        plates["ORIGIN"]["value"] = np.repeat(scale * DEPTH[:, None], n, axis=1)
-        plates["CHANNEL"]["value"] = np.arange(1, 6 * n + 1).reshape(n, 6).T
+        plates["ORIGIN"]["value"] = np.repeat(scale * origin[:, None], n, axis=1)
+        each = len(channels) // n
+        plates["CHANNEL"]["value"] = np.arange(1, each * n + 1).reshape(n, each).T
+        if kind == 4:
+            plates["CAL_MATRIX"]["value"] = np.repeat(CALIBRATION[:, :, None], n, axis=2)
         whole.add_parameter("FORCE_PLATFORM", "UNITS", ["N"])
         analog = whole["parameters"]["ANALOG"]
         analog["RATE"]["value"] = [200.0]
-        analog["LABELS"]["value"] = [f"c{i}" for i in range(6 * n)]
-        analog["UNITS"]["value"] = ["V"] * (6 * n)
+        analog["LABELS"]["value"] = [f"c{i}" for i in range(each * n)]
+        analog["UNITS"]["value"] = ["V"] * (each * n)
         whole["data"]["analogs"] = np.array(channels)[None]
     whole.write(str(path))
     return positions
 
 
-@pytest.mark.parametrize("unit", ["mm", "m"])
-def test_markers_and_plates_are_read_in_si(ezc3d, tmp_path, unit):
+@pytest.mark.parametrize(("unit", "kind"), [("mm", 2), ("m", 2), ("mm", 3), ("mm", 4), ("m", 3)])
+def test_markers_and_plates_are_read_in_si(ezc3d, tmp_path, unit, kind):
     rng = np.random.default_rng(9)
     wrenches = [(rng.standard_normal((8, 3)) * 100, rng.standard_normal((8, 3))) for _ in "ab"]
-    positions = recording(ezc3d, tmp_path / "walk.c3d", wrenches, unit=unit)
+    positions = recording(ezc3d, tmp_path / "walk.c3d", wrenches, kind, unit)
     markers = read_markers(tmp_path / "walk.c3d")
     assert markers.labels == ("R.Knee Med", "Heel")
     assert markers.stamps.tolist() == [500_000_000 + 10_000_000 * i for i in range(4)]
@@ -78,6 +104,22 @@ def test_markers_and_plates_are_read_in_si(ezc3d, tmp_path, unit):
         assert loads[name].wrench == pytest.approx(given, abs=1e-4)
     with pytest.raises(DataError, match="no column plate3.force.x"):
         read_wrenches(tmp_path / "walk.c3d", {"plate3": None})
+
+
+def test_axes_of_the_screen_turn_markers(ezc3d, tmp_path):
+    """Forwards is -y and z upwards in the laboratory, x and y in the scene."""
+    path = tmp_path / "walk.c3d"
+    positions = recording(ezc3d, path)
+    whole = ezc3d.c3d(str(path))
+    whole.add_parameter("POINT", "X_SCREEN", ["-Y"])
+    whole.add_parameter("POINT", "Y_SCREEN", ["+Z"])
+    whole.write(str(path))
+    capture = read_capture(path)
+    assert capture.screen == ("-Y", "+Z")
+    found = turned(capture, "screen").places
+    x, y, z = positions
+    expected = np.stack([-y, z, -x]).transpose(2, 1, 0)
+    assert np.allclose(found, expected, rtol=2e-7, atol=1e-7, equal_nan=True)
 
 
 def test_plates_that_give_their_centre_of_pressure(ezc3d, tmp_path):

@@ -5,7 +5,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from mbd_ros.core.state import Array
+from mbd_ros.jobs.inverse.cutoff import LOWEST
 from mbd_ros.jobs.inverse.spectrum import FEWEST_TELLING
+
+_FEW = 256  # samples in which noise may hide
 
 
 def cutoff_lines(cutoff: Array, names: Sequence[str], chosen: bool, samples: int) -> Iterator[str]:
@@ -25,9 +28,19 @@ def cutoff_lines(cutoff: Array, names: Sequence[str], chosen: bool, samples: int
         if cutoff[high] > cutoff[low]:
             span += f" ({names[low]}) to {cutoff[high]:.3g} Hz ({names[high]})"
         yield f"zero-phase derivatives: low-pass of half power at {span}, {source}"
+    lowest = [name for name, f in zip(names, cutoff, strict=True) if chosen and f <= LOWEST]
+    if lowest:
+        yield (
+            f"warning: zero-phase derivatives: {LOWEST:g} Hz is the lowest cut-off that is chosen; "
+            "where a recording is short or noisy, motion above it is lost: compare with --cutoff: "
+            f"{', '.join(lowest)}"
+        )
     sharp = [name for name, f in zip(names, cutoff, strict=True) if np.isinf(f)]
     if sharp:
         why = "no noise is found" if chosen else "the sampling rate is too low for that cut-off"
         if chosen and samples < FEWEST_TELLING:
             why = f"{samples} samples are too few to tell noise from motion (--cutoff smooths)"
-        yield f"zero-phase derivatives: not smoothed, since {why}: {', '.join(sharp)}"
+        elif chosen and samples < _FEW:
+            why = f"no noise is found in {samples} samples, few to see it in (--cutoff smooths)"
+        warning = "warning: " * (chosen and samples < _FEW)
+        yield f"{warning}zero-phase derivatives: not smoothed, since {why}: {', '.join(sharp)}"
