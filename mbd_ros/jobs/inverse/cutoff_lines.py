@@ -31,9 +31,9 @@ def cutoff_lines(cutoff: Array, names: Sequence[str], chosen: bool, samples: int
     lowest = [name for name, f in zip(names, cutoff, strict=True) if chosen and f <= LOWEST]
     if lowest:
         yield (
-            f"warning: zero-phase derivatives: {LOWEST:g} Hz is the lowest cut-off that is chosen; "
-            "where a recording is short or noisy, motion above it is lost: compare with --cutoff: "
-            f"{', '.join(lowest)}"
+            f"warning: zero-phase derivatives: {LOWEST:g} Hz is the lowest cut-off that is chosen "
+            f"({', '.join(lowest)}); where a recording is short or noisy, motion above it is "
+            "lost: compare with --cutoff"
         )
     sharp = [name for name, f in zip(names, cutoff, strict=True) if np.isinf(f)]
     if sharp:
