@@ -15,7 +15,7 @@ from mbd_ros.jobs.kinematics.capture import Capture
 
 _AS_RECORDED = "x,y,z"
 _WIDE = 0.1  # of the size of the cloud of markers: misses that ask for a reason
-_TIE = 1.05  # of the smallest misses: as good
+_AS_GOOD = 1.05  # of the smallest misses: as good
 _EXPLAINS = 0.2  # of the misses: what is left with the right axes
 
 
@@ -78,7 +78,7 @@ def _best(solver: MarkerKinematics, start: Array, seen: Seen, there: Bools) -> t
         fit = solver.first(start, seen._replace(places=places))
         found.append((_rms(fit.misses[0, there]), float(np.abs(fit.q[0] - start).sum()), axes))
     least = min(found)[0]
-    after, _, axes = min((one for one in found if one[0] <= _TIE * least), key=lambda one: one[1])
+    after, _, axes = min((one for one in found if one[0] <= _AS_GOOD * least), key=lambda one: one[1])
     return axes, after
 
 
