@@ -78,7 +78,8 @@ def _best(solver: MarkerKinematics, start: Array, seen: Seen, there: Bools) -> t
         fit = solver.first(start, seen._replace(places=places))
         found.append((_rms(fit.misses[0, there]), float(np.abs(fit.q[0] - start).sum()), axes))
     least = min(found)[0]
-    after, _, axes = min((one for one in found if one[0] <= _AS_GOOD * least), key=lambda one: one[1])
+    good = [one for one in found if one[0] <= _AS_GOOD * least]
+    after, _, axes = min(good, key=lambda one: one[1])
     return axes, after
 
 
