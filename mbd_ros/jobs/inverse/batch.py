@@ -32,6 +32,7 @@ class Batch(NamedTuple):
         topic: JointState topic of bags.
         parts: Also write the torques by cause.
         bounds: Keep the bounds of efforts and multipliers.
+        power: Also write the powers.
         scheduler: Of a Dask cluster; None for processes of this machine.
         workers: How many processes; None for one a core.
     """
@@ -48,6 +49,7 @@ class Batch(NamedTuple):
     topic: str
     parts: bool
     bounds: bool
+    power: bool
     scheduler: str | None
     workers: int | None
 
@@ -100,7 +102,7 @@ def _inverse(batch: Batch, say: Say) -> None:
     (motion,) = batch.motions
     between = None if batch.time_range is None else (batch.time_range[0], batch.time_range[1])
     (external,) = externals_of(batch.external, len(batch.motions))
-    more = batch.topic, batch.parts, batch.bounds, external, between
+    more = batch.topic, batch.parts, batch.bounds, external, between, batch.power
     asked = Task(motion, derivatives, batch.wrenches, *more)
     inverse_to(load_scene(batch.scene), asked, batch.out, say)
 

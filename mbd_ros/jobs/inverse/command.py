@@ -25,6 +25,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="efforts within the limits of actuators, stops and friction within their laws",
     )
+    parser.add_argument(
+        "--power",
+        action="store_true",
+        help="also powers of joints, parts and segments, and their balance",
+    )
     add_workers(parser)
 
 

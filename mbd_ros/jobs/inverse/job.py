@@ -16,6 +16,7 @@ from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.inverse import loops, open_chains
 from mbd_ros.jobs.inverse.commands import commands_of
 from mbd_ros.jobs.inverse.derivatives import Derivatives
+from mbd_ros.jobs.inverse.explained import power_columns
 from mbd_ros.jobs.inverse.observed import Observed, Task, loads_of_laboratory, observe_motion
 from mbd_ros.jobs.inverse.open_chains import Violations
 from mbd_ros.jobs.inverse.outcome import about_result, check_finite
@@ -40,6 +41,7 @@ def inverse(
     topic: str = "/joint_states",
     parts: bool = False,
     bounds: bool = False,
+    power: bool = False,
     say: Say | None = None,
     progress: Watch = False,
 ) -> Result:
@@ -58,6 +60,7 @@ def inverse(
         parts: Also give the torque components (gravity, coriolis, inertial, external).
         bounds: Efforts keep the limits of their actuators; stops, dry friction and limited
             drives are unknowns that keep their law, not parts of the efforts.
+        power: Also give the powers of joints, parts and segments, their sums and their balance.
         say: Is called with each line for people; without it the lines are
             `metadata["remarks"]`.
         progress: True for a line on a terminal, or a function of a label and a share.
@@ -77,7 +80,7 @@ def inverse(
     remarks: list[str] = []
     with watching(progress):
         loads = None if external is None else Path(external)
-        task = Task(motion, chosen, wrenches, topic, parts, bounds, loads, time_range)
+        task = Task(motion, chosen, wrenches, topic, parts, bounds, loads, time_range, power)
         result = run_inverse(scene, task, say or remarks.append)
     if say is None:
         result.metadata["remarks"] = remarks
@@ -131,12 +134,16 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     where = name_of(task.motion)
     for text in scene.robot.doubts:
         say(f"warning: {text}")
+    given = set(scene.wrenches)
     scene, known = _known_contacts(scene, task, say)
     observed = observe_motion(scene, task, say, external)
     samples = observed.samples
     scene, wrenches = _with_contacts(scene, known, observed)
-    asked = task.bounds if way is loops else task.parts
-    columns, remarks = way.solve(scene, where, samples, wrenches, asked)
+    columns, remarks, explained = way.solve(scene, where, samples, wrenches, task)
+    if task.power:
+        contacts = {one for one in scene.wrenches if one not in given}
+        powers, text = power_columns(scene, explained, wrenches, contacts)
+        columns, remarks = [*columns, *powers], [*remarks, text]
     table = Table([*time_columns(samples.stamps), *columns])
     check_finite(where, table)
     with about(where), np.errstate(over="ignore", invalid="ignore"):

@@ -8,7 +8,8 @@ import numpy as np
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.estimation.torque_estimator import Observations
-from mbd_ros.core.inverse.closed_loop import _Problem
+from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.inverse.power_balance import Exerted
 from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.kinematics import Kinematics
@@ -28,6 +29,8 @@ from mbd_ros.jobs.columns import (
     whole_bodies,
 )
 from mbd_ros.jobs.inverse import open_chains
+from mbd_ros.jobs.inverse.explained import Explained, Way
+from mbd_ros.jobs.inverse.observed import Task
 from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
 
@@ -35,12 +38,8 @@ HAS_CAUSES = False
 
 
 def solve(
-    scene: Scene,
-    where: str,
-    samples: Observations,
-    wrenches: Sequence[Array],
-    with_bounds: bool,
-) -> tuple[list[Column], list[str]]:
+    scene: Scene, where: str, samples: Observations, wrenches: Sequence[Array], task: Task
+) -> Way:
     """Efforts and multipliers of observations.
 
     Args:
@@ -48,16 +47,17 @@ def solve(
         where: Source of the motion, for the messages.
         samples: The observations.
         wrenches: One (n, 6) array for every load of the scene.
-        with_bounds: Whether efforts and multipliers keep their bounds.
+        task: Says whether efforts and multipliers keep their bounds.
 
     Returns:
-        Columns of all joints, of the efforts and of the multipliers, and remarks.
+        Columns of all joints, of the efforts and of the multipliers, remarks, and what explains
+        the motion.
 
     Raises:
         SolveError: The mechanism cannot be assembled, or the actuators cannot produce the motion;
             names the time.
     """
-    observed = scene.inverse_dynamics(with_bounds=with_bounds)
+    observed = scene.inverse_dynamics(with_bounds=task.bounds)
     inverse, solved, states, off = observed.inverse, [], [], []
     for i, sample in enumerate(progress(samples.each(), len(samples.stamps), "solving")):
         t = sample.stamp * NANOSECOND
@@ -71,12 +71,28 @@ def solve(
         moves = x.q - measured.q, x.v - measured.v, a - given
         off.append([np.abs(move).max(initial=0.0) for move in moves])
     remarks = list(_remarks(np.max(off, axis=0), samples.stamps, solved))
-    return _columns(scene, inverse, states, solved), remarks
+    columns = _columns(scene, inverse, states, solved)
+    return Way(columns, remarks, _explained(inverse, states, solved))
+
+
+def _explained(
+    inverse: ClosedLoopInverseDynamics,
+    states: Sequence[tuple[State, Array]],
+    solved: Sequence[Torques],
+) -> Explained:
+    """Motions with what explains them."""
+
+    def motions() -> Iterator[tuple[State, Array, Exerted]]:
+        for (x, a), each in zip(states, solved, strict=True):
+            efforts = inverse.columns(x).dot(each.tau)
+            yield x, a, Exerted(efforts, each.residual, each.multipliers)
+
+    return Explained(inverse.constraints, inverse.efforts.names, len(states), motions)
 
 
 def _columns(
     scene: Scene,
-    inverse: _Problem,
+    inverse: ClosedLoopInverseDynamics,
     states: Sequence[tuple[State, Array]],
     solved: Sequence[Torques],
 ) -> list[Column]:

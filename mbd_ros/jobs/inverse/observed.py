@@ -40,6 +40,7 @@ class Task(NamedTuple):
         bounds: Keep the bounds of efforts and multipliers.
         external: External loads of a laboratory (.xml), in place of `wrenches`.
         time_range: First and last time of the samples that are solved [s]; None for all.
+        power: Also give powers and their balance.
     """
 
     motion: Source
@@ -50,6 +51,7 @@ class Task(NamedTuple):
     bounds: bool = False
     external: Path | None = None
     time_range: tuple[float, float] | None = None
+    power: bool = False
 
 
 class Observed(NamedTuple):

@@ -9,8 +9,11 @@ from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.estimation.torque_estimator import Observations
 from mbd_ros.core.inverse.inverse_dynamics import TorqueComponents
+from mbd_ros.core.inverse.power_balance import Exerted
+from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.base_motion import IndependentCoordinates
 from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import NANOSECOND, Array, State
@@ -22,6 +25,8 @@ from mbd_ros.jobs.columns import (
     joint_columns,
     output_columns,
 )
+from mbd_ros.jobs.inverse.explained import Explained, Way
+from mbd_ros.jobs.inverse.observed import Task
 from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
 
@@ -30,12 +35,8 @@ _CHUNK = 1000  # samples between two signs of progress
 
 
 def solve(
-    scene: Scene,
-    where: str,
-    samples: Observations,
-    wrenches: Sequence[Array],
-    with_parts: bool,
-) -> tuple[list[Column], list[str]]:
+    scene: Scene, where: str, samples: Observations, wrenches: Sequence[Array], task: Task
+) -> Way:
     """Torques of the independent joints, multipliers of the dependent ones, residuals of bodies.
 
     Args:
@@ -43,12 +44,15 @@ def solve(
         where: Source of the motion, for the messages.
         samples: The observations.
         wrenches: One (n, 6) array for every load of the scene.
-        with_parts: Also give the torque components.
+        task: Says whether torque components are asked for.
 
     Returns:
-        Columns of motion and torques, and no remarks.
+        Columns of motion and torques, no remarks, and what explains the motion.
     """
-    return OpenChains(scene, with_parts).columns(samples, wrenches), []
+    chains = OpenChains(scene, task.parts)
+    solved = chains.solved(samples, wrenches)
+    columns = chains.columns_of(samples, wrenches, solved)
+    return Way(columns, [], chains.explained(samples, solved))
 
 
 class OpenChains:
@@ -65,12 +69,16 @@ class OpenChains:
         self._at = IndependentCoordinates(scene.robot, self._solver.couplings)
         couplings = scene.couplings
         rows = [CouplingRows(scene.robot, couplings)] if couplings.dependent else []
-        self._showing = Showing(Kinematics(scene.robot), RowLayout(rows), scene.forces)
+        self._layout = RowLayout(rows)
+        self._showing = Showing(Kinematics(scene.robot), self._layout, scene.forces)
 
     def columns(self, samples: Observations, wrenches: Sequence[Array]) -> list[Column]:
         """Columns of the motion and the torques; arguments as those of `solve`."""
-        solver, robot, at = self._solver, self._scene.robot, self._at
-        z, v, a = samples[1:4]
+        return self.columns_of(samples, wrenches, self.solved(samples, wrenches))
+
+    def solved(self, samples: Observations, wrenches: Sequence[Array]) -> Torques:
+        """Torques of all samples; arguments as those of `solve`."""
+        solver, (z, v, a) = self._solver, samples[1:4]
         chunks = [slice(i, i + _CHUNK) for i in range(0, len(z), _CHUNK)]
         solved = [
             solver.batch(z[part], v[part], a[part], [w[part] for w in wrenches])
@@ -78,6 +86,14 @@ class OpenChains:
         ]
         tau, multipliers = (np.concatenate([each[i] for each in solved]) for i in (0, 1))
         residual = np.concatenate([each.residual.reshape(len(each.tau), -1) for each in solved])
+        return Torques(tau, multipliers, solved[0].rank, residual)
+
+    def columns_of(
+        self, samples: Observations, wrenches: Sequence[Array], solved: Torques
+    ) -> list[Column]:
+        """Columns of the motion and of torques that were found."""
+        solver, robot, at = self._solver, self._scene.robot, self._at
+        (z, v, a), (tau, multipliers, _, residual) = samples[1:4], solved[:4]
         found = {"position": z, "velocity": v, "acceleration": a, "effort": tau}
         if self._with_parts:
             found |= self._causes(samples, wrenches)
@@ -97,18 +113,39 @@ class OpenChains:
         names = TorqueComponents._fields
         return {name: np.array([c[i] for c in causes]) for i, name in enumerate(names)}
 
-    def _shown(self, samples: Observations, multipliers: Array) -> list[Column]:
-        """Columns of multipliers and of what forces show."""
-        scene, showing = self._scene, self._showing
-        robot, couplings = scene.robot, scene.couplings
-        if len(showing.numbers) == multipliers.shape[1]:
-            return output_columns(showing.numbers, multipliers)
-        u, shown = Loads(robot.model.nv, scene.forces, scene.actuators).idle, []
-        for sample, lam in zip(samples.each(), multipliers, strict=True):
+    def explained(self, samples: Observations, solved: Torques) -> Explained:
+        """The motion of all joints, and what explains it."""
+        couplings, robot = self._scene.couplings, self._scene.robot
+        rows = ConstraintRows(self._layout.blocks, robot.model.nv)
+        index = couplings.v_index
+        carried = np.isin(index, robot.base_v)
+
+        def motions() -> Iterator[tuple[State, Array, Exerted]]:
+            each = zip(self._states(samples), *solved[:2], solved.residual, strict=True)
+            for (x, a), tau, multipliers, residual in each:
+                efforts = np.zeros(robot.model.nv)
+                efforts[index] = np.where(carried, 0.0, tau)
+                yield x, a, Exerted(efforts, residual, multipliers)
+
+        return Explained(rows, couplings.independent, len(samples.stamps), motions)
+
+    def _states(self, samples: Observations) -> Iterator[tuple[State, Array]]:
+        """States and accelerations of all joints."""
+        robot, couplings = self._scene.robot, self._scene.couplings
+        for sample in samples.each():
             q, v, a = robot.neutral().copy(), np.zeros(robot.model.nv), np.zeros(robot.model.nv)
             q[couplings.q_index], v[couplings.v_index], a[couplings.v_index] = sample[1:4]
             couplings.expand(q, v, a)
-            shown.append(showing.at(State(sample.stamp * NANOSECOND, q, v), u, a, lam))
+            yield State(sample.stamp * NANOSECOND, q, v), a
+
+    def _shown(self, samples: Observations, multipliers: Array) -> list[Column]:
+        """Columns of multipliers and of what forces show."""
+        scene, showing = self._scene, self._showing
+        if len(showing.numbers) == multipliers.shape[1]:
+            return output_columns(showing.numbers, multipliers)
+        u = Loads(scene.robot.model.nv, scene.forces, scene.actuators).idle
+        pairs = zip(self._states(samples), multipliers, strict=True)
+        shown = [showing.at(x, u, a, lam) for (x, a), lam in pairs]
         return output_columns(showing.numbers, np.array(shown))
 
 

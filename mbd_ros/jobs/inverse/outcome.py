@@ -31,7 +31,8 @@ def _inputs(task: Task) -> dict[str, object]:
         "cutoff": cutoff,
         "half_width": half_width,
     }
-    return {**asked, **filters, "parts": task.parts, "bounds": task.bounds}
+    also = {name: getattr(task, name) for name in ("parts", "bounds", "power")}
+    return {**asked, **filters, **also}
 
 
 def _topics(topics: Mapping[str, object], task: Task) -> dict[str, object]:

@@ -39,7 +39,9 @@ def stream(scene: Scene, task: Task, motion: Path, out: Path, say: Say) -> int |
         a whole.
     """
     source, _, half_width = task.derivatives
-    if source not in ("causal", "zero-phase") or half_width or task.bounds or not _is_plain(scene):
+    if task.bounds or task.power or not _is_plain(scene):
+        return None
+    if source not in ("causal", "zero-phase") or half_width:
         return None
     turning = any(joint.kind == "continuous" for joint in scene.robot.joints)
     if source == "zero-phase" and turning:  # turns are counted over the whole
