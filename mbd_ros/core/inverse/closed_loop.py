@@ -3,24 +3,25 @@
     M a + h - sum J_w' w - sum f = B u + J' lam + R r
 
 with w the external wrenches, f the force terms, B the columns of the efforts u, J the rows of
-couplings and constraints, and R those of free bases. The residual r of the bases is as small as
-it can be; then come the least costly u, then the smallest lam.
+couplings, constraints and contacts of unknown force, and R those of free bases. The residual r of
+the bases is as small as it can be; then come the least costly u, then the smallest lam.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Collection, Sequence
+from functools import partial
 
 import numpy as np
-import pinocchio as pin
 
 from mbd_ros.core.dynamics.external_wrench import ExternalWrench
-from mbd_ros.core.inverse.bounded_split import within_bounds
+from mbd_ros.core.inverse.bounded_split import Wish, within_bounds
 from mbd_ros.core.inverse.consistency import check_closed, check_rates
 from mbd_ros.core.inverse.efforts import Efforts
 from mbd_ros.core.inverse.force_split import ForceSplit, Split
 from mbd_ros.core.inverse.loop_balance import LoopBalance
 from mbd_ros.core.inverse.loop_motion import LoopMotion, with_inertia
-from mbd_ros.core.inverse.reach import Reach, listed, movers
+from mbd_ros.core.inverse.loop_problem import Problem, is_at_toggle
+from mbd_ros.core.inverse.reach import Reach, listed, movers, unreachable
+from mbd_ros.core.inverse.standing import Nearness, Standing
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.inverse.unknowns import Mask, Unknowns
 from mbd_ros.core.model.couplings import Couplings
@@ -33,26 +34,7 @@ from mbd_ros.errors import SolveError
 
 _LEFT = 1.0e-6  # of the forces at work: what may stay without an actuator
 _ZERO = 1.0e-9  # the same where nothing moves and nothing acts
-_ASIDE = 0.1  # of a neighbour that tells whether a mechanism is at a toggle [rad or m]
-
-
-class _Problem(NamedTuple):
-    """The equation at one state.
-
-    Attributes:
-        split: Its factors.
-        b: Force on all joints that is to be split, shape (nv,).
-        scale: Size of the terms in it, in the metric of the split.
-        asked: Which unknowns the split has; the motion shows the others, shape (n,).
-        known: What those are: efforts, then multipliers, targets of the cost in place of those
-            that are asked for, shape (na + m,).
-    """
-
-    split: ForceSplit
-    b: Array
-    scale: float
-    asked: Mask
-    known: Array
+_NOBODY = np.zeros(0, np.bool_)
 
 
 class ClosedLoopInverseDynamics:
@@ -67,6 +49,9 @@ class ClosedLoopInverseDynamics:
     their forces, and a limited drive may exceed its limit. With bounds their rows are unknowns
     that keep their law, and efforts stay within their bounds.
 
+    Forces of contacts are unknown where they are named, and stay in their cones: features of flat
+    feet only push, so that the centre of pressure stays between them.
+
     One instance owns its Pinocchio data: not for two threads. No result depends on earlier ones.
 
     Args:
@@ -77,10 +62,15 @@ class ClosedLoopInverseDynamics:
         wrenches: External loads, in the order in which `solve` takes their values.
         forces: Force terms of the scene.
         with_bounds: Whether efforts and multipliers keep their bounds.
+        contacts: Names of contacts of unknown force; the forces of others are loads.
+        carriers: Joints that stand for a free base, see `standing.carriers`.
+        near: What counts as on the ground.
 
     Attributes:
         robot: The robot.
         couplings: Its dependent joints.
+        standing: Says which features of the contacts press; None without such contacts.
+        carriers: As given.
         efforts: Those of `Torques.tau`.
         constraints: Rows of the multipliers: couplings, then constraints in the order of the
             scene; without bounds bilateral ones and drives alone.
@@ -100,16 +90,23 @@ class ClosedLoopInverseDynamics:
         forces: Sequence[Load] = (),
         *,
         with_bounds: bool = False,
+        contacts: Collection[str] = (),
+        carriers: Sequence[str] = (),
+        near: Nearness | None = None,
     ) -> None:
         self.robot, self.couplings, self.efforts = robot, couplings, efforts
+        self.carriers = tuple(carriers)
         self.motion = LoopMotion(with_inertia(robot), couplings, constraints)
-        self._balance = LoopBalance(
-            robot, couplings, constraints, efforts, wrenches, forces, with_bounds=with_bounds
-        )
+        given, kept = (robot, couplings, constraints, efforts, wrenches, forces), with_bounds
+        self._balance = LoopBalance(*given, with_bounds=kept, contacts=contacts)
         self.constraints, self._drives = self._balance.constraints, self._balance.is_drive
-        self._unknowns = Unknowns(efforts, self.constraints, self._drives)
-        self._with_bounds, n = with_bounds, len(self._unknowns.labels)
-        self._every, self._R = np.ones(n, np.bool_), np.eye(int(robot.model.nv))[:, robot.base_v]
+        self._unknowns = Unknowns(efforts, self.constraints, self._drives, with_bounds=kept)
+        touching = self._balance.contacts
+        self.standing = Standing(robot, touching, near) if touching else None
+        self._limited = with_bounds or bool(touching)
+        carried = [*robot.base_v, *(robot.joint(name).v for name in carriers)]
+        self._every = np.ones(len(self._unknowns.labels), np.bool_)
+        self._R = np.eye(int(robot.model.nv))[:, carried]
         self._usual = usual_norms(robot, self._metric_and_columns)
 
     def consistent(self, x: State, a: Array) -> tuple[State, Array]:
@@ -121,13 +118,27 @@ class ClosedLoopInverseDynamics:
         self._balance.place(x)
         return self._balance.columns(x)
 
-    def solve(self, x: State, a: Array, wrenches: Sequence[Array] = ()) -> Torques:
+    def carried(self, found: Torques) -> Array:
+        """Generalized force that nothing exerts: the residual, on all joints, shape (nv,)."""
+        force: Array = self._R.dot(np.concatenate((found.residual, found.carried)))
+        return force
+
+    def solve(
+        self,
+        x: State,
+        a: Array,
+        wrenches: Sequence[Array] = (),
+        standing: Mask | None = None,
+        wish: Wish | None = None,
+    ) -> Torques:
         """Efforts and multipliers of one sample.
 
         Args:
             x: State of all joints, on the constraints.
             a: Acceleration of all joints that they allow [rad/s^2 or m/s^2], shape (nv,).
             wrenches: One (6,) array [N, N·m] for every load; none means unloaded.
+            standing: Which features of contacts press; None for what their geometry says.
+            wish: Of the multipliers of contacts, where these are not determined.
 
         Raises:
             SolveError: The motion is not consistent, or the efforts cannot produce it; names the
@@ -135,30 +146,38 @@ class ClosedLoopInverseDynamics:
         """
         if not all(np.isfinite(values).all() for values in (x.q, x.v, a, *wrenches)):
             raise SolveError("motion or wrenches are not finite")
-        problem = self._problem(x, a, wrenches)
+        if standing is None:
+            standing = self.standing.at(x) if self.standing else _NOBODY
+        problem = self._problem(x, a, wrenches, standing)
         split, b, accepted = problem.split, problem.b, _LEFT * problem.scale + _ZERO
         found, r = split.solve(b), np.zeros(self._R.shape[1])
         if len(r) and not found.share <= accepted:
             r = split.out_of_reach(b, self._R)
             found = split.solve(b - self._R.dot(r))
-        if found.share <= accepted and self._with_bounds:
-            found, r = self._within(problem, found, r)
+        if found.share <= accepted and self._limited:
+            found, r = self._within(problem, found, r, wish)
         if not found.share <= accepted:
-            raise SolveError(self._unreachable(found, problem, x))
+            labels = self._unknowns.labels[: self._unknowns.efforts]
+            left = movers(self.robot, found.left[:, None], self.motion.metric(x.q))
+            at_toggle = is_at_toggle(self.motion, x, split, partial(self._beside, problem.asked))
+            raise SolveError(unreachable(labels, left, found.share / problem.scale, at_toggle))
         return self._torques(problem, found, r)
 
     def reach(self, x: State) -> Reach:
         """The reach of the efforts at a state on the constraints, bounds left aside."""
         self._balance.place(x)
-        split = self._split(x, self._balance.rows(x)[0], self._every)
+        asked = self._every.copy()
+        asked[self._unknowns.of_contacts] = False
+        split = self._split(x, self._balance.rows(x)[0], asked)
         undriven = movers(self.robot, split.undriven(), self.motion.metric(x.q))
-        labels = self._undetermined(split, self._every, split.null_basis())
+        labels = self._undetermined(split, asked, split.null_basis())
         return Reach(split.freedom, split.driven, undriven, split.null_space, labels)
 
-    def _problem(self, x: State, a: Array, wrenches: Sequence[Array]) -> _Problem:
+    def _problem(self, x: State, a: Array, wrenches: Sequence[Array], standing: Mask) -> Problem:
         balance, unknowns = self._balance, self._unknowns
         balance.place(x)
-        shown = np.concatenate((np.full(len(self.efforts.names), np.nan), balance.shown(x, a)))
+        of_rows, na = balance.shown(x, a, standing), len(self.efforts.names)
+        shown = np.concatenate((np.full(na, np.nan), of_rows))
         J, drift = balance.rows(x)
         check_closed(balance, x)
         asked = np.isnan(shown)[unknowns.place]
@@ -166,34 +185,38 @@ class ClosedLoopInverseDynamics:
         inside = np.flatnonzero(~self._drives)[asked[unknowns.efforts :]]
         check_rates(balance, split, inside, (J, drift), x, a)
         known = unknowns.filled(np.nan_to_num(shown), asked, np.zeros(int(asked.sum())))
-        offset, na = np.zeros_like(a), len(self.efforts.names)
+        offset = np.zeros_like(a)
         if known.any():
             offset = J.T.dot(known[na:]) + balance.columns(x).dot(known[:na])
         terms = balance.terms(x, a, wrenches)
         b = terms.inertial + terms.bias - terms.loads - offset
         scale = sum(split.norm(term) for term in (*terms, offset) if term.any())
-        return _Problem(split, b, scale, asked, known)
+        return Problem(split, b, scale, asked, known)
 
-    def _within(self, problem: _Problem, found: Split, r: Array) -> tuple[Split, Array]:
+    def _within(
+        self, problem: Problem, found: Split, r: Array, wish: Wish | None
+    ) -> tuple[Split, Array]:
         """Efforts and multipliers within their bounds, and the residual of free bases."""
         asked, unknowns = problem.asked, self._unknowns
-        ends = unknowns.ends(asked)
-        kept = within_bounds(problem.split, problem.b, found, (self._R, r), ends)
+        limits = unknowns.limits(asked)
+        if wish is not None:
+            wish = unknowns.wished(asked, wish)
+        kept = within_bounds(problem.split, problem.b, found, (self._R, r), limits, wish)
         if kept.is_within:
             return kept.split, kept.residual
         y = np.concatenate((kept.split.efforts, kept.split.multipliers))
-        passed = np.maximum(ends[0] - y, y - ends[1]) > _LEFT * np.abs(y).max()
-        names = listed(unknowns.named(asked, passed))
+        names = listed(unknowns.named(asked, limits.passed(y, _LEFT)))
         raise SolveError(f"the bounds of {names} do not let the efforts produce this motion")
 
-    def _torques(self, problem: _Problem, found: Split, r: Array) -> Torques:
+    def _torques(self, problem: Problem, found: Split, r: Array) -> Torques:
         split, asked, na = problem.split, problem.asked, len(self.efforts.names)
         y = np.concatenate((found.efforts, found.multipliers))
         tau, multipliers = np.split(self._unknowns.filled(problem.known, asked, y), [na])
         null = split.null_basis()
         about = split.null_space, self._undetermined(split, asked, null), split.condition
         basis = self._unknowns.basis(asked, null)
-        return Torques(tau, multipliers, split.rank, r, *about, basis)
+        bases = len(self.robot.base_v)
+        return Torques(tau, multipliers, split.rank, r[:bases], *about, basis, r[bases:])
 
     def _split(self, x: State, J: Array, asked: Mask) -> ForceSplit:
         E, rows = self._columns(x, J)
@@ -215,29 +238,6 @@ class ClosedLoopInverseDynamics:
     def _undetermined(self, split: ForceSplit, asked: Mask, null: Array) -> tuple[str, ...]:
         return self._unknowns.named(asked, split.undetermined(null)) if split.null_space else ()
 
-    def _unreachable(self, found: Split, problem: _Problem, x: State) -> str:
-        names = movers(self.robot, found.left[:, None], self.motion.metric(x.q))
-        labels = self._unknowns.labels[: self._unknowns.efforts]
-        by = ", ".join(label.rpartition(".")[0] for label in labels)
-        toggle = "; the mechanism is at a toggle" if self._is_at_toggle(x, problem) else ""
-        return (
-            f"the actuators ({by or 'none'}) cannot produce this motion: "
-            f"{found.share / problem.scale:.2g} of the forces at work are without an actuator, "
-            f"along {', '.join(names)}; these need an actuator, or the motion better derivatives"
-            f"{toggle}"
-        )
-
-    def _is_at_toggle(self, x: State, problem: _Problem) -> bool:
-        """Whether neighbours on the constraints have fewer motions."""
-        for motion in problem.split.motions().T:
-            away = _ASIDE / np.abs(motion).max() * motion
-            q = pin.integrate(self.robot.model, x.q, away)
-            try:
-                beside = State(x.t, self.motion.start(x._replace(q=q)), 0.0 * x.v)
-            except SolveError:
-                continue
-            self._balance.place(beside)
-            split = self._split(beside, self._balance.rows(beside)[0], problem.asked)
-            if split.freedom < problem.split.freedom:
-                return True
-        return False
+    def _beside(self, asked: Mask, x: State) -> ForceSplit:
+        self._balance.place(x)
+        return self._split(x, self._balance.rows(x)[0], asked)

@@ -1,6 +1,7 @@
 """Equation of motion of a mechanism with loops at one state."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -50,8 +51,8 @@ class LoopBalance:
         couplings: Its dependent joints; they become rows.
         constraints: Constraints of the scene.
         efforts: The unknown inputs.
-        with_bounds: Whether rows that give way are among the unknowns; drives always are, the
-            cones of contacts never.
+        with_bounds: Whether rows that give way are among the unknowns; drives always are.
+        contacts: Names of contacts whose forces are unknown; those of others are loads.
         wrenches: External loads.
         forces: Force terms.
 
@@ -59,6 +60,7 @@ class LoopBalance:
         constraints: The rows: couplings, then constraints in the order of the scene.
         is_drive: Which rows are drives, shape (m,).
         is_held: Which rows the motion must keep, shape (m,).
+        contacts: The contacts of unknown forces, in the order of their rows.
 
     Raises:
         ModelError: A law of multipliers that has no bounds in numbers.
@@ -74,17 +76,28 @@ class LoopBalance:
         forces: Sequence[Load] = (),
         *,
         with_bounds: bool = False,
+        contacts: Collection[str] = (),
     ) -> None:
         coupled: list[Constraint] = [CouplingRows(robot, couplings)] if couplings.dependent else []
         layout, kinds = RowLayout([*coupled, *constraints]), {Kind.BILATERAL, Kind.DRIVE}
         if with_bounds:
-            kinds = {*Kind} - {Kind.CONE}  # forces of contacts are loads, where they are known
-        known = layout.having(*kinds)
+            kinds = {*Kind} - {Kind.CONE}
+        known = [
+            block
+            for block in layout.blocks
+            if block.law.kind in kinds
+            or (block.law.kind is Kind.CONE and block.part.name in contacts)
+        ]
         _check_bounds(known)
         self.constraints = ConstraintRows(known, robot.model.nv)
         self.is_drive = _of_kind(self.constraints, Kind.DRIVE)
         self.is_held = _of_kind(self.constraints, Kind.BILATERAL)
-        self._gives_way = ~(self.is_drive | self.is_held)
+        of_contacts = _of_kind(self.constraints, Kind.CONE)
+        self._gives_way = ~(self.is_drive | self.is_held | of_contacts)
+        self._of_contacts = np.flatnonzero(of_contacts)
+        self.contacts = tuple(b.part for b in known if b.law.kind is Kind.CONE)
+        for _, slots, _, _ in self.constraints.cones:  # tangents have no bounds of their own
+            self.constraints.lower[slots], self.constraints.upper[slots] = (0.0, -inf, -inf), inf
         self._model, self._data = robot.model, pin.Data(robot.model)
         self._forces, self._loads = tuple(forces), BodyLoads(robot, wrenches)
         self._k = Kinematics(robot, self._data)
@@ -104,14 +117,20 @@ class LoopBalance:
         """J and drift of all rows, (m, nv) and (m,), overwritten by the next call."""
         return self.constraints.accelerations(self._k, x)
 
-    def shown(self, x: State, a: Array) -> Array:
+    def shown(self, x: State, a: Array, standing: NDArray[np.bool_]) -> Array:
         """Multipliers that the motion shows, NaN where it does not, shape (m,).
 
         A row that gives way holds w = g'' + kd g' + kp g = 0 inside its bounds; where w > 0 its
         multiplier is at the lower one, where w < 0 at the upper one. So does an open stop exert
         nothing, and friction that slips all it can.
+
+        Args:
+            x: State of all joints.
+            a: Acceleration of all joints, shape (nv,).
+            standing: Which features of contacts may press; the others exert nothing.
         """
         lam = np.full(len(self._gives_way), np.nan)
+        lam[self._of_contacts[np.repeat(~standing, 3)]] = 0.0
         if not self._gives_way.any():
             return lam
         if self.constraints.varies:

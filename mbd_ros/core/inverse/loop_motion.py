@@ -141,6 +141,10 @@ class LoopMotion:
         names = (self._names[int(v)] for v in free[share > SINGULAR])
         return tuple(dict.fromkeys(names))
 
+    def moved(self, q: Array, step: Array) -> Array:
+        """A configuration after a step in the tangent, shape (nq,)."""
+        return self._system.chart.integrate(q, step)
+
     def start(self, x: State) -> Array:
         """Configuration on the constraints nearest to that of a state.
 

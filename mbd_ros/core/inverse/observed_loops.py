@@ -43,7 +43,6 @@ class ObservedLoops:
         self._is_kept = np.zeros(len(self.rows), dtype=np.bool_)
         for part, mine in zip(constraints.parts, constraints.slices, strict=True):
             self._is_kept[mine] = part.law.kind is Kind.BILATERAL
-        self._base = inverse.robot.base_v
         self.needed: tuple[str, ...] = ()
 
     def measured(
@@ -90,7 +89,7 @@ class ObservedLoops:
         found = self.inverse.solve(x, a, wrenches)
         B, n = self.inverse.columns(x), len(found.tau)
         tau = B.dot(found.tau)
-        tau[self._base] = found.residual
+        tau += self.inverse.carried(found)
         reduced, _ = self.couplings.reduce(tau, self._slopes)
         nothing, _ = self.couplings.reduce(B.dot(found.null_basis[:n]), self._slopes)
         basis = np.concatenate((nothing, found.null_basis[n:]))

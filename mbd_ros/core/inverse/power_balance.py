@@ -38,7 +38,7 @@ class Exerted(NamedTuple):
 
     Attributes:
         efforts: Generalized force of the actuators on all joints [N·m or N], shape (nv,).
-        residual: Of the free bases, six each, as in `Torques`.
+        residual: What nothing carries, on all joints [N·m or N], shape (nv,).
         multipliers: Of the rows, shape (m,).
     """
 
@@ -79,7 +79,7 @@ class PowerBalance:
         forces: Sequence[Load] = (),
         contacts: Collection[str] = (),
     ) -> None:
-        self._k, self._rows, self._base = Kinematics(robot), constraints, robot.base_v
+        self._k, self._rows = Kinematics(robot), constraints
         self._wrenches, self._forces = tuple(wrenches.values()), tuple(forces)
         self._loads, self._segments = BodyLoads(robot, self._wrenches), SegmentPower(robot)
         self._armature = np.array(robot.model.armature)
@@ -126,7 +126,7 @@ class PowerBalance:
         sums[GROUPS.index("efforts")] += found.efforts.dot(x.v)
         sums[GROUPS.index("couplings")] += ties
         sums[GROUPS.index("gravity")] = bodies.gravity.sum()
-        sums[GROUPS.index("unexplained")] = found.residual.dot(x.v[self._base])
+        sums[GROUPS.index("unexplained")] = found.residual.dot(x.v)
         rotors = self._armature * x.v
         rate = float(bodies.rate.sum() + rotors.dot(a))
         tied = found.multipliers[: len(self._tied)] * x.v[self._tied]

@@ -39,6 +39,26 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_LISTED]) + (f" and {rest} more" if rest > 0 else "")
 
 
+def unreachable(
+    labels: Sequence[str], joints: Sequence[str], share: float, at_toggle: bool
+) -> str:
+    """Message for a motion that efforts cannot produce.
+
+    Args:
+        labels: `<effort>.effort` of all.
+        joints: Those that move in what is left.
+        share: Of the forces at work that is left.
+        at_toggle: Whether the mechanism is at a toggle.
+    """
+    by = ", ".join(label.rpartition(".")[0] for label in labels) or "none"
+    toggle = "; the mechanism is at a toggle" if at_toggle else ""
+    return (
+        f"the actuators ({by}) cannot produce this motion: {share:.2g} of the forces at work are "
+        f"without an actuator, along {', '.join(joints)}; these need an actuator, or the motion "
+        f"better derivatives{toggle}"
+    )
+
+
 def movers(robot: Robot, directions: Array, M: Array) -> tuple[str, ...]:
     """Joints that carry most of some motions by kinetic energy, equal ones in the robot's order.
 

@@ -33,6 +33,7 @@ class Torques(NamedTuple):
             without loops.
         null_basis: Entries of tau, then of multipliers, that together exert nothing, one
             combination a column, shape (.., null_space); size 0 without loops.
+        carried: The same as the residual for joints that stand for a free base [N·m or N].
     """
 
     tau: Array
@@ -43,6 +44,7 @@ class Torques(NamedTuple):
     undetermined: tuple[str, ...] = ()
     condition: float = 1.0
     null_basis: Array = NO_BASIS
+    carried: Array = NONE
 
 
 class SampleSolver(Protocol):

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from mbd_ros.errors import DataError
 from mbd_ros.jobs.inverse.derivatives import Derivatives
-from mbd_ros.jobs.inverse.job import inverse_to
+from mbd_ros.jobs.inverse.job import inverse_to, stance_of
 from mbd_ros.jobs.inverse.observed import Task
 from mbd_ros.jobs.inverse.wrenches import refuse_unused
 from mbd_ros.jobs.lines import Say
@@ -33,6 +33,9 @@ class Batch(NamedTuple):
         parts: Also write the torques by cause.
         bounds: Keep the bounds of efforts and multipliers.
         power: Also write the powers.
+        stance: What decides on forces of contacts that nobody measured; None takes 0 for them.
+        stance_gap: Largest gap of what is on the ground [-]; None: the default of `Nearness`.
+        stance_speed: Largest speed of it along the normal [-]; likewise.
         scheduler: Of a Dask cluster; None for processes of this machine.
         workers: How many processes; None for one a core.
     """
@@ -50,6 +53,9 @@ class Batch(NamedTuple):
     parts: bool
     bounds: bool
     power: bool
+    stance: str | None
+    stance_gap: float | None
+    stance_speed: float | None
     scheduler: str | None
     workers: int | None
 
@@ -103,7 +109,8 @@ def _inverse(batch: Batch, say: Say) -> None:
     between = None if batch.time_range is None else (batch.time_range[0], batch.time_range[1])
     (external,) = externals_of(batch.external, len(batch.motions))
     more = batch.topic, batch.parts, batch.bounds, external, between, batch.power
-    asked = Task(motion, derivatives, batch.wrenches, *more)
+    stance = stance_of(batch.stance, batch.stance_gap, batch.stance_speed)
+    asked = Task(motion, derivatives, batch.wrenches, *more, stance)
     inverse_to(load_scene(batch.scene), asked, batch.out, say)
 
 

@@ -30,7 +30,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="also powers of joints, parts and segments, and their balance",
     )
+    add_stance(parser)
     add_workers(parser)
+
+
+def add_stance(parser: argparse.ArgumentParser) -> None:
+    """Feet on the ground without a force plate."""
+    parser.add_argument(
+        "--stance",
+        choices=("minimum-norm", "smooth"),
+        help="forces of contacts that nobody measured are unknowns; where the motion leaves them "
+        "open: the least efforts, or the smooth transition of walking between two feet",
+    )
+    parser.add_argument(
+        "--stance-gap",
+        type=float,
+        help="largest gap on the ground, as a multiple of the size (default: 0.001)",
+    )
+    parser.add_argument(
+        "--stance-speed",
+        type=float,
+        help="largest speed along the normal on the ground, of sqrt(g size) (default: 0.02)",
+    )
 
 
 def add_motions(parser: argparse.ArgumentParser) -> None:

@@ -26,6 +26,7 @@ from mbd_ros.scene.built_scene import Scene
 
 if TYPE_CHECKING:
     from mbd_ros.jobs.inverse.contact_forces import KnownContact
+    from mbd_ros.jobs.inverse.ground import Ground, StanceTask
 
 
 def inverse(
@@ -42,6 +43,9 @@ def inverse(
     parts: bool = False,
     bounds: bool = False,
     power: bool = False,
+    stance: str | None = None,
+    stance_gap: float | None = None,
+    stance_speed: float | None = None,
     say: Say | None = None,
     progress: Watch = False,
 ) -> Result:
@@ -61,6 +65,10 @@ def inverse(
         bounds: Efforts keep the limits of their actuators; stops, dry friction and limited
             drives are unknowns that keep their law, not parts of the efforts.
         power: Also give the powers of joints, parts and segments, their sums and their balance.
+        stance: `minimum-norm` or `smooth`: forces of contacts that nobody measured are unknowns,
+            and this decides where the motion does not; None takes 0 for them.
+        stance_gap: Largest gap of what is on the ground, as a multiple of the size L [-].
+        stance_speed: Largest speed of it along the normal, as a multiple of sqrt(g L) [-].
         say: Is called with each line for people; without it the lines are
             `metadata["remarks"]`.
         progress: True for a line on a terminal, or a function of a label and a share.
@@ -78,9 +86,12 @@ def inverse(
     """
     chosen = Derivatives(derivatives, cutoff, half_width)
     remarks: list[str] = []
+    asked = stance_of(stance, stance_gap, stance_speed)
     with watching(progress):
         loads = None if external is None else Path(external)
-        task = Task(motion, chosen, wrenches, topic, parts, bounds, loads, time_range, power)
+        task = Task(
+            motion, chosen, wrenches, topic, parts, bounds, loads, time_range, power, asked
+        )
         result = run_inverse(scene, task, say or remarks.append)
     if say is None:
         result.metadata["remarks"] = remarks
@@ -121,6 +132,19 @@ def _in_pieces(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
     return stream(scene, task, task.motion, out, say)
 
 
+def stance_of(method: str | None, gap: float | None, speed: float | None) -> "StanceTask | None":
+    """What is asked of feet on the ground; None for nothing.
+
+    Raises:
+        DataError: Names the option and what is accepted.
+    """
+    if method is gap is speed is None:
+        return None
+    from mbd_ros.jobs.inverse.ground import stance_task  # only where something touches
+
+    return stance_task(method, gap, speed)
+
+
 def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     """See `inverse`."""
     external = loads_of_laboratory(scene, task)
@@ -128,18 +152,23 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
         scene = external.scene
         for text in external.remarks:
             say(text)
-    way = loops if scene.has_loops or task.bounds else open_chains
-    if task.parts and not way.HAS_CAUSES:
-        raise DataError(f"{scene.name}: --parts goes with scenes without loops and --bounds only")
     where = name_of(task.motion)
     for text in scene.robot.doubts:
         say(f"warning: {text}")
     given = set(scene.wrenches)
-    scene, known = _known_contacts(scene, task, say)
+    scene, known, ground = _known_contacts(scene, task, say)
+    has_loops = scene.has_loops or task.bounds or ground is not None
+    if task.parts and has_loops:
+        raise DataError(f"{scene.name}: --parts goes with scenes without loops and --bounds only")
     observed = observe_motion(scene, task, say, external)
     samples = observed.samples
     scene, wrenches = _with_contacts(scene, known, observed)
-    columns, remarks, explained = way.solve(scene, where, samples, wrenches, task)
+    if has_loops:
+        if ground is not None:
+            ground = ground.with_states(scene, task.motion, observed)
+        columns, remarks, explained = loops.solve(scene, where, samples, wrenches, task, ground)
+    else:
+        columns, remarks, explained = open_chains.solve(scene, where, samples, wrenches, task)
     if task.power:
         contacts = {one for one in scene.wrenches if one not in given}
         powers, text = power_columns(scene, explained, wrenches, contacts)
@@ -159,16 +188,29 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
         for text in unexplained(observed.motion, table, observed.cutoff):
             say(text)
     done = task._replace(derivatives=observed.derivatives)
-    return Result({MAIN: table}, about_result(scene, done, way.topics(scene)))
+    contacts = () if ground is None else ground.contacts
+    topics = loops.topics(scene, contacts) if has_loops else open_chains.topics(scene)
+    return Result({MAIN: table}, about_result(scene, done, topics))
 
 
-def _known_contacts(scene: Scene, task: Task, say: Say) -> "tuple[Scene, list[KnownContact]]":
-    """Contacts whose forces the motion carries, and the scene without those that need them."""
+def _known_contacts(
+    scene: Scene, task: Task, say: Say
+) -> "tuple[Scene, list[KnownContact], Ground | None]":
+    """The scene, contacts whose forces the motion carries, and those of unknown force."""
     if not scene.parts.get("contacts"):
-        return scene, []
+        if task.stance is not None:
+            raise DataError(f"{scene.name}: --stance goes with scenes with rigid contacts")
+        return scene, [], None
     from mbd_ros.jobs.inverse.contact_forces import known_contacts  # only where something touches
 
-    return known_contacts(scene, task.motion, task.topic, say)
+    tell = say if task.stance is None else lambda text: None
+    scene, known = known_contacts(scene, task.motion, task.topic, tell)
+    if task.stance is None:
+        return scene, known, None
+    from mbd_ros.jobs.inverse.ground import ground_of
+
+    ground = ground_of(scene, task.stance, [one.name for one in known], say)
+    return scene, known, ground if ground.contacts else None
 
 
 def _with_contacts(

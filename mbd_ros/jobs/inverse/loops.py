@@ -1,7 +1,8 @@
 """Efforts and multipliers of recorded motions of mechanisms with loops."""
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -34,11 +35,18 @@ from mbd_ros.jobs.inverse.observed import Task
 from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
 
-HAS_CAUSES = False
+if TYPE_CHECKING:
+    from mbd_ros.core.inverse.bounded_split import Wish
+    from mbd_ros.jobs.inverse.ground import Ground
 
 
 def solve(
-    scene: Scene, where: str, samples: Observations, wrenches: Sequence[Array], task: Task
+    scene: Scene,
+    where: str,
+    samples: Observations,
+    wrenches: Sequence[Array],
+    task: Task,
+    ground: "Ground | None" = None,
 ) -> Way:
     """Efforts and multipliers of observations.
 
@@ -48,6 +56,7 @@ def solve(
         samples: The observations.
         wrenches: One (n, 6) array for every load of the scene.
         task: Says whether efforts and multipliers keep their bounds.
+        ground: Contacts of unknown force.
 
     Returns:
         Columns of all joints, of the efforts and of the multipliers, remarks, and what explains
@@ -57,20 +66,35 @@ def solve(
         SolveError: The mechanism cannot be assembled, or the actuators cannot produce the motion;
             names the time.
     """
-    observed = scene.inverse_dynamics(with_bounds=task.bounds)
-    inverse, solved, states, off = observed.inverse, [], [], []
-    for i, sample in enumerate(progress(samples.each(), len(samples.stamps), "solving")):
+    contacts = {} if ground is None else {"contacts": ground.contacts, "near": ground.task.near}
+    observed = scene.inverse_dynamics(with_bounds=task.bounds, **contacts)
+    inverse, states, off = observed.inverse, [], []
+    for sample in samples.each():
         t = sample.stamp * NANOSECOND
         measured, given = observed.measured(t, *sample[1:4])
-        try:
+        with _said(where, t):
             x, a = inverse.consistent(measured, given)
-            solved.append(inverse.solve(x, a, [load[i] for load in wrenches]))
-        except SolveError as error:
-            raise SolveError(f"{where}: at {t:.9g} s: {error}") from error
         states.append((x, a))
         moves = x.q - measured.q, x.v - measured.v, a - given
         off.append([np.abs(move).max(initial=0.0) for move in moves])
+    standing = None
+    if ground is not None:
+        from mbd_ros.jobs.inverse.ground import smooth_transitions, stance_lines, standing_in
+
+        standing = standing_in(inverse, ground, states)
+
+    def solved_at(i: int, wish: "Wish | None" = None) -> Torques:
+        here = None if standing is None else standing[i]
+        with _said(where, states[i][0].t):
+            return inverse.solve(*states[i], [load[i] for load in wrenches], here, wish)
+
+    solved = [solved_at(i) for i in progress(range(len(states)), len(states), "solving")]
     remarks = list(_remarks(np.max(off, axis=0), samples.stamps, solved))
+    if ground is not None and standing is not None:
+        passed = 0
+        if ground.task.method == "smooth":
+            passed = smooth_transitions(inverse, states, standing, solved, solved_at)
+        remarks += stance_lines(inverse, ground, standing, solved, passed)
     columns = _columns(scene, inverse, states, solved)
     return Way(columns, remarks, _explained(inverse, states, solved))
 
@@ -85,7 +109,7 @@ def _explained(
     def motions() -> Iterator[tuple[State, Array, Exerted]]:
         for (x, a), each in zip(states, solved, strict=True):
             efforts = inverse.columns(x).dot(each.tau)
-            yield x, a, Exerted(efforts, each.residual, each.multipliers)
+            yield x, a, Exerted(efforts, inverse.carried(each), each.multipliers)
 
     return Explained(inverse.constraints, inverse.efforts.names, len(states), motions)
 
@@ -118,9 +142,18 @@ def _columns(
     ]
 
 
-def topics(scene: Scene) -> dict[str, Any]:
+@contextmanager
+def _said(where: str, t: float) -> Iterator[None]:
+    """Errors of a sample name source and time."""
+    try:
+        yield
+    except SolveError as error:
+        raise SolveError(f"{where}: at {t:.9g} s: {error}") from error
+
+
+def topics(scene: Scene, contacts: Collection[str] = ()) -> dict[str, Any]:
     """Topics of a bag, see `files.bag_streams`."""
-    rows = scene.closed_loop().constraints.rows
+    rows = scene.closed_loop(contacts=contacts).constraints.rows
     states = state_topics(scene.robot, ("position", "velocity"))
     return {**open_chains.topics(scene), **force_topic(rows), **states}
 

@@ -23,6 +23,7 @@ from mbd_ros.scene.built_scene import Scene
 
 if TYPE_CHECKING:
     from mbd_ros.jobs.inverse.external import ExternalLoads
+    from mbd_ros.jobs.inverse.ground import StanceTask
 
 _NEAR = 0.01  # steps of the motion: times that were resampled are a little off
 
@@ -41,6 +42,7 @@ class Task(NamedTuple):
         external: External loads of a laboratory (.xml), in place of `wrenches`.
         time_range: First and last time of the samples that are solved [s]; None for all.
         power: Also give powers and their balance.
+        stance: Forces of contacts that nobody measured are unknowns; None for none of them.
     """
 
     motion: Source
@@ -52,6 +54,7 @@ class Task(NamedTuple):
     external: Path | None = None
     time_range: tuple[float, float] | None = None
     power: bool = False
+    stance: "StanceTask | None" = None
 
 
 class Observed(NamedTuple):

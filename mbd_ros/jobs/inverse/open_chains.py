@@ -30,7 +30,6 @@ from mbd_ros.jobs.inverse.observed import Task
 from mbd_ros.jobs.progress import progress
 from mbd_ros.scene.built_scene import Scene
 
-HAS_CAUSES = True
 _CHUNK = 1000  # samples between two signs of progress
 
 
@@ -121,10 +120,12 @@ class OpenChains:
         carried = np.isin(index, robot.base_v)
 
         def motions() -> Iterator[tuple[State, Array, Exerted]]:
-            each = zip(self._states(samples), *solved[:2], solved.residual, strict=True)
-            for (x, a), tau, multipliers, residual in each:
-                efforts = np.zeros(robot.model.nv)
-                efforts[index] = np.where(carried, 0.0, tau)
+            each = zip(self._states(samples), *solved[:2], strict=True)
+            for (x, a), tau, multipliers in each:
+                efforts, residual = np.zeros(robot.model.nv), np.zeros(robot.model.nv)
+                efforts[index], residual[index] = np.where(
+                    carried, (0.0 * tau, tau), (tau, 0.0 * tau)
+                )
                 yield x, a, Exerted(efforts, residual, multipliers)
 
         return Explained(rows, couplings.independent, len(samples.stamps), motions)

@@ -32,7 +32,8 @@ def _inputs(task: Task) -> dict[str, object]:
         "half_width": half_width,
     }
     also = {name: getattr(task, name) for name in ("parts", "bounds", "power")}
-    return {**asked, **filters, **also}
+    stance = None if task.stance is None else task.stance.method
+    return {**asked, **filters, **also, "stance": stance}
 
 
 def _topics(topics: Mapping[str, object], task: Task) -> dict[str, object]:

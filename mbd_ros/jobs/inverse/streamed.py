@@ -39,7 +39,7 @@ def stream(scene: Scene, task: Task, motion: Path, out: Path, say: Say) -> int |
         a whole.
     """
     source, _, half_width = task.derivatives
-    if task.bounds or task.power or not _is_plain(scene):
+    if task.bounds or task.power or task.stance or not _is_plain(scene):
         return None
     if source not in ("causal", "zero-phase") or half_width:
         return None
