@@ -12,6 +12,8 @@ from mbd_ros.core.state import Array
 
 _FREE = -np.inf, np.inf
 _KEPT = 1.0e-9  # of the largest force, by which a cone may be passed
+_PASSED = 1.0e-7  # the same, where nothing better is found
+_SAME = 0.999  # cosine of the angle between planes that nearly are one
 _CUTS = 25  # planes that touch a cone; an angle between two of them is squared each time
 
 
@@ -159,20 +161,29 @@ def _least(
     before = 1 if first else 0
     wished = [slice(n, n + len(S))] if len(S) else []
     order = [*groups[:before], *wished, *groups[before:]]
-    cuts = np.zeros((0, n))
+    cuts, margin = np.zeros((0, n)), _PASSED if len(limits.mu) else 0.0
     best = Least(z, False)
     for _ in range(_CUTS):
-        cuts = np.concatenate((cuts, limits.cuts(best.z)))
+        cuts = _with_new(cuts, limits.cuts(best.z))
         more = np.concatenate((S, cuts))
         values = np.concatenate((z, S.dot(z) - target, cuts.dot(z)))
         free, planes = np.full(len(S), np.inf), len(cuts)
         lower = np.concatenate((limits.lower, -free, np.zeros(planes)))
         upper = np.concatenate((limits.upper, free, np.full(planes, np.inf)))
-        found = least_in_bounds(values, np.concatenate((N, more.dot(N))), order, lower, upper)
+        directions = np.concatenate((N, more.dot(N)))
+        found = least_in_bounds(values, directions, order, lower, upper, margin)
         best = Least(found.z[:n], found.is_within)
         if not (found.is_within and len(limits.mu)) or limits.keeps(best.z):
             return best
     return best
+
+
+def _with_new(cuts: Array, new: Array) -> Array:
+    """All planes, without those that new ones nearly repeat: two of these fix the edge badly."""
+    sizes = np.linalg.norm(cuts, axis=1)[:, None] * np.linalg.norm(new, axis=1)
+    repeated = (cuts.dot(new.T) > _SAME * sizes).any(axis=1)
+    kept: Array = np.concatenate((cuts[~repeated], new))
+    return kept
 
 
 def _directions(split: ForceSplit) -> Array:

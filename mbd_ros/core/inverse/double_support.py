@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
 
+_INSIDE = 0.9  # of the friction that a normal force bears: the corners of a foot differ
 _AHEAD = math.exp(4.0 / 9.0), math.exp(-4.0 / 3.0) / 2.0
 
 
@@ -73,6 +74,25 @@ def kept_force(force: Array, way: Array, share: float) -> Array:
     ahead = way.dot(force) * way
     kept: Array = along * ahead + across * (force - ahead)
     return kept
+
+
+def possible_force(kept: Array, total: Array, normal: Array, mu: float) -> Array:
+    """The kept force, so that the rest of the total is one that the ground can exert.
+
+    Args:
+        kept: On the trailing foot [N], shape (3,).
+        total: On all feet, shape (3,).
+        normal: Of the ground below the others, of length 1, shape (3,).
+        mu: Coefficient of friction there.
+    """
+    rest = total - kept
+    push = max(float(normal.dot(rest)), 0.0)
+    along = rest - normal.dot(rest) * normal
+    most, length = _INSIDE * mu * push, float(np.linalg.norm(along))
+    if length > most:
+        along *= most / length
+    possible: Array = total - push * normal - along
+    return possible
 
 
 def direction_of_way(places: Sequence[Array], gravity: Array) -> Array:

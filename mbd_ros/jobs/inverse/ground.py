@@ -15,12 +15,13 @@ from mbd_ros.core.inverse.double_support import (
     direction_of_way,
     double_supports,
     kept_force,
+    possible_force,
 )
 from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.inverse.standing import Nearness, Standing
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import DataError
+from mbd_ros.errors import DataError, SolveError
 from mbd_ros.files.recordings import Source, name_of, read_columns
 from mbd_ros.jobs.inverse.observed import Observed
 from mbd_ros.jobs.lines import Say
@@ -141,8 +142,8 @@ def smooth_transitions(
     standing: Mask,
     solved: list[Torques],
     solve: Solve,
-) -> int:
-    """Solve double supports again, so that the load passes on smoothly; how many there are.
+) -> str:
+    """Solve double supports again, so that the load passes on smoothly.
 
     Args:
         inverse: The solver.
@@ -150,40 +151,71 @@ def smooth_transitions(
         standing: Which features stand, shape (n, features).
         solved: Results, some of which are replaced.
         solve: Number of a sample and a wish -> its result.
+
+    Returns:
+        How many there are, in words.
     """
-    feet = inverse.standing
-    assert feet is not None
-    times = np.array([x.t for x, _ in states])
-    stands = np.array([feet.standing_feet(row) for row in standing])
-    supports = list(double_supports(times, stands))
-    for support in supports:
-        for i, wish in _wishes(inverse, feet, states, solved, support, times):
-            solved[i] = solve(i, wish)
-    return len(supports)
+    transition = _Transition(inverse, states, standing, solved)
+    refused = 0
+    for support in transition.supports:
+        for i, wish in transition.wishes(support):
+            try:
+                solved[i] = solve(i, wish)
+            except SolveError:
+                refused += 1
+    passed = f"smooth transition in {len(transition.supports)} double supports"
+    return passed + (f", without {refused} samples where cones forbid it" if refused else "")
 
 
-def _wishes(
-    inverse: ClosedLoopInverseDynamics,
-    feet: Standing,
-    states: Sequence[tuple[State, Array]],
-    solved: Sequence[Torques],
-    support: DoubleSupport,
-    times: Array,
-) -> Iterator[tuple[int, Wish]]:
-    """The force of the trailing foot in each sample of a double support."""
-    robot, (before, samples, foot, end) = inverse.robot, support
-    slots = np.concatenate([np.r_[cone.slots] for cone in inverse.constraints.cones])
-    x = states[before][0]
-    force = feet.forces(x)[foot].dot(solved[before].multipliers[slots])
-    data = pin.Data(robot.model)
-    centres = [
-        pin.centerOfMass(robot.model, data, states[i][0].q).copy() for i in (before, samples[-1])
-    ]
-    way = direction_of_way(centres, robot.model.gravity.linear)
-    for i in samples:
-        share = (times[i] - times[before]) / (end - times[before])
-        S = feet.forces(states[i][0])[foot]
-        yield i, Wish(S, kept_force(force, way, min(float(share), 1.0)))
+class _Transition:
+    """Double supports of a motion that was solved with the least efforts.
+
+    Args:
+        inverse: The solver.
+        states: Motion and accelerations.
+        standing: Which features stand, shape (n, features).
+        solved: Their results.
+
+    Attributes:
+        supports: Those that begin in the motion.
+    """
+
+    def __init__(
+        self,
+        inverse: ClosedLoopInverseDynamics,
+        states: Sequence[tuple[State, Array]],
+        standing: Mask,
+        solved: Sequence[Torques],
+    ) -> None:
+        assert inverse.standing is not None
+        self._feet, self._model = inverse.standing, inverse.robot.model
+        self._states, self._standing = states, standing
+        cones = inverse.constraints.cones
+        slots = np.concatenate([np.r_[cone.slots] for cone in cones])
+        self._forces = [each.multipliers[slots] for each in solved]
+        self._mu = min(cone.mu for cone in cones)
+        self._times = np.array([x.t for x, _ in states])
+        stands = np.array([self._feet.standing_feet(row) for row in standing])
+        self.supports = list(double_supports(self._times, stands))
+
+    def wishes(self, support: DoubleSupport) -> Iterator[tuple[int, Wish]]:
+        """The force of the trailing foot in each sample of a double support."""
+        (before, samples, foot, end), times = support, self._times
+        at_first = self._feet.forces(self._states[before][0])[foot].dot(self._forces[before])
+        data, ends = pin.Data(self._model), (before, samples[-1])
+        centres = [
+            pin.centerOfMass(self._model, data, self._states[i][0].q).copy() for i in ends
+        ]
+        way = direction_of_way(centres, self._model.gravity.linear)
+        for i in samples:
+            share = float((times[i] - times[before]) / (end - times[before]))
+            forces = self._feet.forces(self._states[i][0])
+            total = forces.sum(axis=0).dot(self._forces[i])
+            others = np.delete(forces, foot, axis=0).sum(axis=0)[:, ::3]
+            normal = others.dot(self._standing[i])
+            normal /= np.linalg.norm(normal)
+            kept = kept_force(at_first, way, min(share, 1.0))
+            yield i, Wish(forces[foot], possible_force(kept, total, normal, self._mu))
 
 
 def stance_lines(
@@ -191,7 +223,7 @@ def stance_lines(
     ground: Ground,
     standing: Mask,
     solved: Sequence[Torques],
-    transitions: int,
+    passed: str,
 ) -> Iterator[str]:
     """What decided, who stood, and what the forces leave."""
     feet = inverse.standing
@@ -208,8 +240,8 @@ def stance_lines(
     free = [any(name.endswith(".effort") for name in each.undetermined) for each in solved]
     if any(free):
         how = "smallest norm of efforts, then of forces"
-        if transitions:
-            how = f"smooth transition in {transitions} double supports, else {how}"
+        if passed:
+            how = f"{passed}, else {how}"
         yield f"stance: efforts are not determined in {np.mean(free):.0%} of the samples: {how}"
     bases = np.array([np.concatenate((each.residual, each.carried)) for each in solved])
     if bases.shape[1]:

@@ -91,7 +91,7 @@ def solve(
     solved = [solved_at(i) for i in progress(range(len(states)), len(states), "solving")]
     remarks = list(_remarks(np.max(off, axis=0), samples.stamps, solved))
     if ground is not None and standing is not None:
-        passed = 0
+        passed = ""
         if ground.task.method == "smooth":
             passed = smooth_transitions(inverse, states, standing, solved, solved_at)
         remarks += stance_lines(inverse, ground, standing, solved, passed)
