@@ -179,7 +179,7 @@ def test_power_of_a_four_bar_knee(bounds):
 
 
 def test_power_of_contacts_and_drives():
-    """A ball that slides loses what friction takes; a drive that lifts gives what gravity takes."""
+    """A ball that slides loses what friction takes; a drive gives what gravity takes."""
     ground = {"half_space": [0.1, 0.0, 1.0]}
     ball = mbd.scene_from(
         {
@@ -196,7 +196,9 @@ def test_power_of_contacts_and_drives():
     assert balance(found)[0] <= 1e-9
     assert found["power.contacts"].min() < -10.0
     assert np.array_equal(found["ball_contact_on_ball.power"], found["power.contacts"])
-    lift = urdf(link("world"), link("car", 3.0), joint("z", "prismatic", "world", "car", (0, 0, 1)))
+    lift = urdf(
+        link("world"), link("car", 3.0), joint("z", "prismatic", "world", "car", (0, 0, 1))
+    )
     moved = {"type": "prescribed_motion", "joint": "z", "polynomial": [0.0, 0.5, 0.2]}
     lifted = mbd.scene_from({"constraints": [moved], "dt": 0.01}, urdf=lift)
     found = lifted.inverse(lifted.simulate(0.3), power=True)["samples"]

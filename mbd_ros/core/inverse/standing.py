@@ -13,6 +13,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 
 Mask = NDArray[np.bool_]
+_CLOSED = 1.0e-6  # a gap, as a multiple of L, that an impact leaves with any speed
 _GRAVITY = 9.81  # m/s^2, where a scene has none
 
 
@@ -33,7 +34,8 @@ class Standing:
     """A feature stands where its gap and its speed along the normal are small.
 
     Both thresholds are multiples of the size of the mechanism. What slides along the ground
-    stands on it too. A threshold below the clearance of a foot that swings tells them apart.
+    stands on it too, and so does what has just come, whatever its speed. A threshold below the
+    clearance of a foot that swings tells them apart.
 
     One instance owns its Pinocchio data: not for two threads.
 
@@ -56,6 +58,7 @@ class Standing:
         counts = [len(part.features) for part in contacts]
         size = np.repeat([_size(robot, part) for part in contacts], counts)
         g = float(np.linalg.norm(robot.model.gravity.linear)) or _GRAVITY
+        self._closed = np.minimum(_CLOSED, near.gap) * size
         self._gap, self._speed = near.gap * size, near.speed * np.sqrt(g * size)
         first = [robot.places.points[part.pair.points[0].number].joint for part in contacts]
         self._signs = np.repeat([1.0 if joint else -1.0 for joint in first], counts)
@@ -77,8 +80,9 @@ class Standing:
         k.refresh(x.q, x.v, Reads.JACOBIAN)
         gaps = [part.residual(k, x)[::3] for part in self._contacts]
         speeds = [part.jacobian(k, x)[::3].dot(x.v) for part in self._contacts]
-        near: Mask = np.concatenate(gaps) <= self._gap
-        return near & (np.abs(np.concatenate(speeds)) <= self._speed)
+        gap, speed = np.concatenate(gaps), np.abs(np.concatenate(speeds))
+        stands: Mask = (gap <= self._gap) & (speed <= self._speed) | (gap <= self._closed)
+        return stands
 
     def standing_feet(self, standing: Mask) -> Mask:
         """Which feet have a feature that stands, shape (len(feet_names),)."""

@@ -36,12 +36,7 @@ class Least(NamedTuple):
 
 
 def least_in_bounds(
-    z: Array,
-    N: Array,
-    groups: Sequence[slice],
-    lower: Array,
-    upper: Array,
-    margin: float = 0.0,
+    z: Array, N: Array, groups: Sequence[slice], lower: Array, upper: Array
 ) -> Least:
     """Solve the problem above; nothing is kept between calls.
 
@@ -51,8 +46,6 @@ def least_in_bounds(
         groups: Entries of z, those that come first in front.
         lower: Shape (n,), -inf without a bound.
         upper: Same, >= lower.
-        margin: Of the size of z, by which bounds may be passed: for planes that touch a cone,
-            which are nearly parallel.
 
     Raises:
         SolveError: Something is not finite.
@@ -67,21 +60,12 @@ def least_in_bounds(
         own, N = N.dot(Vt[:rank].T / s[:rank]), N.dot(Vt[rank:].T)
         z = z - own.dot(U[:, :rank].T.dot(z[group]))  # from where the group is smallest
         z, is_within = _nearest(z, own, N, low, high)
-        if not is_within and not _excess(z, lower, upper) <= _slack(z, margin):
+        if not is_within:
             return Least(z, False)
         low, high = np.minimum(lower, z), np.maximum(upper, z)  # the last digits
-    excess, slack = _excess(z, lower, upper), _slack(z, _KEPT)
-    if excess <= slack:
-        return Least(_refined(z, every, lower, upper, slack), True)
-    return Least(z, excess <= _slack(z, margin))
-
-
-def _excess(z: Array, lower: Array, upper: Array) -> float:
-    return float(np.maximum(lower - z, z - upper).max(initial=0.0))
-
-
-def _slack(z: Array, share: float) -> float:
-    return share * (1.0 + float(np.abs(z).max(initial=0.0)))
+    slack = _KEPT * (1.0 + float(np.abs(z).max(initial=0.0)))
+    is_within = bool((z >= lower - slack).all() and (z <= upper + slack).all())
+    return Least(_refined(z, every, lower, upper, slack) if is_within else z, is_within)
 
 
 def _refined(z: Array, N: Array, lower: Array, upper: Array, slack: float) -> Array:

@@ -18,7 +18,7 @@ from mbd_ros.core.inverse.double_support import (
     possible_force,
 )
 from mbd_ros.core.inverse.reach import listed
-from mbd_ros.core.inverse.standing import Nearness, Standing
+from mbd_ros.core.inverse.standing import Nearness
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DataError, SolveError
@@ -203,9 +203,7 @@ class _Transition:
         (before, samples, foot, end), times = support, self._times
         at_first = self._feet.forces(self._states[before][0])[foot].dot(self._forces[before])
         data, ends = pin.Data(self._model), (before, samples[-1])
-        centres = [
-            pin.centerOfMass(self._model, data, self._states[i][0].q).copy() for i in ends
-        ]
+        centres = [pin.centerOfMass(self._model, data, self._states[i][0].q).copy() for i in ends]
         way = direction_of_way(centres, self._model.gravity.linear)
         for i in samples:
             share = float((times[i] - times[before]) / (end - times[before]))

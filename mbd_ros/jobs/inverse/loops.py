@@ -130,12 +130,17 @@ def _columns(
     shown = [
         showing.at(x, u, a, each.multipliers) for (x, a), each in zip(states, solved, strict=True)
     ]
-    driven = [scene.robot.joint(name) for name in inverse.efforts.names]
+    driven, free = (
+        [scene.robot.joint(name) for name in names]
+        for names in (inverse.efforts.names, inverse.carriers)
+    )
+    carried = np.array([each.carried for each in solved]).reshape(len(solved), -1)
     return [
         *joint_columns(joints, "position", q[:, at_q]),
         *joint_columns(joints, "velocity", v[:, at_v]),
         *joint_columns(joints, "acceleration", a[:, at_v]),
         *joint_columns(driven, "effort", effort),
+        *joint_columns(free, "residual", carried),
         *body_columns(scene.robot, whole_bodies(scene.robot, q, v, a)),
         *carried_columns(scene.robot, np.array([each.residual for each in solved])),
         *output_columns(showing.numbers, np.array(shown)),
