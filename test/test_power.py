@@ -6,7 +6,9 @@ from mechanisms import joint, link, urdf
 from scipy.interpolate import CubicSpline
 
 import mbd_ros as mbd
+from mbd_ros.cli import main
 from mbd_ros.files.csv import read_table
+from mbd_ros.files.power_flow import lanes_of
 from mbd_ros.files.table import Column, Result, Table
 
 SUMS = ("efforts", "couplings", "constraints", "contacts", "forces", "external_wrenches")
@@ -205,3 +207,26 @@ def test_power_of_contacts_and_drives():
     assert balance(found)[0] <= 1e-10
     expected = 3.0 * (9.81 + 0.4) * found["z.velocity"]
     assert found["power.efforts"] == pytest.approx(expected, abs=1e-9)
+
+
+def test_bands_show_what_goes_through_the_thigh(data_dir, tmp_path, capsys):
+    """The picture of a walking person; a result without powers is refused by name."""
+    folder = data_dir / "gait10dof_walk"
+    motion, out = folder / "motion.csv.gz", tmp_path / "walk.csv"
+    loads = ["--wrenches", str(folder / "external_wrenches.csv.gz")]
+    words = ["inverse", str(folder / "scene.yaml"), str(motion), *loads, "-o", str(out), "--power"]
+    assert main(words) == 0
+    drawn = tmp_path / "flow.svg"
+    assert main(["plot", str(out), "-o", str(drawn), "--power-flow"]) == 0
+    text = drawn.read_text()
+    assert text.count("<path") > 60 and "kinetic" not in text
+    table = mbd.read_result(out)["samples"]
+    lanes = {lane.text: lane.power for lane in lanes_of(table)}
+    assert len(lanes) == 1 + 3 * 7
+    thigh = lanes["into femur_r"], lanes["femur_r to the joint of tibia_r"]
+    assert np.corrcoef(*thigh)[0, 1] > 0.9  # what comes in goes out, but for its own energy
+    knee = table["knee_angle_r.power"]
+    assert lanes["joint of tibia_r"] == pytest.approx(knee, abs=1e-10)
+    assert main(["plot", str(motion), "-o", str(drawn), "--power-flow"]) == 2
+    assert "no column *.proximal_power" in capsys.readouterr().err
+    assert main(["plot", str(out), "-o", str(drawn), "--power-flow", "--columns", "effort"]) == 2

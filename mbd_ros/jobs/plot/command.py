@@ -2,7 +2,7 @@
 
 import argparse
 
-from mbd_ros.errors import OK
+from mbd_ros.errors import OK, DataError
 from mbd_ros.jobs.lines import say
 from mbd_ros.scene.locate import path_word
 
@@ -22,6 +22,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "multipliers)",
     )
     parser.add_argument(
+        "--power-flow",
+        action="store_true",
+        help="bands of the power from segment to segment, of a result of inverse --power",
+    )
+    parser.add_argument(
         "--table", default="samples", help="table of the result (default: %(default)s)"
     )
 
@@ -33,6 +38,14 @@ def run(arguments: argparse.Namespace) -> int:
 
     refuse_overwriting(arguments.out, arguments.result)
     result = read_result(arguments.result)
-    result.to(arguments.out, among=PICTURES, table=arguments.table, columns=arguments.columns)
+    if arguments.power_flow:
+        from mbd_ros.files.plot import save
+        from mbd_ros.files.power_flow import power_flow
+
+        if arguments.columns is not None:
+            raise DataError("--power-flow chooses its columns; accepted: it or --columns")
+        save(power_flow(result, arguments.table), arguments.out)
+    else:
+        result.to(arguments.out, among=PICTURES, table=arguments.table, columns=arguments.columns)
     say(f"{result[arguments.table].rows} rows -> {arguments.out}")
     return OK
