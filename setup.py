@@ -57,9 +57,10 @@ setup(
         "docs": ["furo", "latex2mathml", "myst-parser", "sphinx"],
         "peers": ["drake", "exudyn", "mujoco"],
         "tables": ["pandas", "pyarrow"],
-        "view": ["viser"],
+        "view": ["av", "viser"],
         "ziglang": ["ziglang"],
         "dev": [
+            "av",
             "casadi",
             "daqp",
             "ezc3d",

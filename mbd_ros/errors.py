@@ -80,6 +80,7 @@ PACKAGES = {  # module -> what pip calls the package that brings it
     **{name: name for name in ("proxsuite", "qpsolvers", "rosbags", "scipy")},
     **dict.fromkeys(("rclpy", "rcl_interfaces", "std_srvs"), _ROS),
     **{f"{name}_msgs": _ROS for name in _MESSAGES.split()},
+    "av": "'mbd_ros[view]'",
     "casadi": "'mbd_ros[compiled]'",
     "ezc3d": "'mbd_ros[biomechanics]'",
     "distributed": "'dask[distributed]'",

@@ -213,9 +213,11 @@ def test_a_folder_takes_its_place_whole_or_not_at_all(tmp_path):
 
 def test_the_page_escapes_and_refers_to_nothing_outside():
     table = Table("A < B", ("joint", "x"), [("<b>", "1")])
-    content = Content("T", "f", ["x & y"], ["<i>"], {"C": b"\x89PNG"}, [table], {"k": "v"})
+    content = Content(
+        "T", "f", ["x & y"], ["<i>"], ("", "<u>"), {"C": b"\x89PNG"}, [table], {"k": "v"}
+    )
     text = page(content)
-    assert "<script" not in text and "<b>" not in text and "<i>" not in text
+    assert "<script" not in text and "<b>" not in text and "<i>" not in text and "<u>" not in text
     assert "x &amp; y" in text and "A &lt; B" in text
     assert set(re.findall(r'(?:src|href)="([a-z]+):', text)) == {"data"}
     assert "default-src 'none'" in text and "width=device-width" in text

@@ -1,5 +1,7 @@
 """What the page draws, by numbers: poses, lines, arrows, colours, curves; no browser, no viser."""
 
+import io
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -12,7 +14,9 @@ from mbd_ros.view import surfaces
 from mbd_ros.view.arrows import arrow_ends, cone_lines
 from mbd_ros.view.curves import ALL, Curves, MotionCurves, cursor
 from mbd_ros.view.frames import COUPLING, Frames, tension_colours
+from mbd_ros.view.ground import upright
 from mbd_ros.view.motion import still, viewed_motion
+from mbd_ros.view.pictures import mp4
 from mbd_ros.view.player import advanced, nearest_row
 from mbd_ros.view.rerun import Rerun
 from mbd_ros.view.solids import equal_box, solids_of
@@ -221,3 +225,53 @@ def test_a_run_with_another_number_has_it(tmp_path):
     assert rerun.numbers[name] == (4.0, 0.0, 8.0)
     ran, _, _ = rerun.run({name: 7.0})
     assert ran.entries["forces"][0]["stiffness"] == 7.0
+
+
+def test_reactions_balance_weight_and_inertia_of_all_that_hangs_on_a_joint():
+    """By the change of momenta of the whole, an independent way: force and moment at the root."""
+    scene = load_scene("controlled_arm")
+    frames, model = Frames(scene), scene.robot.model
+    motion = viewed_motion(scene, simulate(scene, 0.1), frames.rows)
+    x, a = motion.states[-1], motion.accelerations[-1]
+    forces, moments = frames.reactions(x, a, motion.multipliers[-1])
+    data = model.createData()
+    pin.computeCentroidalMomentumTimeVariation(model, data, x.q, x.v, a)
+    mass, weight = pin.computeTotalMass(model), model.gravity.linear
+    force = data.dhg.linear - mass * weight
+    assert forces[0, 1] == pytest.approx(force, abs=1e-9)
+    arm = data.com[0] - forces[0, 0]
+    assert moments[0, 1] == pytest.approx(data.dhg.angular + np.cross(arm, force), abs=1e-9)
+
+
+def test_a_coupled_joint_is_joined_by_a_line_to_the_one_that_it_follows():
+    scene = load_scene("prosthetic_leg").with_(
+        couplings={"ankle": {"parent": "hip_flexion", "factor": 0.5}}
+    )
+    drawn = Frames(scene).at(still(scene).states[0])
+    coupled = drawn.lines[(drawn.colours == COUPLING).all(axis=1)]
+    joints = scene.robot.model.names.tolist()
+    ends = [drawn.poses[joints.index(name), :3] for name in ("hip_flexion", "ankle")]
+    np.testing.assert_allclose(coupled, [ends], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("gravity", "up"),
+    [([0, -9.8, 0], [0, 1, 0]), ([0.5, 0.0, -9.8], [0, 0, 1]), ([0, 0, 0], [0, 0, 1])],
+)
+def test_up_is_the_axis_that_gravity_points_away_from(tmp_path, gravity, up):
+    (tmp_path / "arm.urdf").write_text(ARM.format(visual=""), encoding="utf-8")
+    robot = {"urdf": str(tmp_path / "arm.urdf"), "gravity": gravity}
+    axes = upright(scene_from({"robot": robot}).robot)
+    np.testing.assert_allclose(axes[:, 2], up, atol=1e-12)
+    np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
+
+
+def test_a_film_reads_back_with_its_images_in_their_order():
+    av = pytest.importorskip("av", reason="av is not installed")
+    shades = [0, 100, 200]
+    images = [np.full((64, 96, 3), shade, np.uint8) for shade in shades]
+    with av.open(io.BytesIO(mp4(images))) as file:
+        read = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
+        assert file.streams.video[0].average_rate == 30
+    assert [frame.shape for frame in read] == [(64, 96, 3)] * 3
+    np.testing.assert_allclose([frame.mean() for frame in read], shades, atol=4)

@@ -1,4 +1,4 @@
-"""The page of a demo, in one file."""
+"""The page of a demo, in one file: what moves in it runs a script, in a frame of its own."""
 
 from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
@@ -7,16 +7,19 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mbd_ros.demo.summary import Table
+from mbd_ros.view.recording import POLICY
 
-_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 _STYLE = """
 .plots { display: grid; gap: 0 1.5rem;
   grid-template-columns: repeat(auto-fit, minmax(min(100%, 24rem), 1fr)); }
 .plots figure { margin: .8rem 0; } .plots figcaption { font-weight: 600; margin-bottom: .3rem; }
+.moving { margin: 1.2rem 0; } .moving figcaption { color: var(--soft); font-size: .9rem; }
+.moving iframe { width: 100%; max-width: 60rem; height: min(30rem, 75vh);
+  border: 1px solid var(--line); border-radius: .4rem; }
 table { width: auto; } thead th.number { white-space: normal; }
 @media (max-width: 40rem) { td.number { white-space: normal; }
   tr > :first-child { max-width: none; overflow-wrap: normal; } }
-@media print { .plots { display: block; }
+@media print { .moving { display: none; } .plots { display: block; }
   .plots figure { display: inline-block; width: 48%; vertical-align: top; }
   .plots figure img { max-height: 165mm; } }
 """
@@ -30,6 +33,7 @@ class Content(NamedTuple):
         facts: Line below it.
         failed: Checks that are not met.
         text: Paragraphs.
+        moving: What moves, HTML, and a line below it.
         pictures: Caption -> PNG.
         tables: The summary.
         made: Name -> value, how it was made.
@@ -39,6 +43,7 @@ class Content(NamedTuple):
     facts: str
     failed: Sequence[str]
     text: Sequence[str]
+    moving: tuple[str, str]
     pictures: Mapping[str, bytes]
     tables: Sequence[Table]
     made: Mapping[str, str]
@@ -48,11 +53,12 @@ def page(content: Content) -> str:
     """The page as HTML."""
     shared = Path(__file__).parents[1] / "report/page.css"
     style = shared.read_text(encoding="utf-8") + _STYLE
+    html, caption = content.moving
     return "\n".join(
         [
             "<!DOCTYPE html>",
             '<html lang="en"><head><meta charset="utf-8">',
-            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
+            f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             '<link rel="icon" href="data:,">',
             f"<title>{escape(content.title)}</title><style>{style}</style></head><body>",
@@ -60,7 +66,9 @@ def page(content: Content) -> str:
             f'<p class="facts">{escape(content.facts)}</p>',
             _verdict(content.failed),
             *(f"<p>{escape(text)}</p>" for text in content.text),
-            '</header><section class="plots">',
+            "</header>",
+            f'<figure class="moving">{html}<figcaption>{escape(caption)}</figcaption></figure>',
+            '<section class="plots">',
             *(_figure(caption, png) for caption, png in content.pictures.items()),
             "</section><section>",
             *(line for table in content.tables for line in _table(table)),

@@ -22,6 +22,7 @@ from mbd_ros.demo.files import (
 )
 from mbd_ros.demo.folder import replacing_folder
 from mbd_ros.demo.loop import CUTOFF, LoopRun, record_loop
+from mbd_ros.demo.moving import moving_run
 from mbd_ros.demo.numbers import DemoNumbers
 from mbd_ros.demo.page import Content, page
 from mbd_ros.demo.plot import overview, pictures
@@ -34,6 +35,9 @@ from mbd_ros.errors import DataError
 from mbd_ros.scene.reader import load_scene
 
 SHORTEST, LONGEST = 2.0, 60.0  # s
+_MOVES = (
+    "The recorded motion; arrows are the forces of its constraints. Drag to turn, scroll to zoom."
+)
 _PACKAGES = ("numpy", "pin", "ros-jazzy-rclpy")
 
 
@@ -76,7 +80,8 @@ def demo(order: Demo) -> Iterator[str]:
         summary = tables(numbers)
         failed = [f"{c.what}: {c.found}" for c in numbers.checks() if not c.is_met]
         (folder / PICTURE).write_bytes(overview(numbers))
-        text = page(_content(order, numbers, summary, failed, gains))
+        moving = moving_run(numbers, folder / BAG, robot.title)
+        text = page(_content(order, numbers, summary, failed, gains, moving))
         (folder / PAGE).write_text(text, encoding="utf-8")
     for table in summary:
         yield from lines(table)
@@ -113,6 +118,7 @@ def _content(
     summary: list[Table],
     failed: list[str],
     gains: dict[str, Any],
+    moving: str,
 ) -> Content:
     robot, law = ROBOTS[order.robot], order.law.replace("_", " ")
     begin = datetime.fromtimestamp(numbers.signals.states.log[0] * 1e-9, tz=timezone.utc)
@@ -138,4 +144,5 @@ def _content(
     }
     facts = f"{begin:%Y-%m-%d %H:%M} UTC, {law}, {order.time:g} s of simulated time."
     title = f"Demo: {robot.title}"
-    return Content(title, facts, failed, text, pictures(numbers), summary, made)
+    moves = (moving, _MOVES)
+    return Content(title, facts, failed, text, moves, pictures(numbers), summary, made)

@@ -200,7 +200,7 @@ class Controls:
         self._plot.show((joint, quantity, self._curves), curves, beside)
 
     def _on_picture(self, event: Any) -> None:
-        picture(event.client)
+        picture(event.client, self)
 
     def _on_film(self, event: Any) -> None:
         film(event.client, self)

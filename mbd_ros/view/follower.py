@@ -29,5 +29,4 @@ class Follower:
         if place is None or before is None or not is_same:
             return
         for client in self._server.get_clients().values():
-            client.camera.position = client.camera.position + place - before
-            client.camera.look_at = client.camera.look_at + place - before
+            client.camera.position = client.camera.position + place - before  # looks along

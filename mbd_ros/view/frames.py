@@ -17,8 +17,8 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 from mbd_ros.scene.built_scene import Scene
 
-SLACK, TIGHT = np.array([90.0, 130.0, 200.0]), np.array([220.0, 40.0, 40.0])
-CLOSURE, COUPLING = np.array([40.0, 160.0, 90.0]), np.array([150.0, 90.0, 190.0])
+SLACK, TIGHT = np.array([20.0, 70.0, 220.0]), np.array([230.0, 0.0, 0.0])
+CLOSURE, COUPLING = np.array([0.0, 140.0, 50.0]), np.array([130.0, 30.0, 190.0])
 _NO_LINES, _NO_POINTS = np.zeros((0, 2, 3)), np.zeros((0, 3))
 
 

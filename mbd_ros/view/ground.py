@@ -11,8 +11,9 @@ from mbd_ros.core.state import Array
 _CELLS, _REACH = 4, 3  # of the grid: in the size of a robot, and to each side in its sizes
 _LINE, _MAIN_LINE = (226, 229, 233), (196, 202, 209)
 _SUNK = 0.02  # of the size: what is deeper than that has its grid below it
-_FROM = np.array([0.6, -1.05, 0.35])  # where the camera stands, in sizes, z up
+_FROM = np.array([0.55, -0.95, 0.3])  # where the camera stands, in diagonals, z up
 _SUN, _SHADE = np.array([1.0, -2.0, 3.0]), (150, 150, 165)
+_FARTHER, _LOWER = 1.5, 0.55  # of telephones: distances, and diagonals that they look below
 SMALLEST = 0.05  # m, of what is looked at
 
 
@@ -49,9 +50,30 @@ def show_ground(server: Any, axes: Array, low: Array, high: Array) -> float:
     lines, colours = _grid(axes, size, low, high)
     scene.add_line_segments("/ground", lines, colours, thickness=1.0, thickness_units="screen")
     centre = (low + high) / 2.0
-    server.initial_camera.position = centre + axes @ _FROM * size
+    away = max(float(np.linalg.norm(high - low)), size)
+    there = axes @ _FROM * away
+    server.initial_camera.position = centre + there
     server.initial_camera.look_at = centre
+    below = centre - axes[:, 2] * (_LOWER * away)
+    _turn_telephones(server, below + there * _FARTHER, below)
     return size
+
+
+def _turn_telephones(server: Any, position: Array, look_at: Array) -> None:
+    """Show it in the upper half of windows that are taller than wide: the panel covers the lower.
+
+    Args:
+        server: The `viser.ViserServer`.
+        position: Where their cameras stand [m].
+        look_at: What they look at [m].
+    """
+
+    def turn(client: Any) -> None:
+        if client.camera.image_width < client.camera.image_height:
+            client.camera.position = position
+            client.camera.look_at = look_at
+
+    server.on_client_connect(turn)
 
 
 def _grid(axes: Array, size: float, low: Array, high: Array) -> tuple[Array, Array]:

@@ -21,6 +21,7 @@ from mbd_ros.view.surfaces import Surface
 
 GREY, BONE = (168, 176, 186), (222, 208, 178)  # red, green, blue
 _SHORTEST = 1.0e-4  # m, of a bone
+_THIN = 0.03  # half a bone of the base, as a share of its length
 
 
 class Solid(NamedTuple):
@@ -155,7 +156,8 @@ def _bones(tree: ElementTree.Element, link: _Link, inertia: Any) -> list[Solid]:
     if inertia is not None and not ends:
         ends.append(inertia.lever * 2.0)  # a last link is about as long
     long = [end for end in ends if np.linalg.norm(end) > _SHORTEST]
-    bones = [_moved(surfaces.bone(end), link.at) for end in long]
+    thickness = {} if link.joint else {"thickness": _THIN}
+    bones = [_moved(surfaces.bone(end, **thickness), link.at) for end in long]
     solids = [Solid(link.name, link.joint, bone, BONE) for bone in bones]
     if inertia is not None and inertia.mass > 0.0:
         size, axes = equal_box(inertia)

@@ -11,10 +11,10 @@ from mbd_ros.view.frames import Drawn
 from mbd_ros.view.solids import Solid
 
 COLOURS = {  # of arrows
-    "forces": (214, 90, 30),
-    "moments": (160, 50, 160),
-    "reactions": (30, 110, 190),
-    "reaction moments": (90, 60, 180),
+    "forces": (235, 85, 0),
+    "moments": (170, 0, 150),
+    "reactions": (0, 95, 200),
+    "reaction moments": (80, 20, 190),
 }
 CONE, MARKER, GHOST = (120, 90, 200), (20, 140, 140), (110, 160, 210)
 _NONE = np.zeros((0, 2, 3))

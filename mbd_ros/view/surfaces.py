@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.state import Array
 
 _AROUND, _UPWARDS = 24, 12  # edges of a circle, and from pole to pole of a sphere
-_WAIST, _THICK = 0.2, 0.12  # of a bone, as shares of its length
+_WAIST = 0.2  # where a bone is thickest, as a share of its length
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 _FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 
@@ -52,17 +52,18 @@ def capsule(radius: float, length: float) -> Surface:
     return lathe(np.concatenate((out[::-1], out)), np.concatenate((-up[::-1], up)))
 
 
-def bone(end: Array) -> Surface:
+def bone(end: Array, thickness: float = 0.12) -> Surface:
     """An octahedron from the origin to a point [m], thickest near the origin.
 
     Args:
         end: The point, shape (3,), not the origin.
+        thickness: Half of its sides, as a share of its length.
     """
     length = float(np.linalg.norm(end))
     along = end / length
     across = np.cross(along, np.eye(3)[int(np.argmin(np.abs(along)))])
     across /= np.linalg.norm(across)
-    sides = np.array([across, np.cross(along, across)]) * _THICK * length
+    sides = np.array([across, np.cross(along, across)]) * thickness * length
     waist = end * _WAIST
     ring = [waist + sides[0], waist + sides[1], waist - sides[0], waist - sides[1]]
     around = [(i, (i + 1) % 4) for i in range(4)]

@@ -16,7 +16,8 @@ NOTICE = 190  # px
 EVIL = "<img src=x onerror=alert(1)>"
 URDF = f"""
 <robot name="arm">
-  <link name="base"/>
+  <link name="base"><inertial><mass value="1"/>
+    <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
   <link name="arm"><visual><origin xyz="0.5 0 0"/><geometry><box size="1 0.3 0.3"/></geometry>
     <material name="red"><color rgba="1 0 0 1"/></material></visual>
     <inertial><origin xyz="0.5 0 0"/><mass value="2"/>
@@ -117,16 +118,23 @@ def settled(tab, condition, seconds=30.0):
         tab.wait_for_timeout(150)
 
 
-def evil_arm(tmp_path):
-    """An arm whose joint, scene and folder are named as if they were HTML."""
+def evil_arm(tmp_path, base="fixed"):
+    """An arm whose joint and scene are named as if they were HTML."""
     file = tmp_path / "arm.urdf"
     file.write_text(URDF, encoding="utf-8")
     scene = tmp_path / f"{EVIL}.yaml"
-    scene.write_text("robot: {urdf: arm.urdf}\n", encoding="utf-8")
+    scene.write_text(f"robot: {{urdf: arm.urdf, base: {base}}}\n", encoding="utf-8")
     return load_scene(scene)
 
 
-def test_a_scene_moves_with_the_slider_and_its_names_are_text(browser, serve, tmp_path):
+def plotted(tab):
+    """The pixels of the plot, as text."""
+    return tab.locator(".u-wrap canvas").first.evaluate("canvas => canvas.toDataURL()")
+
+
+def test_a_scene_moves_with_the_slider_and_its_names_are_text(
+    browser, serve, screenshot, tmp_path
+):
     page = serve(evil_arm(tmp_path), 0.6)
     tab, asked = opened(browser, page)
     alerts = []
@@ -137,25 +145,74 @@ def test_a_scene_moves_with_the_slider_and_its_names_are_text(browser, serve, tm
     y, x = np.argwhere(red(first)).mean(axis=0)
     tab.mouse.click(x, y + NOTICE)  # on the link: its joint is chosen
     tab.locator("textarea", has_text="velocity").first.wait_for()
+    tab.locator(".u-label", has_text=EVIL).wait_for()
+    curve = plotted(tab)
     tab.locator("input[inputmode=decimal]").first.fill("0.6")
     tab.keyboard.press("Enter")
     moved = settled(tab, lambda image: (red(image) & ~red(first)).sum() > 300)
     assert (red(moved) & ~red(first)).sum() > 300
+    assert plotted(tab) != curve
     assert tab.locator(".u-label", has_text=EVIL).count() == 1
+    screenshot(tab, "view_1280")
     fields = tab.locator("input").evaluate_all("all => all.map(one => one.value)")
     assert f"{EVIL}.yaml" in fields and EVIL in tab.locator("body").inner_text()
     assert alerts == [] and tab.locator("img[src=x]").count() == 0
     tab.close()
 
 
-def test_forces_are_arrows_and_a_telephone_shows_the_robot(browser, serve):
-    tab, _ = opened(browser, serve(load_scene("four_legged_table"), 0.05))
+def test_forces_are_arrows_and_a_telephone_shows_the_robot(browser, serve, screenshot):
+    page = serve(load_scene("four_legged_table"), 0.05)
+    tab, _ = opened(browser, page)
     image = settled(tab, lambda image: orange(image).sum() > 100)
     assert orange(image).sum() > 100
+    screenshot(tab, "forces_1280")
     tab.get_by_role("checkbox", name="forces").click()
     image = settled(tab, lambda image: orange(image).sum() == 0)
     assert orange(image).sum() == 0
-    tab.set_viewport_size({"width": 390, "height": 844})
+    tab.close()
+    tab, _ = opened(browser, page, 390, 844)
     image = settled(tab, lambda image: bluish(image).sum() > 300)
     assert bluish(image).sum() > 300
+    screenshot(tab, "view_390")
+    tab.close()
+
+
+def test_a_camera_falls_with_what_it_follows(browser, serve, tmp_path):
+    """A free arm falls 0.8 m, about its size, in 0.4 s, and stays where the camera looks."""
+    tab, _ = opened(browser, serve(evil_arm(tmp_path, "floating"), 0.4))
+    before = settled(tab, lambda image: red(image).sum() > 500)
+    tab.get_by_role("combobox", name="follow").click()
+    tab.get_by_role("option", name="base", exact=True).click()
+    tab.wait_for_timeout(300)
+    tab.locator("input[inputmode=decimal]").first.fill("0.4")
+    tab.keyboard.press("Enter")
+    after = settled(tab, lambda image: (np.abs(image - before).max(axis=2) > 20).sum() > 500)
+    assert (np.abs(after - before).max(axis=2) > 20).sum() > 500  # the ground goes up
+    tab.wait_for_timeout(300)
+    middles = [np.argwhere(red(image)).mean(axis=0) for image in (before, pixels(tab))]
+    assert middles[0] == pytest.approx(middles[1], abs=30)
+    tab.close()
+
+
+def test_a_browser_downloads_the_picture_that_it_shows(browser, serve, tmp_path):
+    tab, _ = opened(browser, serve(evil_arm(tmp_path), 0.1))
+    settled(tab, lambda image: red(image).sum() > 500)
+    with tab.expect_download() as waiting:
+        tab.get_by_role("button", name="picture").click()
+    image = np.asarray(Image.open(waiting.value.path()).convert("RGB")).astype(int)
+    assert image.shape == (720, 1280, 3) and red(image).sum() > 500
+    tab.close()
+
+
+@pytest.mark.soak
+def test_a_browser_downloads_a_film_of_the_motion(browser, serve, tmp_path):
+    av = pytest.importorskip("av", reason="av is not installed")
+    tab, _ = opened(browser, serve(evil_arm(tmp_path), 0.6))
+    settled(tab, lambda image: red(image).sum() > 500)
+    with tab.expect_download(timeout=100_000) as waiting:
+        tab.get_by_role("button", name="film").click()
+    with av.open(str(waiting.value.path())) as file:
+        images = [frame.to_ndarray(format="rgb24").astype(int) for frame in file.decode(video=0)]
+    assert len(images) == 30
+    assert (red(images[-1]) & ~red(images[0])).sum() > 300
     tab.close()

@@ -8,6 +8,7 @@ from pathlib import Path
 from mbd_ros.demo.choices import WALKING
 from mbd_ros.demo.files import KNOWN, PAGE, PICTURE, TABLES
 from mbd_ros.demo.folder import replacing_folder
+from mbd_ros.demo.moving import moving_result
 from mbd_ros.demo.page import Content, page
 from mbd_ros.demo.processes import Failed
 from mbd_ros.demo.summary import Table, lines
@@ -16,6 +17,7 @@ from mbd_ros.demo.walking.plot import overview, pictures
 from mbd_ros.demo.walking.tables import tables
 from mbd_ros.demo.walking.task import BURSTS, DURATION, MARKERS, NOISE, STEP
 
+_SLOWER = 8.0  # than life: 0.4 s are too short to be seen
 _PACKAGES = ("numpy", "pin", "scipy")
 
 
@@ -71,5 +73,12 @@ def _content(numbers: WalkingNumbers, summary: list[Table], failed: list[str]) -
         "Versions": ", ".join(f"{name} {version(name)}" for name in _PACKAGES),
         "Machine": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
     }
+    moving = moving_result(numbers.scene, numbers.swing, WALKING, _SLOWER)
+    moves = (
+        moving,
+        f"The simulated swing, {_SLOWER:g} times slower; muscles are red at the largest tension.",
+    )
     facts = f"{DURATION:g} s of simulated time, {len(numbers.time)} frames."
-    return Content(f"Demo: {WALKING}", facts, failed, text, pictures(numbers), summary, made)
+    return Content(
+        f"Demo: {WALKING}", facts, failed, text, moves, pictures(numbers), summary, made
+    )
