@@ -11,7 +11,7 @@ from mbd_ros.scene.sections import SECTIONS, keys
 from mbd_ros.scene.strict_yaml import read_mapping
 
 if TYPE_CHECKING:
-    from mbd_ros.scene.osim.imported import Imported
+    from mbd_ros.scene.models.imported import Imported
 
 _ENDINGS = {"osim": (".osim", ".osim.gz"), "mjcf": (".xml", ".mjcf")}
 FORMATS = tuple(_ENDINGS)
@@ -66,10 +66,10 @@ def import_model(path: Path, form: str, locked: Mapping[str, float | None]) -> "
         from mbd_ros.scene.mjcf.imported import import_mjcf
 
         return import_mjcf(path, locked)
+    from mbd_ros.scene.models.xml_text import read_text
     from mbd_ros.scene.osim.imported import import_osim
-    from mbd_ros.scene.osim.xml_text import read_osim
 
-    return import_osim(read_osim(path), str(path), locked)
+    return import_osim(read_text(path), str(path), locked)
 
 
 def with_model(origin: Origin, entries: Entries) -> tuple[Origin, Entries]:

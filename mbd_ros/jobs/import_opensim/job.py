@@ -11,8 +11,8 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.replacing import replacing
 from mbd_ros.scene.building import Origin
 from mbd_ros.scene.model_entry import brought_sections, format_of, import_model
-from mbd_ros.scene.osim.imported import Imported
-from mbd_ros.scene.osim.names import plain
+from mbd_ros.scene.models.imported import Imported
+from mbd_ros.scene.models.names import plain
 from mbd_ros.scene.reader import build_scene
 from mbd_ros.scene.strict_yaml import mapping_of
 

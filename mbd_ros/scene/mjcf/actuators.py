@@ -8,7 +8,7 @@ import numpy as np
 from mbd_ros.scene.mjcf.defaults import ACTUATORS
 from mbd_ros.scene.mjcf.item import Item
 from mbd_ros.scene.mjcf.reading import Reading
-from mbd_ros.scene.osim.reading import Unexpressed
+from mbd_ros.scene.models.imported import Unexpressed
 
 _SERVOS = ("position", "velocity", "intvelocity")
 _LAW = "its joint, tendon or site has an actuator, its law is left to a controller"

@@ -10,7 +10,7 @@ from mbd_ros.scene.mjcf.defaults import Defaults
 from mbd_ros.scene.mjcf.inertia import geom_place
 from mbd_ros.scene.mjcf.item import Item
 from mbd_ros.scene.mjcf.placement import Compiler, placed
-from mbd_ros.scene.osim.names import Names
+from mbd_ros.scene.models.names import Names
 
 WORLD = "world"
 _PLACING = ("name", "pos", "quat", "axisangle", "xyaxes", "zaxis", "euler")

@@ -4,7 +4,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.osim.xml_text import parse_document, read_osim
+from mbd_ros.scene.models.xml_text import parse_document, read_text
 
 SUFFIXES = (".xml", ".mjcf")
 SECTIONS = (
@@ -27,7 +27,7 @@ def read_document(path: Path) -> Element:
         SceneError: Missing, no XML, another format, an unknown section, or an include that leads
             in a circle; names the file.
     """
-    root = parse_document(read_osim(path), str(path))
+    root = parse_document(read_text(path), str(path))
     if root.tag != "mujoco":
         raise SceneError(f"{path}: expected <mujoco>, found <{root.tag}>")
     _include(root, path, path.parent, [path.resolve()])
@@ -59,7 +59,7 @@ def _include(element: Element, path: Path, folder: Path, seen: list[Path]) -> No
         if len(seen) == MAX_FILES:
             raise SceneError(f"{path}: more than {MAX_FILES} files")
         seen.append(file.resolve())
-        inner = parse_document(read_osim(file), str(file))
+        inner = parse_document(read_text(file), str(file))
         _include(inner, file, folder, seen)
         at = list(element).index(child)
         element[at : at + 1] = list(inner)

@@ -8,7 +8,7 @@ from numpy.polynomial import Polynomial
 
 from mbd_ros.scene.mjcf.item import Item
 from mbd_ros.scene.mjcf.reading import Reading
-from mbd_ros.scene.osim.reading import Unexpressed
+from mbd_ros.scene.models.imported import Unexpressed
 
 _KINDS = ("connect", "weld", "joint", "tendon", "flex", "flexvert", "flexstrain", "distance")
 _LINEAR = (0.0, 1.0, 0.0, 0.0, 0.0)

@@ -16,11 +16,10 @@ from mbd_ros.scene.mjcf.placement import Compiler, compiler_of
 from mbd_ros.scene.mjcf.reading import Reading
 from mbd_ros.scene.mjcf.tendons import read_tendons
 from mbd_ros.scene.mjcf.tree import Tree
-from mbd_ros.scene.osim.frames import xyz_rpy
-from mbd_ros.scene.osim.imported import Imported
-from mbd_ros.scene.osim.names import Names, plain
-from mbd_ros.scene.osim.reading import LeftOut
-from mbd_ros.scene.osim.urdf_text import Mass, urdf_text
+from mbd_ros.scene.models.imported import Imported, LeftOut
+from mbd_ros.scene.models.names import Names, plain
+from mbd_ros.scene.models.poses import xyz_rpy
+from mbd_ros.scene.models.urdf_text import Mass, urdf_text
 
 _NO_PLACE = "a scene has no place for it"
 _GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, MuJoCo's default

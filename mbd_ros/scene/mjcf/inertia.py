@@ -10,7 +10,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.scene.mjcf.item import Item
 from mbd_ros.scene.mjcf.meshes import Meshes
 from mbd_ros.scene.mjcf.placement import Compiler, placed, turned_to, unit
-from mbd_ros.scene.osim.urdf_text import Mass
+from mbd_ros.scene.models.urdf_text import Mass
 
 _TYPES = (
     *("sphere", "capsule", "cylinder", "box", "ellipsoid"),

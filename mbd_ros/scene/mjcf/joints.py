@@ -10,8 +10,8 @@ from mbd_ros.core.state import Array
 from mbd_ros.scene.mjcf.bodies import Body, Placed
 from mbd_ros.scene.mjcf.item import Item
 from mbd_ros.scene.mjcf.placement import Compiler, unit
-from mbd_ros.scene.osim.functions import IDENTITY
-from mbd_ros.scene.osim.motions import Motion, X, Y, Z
+from mbd_ros.scene.models.functions import IDENTITY
+from mbd_ros.scene.models.motions import Motion, X, Y, Z
 
 _TYPES = ("hinge", "slide", "ball", "free")
 _JOINT = (

@@ -10,7 +10,7 @@ import pinocchio as pin
 from mbd_ros.core.state import Array
 from mbd_ros.scene.mjcf.defaults import Defaults
 from mbd_ros.scene.mjcf.item import Item
-from mbd_ros.scene.osim.xml_text import MAX_BYTES
+from mbd_ros.scene.models.xml_text import MAX_BYTES
 
 _RULES = ("legacy", "convex", "exact", "shell")
 _FLAT = 1.0e-9  # least over largest extent

@@ -10,9 +10,9 @@ from mbd_ros.scene.mjcf.item import Item
 from mbd_ros.scene.mjcf.joints import Hinge
 from mbd_ros.scene.mjcf.placement import Compiler
 from mbd_ros.scene.mjcf.tree import Tree
-from mbd_ros.scene.osim.frames import xyz_rpy
-from mbd_ros.scene.osim.names import Names
-from mbd_ros.scene.osim.reading import LeftOut, Unexpressed
+from mbd_ros.scene.models.imported import LeftOut, Unexpressed
+from mbd_ros.scene.models.names import Names
+from mbd_ros.scene.models.poses import xyz_rpy
 
 
 class Reading:

@@ -10,8 +10,8 @@ from mbd_ros.scene.mjcf.inertia import geom_sizes, geom_type
 from mbd_ros.scene.mjcf.item import Item
 from mbd_ros.scene.mjcf.placement import unit
 from mbd_ros.scene.mjcf.reading import Reading
-from mbd_ros.scene.osim.frames import xyz_rpy
-from mbd_ros.scene.osim.reading import Unexpressed
+from mbd_ros.scene.models.imported import Unexpressed
+from mbd_ros.scene.models.poses import xyz_rpy
 
 _ENDLESS = 1.0e3  # m, of a cylinder whose length MuJoCo does not read when it wraps
 _NOT_SAID = ("damping", "frictionloss", "armature", "range", "actuatorfrcrange")

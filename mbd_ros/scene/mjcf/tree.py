@@ -8,8 +8,8 @@ from mbd_ros.errors import SceneError
 from mbd_ros.scene.mjcf.bodies import WORLD, Bodies, Body
 from mbd_ros.scene.mjcf.joints import Hinge, hinges_of, joint_type
 from mbd_ros.scene.mjcf.placement import Compiler
-from mbd_ros.scene.osim.mechanism import UrdfJoint
-from mbd_ros.scene.osim.names import Names
+from mbd_ros.scene.models.names import Names
+from mbd_ros.scene.models.urdf_text import UrdfJoint
 
 UNIVERSE = "universe"
 _SAME = 1.0e-14  # of a placement that is none

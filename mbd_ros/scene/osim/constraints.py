@@ -7,10 +7,12 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.state import Array
+from mbd_ros.scene.models.imported import Unexpressed
+from mbd_ros.scene.models.poses import roll_pitch_yaw
 from mbd_ros.scene.osim.couplers import COUPLER, is_enforced
-from mbd_ros.scene.osim.frames import Attached, old_placement, roll_pitch_yaw
+from mbd_ros.scene.osim.frames import Attached, old_placement
 from mbd_ros.scene.osim.item import Item
-from mbd_ros.scene.osim.reading import Reading, Unexpressed
+from mbd_ros.scene.osim.reading import Reading
 
 Entry = dict[str, Any]
 

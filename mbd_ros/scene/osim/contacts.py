@@ -5,9 +5,10 @@ import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+from mbd_ros.scene.models.imported import Unexpressed
 from mbd_ros.scene.osim.frames import Attached, placement
 from mbd_ros.scene.osim.item import Item
-from mbd_ros.scene.osim.reading import Reading, Unexpressed
+from mbd_ros.scene.osim.reading import Reading
 
 Entry = dict[str, Any]
 _OUTWARDS = (-1.0, 0.0, 0.0)  # OpenSim's half space is where x > 0

@@ -3,11 +3,12 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from mbd_ros.scene.osim.functions import Function, UnknownFunction, function_in, scaled
+from mbd_ros.scene.models.functions import Function
+from mbd_ros.scene.models.imported import LeftOut
+from mbd_ros.scene.osim.functions import UnknownFunction, function_in, scaled
 from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.mechanism import Follows
 from mbd_ros.scene.osim.motions import Coordinate
-from mbd_ros.scene.osim.reading import LeftOut
 
 COUPLER = "CoordinateCouplerConstraint"
 

@@ -7,8 +7,9 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.state import Array
-from mbd_ros.scene.osim.functions import IDENTITY, Function, linear, sine
-from mbd_ros.scene.osim.motions import Joint, Motion, Step, X, Y, Z
+from mbd_ros.scene.models.functions import IDENTITY, Function, linear, sine
+from mbd_ros.scene.models.motions import Motion, Step, X, Y, Z
+from mbd_ros.scene.osim.motions import Joint
 
 _RIGHT = math.pi / 2.0
 

@@ -4,10 +4,12 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from mbd_ros.scene.osim.frames import Attached, old_placement, roll_pitch_yaw, socket
+from mbd_ros.scene.models.imported import Unexpressed
+from mbd_ros.scene.models.poses import roll_pitch_yaw
+from mbd_ros.scene.osim.frames import Attached, old_placement, socket
 from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.paths import read_path
-from mbd_ros.scene.osim.reading import Reading, Unexpressed
+from mbd_ros.scene.osim.reading import Reading
 
 Entry = dict[str, Any]
 _DEGREE = math.pi / 180.0

@@ -1,8 +1,11 @@
 """A model of OpenSim -> a robot description and the sections of a scene."""
 
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
+from mbd_ros.scene.models.imported import Imported, Unexpressed
+from mbd_ros.scene.models.names import Names
+from mbd_ros.scene.models.urdf_text import Mass, urdf_text
 from mbd_ros.scene.osim.constraints import read_constraints
 from mbd_ros.scene.osim.contacts import CONTACTS, contact_entries
 from mbd_ros.scene.osim.couplers import Coupled, entry_of, read_couplers
@@ -12,37 +15,18 @@ from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.joints import read_joints
 from mbd_ros.scene.osim.loops import cut, shared
 from mbd_ros.scene.osim.markers import read_markers
+from mbd_ros.scene.osim.masses import mass_of
 from mbd_ros.scene.osim.mechanism import Mechanism, in_tree_order
 from mbd_ros.scene.osim.motions import Coordinate
 from mbd_ros.scene.osim.muscles import is_muscle, muscle_entry
-from mbd_ros.scene.osim.names import Names
 from mbd_ros.scene.osim.paths import read_path
 from mbd_ros.scene.osim.prescribed import read_prescribed
-from mbd_ros.scene.osim.reading import FORCES, LeftOut, Reading, Unexpressed
-from mbd_ros.scene.osim.urdf_text import Mass, mass_of, urdf_text
+from mbd_ros.scene.osim.reading import FORCES, Reading
 from mbd_ros.scene.osim.xml_text import parse_osim
 
 _READ = ("Frame", "Station", "Body", "Joint", "Constraint", *FORCES)
 _NO_PLACE = "a scene has no place for it"
 GRAVITY = (0.0, -9.80665, 0.0)  # m/s^2, OpenSim's default
-
-
-class Imported(NamedTuple):
-    """What a model becomes.
-
-    Attributes:
-        name: Of the model.
-        urdf: Its bodies and joints.
-        robot: Keys of the section `robot` besides the description.
-        sections: The other sections.
-        left_out: Elements that they do not have.
-    """
-
-    name: str
-    urdf: str
-    robot: dict[str, Any]
-    sections: dict[str, Any]
-    left_out: tuple[LeftOut, ...]
 
 
 def import_osim(

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.kinematics_task import CoordinateTask, KinematicsTask
-from mbd_ros.scene.osim.xml_text import parse_document, read_osim
+from mbd_ros.scene.models.xml_text import parse_document, read_text
 
 _TRUE, _VALUE_TYPES = "true", ("default_value", "manual_value", "from_file")
 _NO_FILE = ("", "Unassigned")
@@ -21,7 +21,7 @@ def read_setup(path: Path) -> KinematicsTask:
     Raises:
         SceneError: Not well-formed, or no tasks of inverse kinematics; names file and element.
     """
-    root = parse_document(read_osim(path), str(path))
+    root = parse_document(read_text(path), str(path))
     tasks = next(root.iter("IKTaskSet"), None)
     if tasks is None:
         raise SceneError(f"{path}: no <IKTaskSet>: no set-up of inverse kinematics")

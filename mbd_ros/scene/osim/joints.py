@@ -6,21 +6,20 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.state import Array
+from mbd_ros.scene.models.functions import IDENTITY, Function, constant
+from mbd_ros.scene.models.motions import Motion, Step, X, Y, Z
+from mbd_ros.scene.models.names import Names
 from mbd_ros.scene.osim.ellipsoid import on_ellipsoid, on_thorax
 from mbd_ros.scene.osim.frames import Attached, Frames, old_placement, socket
 from mbd_ros.scene.osim.functions import (
-    IDENTITY,
-    Function,
     UnknownFunction,
-    constant,
     function_in,
     function_of,
     is_function,
     scaled,
 )
 from mbd_ros.scene.osim.item import Item
-from mbd_ros.scene.osim.motions import Coordinate, Joint, Motion, Step, X, Y, Z
-from mbd_ros.scene.osim.names import Names
+from mbd_ros.scene.osim.motions import Coordinate, Joint
 
 
 def read_joints(model: Item, frames: Frames) -> list[Joint]:

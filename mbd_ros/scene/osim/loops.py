@@ -5,12 +5,12 @@ from typing import Any, NamedTuple
 
 import pinocchio as pin
 
+from mbd_ros.scene.models.names import Names
+from mbd_ros.scene.models.urdf_text import Mass
 from mbd_ros.scene.osim.constraints import placed
 from mbd_ros.scene.osim.frames import GROUND, Attached
 from mbd_ros.scene.osim.mechanism import turned_round
 from mbd_ros.scene.osim.motions import Joint
-from mbd_ros.scene.osim.names import Names
-from mbd_ros.scene.osim.urdf_text import Mass
 
 _DIRECT = {"WeldJoint": "full", "BallJoint": "point"}  # which need no second half
 

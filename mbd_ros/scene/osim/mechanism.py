@@ -6,33 +6,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.scene.models.functions import IDENTITY, Function
+from mbd_ros.scene.models.motions import Motion, Step, X, Y, Z
+from mbd_ros.scene.models.names import Names
+from mbd_ros.scene.models.urdf_text import UrdfJoint
 from mbd_ros.scene.osim.frames import GROUND, Attached, Frames
-from mbd_ros.scene.osim.functions import IDENTITY, Function
 from mbd_ros.scene.osim.item import Item
-from mbd_ros.scene.osim.motions import Coordinate, Joint, Motion, Step, X, Y, Z
-from mbd_ros.scene.osim.names import Names
+from mbd_ros.scene.osim.motions import Coordinate, Joint
 
 _SAME = 1.0e-14  # of a placement that is none
-
-
-class UrdfJoint(NamedTuple):
-    """A joint of the description.
-
-    Attributes:
-        name: Its name in the scene.
-        parent: Link.
-        child: Link.
-        origin: `pinocchio.SE3` of the joint in the parent.
-        motion: What it does; None for a fixed one.
-        limits: Smallest and largest position [rad or m], or None.
-    """
-
-    name: str
-    parent: str
-    child: str
-    origin: Any
-    motion: Motion | None = None
-    limits: tuple[float, float] | None = None
 
 
 class Follows(NamedTuple):

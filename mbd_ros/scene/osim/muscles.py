@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from mbd_ros.scene.models.imported import Unexpressed
 from mbd_ros.scene.osim.item import Item
-from mbd_ros.scene.osim.reading import Unexpressed
 
 _STEEPEST = math.acos(0.1)  # rad, pennation of the shortest fibre
 _LEAST = 1.0e-6  # activation that muscles of a scene may have

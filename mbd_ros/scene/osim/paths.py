@@ -3,10 +3,13 @@
 from collections.abc import Sequence
 from typing import Any
 
-from mbd_ros.scene.osim.frames import bodies_of, placement, xyz_rpy
-from mbd_ros.scene.osim.functions import Function, UnknownFunction, function_in
+from mbd_ros.scene.models.functions import Function
+from mbd_ros.scene.models.imported import Unexpressed
+from mbd_ros.scene.models.poses import xyz_rpy
+from mbd_ros.scene.osim.frames import bodies_of, placement
+from mbd_ros.scene.osim.functions import UnknownFunction, function_in
 from mbd_ros.scene.osim.item import Item
-from mbd_ros.scene.osim.reading import Reading, Unexpressed
+from mbd_ros.scene.osim.reading import Reading
 
 _EDGE = 1.0e-5  # rad or m by which OpenSim widens the range of a conditional point
 _CONDITIONAL = ("ConditionalPathPoint", "MuscleViaPoint")

@@ -3,10 +3,11 @@
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from mbd_ros.scene.models.imported import Unexpressed
 from mbd_ros.scene.osim.functions import UnknownFunction, function_in
 from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.motions import Coordinate
-from mbd_ros.scene.osim.reading import Reading, Unexpressed
+from mbd_ros.scene.osim.reading import Reading
 
 
 def read_prescribed(

@@ -1,36 +1,15 @@
 """What is known while the sections of a model are read: its frames, joints, names, left-outs."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
-from mbd_ros.errors import SceneError
+from mbd_ros.scene.models.imported import LeftOut, Unexpressed
+from mbd_ros.scene.models.names import Names
 from mbd_ros.scene.osim.frames import Attached, Frames, socket
 from mbd_ros.scene.osim.item import Item
 from mbd_ros.scene.osim.mechanism import Mechanism
-from mbd_ros.scene.osim.names import Names
 
 FORCES = ("Force", "Muscle", "Actuator", "Spring", "Ligament")
-
-
-class LeftOut(NamedTuple):
-    """An element that the scene does not have.
-
-    Attributes:
-        type: Its class in OpenSim.
-        name: Its name.
-        reason: Why it is left out.
-    """
-
-    type: str
-    name: str
-    reason: str
-
-    def __str__(self) -> str:
-        return f"{self.type} '{self.name}': {self.reason}"
-
-
-class Unexpressed(SceneError):
-    """An element that a scene cannot express; its message says why, for the list of left-outs."""
 
 
 class Reading:

@@ -7,8 +7,8 @@ from mbd_ros.core.inverse.reserves import BodyReserve, CoordinateReserve, reserv
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.errors import ModelError
+from mbd_ros.scene.models.xml_text import parse_document, read_text
 from mbd_ros.scene.osim.item import Item
-from mbd_ros.scene.osim.xml_text import parse_document, read_osim
 
 Reserve = CoordinateReserve | BodyReserve
 _SIGNS = {"inf": 1.0, "infinity": 1.0, "-inf": -1.0, "-infinity": -1.0}
@@ -27,7 +27,7 @@ def read_reserves(path: Path, robot: Robot, couplings: Couplings) -> list[Reserv
             does not fit the robot; names file and element.
     """
     source = str(path)
-    root = Item(parse_document(read_osim(path), source), source)
+    root = Item(parse_document(read_text(path), source), source)
     forces = root if root.type == "ForceSet" else root.find("ForceSet")
     if forces is None:
         raise root.error("expected <ForceSet> with actuators")

@@ -1,46 +1,18 @@
 """Bytes of an .osim file -> its elements, also where strict XML readers refuse them."""
 
-import gzip
 import re
-import zlib
 from pathlib import Path
 from xml.etree import ElementTree
 
 from mbd_ros.errors import SceneError
+from mbd_ros.scene.models.xml_text import parse_document
 
 SUFFIXES = (".osim", ".osim.gz")
-MAX_BYTES = 64 * 1024 * 1024
-_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
-_DECLARATION = re.compile(r"\s*<\?xml.*?\?>", re.DOTALL)
-_SCOPE = re.compile(r"(</?[\w.-]+)::(?=[\w.-])")  # a class inside a class of C++
-_REFUSED = re.compile(r"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
 
 
 def is_osim(path: str | Path) -> bool:
     """Whether the name of a file is that of a model of OpenSim."""
     return str(path).lower().endswith(SUFFIXES)
-
-
-def read_osim(path: Path) -> str:
-    """Text of a model file, packed by gzip or not.
-
-    Raises:
-        SceneError: Missing, too large, or no text; names the file.
-    """
-    try:
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-        if path.suffix.lower() == ".gz":
-            data = zlib.decompressobj(16 + zlib.MAX_WBITS).decompress(data, MAX_BYTES + 1)
-    except (OSError, ValueError, EOFError, zlib.error, gzip.BadGzipFile) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise SceneError(f"{path}: model cannot be read: {reason}") from error
-    if len(data) > MAX_BYTES:
-        raise SceneError(f"{path}: model has more than {MAX_BYTES} bytes")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")  # names of authors in old files
 
 
 def parse_osim(text: str, source: str) -> ElementTree.Element:
@@ -58,24 +30,6 @@ def parse_osim(text: str, source: str) -> ElementTree.Element:
         )
     model.set("version", _version(root, source))
     return model
-
-
-def parse_document(text: str, source: str) -> ElementTree.Element:
-    """The outermost element of a document.
-
-    Comments may hold anything, and names of elements may hold `::`, which becomes `__`.
-
-    Raises:
-        SceneError: No XML; names the line.
-    """
-    if _REFUSED.search(text):
-        raise SceneError(f"{source}: DOCTYPE and ENTITY declarations are refused")
-    text = _COMMENT.sub(lambda found: "\n" * found.group().count("\n"), text)
-    text = _DECLARATION.sub(lambda found: "\n" * found.group().count("\n"), text, count=1)
-    try:
-        return ElementTree.fromstring(_SCOPE.sub(r"\1__", text))
-    except (ElementTree.ParseError, UnicodeEncodeError) as error:
-        raise SceneError(f"{source}: not well-formed XML: {error}") from error
 
 
 def _version(root: ElementTree.Element, source: str) -> str:

@@ -1,20 +1,38 @@
 """Links and joints -> the text of a robot description."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from mbd_ros.core.model.urdf_inertias import is_impossible
-from mbd_ros.scene.osim.frames import roll_pitch_yaw, six_digits
-from mbd_ros.scene.osim.item import Item
-from mbd_ros.scene.osim.mechanism import UrdfJoint
+from mbd_ros.scene.models.motions import Motion
+from mbd_ros.scene.models.poses import roll_pitch_yaw
 
 UNLIMITED = 1.0e300
-_MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")  # as OpenSim orders them
-_NONE = (0.0,) * 6
+_MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")  # in the order of `Mass`
+
+
+class UrdfJoint(NamedTuple):
+    """A joint of the description.
+
+    Attributes:
+        name: Its name in the scene.
+        parent: Link.
+        child: Link.
+        origin: `pinocchio.SE3` of the joint in the parent.
+        motion: What it does; None for a fixed one.
+        limits: Smallest and largest position [rad or m], or None.
+    """
+
+    name: str
+    parent: str
+    child: str
+    origin: Any
+    motion: Motion | None = None
+    limits: tuple[float, float] | None = None
 
 
 class Mass(NamedTuple):
@@ -36,20 +54,6 @@ class Mass(NamedTuple):
         xx, yy, zz, xy, xz, yz = self.moments
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         return is_impossible(self.mass, tensor)
-
-
-def mass_of(body: Item) -> Mass:
-    """Mass of a `<Body>` of any format.
-
-    Raises:
-        SceneError: Names body and element.
-    """
-    if body.find("inertia") is not None:
-        moments = body.vector("inertia", default=_NONE, length=6)
-    else:
-        tags = [f"inertia_{key[1:]}" for key in _MOMENTS]  # before 4.0
-        moments = [six_digits(body.number(tag, default=0.0)) for tag in tags]
-    return Mass(body.number("mass", default=0.0), body.vector("mass_center"), moments)
 
 
 def urdf_text(
