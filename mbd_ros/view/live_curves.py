@@ -17,7 +17,7 @@ class LiveSample(NamedTuple):
 
     Attributes:
         time: From the first sample on [s].
-        state: Of all joints.
+        state: Of all joints; internal states are NaN where unknown.
         efforts: Measured effort of each joint, NaN where unknown, shape (joints,).
         torques: Computed torque of each joint, NaN where unknown, shape (joints,).
         multipliers: Of all rows, NaN where unknown, shape (m,).

@@ -111,17 +111,15 @@ class LiveRobot:
         return place
 
     def _drawn(self, sample: LiveSample) -> Drawn:
-        lam = sample.multipliers
-        is_known = bool(np.isfinite(lam).all())
-        try:
-            self.fault = ""
-            if is_known:
+        x, lam, self.fault = sample.state, sample.multipliers, ""
+        if np.isfinite(lam).all() and np.isfinite(x.z).all():
+            try:
                 self._note_tension(sample)
-                a = self._no_acceleration
-                return self.frames.at(sample.state, a, lam, float(self._most[_TENSION]))
-        except MbdError as error:
-            self.fault = f"no forces: {error}"
-        return self.frames.at(sample.state)
+                most = float(self._most[_TENSION])
+                return self.frames.at(x, self._no_acceleration, lam, most)
+            except (MbdError, ArithmeticError) as error:  # a message may say anything
+                self.fault = f"no forces: {error}"
+        return self.frames.at(x._replace(z=np.nan_to_num(x.z)))
 
     def _note_tension(self, sample: LiveSample) -> None:
         found = self.frames.tensions(sample.state, self._no_acceleration, sample.multipliers)

@@ -1,5 +1,7 @@
 """The node `web_view` over DDS and websockets: what a page is told, and what it asks for."""
 
+import math
+import re
 import signal
 import socket
 import time
@@ -7,9 +9,11 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Point
 from nodes.conftest import ROOT
 from nodes.joint_stream import ACTIVE
 from sensor_msgs.msg import JointState
+from visualization_msgs.msg import Marker, MarkerArray
 
 pytest.importorskip("viser", reason="viser is not installed")
 
@@ -56,6 +60,11 @@ class Streams:
         for topic in self._topics:
             probe.spin_until(topic.get_subscription_count)
 
+    def publish(self, message):
+        """One message to all."""
+        for topic in self._topics:
+            topic.publish(message)
+
     def run(self, seconds):
         """Publish for so many seconds."""
         end, due = time.monotonic() + seconds, time.monotonic()
@@ -64,8 +73,7 @@ class Streams:
             self._message.header.stamp = self._probe.node.get_clock().now().to_msg()
             angle = 0.5 * np.sin(2.0 * self.sent / 500.0)
             self._message.position = [angle] * len(JOINTS)
-            for topic in self._topics:
-                topic.publish(self._message)
+            self.publish(self._message)
             due = max(due + 0.002, now)
             time.sleep(max(0.0, due - time.monotonic()))
 
@@ -143,6 +151,41 @@ def test_a_target_is_reached_by_the_reference_that_the_controller_gets(view, pro
     probe.spin_until(lambda: missed() < 1e-4)
     assert heard[-1].name == JOINTS
     page.close()
+
+
+def test_hostile_messages_and_browsers_leave_a_page_that_draws(view, probe):
+    node, address = view()
+    hostile, page = PageClient(address), PageClient(address)
+    hostile.set("target of the joint", True)
+    hostile.set("joint", "joint6")
+    hostile.wait_for(lambda m: m["type"] == "TransformControlsMessage")
+    for label in ("joint", "quantity", "follow", "time", "scale of arrows", "strength"):
+        for value in ("nothing", math.nan, math.inf, -1e300, [1], None):
+            hostile.set(label, value)
+    hostile.set("real-time factor", math.nan)
+    far, turn, nowhere = (math.inf, math.nan, 1e300), (0.0,) * 4, (0.5, 0.5)
+    solid = next(key[1] for key in hostile.state if re.fullmatch("/0/6/[0-9]+", key[1]))
+    for phase in ("update", "start", "update"):
+        places = (far, nowhere, far, nowhere)
+        drag = _messages.SceneNodeDragMessage(phase, solid, None, *places, "left", "shift")
+        hostile.say(drag)
+    hostile.say(_messages.TransformControlsUpdateMessage("/handle", turn, far))
+    hostile.say(_messages.TransformControlsUpdateMessage("/handle", turn, (1e9, -1e9, 1e9)))
+    streams = Streams(probe, ["/joint_states"])
+    markers = probe.node.create_publisher(MarkerArray, "/markers", 10)
+    probe.spin_until(markers.get_subscription_count)
+    far_away = Marker(type=Marker.POINTS, points=[Point(x=math.nan), Point(y=1e308)])
+    markers.publish(MarkerArray(markers=[far_away, Marker(type=77), Marker(type=Marker.ARROW)]))
+    bad = JointState(name=JOINTS, position=[math.nan, math.inf, 1e300, 0.0, 0.0, 0.0, 0.1])
+    streams.publish(bad)
+    streams.publish(JointState(name=JOINTS, position=[0.0]))
+    hostile.socket.send(b"\x00" * 100)
+    streams.run(0.5)
+    page.hear(0.3)
+    streams.run(0.5)
+    assert turned(page.hear(0.3))
+    assert node.process.poll() is None
+    assert node.stop() == 0
 
 
 def test_bad_parameters_are_named(view, start_node):

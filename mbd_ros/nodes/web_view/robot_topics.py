@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import MarkerArray
 
 from mbd_ros.core.model.base_motion import configuration_of
@@ -24,6 +25,7 @@ from mbd_ros.view.live_curves import LiveSample
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader
 from msg_adapters.marker_shapes import Shapes, read_shapes
+from msg_adapters.multi_array import read_labelled
 from msg_adapters.odometry import read_odometry
 
 _FARTHEST = 1.0e6  # rad or m, of a joint that can be drawn
@@ -88,9 +90,12 @@ class RobotTopics:
         self.loads, self.age, self.rate = self._measured.names, math.inf, 0.0
         self._at_q = np.array([joint.q for joint in robot.joints], dtype=np.intp)
         self._at_v = np.array([joint.v for joint in robot.joints], dtype=np.intp)
-        begin, nv = scene.initial, robot.model.nv
-        self.q, self._v, self._a = begin.q.copy(), np.zeros(nv), np.zeros(nv)
-        self._z, self._lam = np.nan_to_num(begin.z), np.full(len(rows), np.nan)
+        nv, self._internals = robot.model.nv, scene.internals.names
+        self._outputs = (
+            newest(Float64MultiArray, f"{values.simulator}/outputs") if self._internals else None
+        )
+        self.q, self._v, self._a = scene.initial.q.copy(), np.zeros(nv), np.zeros(nv)
+        self._z, self._lam = np.full(len(self._internals), np.nan), np.full(len(rows), np.nan)
         self._effort, self._torque = np.full((2, len(every)), np.nan)
         self._shapes = Shapes(np.zeros((0, 3)), np.zeros((0, 2, 3)))
         self._begin: int | None = None
@@ -100,12 +105,14 @@ class RobotTopics:
         """What is known now; None if no message came since it was asked last."""
         moved = [self._take_joints(topic) for topic in self._joints]
         moved += [self._take_pose(base, topic) for base, topic in self._bodies()]
-        others = (self._take_forces(), self._take_torques(), self._take_markers())
+        others = [self._take_forces(), self._take_torques(), self._take_markers()]
+        others.append(self._take_internals())
         if any(moved):
             self._couplings.expand(self.q[:, None], self._v[:, None], self._a[:, None])
         self.k.refresh(self.q, self._v, Reads.POSITION)
-        drawn = bool(np.isfinite(self._lam).all())
-        loads = self._measured.at(self.k, drawn)
+        lam = self._lam
+        is_known = np.isfinite(lam).all() and np.isfinite(self._z).all()
+        loads = self._measured.at(self.k, bool(is_known))
         if not (any(moved) or any(others) or self._measured.names):
             return None
         time = (self._stamp - (self._begin or 0)) * NANOSECOND
@@ -152,6 +159,15 @@ class RobotTopics:
         if sample is not None:
             self._lam = sample.effort.copy()
         return sample is not None
+
+    def _take_internals(self) -> bool:
+        """Internal states, without which forces of parts that have some are unknown."""
+        if self._outputs is None:
+            return False
+        z = self._outputs.message(lambda msg: read_labelled(msg, self._internals))
+        if z is not None:
+            self._z = z
+        return z is not None
 
     def _take_torques(self) -> bool:
         sample = self._torques.read()
