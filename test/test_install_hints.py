@@ -53,6 +53,7 @@ BAG = ("simulate", SCENES / "arm7.yaml", "-t", "0.002", "-o")
         ("sensor_msgs", "inverse_dynamics", ()),
         ("pinocchio", "qp_controller", ()),
         ("rosbags", "reference_player", ()),
+        ("viser", "web_view", ("--ros-args", "-p", "scene:=arm7")),
     ],
 )
 def test_a_missing_package_is_named_with_what_brings_it(hidden, program, words, tmp_path):

@@ -125,7 +125,7 @@ class WebViewNode(SceneNode):
         }
         for robot in self._robots:
             title = f" of {robot.view.title}" if robot.view.title else ""
-            details[f"messages a second{title}"] = f"{robot.topics.rate:.0f}"
+            details[f"messages heard a second{title}"] = f"{robot.topics.rate:.0f}"
         return (STALE if silent else OK), "; ".join(silent) or "shown", details
 
     def _robot(self, space: str, view: LiveRobot) -> _Robot:
@@ -190,7 +190,7 @@ class WebViewNode(SceneNode):
 
     def _stream(self, robot: _Robot) -> str:
         """How fast a robot is heard, and how fast its simulation says that it is."""
-        heard = f"{_title(robot)}{robot.topics.rate:.0f} messages a second"
+        heard = f"{_title(robot)}{robot.topics.rate:.0f} messages heard a second"
         reached = self._reached.get(self.resolve_service_name(robot.simulator.name))
         return f"{heard}, real-time factor {reached}" if reached else heard
 
