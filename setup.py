@@ -55,6 +55,7 @@ setup(
         "compiled": ["casadi"],
         "dask": ["dask[distributed]"],
         "docs": ["furo", "latex2mathml", "myst-parser", "sphinx"],
+        "identification": ["clarabel"],
         "peers": ["drake", "exudyn", "mujoco"],
         "tables": ["pandas", "pyarrow"],
         "view": ["av", "viser"],
@@ -62,6 +63,7 @@ setup(
         "dev": [
             "av",
             "casadi",
+            "clarabel",
             "daqp",
             "ezc3d",
             "mypy",

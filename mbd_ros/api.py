@@ -7,6 +7,7 @@ from typing import Any
 
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.files.formats import read_result as read_result
+from mbd_ros.jobs.identify.job import identify
 from mbd_ros.jobs.inverse.job import inverse
 from mbd_ros.jobs.kinematics.job import kinematics
 from mbd_ros.jobs.moment_arms.job import moment_arms
@@ -28,6 +29,7 @@ class Scene(built_scene.Scene):
 
     simulate = simulate
     inverse = inverse
+    identify = identify
     kinematics = kinematics
     moment_arms = moment_arms
     muscle_forces = muscles

@@ -82,6 +82,7 @@ PACKAGES = {  # module -> what pip calls the package that brings it
     **{f"{name}_msgs": _ROS for name in _MESSAGES.split()},
     "av": "'mbd_ros[view]'",
     "casadi": "'mbd_ros[compiled]'",
+    "clarabel": "'mbd_ros[identification]'",
     "ezc3d": "'mbd_ros[biomechanics]'",
     "distributed": "'dask[distributed]'",
     "eigenpy": "pin",

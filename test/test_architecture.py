@@ -57,6 +57,7 @@ CORE_ORDER = (  # of the subjects in `core`: the same
     "simulation",
     "gait",
     "estimation",
+    "identification",
     "control",
 )
 CORE, NODES = "mbd_ros.core", "mbd_ros.nodes"

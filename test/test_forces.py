@@ -15,6 +15,7 @@ from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
 from mbd_ros.forces.applied_wrench import AppliedWrench
+from mbd_ros.forces.gear_friction import GearFriction
 from mbd_ros.forces.gravity_compensation import GravityCompensation
 from mbd_ros.forces.joint_friction import JointFriction
 from mbd_ros.forces.joint_spring import JointSpring
@@ -68,6 +69,20 @@ def test_friction_opposes_motion_saturates_and_vanishes_at_rest():
     for v in (-3.0, 3.0):
         assert force(friction, v=v) == pytest.approx(-math.copysign(0.4, v) - 0.05 * v)
     assert all(force(friction, v=v) * v < 0 for v in (-1.0, -1e-6, 1e-6, 50.0))
+
+
+def test_gear_friction_grows_with_the_load_and_shrinks_with_speed():
+    """Far beyond the smoothing the dry part is coulomb + load |g| + stribeck / (1 + (v/v_s)^2)."""
+    keys = {"coulomb": 0.4, "load": 0.1, "stribeck": 0.3, "stribeck_velocity": 2.0}
+    more = {"viscous": 0.05, "offset": 0.2, "rotor_inertia": 0.01, "smoothing": 0.01}
+    part, v = GearFriction(ROBOT, joint="ankle", **keys, **more), 2.0
+    weight = Kinematics(ROBOT).gravity(np.zeros(5))[ROBOT.joint("ankle").v]
+    dry = 0.4 + 0.1 * abs(weight) + 0.15
+    assert abs(weight) > 0.1
+    assert force(part, 0.0, v) == pytest.approx(0.2 - 0.1 - dry, abs=1e-12)
+    assert force(part, 0.0, -v) == pytest.approx(0.2 + 0.1 + dry, abs=1e-12)
+    assert force(part, 0.0, 0.0) == pytest.approx(0.2)
+    assert part.armature()[ROBOT.joint("ankle").v] == 0.01
 
 
 def test_force_on_a_dependent_joint_reaches_its_parent_through_the_slope():

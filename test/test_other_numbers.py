@@ -167,3 +167,19 @@ def test_parts_that_no_entry_made_have_no_numbers(leg):
 def test_a_changed_file_keeps_its_folder():
     leg = load_scene(ROOT / "config/scenes/prosthetic_leg.yaml")
     assert leg.with_({"initial.position.knee": 0.1}).name == f"{leg.path} (changed)"
+
+
+def test_inertias_of_links_are_numbers_of_a_scene():
+    """About the mass centre, in the axes of the link; moments follow the mass unless given."""
+    scene = load_scene("prosthetic_leg")
+    before = scene.robot.inertias()["shank"]
+    moments = [0.03, 0.0, 0.001, 0.03, 0.0, 0.005]
+    changed = scene.with_({"shank.mass": 2.0 * before.mass, "shank.com": [0.0, 0.01, -0.2]})
+    after = changed.robot.inertias()["shank"]
+    assert after.mass == pytest.approx(2.0 * before.mass)
+    assert after.lever == pytest.approx([0.0, 0.01, -0.2])
+    assert after.inertia == pytest.approx(2.0 * before.inertia)
+    given = changed.with_({"shank.inertia": moments}).robot.inertias()["shank"].inertia
+    assert given[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]] == pytest.approx(moments)
+    with pytest.raises(SceneError, match="nothing is called 'shnak'; there are shank"):
+        scene.with_({"shnak.mass": 1.0})

@@ -14,6 +14,7 @@ from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import NONE, State
 from mbd_ros.forces.cable import Cable
+from mbd_ros.forces.gear_friction import GearFriction
 from mbd_ros.forces.joint_friction import JointFriction
 from mbd_ros.forces.joint_spring import JointSpring
 from mbd_ros.forces.joint_torque import JointTorque
@@ -47,6 +48,11 @@ def through(robot, points):
 FORCES = {
     "joint_spring": (LEG, JointSpring, {"joint": "knee", "stiffness": 30.0, "damping": 0.7}),
     "joint_friction": (LEG, JointFriction, {"joint": "ankle", "coulomb": 0.4, "viscous": 0.05}),
+    "gear_friction": (
+        LEG,
+        GearFriction,
+        {"joint": "ankle", "coulomb": 0.4, "load": 0.1, "stribeck": 0.2, "viscous": 0.05},
+    ),
     "joint_torque": (LEG, JointTorque, {"joint": "knee", "torque": 3.0}),
     "point_spring": (ARM, PointSpring, {"frame_a": "link2", "frame_b": "flange", **SPRING, **FAR}),
     "cable over points of links": (ARM, Cable, {**CABLE, "path": through(ARM, VIA)}),

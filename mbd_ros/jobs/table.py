@@ -62,6 +62,9 @@ COMMANDS: Mapping[str, Command] = {
     "muscles": Command(
         "mbd_ros.jobs.muscles.command", "forces of muscles and loads of joints of a motion"
     ),
+    "identify": Command(
+        "mbd_ros.jobs.identify.command", "inertias and friction from motion and measured efforts"
+    ),
     "replay": Command(
         "mbd_ros.jobs.replay.command", "a bag through the live node, with an error table"
     ),

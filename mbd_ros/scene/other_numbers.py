@@ -8,9 +8,11 @@ import numpy as np
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.building import Kept, Origin, parts_in
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.from_python import changed_origin, plain, rebuilt
+from mbd_ros.scene.from_python import changed_origin, plain, rebuilt, with_inertias
 from mbd_ros.scene.nearest import nearest
 from mbd_ros.scene.sections import SECTIONS, Form, Section, keys
+
+_OF_LINKS = ("mass", "com", "inertia")
 
 
 class Place(NamedTuple):
@@ -25,13 +27,19 @@ def with_numbers(scene: Scene, numbers: Mapping[str, Any]) -> Scene:
 
     Args:
         scene: The scene.
-        numbers: Numbers, or lists of them, by `<name>.<argument>`; where the argument is a
+        numbers: Numbers, or lists of them, by `<name>.<argument>`; inertias of links by
+            `<link>.mass`, `.com` and `.inertia`; where the argument is a
             mapping, by `<name>.<argument>.<key>`.
 
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
     origin, places = changed_origin(scene), places_of(scene)
+    numbers, inertias = _without_inertias(scene, origin, places, numbers)
+    if inertias:
+        scene = with_inertias(scene, inertias)
+    if not numbers:
+        return scene
     entries, changed = dict(scene.entries), set[Place]()
     for key, number in numbers.items():
         place, path = found_place(origin, places, key)
@@ -52,6 +60,50 @@ def with_numbers(scene: Scene, numbers: Mapping[str, Any]) -> Scene:
         if np.array_equal(found.robot.model.armature, scene.robot.model.armature):
             return found  # of other parts, ours depend on the inertia of drives only
     return rebuilt(scene, origin, entries, keys(touched), made)
+
+
+def _without_inertias(
+    scene: Scene, origin: Origin, places: Mapping[str, Place], numbers: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Numbers of parts, and inertias of links: `<link>.mass`, `.com` and `.inertia`.
+
+    The inertia is about the mass centre and in the axes of the link: xx, xy, xz, yy, yz, zz, or
+    3 x 3; what is not given stays, moments keep their share of the mass.
+    """
+    asked = [key for key in numbers if str(key).rpartition(".")[2] in _OF_LINKS]
+    asked = [key for key in asked if str(key).rpartition(".")[0] not in places]
+    if not asked:
+        return dict(numbers), {}
+    links, changed = scene.robot.inertias(), dict[str, Any]()
+    for key in asked:
+        link, _, word = str(key).rpartition(".")
+        if link not in links:
+            close = ", ".join(nearest(link, [*places, *links]) or links)
+            raise SceneError(
+                f"{origin.name}: {key}: nothing is called '{link}'; there are {close}"
+            )
+        value = plain(numbers[key], f"{origin.name}: {key}")
+        if not _is_number(value):
+            raise SceneError(f"{origin.name}: {key}: expected a number, got {value!r}")
+        given = links[link]
+        mass, centre, moments = changed.get(link, (given.mass, given.lever, given.inertia))
+        if word == "mass":
+            share = value / mass if f"{link}.inertia" not in numbers and mass else 1.0
+            mass, moments = value, share * np.asarray(moments)
+        changed[link] = {
+            "mass": (mass, centre, moments),
+            "com": (mass, value, moments),
+            "inertia": (mass, centre, _tensor(value)),
+        }[word]
+    return {key: value for key, value in numbers.items() if key not in asked}, changed
+
+
+def _tensor(value: Any) -> Any:
+    """3 x 3 of six moments."""
+    if not isinstance(value, list) or len(value) != 6 or isinstance(value[0], list):
+        return value
+    xx, xy, xz, yy, yz, zz = value
+    return [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
 
 
 def places_of(scene: Scene) -> dict[str, Place]:

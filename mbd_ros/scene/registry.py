@@ -37,6 +37,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "sliding_mode": "mbd_ros.controllers.sliding_mode:SlidingMode",
         "super_twisting": "mbd_ros.controllers.super_twisting:SuperTwisting",
         "computed_torque": "mbd_ros.controllers.computed_torque:ComputedTorque",
+        "gear_friction": "mbd_ros.forces.gear_friction:GearFriction",
         "gravity_compensation": "mbd_ros.controllers.gravity_compensation:GravityCompensation",
         "qp_tracking": "mbd_ros.controllers.qp_tracking:QpTracking",
     },

@@ -123,6 +123,12 @@ class ClosedLoopInverseDynamics:
         force: Array = self._R.dot(np.concatenate((found.residual, found.carried)))
         return force
 
+    def demand(self, x: State, a: Array, wrenches: Sequence[Array] = ()) -> Array:
+        """M a + h - loads: what efforts and multipliers exert together, shape (nv,)."""
+        self._balance.place(x)
+        terms = self._balance.terms(x, a, wrenches)
+        return terms.inertial + terms.bias - terms.loads
+
     def solve(
         self,
         x: State,

@@ -72,6 +72,10 @@ class LoopMotion:
         """Mass matrix with which distances are measured, shape (nv, nv)."""
         return self._system.mass(q).dense
 
+    def jacobian(self, t: float, q: Array) -> Array:
+        """Rows of couplings and constraints at a configuration, shape (m, nv)."""
+        return self._held.jacobian(t, q)
+
     def consistent(self, x: State, a: Array) -> tuple[State, Array]:
         """The nearest state on the constraints and the nearest acceleration that they allow.
 

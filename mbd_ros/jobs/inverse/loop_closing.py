@@ -46,7 +46,7 @@ def close_loops(scene: Scene, where: str, recording: Recording) -> tuple[Recordi
         raise DataError(f"{where}: no sample has all of its joints")
     if not whole.all():
         recording.dropped["the position of a joint is missing"] += int((~whole).sum())
-    motion = recording.motion if whole.all() else _kept(recording.motion, whole)
+    motion = recording.motion if whole.all() else kept_rows(recording.motion, whole)
     if is_there.all():
         return recording._replace(motion=motion), []
     joints = [scene.robot.joint(name) for name in names]
@@ -56,14 +56,15 @@ def close_loops(scene: Scene, where: str, recording: Recording) -> tuple[Recordi
     return recording._replace(motion=motion), said + fold
 
 
-def _kept(motion: Motion, rows: Mask) -> Motion:
+def kept_rows(motion: Motion, rows: Mask | slice) -> Motion:
+    """Some samples of a motion."""
     return motion._replace(
         **_rows(motion, rows, {"names", "bodies"}),
         bodies=tuple(body._replace(**_rows(body, rows, {"name"})) for body in motion.bodies),
     )
 
 
-def _rows(whole: Motion | BodyMotion, rows: Mask, others: set[str]) -> dict[str, Any]:
+def _rows(whole: Motion | BodyMotion, rows: Mask | slice, others: set[str]) -> dict[str, Any]:
     """Some rows of all fields but others."""
     fields = whole._asdict().items()
     return {f: None if v is None else v[rows] for f, v in fields if f not in others}

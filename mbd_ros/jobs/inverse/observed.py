@@ -99,7 +99,7 @@ def observe_motion(
         tuning = Tuning(cutoff=derivatives.causal_cutoff)
         solver = scene.inverse_dynamics()
         estimator = TorqueEstimator(scene.robot, solver, tuning)
-    recording = _recording(scene, task, estimator.names, solver.needed, say)
+    recording = read_recording(scene, task, estimator.names, solver.needed, say)
     motion = recording.motion
     loads, dropped = dict[str, WrenchSamples](), Counter[str]()
     if external is None:
@@ -144,7 +144,7 @@ def _within(
     return Observations(*(field[inside] for field in samples))
 
 
-def _recording(
+def read_recording(
     scene: Scene, task: Task, names: Sequence[str], needed: Sequence[str], say: Say
 ) -> Recording:
     """The motion, with what loops give of it."""

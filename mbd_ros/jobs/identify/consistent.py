@@ -1,0 +1,157 @@
+"""Inertial numbers that bodies can have, near those given and as the data ask.
+
+    min  1/2 |A [T p; f] - b|^2 + 1/2 sum |Z_i - E|^2,   P_i(p) = L_i Z_i L_i',   P0_i = L_i L_i'
+
+over inertial numbers p and friction f, with Z_i >= 0.001 E and friction not negative. P is the
+pseudo-inertia: each body stays one of positive density, and a deviation by all of it costs as much
+as one standard deviation of the data.
+
+Source: P. M. Wensing, S. Kim, J.-J. E. Slotine, IEEE Robot. Autom. Lett. 3, 2018, 60 (the cone);
+T. Lee, P. M. Wensing, F. C. Park, IEEE Trans. Robot. 36, 2020, 168 (the distance).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.identification.inertial_parameters import COUNT, pseudo_inertia
+from mbd_ros.core.state import Array
+from mbd_ros.errors import DataError, SolveError, install_hint
+
+_LEAST = 1.0e-3  # of the given pseudo-inertia: what is left of a body
+_LIGHT = 1.0e-3  # of the usual body: what one without mass counts as
+_SIDE = 4  # of P
+_UPPER = [(i, j) for j in range(_SIDE) for i in range(j + 1)]
+
+
+class Consistent(NamedTuple):
+    """Numbers that bodies can have.
+
+    Attributes:
+        inertial: Of all bodies, shape (bodies, 10).
+        friction: Of all joints together.
+        deviation: |Z_i - E| of each body: 1 is a deviation by all of it, shape (bodies,).
+    """
+
+    inertial: Array
+    friction: Array
+    deviation: Array
+
+
+def consistent(
+    A: Array, b: Array, T: Array, given: Array, is_signed: NDArray[np.bool_]
+) -> Consistent:
+    """Solve the problem above.
+
+    Args:
+        A: Weighted rows, base parameters first, then friction; shape (k, r + f).
+        b: Weighted torques, shape (k,).
+        T: Base parameters of inertial numbers, shape (r, p).
+        given: Inertial numbers of the description, shape (bodies, 10).
+        is_signed: Friction that is not negative, shape (f,).
+
+    Raises:
+        DataError: The solver is not installed.
+        SolveError: It finds no optimum.
+    """
+    r, bodies = len(T), len(given)
+    maps = _maps(given)
+    to_p = np.zeros((COUNT * bodies, COUNT * bodies))
+    for i, M in enumerate(maps):
+        to_p[COUNT * i : COUNT * (i + 1), COUNT * i : COUNT * (i + 1)] = M
+    whole = np.hstack([A[:, :r] @ T @ to_p, A[:, r:]])
+    scale = np.linalg.norm(A[:, r:], axis=0)
+    scale[scale == 0.0] = 1.0
+    whole[:, COUNT * bodies :] /= scale
+    one = np.tile(_svec(np.eye(_SIDE)), bodies)
+    prior = np.zeros(whole.shape[1])
+    prior[: len(one)] = 1.0
+    H = whole.T @ whole + np.diag(prior)
+    g = -whole.T @ b
+    g[: len(one)] -= one
+    x = _solve(H, g, bodies, np.flatnonzero(is_signed))
+    z = x[: len(one)].reshape(bodies, COUNT)
+    inertial = np.array([M @ own for M, own in zip(maps, z, strict=True)])
+    away = np.linalg.norm(z - one.reshape(bodies, COUNT), axis=1)
+    return Consistent(inertial, x[len(one) :] / scale, away)
+
+
+def prior_deviation(T: Array, given: Array) -> Array:
+    """Standard deviation of base parameters before any data, all of a body wide, shape (r,)."""
+    own = [T[:, COUNT * i : COUNT * (i + 1)] @ M for i, M in enumerate(_maps(given))]
+    deviation: Array = np.sqrt(np.sum([np.square(one).sum(axis=1) for one in own], axis=0))
+    return deviation
+
+
+def _solve(H: Array, g: Array, bodies: int, signed: NDArray[np.intp]) -> Array:
+    """The optimum by an interior-point method, its conditions looked at again."""
+    try:
+        import clarabel
+    except ImportError as error:
+        raise DataError(install_hint("clarabel")) from error
+    from scipy import sparse
+
+    n, m = len(g), COUNT * bodies
+    size = float(np.abs(g).max()) or 1.0
+    rows = np.zeros((m + len(signed), n))
+    rows[np.arange(m), np.arange(m)] = -1.0
+    rows[m + np.arange(len(signed)), m + signed] = -1.0
+    bound = np.zeros(len(rows))
+    bound[:m] = -_LEAST * np.tile(_svec(np.eye(_SIDE)), bodies)
+    cones = [clarabel.PSDTriangleConeT(_SIDE)] * bodies
+    if len(signed):
+        cones.append(clarabel.NonnegativeConeT(len(signed)))
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    P = sparse.csc_matrix(np.triu(H / size))
+    solver = clarabel.DefaultSolver(P, g / size, sparse.csc_matrix(rows), bound, cones, settings)
+    found = solver.solve()
+    x = np.array(found.x)
+    if not np.isfinite(x).all() or (bound - rows @ x)[m:].min(initial=0.0) < -1e-6:
+        raise SolveError(f"no consistent inertias: the solver ends with {found.status}")
+    x[m + signed] = np.maximum(x[m + signed], 0.0)
+    return x
+
+
+def _maps(given: Array) -> list[Array]:
+    """Of every body the matrix that makes inertial numbers of svec(Z), shape (10, 10)."""
+    every = np.array([pseudo_inertia(numbers) for numbers in given])
+    heavy = [P for P in every if np.linalg.eigvalsh(P)[0] > 0.0]
+    usual = _bare(np.mean(heavy, axis=0)) if heavy else np.diag([0.01, 0.01, 0.01, 1.0])
+    units = [pseudo_inertia(unit) for unit in np.eye(COUNT)]
+    of_numbers = np.array([_svec(unit) for unit in units]).T
+    maps = []
+    for P in every:
+        size = np.sqrt(np.diag(usual))
+        least = np.linalg.eigvalsh(P / np.outer(size, size))[0]
+        L = np.linalg.cholesky(P if least > _LIGHT**2 else _lifted(P, usual))
+        of_z = np.array([_svec(L @ _matrix(unit) @ L.T) for unit in np.eye(COUNT)]).T
+        maps.append(np.linalg.solve(of_numbers, of_z))
+    return maps
+
+
+def _bare(P: Array) -> Array:
+    """Without the product of mass and centre: about the mass centre of all."""
+    return np.diag(np.diag(P))
+
+
+def _lifted(P: Array, usual: Array) -> Array:
+    """A pseudo-inertia that is none, or nearly, made one by a light body around it."""
+    values, vectors = np.linalg.eigh(P)
+    kept = vectors @ np.diag(np.maximum(values, 0.0)) @ vectors.T
+    lifted: Array = kept + _LIGHT * usual
+    return lifted
+
+
+def _svec(S: Array) -> Array:
+    """Upper triangle by columns, those off the diagonal by sqrt 2, shape (10,)."""
+    return np.array([S[i, j] * (1.0 if i == j else np.sqrt(2.0)) for i, j in _UPPER])
+
+
+def _matrix(s: Array) -> Array:
+    """Inverse of `_svec`."""
+    S = np.zeros((_SIDE, _SIDE))
+    for value, (i, j) in zip(s, _UPPER, strict=True):
+        S[i, j] = S[j, i] = value / (1.0 if i == j else np.sqrt(2.0))
+    return S

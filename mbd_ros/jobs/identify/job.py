@@ -1,0 +1,156 @@
+"""Identification of inertias and friction from recorded motion: `mbd-ros identify`."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mbd_ros.core.identification.least_squares import stacked
+from mbd_ros.errors import DataError
+from mbd_ros.files.recordings import Source
+from mbd_ros.files.table import Result
+from mbd_ros.jobs.identify.checks import (
+    check_excitation,
+    check_length,
+    check_still,
+    check_units,
+)
+from mbd_ros.jobs.identify.consistent import Consistent, consistent
+from mbd_ros.jobs.identify.identified_scene import without_friction
+from mbd_ros.jobs.identify.learning import Learned, Search, learn
+from mbd_ros.jobs.identify.outcome import outcome
+from mbd_ros.jobs.identify.problem import Problem
+from mbd_ros.jobs.identify.task import Identified, Task
+from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.progress import Watch, watching
+from mbd_ros.scene.built_scene import Scene
+
+_LEAST = 1.0e-6  # of the usual torque: deviations that weigh rows beside what bodies can have
+_REACH = 1.0  # periods of the end of the band: delays that are looked for
+_AGAIN = 2  # fits: friction that grows with the load needs the load of the model found before
+
+
+def identify(
+    scene: Scene,
+    *motions: Source,
+    wrenches: Source | Sequence[Source] = (),
+    topic: str = "/joint_states",
+    derivatives: str | None = None,
+    band: float | None = None,
+    friction: str | Sequence[str] = "auto",
+    gains: Mapping[str, float] | None = None,
+    passive: Sequence[str] = (),
+    learned: float = 0.6,
+    delay: float | None = None,
+    partial: bool = False,
+    say: Say | None = None,
+    progress: Watch = False,
+) -> Identified:
+    """Inertias, friction and their accuracy, from motion and measured efforts.
+
+    Args:
+        scene: The scene; its inertias are where nothing is known, and its `joint_friction` and
+            `gear_friction` are found anew.
+        *motions: Results, files or bags with positions and efforts.
+        wrenches: Of tables with external loads, one a motion.
+        topic: JointState topic of bags.
+        derivatives: given or zero-phase; None: given where a motion has accelerations.
+        band: End of the band that is looked at [Hz]; None: from the motion.
+        friction: `auto`, `none`, or terms: viscous, coulomb, offset, load, stribeck, inertia.
+        gains: Joint -> torque for a unit of its effort.
+        passive: Joints without a motor, whose effort is 0 where wrenches are measured.
+        learned: Share of the time of each recording that is learned from, its first part; the
+            rest is for the test.
+        delay: Of efforts against motion [s]; None: estimated.
+        partial: Go on with a motion that does not show all that states can show.
+        say: Is called with each line for people.
+        progress: True for a line on a terminal, or a function of a label and a share.
+
+    Returns:
+        The scene with these numbers, and tables.
+
+    Raises:
+        DataError: Recordings that cannot be read, or that say nothing, with the reason.
+        SolveError: Inertias that bodies can have are not found.
+    """
+    loads = [wrenches] if isinstance(wrenches, str | Result) or hasattr(wrenches, "name") else []
+    task = Task(
+        motions,
+        loads or list(wrenches),  # type: ignore[arg-type]
+        topic,
+        derivatives,
+        band,
+        [friction] if isinstance(friction, str) else list(friction),
+        gains or {},
+        passive,
+        learned,
+        delay,
+        partial,
+    )
+    remarks: list[str] = []
+
+    def told(line: str) -> None:
+        remarks.append(line)
+        if say is not None:
+            say(line)
+
+    with watching(progress):
+        return run_identify(scene, task, told)._replace(remarks=remarks)
+
+
+def run_identify(scene: Scene, task: Task, say: Say) -> Identified:
+    """See `identify`."""
+    if not 0.1 <= task.learned <= 1.0:
+        raise DataError(f"--learned {task.learned:g}: accepted are 0.1 .. 1")
+    allowed = task.allowed
+    bare = without_friction(scene)
+    problem = Problem(bare, task, say)
+    found, fitted = _fitted(problem, allowed, say)
+    if any(
+        problem.columns[i][k].term == "load" for i, own in enumerate(found.fit.taken) for k in own
+    ):
+        for _ in range(_AGAIN - 1):
+            problem.carry(fitted.inertial)
+            found, fitted = _fitted(problem, allowed, lambda line: None)
+    return outcome(scene, problem, found, fitted, say)
+
+
+def _fitted(problem: Problem, allowed: Sequence[str], say: Say) -> tuple[Learned, Consistent]:
+    """Least squares, then the nearest bodies."""
+    r, task = len(problem.base.chosen), problem.task
+    reach = 0.0
+    if task.delay is None and problem.band is not None and (problem.joints >= 0).any():
+        reach = _REACH / problem.band
+    if task.delay is not None:
+        problem.shift(task.delay)
+    for line in check_still(problem.where, problem.movement(), problem.texts, task.partial):
+        say(line)
+    search = Search(reach, 0.5 * problem.step)
+    found = learn(problem.blocks, problem.columns, r, allowed, search, problem.correlation)
+    if found.delay:
+        later = "later" if found.delay > 0 else "earlier"
+        say(f"efforts come {abs(found.delay) * 1e3:.3g} ms {later} than the motion: taken out")
+    driven = problem.joints >= 0
+    measured = [j for j, is_driven in zip(found.joints, driven, strict=True) if is_driven]
+    names = [n for n, is_driven in zip(problem.labels, driven, strict=True) if is_driven]
+    check_units(problem.where, names, measured, problem.base.values(problem.given.ravel()), r)
+    check_length(problem.where, found.joints, r + sum(map(len, found.fit.taken)), problem.seconds)
+    whole = np.concatenate(
+        [j.R[:, :r] / d for j, d in zip(found.joints, found.fit.deviation, strict=True)]
+    )
+    for line in check_excitation(problem.where, problem.base, problem.texts, whole, task.partial):
+        say(line)
+    return found, _nearest(problem, found)
+
+
+def _nearest(problem: Problem, found: Learned) -> Consistent:
+    """The nearest bodies, rows weighed by what they are worth."""
+    r, fit = len(problem.base.chosen), found.fit
+    worth = np.array([np.sqrt(max(j.effective, 1.0) / max(j.rows, 1)) for j in found.joints])
+    least = np.array([_LEAST * j.usual for j in found.joints])
+    deviation = np.maximum(fit.deviation, least) / worth
+    A, b = stacked(found.joints, fit.taken, r, deviation)
+    signed = [
+        problem.columns[i][k].term != "offset" for i, own in enumerate(fit.taken) for k in own
+    ]
+    is_signed = np.array(signed, dtype=np.bool_)
+    return consistent(A, b, problem.base.matrix, problem.given, is_signed)

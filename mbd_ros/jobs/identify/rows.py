@@ -1,0 +1,115 @@
+"""Filtered rows of recordings: base parameters, candidates of friction, torques."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.identification.base_parameters import BaseParameters
+from mbd_ros.core.identification.friction import Column, columns_of
+from mbd_ros.core.identification.loop_regressor import LoopRegressor
+from mbd_ros.core.identification.regressor import Regressor
+from mbd_ros.core.state import Array
+from mbd_ros.jobs.identify.band import Filter, grid_step
+from mbd_ros.jobs.identify.samples import Piece
+
+_STILL = 0.01  # of the largest velocity of a joint: below, it rests
+_MOVING = 0.5  # of a window of the filter, the least that is kept
+_CHUNK = 4000  # samples of the grid that are asked for at once
+
+
+class Block(NamedTuple):
+    """Filtered rows that follow each other.
+
+    Attributes:
+        X: Columns of the base parameters, shape (n, m, r).
+        F: Candidates of friction of each row, shape (n, k) each.
+        Y: Torques with a delay each, shape (n, m, delays).
+        kept: Which of the n x m rows count, shape (n, m).
+    """
+
+    X: Array
+    F: list[Array]
+    Y: Array
+    kept: NDArray[np.bool_]
+
+
+class RowMaker:
+    """Makes rows of pieces.
+
+    Args:
+        regressor: Of the scene.
+        base: Its base parameters.
+        rows: Rows of the regressor that are used, shape (m,).
+        columns: Candidates of friction of each of them; none of a row without a joint.
+        joints: Place of each of these rows among the independent joints, -1 of no effort.
+        peak: Largest velocity of each, shape (m,).
+    """
+
+    def __init__(
+        self,
+        regressor: Regressor | LoopRegressor,
+        base: BaseParameters,
+        rows: NDArray[np.intp],
+        columns: Sequence[tuple[Column, ...]],
+        joints: NDArray[np.intp],
+        peak: Array,
+    ) -> None:
+        self.regressor, self.base, self.rows = regressor, base, rows
+        self.coordinates = regressor.coordinates[rows]
+        self.columns, self.joints, self.peak = columns, joints, peak
+
+    def blocks(self, piece: Piece, band: float | None, delays: Array) -> Iterator[Block]:
+        """Rows of a piece through the filter of its band; without a band all its samples."""
+        rate = 1.0 / float(np.median(np.diff(piece.times)))
+        step = 1 if band is None else grid_step(rate, band)
+        grid = np.arange(0, len(piece.times), step)
+        low = None if band is None else Filter.of(rate / step, band)
+        if low is None:
+            chunks = [grid[i : i + _CHUNK] for i in range(0, len(grid), _CHUNK)]
+        else:
+            chunks = _overlapping(grid, low)
+        for chunk in chunks:
+            X, F, Y, moves = self._plain(piece, chunk, delays)
+            if low is None:
+                yield Block(X, F, Y, moves)
+                continue
+            passed = low.passed(moves.astype(np.float64))
+            X, F, Y = low.passed(X), [low.passed(f) for f in F], low.passed(Y)
+            yield Block(X, F, Y, passed >= _MOVING)
+
+    def _plain(
+        self, piece: Piece, at: NDArray[np.intp], delays: Array
+    ) -> tuple[Array, list[Array], Array, NDArray[np.bool_]]:
+        """Rows of samples before the filter, and which joints move."""
+        y, v, a = piece.y[at], piece.v[at], piece.a[at]
+        W = self.regressor.rows(y, v, a)
+        known = self.regressor.known(W, y, v, a, [load[at] for load in piece.loads])[:, self.rows]
+        weight = self.regressor.weight(y)[:, self.rows]
+        X = np.ascontiguousarray(W[:, self.rows][:, :, self.base.chosen])
+        Y = np.empty((len(at), len(self.rows), len(delays)))
+        F = []
+        for i, (row, joint) in enumerate(zip(self.coordinates, self.joints, strict=True)):
+            F.append(columns_of(self.columns[i], v[:, row], a[:, row], weight[:, i]))
+            for k, delay in enumerate(delays):
+                effort = 0.0
+                if joint >= 0:
+                    effort = np.interp(
+                        piece.times[at] + delay, piece.times, piece.effort[:, joint]
+                    )
+                Y[:, i, k] = effort - known[:, i]
+        speeds = np.abs(v[:, self.coordinates])
+        moves = speeds > _STILL * self.peak
+        moves[:, self.peak == 0.0] = True
+        moves[:, self.joints < 0] = True
+        return X, F, Y, moves
+
+
+def _overlapping(grid: NDArray[np.intp], low: Filter) -> Iterator[NDArray[np.intp]]:
+    """Chunks of a grid whose windows together are those of all of it."""
+    starts = low.starts(len(grid))
+    count = max(_CHUNK // low.step, 1)
+    for first in range(0, len(starts), count):
+        some = starts[first : first + count]
+        yield grid[some[0] : some[-1] + len(low.taps)]
