@@ -224,7 +224,7 @@ def check_value(call, shape, x):
     [
         (
             "joint_sprong",
-            "here: unknown type 'joint_sprong', accepted: applied_wrench, cable, grav",
+            "here: unknown type 'joint_sprong', accepted: applied_wrench, cable, gear",
         ),
         ("", "here: unknown type ''"),
         (":Spring", "here: unknown type ':Spring'"),

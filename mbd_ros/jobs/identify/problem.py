@@ -99,8 +99,8 @@ class Problem:
                         kept = None
         if kept == []:
             raise DataError(
-                f"{self.where}: {self.seconds:.3g} s to learn from are too short: no window of the "
-                f"filter, which ends at {self.band:.3g} Hz, is without a gap"
+                f"{self.where}: {self.seconds:.3g} s to learn from are too short: no window of "
+                f"the filter, which ends at {self.band:.3g} Hz, is without a gap"
             )
         if kept is not None and len(delays) == 1:
             self._kept = {key: kept}
