@@ -380,7 +380,7 @@ def test_fixed_steps_are_fixed():
 
 @needs_exudyn
 @pytest.mark.parametrize("index", [3, 2])
-@pytest.mark.parametrize("name", ["arm7_swing_coupled", "x02_four_bar_1e-2"])
+@pytest.mark.parametrize("name", ["a01_pendulum", "arm7_swing_coupled", "x02_four_bar_1e-2"])
 def test_exudyn_runs_the_same_scene_with_order_2(name, index):
     from mbd_ros.report.peers.exudyn_peer import ExudynRun
 

@@ -88,13 +88,15 @@ def figure(result: Result, table: str = MAIN, columns: Sequence[str] | None = No
     for axes, (title, chosen) in zip(grid[:, 0], panels.items(), strict=True):
         for column in chosen[:_CURVES]:
             axes.plot(time[every], column.values[every].reshape(len(time[every]), -1), lw=1.0)
-        axes.set_ylabel(title, fontsize=8)
+        axes.set_ylabel(title, fontsize=8, parse_math=False)
         axes.tick_params(labelsize=7)
         axes.grid(visible=True, alpha=0.3)
         names = [_curve(column) for column in chosen[:_CURVES]]
         more = [f"and {len(chosen) - _CURVES} more"] if len(chosen) > _CURVES else []
         if len(axes.lines) == len(names):
-            axes.legend(names, fontsize=6, loc="upper right", title="".join(more) or None)
+            legend = axes.legend(names, fontsize=6, loc="upper right", title="".join(more) or None)
+            for text in legend.get_texts():
+                text.set_parse_math(False)
     grid[-1, 0].set_xlabel("time [s]" if TIME in drawn else "row", fontsize=8)
     return picture
 
@@ -152,4 +154,5 @@ def _curve(column: Column) -> str:
     """Part and component: `foot_loop_closure x`."""
     part, quantity, whole = _words(column)
     component = quantity.removeprefix(whole).lstrip("_")
-    return " ".join(filter(None, (part, component))) or column.name
+    name = " ".join(filter(None, (part, component))) or column.name
+    return f" {name}" if name.startswith("_") else name  # matplotlib hides labels that begin so

@@ -68,7 +68,7 @@ class ExudynRun:
                 used += cpu_time(lambda: _advance(solver, system, settings))
             except (RuntimeError, ValueError) as error:
                 raise DivergedError(f"Exudyn gives up before {t:g} s") from error
-            q, v = (np.array(system.GetNodeOutput(node, kind)) for kind in _OUTPUTS)
+            q, v = (np.atleast_1d(system.GetNodeOutput(node, kind)) for kind in _OUTPUTS)
             states.append(State(t, q, v))
             system.systemData.SetSystemState(
                 system.systemData.GetSystemState(), configuration=exu.ConfigurationType.Initial

@@ -67,7 +67,7 @@ def diagram(
         axes.plot(*_columns(mine), marker=marker, **{**_PEER_LINE, "color": _peer(name)})
         axes.plot(*_columns(rest), color=_peer(name), **_DOTS, alpha=0.45, zorder=1.5)
     _scale(axes)
-    axes.set_title(title, fontsize=_FONT)
+    axes.set_title(title, fontsize=_FONT, parse_math=False)
     look = {"fontsize": _FONT - 1, "handlelength": 1.6, "columnspacing": 1.4, "frameon": False}
     handles = _legend(runs, peers or {})
     figure.legend(handles=handles, loc="outside lower center", ncols=3, **look)

@@ -64,7 +64,8 @@ def verdict_map(rows: Sequence[Mapping[str, Any]]) -> Figure:
             axes.text(k, i, _symbol(cell), ha="center", va="center", fontsize=_SIZE, color=color)
     colors = ListedColormap([_COLORS[kind] for kind in VERDICTS])
     axes.imshow(shade, cmap=colors, vmin=-0.5, vmax=len(VERDICTS) - 0.5, aspect="auto")
-    axes.set_yticks(range(len(rows)), [_label(rows, i) for i in range(len(rows))], fontsize=_SIZE)
+    names = [_label(rows, i) for i in range(len(rows))]
+    axes.set_yticks(range(len(rows)), names, fontsize=_SIZE, parse_math=False)
     names = [name.replace("_", "\n") for name in COLUMNS]
     axes.set_xticks(range(len(COLUMNS)), names, fontsize=_SIZE)
     axes.xaxis.tick_top()
