@@ -105,5 +105,7 @@ def test_tables_and_scenes_in_a_notebook(scene):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_demo(name):
     table = Table(name, (name, "value"), ((name, "1"),))
-    made = demo_page(Content(name, name, (name,), (name,), {name: b"png"}, (table,), {name: name}))
+    moving, pictures = ("", name), {name: b"png"}
+    content = Content(name, name, (name,), (name,), moving, pictures, (table,), {name: name})
+    made = demo_page(content)
     refuse_elements(made, name)
