@@ -103,4 +103,4 @@ def test_spokes_that_strike_one_after_the_other_roll_as_one_that_is_relabelled()
     np.testing.assert_allclose(events["time"], one["time"], rtol=0.0, atol=1.0e-9)
     speeds = events["wheel.velocity.after"], one["wheel.velocity.after"]
     np.testing.assert_allclose(*speeds, rtol=1.0e-9)
-    np.testing.assert_array_equal(events["phase.mode.after"], [1, 2, 3, 4, 5])
+    np.testing.assert_array_equal(events["phase.after"], [1, 2, 3, 4, 5])

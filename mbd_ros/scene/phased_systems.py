@@ -245,21 +245,20 @@ class _Systems:
 
     def reset(self, plan: PhasePlan, guard: GuardPlan) -> PhaseReset:
         """What happens at once where a guard fires."""
-        then = self.plans[guard.then]
+        then, size = self.plans[guard.then], len(self.layout.rows)
         relabelling = relabelling_of(self.robot, guard.reset, f"{guard.where}.reset")
-        struck = self.struck(plan, then, guard, relabelling is not None)
-        size = len(self.layout.rows)
-        none = np.zeros(0, dtype=np.intp)
-        if not struck:
-            return PhaseReset(size, None, none, (), relabelling)
+        struck = self.struck(guard, relabelling is not None)
         stay = set(then.contacts) if then.held else set[str]()
-        if relabelling is not None:
-            bounce = {name for name in struck if self.contacts[name].law.restitution > 0.0}
-            held = struck - bounce
-        else:
-            held = stay
-            bounce = struck - stay
-        system = self.system(then, self.rows(then, held, bounce))
+        if relabelling is not None:  # contacts go by their old names still
+            stay = {name for name in struck if not self.contacts[name].law.restitution}
+        is_struck = bool(struck)
+        if guard.reset.impact is None:
+            is_struck |= bool(self.holds(then, stay) - self.holds(plan, plan.contacts))
+        if not is_struck:
+            none = np.zeros(0, dtype=np.intp)
+            return PhaseReset(size, None, none, (), relabelling)
+        bounce = struck - stay
+        system = self.system(then, self.rows(then, stay, bounce))
         touching = [
             i
             for cone in system.layout.cones
@@ -268,19 +267,19 @@ class _Systems:
         ]
         return PhaseReset(size, system, self.slots(system), tuple(touching), relabelling)
 
-    def struck(
-        self, plan: PhasePlan, then: PhasePlan, guard: GuardPlan, is_renamed: bool
-    ) -> set[str]:
-        """Contacts whose bodies hit each other where a guard fires.
+    def struck(self, guard: GuardPlan, is_relabelled: bool) -> set[str]:
+        """Contacts whose bodies hit each other where a guard fires, beside those held next.
 
-        By default those that the next phase holds and this one does not; and that of a guard
-        `touch_down`, where joints are relabelled.
+        By default that of a guard `touch_down`, where joints are relabelled.
         """
         if guard.reset.impact is not None:
             return set(guard.reset.impact)
-        if is_renamed:
-            name = guard.entry.touch_down
-            return (
-                {name} if name is not None and hasattr(self.contacts[name], "residual") else set()
-            )
-        return set(then.contacts) - set(plan.contacts) if then.held else set()
+        name = guard.entry.touch_down
+        is_rigid = name is not None and hasattr(self.contacts[name], "residual")
+        return {name} if is_relabelled and is_rigid and name is not None else set()
+
+    def holds(self, plan: PhasePlan, contacts: Iterable[str]) -> set[str]:
+        """Names of everything that holds whatever force that takes in a phase."""
+        held = set(contacts) if plan.held else set[str]()
+        rigid = (part.name for part in self.rows(plan, held) if part.law.is_rigid)
+        return {*rigid, *self.couplings(plan).dependent}

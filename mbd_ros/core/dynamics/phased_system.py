@@ -191,3 +191,9 @@ def during(system: System, x: State) -> System:
 def inward(system: System, x: State) -> State:
     """The state with the mode that the system of its phase has for it."""
     return system.inward(x) if isinstance(system, PhasedSystem) else x
+
+
+def phase_names(system: System) -> tuple[str, ...]:
+    """Names of the phases in the order of the scene; empty where it has none."""
+    phases = system.phases if isinstance(system, PhasedSystem) else ()
+    return tuple(phase.name for phase in phases)

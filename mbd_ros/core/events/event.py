@@ -17,6 +17,7 @@ class Event(NamedTuple):
             N·m·s], shape (m,); 0 where nothing hits.
         share: Of the restitution of contacts that was given back: less than 1 where the whole
             would have gained energy.
+        ends_phase: Whether a phase ended, and the next one began.
     """
 
     t: float
@@ -25,3 +26,4 @@ class Event(NamedTuple):
     after: State
     impulse: Array
     share: float = 1.0
+    ends_phase: bool = False

@@ -58,7 +58,9 @@ class PhaseSteps(Stepper):
         self.system = system
         phases: tuple[Phase, ...] = system.phases
         self.phases = phases
+        self._stepper_of = stepper_of
         self._steppers = [stepper_of(one) for one in system.systems]
+        self._used = set[int]()
         self.is_fixed = self.ends_at_samples = self._steppers[0].is_fixed
         timed = (label(p, e.name) for p in phases for e in p.exits if e.after is not None)
         named = (name for stepper in self._steppers for name in stepper.guards)
@@ -103,6 +105,7 @@ class PhaseSteps(Stepper):
         """As `Stepper.settle`, in the phase of the state."""
         self.now = self._stepped = self.system.phase(x)
         self.since = x.t
+        self._used.add(self.now)
         y = self._steppers[self.now].settle(self.system.inward(x), u)
         self._collect()
         self._refuse_unheld(y, u)
@@ -127,16 +130,19 @@ class PhaseSteps(Stepper):
         return taken
 
     def memory(self) -> Memory:
-        """As `Stepper.memory`, with that of the steps in the phase, and before it."""
-        used = {self.now, self._stepped}
-        return {**super().memory(), "steppers": {i: self._steppers[i].memory() for i in used}}
+        """As `Stepper.memory`, with that of the steps in all phases that there were."""
+        known = {i: self._steppers[i].memory() for i in self._used}
+        return {**super().memory(), "steppers": known}
 
     def recall(self, memory: Memory, x: State) -> None:
         """As `Stepper.recall`."""
         super().recall({name: memory[name] for name in self.kept}, x)
-        y = self._inward(x)
-        for i, known in memory["steppers"].items():
-            self._steppers[i].recall(known, y)
+        y, known = self._inward(x), memory["steppers"]
+        for i in self._used - set(known):  # what is forgotten leaves a trace in their rounding
+            self._steppers[i] = self._stepper_of(self.system.systems[i])
+        self._used = set(known)
+        for i in known:
+            self._steppers[i].recall(known[i], y)
 
     def continue_from(self, x: State) -> None:
         """As `Stepper.continue_from`."""
@@ -172,7 +178,7 @@ class PhaseSteps(Stepper):
             system.outward(old, before),
             system.outward(self.now, expand(after)),
         )
-        event = Event(y.t, names, *sides, struck.impulse, struck.share)
+        event = Event(y.t, names, *sides, struck.impulse, struck.share, True)
         self.events_so_far = self.events_so_far.after(event)
         self._collect()
         self._refuse_unheld(after, u)
@@ -193,6 +199,7 @@ class PhaseSteps(Stepper):
             )
         pace = self._steppers[self._stepped].pace
         inner.restart()
+        self._used.add(self.now)
         y = inner.settle(y, u)
         if pace and inner.pace:
             inner.pace = pace

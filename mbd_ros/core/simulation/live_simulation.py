@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.dynamics.phased_system import during
+from mbd_ros.core.dynamics.phased_system import PhasedSystem, during, phase_names
 from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.model.base_motion import world_pose
 from mbd_ros.core.model.joints import Base, Joint
@@ -151,6 +151,21 @@ class LiveSimulation:
     def watches(self) -> tuple[CommandWatch, ...]:
         """Everything that takes inputs."""
         return self.watch, *(watch for _, watch in self._heard)
+
+    @property
+    def phase(self) -> str:
+        """Name of the phase of the newest state; empty where the scene has none."""
+        system = self.simulation.system
+        if not isinstance(system, PhasedSystem):
+            return ""
+        return str(system.phases[system.phase(self._y)].name)
+
+    @property
+    def begun(self) -> list[str]:
+        """Names of the phases that began in the last tick and were another one before."""
+        names, ends = phase_names(self.simulation.system), [e for e in self.events if e.ends_phase]
+        sides = ((one.before.mode[0], one.after.mode[0]) for one in ends)
+        return [names[after] for before, after in sides if after != before]
 
     def violation(self) -> Violation:
         """How far the newest state is off the bilateral rows."""

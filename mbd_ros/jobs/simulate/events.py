@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from mbd_ros.core.dynamics.phased_system import phase_names
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.events.event import Event
 from mbd_ros.core.names import without_multiplier
@@ -12,6 +13,7 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.files.table import Column, Table
 from mbd_ros.files.times import TIME
 from mbd_ros.jobs.columns import body_columns, joint_columns, whole_bodies
+from mbd_ros.jobs.simulate.table import PHASE
 
 EVENTS = "events"  # the table, and the last word of the topic
 CONTACTS = "contacts"
@@ -28,8 +30,9 @@ def event_table(simulation: Simulation, events: Sequence[Event]) -> Table:
     Returns:
         `time`; `<guard>.event`, whether that guard was zero; `<row>.impulse`; with contacts
         `contacts.restitution_share`, what of their restitution was given back; `energy.before`,
-        `energy.after`; `<joint>.position.before` and so on; `<switch>.mode.before` and after: 0
-        while a row or surface is on, 1 or -1 beside it.
+        `energy.after`, `energy.lost`; `<joint>.position.before` and so on; in a scene with phases
+        `phase.before` and `phase.after`, their numbers in the order of the scene, from 0 on;
+        `<switch>.mode.before` and after: 0 while a row or surface is on, 1 or -1 beside it.
     """
     system, rows = simulation.system, simulation.system.multiplier_rows
     impulses = np.array([event.impulse for event in events]).reshape(len(events), len(rows))
@@ -48,13 +51,16 @@ def event_table(simulation: Simulation, events: Sequence[Event]) -> Table:
     for side, states in zip(SIDES, sides, strict=True):
         energy = [system.energy(system.reduce(x)) for x in states]
         columns.append(Column(f"energy.{side}", np.array(energy, dtype=np.float64), "J"))
+    columns.append(Column("energy.lost", columns[-2].values - columns[-1].values, "J"))
     for side, states in zip(SIDES, sides, strict=True):
         named = (c._replace(name=f"{c.name}.{side}") for c in _state_columns(system, states))
         columns.extend(named)
     for side, states in zip(SIDES, sides, strict=True):
         modes = np.array([x.mode for x in states], dtype=np.float64)
         modes = modes.reshape(len(events), len(simulation.switches))
-        pairs = zip(simulation.switches, modes.T, strict=True)
+        if phase_names(system):
+            columns.append(Column(f"{PHASE}.{side}", modes[:, 0]))
+        pairs = list(zip(simulation.switches, modes.T, strict=True))[bool(phase_names(system)) :]
         columns.extend(Column(f"{name}.mode.{side}", values) for name, values in pairs)
         columns.extend(_contact_states(simulation, modes, side))
     return Table(columns)

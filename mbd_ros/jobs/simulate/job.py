@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbd_ros.core.dynamics.phased_system import phase_names
 from mbd_ros.core.ranges import SHORTEST_DT
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
@@ -133,6 +134,8 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     if simulation.guards:
         tables[EVENTS] = event_table(simulation, simulation.events)
     result = Result(tables, metadata_of("simulate", scene, run.inputs, topics))
+    if phases := phase_names(simulation.system):
+        result.metadata["phases"] = list(phases)
     failure = lost or failure
     if failure is not None:
         return _ended(scene, result, failure)

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from mbd_ros.core.dynamics.phased_system import phase_names
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.integration.blocks import BlockStepper
 from mbd_ros.core.simulation.simulation import Simulation
@@ -38,6 +39,10 @@ def summary(simulation: Simulation, table: Table, wall: float, evaluations: int)
     yield f"{wall:.3f} s for {duration:g} s, real-time factor {duration / max(wall, 1e-9):.1f}"
     yield f"energy {energy[0]:.6g} J, largest change {change:.3g} J"
     yield f"largest violation: position {position.max():.2g}, velocity {velocity.max():.2g}"
+    if phases := phase_names(simulation.system):
+        ends = [event.before.mode[0] for event in simulation.events if event.ends_phase]
+        counts = (f"{name} {ends.count(i)} times" for i, name in enumerate(phases))
+        yield f"phases ended: {', '.join(counts)}"
     condition, t = simulation.worst
     if 1.0 < condition < np.inf:
         doubt = "; near a toggle, multipliers there are unreliable" if condition > TOGGLE else ""

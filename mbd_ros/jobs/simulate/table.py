@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.dynamics.inputs import command_names
-from mbd_ros.core.dynamics.phased_system import during
+from mbd_ros.core.dynamics.phased_system import during, phase_names
 from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.parts import Part
@@ -29,6 +29,7 @@ from mbd_ros.jobs.columns import (
     whole_bodies,
 )
 
+PHASE = "phase"  # its number, in the order of the scene
 BALANCE = {  # column -> what messages call it, unit
     "energy": ("energy", "J"),
     "drift.position": ("position drift", "rad or m"),
@@ -89,6 +90,9 @@ def table_of(
         *output_columns(shown, values),
         *(Column(name, balance[:, i], BALANCE[name][1]) for i, name in enumerate(BALANCE)),
     ]
+    if phase_names(system):
+        numbers = [x.mode[0] for x in states[: len(rows)]]
+        columns.append(Column(PHASE, np.array(numbers, dtype=np.float64)))
     table = Table(columns)
     count, lost = _finite_rows(table)
     more = _commands(system, t[:, 0])

@@ -5,18 +5,20 @@ from time import perf_counter
 from typing import Any
 
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory
 
+from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.files.topics import joint_state_topic, odometry_topic
 from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.nodes.simulator.plant import Plant
 from msg_adapters.clock import write_clock
 
 BEAT = 0.05  # s between messages of a clock that stands
+PHASES = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 STATES = QoSProfile(depth=100)  # a recorder may be away for 0.1 s at 1 kHz
 
 
@@ -48,6 +50,9 @@ class SimulatorOutputs:
 
             self._markers, self._marked = node.publish_to(MarkerArray, "~/markers", 10), 0.0
 
+        self._phase = None
+        if plant.live.phase:
+            self._phase = PhaseTopic(node, plant.live)
         self._contacts = None
         if plant.live.showing.cones:
             from mbd_ros.nodes.simulator.contacts import ContactTopics  # only with contacts
@@ -80,6 +85,8 @@ class SimulatorOutputs:
             self._forces.publish(plant.constraint_forces(stamp))
         if self._shown is not None:
             self._shown.publish(plant.outputs())
+        if self._phase is not None:
+            self._phase.publish()
         if self._events is not None:
             for event in plant.events():
                 self._events.publish(event)
@@ -101,6 +108,30 @@ def _odometry(node: Shell, bodies: Sequence[str]) -> list[Publisher]:
     from nav_msgs.msg import Odometry  # only where something flies
 
     return [node.publish_to(Odometry, odometry_topic(body), STATES) for body in bodies]
+
+
+class PhaseTopic:
+    """Topic `~/phase`: the name of every phase that begins, kept for who listens later.
+
+    Args:
+        node: The publishing node.
+        live: What is simulated.
+    """
+
+    def __init__(self, node: Shell, live: LiveSimulation) -> None:
+        self._publisher, self._live = node.publish_to(String, "~/phase", PHASES), live
+        self._shown = ""
+
+    def publish(self) -> None:
+        """Publish the phases that began in the last tick; the present one where it is new."""
+        for name in self._live.begun:
+            self._show(name)
+        if self._live.phase != self._shown:  # at the start and after a reset
+            self._show(self._live.phase)
+
+    def _show(self, name: str) -> None:
+        self._shown = name
+        self._publisher.publish(String(data=name))
 
 
 class SimulatedClock:

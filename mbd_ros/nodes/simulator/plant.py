@@ -196,6 +196,8 @@ class Plant:
             "share of the safe command": "1" if watch.held is None else f"{watch.weight:.6g}",
             "safe command": str(self.scene.safe),
         }
+        if live.phase:
+            details["phase"] = live.phase
         if live.simulation.how:
             details["steps"] = live.simulation.how
         if any(block.part.stops for block in system.layout.yielding):

@@ -1,0 +1,182 @@
+"""Guards and resets of phases, on mechanisms with closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+from mechanisms import double_pendulum, joint, link, urdf
+
+import mbd_ros as mbd
+
+G, MASS = 9.81, 2.0
+SLIDER = urdf(link("world"), link("mass", MASS), joint("slide", "prismatic", "world", "mass"))
+GROUND = {
+    "name": "sole",
+    "type": "rigid",
+    "between": [{"frame": "mass", "points": [[0.0, 0.0, 0.0]]}, {"half_space": [0, 0, 1]}],
+    "friction": 0.5,
+}
+ON_GROUND = {"contacts": ["sole"]}
+METHOD = {"type": "dop853", "tolerance": 1.0e-11}
+
+
+def slider(phases, height=0.0, speed=0.0, **more):
+    """A mass on a vertical rail, with a contact that phases name."""
+    initial = {"position": {"slide": height}, "velocity": {"slide": speed}}
+    entries = {"contacts": [GROUND], "phases": phases, "initial": initial, "integrator": METHOD}
+    return mbd.scene_from({**entries, "dt": 0.01, **more}, urdf=SLIDER)
+
+
+def ends(scene, duration):
+    """Times, phases before and after of all ends of phases."""
+    events = scene.simulate(duration)["events"]
+    return [
+        (t, int(before), int(after))
+        for t, before, after in zip(
+            events["time"], events["phase.before"], events["phase.after"], strict=True
+        )
+        if before != after
+    ]
+
+
+def test_joint_guard_acts_in_its_direction_alone():
+    """Thrown up with 3 m/s past 0.3 m: once on the way up, once on the way down."""
+    speed, level = 3.0, 0.3
+    root = math.sqrt(speed**2 - 2.0 * G * level)
+    times = {"up": (speed - root) / G, "down": (speed + root) / G}
+    for way, t in times.items():
+        guard = {"joint": "slide", "at": level, "direction": way}
+        flight = {"until": {"passes": guard}, "then": "after"}
+        after = {"until": {"late": {"time": 9.0}}, "then": "after"}
+        found = ends(slider({"flight": flight, "after": after}, speed=speed), 0.58)
+        assert found == [(pytest.approx(t, abs=1e-9), 0, 1)]
+
+
+def test_guard_acts_only_after_it_has_left_zero_and_where_its_condition_holds():
+    """From 0 on the way up; back at 0 it acts, unless its condition does not hold there."""
+    speed = 3.0
+    flight = {"until": {"back": {"joint": "slide", "direction": "down"}}, "then": "after"}
+    after = {"until": {"late": {"time": 9.0}}, "then": "after"}
+    scene = slider({"flight": flight, "after": after}, speed=speed)
+    assert ends(scene, 0.7) == [(pytest.approx(2.0 * speed / G, abs=1e-9), 0, 1)]
+    back = {"joint": "slide", "direction": "down", "when": {"joint": "slide", "above": 0.1}}
+    scene = slider(
+        {"flight": {"until": {"back": back}, "then": "after"}, "after": after}, speed=3.0
+    )
+    assert ends(scene, 0.7) == []
+
+
+def test_time_ends_a_phase_exactly_and_begins_anew_with_it():
+    phases = {
+        "one": {"until": {"over": {"time": 0.123456789}}, "then": "two"},
+        "two": {"until": {"over": {"time": 0.2}}, "then": "one"},
+    }
+    found = ends(slider(phases, height=5.0), 0.5)
+    times = np.cumsum([0.123456789, 0.2, 0.123456789])
+    assert found == [
+        (pytest.approx(t, rel=1e-15), i % 2, (i + 1) % 2) for i, t in enumerate(times)
+    ]
+
+
+def test_held_contact_lifts_off_where_its_force_ends_and_comes_down_plastically():
+    """A spring over the mass, stretched by m g / k in the middle of its swing, lifts it."""
+    spring = {"type": "joint_spring", "joint": "slide", "stiffness": 200.0, "rest": 0.05}
+    phases = {
+        "stance": {
+            "contacts": ["sole"],
+            "until": {"rise": {"lift_off": "sole"}},
+            "then": "flight",
+        },
+        "flight": {"until": {"down": {"touch_down": "sole"}}, "then": "stance"},
+    }
+    scene = slider(phases, height=0.2, forces=[spring])
+    scene = scene.with_(initial={"position": {"slide": 0.2}, "phase": "flight"})
+    events = scene.simulate(1.0)["events"]
+    # height of rest and half swing: h = rest - m g / k, hits 0 at cos(w t) = -h / (0.2 - h)
+    rate = math.sqrt(200.0 / MASS)
+    mean = 0.05 - MASS * G / 200.0
+    swing = 0.2 - mean
+    hit = math.acos(-mean / swing) / rate
+    assert events["time"] == pytest.approx([hit], abs=1e-9)
+    speed = swing * rate * math.sin(rate * hit)
+    assert events["sole.normal.impulse"] == pytest.approx([MASS * speed], rel=1e-9)
+    assert events["energy.lost"] == pytest.approx([0.5 * MASS * speed**2], rel=1e-9)
+    assert events["slide.velocity.after"] == pytest.approx([0.0], abs=1e-15)
+
+
+def test_force_of_a_held_contact_is_a_guard():
+    """A mass that is held on the ground under a swinging load lifts off where n = 0."""
+    bob, rail = link("bob", 1.0), joint("bob_slide", "prismatic", "mass", "bob")
+    robot = urdf(
+        link("world"), link("mass", MASS), bob, joint("slide", "prismatic", "world", "mass"), rail
+    )
+    spring = {"type": "joint_spring", "joint": "bob_slide", "stiffness": 100.0}
+    swing, rate = 0.5, 10.0
+    start = {"position": {"bob_slide": -G / 100.0 - swing}}
+    for guard, level in (({"lift_off": "sole"}, 0.0), ({"force": "sole", "at": 10.0}, 10.0)):
+        phases = {
+            "stance": {"contacts": ["sole"], "until": {"rise": guard}, "then": "flight"},
+            "flight": {"until": {"late": {"time": 9.0}}, "then": "stance"},
+        }
+        entries = {"contacts": [GROUND], "phases": phases, "initial": start, "forces": [spring]}
+        scene = mbd.scene_from({**entries, "integrator": METHOD, "dt": 0.01}, urdf=robot)
+        # n = m g - k x with x = -g / w^2 - swing cos(w t): n = 3 g + 100 swing cos(w t)
+        cosine = (level - 3.0 * G) / (100.0 * swing)
+        t = math.acos(cosine) / rate
+        assert ends(scene, 0.4) == [(pytest.approx(t, abs=1e-9), 0, 1)]
+
+
+def test_contact_that_the_next_phase_does_not_hold_bounces_with_its_restitution():
+    ball = {**GROUND, "restitution": 0.5}
+    reset = {"impact": ["sole"]}
+    flight = {"until": {"hit": {"touch_down": "sole"}}, "then": "flight", "reset": reset}
+    events = slider({"flight": flight}, height=0.5, contacts=[ball]).simulate(0.7)["events"]
+    fall = math.sqrt(2.0 * 0.5 / G)
+    assert events["time"] == pytest.approx([fall, 2.0 * fall], abs=1e-9)
+    speeds = G * fall * np.array([0.5, 0.25])
+    assert events["slide.velocity.after"] == pytest.approx(speeds, rel=1e-9)
+
+
+def test_constraint_of_the_next_phase_holds_after_an_impact():
+    """A knee that locks where it is straight."""
+    lock = {"name": "lock", "type": "prescribed_motion", "joint": "joint_2", "polynomial": [0.0]}
+    phases = {
+        "free": {
+            "constraints": [],
+            "until": {"straight": {"joint": "joint_2"}},
+            "then": "locked",
+        },
+        "locked": {"constraints": ["lock"], "until": {"late": {"time": 0.3}}, "then": "free"},
+    }
+    scene = mbd.scene_from(
+        {
+            **{"constraints": [lock], "phases": phases, "integrator": METHOD, "dt": 0.01},
+            "initial": {
+                "position": {"joint_2": -0.4},
+                "velocity": {"joint_1": 1.0, "joint_2": 2.0},
+            },
+        },
+        urdf=double_pendulum(),
+    )
+    result = scene.simulate(2.0)
+    events = result["events"]
+    assert len(events["time"]) >= 1
+    assert events["joint_2.velocity.after"][0] == pytest.approx(0.0, abs=1e-13)
+    assert events["energy.lost"][0] > 0.0
+    locked = result["samples"]["phase"] == 1.0
+    assert np.abs(result["samples"]["joint_2.position"][locked]).max() < 1e-10
+
+
+def test_two_guards_at_once_follow_the_order_of_the_scene():
+    """Both are named in the event; the first one says what comes next."""
+    late = {"until": {"late": {"time": 9.0}}, "then": "first"}
+    pair = {
+        "low": {"joint": "slide", "at": 0.1, "then": "first"},
+        "half": {"joints": {"slide": 0.5}, "at": 0.05, "then": "second"},
+    }
+    for order, after in ((("low", "half"), 1), (("half", "low"), 2)):
+        until = {name: pair[name] for name in order}
+        phases = {"fall": {"until": until}, "first": late, "second": late}
+        events = slider(phases, height=0.5).simulate(0.4)["events"]
+        assert events["phase.after"].tolist()[0] == after
+        assert events["fall.low.event"][0] == events["fall.half.event"][0] == 1.0
