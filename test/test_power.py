@@ -164,6 +164,24 @@ def test_power_of_a_free_leg_does_not_know_where_it_is():
     assert whole[3:-3] == pytest.approx(spline[3:-3], abs=2e-3 * np.abs(whole).max())
 
 
+def test_powers_of_a_bare_leg_balance():
+    """Nothing acts but efforts and the weight, which stand alone in their sums."""
+    leg, t = mbd.load_scene("prosthetic_leg"), np.linspace(0.0, 1.0, 21)
+    rows = [("time", t)]
+    for i, name in enumerate(leg.couplings.independent):
+        w = 3.0 + i
+        rows.append((f"{name}.position", 0.2 * np.sin(w * t) - 0.4 * (name == "knee")))
+        rows.append((f"{name}.velocity", 0.2 * w * np.cos(w * t)))
+        rows.append((f"{name}.acceleration", -0.2 * w**2 * np.sin(w * t)))
+    motion = Result({"samples": Table([Column(*row) for row in rows])})
+    samples = leg.inverse(motion, power=True)["samples"]
+    off, largest = balance(samples)
+    assert off <= 1e-12 * largest
+    assert segments_balance(samples) <= 1e-11
+    both = samples["power.efforts"] + samples["power.gravity"]
+    assert both == pytest.approx(samples["power.kinetic_energy_rate"], abs=1e-11)
+
+
 @pytest.mark.parametrize("bounds", [False, True])
 def test_power_of_a_four_bar_knee(bounds):
     """The damper of a passive leg takes what its energy loses; the loop does no work."""

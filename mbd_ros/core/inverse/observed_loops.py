@@ -27,6 +27,7 @@ class ObservedLoops:
         needed: Joints that must be measured: none, as long as the loops tie them to others.
         rows: Names of the multipliers: the dependent joints, then the rows of the constraints.
         moved: How far a joint of the last sample was moved onto the constraints [rad or m].
+        motion: State and acceleration of the last sample as it was solved; None before.
         gap: Residual of every row at the last sample as measured, shape (m,); 0 for couplings,
             whose violation stands elsewhere, and where the motion need not keep a row.
     """
@@ -35,6 +36,7 @@ class ObservedLoops:
         self.inverse, self.couplings = inverse, inverse.couplings
         self.configuration, self.moved = inverse.robot.neutral(), 0.0
         self._model = inverse.robot.model
+        self.motion: tuple[State, Array] | None = None
         self._slopes: Slopes = [0.0] * len(inverse.couplings.pairs)
         constraints = inverse.constraints
         self.rows = tuple(without_multiplier(row.name) for row in constraints.rows)
@@ -84,7 +86,7 @@ class ObservedLoops:
         measured, given = self.measured(0.0, position, velocity, acceleration)
         self.gap = self._residual(measured)
         x, a = self.inverse.consistent(measured, given)
-        self.configuration = x.q
+        self.configuration, self.motion = x.q, (x, a)
         self.moved = float(np.abs(pin.difference(self._model, measured.q, x.q)).max(initial=0.0))
         found = self.inverse.solve(x, a, wrenches)
         B, n = self.inverse.columns(x), len(found.tau)

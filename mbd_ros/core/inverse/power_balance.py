@@ -122,7 +122,8 @@ class PowerBalance:
         self._load(x, found.multipliers, wrenches)
         bodies = self._segments.bodies(x, a, self._loads)
         ties, parts = self._parts(x, found.multipliers, wrenches)
-        sums = np.bincount(self._group, parts, minlength=len(GROUPS))
+        sums = np.zeros(len(GROUPS))
+        np.add.at(sums, self._group, parts)
         sums[GROUPS.index("efforts")] += found.efforts.dot(x.v)
         sums[GROUPS.index("couplings")] += ties
         sums[GROUPS.index("gravity")] = bodies.gravity.sum()

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 
 from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.torque_estimator import Observation
@@ -21,6 +22,8 @@ from msg_adapters.joint_state import JointSample
 
 if TYPE_CHECKING:
     from mbd_ros.nodes.inverse_dynamics.whole_samples import Part
+
+POWERS = 100  # a reader may be away for 0.1 s at 1 kHz
 
 
 class InverseDynamicsNode(JointStateNode):
@@ -46,9 +49,12 @@ class InverseDynamicsNode(JointStateNode):
             self.every(max(self.parameters.wrench_wait / 2.0, 1e-3), self._flush)
 
     def open_outputs(self) -> None:
-        """Topics of torques, constraint forces and residuals."""
+        """Topics of torques, constraint forces, residuals, and of powers where they are asked."""
         self._torques = self.publish_to(JointState, "~/joint_torques", 10)
         self._constraint_forces = self.publish_to(JointState, "~/constraint_forces", 10)
+        if self.parameters.power:
+            self._pipeline.with_power()
+            self._power = self.publish_to(Float64MultiArray, "~/power", POWERS)
         self._residuals = [
             self.publish_to(WrenchStamped, f"~/residual/{base.name}", 10)
             for base in self._pipeline.scene.robot.bases
@@ -183,10 +189,11 @@ class InverseDynamicsNode(JointStateNode):
         messages = self._pipeline.answer(x, wrenches)
         if messages is None:
             return False
-        torques, constraint_forces, residuals = messages
-        self._torques.publish(torques)
-        if constraint_forces is not None:
-            self._constraint_forces.publish(constraint_forces)
-        for publisher, residual in zip(self._residuals, residuals, strict=True):
+        self._torques.publish(messages.torques)
+        if messages.forces is not None:
+            self._constraint_forces.publish(messages.forces)
+        for publisher, residual in zip(self._residuals, messages.residuals, strict=True):
             publisher.publish(residual)
+        if messages.power is not None:
+            self._power.publish(messages.power)
         return True

@@ -3,6 +3,7 @@
 from typing import Any
 
 from mbd_ros.core.estimation.torque_estimator import Tuning
+from mbd_ros.core.inverse.standing import Nearness
 from mbd_ros.nodes.shell.constructor_parameters import of
 from mbd_ros.nodes.shell.parameters import Parameter
 
@@ -19,7 +20,7 @@ ALLOW_CODE = Parameter(
     False,
     fixed=True,
 )
-PARAMETERS = (
+STREAM = (
     Parameter("scene", str, "Scene: a file, or the name of an embedded one."),
     ALLOW_CODE,
     *of(Tuning, {name: name for name in Tuning._fields}, read_only=False),
@@ -54,6 +55,33 @@ PARAMETERS = (
         0.1,
         low=0.0,
         high=60.0,
+    ),
+)
+PARAMETERS = (
+    *STREAM,
+    Parameter("power", bool, "Publish powers and their balance on ~/power.", False),
+    Parameter(
+        "stance",
+        str,
+        "Forces of rigid contacts that no wrench gives: 0, or unknowns with the least efforts.",
+        "none",
+        choices=("none", "minimum-norm"),
+    ),
+    Parameter(
+        "stance_gap",
+        float,
+        "Largest gap of what is on the ground, as a multiple of the size [-].",
+        Nearness().gap,
+        low=0.0,
+        high=1.0,
+    ),
+    Parameter(
+        "stance_speed",
+        float,
+        "Largest speed of it along the normal, of the root of gravity times size [-].",
+        Nearness().speed,
+        low=0.0,
+        high=100.0,
     ),
 )
 

@@ -1,17 +1,20 @@
 """A built scene between messages: from a serialized joint state to its answers."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 
 from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator
+from mbd_ros.core.inverse.observed_loops import ObservedLoops
+from mbd_ros.core.inverse.standing import Nearness
+from mbd_ros.core.inverse.torques import SampleSolver
 from mbd_ros.core.model.base_motion import IndependentCoordinates
 from mbd_ros.core.model.poses import TWIST
-from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.state import NANOSECOND, Array
+from mbd_ros.errors import SceneError
 from mbd_ros.nodes.inverse_dynamics.parameters import tuning
 from mbd_ros.nodes.inverse_dynamics.wrench_queue import WrenchQueue
 from mbd_ros.nodes.shell.serialized import joint_state
@@ -23,7 +26,25 @@ from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWrite
 from msg_adapters.wrench import write_wrench
 
 if TYPE_CHECKING:
+    from mbd_ros.nodes.inverse_dynamics.power import PowerAnswer
     from mbd_ros.nodes.inverse_dynamics.whole_samples import WholeSample, WholeSamples
+
+
+class Answer(NamedTuple):
+    """Messages for an observation.
+
+    Attributes:
+        torques: JointState of the independent joints.
+        forces: JointState of rows: position = violation of the coupling or loop, effort =
+            multiplier; None without any.
+        residuals: WrenchStamped of what nothing carries of each free body.
+        power: Float64MultiArray of powers; None where nobody asked.
+    """
+
+    torques: Any
+    forces: Any
+    residuals: list[Any]
+    power: Any
 
 
 class Pipeline:
@@ -45,7 +66,7 @@ class Pipeline:
     def __init__(self, values: Any, description: str | None) -> None:
         self.scene = load_scene(values.scene, description)
         couplings, robot = self.scene.couplings, self.scene.robot
-        self._solver = self.scene.inverse_dynamics()
+        self._solver = self.make_solver(values)
         self.estimator = TorqueEstimator(self.scene.robot, self._solver, tuning(values))
         self.joints = JointStateReader(self.estimator.names, with_effort=False)
         self.reader = JointStateCdrReader(self.joints, joint_state)
@@ -65,6 +86,30 @@ class Pipeline:
         ages = round(values.wrench_max_age / NANOSECOND), round(values.rewind / NANOSECOND)
         self.queue = WrenchQueue(self.scene.wrenches, *ages)
         self._violation = np.zeros(len(couplings.dependent))
+        self._power: PowerAnswer | None = None
+
+    def make_solver(self, values: Any) -> SampleSolver:
+        """The solver that the parameters ask for.
+
+        Raises:
+            SceneError: Unknown forces of contacts are asked for, and there are none.
+        """
+        if values.stance == "none":
+            return self.scene.inverse_dynamics()
+        contacts = self.scene.unmeasured_contacts
+        if not contacts:
+            raise SceneError(
+                f"{self.scene.name}: stance {values.stance}: no rigid contact without a wrench; "
+                "accepted: none"
+            )
+        near = Nearness(values.stance_gap, values.stance_speed)
+        return self.scene.inverse_dynamics(contacts=contacts, near=near)
+
+    def with_power(self) -> None:
+        """Answer with powers from now on."""
+        from mbd_ros.nodes.inverse_dynamics.power import PowerAnswer  # only where asked for
+
+        self._power = PowerAnswer(self.scene, self._solver)
 
     def reset(self) -> None:
         """Forget the past."""
@@ -73,7 +118,7 @@ class Pipeline:
         if self.whole is not None:
             self.whole.clear()
 
-    def answer(self, x: Observation, wrenches: Sequence[Any]) -> tuple[Any, Any, list[Any]] | None:
+    def answer(self, x: Observation, wrenches: Sequence[Any]) -> Answer | None:
         """Messages for an observation; None if the torques are not finite.
 
         Args:
@@ -81,9 +126,7 @@ class Pipeline:
             wrenches: One (6,) array for every load of the scene.
 
         Returns:
-            Kept messages: joint torques, constraint forces (position = violation of the
-            coupling or loop, effort = multiplier) or None without any, and what nothing carries
-            of each free body.
+            Kept messages.
         """
         torques = self.estimator.solve(x, wrenches)
         if torques is None:
@@ -94,13 +137,14 @@ class Pipeline:
             effort = effort[at.joint_w]
         answer = self._torques.write(x.stamp, position=position, velocity=velocity, effort=effort)
         residuals = self._carried(x.stamp, torques.residual) if self._residuals else []
+        power = None if self._power is None else self._power.write(x, torques, wrenches)
         if not self._has_rows:
-            return answer, None, residuals
+            return Answer(answer, None, residuals, power)
         self._violation = off = self.estimator.violation(x)
         if self._has_loops:
             off = np.concatenate([off, self._solver.gap[len(off) :]])
         forces = self._forces.write(x.stamp, position=off, effort=torques.multipliers)
-        return answer, forces, residuals
+        return Answer(answer, forces, residuals, power)
 
     def _carried(self, stamp: int, residual: Array) -> list[Any]:
         """WrenchStamped of each free body, in axes of its link."""
@@ -146,8 +190,8 @@ class Pipeline:
         robot, filters = self.scene.robot, self.estimator.differentiator
         reconstructed = [name for name in self._missing if name in self._dependent]
         several = self.whole is not None
-        rows = self.scene.constraints
-        contacts = ", ".join(part.name for part in rows if part.law.kind is Kind.CONE)
+        feet = self._feet
+        contacts = "" if feet else ", ".join(self.scene.unmeasured_contacts)
         return {
             "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
             "joints dropped": ", ".join(robot.locked) or "none",
@@ -160,8 +204,21 @@ class Pipeline:
             "solver tier": tier(self.scene),
             **({"off the loops": f"{self._solver.moved:.6g}"} if self._has_loops else {}),
             **({"contacts of unknown force": contacts} if contacts else {}),
+            **({"on the ground": feet} if feet else {}),
             **({"topics not heard": self._unheard} if several else {}),
         }
+
+    @property
+    def _feet(self) -> str:
+        """Features on the ground in the newest sample; empty where nobody asks."""
+        solver = self._solver
+        if not isinstance(solver, ObservedLoops) or solver.inverse.standing is None:
+            return ""
+        standing = solver.inverse.standing
+        if solver.motion is None:
+            return "none"
+        on = zip(standing.features, standing.at(solver.motion[0]), strict=True)
+        return ", ".join(name for name, is_on in on if is_on) or "none"
 
     @property
     def _missing(self) -> tuple[str, ...]:

@@ -3,14 +3,13 @@
 from typing import Any
 
 from mbd_ros.core.inverse.sharing_criteria import EXPONENTS
-from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS as INVERSE_DYNAMICS
-from mbd_ros.nodes.inverse_dynamics.parameters import tuning
+from mbd_ros.nodes.inverse_dynamics.parameters import STREAM, tuning
 from mbd_ros.nodes.shell.parameters import Parameter
 
 __all__ = ["PARAMETERS", "options", "tuning"]
 
 PARAMETERS = (
-    *INVERSE_DYNAMICS,
+    *STREAM,
     Parameter(
         "objective",
         str,

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from geometry_msgs.msg import WrenchStamped
 
 from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator
+from mbd_ros.core.inverse.torques import SampleSolver
 from mbd_ros.core.state import NANOSECOND
 from mbd_ros.errors import MbdError
 from mbd_ros.nodes.inverse_dynamics.pipeline import Pipeline
@@ -78,6 +79,10 @@ class MusclePipeline(Pipeline):
         attribute = axes.get(values.reactions)
         self._frames = ["world" if attribute is None else getattr(j, attribute) for j in joined]
         self._loads = [WrenchStamped() for _ in joined]
+
+    def make_solver(self, values: Any) -> SampleSolver:
+        """Torques of joints, which come before those of muscles."""
+        return self.scene.inverse_dynamics()
 
     def reset(self) -> None:
         """Forget the past."""
