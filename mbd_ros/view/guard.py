@@ -1,10 +1,11 @@
 """A door before the server of a page: who may pass is asked at every connection, websockets too.
 
-`viser` has no passwords. It listens on a port of this machine that is told to nobody, and the
+`viser` has no passwords. It listens on an address that is told to nobody, and the
 guard on the one that people use. It reads the head of each connection's only request, refuses it
 or passes it on as it is, and then copies bytes. A page of another site cannot use a browser that
 may see this one: its Origin is refused (RFC 6454, RFC 6455 section 10.2), and so is the name of
-another host where no token is asked for, which ends DNS rebinding.
+another host where no token is asked for, which ends DNS rebinding. Nor can it show the page in
+a frame, where people would press buttons that they do not see.
 """
 
 import asyncio
@@ -23,6 +24,7 @@ _PIECE = 65_536  # bytes that are copied at a time
 _PATIENCE = 10.0  # s for the head of a request, and for the last bytes of an answer
 _WRONG = 0.5  # s that a wrong token costs
 _MOST = 64  # connections at once
+_FRAMES = ("iframe", "frame", "embed", "object")
 _SILENT = (
     OSError,
     ValueError,
@@ -60,14 +62,15 @@ class Guard:
     """Passes requests on to a server of this machine, if they may pass.
 
     Args:
-        inner: Port of that server on 127.0.0.1.
+        host: Address of that server.
+        port: Its port.
         token: What a browser must know; empty where everybody on this machine may pass.
         origins: Addresses of pages that may open websockets besides the own one, such as
             `https://robots.example`.
     """
 
-    def __init__(self, inner: int, token: str = "", origins: Sequence[str] = ()) -> None:
-        self._inner, self._token = inner, token
+    def __init__(self, host: str, port: int, token: str = "", origins: Sequence[str] = ()) -> None:
+        self._inner, self._token = (host, port), token
         self._origins = {urlsplit(origin).netloc.lower() for origin in origins}
         self._proof = hashlib.sha256(token.encode()).hexdigest()
         self._open, self._cookie = 0, "mbd_ros_view"
@@ -125,6 +128,9 @@ class Guard:
         origin = head.headers.get("origin")
         if origin is not None and urlsplit(origin).netloc.lower() not in (host, *self._origins):
             return "a page of another site may not use this one; see parameter origins"
+        framed = head.headers.get("sec-fetch-dest") in _FRAMES
+        if framed and head.headers.get("sec-fetch-site") not in ("same-origin", "none"):
+            return "a page of another site may not show this one within itself"
         return ""
 
     def _is_right(self, tokens: Sequence[str]) -> bool:
@@ -140,7 +146,7 @@ class Guard:
         self, raw: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
         """Copy both ways until one ends; who reads slowly is not read from either."""
-        there, onwards = await asyncio.open_connection("127.0.0.1", self._inner)
+        there, onwards = await asyncio.open_connection(*self._inner)
         onwards.write(raw)
         copies = [asyncio.ensure_future(_copy(reader, onwards))]
         copies.append(asyncio.ensure_future(_copy(there, writer)))

@@ -5,6 +5,7 @@ import contextlib
 import io
 import ipaddress
 import secrets
+import socket
 from collections.abc import Sequence
 from typing import Any
 from urllib.parse import quote
@@ -42,7 +43,7 @@ class PageServer:
         self.token = token or ("" if is_loopback(host) else secrets.token_urlsafe(16))
         self.viser = started(label)
         self.viser.gui.configure_theme(show_logo=False, show_share_button=False)
-        self._guard = Guard(self.viser.get_port(), self.token, origins)
+        self._guard = Guard(self.viser.get_host(), self.viser.get_port(), self.token, origins)
         try:
             found = self._listen(host, port)
         except OSError as error:
@@ -82,13 +83,29 @@ class PageServer:
 
 
 def started(label: str) -> Any:
-    """A `viser.ViserServer` on a port of this machine that is told to nobody."""
+    """A `viser.ViserServer` on an address of this machine that is told to nobody."""
     import viser  # takes long, and is asked for by pages alone
 
     with contextlib.redirect_stdout(io.StringIO()):  # it greets there
-        server = viser.ViserServer(host="127.0.0.1", port=0, label=printable(label), verbose=False)
+        server = viser.ViserServer(
+            host=_hidden_address(), port=0, label=printable(label), verbose=False
+        )
     server.request_share_url = lambda: None  # any page could ask for a public address
     return server
+
+
+def _hidden_address() -> str:
+    """One of 16 million addresses of this machine, as Linux has them; else the only one.
+
+    Pages of other sites may try all ports of 127.0.0.1, but not of all of these.
+    """
+    address = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
+    try:
+        with socket.socket() as tried:
+            tried.bind((address, 0))
+    except OSError:
+        return LOOPBACK[0]
+    return address
 
 
 def stop(server: Any) -> None:
