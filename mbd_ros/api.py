@@ -8,6 +8,7 @@ from typing import Any
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.files.formats import read_result as read_result
 from mbd_ros.jobs.identify.job import identify
+from mbd_ros.jobs.estimate.job import estimate
 from mbd_ros.jobs.inverse.job import inverse
 from mbd_ros.jobs.kinematics.job import kinematics
 from mbd_ros.jobs.moment_arms.job import moment_arms
@@ -33,6 +34,7 @@ class Scene(built_scene.Scene):
     kinematics = kinematics
     moment_arms = moment_arms
     muscle_forces = muscles
+    estimate = estimate
 
     @classmethod
     def of(cls, scene: built_scene.Scene) -> "Scene":

@@ -31,12 +31,17 @@ class Sensor(Part):
         unit: Of every component.
         components: Names of the components, one empty word for a single number.
         label: What recordings and messages call the sensor; its name by default.
+        is_linear: Whether it is a constant linear function of q and v: `jacobian` and
+            `by_position` never change.
+        noise_varies: Whether `covariance` depends on the state.
     """
 
     level: Measures = Measures.POSITION
     unit: str = ""
     components: tuple[str, ...] = ("",)
     label: str = ""
+    is_linear: bool = False
+    noise_varies: bool = False
 
     @property
     def title(self) -> str:
@@ -61,6 +66,13 @@ class Sensor(Part):
             x: State of all joints.
         """
         raise NotImplementedError
+
+    def by_position(self, k: Kinematics, x: State) -> Array | None:
+        """Derivative by a step of q at constant velocity, shape (n, nv), where `level` is higher.
+
+        None by default: who needs it takes differences of `measure`.
+        """
+        return None
 
     def covariance(self, k: Kinematics, x: State) -> Array:
         """Covariance of the noise [unit^2], shape (n, n); none by default."""

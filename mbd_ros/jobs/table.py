@@ -64,6 +64,8 @@ COMMANDS: Mapping[str, Command] = {
     ),
     "identify": Command(
         "mbd_ros.jobs.identify.command", "inertias and friction from motion and measured efforts"
+    "estimate": Command(
+        "mbd_ros.jobs.estimate.command", "motion of all joints from noisy and partial recordings"
     ),
     "replay": Command(
         "mbd_ros.jobs.replay.command", "a bag through the live node, with an error table"

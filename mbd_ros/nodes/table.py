@@ -9,5 +9,6 @@ NODES = {
     "reference_player": "mbd_ros.nodes.reference_player.node:ReferencePlayer",
     "simulator": "mbd_ros.nodes.simulator.node:SimulatorNode",
     "sliding_mode_controller": "mbd_ros.nodes.controller.sliding_mode:SlidingModeControllerNode",
+    "state_estimator": "mbd_ros.nodes.state_estimator.node:StateEstimatorNode",
     "web_view": "mbd_ros.nodes.web_view.node:WebViewNode",
 }

@@ -40,6 +40,11 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "gravity_compensation": "mbd_ros.controllers.gravity_compensation:GravityCompensation",
         "qp_tracking": "mbd_ros.controllers.qp_tracking:QpTracking",
     },
+    "estimators": {
+        "extended_kalman": "mbd_ros.estimators.extended_kalman:ExtendedKalman",
+        "kalman": "mbd_ros.estimators.kalman:Kalman",
+        "moving_horizon": "mbd_ros.estimators.moving_horizon:MovingHorizon",
+    },
     "forces": {
         "applied_wrench": "mbd_ros.forces.applied_wrench:AppliedWrench",
         "cable": "mbd_ros.forces.cable:Cable",
@@ -77,6 +82,11 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "thelen": "mbd_ros.muscles.thelen:Thelen",
     },
     "sensors": {
+        "accelerometer": "mbd_ros.sensors.accelerometer:Accelerometer",
+        "encoder": "mbd_ros.sensors.encoder:Encoder",
+        "gyroscope": "mbd_ros.sensors.gyroscope:Gyroscope",
+        "imu": "mbd_ros.sensors.imu:Imu",
+        "tachometer": "mbd_ros.sensors.tachometer:Tachometer",
         "marker": "mbd_ros.sensors.marker:Marker",
     },
     "stabilization": {
@@ -88,6 +98,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
 METHODS: Mapping[str, Sequence[str]] = {  # what the parts of a kind must have
     **{section.parts: section.offers for section in SECTIONS if section.parts},
     "controllers": ("effort",),  # of nodes, not of scenes
+    "estimators": ("predict", "correct"),  # of nodes and task files
 }
 _CONTRACTS = {
     "command": "parts.Actuator",

@@ -183,6 +183,7 @@ TASKS = (
     Section("kinematics", Form.SINGLE, "mbd_ros.scene.kinematics_task:build_task", ()),
     Section("scale", Form.SINGLE, "mbd_ros.scene.scale_task:build_task", ()),
     Section("muscles", Form.SINGLE, "mbd_ros.scene.muscles_task:build_task", ()),
+    Section("estimate", Form.SINGLE, "mbd_ros.scene.estimate_task:build_task", ()),
 )
 
 

@@ -35,7 +35,7 @@ class Chart:
         self.model, self.nq, self.nv = model, int(model.nq), int(model.nv)
         self.is_flat = self.nq == self.nv
         bases = [int(j.idx_v) for j in model.joints if j.nv == _BASE_V]
-        self._bases = [slice(v, v + _BASE_V) for v in bases]
+        self.bases = tuple(slice(v, v + _BASE_V) for v in bases)
 
     def integrate(self, q: Array, dq: Array) -> Array:
         """Configuration q (+) dq, shape (nq,)."""
@@ -73,7 +73,7 @@ class Chart:
         if self.is_flat:
             return v
         rate = v.copy()
-        for base in self._bases:
+        for base in self.bases:
             rate[base] = _rate_on_screws(dq[base], v[base])
         return rate
 

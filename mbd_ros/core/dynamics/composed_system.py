@@ -22,6 +22,7 @@ from mbd_ros.errors import SolveError
 if TYPE_CHECKING:
     from mbd_ros.core.dynamics.exact_rows import ExactRows
     from mbd_ros.core.dynamics.extended import Extended
+    from mbd_ros.core.dynamics.free_derivatives import FreeDerivatives
 
 Build = Callable[[Loads, tuple[float, float]], System]
 
@@ -74,6 +75,7 @@ class ComposedSystem:
         self._solved = np.flatnonzero(solved)
         self._accelerators: dict[Mode, Accelerator] = {}
         self._whole: Extended | None = None
+        self._free: FreeDerivatives | None = None
         if internals.nz:
             from mbd_ros.core.dynamics import extended
 
@@ -148,7 +150,13 @@ class ComposedSystem:
             mechanism.z = before
 
     def derivatives(self, y: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
-        """Derivatives of y'' by differences, to about 1e-6; as `System.derivatives`."""
+        """Derivatives of y'', to about 1e-6 by differences; as `System.derivatives`."""
+        if self.tier == "aba" and self.bounded is None and self.exact is None:
+            if self._free is None:
+                from mbd_ros.core.dynamics.free_derivatives import FreeDerivatives
+
+                self._free = FreeDerivatives(self._mechanism, self.chart, self.internals)
+            return self._free.at(y, u, inputs=inputs)
         field = self._integrated.accelerator(mode_at(self, y, u))
         linear = Linearization(self._integrated, field)
         if self._whole is None:

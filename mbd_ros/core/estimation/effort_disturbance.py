@@ -1,0 +1,39 @@
+"""Efforts that nobody measures, as states of an estimator."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.parts import Internal, Load
+from mbd_ros.core.state import Array, State
+
+
+class EffortDisturbance(Load):
+    """An unknown effort on each of some joints: tau = z, z' = 0 but for noise.
+
+    Args:
+        robot: Robot of the scene.
+        joints: Where they act.
+
+    Raises:
+        ModelError: Unknown joint.
+    """
+
+    def __init__(self, robot: Robot, joints: Sequence[str]) -> None:
+        found = [robot.joint(name) for name in joints]
+        self.name, self.joints = "disturbance", tuple(joints)
+        self.internal = tuple(Internal(j.name, j.effort_unit, initial=0.0) for j in found)
+        self._v, self._nv = np.array([j.v for j in found], dtype=np.intp), int(robot.model.nv)
+        self._still = np.zeros(len(found))
+
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Generalized force [N·m or N], shape (nv,)."""
+        tau = k.zeros(self._nv)
+        tau[self._v] = x.z[self.z]
+        return tau
+
+    def rates(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Nothing, shape (len(joints),)."""
+        return self._still

@@ -1,0 +1,209 @@
+"""The window of a moving horizon: its nodes, and their program.
+
+    min |x_s (-) xbar|^2_{P^-1} + sum |w_k|^2_{Q^-1} + sum |y_k - h(x_k)|^2_{R^-1}
+    subject to x_k+1 = f(x_k, u_k) (+) G w_k,  bounds of x_k and of w_k
+
+Gauss and Newton's method over several shoots: nodes are linearised where they stand, gaps between
+them close with the step. What is searched, xi, is white: x_s by the factor of P, w by that of Q.
+Sources: C. V. Rao, J. B. Rawlings, D. Q. Mayne, IEEE Trans. Autom. Control 48(2) (2003);
+H. G. Bock, multiple shooting, 1983; M. Diehl et al., in Assessment and Future Directions of
+Nonlinear MPC, 2007, on one iteration a sample.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import eigenpy
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.estimation.process import Bounded, Observation, Process, Transition
+from mbd_ros.core.optimization.row_bounded_qp import RowBoundedQp
+from mbd_ros.core.state import Array
+
+_FLOOR = 1.0e-15  # eigenvalues of a covariance below that share of the largest are none
+
+
+@dataclass
+class Node:
+    """One time of the window.
+
+    Attributes:
+        t: Time [s].
+        x: State about which it is linearised.
+        values: What was measured, NaN where nothing was or where it does not count, shape (m,).
+        u: Inputs after it.
+        going: To the next node, linearised at x; None at the end.
+        seen: Linearised at x.
+        bounds: At x.
+    """
+
+    t: float
+    x: Any
+    values: Array
+    u: Array | None = None
+    going: Transition | None = None
+    seen: Observation | None = None
+    bounds: Bounded | None = None
+
+
+class Arrival(NamedTuple):
+    """What is known of the first node before its measurements.
+
+    Attributes:
+        x: Mean.
+        P: Covariance, shape (n, n); None where nothing is known.
+    """
+
+    x: Any
+    P: Array | None
+
+
+class Rows(NamedTuple):
+    """lower <= C xi <= upper, for as many xi as C has columns."""
+
+    C: Array
+    lower: Array
+    upper: Array
+
+
+class Answer(NamedTuple):
+    """What a solve of the window found.
+
+    Attributes:
+        steps: From the states of the nodes, one row a node, shape (count, n).
+        P: Covariance of the last one, where no bound acts, shape (n, n).
+        residual: Of the conditions of the optimum.
+        active: How many bounds act.
+        w: Disturbances, shape (count - 1, nw).
+    """
+
+    steps: Array
+    P: Array
+    residual: float
+    active: int
+    w: Array
+
+
+class HorizonProgram:
+    """Builds and solves the quadratic program of a window.
+
+    Args:
+        process: The process.
+        lower: Smallest disturbances, shape (nw,).
+        upper: Largest disturbances, shape (nw,).
+    """
+
+    def __init__(self, process: Process, lower: Array, upper: Array) -> None:
+        self._process, self._lower, self._upper = process, lower, upper
+        self._is_bounded = np.isfinite(lower) | np.isfinite(upper)
+        self._qp = RowBoundedQp()
+        self._white: tuple[Array, bytes, Array] | None = None
+
+    def solve(self, nodes: list[Node], arrival: Arrival) -> Answer:
+        """Steps of all nodes.
+
+        Raises:
+            SolveError: Bounds contradict one another, or nothing determines the window.
+        """
+        n, roots = self._process.n, [self._root(node.going) for node in nodes[:-1]]
+        ends = [n, *(n + np.cumsum([L.shape[1] for L in roots])).tolist()]
+        width = ends[-1]
+        H, g, rows = np.eye(width), np.zeros(width), list[Rows]()
+        S, e = self._first(nodes[0], arrival)
+        if arrival.P is None:
+            H[:n, :n] = 0.0
+        paths = [(S, e)]
+        for i, node in enumerate(nodes):
+            self._measure(node, S, e, H, g)
+            self._bound_state(node, S, e, rows)
+            if i < len(roots):
+                S, e = self._onward(node, nodes[i + 1], S, e, roots[i])
+                self._bound_noise(roots[i], ends[i], rows)
+                paths.append((S, e))
+        found = self._qp.solve(H, g, *_stacked(rows, width))
+        steps = np.array([e + S.dot(found.x[: S.shape[1]]) for S, e in paths])
+        P = S.dot(eigenpy.LLT(H).solve(S.T).reshape(width, n))
+        w = [L.dot(found.x[at : at + L.shape[1]]) for L, at in zip(roots, ends, strict=False)]
+        active = int(np.count_nonzero(found.multipliers))
+        return Answer(steps, 0.5 * (P + P.T), found.residual, active, np.array(w))
+
+    def _root(self, going: Transition | None) -> Array:
+        assert going is not None
+        return root(going.Q)
+
+    def _first(self, node: Node, arrival: Arrival) -> tuple[Array, Array]:
+        if arrival.P is None:
+            return np.eye(self._process.n), np.zeros(self._process.n)
+        return root(arrival.P), -self._process.minus(node.x, arrival.x)
+
+    def _measure(self, node: Node, S: Array, e: Array, H: Array, g: Array) -> None:
+        """Add |y - h|^2 of a node, whose step is e + S xi."""
+        assert node.seen is not None
+        told, (y, slope, R) = np.isfinite(node.values), node.seen
+        if not told.any():
+            return
+        whiten = self._whitening(R, told)
+        slope = whiten.dot(slope[told])
+        error = whiten.dot(node.values[told] - y[told]) - slope.dot(e)
+        rows, at = slope.dot(S), S.shape[1]
+        H[:at, :at] += rows.T.dot(rows)
+        g[:at] -= rows.T.dot(error)
+
+    def _whitening(self, R: Array, told: NDArray[np.bool_]) -> Array:
+        """W with W R W' = 1 for what was measured."""
+        known, key = self._white, told.tobytes()
+        if known is None or known[0] is not R or known[1] != key:
+            factor = np.linalg.cholesky(R[np.ix_(told, told)])
+            self._white = known = R, key, np.linalg.inv(factor)
+        return known[2]
+
+    def _onward(
+        self, node: Node, following: Node, S: Array, e: Array, L: Array
+    ) -> tuple[Array, Array]:
+        """Step of the next node: its matrix and offset."""
+        going, process = node.going, self._process
+        assert going is not None
+        after = np.hstack((going.F.dot(S), going.G.dot(L)))
+        gap, moved = process.minus(going.x, following.x), going.F.dot(e)
+        turn = process.turned(going.x, following.x)
+        if turn is None:
+            return after, moved + gap
+        return turn.dot(after), turn.dot(moved) + gap
+
+    @staticmethod
+    def _bound_state(node: Node, S: Array, e: Array, rows: list[Rows]) -> None:
+        bounds = node.bounds
+        if bounds is not None and len(bounds.values):
+            here = bounds.values + bounds.by.dot(e)
+            rows.append(Rows(bounds.by.dot(S), bounds.lower - here, bounds.upper - here))
+
+    def _bound_noise(self, L: Array, at: int, rows: list[Rows]) -> None:
+        which = self._is_bounded
+        if which.any():
+            C = np.zeros((int(which.sum()), at + L.shape[1]))
+            C[:, at:] = L[which]
+            rows.append(Rows(C, self._lower[which], self._upper[which]))
+
+
+def _stacked(rows: list[Rows], width: int) -> Rows:
+    C = np.zeros((sum(len(block.C) for block in rows), width))
+    at = 0
+    for block in rows:
+        C[at : at + len(block.C), : block.C.shape[1]] = block.C
+        at += len(block.C)
+    none = np.zeros(0)
+    lower = np.concatenate([none, *(block.lower for block in rows)])
+    return Rows(C, lower, np.concatenate([none, *(block.upper for block in rows)]))
+
+
+def root(P: Array) -> Array:
+    """L with L L' = P, as many columns as rows; directions without variance are 0."""
+    factor = eigenpy.LLT(P)
+    if factor.info() == eigenpy.ComputationInfo.Success:
+        lower: Array = factor.matrixL()
+        return np.array(lower).reshape(P.shape)
+    values, vectors = np.linalg.eigh(P)
+    kept = np.maximum(values, 0.0)
+    kept[values < _FLOOR * values.max(initial=0.0)] = 0.0
+    return np.asarray(vectors * np.sqrt(kept))

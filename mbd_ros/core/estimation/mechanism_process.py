@@ -1,0 +1,186 @@
+"""A mechanism as a process: it goes on as its simulation does, its sensors say what is seen.
+
+Derivatives are those of x' = f(x, u) along the interval, e^(A dt) with A at the start of pieces of
+it, taken into the tangent of consistent states. Disturbances are efforts on the independent
+directions, white and held over an interval. Sources: A. H. Jazwinski, Stochastic Processes and
+Filtering Theory, 1970, ch. 8; C. Moler, C. Van Loan, SIAM Review 45(1) (2003), on e^A.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.estimation.kalman_update import updated
+from mbd_ros.core.estimation.process import Bounded, Observation, Transition
+from mbd_ros.core.estimation.sensor_set import SensorSet
+from mbd_ros.core.estimation.state_limits import StateLimits
+from mbd_ros.core.estimation.state_tangent import StateTangent
+from mbd_ros.core.sensor import Sensor
+from mbd_ros.core.simulation.simulation import Simulation
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+_PIECE = 0.01  # s, over which A is taken for constant
+_SMALL = 0.25  # of |A dt|, where its exponential is not halved
+_SEARCHES, _FOUND = 20, 1.0e-9  # of the first state [m, rad and rates]
+_NEGLIGIBLE = 1.0e-13  # terms of that size
+
+
+class MechanismProcess:
+    """The scene of a simulation, as estimators see it; x is a state of what it integrates.
+
+    Args:
+        simulation: Of the scene, with its own Pinocchio data.
+        sensors: What is measured.
+        x: State of all joints near which it begins.
+        effort_noise: Density of white efforts on all joints [N·m s^(1/2) or N s^(1/2)], (nv,).
+        internal_noise: Density of white noise on the rates of internal states, shape (nz,).
+        limits: Whether joints keep their position and velocity limits, in estimators with bounds.
+
+    Attributes:
+        simulation: As given.
+        sensors: All sensors.
+        tangent: Of its consistent states.
+        start: The nearest consistent state to x.
+        n: Size of a step.
+        nw: Size of a disturbance.
+
+    Raises:
+        SolveError: The mechanism cannot be assembled near x.
+        ModelError: Noise that is not finite or negative.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        sensors: Sequence[Sensor],
+        x: State,
+        effort_noise: Array,
+        internal_noise: Array | None = None,
+        *,
+        limits: bool = True,
+    ) -> None:
+        self.simulation, system = simulation, simulation.system
+        self._system: System = system
+        self.start = simulation.start(x, system.loads.sources.held(x.t))
+        self.sensors = SensorSet(sensors, system)
+        self.tangent = StateTangent(system, self.start)
+        self._limits = StateLimits(system, self.tangent, positions=limits, velocities=limits)
+        self.n, nz = self.tangent.n, system.internals.nz
+        self._density = np.concatenate(
+            (effort_noise, np.zeros(nz) if internal_noise is None else internal_noise)
+        )
+        if not (np.isfinite(self._density).all() and (self._density >= 0.0).all()):
+            raise ModelError("process noise must be finite and >= 0")
+        self.nw = len(self._density)
+
+    def near(self, x: State, values: Array, P: Array) -> State:
+        """The state of what is integrated that fits a prior and a measurement best.
+
+        Args:
+            x: Mean of the prior, of all joints.
+            values: Measured, NaN where nothing was, shape (m,).
+            P: Covariance of the prior, shape (n, n).
+
+        Raises:
+            SolveError: The mechanism cannot be assembled near x.
+        """
+        system = self._system
+        prior = y = self.simulation.start(x, system.loads.sources.held(x.t))
+        for _ in range(_SEARCHES):
+            seen = self.sensors.observe(y, None, self.tangent)
+            error = values - seen.y + seen.H.dot(self.minus(y, prior))
+            step = updated(P, seen.H, seen.R, error).step
+            before, y = y, self.plus(prior, step)
+            if float(np.abs(self.minus(y, before)).max()) <= _FOUND:
+                break
+        return y
+
+    def advance(self, x: State, u: Array | None, t: float) -> Transition:
+        """As `Process.advance`; the simulation takes its own steps in between.
+
+        Raises:
+            DivergedError: The state is no longer finite.
+            SolveError: Equations contradict one another.
+        """
+        count = max(1, math.ceil((t - x.t) / _PIECE - 1.0e-9))
+        times = np.linspace(x.t, t, count + 1)[1:].tolist()
+        lift, flow, y = self.tangent.lifted(x), None, self._begun(x, u)
+        for end in times:
+            piece = _exponential(self._slopes(y, u) * (end - y.t))
+            flow = piece if flow is None else piece.dot(flow)
+            y = self.simulation.advance(y, u, end)
+        assert flow is not None
+        lower = self.tangent.lowered(y)
+        G = lower.dot(self._pushed(y, u, t - x.t))
+        return Transition(y, lower.dot(flow).dot(lift), G, np.diag(self._density**2 / (t - x.t)))
+
+    def observe(self, x: State, u: Array | None) -> Observation:
+        """As `Process.observe`."""
+        return self.sensors.observe(x, u, self.tangent)
+
+    def plus(self, x: State, d: Array) -> State:
+        """As `Process.plus`."""
+        return self.tangent.plus(x, d)
+
+    def minus(self, x1: State, x0: State) -> Array:
+        """As `Process.minus`."""
+        return self.tangent.minus(x1, x0)
+
+    def turned(self, x0: State, x1: State) -> Array | None:
+        """As `Process.turned`."""
+        return self.tangent.turned(x0, x1)
+
+    def bounded(self, x: State) -> Bounded:
+        """As `Process.bounded`: limits of joints, and bounds of internal states."""
+        return self._limits.at(x)
+
+    def _begun(self, x: State, u: Array | None) -> State:
+        stepper = self.simulation.stepper
+        stepper.restart()
+        return stepper.settle(x, u)
+
+    def _slopes(self, y: State, u: Array | None) -> Array:
+        """A of (q, v, z)' in the steps of `Chart.plus`, shape (2 nv + nz, 2 nv + nz)."""
+        system = self._system
+        nv, found = system.nv, system.derivatives(y, u, inputs=False)
+        A = np.zeros((2 * nv + len(y.z),) * 2)
+        A[:nv, nv : 2 * nv] = np.eye(nv)
+        for base in system.chart.bases:
+            A[base, base] = -pin.Motion(y.v[base]).action
+        A[nv : 2 * nv, :nv], A[nv : 2 * nv, nv : 2 * nv] = found.q, found.v
+        A[nv : 2 * nv, 2 * nv :] = found.z
+        if found.rates is not None:
+            rates = found.rates
+            A[2 * nv :, :nv], A[2 * nv :, nv : 2 * nv], A[2 * nv :, 2 * nv :] = rates[:3]
+        return A
+
+    def _pushed(self, y: State, u: Array | None, dt: float) -> Array:
+        """What held disturbances change in the steps of `Chart.plus`, shape (2 nv + nz, nw)."""
+        system, nz = self._system, len(y.z)
+        nv, joints = system.nv, system.robot.model.nv
+        respond = system.evaluate(system.expand(y), u).respond(np.eye(joints))
+        pushed = np.zeros((2 * nv + nz, self.nw))
+        rate = system.integrated(respond)
+        pushed[:nv, :joints], pushed[nv : 2 * nv, :joints] = 0.5 * dt * dt * rate, dt * rate
+        pushed[2 * nv :, joints:] = dt * np.eye(nz)
+        return pushed
+
+
+def _exponential(A: Array) -> Array:
+    """e^A by scaling and squaring."""
+    size = float(np.abs(A).sum(axis=1).max(initial=0.0))
+    halvings = max(0, math.ceil(math.log2(size / _SMALL))) if size > _SMALL else 0
+    A, size = A / 2.0**halvings, size / 2.0**halvings
+    found, term = np.eye(len(A)) + A, A
+    order = 1
+    while size**order > _NEGLIGIBLE * math.factorial(order):
+        order += 1
+        term = term.dot(A) / order
+        found += term
+    for _ in range(halvings):
+        found = found.dot(found)
+    return found

@@ -1,0 +1,25 @@
+"""Kalman filter of a linear process."""
+
+from mbd_ros.core.estimation.process import LinearProcess
+from mbd_ros.errors import ModelError
+from mbd_ros.estimators.extended_kalman import ExtendedKalman
+
+
+class Kalman(ExtendedKalman):
+    """The estimate of least variance for x_k+1 = A x_k + B u_k + G w_k, y_k = C x_k + n_k.
+
+    Source: R. E. Kalman, J. Basic Engineering 82 (1960).
+
+    Args:
+        process: The process.
+
+    Raises:
+        ModelError: The process is not linear.
+    """
+
+    example: dict[str, float] = {}
+
+    def __init__(self, process: LinearProcess) -> None:
+        if not isinstance(process, LinearProcess):
+            raise ModelError("kalman takes a LinearProcess; accepted for others: extended_kalman")
+        super().__init__(process)

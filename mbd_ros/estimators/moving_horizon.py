@@ -1,0 +1,189 @@
+"""Moving horizon estimation: the motion of the last samples that physics allows."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from mbd_ros.core.estimation.estimator import Belief, Estimator, Measurement
+from mbd_ros.core.estimation.horizon_window import Answer, Arrival, HorizonProgram, Node
+from mbd_ros.core.estimation.kalman_update import Innovation, Update, updated
+from mbd_ros.core.estimation.process import Observation, Process
+from mbd_ros.core.ranges import NotNegative, Positive, Unit, Within
+from mbd_ros.core.state import Array
+from mbd_ros.errors import ModelError, SolveError
+
+_TINY = 1.0e-300
+
+
+class MovingHorizon(Estimator):
+    """The most likely motion of a window of samples, see `core/estimation/horizon_window.py`.
+
+    A sample that leaves the window leaves its arrival cost behind: the estimate that was made of
+    its successor then, with the covariance of the Kalman filter. A correction takes up to
+    `iterations` of Gauss and Newton's method and begins from the last window.
+
+    Args:
+        process: The process.
+        samples: Measurements in the window; 0 for all (full information).
+        arrival: `filter`, or `none`: only the prior counts, and only while it is in the window.
+        iterations: Linearisations a measurement, at most.
+        settled: Step of the newest estimate after which there is no other iteration, in standard
+            deviations.
+        relinearize: Step of a node after which it is linearised again [m, rad and rates].
+        lower: Smallest disturbances, shape (nw,); one number for all; none by default.
+        upper: Largest disturbances.
+        bounds: Whether states keep their bounds.
+
+    Raises:
+        ModelError: Bounds of another size, or a lower one above the upper one.
+    """
+
+    example = {"samples": 20}
+
+    def __init__(
+        self,
+        process: Process,
+        *,
+        samples: Annotated[int, Within(0, 10_000), Unit("-")] = 20,
+        arrival: Literal["filter", "none"] = "filter",
+        iterations: Annotated[int, Within(1, 50), Unit("-")] = 3,
+        settled: Annotated[Positive, Unit("-")] = 1.0e-3,
+        relinearize: Annotated[NotNegative, Unit("-")] = 1.0e-3,
+        lower: float | Sequence[float] = -math.inf,
+        upper: float | Sequence[float] = math.inf,
+        bounds: bool = True,
+    ) -> None:
+        super().__init__(process)
+        self.samples, self.arrival, self.bounds = samples, arrival, bounds
+        self.iterations, self.settled, self.relinearize = iterations, settled, relinearize
+        try:
+            low, high = (np.broadcast_to(np.asarray(b, float), process.nw) for b in (lower, upper))
+        except ValueError as error:
+            raise ModelError(
+                f"bounds of disturbances: accepted are {process.nw} numbers"
+            ) from error
+        if not (low <= high).all():
+            raise ModelError("a lower bound of a disturbance is above its upper one")
+        self._program = HorizonProgram(process, low, high)
+        self._low, self._high = low, high
+
+    def begin(self, x: Any, P: Array, t: float = 0.0) -> Belief:
+        """As `Estimator.begin`."""
+        super().begin(x, P, t)
+        self._nodes = list[Node]()
+        self._filtered = self.belief.P
+        self._predicted = Arrival(x, self.belief.P)
+        self._arrivals = list[Arrival]()
+        self._has_prior = True
+        self.answer: Answer | None = None
+        return self.belief
+
+    def predict(self, u: Array | None, t: float) -> Belief:
+        """As `Estimator.predict`."""
+        process, belief = self.process, self.belief
+        going = process.advance(belief.x, u, t)
+        ahead = going.x
+        push = np.clip(0.0, self._low, self._high)
+        if push.any():
+            ahead = process.plus(ahead, going.G.dot(push))
+        if self._nodes:
+            last = self._nodes[-1]
+            last.u, last.going = u, going
+        P = going.F.dot(self._filtered).dot(going.F.T) + going.noise
+        self._predicted = Arrival(ahead, 0.5 * (P + P.T))
+        self.belief = belief._replace(t=t, x=ahead, P=self._predicted.P)
+        return self.belief
+
+    def correct(self, measurement: Measurement, seen: Observation | None = None) -> Belief:
+        """As `Estimator.correct`; with `is_late` it is a step of the filter, not of the window."""
+        process, x = self.process, self.belief.x
+        values = np.asarray(measurement.values, dtype=np.float64)
+        if measurement.used is not None:
+            values = np.where(measurement.used, values, np.nan)
+        if seen is None:
+            seen = process.observe(x, self._nodes[-1].u if self._nodes else None)
+        assert self._predicted.P is not None
+        judged = updated(self._predicted.P, seen.H, seen.R, values - seen.y)
+        self._filtered, used = judged.P, judged.innovation.used
+        node = Node(measurement.t, x, np.where(used, values, np.nan), seen=seen)
+        node.bounds = process.bounded(x) if self.bounds else None
+        self._nodes.append(node)
+        self._arrivals.append(self._predicted)
+        self._shorten()
+        if self.is_late:
+            known = self.belief._replace(
+                x=process.plus(x, judged.step), P=judged.P, is_trusted=True, remark=""
+            )
+            self.belief = self._moved_to(known, judged.innovation)
+        else:
+            self.belief = self._solved(judged.innovation)
+        return self.belief
+
+    def _filtered_alone(self, judged: Update) -> Belief:
+        """The belief of a sample for which there is no time to solve the window."""
+        last = self._nodes[-1]
+        self._linearize(len(self._nodes) - 1, self.process.plus(last.x, judged.step))
+        return Belief(last.t, last.x, judged.P, judged.innovation, False, "late: filter alone")
+
+    def remember(self) -> Any:
+        """As `Estimator.remember`."""
+        nodes = [replace(node) for node in self._nodes]
+        kept = self.belief, self._filtered, self._predicted, list(self._arrivals)
+        return kept, nodes, self._has_prior, self.answer
+
+    def recall(self, memory: Any) -> None:
+        """As `Estimator.recall`."""
+        kept, nodes, self._has_prior, self.answer = memory
+        self.belief, self._filtered, self._predicted, arrivals = kept
+        self._arrivals, self._nodes = list(arrivals), [replace(node) for node in nodes]
+
+    def _shorten(self) -> None:
+        """Let the oldest sample go; what was believed of its successor is the arrival cost."""
+        if self.samples and len(self._nodes) > self.samples:
+            del self._nodes[0]
+            del self._arrivals[0]
+            self._has_prior = False
+
+    def _first(self) -> Arrival:
+        known = self._arrivals[0]
+        if self.arrival == "filter" or self._has_prior:
+            return known
+        return Arrival(known.x, None)
+
+    def _solved(self, innovation: Innovation) -> Belief:
+        belief, nodes = self.belief, self._nodes
+        arrival = self._first()
+        try:
+            for _ in range(self.iterations):
+                answer = self._program.solve(nodes, arrival)
+                if self._follow(answer):
+                    break
+        except SolveError as error:
+            return belief._replace(
+                innovation=innovation, is_trusted=False, remark=f"no estimate: {error}"
+            )
+        self.answer = answer
+        return Belief(nodes[-1].t, nodes[-1].x, answer.P, innovation)
+
+    def _follow(self, answer: Answer) -> bool:
+        """Move nodes to the answer, linearise those that moved far; whether the newest did not."""
+        steps = answer.steps
+        sizes = np.sqrt(np.maximum(answer.P.diagonal(), _TINY))
+        is_settled = bool((np.abs(steps[-1]) <= self.settled * sizes).all())
+        far = np.abs(steps).max(axis=1) > self.relinearize
+        far[-1] = True
+        for i in far.nonzero()[0].tolist():
+            self._linearize(i, self.process.plus(self._nodes[i].x, steps[i]))
+        return is_settled
+
+    def _linearize(self, i: int, x: Any) -> None:
+        """Move a node to a state, and linearise it there."""
+        process, nodes, node = self.process, self._nodes, self._nodes[i]
+        node.x = x
+        node.seen = process.observe(node.x, nodes[i - 1].u if i else node.u)
+        node.bounds = process.bounded(node.x) if self.bounds else None
+        if i + 1 < len(nodes):
+            node.going = process.advance(node.x, node.u, nodes[i + 1].t)

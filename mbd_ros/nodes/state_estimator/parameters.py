@@ -1,0 +1,84 @@
+"""Parameters of the node `state_estimator`."""
+
+from typing import Any
+
+from mbd_ros.core.estimation.tracker import Tracker
+from mbd_ros.estimators.moving_horizon import MovingHorizon
+from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS as INVERSE_DYNAMICS
+from mbd_ros.nodes.shell.constructor_parameters import of
+from mbd_ros.nodes.shell.parameters import Parameter
+from mbd_ros.scene.estimate_task import EstimateTask
+
+_SHARED = ("scene", "allow_code", "timeout", "clock_tolerance")
+_TASK = (
+    *("model_noise", "disturbance_noise", "position_noise", "velocity_noise"),
+    *("position_deviation", "velocity_deviation", "limits"),
+)
+_TRACKER = ("memory", "patience", "max_age", "gate", "agility")
+_HORIZON = ("samples", "iterations")
+
+PARAMETERS = (
+    *(parameter for parameter in INVERSE_DYNAMICS if parameter.name in _SHARED),
+    Parameter(
+        "estimator",
+        str,
+        "How states are estimated.",
+        "extended_kalman",
+        choices=("extended_kalman", "moving_horizon"),
+    ),
+    Parameter(
+        "inputs",
+        str,
+        "What moves the mechanism: efforts that joint states carry, commands of its actuators on "
+        "`joint_commands`, or nothing.",
+        "efforts",
+        choices=("efforts", "commands", "none"),
+    ),
+    Parameter(
+        "velocities",
+        bool,
+        "Whether velocities of joint states count as measured, beside positions.",
+        False,
+    ),
+    Parameter(
+        "disturbances",
+        bool,
+        "Whether there are unknown efforts on as many joints as can be told apart.",
+        True,
+    ),
+    *of(EstimateTask, {name: name for name in _TASK}),
+    *of(Tracker, {name: name for name in _TRACKER}, skip=2),
+    *of(MovingHorizon, {name: f"horizon.{name}" for name in _HORIZON}, skip=1),
+    Parameter(
+        "deadline",
+        float,
+        "Time that answers may lag behind the samples before the horizon gives way to the filter, "
+        "and answers are flagged [s].",
+        0.02,
+        low=0.0,
+        high=10.0,
+        read_only=False,
+    ),
+    Parameter(
+        "failures",
+        int,
+        "Joint states in a row without an estimate after which the node deactivates.",
+        1000,
+        low=1,
+        high=1_000_000,
+        read_only=False,
+    ),
+)
+
+
+def task_of(values: Any) -> EstimateTask:
+    """What the parameters ask for."""
+    estimator: dict[str, Any] = {"type": values.estimator}
+    if values.estimator == "moving_horizon":
+        estimator |= {name: getattr(values, f"horizon_{name}") for name in _HORIZON}
+    return EstimateTask(
+        estimator,
+        values.inputs,
+        None if values.disturbances else (),
+        **{name: getattr(values, name) for name in _TASK},
+    )

@@ -1,0 +1,57 @@
+"""Gyroscope on a link."""
+
+from typing import Annotated
+
+import numpy as np
+
+from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.outputs import Now
+from mbd_ros.core.ranges import NotNegative, Unit
+from mbd_ros.core.sensor import Measures, Sensor
+from mbd_ros.core.state import Array, State
+
+_ANGULAR = slice(3, 6)  # of a spatial velocity
+
+
+class Gyroscope(Sensor):
+    """Angular velocity of a link, in axes of the link; drift of its zero is left out.
+
+    Args:
+        robot: Robot of the scene.
+        frame: Link (or frame) in whose axes it measures.
+        noise: Standard deviation of each component.
+        label: What recordings and messages call it; empty for its name.
+
+    Raises:
+        ModelError: Unknown frame.
+    """
+
+    example = {"frame": "foot", "noise": 0.01}
+    level = Measures.VELOCITY
+    reads = Reads.JACOBIAN
+    unit = "rad/s"
+    components = ("x", "y", "z")
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        frame: str,
+        noise: Annotated[NotNegative, Unit("rad/s")] = 0.01,
+        label: str = "",
+    ) -> None:
+        self.point = robot.point(frame)
+        self.frame, self.noise, self.label = frame, noise, label
+
+    def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
+        """Angular velocity in the axes of the link [rad/s], shape (3,)."""
+        return self.jacobian(k, x).dot(x.v)
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """Derivative by v [rad/s per unit of v], shape (3, nv)."""
+        return k.own_jacobian(self.point)[_ANGULAR]
+
+    def covariance(self, k: Kinematics, x: State) -> Array:
+        """The same noise about all axes [(rad/s)^2], shape (3, 3)."""
+        return self.noise**2 * np.eye(3)
