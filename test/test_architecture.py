@@ -68,6 +68,7 @@ PART_FOLDERS = {
         "constraints",
         "contacts",
         "controllers",
+        "estimators",
         "forces",
         "integrators",
         "muscles",

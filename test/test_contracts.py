@@ -9,6 +9,8 @@ import pytest
 from mbd_ros.core.control.contract import ControlledJoints, Controller
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.estimation.estimator import Estimator
+from mbd_ros.core.estimation.process import LinearProcess
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.kinematics import Kinematics
@@ -35,6 +37,7 @@ CONTRACTS = {
     "constraints": Constraint,
     "contacts": Part,
     "controllers": Controller,
+    "estimators": Estimator,
     "forces": Load,
     "muscles": Muscle,
     "integrators": Integrator,
@@ -42,7 +45,7 @@ CONTRACTS = {
     "stabilization": Stabilization,
 }
 OF_A_ROBOT = ("actuators", "constraints", "contacts", "forces", "muscles", "sensors")
-FIRST = {**dict.fromkeys(OF_A_ROBOT, "robot"), "controllers": "joints"}
+FIRST = {**dict.fromkeys(OF_A_ROBOT, "robot"), "controllers": "joints", "estimators": "process"}
 every_part = pytest.mark.parametrize(("section", "name"), NAMES)
 every_part_of_a_robot = pytest.mark.parametrize(
     ("section", "name"), [pair for pair in NAMES if pair[0] in OF_A_ROBOT]
@@ -67,6 +70,8 @@ def context(section, robot):
     """What a part is given besides its entry."""
     if section == "controllers":
         return (controlled(robot),)
+    if section == "estimators":
+        return (LinearProcess(*np.eye(2)[None].repeat(4, axis=0)),)
     return (robot,) if section in OF_A_ROBOT else ()
 
 

@@ -92,8 +92,13 @@ def scene_with(section, name, base="fixed"):
 
 def part_in(scene):
     keys = [key for key in OF_A_ROBOT if key in scene.parts]
-    ((part,),) = [getattr(scene.parts[key], "values", scene.parts[key].__iter__)() for key in keys]
+    ((part,),) = [parts_in_section(scene, key) for key in keys]
     return part
+
+
+def parts_in_section(scene, key):
+    held = scene.parts.get(key, ())
+    return list(held.values()) if key in NAMED and held else list(held)
 
 
 def moments(scene, count=5):
@@ -288,8 +293,8 @@ def varied(section, name):
 @every_part
 def test_other_numbers_are_those_of_a_scene_built_anew(section, name):
     """The same bits in every number that the part has, and in the motion."""
-    if section == "controllers":
-        return  # belong to nodes, where a gain builds them anew
+    if section in ("controllers", "estimators"):
+        return  # belong to nodes and tasks, where a gain builds them anew
     scene = scene_with(section, name)
     called = part_in(scene).name if section in OF_A_ROBOT else next(iter(scene.entries))
     called = {"integrators": "integrator"}.get(section, called)
@@ -305,7 +310,7 @@ def ran(scene):
     u = np.full(len(scene.inputs.channels), 0.3)
     sources = {part.name: Sampled(lambda t: u, 1.0) for part in scene.actuators}
     motion = list(scene.simulation(dt=1e-3, sources=sources).run(scene.initial, 0.003))
-    parts = [part for key in OF_A_ROBOT for part in scene.parts.get(key, ())]
+    parts = [part for key in OF_A_ROBOT for part in parts_in_section(scene, key)]
     forces = [part.force(*next(moments(scene)), u).tobytes() for part in scene.forces]
     names = [part.name for part in parts]
     armature = scene.robot.model.armature.tobytes()

@@ -79,7 +79,7 @@ def test_cycles_and_unknown_names_are_refused(after, message):
 def test_the_registry_reads_the_table():
     """Every kind of part of a scene has a line, whose methods the registry asks for."""
     kinds = {section.parts: section.offers for section in SECTIONS if section.parts}
-    assert {**kinds, "controllers": ("effort",)} == METHODS
+    assert {**kinds, "controllers": ("effort",), "estimators": ("predict", "correct")} == METHODS
     assert set(METHODS) == set(PARTS)
 
 

@@ -1,1 +1,0 @@
-"""Estimators: one file a part."""

@@ -13,9 +13,8 @@ from mbd_ros.core.estimation.kalman_update import Innovation, Update, updated
 from mbd_ros.core.estimation.process import Observation, Process
 from mbd_ros.core.ranges import NotNegative, Positive, Unit, Within
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import ModelError, SolveError
-
-_TINY = 1.0e-300
 
 
 class MovingHorizon(Estimator):
@@ -114,10 +113,7 @@ class MovingHorizon(Estimator):
         self._arrivals.append(self._predicted)
         self._shorten()
         if self.is_late:
-            known = self.belief._replace(
-                x=process.plus(x, judged.step), P=judged.P, is_trusted=True, remark=""
-            )
-            self.belief = self._moved_to(known, judged.innovation)
+            self.belief = self._filtered_alone(judged)
         else:
             self.belief = self._solved(judged.innovation)
         return self.belief
@@ -171,7 +167,7 @@ class MovingHorizon(Estimator):
     def _follow(self, answer: Answer) -> bool:
         """Move nodes to the answer, linearise those that moved far; whether the newest did not."""
         steps = answer.steps
-        sizes = np.sqrt(np.maximum(answer.P.diagonal(), _TINY))
+        sizes = np.sqrt(np.maximum(answer.P.diagonal(), TINY))
         is_settled = bool((np.abs(steps[-1]) <= self.settled * sizes).all())
         far = np.abs(steps).max(axis=1) > self.relinearize
         far[-1] = True

@@ -67,7 +67,7 @@ class FreeDerivatives:
         return np.concatenate((force, internals.rates(mechanism.k, x, u)))
 
     def _slopes(self, y: State, u: Array, force: Array, nu: int) -> Array | None:
-        """Of `_loads` by steps of q, v, z and u, shape (nv + nz, 2 nv + nz + nu); None for zero."""
+        """Of `_loads` by q, v, z and u, shape (nv + nz, 2 nv + nz + nu); None for zero."""
         if self._mechanism.loads.is_empty:
             return None
         nv, nz = self._nv, self._nz

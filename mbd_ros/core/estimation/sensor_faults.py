@@ -10,9 +10,10 @@ from mbd_ros.core.estimation.sensor_set import SensorSet
 from mbd_ros.core.state import Array
 
 _KEPT = (
-    *("_t", "_heard", "_counted", "_value", "_stood", "_expected", "_error"),
+    *("_t", "_heard", "_counted", "_value", "_stood", "_pushed", "_error"),
     *("_is_frozen", "_is_out"),
 )
+_PUSHES = 4.0  # gates, of normalised innovations added up
 _STANDS = 5  # samples with one value, from which on it may be a frozen sensor
 
 
@@ -49,7 +50,7 @@ class SensorFaults:
         self._t = t
         self._heard, self._counted = np.full(m, t), np.full(m, t)
         self._value, self._stood = np.full(m, np.nan), np.zeros(m, dtype=np.int64)
-        self._expected, self._error = np.zeros(m), np.full(m, np.nan)
+        self._pushed, self._error = np.zeros(m), np.full(m, np.nan)
         self._is_frozen, self._is_out = np.zeros((2, m), dtype=np.bool_)
 
     def usable(self, values: Array, expected: Array, deviation: Array, dt: float) -> Bools:
@@ -61,7 +62,7 @@ class SensorFaults:
             deviation: Of their difference, shape (m,).
             dt: Since the last sample [s].
         """
-        self._find_frozen(values, expected, deviation)
+        self._find_frozen(values, (values - expected) / deviation)
         foreseen = np.array((0.5 * dt * dt, dt, 1.0, np.inf))[self._level] * self._agility
         error, most = values - expected, self._gate * deviation + foreseen
         told = np.isfinite(values)
@@ -73,16 +74,17 @@ class SensorFaults:
         usable: Bools = told & ~self._is_frozen & ~self._is_out
         return usable
 
-    def _find_frozen(self, values: Array, expected: Array, deviation: Array) -> None:
-        """What is the same for long, while it should have moved."""
+    def _find_frozen(self, values: Array, error: Array) -> None:
+        """What is the same for long, while predictions keep moving away from it to one side."""
         told = np.isfinite(values)
         same = told & (values == self._value)
         changed = told & ~same
         self._stood = np.where(same, self._stood + 1, np.where(changed, 0, self._stood))
-        self._expected = np.where(changed, expected, self._expected)
+        pushed = np.where(same, self._pushed + error, self._pushed)
+        self._pushed = np.where(changed, 0.0, pushed)
         self._value = np.where(told, values, self._value)
-        moved = np.abs(expected - self._expected) > self._gate * deviation
-        self._is_frozen = (self._is_frozen & ~changed) | (same & moved & (self._stood >= _STANDS))
+        moves = (np.abs(self._pushed) > _PUSHES * self._gate) & (self._stood >= _STANDS)
+        self._is_frozen = (self._is_frozen | (same & moves)) & ~changed
 
     def note(self, t: float, values: Array, innovation: Innovation) -> None:
         """Take what counted of a sample."""

@@ -93,7 +93,11 @@ class StateTangent:
         """The d with y0 (+) d = y1, shape (n,)."""
         spans, chart = self.basis(y0), self.system.chart
         step = spans.q.T.dot(chart.difference(y0.q, y1.q))
-        return np.concatenate((step, spans.v.T.dot(y1.v - y0.v), y1.z - y0.z))
+        rest = y1.v - y0.v
+        if not self.is_whole:
+            nv = self.system.nv
+            rest = rest - self.lifted(y0)[nv : 2 * nv, : len(step)].dot(step)
+        return np.concatenate((step, spans.v.T.dot(rest), y1.z - y0.z))
 
     def lifted(self, y: State) -> Array:
         """From steps d to those of `Chart.plus`, shape (2 nv + nz, n).
@@ -142,6 +146,8 @@ class StateTangent:
         a, b = spans.q.shape[1], spans.q.shape[1] + spans.v.shape[1]
         lower = np.zeros((self.n, 2 * nv + nz))
         lower[:a, :nv], lower[a:b, nv : 2 * nv] = spans.q.T, spans.v.T
+        turned = self.lifted(y)[nv : 2 * nv, :a]
+        lower[a:b, :nv] = -spans.v.T.dot(turned).dot(spans.q.T)
         lower[b:, 2 * nv :] = np.eye(nz)
         return lower
 

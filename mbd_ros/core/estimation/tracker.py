@@ -28,6 +28,7 @@ class _Step(NamedTuple):
     """A sample that was taken, and what was believed before it."""
 
     t: float
+    since: float
     values: Array
     u: Array | None
     before: Any
@@ -94,7 +95,7 @@ class Tracker:
         if t >= self.belief.t - _SAME:
             self._step(t, values, u)
             return Taken.USED
-        if not self._steps or t < self._steps[0].t:
+        if not self._steps or t < self._steps[0].since:
             return Taken.OLD
         at = bisect_right([step.t for step in self._steps], t)
         again = self._steps[at:]
@@ -114,7 +115,7 @@ class Tracker:
     def _step(self, t: float, values: Array, u: Array | None) -> None:
         estimator = self.estimator
         before = estimator.remember(), self.faults.remember()
-        self._steps.append(_Step(t, values, u, before))
+        self._steps.append(_Step(t, self.belief.t, values, u, before))
         while self._steps[0].t < t - self._memory:
             del self._steps[0]
         dt = max(t - self.belief.t, 0.0)

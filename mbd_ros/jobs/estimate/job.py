@@ -18,12 +18,13 @@ from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result
 from mbd_ros.jobs.columns import state_topics
 from mbd_ros.jobs.error_source import about
+from mbd_ros.jobs.estimate.estimation import EFFORTS, Estimation, estimation_of
 from mbd_ros.jobs.estimate.tables import INNOVATIONS, innovation_table, sample_table
 from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.jobs.progress import Watch, progress, watching
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.estimate_task import EFFORTS, EstimateTask, Estimation, estimation_of
+from mbd_ros.scene.estimate_task import EstimateTask
 from mbd_ros.scene.task_reader import read_task
 
 NO_TASK = EstimateTask()

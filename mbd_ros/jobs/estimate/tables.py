@@ -10,7 +10,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.files.table import Column, Table
 from mbd_ros.files.times import TIME
 from mbd_ros.jobs.columns import body_columns, joint_columns, output_columns, whole_bodies
-from mbd_ros.scene.estimate_task import Estimation
+from mbd_ros.jobs.estimate.estimation import Estimation
 
 INNOVATIONS = "innovations"
 

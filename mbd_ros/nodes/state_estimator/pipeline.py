@@ -9,9 +9,9 @@ import numpy as np
 from mbd_ros.core.estimation.tracker import Taken, Tracker
 from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.state import NANOSECOND, Array
+from mbd_ros.jobs.estimate.estimation import EFFORTS, estimation_of
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.nodes.state_estimator.parameters import task_of
-from mbd_ros.scene.estimate_task import EFFORTS, estimation_of
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.sensors.encoder import Encoder
 from mbd_ros.sensors.imu import Imu

@@ -1,0 +1,277 @@
+"""Estimators of mechanisms: tangents, derivatives, faults, recordings."""
+
+import numpy as np
+import pytest
+
+from mbd_ros import load_scene, scene_from
+from mbd_ros.core.estimation.estimator import Measurement
+from mbd_ros.core.estimation.mechanism_process import MechanismProcess
+from mbd_ros.core.estimation.tracker import Taken, Tracker
+from mbd_ros.errors import DataError, SceneError
+from mbd_ros.estimators.extended_kalman import ExtendedKalman
+from mbd_ros.estimators.moving_horizon import MovingHorizon
+from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.jobs.estimate.estimation import estimation_of
+from mbd_ros.scene.estimate_task import EstimateTask
+
+STEP = 0.002
+IMUS = {
+    "gyro": {"type": "gyroscope", "frame": "shank"},
+    "push": {"type": "accelerometer", "frame": "foot", "xyz": [0.1, 0.0, -0.05]},
+    "both": {"type": "imu", "frame": "socket"},
+    "heel": {"type": "marker", "frame": "foot", "xyz": [-0.05, 0.0, 0.0]},
+    "rate": {"type": "tachometer", "joint": "knee"},
+}
+FLYING = {
+    "gyro": {"type": "gyroscope", "frame": "lower"},
+    "both": {"type": "imu", "frame": "trunk", "xyz": [0.1, 0.0, 0.2]},
+    "tip": {"type": "marker", "frame": "lower", "xyz": [0.0, 0.0, -0.4]},
+    "corner": {"type": "marker", "frame": "box", "xyz": [0.05, 0.15, 0.25]},
+}
+SCENES = {
+    "arm7": (lambda: load_scene("arm7"), 14),
+    "coupled_leg": (lambda: scene_from({"sensors": IMUS}, urdf="prosthetic_leg"), 10),
+    "sliding_knee": (lambda: load_scene("prosthetic_leg"), 6),
+    "four_bar": (lambda: load_scene("four_bar_leg"), 6),
+    "free_flyer": (lambda: load_scene("free_flyer").with_(sensors=FLYING), 40),
+}
+
+
+def prepared(name, **task):
+    scene = SCENES[name][0]()
+    joints = [joint.name for joint in scene.robot.joints]
+    return estimation_of(scene, EstimateTask(**{"disturbance": (), **task}), joints, joints)
+
+
+def moving(process, rng):
+    """A state near the start that moves."""
+    return process.plus(process.start, 0.3 * rng.standard_normal(process.n))
+
+
+def differences(function, process, y, step=1e-5):
+    columns = []
+    for d in step * np.eye(process.n):
+        columns.append(function(process.plus(y, d)) - function(process.plus(y, -d)))
+    return np.array(columns).T / (2.0 * step)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_derivatives_are_those_of_motion_and_sensors(name):
+    found, rng = prepared(name), np.random.default_rng(2)
+    process: MechanismProcess = found.process
+    assert process.n == SCENES[name][1]
+    y = moving(process, rng)
+    seen = process.observe(y, None)
+    values = differences(lambda x: process.sensors.values(x, None), process, y)
+    size = 1.0 + np.abs(values).max()
+    np.testing.assert_allclose(seen.H, values, rtol=0, atol=2e-5 * size)
+    going = process.advance(y, None, y.t + 2e-5)
+    after = differences(
+        lambda x: process.minus(process.advance(x, None, y.t + 2e-5).x, going.x), process, y
+    )
+    np.testing.assert_allclose(going.F, after, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_steps_of_the_tangent_add_up(name):
+    process, rng = prepared(name).process, np.random.default_rng(3)
+    y = moving(process, rng)
+    d = 1e-4 * rng.standard_normal(process.n)
+    np.testing.assert_allclose(process.minus(process.plus(y, d), y), d, rtol=0, atol=1e-6)
+
+
+def simulated(found, steps, rng=None, *, step=STEP):
+    """States of a simulation, and what the sensors of the estimator see of them."""
+    simulation, process = found.scene.simulation(), found.process
+    y = simulation.start(found.scene.initial, None)
+    noise = np.sqrt(process.sensors.covariance(y).diagonal())
+    for k in range(1, steps + 1):
+        y = simulation.advance(y, None, k * step)
+        values = process.sensors.values(y, None)
+        if rng is not None:
+            values = values + noise * rng.standard_normal(len(noise))
+        yield k * step, y, values
+
+
+def tracked(found, **options):
+    estimator = found.estimator
+    estimator.begin(found.process.start, found.prior, 0.0)
+    return Tracker(estimator, found.process.sensors, **options)
+
+
+@pytest.mark.parametrize("name", ["arm7", "sliding_knee", "four_bar"])
+def test_a_horizon_that_no_bound_touches_is_the_filter(name):
+    found, rng = prepared(name, limits=False), np.random.default_rng(4)
+    horizon = MovingHorizon(found.process, samples=5, iterations=2)
+    states = []
+    for estimator in (found.estimator, horizon):
+        estimator.begin(found.process.start, 1e-4 * found.prior, 0.0)
+    for t, _, values in simulated(found, 15, rng):
+        for estimator in (found.estimator, horizon):
+            estimator.predict(None, t)
+            estimator.correct(Measurement(t, values))
+        states.append(found.process.minus(horizon.belief.x, found.estimator.belief.x))
+    deviation = np.sqrt(horizon.belief.P.diagonal())
+    assert np.abs(np.array(states) / deviation).max() < 0.02
+
+
+def test_limits_hold_where_the_filter_breaks_them():
+    """A leg that rests at the stop of its knee: noise takes the filter beyond it."""
+    rng, upper = np.random.default_rng(5), None
+    worst = {}
+    for kind in ("extended_kalman", "moving_horizon"):
+        scene = load_scene("prosthetic_leg")
+        upper = scene.robot.joint("knee").upper
+        start = {"position": {"knee": upper}}
+        scene = scene.with_(initial=start, robot={**scene.entries["robot"], "gravity": [0, 0, 0]})
+        task = EstimateTask({"type": kind}, position_noise=0.01)
+        found = estimation_of(scene, task, ["hip_flexion", "knee", "ankle"], [])
+        estimator = found.estimator
+        estimator.begin(found.process.start, 0.01 * found.prior, 0.0)
+        at = scene.robot.joint("knee").q
+        over = []
+        for k in range(1, 60):
+            estimator.predict(None, k * 0.01)
+            values = found.process.sensors.values(found.process.start, None)
+            noisy = values + 0.01 * rng.standard_normal(len(values))
+            belief = estimator.correct(Measurement(k * 0.01, noisy))
+            x = found.process.simulation.system.expand(belief.x)
+            over.append(x.q[at] - upper)
+        worst[kind] = max(over)
+    assert worst["extended_kalman"] > 1e-3
+    assert worst["moving_horizon"] <= 1e-9
+
+
+@pytest.mark.parametrize(("name", "step"), [("arm7", 0.002), ("sliding_knee", 0.033)])
+def test_an_unknown_effort_is_found_within_a_fifth_of_a_second(name, step):
+    found, rng = prepared(name, disturbance=None), np.random.default_rng(6)
+    tracker, process = tracked(found), found.process
+    at = [found.scene.robot.joint(joint).v for joint in found.disturbed]
+    planted = 10.0 * found.scale[at]
+    simulation = found.scene.simulation()
+    y = simulation.start(found.scene.initial, None)
+    begin = round(0.3 / step)
+    errors = []
+    for k in range(1, begin + round(0.6 / step)):
+        if k == begin:
+            x = simulation.system.expand(y)
+            y = simulation.start(x._replace(z=planted), None)
+        y = simulation.advance(y, None, k * step)
+        values = process.sensors.values(y, None)
+        noise = np.sqrt(process.sensors.covariance(y).diagonal())
+        tracker.take(k * step, values + noise * rng.standard_normal(len(values)), None)
+        if k * step > (begin + 1) * step + 0.2:
+            x = process.simulation.system.expand(tracker.belief.x)
+            errors.append(np.abs(found.unknown_efforts(x) / planted - 1.0))
+    assert np.median(errors, axis=0).max() <= 0.05
+    assert tracker.restarts == 0 and not tracker.faults.found()
+
+
+def test_late_samples_go_where_they_belong():
+    found, rng = prepared("sliding_knee"), np.random.default_rng(7)
+    samples = [(t, v) for t, _, v in simulated(found, 60, rng)]
+    tracker = tracked(found)
+    for t, values in samples:
+        tracker.take(t, values, None)
+    expected = tracker.belief
+    order = np.arange(60)
+    for k in range(0, 50, 7):  # 6 .. 25 samples late
+        order[k : k + 10] = order[k : k + 10][np.r_[1:10, 0]]
+    tracker = tracked(found)
+    taken = [tracker.take(*samples[k], None) for k in order]
+    late = sum(k < max(order[: i + 1]) for i, k in enumerate(order))
+    assert taken.count(Taken.PLACED) == late > 5 and tracker.belief.t == expected.t
+    assert np.array_equal(tracker.belief.x.q, expected.x.q)
+    assert np.array_equal(tracker.belief.P, expected.P)
+    assert tracker.take(-1.0, samples[0][1], None) is Taken.OLD
+
+
+@pytest.mark.parametrize("kind", ["extended_kalman", "moving_horizon"])
+def test_faults_are_named_and_errors_stay_bounded(kind):
+    """30 % dropouts all the time; one encoder freezes, another one jumps, and both recover."""
+    task = {"type": kind} if kind == "extended_kalman" else {"type": kind, "samples": 8}
+    scene = load_scene("prosthetic_leg")
+    joints = "knee", "ankle"
+    sensors = {f"second_{joint}": {"type": "encoder", "joint": joint} for joint in joints}
+    scene = scene.with_(sensors=sensors)
+    found = estimation_of(scene, EstimateTask(task, limits=False), ["hip_flexion"], [])
+    more = [*found.process.sensors.names]
+    tracker, rng = tracked(found), np.random.default_rng(8)
+    seen, frozen, errors = set(), None, []
+    for k, (t, y, values) in enumerate(simulated(found, 500, rng)):
+        values[rng.random(len(values)) < 0.3] = np.nan
+        if 100 <= k < 200:
+            frozen = values[0] if frozen is None and np.isfinite(values[0]) else frozen
+            values[0] = values[0] if frozen is None else frozen
+        if 300 <= k < 320:
+            values[1] += 0.2
+        tracker.take(t, values, None)
+        seen |= {(name, what.split(" ")[0]) for name, what in tracker.faults.found().items()}
+        errors.append(np.abs(found.process.minus(y, tracker.belief.x)[:3]).max())
+    assert (more[0], "frozen") in seen
+    assert max(errors[20:]) < 0.3 and max(errors[450:]) < 2e-3
+    assert not tracker.faults.found()
+
+
+def recorded(result, keep):
+    table = result[MAIN]
+    return Result({MAIN: Table([c for c in table.columns if c.name in ("time", *keep)])}, {})
+
+
+def test_a_recording_of_some_joints_gives_all_of_a_loop():
+    scene = load_scene("four_bar_leg")
+    run = scene.simulate(0.4)
+    given = ("hip_flexion.position", "knee_anterior.position", "ankle.position")
+    found = scene.estimate(recorded(run, given))
+    for name in ("knee_posterior.position", "knee_tibial.velocity"):
+        np.testing.assert_allclose(found[MAIN][name], run[MAIN][name], rtol=0, atol=1e-9)
+    name = "shank_loop_closure.force_z"
+    np.testing.assert_allclose(found[MAIN][name], run[MAIN][name], rtol=0, atol=1e-7)
+    assert np.isfinite([found[MAIN][name] for name in found[MAIN]]).all()
+    assert set(found["innovations"]) == {"time", *given, "nis"}
+
+
+def test_the_smoother_is_nearer_than_the_filter():
+    """By noisy positions at 100 Hz, velocities of the smoother are the better ones."""
+    scene = load_scene("prosthetic_leg").with_(dt=0.01)
+    run, rng = scene.simulate(1.0), np.random.default_rng(9)
+    table = run[MAIN]
+    noisy = [Column("time", table["time"], "s")]
+    for joint in ("hip_flexion", "knee", "ankle"):
+        values = table[f"{joint}.position"] + 0.002 * rng.standard_normal(table.rows)
+        noisy.append(Column(f"{joint}.position", values, "rad"))
+    task = EstimateTask(position_noise=0.002, disturbance=None)
+    found = scene.estimate(Result({MAIN: Table(noisy)}, {}), task=task)
+    error = found[MAIN]["knee.velocity"] - table["knee.velocity"]
+    spread = found[MAIN]["knee.velocity_deviation"]
+    assert np.sqrt(np.mean(error[5:] ** 2)) < 0.1
+    assert 0.3 < np.mean(np.abs(error[5:] / spread[5:]) < 1.96) <= 1.0
+
+
+def test_bad_recordings_and_tasks_are_named(tmp_path):
+    scene = load_scene("prosthetic_leg")
+    empty = Result({MAIN: Table([Column("time", np.arange(3.0), "s")])}, {})
+    with pytest.raises(SceneError, match="nothing is measured"):
+        scene.estimate(empty)
+    table = Table([Column("time", np.arange(3.0)), Column("knee.position", np.zeros(3))])
+    with pytest.raises(SceneError, match="elbow"):
+        scene.estimate(Result({MAIN: table}, {}), disturbance=("elbow",))
+    task = tmp_path / "task.yaml"
+    task.write_text("estimate: {estimator: {type: extended_kalmann}}\n")
+    with pytest.raises(SceneError, match="extended_kalman"):
+        scene.estimate(Result({MAIN: table}, {}), task=task)
+    task.write_text("estimate: {model_nois: 1.0}\n")
+    with pytest.raises(SceneError, match="model_nois"):
+        scene.estimate(Result({MAIN: table}, {}), task=task)
+    with pytest.raises(DataError):
+        scene.estimate(tmp_path / "nothing.csv")
+
+
+def test_a_late_horizon_gives_way_to_the_filter():
+    found = prepared("sliding_knee", estimator={"type": "moving_horizon", "samples": 5})
+    tracker = tracked(found)
+    for k, (t, _, values) in enumerate(simulated(found, 10, np.random.default_rng(1))):
+        found.estimator.is_late = k == 7
+        tracker.take(t, values, None)
+        assert tracker.belief.is_trusted is (k != 7)
+    assert isinstance(prepared("sliding_knee").estimator, ExtendedKalman)
