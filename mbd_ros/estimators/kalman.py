@@ -1,11 +1,11 @@
 """Kalman filter of a linear process."""
 
+from mbd_ros.core.estimation.kalman_filter import KalmanFilter
 from mbd_ros.core.estimation.process import LinearProcess
 from mbd_ros.errors import ModelError
-from mbd_ros.estimators.extended_kalman import ExtendedKalman
 
 
-class Kalman(ExtendedKalman):
+class Kalman(KalmanFilter):
     """The estimate of least variance for x_k+1 = A x_k + B u_k + G w_k, y_k = C x_k + n_k.
 
     Source: R. E. Kalman, J. Basic Engineering 82 (1960).

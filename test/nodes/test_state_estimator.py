@@ -1,20 +1,17 @@
 """The node `state_estimator` over DDS: what it makes of partial, noisy and disordered messages."""
 
 import math
-import sys
 import time
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import Vector3
-from nodes.conftest import NodeProcess, Probe
 from nodes.joint_stream import ACTIVE, MS, parameter_file
 from nodes.simulation_client import DEEP
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 
 from mbd_ros.core.outputs import Now
-from mbd_ros.jobs.domain_claim import claimed_domain
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import write_joint_state
@@ -81,21 +78,115 @@ class Machine:
 
 
 @pytest.fixture
-def started(tmp_path):
-    """Starts the node on a domain of its own."""
-    processes = []
+def started(probe, start_node, tmp_path):
+    """Starts the node and a machine that it hears."""
 
     def start(scene="four_bar_leg", **parameters):
-        domain = claimed_domain()
         file = parameter_file(tmp_path, {"scene": scene, **parameters})
-        command = [sys.executable, *TARGET, "--ros-args", "--params-file", str(file)]
-        node = NodeProcess(command, domain)
-        probe = Probe(domain)
-        processes.append((node, probe))
+        node = start_node(arguments=("--params-file", str(file)), target=TARGET)
         node.wait_for(ACTIVE)
-        return probe
+        machine = Machine(probe, scene)
+        probe.spin_until(machine.publisher.get_subscription_count)
+        probe.spin_until(lambda: probe.node.count_publishers(f"{NAME}/joint_states"))
+        probe.meet(NAME)
+        machine.begin = time.time_ns()
+        return machine
 
-    yield start
-    for node, probe in processes:
-        probe.close()
-        node.stop()
+    return start
+
+
+MEASURED = ("hip_flexion", "knee_anterior", "ankle")
+
+
+def test_three_encoders_give_the_whole_of_a_four_bar_knee(started):
+    machine = started(disturbances=False)
+    for i in range(40):
+        message = machine.ask(i, MEASURED)
+    assert list(message.name) == machine.names
+    assert machine.error(39, message) <= 1e-9
+    assert machine.error(39, message, "velocity") <= 1e-6
+    x = machine.simulation.system.expand(machine.at(39))
+    forces = machine.simulation.system.evaluate(x, None).lam
+    machine.probe.spin_until(lambda: len(machine.forces) == len(machine.states))
+    np.testing.assert_allclose(machine.forces[-1].effort, forces, rtol=0, atol=1e-4)
+    labels = [dimension.label for dimension in machine.innovations[-1].layout.dim]
+    assert labels[:3] == [f"{name}.position" for name in machine.names[:3]]
+    assert labels[-3:] == ["nis", "mean_nis", "correlation"]
+    assert all(np.isfinite(m.data).all() for m in machine.innovations)
+
+
+def test_dropouts_disorder_and_a_frozen_encoder_stay_bounded_and_are_named(started):
+    machine, rng = started(timeout=60.0), np.random.default_rng(1)
+    order = [i for i in range(1, 150) if i % 3]  # a third is lost
+    for k in range(4, 80, 9):
+        order[k : k + 4] = [*order[k + 1 : k + 4], order[k]]  # 50 ms late
+    frozen = None
+    machine.ask(0, MEASURED, 1e-4 * rng.standard_normal(3))
+    for i in order:
+        noise = 1e-4 * rng.standard_normal(3)
+        x = machine.simulation.system.expand(machine.at(i))
+        at = machine.scene.robot.joint("hip_flexion").q
+        if 30 <= i < 60:
+            frozen = x.q[at] + noise[0] if frozen is None else frozen
+            noise[0] = frozen - x.q[at]
+        machine.send(i, MEASURED, noise)
+        machine.probe.spin_for(0.002)
+        if i == 59:
+            health = machine.health()
+            assert health.level == WARN and "hip_flexion.position: frozen" in health.message
+    machine.probe.spin_until(
+        lambda: read_time(machine.states[-1].header.stamp) >= machine.begin + 149 * STEP
+    )
+    stamps = [read_time(message.header.stamp) for message in machine.states]
+    assert stamps == sorted(set(stamps))
+    errors = [
+        machine.error(round((s - machine.begin) / STEP), m)
+        for s, m in zip(stamps, machine.states, strict=True)
+    ]
+    assert max(errors[5:]) < 0.3 and errors[-1] < 3e-3
+
+
+def imu(stamp, values, frame):
+    message = Imu(
+        angular_velocity=Vector3(x=values[0], y=values[1], z=values[2]),
+        linear_acceleration=Vector3(x=values[3], y=values[4], z=values[5]),
+    )
+    write_time(message.header.stamp, stamp)
+    message.header.frame_id = frame
+    return message
+
+
+def test_an_imu_is_heard_beside_an_encoder(started, tmp_path):
+    """The IMU on the foot says how the ankle moves, which no encoder measures."""
+    scene = tmp_path / "leg.yaml"
+    scene.write_text(
+        "robot: {urdf: package://mbd_ros/config/robots/prosthetic_leg.urdf, "
+        "locked: {knee: -0.4, knee_slide_x: 0.0, knee_slide_y: 0.0}}\n"
+        "sensors: {foot: {type: imu, frame: foot}}\n"
+    )
+    machine = started(str(scene), disturbances=False, timeout=60.0)
+    sensor, simulation = machine.scene.sensors[0], machine.simulation
+    publisher = machine.probe.node.create_publisher(Imu, f"{NAME}/imu/foot", DEEP)
+    machine.probe.spin_until(publisher.get_subscription_count)
+    system = simulation.system
+    for i in range(100):
+        machine.ask(i, ("hip_flexion",))
+        x = system.expand(machine.at(i))
+        found = system.evaluate(x, None)
+        system.k.refresh(x.q, x.v)
+        values = sensor.measure(system.k, x, Now(found.a, found.lam)).tolist()
+        publisher.publish(imu(machine.begin + i * STEP, values, "foot"))
+        machine.probe.spin_for(0.003)
+    assert machine.error(99, machine.states[-1]) < 0.02
+    count = len(machine.states)
+    publisher.publish(imu(machine.begin + 100 * STEP, values, "shank"))
+    publisher.publish(imu(machine.begin + 100 * STEP, [math.nan] * 6, "foot"))
+    machine.probe.spin_for(0.2)
+    assert len(machine.states) == count
+
+
+def test_reset_and_nothing_measured(started):
+    machine = started(disturbances=False, timeout=60.0)
+    for i in range(10):
+        machine.ask(i, MEASURED)
+    assert machine.health().level == OK

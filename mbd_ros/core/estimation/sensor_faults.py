@@ -10,10 +10,10 @@ from mbd_ros.core.estimation.sensor_set import SensorSet
 from mbd_ros.core.state import Array
 
 _KEPT = (
-    *("_t", "_heard", "_counted", "_value", "_stood", "_pushed", "_error"),
-    *("_is_frozen", "_is_out"),
+    *("_t", "_heard", "_counted", "_value", "_stood", "_pushed", "_peak", "_error"),
+    *("_is_frozen", "_is_out", "_came"),
 )
-_PUSHES = 4.0  # gates, of normalised innovations added up
+_PUSHES = 2.0  # gates, of normalised innovations added up
 _STANDS = 5  # samples with one value, from which on it may be a frozen sensor
 
 
@@ -50,7 +50,8 @@ class SensorFaults:
         self._t = t
         self._heard, self._counted = np.full(m, t), np.full(m, t)
         self._value, self._stood = np.full(m, np.nan), np.zeros(m, dtype=np.int64)
-        self._pushed, self._error = np.zeros(m), np.full(m, np.nan)
+        self._pushed, self._peak, self._error = np.zeros(m), np.zeros(m), np.full(m, np.nan)
+        self._came = np.zeros(m, dtype=np.bool_)
         self._is_frozen, self._is_out = np.zeros((2, m), dtype=np.bool_)
 
     def usable(self, values: Array, expected: Array, deviation: Array, dt: float) -> Bools:
@@ -82,14 +83,16 @@ class SensorFaults:
         self._stood = np.where(same, self._stood + 1, np.where(changed, 0, self._stood))
         pushed = np.where(same, self._pushed + error, self._pushed)
         self._pushed = np.where(changed, 0.0, pushed)
+        self._peak = np.where(changed, 0.0, np.fmax(self._peak, np.abs(pushed)))
         self._value = np.where(told, values, self._value)
-        moves = (np.abs(self._pushed) > _PUSHES * self._gate) & (self._stood >= _STANDS)
+        moves = (self._peak > _PUSHES * self._gate) & (self._stood >= _STANDS)
         self._is_frozen = (self._is_frozen | (same & moves)) & ~changed
 
     def note(self, t: float, values: Array, innovation: Innovation) -> None:
         """Take what counted of a sample."""
         self._t = t
-        self._heard[np.isfinite(values)] = t
+        told = np.isfinite(values)
+        self._heard[told], self._came = t, self._came | told
         self._counted[innovation.used] = t
 
     def refused(self) -> Bools:
@@ -104,6 +107,8 @@ class SensorFaults:
         for i, name in enumerate(self.names):
             if self._is_frozen[i]:
                 faults[name] = "frozen"
+            elif not self._came[i]:
+                continue  # nobody has promised it
             elif self._t - self._heard[i] > self._max_age:
                 faults[name] = f"silent for {self._t - self._heard[i]:.3g} s"
             elif self._t - self._counted[i] > self._patience:

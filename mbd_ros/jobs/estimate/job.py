@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbd_ros.core.estimation.innovation_watch import InnovationWatch
+from mbd_ros.core.estimation.kalman_filter import KalmanFilter
 from mbd_ros.core.estimation.smoother import Filtered, smoothed
 from mbd_ros.core.estimation.tracker import Tracker
 from mbd_ros.core.state import NANOSECOND, Array, Motion
 from mbd_ros.errors import DataError, MbdError, SceneError
-from mbd_ros.estimators.extended_kalman import ExtendedKalman
 from mbd_ros.files.recordings import Source, name_of, read_columns, read_motion
 from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result
@@ -139,7 +139,7 @@ def run_estimate(
     found = _filtered(estimation, motion.stamps * NANOSECOND, values, inputs, where)
     for line in _lines(found):
         say(line)
-    if isinstance(estimation.estimator, ExtendedKalman):
+    if isinstance(estimation.estimator, KalmanFilter):
         after = smoothed(estimation.process, found.samples)
         samples = [
             s._replace(belief=b._replace(innovation=s.belief.innovation))

@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from mbd_ros.core.estimation.tracker import Taken, Tracker
-from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.jobs.estimate.estimation import EFFORTS, estimation_of
 from mbd_ros.nodes.shell.serialized import joint_state
+from mbd_ros.nodes.state_estimator.messages import EstimateMessages, EstimateWriter
 from mbd_ros.nodes.state_estimator.parameters import task_of
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.sensors.encoder import Encoder
@@ -18,29 +18,7 @@ from mbd_ros.sensors.imu import Imu
 from mbd_ros.sensors.tachometer import Tachometer
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import JointSample, JointStateReader
-from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
-from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
-
-
-class EstimateMessages(NamedTuple):
-    """Messages that answer a sample, serialized.
-
-    Attributes:
-        stamp: Of the estimate [ns].
-        states: All joints.
-        disturbance: Unknown efforts, None without any.
-        forces: Multipliers of all rows, None without any.
-        deviations: Float64MultiArray of standard deviations, labelled.
-        innovations: Float64MultiArray, labelled: normalised innovations, then NIS, its mean and
-            the correlation of the newest samples.
-    """
-
-    stamp: int
-    states: bytes
-    disturbance: bytes | None
-    forces: bytes | None
-    deviations: bytes
-    innovations: bytes
+from msg_adapters.joint_state_cdr import JointStateCdrReader
 
 
 class EstimatorPipeline:
@@ -77,22 +55,9 @@ class EstimatorPipeline:
         self.imus = {s.name: (s, mine) for s, mine in pairs if isinstance(s, Imu)}
         self._inputs = found.scene.inputs.safe
         self._efforts = found.scene.inputs.slots.get(EFFORTS)
-        self._system = found.process.simulation.system
-        self._write(names)
+        self._v = [joint.v for joint in scene.robot.joints]
+        self._writer = EstimateWriter(found)
         self.forget()
-
-    def _write(self, names: Sequence[str]) -> None:
-        found, system = self.estimation, self._system
-        self._q, self._v = ([getattr(j, k) for j in self.scene.robot.joints] for k in "qv")
-        self._states = JointStateCdrWriter(names)
-        self._disturbance = JointStateCdrWriter(found.disturbed, ("effort",))
-        rows = [without_multiplier(row.name) for row in system.multiplier_rows]
-        self._forces = JointStateCdrWriter(rows, ("effort",)) if rows else None
-        labels = [f"{name}.position" for name in names] + [f"{name}.velocity" for name in names]
-        labels += system.internals.names
-        self._deviations = MultiArrayCdrWriter(len(labels), labels)
-        numbers = [*found.process.sensors.names, "nis", "mean_nis", "correlation"]
-        self._innovations = MultiArrayCdrWriter(len(numbers), numbers)
 
     def forget(self) -> None:
         """Forget the past: the next joint state is the first one."""
@@ -155,7 +120,7 @@ class EstimatorPipeline:
         taken = self.tracker.take(t, values, u)
         spent = perf_counter() - began
         self._debt = max(0.0, self._debt + spent - max(t - before, 0.0))
-        return self._messages(u) if taken is Taken.USED else taken
+        return self._writer.write(self.tracker, stamp, u) if taken is Taken.USED else taken
 
     def _begin(self, stamp: int, values: Array, velocity: Array) -> None:
         found, kept = self.estimation, self._values
@@ -169,47 +134,6 @@ class EstimatorPipeline:
         names = ("memory", "patience", "max_age", "gate", "agility")
         options = {name: getattr(kept, name) for name in names}
         self.tracker = Tracker(found.estimator, found.process.sensors, **options)
-
-    def _messages(self, u: Array) -> EstimateMessages:
-        assert self.tracker is not None
-        system, belief = self._system, self.tracker.belief
-        stamp = self._origin + round(belief.t / NANOSECOND)
-        x = system.expand(belief.x)
-        now = system.evaluate(x, u)
-        effort = system.loads.actuator_torque(system.k, x, u)
-        states = self._states.write(
-            stamp, position=x.q[self._q], velocity=x.v[self._v], effort=effort[self._v]
-        )
-        disturbance = forces = None
-        spread = self._spread(len(x.z))
-        if self.estimation.disturbed:
-            disturbance = self._disturbance.write(stamp, effort=self.estimation.unknown_efforts(x))
-        if self._forces is not None:
-            forces = self._forces.write(stamp, effort=now.lam)
-        self._now = now
-        return EstimateMessages(
-            stamp, states, disturbance, forces, self._deviations.write(spread), self._judged()
-        )
-
-    def _spread(self, nz: int) -> Sequence[float]:
-        assert self.tracker is not None
-        belief, tangent = self.tracker.belief, self.estimation.process.tangent
-        lift, nv = tangent.of_all_joints(belief.x), self.scene.robot.model.nv
-        rows = lift[[*self._v, *(nv + v for v in self._v)]]
-        spread = np.einsum("ij,ij->i", rows.dot(belief.P), rows)
-        z = belief.P.diagonal()[len(belief.P) - nz :]
-        deviations: list[float] = np.sqrt(np.maximum(np.concatenate((spread, z)), 0.0)).tolist()
-        return deviations
-
-    def _judged(self) -> bytes:
-        assert self.tracker is not None
-        innovation, consistency = self.tracker.belief.innovation, self.tracker.watch.consistency()
-        assert innovation is not None
-        values = np.where(np.isfinite(innovation.values), innovation.normalized, 0.0)
-        nis = innovation.squared / max(innovation.freedom, 1)
-        return self._innovations.write(
-            [*values.tolist(), nis, consistency.nis, consistency.correlation]
-        )
 
     def held(self) -> Sequence[str]:
         """Joints that nothing gives: none, all are estimated."""
