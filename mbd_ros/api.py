@@ -7,8 +7,8 @@ from typing import Any
 
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.files.formats import read_result as read_result
-from mbd_ros.jobs.identify.job import identify
 from mbd_ros.jobs.estimate.job import estimate
+from mbd_ros.jobs.identify.job import identify
 from mbd_ros.jobs.inverse.job import inverse
 from mbd_ros.jobs.kinematics.job import kinematics
 from mbd_ros.jobs.moment_arms.job import moment_arms

@@ -64,6 +64,7 @@ COMMANDS: Mapping[str, Command] = {
     ),
     "identify": Command(
         "mbd_ros.jobs.identify.command", "inertias and friction from motion and measured efforts"
+    ),
     "estimate": Command(
         "mbd_ros.jobs.estimate.command", "motion of all joints from noisy and partial recordings"
     ),
