@@ -5,7 +5,8 @@ python benchmarks/opensim_fiber_velocity.py MODEL.osim --peer PYTHON [--poses 50
 Prints JSON: how many were compared, the largest and the median difference [m/s], and the muscle of
 the largest one with what both say. Poses are random within the ranges of the coordinates, tendons
 are strained by up to 0.04, activations are between 0.02 and 1. Lengths of paths are OpenSim's, so
-that wraps differ in nothing. PYTHON is one that has `opensim`.
+that wraps differ in nothing. PYTHON is one that has `opensim`, by
+default this one (extra `peers`).
 """
 
 import argparse

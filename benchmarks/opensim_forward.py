@@ -4,7 +4,7 @@ python benchmarks/opensim_forward.py MODEL.osim --peer PYTHON [--straight] [--so
 
 Prints JSON: CPU time [s] on one thread and error of both, by accuracy, the times at an error of
 1e-6 between them, their ratio, and the range of every coordinate. PYTHON is one that has
-`opensim`, since it goes with other libraries than this package. All muscles start at an activation
+`opensim`, by default this one (extra `peers`). All muscles start at an activation
 of 0.05 in equilibrium and get a burst: an excitation that rises from 0.05 by `--peak` in the
 middle of the run and falls back, a polynomial of degree 4 in time, so that neither program has
 to find a jump. The defaults are those of `arm26`, whose elbow bends and stays in its range.

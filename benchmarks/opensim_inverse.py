@@ -3,7 +3,7 @@
 python benchmarks/opensim_inverse.py MODEL.osim MOTION.mot [--external LOADS.xml] --peer PYTHON
 
 Prints JSON: CPU time a frame [us] of both on one thread, in turn, and their ratio. PYTHON is one
-that has `opensim`, since it goes with other libraries than this package. Both get positions,
+that has `opensim`, by default this one (extra `peers`). Both get positions,
 velocities and accelerations of every frame (`--derivatives opensim`). OpenSim's muscles are off,
 and it has no external loads, whose splines would cost it more than all else; ours has them.
 """
