@@ -14,7 +14,7 @@ from mbd_ros.core.model.path_batch import PathBatch
 from mbd_ros.core.state import State
 from mbd_ros.errors import DataError
 from mbd_ros.files.table import Column, Result, Table
-from mbd_ros.scene.path_search import straight_paths
+from mbd_ros.scene.path_search import state_paths
 
 ARM26, GAIT = "arm26_muscles", "gait10dof18musc_muscles"
 MODELS = {ARM26: "raw/arm26.osim.gz", GAIT: "raw/subject01.osim.gz"}
@@ -69,7 +69,7 @@ def compare(result, lengths, arms, speeds):
 
 @pytest.mark.parametrize("which", ["motion", "random50"])
 @pytest.mark.parametrize("name", MODELS)
-def test_straight_paths_are_those_of_opensim(data_dir, name, which):
+def test_state_paths_are_those_of_opensim(data_dir, name, which):
     """All muscles; 12 digits of 0.5 m are in the files."""
     folder = data_dir / "opensim" / name
     scene = straight(mbd.load_scene(folder / MODELS[name]))
@@ -114,7 +114,7 @@ def native_and_one_by_one(scene):
     """Largest difference of lengths, speeds and columns at random states."""
     paths = list(scene.parts["paths"].values())
     robot, couplings, data = scene.robot, scene.couplings, scene.robot.model.createData()
-    native = straight_paths(robot, data, couplings, paths, len(paths))
+    native = state_paths(robot, data, couplings, paths, len(paths))
     assert native is not None
     rng, k, off = np.random.default_rng(5), Kinematics(robot, data), 0.0
     for _ in range(100):
@@ -123,7 +123,7 @@ def native_and_one_by_one(scene):
         v[couplings.v_index] = rng.normal(size=len(couplings.v_index))
         slopes = couplings.expand(q, v, a)
         k.refresh(q, v)
-        native(q, v, slopes)
+        assert native(q, v, slopes)
         G = couplings.jacobian(q)
         for i, path in enumerate(paths):
             length, slope = path.measured(k, State(0.0, q, v))
@@ -142,14 +142,22 @@ def test_native_paths_are_those_one_by_one(data_dir, name):
     assert native_and_one_by_one(mbd.load_scene(file)) <= 1e-14
 
 
-@pytest.mark.parametrize("name", ["muscle_leg", "muscle_arm"])
-def test_paths_are_not_native_without_a_compiler_or_with_wraps(monkeypatch, name):
-    if name == "muscle_leg":
-        monkeypatch.setenv("CC", "no_such_compiler")
-    scene = mbd.load_scene(name)
+@pytest.mark.parametrize("name", [ARM26, "WrapPathCustomJointMomentArmTest"])
+def test_native_paths_over_surfaces_are_those_one_by_one(data_dir, name):
+    """Searches end at 1e-13 of the sines at contacts, in numpy too."""
+    folder = data_dir / "opensim" / "moment_arm_test_models" / name
+    file = folder / f"{name}_40600.osim.gz"
+    if name == ARM26:
+        file = data_dir / "opensim" / ARM26 / MODELS[ARM26]
+    assert native_and_one_by_one(mbd.load_scene(file)) <= 1e-12
+
+
+def test_paths_are_not_native_without_a_compiler(monkeypatch):
+    monkeypatch.setenv("CC", "no_such_compiler")
+    scene = mbd.load_scene("muscle_leg")
     paths, robot = list(scene.parts["paths"].values()), scene.robot
     data = robot.model.createData()
-    assert straight_paths(robot, data, scene.couplings, paths, len(paths)) is None
+    assert state_paths(robot, data, scene.couplings, paths, len(paths)) is None
 
 
 def test_dependent_joints_move_along(data_dir):

@@ -26,7 +26,7 @@ from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.locate import find_file
-from mbd_ros.scene.path_search import QuickestSearch, straight_paths
+from mbd_ros.scene.path_search import QuickestSearch, state_paths
 
 Objective = Literal["activation", "stress", "volume", "metabolic"]
 Use = Literal["track", "least"]
@@ -78,7 +78,7 @@ class MusclesTask:
             return StaticOptimization(
                 *(scene.robot, known, scene.muscles, self.reserves, self.wishes),
                 search=search,
-                quick=straight_paths if is_live else None,
+                quick=state_paths if is_live else None,
             )
         except ModelError as error:
             raise SceneError(f"{scene.name}: {error}") from error

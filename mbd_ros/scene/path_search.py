@@ -36,17 +36,16 @@ class QuickestSearch:
         return found
 
 
-def straight_paths(
+def state_paths(
     robot: Robot, data: Any, couplings: Couplings, paths: Sequence[Path], width: int
 ) -> Any:
-    """A `compiled.runs.straight_paths.StraightPaths`, or None where there cannot be one."""
-    if not all(path.corners() for path in paths):
-        return None
+    """A `compiled.runs.state_paths.StatePaths`, or None where there cannot be one."""
 
     def take() -> Any:
-        from mbd_ros.compiled.runs.straight_paths import StraightPaths
+        from mbd_ros.compiled.runs.state_paths import StatePaths, is_known
 
-        return StraightPaths(robot, data, couplings, paths, width)
+        known = all(map(is_known, paths))
+        return StatePaths(robot, data, couplings, paths, width) if known else None
 
     return _native(take)
 

@@ -14,10 +14,13 @@ from mbd_ros.core.model.wrapping.arcs import Placed
 from mbd_ros.core.model.wrapping.taut import Taut, taut
 from mbd_ros.core.state import Array
 
-_WRAPS, _LINES = 8, 31  # of a path
-_HEAD = '#define EXPORT __attribute__((visibility("default")))\n'
+WRAPS, LINES = 8, 31  # of a path
+HEAD = (
+    '#define EXPORT __attribute__((visibility("default")))\n'
+    f"#define MOST_WRAPS {WRAPS}\n#define MOST_LINES {LINES}\n"
+)
 _NUMBERS = (("sign", "f8"), ("size", "f8"), ("half", "f8"), ("axes", "f8", 3))
-_ROW = np.dtype([("kind", "i4"), ("axis", "i4"), *_NUMBERS], align=True)
+ROW = np.dtype([("kind", "i4"), ("axis", "i4"), *_NUMBERS], align=True)
 
 
 class PathSearch:
@@ -30,9 +33,8 @@ class PathSearch:
     """
 
     def __init__(self) -> None:
-        limits = f"#define MOST_WRAPS {_WRAPS}\n#define MOST_LINES {_LINES}\n"
         last = (NATIVE / "path_samples.h").read_text(encoding="utf-8")
-        source = Source("".join((_HEAD, limits, search_text(), last)), (), 1, {}, {})
+        source = Source("".join((HEAD, search_text(), last)), (), 1, {}, {})
         self._library = load(source)
         self._call = self._library.c.search_samples
         pointer = ctypes.c_void_p
@@ -43,7 +45,7 @@ class PathSearch:
         """As `wrapping.taut.taut`, of a `WrappedPath`."""
         n, m, _ = points.shape
         known = all(type(wrap.surface) in SURFACES for wrap in path.wraps)
-        if not known or len(places) > _WRAPS or m - 1 > _LINES:
+        if not known or len(places) > WRAPS or m - 1 > LINES:
             return taut(points, path.reaches, places)
         out = self._found(path, _flat(points, places))
         length, by_points = out[:, 0], out[:, 1 : 1 + 3 * m].reshape(n, m, 3)
@@ -57,7 +59,7 @@ class PathSearch:
 
     def _found(self, path: Any, at: Array) -> Array:
         """What native code finds of every sample, a row each."""
-        rows = np.array([tuple(row_of(wrap.surface)) for wrap in path.wraps], dtype=_ROW)
+        rows = np.array([tuple(row_of(wrap.surface)) for wrap in path.wraps], dtype=ROW)
         of = np.array([len(path.points), len(path.wraps), 0], dtype=np.int32)
         reaches: NDArray[np.int32] = np.array(
             [(i, reach.first, reach.last) for i, reach in enumerate(path.reaches)], dtype=np.int32

@@ -55,7 +55,7 @@ class MuscleFrames:
         reserves: What helps them.
         search: As for `PathBatch`.
         quick: Makes of robot, Pinocchio data, couplings, paths and number of columns what finds
-            all paths at a state, see `compiled.runs.straight_paths`, or None where it cannot.
+            all paths at a state, see `compiled.runs.state_paths`, or None where it cannot.
     """
 
     def __init__(
@@ -104,8 +104,9 @@ class MuscleFrames:
             slopes: What `Couplings.expand` gave for them.
         """
         if self._quick is not None and len(y) == 1:
-            length, speed, columns = self._at_once(q[:, 0], v[:, 0], slopes)
-            return self._frames(length, speed, columns)
+            found = self._at_once(q[:, 0], v[:, 0], slopes)
+            if found is not None:
+                return self._frames(*found)
         if len(y) < self._few:
             length, speed, arms, helping = self._one_by_one(q, v, slopes)
         else:
@@ -118,10 +119,11 @@ class MuscleFrames:
         forces = self._tendons.at(length, speed)
         return Frames(length, speed, forces.active, forces.passive, forces.fiber_velocity, columns)
 
-    def _at_once(self, q: Array, v: Array, slopes: Slopes) -> tuple[Array, ...]:
-        """Lengths, speeds and columns of one frame."""
+    def _at_once(self, q: Array, v: Array, slopes: Slopes) -> tuple[Array, Array, Array] | None:
+        """Lengths, speeds and columns of one frame; None where a path is not found."""
         self._k.refresh(q, v, self._reads)
-        self._quick(q, v, slopes)
+        if not self._quick(q, v, slopes):
+            return None
         columns = self._quick.columns[None].copy()
         if self._varying:
             helping = np.array([[r.column(self._k, State(0.0, q, v)) for _, r in self._varying]])

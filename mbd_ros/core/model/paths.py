@@ -22,6 +22,8 @@ from mbd_ros.core.state import Array, State
 
 if TYPE_CHECKING:
     from mbd_ros.core.model.via_points import ViaPoint
+    from mbd_ros.core.model.wrapping.routes import Reach
+    from mbd_ros.core.model.wrapping.wrapped_path import Wrap
 
 
 class Pull(NamedTuple):
@@ -44,12 +46,16 @@ class Path:
     Attributes:
         name: Unique in the scene; empty for a path that stands in the entry of a part.
         over: What it goes over, for people.
+        wraps: Surfaces that it may go over.
+        reaches: First and last point of each of them.
         reads: What its methods but `drift` read of k at most; `drift` reads `Reads.DRIFT`.
     """
 
     name: str = ""
     over: str = ""
     reads: Reads = Reads.NOTHING
+    wraps: "Sequence[Wrap]" = ()
+    reaches: "Sequence[Reach]" = ()
 
     def length(self, k: Kinematics, x: State) -> float:
         """The l [m]; reads positions at most."""
@@ -72,7 +78,7 @@ class Path:
         return ()
 
     def corners(self) -> "Sequence[ViaPoint]":
-        """All points of straight lines, there or not; none where it has more than these."""
+        """All points of its lines, there or not; none where it has more than these and `wraps`."""
         return ()
 
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:

@@ -50,8 +50,8 @@ class SwitchedPath(Path):
         return self._asked(k, x, "lines")
 
     def corners(self) -> Sequence[ViaPoint]:
-        """All points of the path inside, which has more than the other one."""
-        return self._inside.corners()
+        """All points of the path inside, which has more than the other one; none with wraps."""
+        return () if self._inside.wraps else self._inside.corners()
 
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
         """The l [m] and J of n samples."""

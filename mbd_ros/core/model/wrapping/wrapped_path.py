@@ -176,6 +176,10 @@ class WrappedPath(Path):
             corners.append(points[0, line + 1])
         return (np.array(corners),)
 
+    def corners(self) -> Sequence[ViaPoint]:
+        """All points."""
+        return self.points
+
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
         """The l [m] and J of n samples."""
         points = np.stack([point.sampled(k) for point in self.points], axis=1)

@@ -1,4 +1,4 @@
-"""Lengths, speeds and moment arms of straight paths, by native code at one configuration."""
+"""Lengths, speeds and moment arms of paths, by native code at one configuration."""
 
 import ctypes
 from collections.abc import Sequence
@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from mbd_ros.compiled.build.compiler import BuildError
 from mbd_ros.compiled.build.library import load
-from mbd_ros.compiled.code.path_tables import NATIVE
+from mbd_ros.compiled.code.path_tables import NATIVE, SURFACES, row_of, search_text
 from mbd_ros.compiled.code.source import Source
+from mbd_ros.compiled.runs.path_search import HEAD, LINES, ROW, WRAPS
 from mbd_ros.core.model.couplings import Couplings, Slopes
 from mbd_ros.core.model.paths import Path
 from mbd_ros.core.model.robot import Robot
@@ -24,20 +25,21 @@ _POINT = np.dtype(
     align=True,
 )
 _WAY = np.dtype([("axis", "f8", 3), ("point", "i4")], align=True)
+_CARRIED = np.dtype([("at", "f8", 12), ("joint", "i4")], align=True)
 _NOWHERE = -1
 _ROTATION = 72  # bytes
 
 
-class StraightPaths:
-    """What paths of straight lines do, beside a Pinocchio `Data` that has its Jacobians.
+class StatePaths:
+    """What paths through points and over surfaces do, beside a `Data` that has its Jacobians.
 
-    One library serves all scenes.
+    One library serves all scenes with wraps, another one those without.
 
     Args:
         robot: The robot.
         data: Its `Data`, which has to live as long.
         couplings: Its dependent joints.
-        paths: Every one with `corners`.
+        paths: Such that `is_known`.
         width: Columns of `columns`, at least one a path.
 
     Attributes:
@@ -53,14 +55,14 @@ class StraightPaths:
     def __init__(
         self, robot: Robot, data: Any, couplings: Couplings, paths: Sequence[Path], width: int
     ) -> None:
-        text = (NATIVE / "straight_paths.c").read_text(encoding="utf-8")
-        self._call = load(Source(text, (), 1, {}, {})).entry("straight_paths")
+        wrapped = any(path.wraps for path in paths)
+        self._call = load(Source(_text(wrapped), (), 1, {}, {})).entry("state_paths")
         corners = [path.corners() for path in paths]
         points = list(chain.from_iterable(corners))
         model, n, independent = robot.model, len(paths), couplings.v_index
         self._q, self._v = np.zeros(model.nq), np.zeros(model.nv)
         self._slopes = np.zeros(len(couplings.pairs))
-        self.length, self.speed = np.zeros(n), np.zeros(n)
+        self.length, self.speed, self._ones = np.zeros(n), np.zeros(n), np.ones(n)
         self.columns = np.zeros((len(independent), width))
         self._functions = [(p.joint.q, f) for p in points if p.joint for _, f in p.directions]
         self._slides = np.zeros((len(self._functions), 2))
@@ -77,13 +79,14 @@ class StraightPaths:
             *(self.length, self.speed, self.columns),
             *(np.zeros((len(points), 3)) for _ in range(3)),
             *(np.zeros((model.njoints, 6)), np.zeros(model.nv)),
+            *(_surfaces(robot, paths) if wrapped else ()),
         ]
         self._kept = data, tables
         self._at = (ctypes.c_void_p * len(tables))(*(table.ctypes.data for table in tables))
         self._address = ctypes.addressof(self._at)
 
-    def __call__(self, q: Array, v: Array, slopes: Slopes) -> None:
-        """Fill the attributes.
+    def __call__(self, q: Array, v: Array, slopes: Slopes) -> bool:
+        """Fill the attributes; False where a path over a surface is not found.
 
         Args:
             q: Configuration that `data` has, shape (nq,).
@@ -94,6 +97,41 @@ class StraightPaths:
         for i, (at, function) in enumerate(self._functions):
             self._slides[i] = function(q.item(at))[:2]
         self._call(self._address)
+        return not np.isnan(self.length.dot(self._ones))
+
+
+def is_known(path: Path) -> bool:
+    """Whether native code knows a path."""
+    count = len(path.corners())
+    if not path.wraps:
+        return count > 0
+    known = all(type(wrap.surface) in SURFACES for wrap in path.wraps)
+    return known and len(path.wraps) <= WRAPS and 0 < count <= LINES + 1
+
+
+def _text(wrapped: bool) -> str:
+    surfaces = (NATIVE / "surfaces.h").read_text(encoding="utf-8")
+    last = (NATIVE / "state_paths.h").read_text(encoding="utf-8")
+    before = HEAD + search_text() if wrapped else HEAD + surfaces
+    return f"#define WRAPS {int(wrapped)}\n{before}{last}"
+
+
+def _surfaces(robot: Robot, paths: Sequence[Path]) -> tuple[NDArray[Any], ...]:
+    """How many points and surfaces paths have, what these are and where; room for a search."""
+    first = np.cumsum([0, *(len(path.wraps) for path in paths)])
+    of = [(len(p.corners()), len(p.wraps), i) for p, i in zip(paths, first, strict=False)]
+    reaches = [(i, r.first, r.last) for path in paths for i, r in enumerate(path.reaches)]
+    wraps = [wrap for path in paths for wrap in path.wraps]
+    places = [robot.places.points[wrap.point.number] for wrap in wraps]
+    carried = [((*p.at.rotation.ravel(), *p.at.translation), p.joint) for p in places]
+    room = max(1 + 3 * n + 12 * m for n, m, _ in of)
+    return (
+        np.array(of, dtype=np.int32),
+        np.array(reaches, dtype=np.int32),
+        np.array([tuple(row_of(wrap.surface)) for wrap in wraps], dtype=ROW),
+        np.array(carried, dtype=_CARRIED),
+        *np.zeros((2, room)),
+    )
 
 
 def _joints(model: Any) -> NDArray[Any]:

@@ -1,11 +1,8 @@
-/* Lengths, speeds and moment arms of straight paths at one configuration, as PointPath of
- * core/model/point_path.py has them; an entry of a table a struct, as runs/straight_paths.py
- * fills them.
+/* Lengths, speeds and moment arms of paths at one configuration, as PointPath and WrappedPath of
+ * core/model have them; an entry of a table a struct, as runs/state_paths.py fills them. Surfaces,
+ * and with WRAPS the search of paths over them, stand before this file.
  */
-#include <math.h>
 #include <stdint.h>
-#include <string.h>
-#define EXPORT __attribute__((visibility("default")))
 
 typedef struct {
   int32_t parent, first, count; /* its velocities */
@@ -22,6 +19,12 @@ typedef struct {
   double axis[3];
   int32_t point;
 } Way;
+
+/* Where a surface is in axes of the joint that carries it: rotation row by row, origin. */
+typedef struct {
+  double at[12];
+  int32_t joint;
+} Carried;
 
 typedef struct {
   int64_t paths, joints, points, ways, velocities, couplings, independent, width;
@@ -46,13 +49,16 @@ typedef struct {
   double *length, *speed, *columns;
   double (*at)[3], (*moved)[3], (*seen)[3]; /* of points: in their joint, slope there, in space */
   double (*wrenches)[6], *J_of_path;
+#if WRAPS
+  const WrapPath *wraps; /* of every path */
+  const WrapReach *reaches;
+  const Surface *surfaces;
+  const Carried *carried;
+  double *asked, *found;
+#endif
 } Frame;
 
-static double dot3(const double *a, const double *b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-static void turned(const double *place, const double *x, double *out) {
+static void turned_out(const double *place, const double *x, double *out) {
   for (int i = 0; i < 3; i++) out[i] = place[i] * x[0] + place[3 + i] * x[1] + place[6 + i] * x[2];
 }
 
@@ -68,7 +74,7 @@ static void place_points(const Frame *f) {
     }
   for (int64_t i = 0; i < f->n->points; i++) {
     const double *place = *f->places[f->points[i].joint];
-    turned(place, f->at[i], f->seen[i]);
+    turned_out(place, f->at[i], f->seen[i]);
     for (int k = 0; k < 3; k++) f->seen[i][k] += place[9 + k];
   }
 }
@@ -77,18 +83,23 @@ static int is_there(const Frame *f, const Point *p) {
   return p->within < 0 || (f->q[p->within] >= p->lower && f->q[p->within] <= p->upper);
 }
 
+/* A force on a link, at a point of space. */
+static void load(const Frame *f, int32_t joint, const double *x, const double *force, double sign) {
+  double *wrench = f->wrenches[joint], torque[3];
+  cross3(x, force, torque);
+  for (int k = 0; k < 3; k++) {
+    wrench[k] += sign * force[k];
+    wrench[3 + k] += sign * torque[k];
+  }
+}
+
 /* A point pulled along a direction by a tension of 1 N: joints that carry or slide it. */
 static void pull(const Frame *f, int64_t i, const double *way, double sign) {
   const Point *p = f->points + i;
-  double *wrench = f->wrenches[p->joint], slope[3];
-  const double *x = f->seen[i];
-  for (int k = 0; k < 3; k++) {
-    int a = (k + 1) % 3, b = (k + 2) % 3;
-    wrench[k] += sign * way[k];
-    wrench[3 + k] += sign * (x[a] * way[b] - x[b] * way[a]);
-  }
+  double slope[3];
+  load(f, p->joint, f->seen[i], way, sign);
   if (p->slides < 0) return;
-  turned(*f->places[p->joint], f->moved[i], slope);
+  turned_out(*f->places[p->joint], f->moved[i], slope);
   f->J_of_path[p->slides] += sign * dot3(slope, way);
 }
 
@@ -106,6 +117,50 @@ static double line(const Frame *f, int64_t a, int64_t b) {
   return length;
 }
 
+#if WRAPS
+/* Length of a path over its surfaces; no number where none is found. */
+static double wrapped(const Frame *f, int64_t path) {
+  const WrapPath *of = f->wraps + path;
+  int32_t first = f->begins[path];
+  double *at = f->asked;
+  memcpy(at, f->seen[first], 3 * of->points * sizeof *at);
+  at += 3 * of->points;
+  for (int w = 0; w < of->wraps; w++, at += 12) {
+    const Carried *one = f->carried + of->first + w;
+    const double *place = *f->places[one->joint];
+    for (int i = 0; i < 9; i++)
+      at[i] = place[i / 3] * one->at[i % 3] + place[3 + i / 3] * one->at[3 + i % 3]
+              + place[6 + i / 3] * one->at[6 + i % 3];
+    turned_out(place, one->at + 9, at + 9);
+    for (int k = 0; k < 3; k++) at[9 + k] += place[9 + k];
+  }
+  find_or_leave(f->surfaces + of->first, of, f->reaches + of->first, f->asked, f->found);
+  const double *change = f->found + 1, *origin = f->asked + 3 * of->points + 9;
+  for (int i = 0; i < of->points; i++, change += 3) pull(f, first + i, change, 1.0);
+  for (int w = 0; w < of->wraps; w++, change += 6, origin += 12) {
+    int32_t joint = f->carried[of->first + w].joint;
+    load(f, joint, origin, change, 1.0);
+    for (int k = 0; k < 3; k++) f->wrenches[joint][3 + k] += change[3 + k];
+  }
+  return f->found[0];
+}
+#endif
+
+static double straight(const Frame *f, int64_t path) {
+  double length = 0.0;
+  int32_t last = f->begins[path];
+  for (int32_t i = last + 1; i < f->begins[path + 1]; i++)
+    if (is_there(f, f->points + i)) length += line(f, last, i), last = i;
+  return length;
+}
+
+static double length_of(const Frame *f, int64_t path) {
+#if WRAPS
+  if (f->wraps[path].wraps) return wrapped(f, path);
+#endif
+  return straight(f, path);
+}
+
 /* Wrenches on links to slopes of all velocities, from the outermost link inwards. */
 static void gather(const Frame *f) {
   for (int64_t j = f->n->joints - 1; j > 0; j--) {
@@ -119,23 +174,20 @@ static void gather(const Frame *f) {
 
 static void measure(const Frame *f, int64_t path) {
   const Counts *n = f->n;
-  double length = 0.0, speed = 0.0;
+  double speed = 0.0;
   memset(f->wrenches, 0, n->joints * sizeof *f->wrenches);
   memset(f->J_of_path, 0, n->velocities * sizeof *f->J_of_path);
-  int32_t last = f->begins[path];
-  for (int32_t i = last + 1; i < f->begins[path + 1]; i++)
-    if (is_there(f, f->points + i)) length += line(f, last, i), last = i;
+  f->length[path] = length_of(f, path);
   gather(f);
   for (int64_t c = 0; c < n->velocities; c++) speed += f->J_of_path[c] * f->v[c];
   for (int64_t i = n->couplings - 1; i >= 0; i--)
     f->J_of_path[f->couplings[i][1]] += f->slopes[i] * f->J_of_path[f->couplings[i][0]];
-  f->length[path] = length;
   f->speed[path] = speed;
   for (int64_t i = 0; i < n->independent; i++)
     f->columns[i * n->width + path] = -f->J_of_path[f->independent[i]];
 }
 
-EXPORT void straight_paths(const Frame *f) {
+EXPORT void state_paths(const Frame *f) {
   place_points(f);
   for (int64_t path = 0; path < f->n->paths; path++) measure(f, path);
 }
