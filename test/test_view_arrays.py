@@ -12,6 +12,7 @@ from mbd_ros.scene.locate import embedded_scenes
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.view import surfaces
 from mbd_ros.view.arrows import arrow_ends, cone_lines
+from mbd_ros.view.contact_solids import solids_of_scene
 from mbd_ros.view.curves import ALL, Curves, MotionCurves, cursor
 from mbd_ros.view.frames import COUPLING, Frames, tension_colours
 from mbd_ros.view.ground import upright
@@ -275,3 +276,21 @@ def test_a_film_reads_back_with_its_images_in_their_order():
         assert file.streams.video[0].average_rate == 30
     assert [frame.shape for frame in read] == [(64, 96, 3)] * 3
     np.testing.assert_allclose([frame.mean() for frame in read], shades, atol=4)
+
+
+def test_spokes_lead_to_the_points_at_which_a_wheel_touches():
+    solids, _ = solids_of_scene(load_scene("rimless_wheel"))
+    lengths = [np.linalg.norm(s.surface.vertices, axis=1).max() for s in solids if s.link == "hub"]
+    assert sorted(lengths)[-2:] == pytest.approx([1.0, 1.0], abs=1e-6)
+
+
+def test_a_half_space_is_shown_where_it_is_no_floor():
+    normals = []
+    for name in ("block_on_incline", "sphere_on_plane"):
+        grounds = [s for s in solids_of_scene(load_scene(name))[0] if s.is_ground]
+        for solid in grounds:
+            a, b, c = solid.surface.vertices[solid.surface.triangles[-2].astype(int)].astype(float)
+            normals.append(np.cross(b - a, c - a))
+    (normal,) = normals
+    expected = [-np.sin(np.radians(20.0)), 0.0, np.cos(np.radians(20.0))]
+    assert normal / np.linalg.norm(normal) == pytest.approx(expected, abs=1e-5)

@@ -8,14 +8,16 @@ import numpy as np
 from mbd_ros.core.state import Array
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.view.arrows import arrow_ends, largest, length_per
+from mbd_ros.view.contact_solids import solids_of_scene
 from mbd_ros.view.frames import Drawn, Frames
-from mbd_ros.view.ground import show_ground, upright
+from mbd_ros.view.ground import Ground, size_of, upright
 from mbd_ros.view.motion import ViewedMotion, still
-from mbd_ros.view.solids import box_around, solids_of
+from mbd_ros.view.solids import box_around
 from mbd_ros.view.stage import Stage
 
 FORCES = ("forces", "reactions")
 MOMENTS = ("moments", "reaction moments")
+_FARTHEST = 5.0  # sizes of the robot that a camera steps back for its motion
 _LOOKED_AT = 20  # samples whose forces give the lengths of arrows
 
 
@@ -38,10 +40,10 @@ class Drawing:
 
     def __init__(self, server: Any, scene: Scene) -> None:
         self._api, self.frames = server.scene, Frames(scene)
-        self._solids, lacking = solids_of(scene.robot)
+        self._solids, lacking = solids_of_scene(scene)
         self.remarks = list(lacking)
         low, high = box_around(self._solids, self.frames.at(still(scene).states[0]).poses)
-        self.size = show_ground(server, upright(scene.robot), low, high)
+        self.size, self._ground = size_of(low, high), Ground(server, upright(scene.robot))
         self.stage = Stage(self._api, "/robot", self._solids, self.size)
         self.shown, self.scale, self._tightest = {"forces"}, 1.0, 0.0
         self._ghost: tuple[Stage, ViewedMotion] | None = None
@@ -60,9 +62,18 @@ class Drawing:
         self._peaks = {
             name: max(largest(one[name]) for one in every) for name in (*FORCES, *MOMENTS)
         }
+        self._ground.surround(*self._way(rows))
         lam = motion.multipliers
         tensions = [] if lam is None else [self._tensions(row, lam[row]) for row in rows]
         self._tightest = float(np.nan_to_num(np.array(tensions)).max(initial=0.0))
+
+    def _way(self, rows: Sequence[int]) -> tuple[Array, Array]:
+        """Box around the motion, no farther from its begin than some sizes."""
+        poses = [self.frames.at(self.motion.states[row]).poses.copy() for row in rows]
+        boxes = np.array([box_around(self._solids, one) for one in poses])
+        begin, far = boxes[0], _FARTHEST * self.size
+        low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+        return np.maximum(low, begin[0] - far), np.minimum(high, begin[1] + far)
 
     def show_ghost(self, motion: ViewedMotion) -> None:
         """Draw a second motion through, at the same times."""

@@ -27,53 +27,54 @@ def upright(robot: Robot) -> Array:
     return turn
 
 
-def show_ground(server: Any, axes: Array, low: Array, high: Array) -> float:
-    """Make lights and a grid, and say where cameras begin.
+class Ground:
+    """Lights, a grid, and where cameras begin.
 
     Software draws shadows and mirrored surroundings at a frame a second, and these at thirty.
 
     Args:
         server: The `viser.ViserServer`.
         axes: As `upright` gives them.
-        low: Least corner of the box around all that is looked at [m], shape (3,).
-        high: Greatest corner.
-
-    Returns:
-        The size of what is looked at, its largest side [m], at least 0.05.
-    """
-    scene, size = server.scene, max(float((high - low).max()), SMALLEST)
-    scene.set_up_direction(axes[:, 2])
-    scene.configure_default_lights(enabled=False)
-    scene.configure_environment_map(None)
-    scene.add_light_hemisphere("/sky", ground_color=_SHADE, intensity=2.2, position=axes[:, 2])
-    scene.add_light_directional("/sun", intensity=1.6, position=axes @ _SUN)
-    lines, colours = _grid(axes, size, low, high)
-    scene.add_line_segments("/ground", lines, colours, thickness=1.0, thickness_units="screen")
-    centre = (low + high) / 2.0
-    away = max(float(np.linalg.norm(high - low)), size)
-    there = axes @ _FROM * away
-    server.initial_camera.position = centre + there
-    server.initial_camera.look_at = centre
-    below = centre - axes[:, 2] * (_LOWER * away)
-    _turn_telephones(server, below + there * _FARTHER, below)
-    return size
-
-
-def _turn_telephones(server: Any, position: Array, look_at: Array) -> None:
-    """Show it in the upper half of windows that are taller than wide: the panel covers the lower.
-
-    Args:
-        server: The `viser.ViserServer`.
-        position: Where their cameras stand [m].
-        look_at: What they look at [m].
     """
 
-    def turn(client: Any) -> None:
-        if client.camera.image_width < client.camera.image_height:
-            client.camera.position = position
-            client.camera.look_at = look_at
+    def __init__(self, server: Any, axes: Array) -> None:
+        self._server, self._axes = server, axes
+        scene = server.scene
+        scene.set_up_direction(axes[:, 2])
+        scene.configure_default_lights(enabled=False)
+        scene.configure_environment_map(None)
+        sky = {"ground_color": _SHADE, "intensity": 2.2, "position": axes[:, 2]}
+        scene.add_light_hemisphere("/sky", **sky)
+        scene.add_light_directional("/sun", intensity=1.6, position=axes @ _SUN)
+        self._telephone: tuple[Array, Array] | None = None
+        server.on_client_connect(self._turn)
 
-    server.on_client_connect(turn)
+    def surround(self, low: Array, high: Array) -> None:
+        """Lay the grid, and tell cameras where to begin.
+
+        Args:
+            low: Least corner of the box around all that is looked at [m], shape (3,).
+            high: Greatest corner.
+        """
+        lines, colours = _grid(self._axes, size_of(low, high), low, high)
+        thickness = {"thickness": 1.0, "thickness_units": "screen"}
+        self._server.scene.add_line_segments("/ground", lines, colours, **thickness)
+        centre, away = (low + high) / 2.0, max(float(np.linalg.norm(high - low)), SMALLEST)
+        there = self._axes @ _FROM * away
+        self._server.initial_camera.position = centre + there
+        self._server.initial_camera.look_at = centre
+        below = centre - self._axes[:, 2] * (_LOWER * away)
+        self._telephone = below + there * _FARTHER, below
+
+    def _turn(self, client: Any) -> None:
+        """Use the upper half of a window that is taller than wide: the panel covers the lower."""
+        if self._telephone and client.camera.image_width < client.camera.image_height:
+            client.camera.position, client.camera.look_at = self._telephone
+
+
+def size_of(low: Array, high: Array) -> float:
+    """Largest side of a box [m], at least 0.05."""
+    return max(float((high - low).max()), SMALLEST)
 
 
 def _grid(axes: Array, size: float, low: Array, high: Array) -> tuple[Array, Array]:

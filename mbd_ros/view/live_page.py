@@ -7,7 +7,7 @@ import numpy as np
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.view.follower import Follower
-from mbd_ros.view.ground import show_ground
+from mbd_ros.view.ground import Ground
 from mbd_ros.view.live_curves import LiveSample
 from mbd_ros.view.live_panel import LivePanel, Wish
 from mbd_ros.view.live_robot import LiveRobot
@@ -43,7 +43,7 @@ class LivePage:
             robot.offset = offset
         low = np.min([robot.low + robot.offset for robot in robots], axis=0)
         high = np.max([robot.high + robot.offset for robot in robots], axis=0)
-        show_ground(viser, robots[0].up, low, high)
+        Ground(viser, robots[0].up).surround(low, high)
         for number, robot in enumerate(robots):
             robot.show(viser, f"/{number}")
         self._panel = LivePanel(viser.gui, robots, title)

@@ -10,10 +10,11 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.errors import MbdError, printable
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.view.arrows import arrow_ends, largest, length_per
+from mbd_ros.view.contact_solids import solids_of_scene
 from mbd_ros.view.frames import Drawn, Frames
 from mbd_ros.view.ground import SMALLEST, upright
 from mbd_ros.view.live_curves import LiveCurves, LiveSample
-from mbd_ros.view.solids import box_around, solids_of
+from mbd_ros.view.solids import box_around
 from mbd_ros.view.stage import MARKER, Stage
 
 _LINE = np.array((MARKER,), np.uint8)
@@ -51,7 +52,7 @@ class LiveRobot:
 
     def __init__(self, title: str, scene: Scene, kept: int) -> None:
         self.title, self.scene, self.frames = title, scene, Frames(scene)
-        self.solids, lacking = solids_of(scene.robot)
+        self.solids, lacking = solids_of_scene(scene)
         self.remarks = list(lacking)
         self._kept = kept
         self.measure(())

@@ -19,7 +19,7 @@ from mbd_ros.scene.collision_shapes import Collision, geometry_of, names_of_link
 from mbd_ros.view import surfaces
 from mbd_ros.view.surfaces import Surface
 
-GREY, BONE = (168, 176, 186), (222, 208, 178)  # red, green, blue
+GREY, BONE = (160, 169, 181), (206, 187, 148)  # red, green, blue
 _SHORTEST = 1.0e-4  # m, of a bone
 _THIN = 0.03  # half a bone of the base, as a share of its length
 
@@ -33,6 +33,7 @@ class Solid(NamedTuple):
         surface: In axes of that joint.
         colour: Red, green and blue, 0 .. 255.
         is_inertia: Whether it stands for an inertia, and hides nothing.
+        is_ground: Whether it is a piece of what has no end.
     """
 
     link: str
@@ -40,6 +41,7 @@ class Solid(NamedTuple):
     surface: Surface
     colour: tuple[int, int, int]
     is_inertia: bool = False
+    is_ground: bool = False
 
 
 class _Link(NamedTuple):
@@ -124,10 +126,11 @@ def _beside_its_package(recipe: Recipe, element: ElementTree.Element) -> Element
 
 def _placed(link: _Link, shape: Collision, surface: Surface, colour: Any) -> Solid:
     at = link.at * pin.SE3(rotation_matrix(shape.rpy), np.array(shape.xyz))
-    return Solid(link.name, link.joint, _moved(surface, at), colour)
+    return Solid(link.name, link.joint, moved(surface, at), colour)
 
 
-def _moved(surface: Surface, at: Any) -> Surface:
+def moved(surface: Surface, at: Any) -> Surface:
+    """A surface at a `pinocchio.SE3`."""
     vertices = surface.vertices @ at.rotation.T + at.translation
     return surface._replace(vertices=vertices.astype(np.float32))
 
@@ -157,12 +160,12 @@ def _bones(tree: ElementTree.Element, link: _Link, inertia: Any) -> list[Solid]:
         ends.append(inertia.lever * 2.0)  # a last link is about as long
     long = [end for end in ends if np.linalg.norm(end) > _SHORTEST]
     thickness = {} if link.joint else {"thickness": _THIN}
-    bones = [_moved(surfaces.bone(end, **thickness), link.at) for end in long]
+    bones = [moved(surfaces.bone(end, **thickness), link.at) for end in long]
     solids = [Solid(link.name, link.joint, bone, BONE) for bone in bones]
     if inertia is not None and inertia.mass > 0.0:
         size, axes = equal_box(inertia)
         if size.max() > _SHORTEST:
-            box = _moved(surfaces.box(size), link.at * pin.SE3(axes, inertia.lever))
+            box = moved(surfaces.box(size), link.at * pin.SE3(axes, inertia.lever))
             solids.append(Solid(link.name, link.joint, box, BONE, is_inertia=True))
     return solids
 
@@ -217,8 +220,9 @@ def box_around(solids: Sequence[Solid], poses: Array) -> tuple[Array, Array]:
         solids: What there is; without any the box is around the joints and the origin.
         poses: As those of `Drawn`, shape (njoints, 7).
     """
-    corners = [] if solids else [poses[1:, :3], np.zeros((1, 3))]
-    for solid in solids:
+    bounded = [solid for solid in solids if not solid.is_ground]
+    corners = [] if bounded else [poses[1:, :3], np.zeros((1, 3))]
+    for solid in bounded:
         pose = poses[solid.joint]
         w, xyz = pose[3], pose[4:]
         points = solid.surface.vertices
