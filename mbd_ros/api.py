@@ -8,11 +8,13 @@ from typing import Any
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.files.formats import read_result as read_result
 from mbd_ros.jobs.estimate.job import estimate
+from mbd_ros.jobs.excite.job import excite
 from mbd_ros.jobs.identify.job import identify
 from mbd_ros.jobs.inverse.job import inverse
 from mbd_ros.jobs.kinematics.job import kinematics
 from mbd_ros.jobs.moment_arms.job import moment_arms
 from mbd_ros.jobs.muscles.job import muscles
+from mbd_ros.jobs.payload.job import payload
 from mbd_ros.jobs.simulate.job import simulate
 from mbd_ros.scene import built_scene, from_python, reader
 from mbd_ros.scene.code_permission import permitting
@@ -31,6 +33,8 @@ class Scene(built_scene.Scene):
     simulate = simulate
     inverse = inverse
     identify = identify
+    payload = payload
+    excite = excite
     kinematics = kinematics
     moment_arms = moment_arms
     muscle_forces = muscles

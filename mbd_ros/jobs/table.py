@@ -67,6 +67,11 @@ COMMANDS: Mapping[str, Command] = {
     ),
     "estimate": Command(
         "mbd_ros.jobs.estimate.command", "motion of all joints from noisy and partial recordings"
+    "excite": Command(
+        "mbd_ros.jobs.excite.command", "a trajectory that shows masses, within all limits"
+    ),
+    "payload": Command(
+        "mbd_ros.jobs.payload.command", "mass, centre and inertia of what a gripper holds"
     ),
     "replay": Command(
         "mbd_ros.jobs.replay.command", "a bag through the live node, with an error table"

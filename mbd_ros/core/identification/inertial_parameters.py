@@ -78,3 +78,21 @@ def is_consistent(parameters: Array) -> bool:
 def inertia_of(parameters: Array) -> Any:
     """`pinocchio.Inertia` of numbers of shape (10,), mass not 0."""
     return pin.Inertia.FromDynamicParameters(parameters)
+
+
+def moved_numbers(placement: Any) -> Array:
+    """Numbers in other axes, as a matrix: p' = B p with P' = H P H', shape (10, 10).
+
+    Args:
+        placement: `pinocchio.SE3` of the old axes in the new ones, H as a matrix.
+    """
+    H = np.asarray(placement.homogeneous)
+    columns = [numbers_of(H @ pseudo_inertia(unit) @ H.T) for unit in np.eye(COUNT)]
+    return np.array(columns).T
+
+
+def numbers_of(P: Array) -> Array:
+    """Inverse of `pseudo_inertia`, shape (10,)."""
+    moments = np.trace(P[:3, :3]) * np.eye(3) - P[:3, :3]
+    tensor = [moments[i, j] for i, j in _MOMENTS.values()]
+    return np.array([P[3, 3], *P[:3, 3], *tensor])

@@ -8,6 +8,7 @@ import numpy as np
 from mbd_ros.core.identification.base_parameters import base_parameters, expressions
 from mbd_ros.core.identification.friction import Column, candidates
 from mbd_ros.core.identification.inertial_parameters import (
+    COUNT,
     inertia_of,
     moving_bodies,
     parameters_of,
@@ -108,6 +109,20 @@ class Problem:
     def shift(self, delay: float) -> None:
         """Efforts come later than the motion by a known time [s]."""
         self._shift = delay
+
+    def only(self, body: int) -> None:
+        """From now on all bodies are known, and another one is fixed to one of them.
+
+        Args:
+            body: Its place among `bodies`.
+        """
+        rows = self.regressor.rows(*self._states())[:, self.rows].reshape(-1, self.given.size)
+        others = np.delete(np.arange(self.given.size), COUNT * body + np.arange(COUNT))
+        rows[:, others] = 0.0
+        self.base = base_parameters(rows)
+        self.texts = expressions(self.base, [one.name for one in self.bodies])
+        self.maker.base, self.maker.carried = self.base, self.given.ravel()
+        self._kept = {}
 
     def carry(self, inertial: Array) -> None:
         """From now on friction that grows with the load sees that of these bodies."""

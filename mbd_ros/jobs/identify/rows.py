@@ -59,6 +59,7 @@ class RowMaker:
         self.regressor, self.base, self.rows = regressor, base, rows
         self.coordinates = regressor.coordinates[rows]
         self.columns, self.joints, self.peak = columns, joints, peak
+        self.carried: Array | None = None  # inertial numbers that are known, of all bodies
 
     def blocks(self, piece: Piece, band: float | None, delays: Array) -> Iterator[Block]:
         """Rows of a piece through the filter of its band; without a band all its samples."""
@@ -86,6 +87,8 @@ class RowMaker:
         y, v, a = piece.y[at], piece.v[at], piece.a[at]
         W = self.regressor.rows(y, v, a)
         known = self.regressor.known(W, y, v, a, [load[at] for load in piece.loads])[:, self.rows]
+        if self.carried is not None:
+            known = known + W[:, self.rows] @ self.carried
         weight = self.regressor.weight(y)[:, self.rows]
         X = np.ascontiguousarray(W[:, self.rows][:, :, self.base.chosen])
         Y = np.empty((len(at), len(self.rows), len(delays)))
