@@ -67,6 +67,7 @@ COMMANDS: Mapping[str, Command] = {
     ),
     "estimate": Command(
         "mbd_ros.jobs.estimate.command", "motion of all joints from noisy and partial recordings"
+    ),
     "excite": Command(
         "mbd_ros.jobs.excite.command", "a trajectory that shows masses, within all limits"
     ),
