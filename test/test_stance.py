@@ -292,3 +292,34 @@ def test_the_force_of_the_trailing_foot_ends_with_the_double_support():
     half = kept_force(force_then, way, 0.5)
     shares = np.exp(4 / 9 - 1 / 9) - np.exp(-4 / 3) / 2, np.exp(-1)
     assert half / force_then == pytest.approx([shares[0], shares[1], shares[1]], abs=1e-12)
+
+
+@pytest.mark.parametrize("decides", ["phases", "columns of states"])
+def test_a_passive_walker_needs_no_drive_on_the_foot_of_its_phase(decides):
+    """Its hips are free, its travel and height stand for a base: nothing is needed, 1e-12."""
+    walker = mbd.load_scene("simplest_walker")
+    run = walker.simulate(4.5)
+    samples = run["samples"]
+    assert set(samples["phase"]) == {0.0, 1.0}
+    feet = ("left_foot", "right_foot")
+    lost = ["force", "friction", "normal", "torque", "centre"]
+    lost += ["state"] if decides == "phases" else []
+
+    def is_kept(name):
+        return not (name.startswith(feet) and name.partition(".")[2].startswith(tuple(lost)))
+
+    kept = [(c.name, c.values) for c in samples.columns if is_kept(c.name)]
+    found = walker.inverse(table(kept), stance="minimum-norm", power=True)
+    alone = found["samples"]
+    assert any(f"stance: by {decides};" in text for text in found.metadata["remarks"])
+    for name in ("left_hip.effort", "right_hip.effort", "travel.residual", "height.residual"):
+        assert np.abs(alone[name]).max() <= 1e-12
+    for foot in feet:
+        assert alone[f"{foot}.normal"] == pytest.approx(samples[f"{foot}.normal"], abs=1e-12)
+    assert np.abs(alone["power.residual"]).max() <= 1e-12
+    if decides == "phases":
+        given = [(n, 7.0 + 0.0 * v if n == "phase" else v) for n, v in kept]
+        with pytest.raises(
+            DataError, match="phase 7 is none of the scene; accepted: 0 to 1: left_"
+        ):
+            walker.inverse(table(given), stance="smooth")

@@ -1,27 +1,18 @@
 """Contacts whose forces nobody measured: unknowns of inverse dynamics."""
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from mbd_ros.core.geometry.contact_show import OPEN
-from mbd_ros.core.inverse.bounded_split import Wish
 from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.core.inverse.double_support import (
-    DoubleSupport,
-    direction_of_way,
-    double_supports,
-    kept_force,
-    possible_force,
-)
 from mbd_ros.core.inverse.reach import listed
 from mbd_ros.core.inverse.standing import Nearness
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import DataError, SolveError
+from mbd_ros.errors import DataError
 from mbd_ros.files.recordings import Source, name_of, read_columns
 from mbd_ros.jobs.inverse.observed import Observed
 from mbd_ros.jobs.lines import Say
@@ -29,7 +20,6 @@ from mbd_ros.scene.built_scene import Scene
 
 Mask = NDArray[np.bool_]
 METHODS = ("minimum-norm", "smooth")
-Solve = Callable[[int, Wish | None], Torques]
 
 
 class StanceTask(NamedTuple):
@@ -52,36 +42,67 @@ class Ground(NamedTuple):
         contacts: Their names.
         given: Which features stand, as columns of the motion say, shape (n, features); None for
             what geometry says.
+        by: What says so.
     """
 
     task: StanceTask
     contacts: tuple[str, ...]
     given: Mask | None = None
+    by: str = "geometry"
 
-    def with_states(self, scene: Scene, source: Source, observed: Observed) -> "Ground":
-        """The same with what columns `<contact>.state` of a motion say of its features.
+    def told(self, scene: Scene, source: Source, observed: Observed) -> "Ground":
+        """The same with what columns of a motion say of the features.
+
+        `<contact>.state` says it of each, `phase` by the contacts of a phase where these are
+        held.
 
         Raises:
-            DataError: Some of these columns are there and others are not; names these.
+            DataError: Some columns of states are there and others are not, or a phase that the
+                scene does not have; names these.
         """
-        parts = [part for part in scene.constraints if part.name in self.contacts]
-        names = [
-            f"{part.name}.state" + (f"_{feature}" if len(part.features) > 1 else "")
-            for part in parts
-            for feature in part.features
-        ]
-        states = read_columns(source, names)
-        if states is None:
-            return self
-        gaps = np.isnan(states).any(axis=0)
-        lacking = [name for name, bad in zip(names, gaps, strict=True) if bad]
-        if lacking:
-            raise DataError(
-                f"{name_of(source)}: no column {listed(lacking)}, or it has gaps; accepted: the "
-                f"states of all features, or none: {listed(names)}"
-            )
         rows = np.searchsorted(observed.motion.stamps, observed.samples.stamps)
-        return self._replace(given=states[rows] != OPEN)
+        parts = [part for part in scene.constraints if part.name in self.contacts]
+        states = _states(source, parts)
+        if states is not None:
+            return self._replace(given=states[rows] != OPEN, by="columns of states")
+        held = _held(scene, source, parts) if scene.phases else None
+        return self if held is None else self._replace(given=held[rows], by="phases")
+
+
+def _states(source: Source, parts: Sequence[Any]) -> Array | None:
+    """Columns of states of all features; None where there is none of them."""
+    names = [
+        f"{part.name}.state" + (f"_{feature}" if len(part.features) > 1 else "")
+        for part in parts
+        for feature in part.features
+    ]
+    states = read_columns(source, names)
+    gaps = [] if states is None else np.isnan(states).any(axis=0)
+    lacking = [name for name, bad in zip(names, gaps, strict=False) if bad]
+    if lacking:
+        raise DataError(
+            f"{name_of(source)}: no column {listed(lacking)}, or it has gaps; accepted: the "
+            f"states of all features, or none: {listed(names)}"
+        )
+    return states
+
+
+def _held(scene: Scene, source: Source, parts: Sequence[Any]) -> Mask | None:
+    """Features that the phase of each row holds; None without phases, or where some hold none."""
+    plans, numbers = list(scene.phases.values()), read_columns(source, ["phase"])
+    if numbers is None or not all(plan.held for plan in plans):
+        return None
+    unknown = ~np.isin(numbers[:, 0], np.arange(len(plans)))
+    if unknown.any():
+        raise DataError(
+            f"{name_of(source)}: phase {numbers[unknown][0, 0]:g} is none of the scene; accepted: "
+            f"0 to {len(plans) - 1}: {', '.join(plan.name for plan in plans)}"
+        )
+    of_phase = np.array(
+        [[part.name in plan.contacts for part in parts for _ in part.features] for plan in plans]
+    )
+    held: Mask = of_phase[numbers[:, 0].astype(int)]
+    return held
 
 
 def stance_task(method: str | None, gap: float | None, speed: float | None) -> StanceTask | None:
@@ -136,86 +157,6 @@ def standing_in(
     return np.array([inverse.standing.at(x) for x, _ in states])
 
 
-def smooth_transitions(
-    inverse: ClosedLoopInverseDynamics,
-    states: Sequence[tuple[State, Array]],
-    standing: Mask,
-    solved: list[Torques],
-    solve: Solve,
-) -> str:
-    """Solve double supports again, so that the load passes on smoothly.
-
-    Args:
-        inverse: The solver.
-        states: Motion and accelerations.
-        standing: Which features stand, shape (n, features).
-        solved: Results, some of which are replaced.
-        solve: Number of a sample and a wish -> its result.
-
-    Returns:
-        How many there are, in words.
-    """
-    transition = _Transition(inverse, states, standing, solved)
-    refused = 0
-    for support in transition.supports:
-        for i, wish in transition.wishes(support):
-            try:
-                solved[i] = solve(i, wish)
-            except SolveError:
-                refused += 1
-    passed = f"smooth transition in {len(transition.supports)} double supports"
-    return passed + (f", without {refused} samples where cones forbid it" if refused else "")
-
-
-class _Transition:
-    """Double supports of a motion that was solved with the least efforts.
-
-    Args:
-        inverse: The solver.
-        states: Motion and accelerations.
-        standing: Which features stand, shape (n, features).
-        solved: Their results.
-
-    Attributes:
-        supports: Those that begin in the motion.
-    """
-
-    def __init__(
-        self,
-        inverse: ClosedLoopInverseDynamics,
-        states: Sequence[tuple[State, Array]],
-        standing: Mask,
-        solved: Sequence[Torques],
-    ) -> None:
-        assert inverse.standing is not None
-        self._feet, self._model = inverse.standing, inverse.robot.model
-        self._states, self._standing = states, standing
-        cones = inverse.constraints.cones
-        slots = np.concatenate([np.r_[cone.slots] for cone in cones])
-        self._forces = [each.multipliers[slots] for each in solved]
-        self._mu = min(cone.mu for cone in cones)
-        self._times = np.array([x.t for x, _ in states])
-        stands = np.array([self._feet.standing_feet(row) for row in standing])
-        self.supports = list(double_supports(self._times, stands))
-
-    def wishes(self, support: DoubleSupport) -> Iterator[tuple[int, Wish]]:
-        """The force of the trailing foot in each sample of a double support."""
-        (before, samples, foot, end), times = support, self._times
-        at_first = self._feet.forces(self._states[before][0])[foot].dot(self._forces[before])
-        data, ends = pin.Data(self._model), (before, samples[-1])
-        centres = [pin.centerOfMass(self._model, data, self._states[i][0].q).copy() for i in ends]
-        way = direction_of_way(centres, self._model.gravity.linear)
-        for i in samples:
-            share = float((times[i] - times[before]) / (end - times[before]))
-            forces = self._feet.forces(self._states[i][0])
-            total = forces.sum(axis=0).dot(self._forces[i])
-            others = np.delete(forces, foot, axis=0).sum(axis=0)[:, ::3]
-            normal = others.dot(self._standing[i])
-            normal /= np.linalg.norm(normal)
-            kept = kept_force(at_first, way, min(share, 1.0))
-            yield i, Wish(forces[foot], possible_force(kept, total, normal, self._mu))
-
-
 def stance_lines(
     inverse: ClosedLoopInverseDynamics,
     ground: Ground,
@@ -230,7 +171,7 @@ def stance_lines(
     near = ground.task.near
     by = f"gap <= {near.gap:g} L and speed along the normal <= {near.speed:g} sqrt(g L)"
     if ground.given is not None:
-        by = "columns of states"
+        by = ground.by
     shares = ", ".join(
         f"{name} {share:.0%}" for name, share in zip(feet.feet_names, stands.mean(0), strict=True)
     )

@@ -165,7 +165,7 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     scene, wrenches = _with_contacts(scene, known, observed)
     if has_loops:
         if ground is not None:
-            ground = ground.with_states(scene, task.motion, observed)
+            ground = ground.told(scene, task.motion, observed)
         columns, remarks, explained = loops.solve(scene, where, samples, wrenches, task, ground)
     else:
         columns, remarks, explained = open_chains.solve(scene, where, samples, wrenches, task)

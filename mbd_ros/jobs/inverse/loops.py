@@ -79,7 +79,8 @@ def solve(
         off.append([np.abs(move).max(initial=0.0) for move in moves])
     standing = None
     if ground is not None:
-        from mbd_ros.jobs.inverse.ground import smooth_transitions, stance_lines, standing_in
+        from mbd_ros.jobs.inverse.ground import stance_lines, standing_in
+        from mbd_ros.jobs.inverse.transition import smooth_transitions
 
         standing = standing_in(inverse, ground, states)
 
@@ -174,7 +175,7 @@ def _remarks(off: Array, stamps: np.ndarray, solved: Sequence[Torques]) -> Itera
         f"{off[2]:.3g} per s^2"
     )
     widest = max(solved, key=lambda each: each.null_space)
-    if widest.null_space:
+    if widest.undetermined:
         yield (
             f"null space of dimension {widest.null_space}: {listed(widest.undetermined)} are "
             "not determined, smallest norm taken"
