@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbd_ros.core.inverse.force_split import ForceSplit, Split
+from mbd_ros.core.optimization.cone_limits import Limits
 from mbd_ros.core.optimization.least_in_bounds import Least, least_in_bounds
-from mbd_ros.core.optimization.least_in_cones import Limits, least_in_cones
+from mbd_ros.core.optimization.least_in_cones import least_in_cones
 from mbd_ros.core.state import Array
 
 _FREE = -np.inf, np.inf

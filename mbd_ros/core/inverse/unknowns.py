@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.inverse.bounded_split import Wish
 from mbd_ros.core.inverse.efforts import Efforts
-from mbd_ros.core.optimization.least_in_cones import Limits
+from mbd_ros.core.optimization.cone_limits import Limits
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array
 

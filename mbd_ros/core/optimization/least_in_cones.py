@@ -8,11 +8,12 @@ where it stays, nothing keeps the limits. Source: S. Boyd, L. Vandenberghe, Conv
 2004, sec. 11.3 (barrier), 11.4 (start) and 11.6 (cones of second order).
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbd_ros.core.optimization.cone_limits import Limits
+from mbd_ros.core.optimization.least_with_open import least_with_open
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
 
@@ -22,35 +23,6 @@ _STEPS = 12  # of Newton's method, for each of them
 _CENTRED = 0.1  # decrement at which one is solved
 _SHORTENED, _HALVINGS, _LEAST_DESCENT = 0.95, 40, 1.0e-4
 _SHIFTED = 1.0e-7  # of the largest number: a shift that stays
-
-
-class Limits(NamedTuple):
-    """What a vector may be: between bounds, and in cones |y_t| <= mu y_n.
-
-    Attributes:
-        lower: Lower ends, shape (n,).
-        upper: Upper ends, shape (n,).
-        cones: Where a normal and its two tangents stand in y, shape (k, 3).
-        mu: Coefficient of friction of each, >= 0, shape (k,).
-    """
-
-    lower: Array
-    upper: Array
-    cones: NDArray[np.intp]
-    mu: Array
-
-    def excess(self, y: Array) -> Array:
-        """By how much y passes each bound, then each cone, shape (n + k,)."""
-        tangents = np.hypot(*y[self.cones[:, 1:]].T)
-        beyond = tangents - self.mu * y[self.cones[:, 0]]
-        return np.concatenate((np.maximum(self.lower - y, y - self.upper), beyond))
-
-    def passed(self, y: Array, margin: float) -> NDArray[np.bool_]:
-        """Which numbers pass their limits by more than a share of the largest, shape (n,)."""
-        excess = self.excess(y) > margin * np.abs(y).max(initial=0.0)
-        passed: NDArray[np.bool_] = excess[: len(y)]
-        passed[self.cones[excess[len(y) :]].ravel()] = True
-        return passed
 
 
 def least_in_cones(y: Array, N: Array, A: Array, c: Array, limits: Limits) -> tuple[Array, bool]:
@@ -72,6 +44,9 @@ def least_in_cones(y: Array, N: Array, A: Array, c: Array, limits: Limits) -> tu
     size = max(float(np.abs(y).max(initial=0.0)), float(np.abs(c).max(initial=0.0)), 1e-300)
     if not np.isfinite(size):
         raise SolveError("forces are not finite")
+    quick = least_with_open(y, N, A, c, limits)
+    if quick is not None:
+        return quick, True
     barrier = _Barrier(y / size, N, limits, size)
     rows = A.dot(N), A.dot(y / size) - c / size
     w, shift = np.zeros(N.shape[1]), barrier.start()
