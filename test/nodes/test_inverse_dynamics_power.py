@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from mechanisms import joint, link, urdf
 from nodes.joint_stream import DEEP, MS, SCENES, live
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, String
 
 from mbd_ros.core.inverse.observed_power import ObservedPower
 from mbd_ros.jobs.domain_claim import claimed_domain
+from mbd_ros.nodes.shell.scene_node import LATCHED
 
 G = 9.81
 HOPPER = urdf(
@@ -26,6 +27,10 @@ contacts:
   between: [{frame: foot, points: [[0, 0, -0.4]]}, ground]
   friction: 0.8
 """
+PHASES = """phases:
+  stance: {contacts: [toe], until: {late: {time: 1.0}}, then: flight}
+  flight: {contacts: [], until: {late: {time: 1.0}}, then: stance}
+"""
 HIP = 0.3  # rad; the knee bends back twice as far, so that the toe is below the hip
 
 
@@ -41,8 +46,8 @@ def arm(tmp_path_factory):
 def hopper(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stance")
     (folder / "hopper.urdf").write_text(HOPPER, encoding="utf-8")
-    (folder / "hopper.yaml").write_text(SCENE, encoding="utf-8")
-    asked = {"stance": "minimum-norm", "power": "true", "timeout": 5.0}
+    (folder / "hopper.yaml").write_text(SCENE + PHASES, encoding="utf-8")
+    asked = {"stance": "minimum-norm", "phase_topic": "/phase", "power": "true", "timeout": 5.0}
     with claimed_domain() as own, live(own, folder, folder / "hopper.yaml", **asked) as stream:
         yield stream
 
@@ -114,3 +119,22 @@ def test_a_foot_without_a_plate_carries_the_robot_live(hopper):
     effort = dict(zip(torques.name, torques.effort, strict=True))
     assert effort["z"] == pytest.approx(weight, abs=1e-9)  # it flies, and would have to fall
     hopper.probe.wait_health(lambda h: h.values.get("on the ground") == "none")
+
+
+def test_the_newest_phase_says_what_is_on_the_ground(hopper):
+    """In flight nothing carries the robot, its toe at the floor; a wrong name changes nothing."""
+    create, spin = hopper.probe.node.create_publisher, hopper.probe.spin_until
+    phase = create(String, "/phase", LATCHED)
+    spin(phase.get_subscription_count)
+    said = ("flight", "none", 6.5 * G), ("stance", "toe", 0.0), ("leap", "toe", 0.0)
+    for name, ground, lacking in said:
+        phase.publish(String(data=name))
+        hopper.reset(hopper.begin + 1000 * MS)
+
+        hopper.publish(stand(hopper, 0, 0.0))
+        hopper.probe.wait_health(lambda h, ground=ground: h.values.get("on the ground") == ground)
+        hopper.publish(stand(hopper, 1, 0.0))
+        torques = hopper.answers(2)[-1]
+        effort = dict(zip(torques.name, torques.effort, strict=True))
+        assert effort["z"] == pytest.approx(lacking, abs=1e-9)
+    hopper.probe.wait_health(lambda h: int(h.values.get("dropped.phase", "0")) >= 1)

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.inverse.standing import Mask
 from mbd_ros.core.inverse.torques import Torques
 from mbd_ros.core.model.couplings import Slopes
 from mbd_ros.core.model.kinematics import Kinematics, Reads
@@ -27,6 +28,7 @@ class ObservedLoops:
         needed: Joints that must be measured: none, as long as the loops tie them to others.
         rows: Names of the multipliers: the dependent joints, then the rows of the constraints.
         moved: How far a joint of the last sample was moved onto the constraints [rad or m].
+        told: Which features of contacts stand, where somebody says so; None for geometry.
         motion: State and acceleration of the last sample as it was solved; None before.
         gap: Residual of every row at the last sample as measured, shape (m,); 0 for couplings,
             whose violation stands elsewhere, and where the motion need not keep a row.
@@ -36,6 +38,7 @@ class ObservedLoops:
         self.inverse, self.couplings = inverse, inverse.couplings
         self.configuration, self.moved = inverse.robot.neutral(), 0.0
         self._model = inverse.robot.model
+        self.told: Mask | None = None
         self.motion: tuple[State, Array] | None = None
         self._slopes: Slopes = [0.0] * len(inverse.couplings.pairs)
         constraints = inverse.constraints
@@ -88,7 +91,7 @@ class ObservedLoops:
         x, a = self.inverse.consistent(measured, given)
         self.configuration, self.motion = x.q, (x, a)
         self.moved = float(np.abs(pin.difference(self._model, measured.q, x.q)).max(initial=0.0))
-        found = self.inverse.solve(x, a, wrenches)
+        found = self.inverse.solve(x, a, wrenches, self.told)
         B, n = self.inverse.columns(x), len(found.tau)
         tau = B.dot(found.tau)
         tau += self.inverse.carried(found)

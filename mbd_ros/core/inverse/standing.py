@@ -1,7 +1,7 @@
 """Which features of contacts may press, as the geometry of a motion shows it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,6 +83,11 @@ class Standing:
         gap, speed = np.concatenate(gaps), np.abs(np.concatenate(speeds))
         stands: Mask = (gap <= self._gap) & (speed <= self._speed) | (gap <= self._closed)
         return stands
+
+    def of(self, contacts: Collection[str]) -> Mask:
+        """Features of some contacts, shape (n,)."""
+        are = [part.name in contacts for part in self._contacts for _ in part.features]
+        return np.array(are, dtype=np.bool_)
 
     def standing_feet(self, standing: Mask) -> Mask:
         """Which feet have a feature that stands, shape (len(feet_names),)."""

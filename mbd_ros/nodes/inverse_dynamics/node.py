@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, String
 
 from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.torque_estimator import Observation
@@ -14,6 +14,7 @@ from mbd_ros.errors import SolveError
 from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS, tuning
 from mbd_ros.nodes.inverse_dynamics.pipeline import Pipeline
 from mbd_ros.nodes.shell.joint_state_node import SENSOR, JointStateNode
+from mbd_ros.nodes.shell.scene_node import LATCHED
 from mbd_ros.nodes.shell.serialized import require_size
 from mbd_ros.nodes.shell.wrenches import read_load
 from msg_adapters.diagnostics import OK, WARN
@@ -49,9 +50,11 @@ class InverseDynamicsNode(JointStateNode):
             self.every(max(self.parameters.wrench_wait / 2.0, 1e-3), self._flush)
 
     def open_outputs(self) -> None:
-        """Topics of torques, constraint forces, residuals, and of powers where they are asked."""
+        """Topics of torques, constraint forces and residuals; powers and phases where asked."""
         self._torques = self.publish_to(JointState, "~/joint_torques", 10)
         self._constraint_forces = self.publish_to(JointState, "~/constraint_forces", 10)
+        if self.parameters.phase_topic:
+            self.subscribe(String, self.parameters.phase_topic, self._on_phase, LATCHED)
         if self.parameters.power:
             self._pipeline.with_power()
             self._power = self.publish_to(Float64MultiArray, "~/power", POWERS)
@@ -159,6 +162,12 @@ class InverseDynamicsNode(JointStateNode):
                 self._flush()
 
         return take
+
+    def _on_phase(self, msg: Any) -> None:
+        try:
+            self._pipeline.take_phase(msg.data)
+        except MessageError as error:
+            self.drop("phase", str(error))
 
     def _flush(self) -> None:
         """Answer the joint states whose wrenches are complete or overdue."""

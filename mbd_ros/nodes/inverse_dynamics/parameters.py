@@ -68,6 +68,12 @@ PARAMETERS = (
         choices=("none", "minimum-norm"),
     ),
     Parameter(
+        "phase_topic",
+        str,
+        "Topic of the name of the phase, whose contacts are on the ground; empty for geometry.",
+        "",
+    ),
+    Parameter(
         "stance_gap",
         float,
         "Largest gap of what is on the ground, as a multiple of the size [-].",

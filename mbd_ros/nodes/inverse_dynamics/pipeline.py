@@ -21,6 +21,7 @@ from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.scene.check import tier
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
+from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
 from msg_adapters.wrench import write_wrench
@@ -95,6 +96,8 @@ class Pipeline:
             SceneError: Unknown forces of contacts are asked for, and there are none.
         """
         if values.stance == "none":
+            if values.phase_topic:
+                raise SceneError("phase_topic goes with stance: minimum-norm")
             return self.scene.inverse_dynamics()
         contacts = self.scene.unmeasured_contacts
         if not contacts:
@@ -104,6 +107,20 @@ class Pipeline:
             )
         near = Nearness(values.stance_gap, values.stance_speed)
         return self.scene.inverse_dynamics(contacts=contacts, near=near)
+
+    def take_phase(self, name: str) -> None:
+        """Contacts of a phase are on the ground from now on.
+
+        Raises:
+            MessageError: The scene has no such phase.
+        """
+        phases, loops = self.scene.phases, self._solver
+        if name not in phases:
+            known = ", ".join(phases) or "none"
+            raise MessageError(f"phase '{name}' is none of the scene; it has {known}")
+        if isinstance(loops, ObservedLoops) and loops.inverse.standing is not None:
+            plan = phases[name]
+            loops.told = loops.inverse.standing.of(plan.contacts) if plan.held else None
 
     def with_power(self) -> None:
         """Answer with powers from now on."""
@@ -217,7 +234,9 @@ class Pipeline:
         standing = solver.inverse.standing
         if solver.motion is None:
             return "none"
-        on = zip(standing.features, standing.at(solver.motion[0]), strict=True)
+        told = solver.told
+        stands = standing.at(solver.motion[0]) if told is None else told
+        on = zip(standing.features, stands, strict=True)
         return ", ".join(name for name, is_on in on if is_on) or "none"
 
     @property
