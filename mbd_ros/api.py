@@ -9,6 +9,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.files.formats import read_result as read_result
 from mbd_ros.jobs.estimate.job import estimate
 from mbd_ros.jobs.excite.job import excite
+from mbd_ros.jobs.gait.job import gait
 from mbd_ros.jobs.identify.job import identify
 from mbd_ros.jobs.inverse.job import inverse
 from mbd_ros.jobs.kinematics.job import kinematics
@@ -39,6 +40,7 @@ class Scene(built_scene.Scene):
     moment_arms = moment_arms
     muscle_forces = muscles
     estimate = estimate
+    gait = gait
 
     @classmethod
     def of(cls, scene: built_scene.Scene) -> "Scene":

@@ -36,6 +36,12 @@ class PlainWalker:
     def minus(self, x1, x0):
         return np.concatenate((x1.q - x0.q, x1.v - x0.v))
 
+    def onto(self, x):
+        return x
+
+    def basis(self, x):
+        return np.eye(self.size)
+
     def _step(self, y, h):
         k = []
         for row in _A[:-1]:

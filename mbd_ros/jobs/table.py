@@ -74,6 +74,9 @@ COMMANDS: Mapping[str, Command] = {
     "payload": Command(
         "mbd_ros.jobs.payload.command", "mass, centre and inertia of what a gripper holds"
     ),
+    "gait": Command(
+        "mbd_ros.jobs.gait.command", "periodic walking: multipliers, branches, basin of attraction"
+    ),
     "replay": Command(
         "mbd_ros.jobs.replay.command", "a bag through the live node, with an error table"
     ),

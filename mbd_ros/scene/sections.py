@@ -184,6 +184,7 @@ TASKS = (
     Section("scale", Form.SINGLE, "mbd_ros.scene.scale_task:build_task", ()),
     Section("muscles", Form.SINGLE, "mbd_ros.scene.muscles_task:build_task", ()),
     Section("estimate", Form.SINGLE, "mbd_ros.scene.estimate_task:build_task", ()),
+    Section("gait", Form.SINGLE, "mbd_ros.scene.gait_task:build_task", ()),
 )
 
 

@@ -19,12 +19,14 @@ class BranchPoint(NamedTuple):
         motion: The motion.
         tangent: Direction of the branch: of the state before the event of the section, then of
             the parameter in units of its range; of length one, shape (n + 1,).
+        slopes: Derivative of the residual by the same, shape (n, n + 1).
         mark: What happens there; empty for an ordinary point.
     """
 
     parameter: float
     motion: PeriodicMotion
     tangent: Array
+    slopes: Array
     mark: str = ""
 
 

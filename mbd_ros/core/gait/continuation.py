@@ -7,7 +7,7 @@ import numpy as np
 
 from mbd_ros.core.events.event_location import sign_change
 from mbd_ros.core.gait.branch import Branch, BranchPoint, changes, test
-from mbd_ros.core.gait.periodic import PeriodicMotion, is_closed, newton
+from mbd_ros.core.gait.periodic import PeriodicMotion, is_accepted, is_closed, newton
 from mbd_ros.core.gait.return_map import Passage, ReturnMap, multipliers
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import FallError, MbdError, SolveError
@@ -15,11 +15,12 @@ from mbd_ros.errors import FallError, MbdError, SolveError
 Family = Callable[[float], ReturnMap]
 """The return map at a value of the parameter."""
 
-_FIRST, _LONGEST, _SHORTEST = 0.01, 0.05, 1.0e-6  # of steps, in units of state and range
+_FIRST, _LONGEST, _SHORTEST = 0.02, 0.1, 1.0e-6  # of steps, in units of state and range
 _PROBE = 1.0e-4  # of the range: difference by the parameter
-_CORRECTIONS, _EASY = 8, 3
+_CORRECTIONS, _RENEWALS = 16, 4
+_GAIN = 0.5  # of a correction, below which derivatives are computed anew
 _LOCATED = 1.0e-9  # of a step: where a test function is zero
-_ASIDE = 2.0e-3  # of the state: first step onto a doubled branch
+_TRIES, _APART, _ASIDE = 6, 1.0e-5, 2.0e-3  # of the state: first step onto a doubled branch
 
 
 @dataclass(frozen=True)
@@ -46,18 +47,19 @@ class Continuation:
     most: int = 200
     notice: Callable[[BranchPoint], None] = lambda point: None
 
-    def branch(self, start: PeriodicMotion, parameter: float, way: int) -> Branch:
+    def branch(self, start: PeriodicMotion, parameter: float, way: int, cycles: int = 1) -> Branch:
         """The branch through a motion.
 
         Args:
             start: Motion to begin with.
             parameter: Its value of the parameter.
             way: 1 to larger values, -1 to smaller ones, at first.
+            cycles: After how many it repeats.
         """
         guess = np.zeros(len(start.derivative) + 1)
         guess[-1] = float(way)
-        first = self._point(start, parameter, guess, 1)
-        return self._followed(first, 1)
+        first = self._point(start, parameter, guess, cycles)
+        return self._followed(first, cycles)
 
     def doubled(self, at: BranchPoint, cycles: int) -> Branch:
         """The branch of motions that repeat after twice as many cycles.
@@ -71,30 +73,40 @@ class Continuation:
         """
         values, vectors = np.linalg.eig(at.motion.derivative)
         aside = vectors[:, np.abs(values + 1.0).argmin()].real
-        aside = np.append(aside / np.linalg.norm(aside), 0.0)
-        at = at._replace(tangent=aside, mark="")
+        aside = np.append(aside, 0.0)
+        aside -= aside.dot(at.tangent) * at.tangent  # or the plane would meet the old branch, too
+        at = at._replace(tangent=aside / np.linalg.norm(aside), mark="")
         step = _ASIDE
-        for _ in range(_CORRECTIONS):
-            found = self._next(at, step, 2 * cycles)
-            if found is not None:
-                return self._followed(found, 2 * cycles)
+        for _ in range(_TRIES):
+            found = self._next(at, step, 2 * cycles, is_aside=True)
+            if found is not None and not self._repeats(found, cycles):
+                return self._followed(found, 2 * cycles, step, cycles)
             step *= 2.0
         raise SolveError(f"no motion of {2 * cycles} cycles found beside the period doubling")
 
-    def _followed(self, first: BranchPoint, cycles: int) -> Branch:
-        points, step = [first], _FIRST
+    def _repeats(self, point: BranchPoint, cycles: int) -> bool:
+        """Whether a motion repeats after fewer cycles."""
+        passage = self._map(point.parameter, cycles).passage(point.motion.passage.begin)
+        return bool(np.abs(passage.residual).max() < _APART)
+
+    def _followed(
+        self, first: BranchPoint, cycles: int, step: float = _FIRST, fewer: int = 0
+    ) -> Branch:
+        """The branch from a point on, which is not that of motions that repeat after fewer."""
+        points = [first]
         self.notice(first)
         while len(points) < self.most:
             found = self._next(points[-1], step, cycles)
-            if found is None:
+            if found is None or (fewer and self._repeats(found, fewer)):
                 step *= 0.5
                 if step < _SHORTEST:
                     return Branch(tuple(points), cycles, "no motion was found beyond")
                 continue
-            point, before, step = found, points[-1], min(_LONGEST, 1.5 * step)
+            point, before, step = found, points[-1], min(_LONGEST, 2.0 * step)
             if not self.low <= point.parameter <= self.high:
                 last = self._at_end(before, point, cycles)
-                self._add(points, [*self._marked(before, last, cycles), last])
+                if last is not None:
+                    self._add(points, [*self._marked(before, last, cycles), last])
                 return Branch(tuple(points), cycles, "end of the range")
             self._add(points, [*self._marked(before, point, cycles), point])
         return Branch(tuple(points), cycles, f"{self.most} points")
@@ -133,53 +145,86 @@ class Continuation:
         moved = np.append(apart, (other.parameter - one.parameter) / self._range)
         return float(moved.dot(one.tangent))
 
-    def _at_end(self, one: BranchPoint, beyond: BranchPoint, cycles: int) -> BranchPoint:
-        """The point at the end of the range, between two others."""
+    def _at_end(self, one: BranchPoint, beyond: BranchPoint, cycles: int) -> BranchPoint | None:
+        """The point at the end of the range, between two others; None where it is not found."""
         value = self.low if beyond.parameter < self.low else self.high
         way = self.family(value).repeated(cycles)
         part = (value - one.parameter) / (beyond.parameter - one.parameter)
         y = _between(way, one.motion.passage.begin, beyond.motion.passage.begin, part)
-        motion = newton(way, way.passage(y))
-        return self._point(motion, value, beyond.tangent, cycles)
+        try:
+            motion = newton(way, way.passage(y))
+            return self._point(motion, value, beyond.tangent, cycles)
+        except (FallError, SolveError):
+            return None
 
     @property
     def _range(self) -> float:
         return self.high - self.low
 
-    def _next(self, at: BranchPoint, step: float, cycles: int) -> BranchPoint | None:
-        """The point on the plane across the tangent, a step away; None where there is none."""
+    def _next(
+        self, at: BranchPoint, step: float, cycles: int, *, is_aside: bool = False
+    ) -> BranchPoint | None:
+        """The point on the plane across the tangent, a step away; None where there is none.
+
+        Newton's method with the derivatives of the point before it, which Broyden's updates keep
+        near those of the guesses: a derivative costs as much as many passages. Where that gains
+        nothing they are computed anew, and where the step leads off the branch.
+        """
         parameter = at.parameter + step * at.tangent[-1] * self._range
-        way = self.family(parameter).repeated(cycles)
-        y = way.flow.plus(at.motion.passage.begin, step * at.tangent[:-1])
+        system, renewed = np.vstack((at.slopes, at.tangent)), 0
         try:
-            passage = way.passage(y)
-            for count in range(_CORRECTIONS):
-                slopes, derivative = self._slopes(passage, parameter, cycles)
-                off = self._off_plane(at, step, way, passage, parameter)
-                if is_closed(passage) and abs(off) < _LOCATED and count:
-                    motion = PeriodicMotion(passage, derivative, multipliers(derivative))
-                    return BranchPoint(parameter, motion, _tangent(slopes, at.tangent))
+            flow = self._map(parameter, cycles).flow
+            y = flow.plus(at.motion.passage.begin, step * at.tangent[:-1])
+            passage = self._map(parameter, cycles).passage(y)
+            miss = self._miss(at, step, passage, parameter)
+            if is_aside:
+                slopes, _ = self._slopes(passage, parameter, cycles)
                 system = np.vstack((slopes, at.tangent))
-                change = np.linalg.solve(system, -np.append(passage.residual, off))
+            for _ in range(_CORRECTIONS):
+                if is_closed(passage) and abs(miss[-1]) < _LOCATED:
+                    return self._arrived(at, passage, parameter, cycles)
+                change = np.asarray(np.linalg.solve(system, -miss), dtype=np.float64)
                 parameter += change[-1] * self._range
-                way = self.family(parameter).repeated(cycles)
-                passage = way.passage(way.flow.plus(passage.begin, change[:-1]))
+                passage = self._map(parameter, cycles).passage(
+                    flow.plus(passage.begin, change[:-1])
+                )
+                miss, last = self._miss(at, step, passage, parameter), miss
+                if np.linalg.norm(miss) < _GAIN * np.linalg.norm(last):
+                    error = miss - last - system.dot(change)
+                    system += np.outer(error, change) / change.dot(change)
+                elif is_accepted(passage) and abs(miss[-1]) < _LOCATED:
+                    return self._arrived(at, passage, parameter, cycles)
+                elif renewed == _RENEWALS:
+                    return None
+                else:
+                    slopes, _ = self._slopes(passage, parameter, cycles)
+                    system, renewed = np.vstack((slopes, at.tangent)), renewed + 1
         except (FallError, SolveError, np.linalg.LinAlgError):
             return None
         return None
 
-    def _off_plane(
-        self, at: BranchPoint, step: float, way: ReturnMap, passage: Passage, parameter: float
-    ) -> float:
-        apart = way.flow.minus(passage.begin, at.motion.passage.begin)
+    def _arrived(
+        self, at: BranchPoint, passage: Passage, parameter: float, cycles: int
+    ) -> BranchPoint:
+        slopes, derivative = self._slopes(passage, parameter, cycles)
+        motion = PeriodicMotion(passage, derivative, multipliers(derivative))
+        return BranchPoint(parameter, motion, _tangent(slopes, at.tangent), slopes)
+
+    def _map(self, parameter: float, cycles: int) -> ReturnMap:
+        return self.family(parameter).repeated(cycles)
+
+    def _miss(self, at: BranchPoint, step: float, passage: Passage, parameter: float) -> Array:
+        """What is left of the return map, then of the plane, shape (n + 1,)."""
+        flow = self.family(parameter).flow
+        apart = flow.minus(passage.begin, at.motion.passage.begin)
         moved = np.append(apart, (parameter - at.parameter) / self._range)
-        return float(moved.dot(at.tangent)) - step
+        return np.append(passage.residual, float(moved.dot(at.tangent)) - step)
 
     def _point(
         self, motion: PeriodicMotion, parameter: float, guess: Array, cycles: int
     ) -> BranchPoint:
         slopes, _ = self._slopes(motion.passage, parameter, cycles, motion.derivative)
-        return BranchPoint(parameter, motion, _tangent(slopes, guess))
+        return BranchPoint(parameter, motion, _tangent(slopes, guess), slopes)
 
     def _slopes(
         self, passage: Passage, parameter: float, cycles: int, derivative: Array | None = None

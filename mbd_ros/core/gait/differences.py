@@ -7,7 +7,7 @@ import numpy as np
 from mbd_ros.core.gait.flow import HybridFlow
 from mbd_ros.core.state import Array, State
 
-_STEP = 2.0e-4  # of a position or turn [m, rad]: its fourth power is below rounding over the step
+_STEP = 3.0e-4  # of a position or turn [m, rad]: its fourth power is below rounding over the step
 
 
 def difference_steps(x: State, size: int) -> Array:
@@ -33,18 +33,21 @@ def slope(f: Callable[[float], Array], h: float) -> Array:
 
 
 def derivative(flow: HybridFlow, f: Callable[[State], Array], x: State) -> Array:
-    """Derivative of a function of a state by its tangent, shape (.., size).
+    """Derivative of a function of a consistent state by its tangent, shape (.., size).
 
     Args:
-        flow: Adds tangents.
+        flow: Adds tangents, and says which are consistent; it is 0 across these.
         f: The function.
         x: Where.
     """
+    basis = flow.basis(x)
+    sizes = difference_steps(x, flow.size)
     columns = []
-    for direction, h in zip(np.eye(flow.size), difference_steps(x, flow.size), strict=True):
+    for direction in basis.T:
 
         def along(s: float, direction: Array = direction) -> Array:
             return f(flow.plus(x, s * direction))
 
-        columns.append(slope(along, float(h)))
-    return np.stack(columns, axis=-1)
+        columns.append(slope(along, float(1.0 / np.linalg.norm(direction / sizes))))
+    found: Array = np.stack(columns, axis=-1).dot(basis.T)
+    return found

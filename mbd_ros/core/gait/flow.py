@@ -42,6 +42,14 @@ class HybridFlow(Protocol):
         """The d with x0 (+) d = x1, shape (size,)."""
         ...
 
+    def basis(self, x: State) -> Array:
+        """Orthonormal tangents along which a consistent state stays so, shape (size, d)."""
+        ...
+
+    def onto(self, x: State) -> State:
+        """The nearest state that is consistent in the mode of x."""
+        ...
+
     def cycle(self, x: State) -> tuple[Segment, ...]:
         """The motion from a state to the end of one cycle, that event included.
 

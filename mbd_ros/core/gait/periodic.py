@@ -91,7 +91,7 @@ def newton(way: ReturnMap, passage: Passage) -> PeriodicMotion:
         passage = better
         if is_closed(passage):
             break
-    if _size(passage) > _ACCEPTED * _scale(passage):
+    if not is_accepted(passage):
         raise SolveError(
             "no periodic motion found near the guess: the state is still "
             f"{_size(passage):.3g} off after a cycle of {passage.period:.6g} s"
@@ -103,6 +103,11 @@ def newton(way: ReturnMap, passage: Passage) -> PeriodicMotion:
 def is_closed(passage: Passage) -> bool:
     """Whether the motion comes back to within rounding."""
     return _size(passage) <= _CLOSED * _scale(passage)
+
+
+def is_accepted(passage: Passage) -> bool:
+    """Whether it comes back well enough, where no step brings it nearer."""
+    return _size(passage) <= _ACCEPTED * _scale(passage)
 
 
 def _shorter(way: ReturnMap, passage: Passage, step: Array) -> Passage | None:

@@ -75,7 +75,8 @@ class ReturnMap:
             FallError: The motion does not come back.
         """
         flow = self.flow
-        y = landed(flow, self.section, y._replace(t=self.section.end.t), flow.rate(y))
+        y = flow.onto(y._replace(t=self.section.end.t))
+        y = landed(flow, self.section, y, flow.rate(y))
         x = flow.reset(self.section, y)
         start, segments = self.section._replace(end=y, after=x), list[Segment]()
         for _ in range(self.cycles):
