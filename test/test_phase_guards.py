@@ -180,3 +180,66 @@ def test_two_guards_at_once_follow_the_order_of_the_scene():
         events = slider(phases, height=0.5).simulate(0.4)["events"]
         assert events["phase.after"].tolist()[0] == after
         assert events["fall.low.event"][0] == events["fall.half.event"][0] == 1.0
+
+
+GROUNDED = {"half_space": [0, 0, 1]}
+LATE = {"until": {"late": {"time": 9.0}}}
+
+
+def free(body, contact, phases, **more):
+    """A free body and its contact, where phases say."""
+    contact = {"name": "sole", "type": "rigid", "friction": 0.5, **contact}
+    entries = {"bodies": {"body": body}, "contacts": [contact], "phases": phases}
+    return mbd.scene_from({**entries, "integrator": METHOD, "dt": 0.01, **more})
+
+
+def test_round_body_that_is_held_rolls():
+    """A ball on a slope: 5/7 of the acceleration of one that slides; friction is 2/7 of it."""
+    ball = {"shape": {"sphere": 0.1}, "mass": 2.0, "pose": {"xyz": [100.0, -7.0, 0.1]}}
+    twist = {"body": {"linear": [1.0, 0.0, 0.0], "angular": [0.0, 10.0, 0.0]}}
+    more = {"gravity": [1.0, 0.0, -G], "initial": {"twist": twist}}
+    roll = {**ON_GROUND, **LATE, "then": "roll"}
+    samples = free(ball, {"between": ["body", GROUNDED]}, {"roll": roll}, **more).simulate(1.0)
+    x = samples["samples"]
+    assert x["body.position.x"][-1] - 100.0 == pytest.approx(1.0 + 0.5 * 5.0 / 7.0, abs=1e-9)
+    assert np.abs(x["body.position.z"] - 0.1).max() < 1e-12
+    assert x["sole.normal"] == pytest.approx(np.full(101, 2.0 * G), rel=1e-9)
+    assert x["sole.friction_x"] == pytest.approx(np.full(101, -2.0 * 2.0 / 7.0), rel=1e-9)
+
+
+def test_sole_with_four_points_comes_down_flat_and_stands():
+    """Their impulses are what is lost, those of rows that depend on each other shared alike."""
+    corners = [[x, y, -0.05] for x in (-0.1, 0.1) for y in (-0.05, 0.05)]
+    foot = {"shape": {"box": [0.2, 0.1, 0.1]}, "mass": 2.0, "pose": {"xyz": [0.0, 0.0, 0.3]}}
+    contact = {"between": [{"frame": "body", "points": corners}, GROUNDED]}
+    fall = {"until": {"hit": {"touch_down": "sole"}}, "then": "stand"}
+    phases = {"fall": fall, "stand": {**ON_GROUND, **LATE, "then": "fall"}}
+    result = free(foot, contact, phases).simulate(0.5)
+    drop = math.sqrt(2.0 * 0.25 / G)
+    events, samples = result["events"], result["samples"]
+    assert events["time"] == pytest.approx([drop], abs=1e-9)
+    shares = [events[f"sole.point_{i}_normal.impulse"][0] for i in range(4)]
+    assert shares == pytest.approx([2.0 * G * drop / 4.0] * 4, rel=1e-9)
+    assert samples["body.position.z"][-1] == pytest.approx(0.05, abs=1e-12)
+    force = sum(samples[f"sole.point_{i}_normal"][-1] for i in range(4))
+    assert force == pytest.approx(2.0 * G, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["rigid", "compliant"])
+def test_contact_of_a_phase_that_is_not_held_acts_in_it_alone(kind):
+    """A ball falls through its ground until the phase in which that is there."""
+    ball = {"shape": {"sphere": 0.1}, "mass": 2.0, "pose": {"xyz": [0.0, 0.0, 0.6]}}
+    contact = {"type": kind, "between": ["body", GROUNDED], "friction": 0.0}
+    if kind == "compliant":
+        contact["stiffness"] = 1.0e5
+    low, high = (
+        {
+            "off": {"until": {"late": {"time": t}}, "then": "on"},
+            "on": {**ON_GROUND, **LATE, "held": False, "then": "off"},
+        }
+        for t in (0.1, 0.4)
+    )
+    stops = free(ball, contact, low).simulate(0.5)["samples"]["body.position.z"]
+    falls = free(ball, contact, high).simulate(0.39)["samples"]["body.position.z"]
+    assert stops.min() > 0.08
+    assert falls[-1] == pytest.approx(0.6 - 0.5 * G * 0.39**2, abs=1e-9)

@@ -51,7 +51,23 @@ def test_rimless_wheel_strikes_as_in_closed_form():
     one, two = rolled(1.0e-6), rolled(2.0e-6)
     assert one.shape == STRIKES.shape
     assert np.abs(one / STRIKES - 1.0).max() < 1.0e-5
-    assert np.abs((2.0 * one - two) / STRIKES - 1.0).max() < 1.0e-9
+    assert np.abs((2.0 * one - two) / STRIKES - 1.0).max() < 2.0e-10
+
+
+def test_rimless_wheel_has_the_fixed_point_of_its_closed_form():
+    """Speeds before and after a strike, and the period, of a roll that repeats itself."""
+    period, minus, plus = 1.0345498114232794, 1.5492184049054594, 1.095462839647657
+    found = []
+    for inertia in (1.0e-6, 2.0e-6):
+        scene = wheel(inertia)
+        start = scene.entries["initial"]
+        velocity = {name: plus / 1.5 * v for name, v in start["velocity"].items()}
+        scene = scene.with_(initial={**start, "velocity": velocity})
+        events = strikes(scene, 3.2)
+        sides = (events[f"wheel.velocity.{side}"][-1] for side in ("before", "after"))
+        found.append(np.array([events["time"][2] - events["time"][1], *sides]))
+    limit = 2.0 * found[0] - found[1]
+    assert np.abs(limit / (period, minus, plus) - 1.0).max() < 1.0e-9
 
 
 def test_strike_keeps_the_angular_momentum_about_the_new_foot_and_loses_the_closed_form():

@@ -84,4 +84,4 @@ def test_step_leads_back_to_its_start_in_the_limit_of_feet_without_mass(gait):
     state = np.array(GAITS[gait])
     one, two = (after_step(gait[0], state, foot) for foot in (1.0e-6, 2.0e-6))
     assert np.abs(one - state).max() < 3.0e-5
-    assert np.abs(2.0 * one - two - state).max() < 1.0e-8
+    assert np.abs(2.0 * one - two - state).max() < 2.0e-9

@@ -86,6 +86,12 @@ class Kkt:
             off = left.dot(left)
             if off <= _EXACT or off <= _EXACT * drift.dot(drift):
                 return a
+            a = self._refined(a, J, left)
+            left = J.dot(a)
+            left += drift
+            off = left.dot(left)
+            if off <= _EXACT or off <= _EXACT * drift.dot(drift):
+                return a
         a, self._lam = self._by_rank(q, v, tau, J, drift)
         return a
 
@@ -115,6 +121,17 @@ class Kkt:
             a = self.accelerate(y.t, y.q, y.v, u, force)
         a = np.array(a)
         return a, np.array(self.mechanism.data.lambda_c) if self._lam is None else self._lam
+
+    def _refined(self, a: Array, J: Array, left: Array) -> Array:
+        """Accelerations without what rounding has left of the rows where masses are very unequal.
+
+        Source: N. Higham, Accuracy and Stability of Numerical Algorithms, 2002, ch. 12.
+        """
+        data = self.mechanism.data
+        a, lam = np.array(a), np.array(data.lambda_c)
+        a += self._forward(np.array(data.nle), J, left, 0.0)
+        self._lam = lam + data.lambda_c
+        return a
 
     def _is_regular(self, J: Array) -> bool:
         """Whether rows are independent beyond doubt, by the usual masses."""

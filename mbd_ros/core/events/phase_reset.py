@@ -94,6 +94,10 @@ class PhaseReset:
             found = self._level.impact(x, self._touching)
             impulse[self._slots], share = found.p, found.share
             x = x._replace(v=found.v)
+            if not self._touching:  # what rounding leaves where masses are very unequal
+                found = self._level.impact(x, ())
+                impulse[self._slots] += found.p
+                x = x._replace(v=found.v)
         if self.relabelling is not None:
             x = self.relabelling.after(x)
         return Struck(x, impulse, share)

@@ -5,7 +5,7 @@ from time import perf_counter
 from typing import Any
 
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
@@ -13,12 +13,12 @@ from trajectory_msgs.msg import JointTrajectory
 
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.files.topics import joint_state_topic, odometry_topic
+from mbd_ros.nodes.shell.scene_node import LATCHED
 from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.nodes.simulator.plant import Plant
 from msg_adapters.clock import write_clock
 
 BEAT = 0.05  # s between messages of a clock that stands
-PHASES = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 STATES = QoSProfile(depth=100)  # a recorder may be away for 0.1 s at 1 kHz
 
 
@@ -119,7 +119,7 @@ class PhaseTopic:
     """
 
     def __init__(self, node: Shell, live: LiveSimulation) -> None:
-        self._publisher, self._live = node.publish_to(String, "~/phase", PHASES), live
+        self._publisher, self._live = node.publish_to(String, "~/phase", LATCHED), live
         self._shown = ""
 
     def publish(self) -> None:
