@@ -21,7 +21,6 @@ def phases(fall=None, stand=None):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({}, ["phases", "no phase"]),
         ({"fall": {"then": "fall"}}, ["phases.fall", "no guard ends it"]),
         (phases({"until": {}}), ["phases.fall", "no guard ends it", "touch_down"]),
         (phases({"then": "stnad"}), ["unknown phase 'stnad'", "stand"]),

@@ -87,7 +87,7 @@ def test_every_section_is_built(write, tmp_path):
     assert scene.initial.q[[knee.q, slide.q]] == pytest.approx([-0.5, -0.004])
     assert scene.initial.v[scene.robot.joint("hip").v] == 1.0
     assert (scene.safe.type, scene.safe.gain) == ("damping", 2.0)
-    assert scene.absent == ("robots", "bodies", "contacts", "muscles", "sensors")
+    assert scene.absent == ("robots", "bodies", "contacts", "muscles", "sensors", "phases")
     solver = scene.inverse_dynamics()
     assert len(solver.solve(*np.ones((3, 2)), [np.ones(6)] * 2).multipliers) == 2
 

@@ -129,8 +129,6 @@ def build_phases(site: Site, entries: Any) -> dict[str, PhasePlan]:
         SceneError: Names key, what is wrong and what is accepted.
     """
     given = schema.value(entries, Mapping[str, Any], site.where)
-    if not given:
-        raise SceneError(f"{site.where}: no phase; accepted: one or more, by name")
     names = _Names(site, tuple(given))
     return {name: _phase(names, name, entry) for name, entry in given.items()}
 
