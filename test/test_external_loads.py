@@ -15,6 +15,7 @@ from mbd_ros.cli import main
 from mbd_ros.errors import DataError
 from mbd_ros.files.csv import read_table
 from mbd_ros.files.external_loads import read_external_loads
+from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.jobs.inverse.opensim_splines import opensim_splines
 
 LOADS = """<?xml version="1.0" encoding="UTF-8" ?>
@@ -82,8 +83,6 @@ def test_a_load_acts_by_splines_of_force_point_and_torque(laboratory):
         motion[f"{name}.position"] = 0.3 * np.sin(3.0 * time + i)
         motion[f"{name}.velocity"] = 0.9 * np.cos(3.0 * time + i)
         motion[f"{name}.acceleration"] = -2.7 * np.sin(3.0 * time + i)
-    from mbd_ros.files.table import Column, Result, Table
-
     given = Result({"samples": Table(Column(k, v) for k, v in motion.items())})
     ours = scene.inverse(given, external=path)["samples"]
     force, point, torque = np.split(CubicSpline(times, values, bc_type="natural")(time), 3, axis=1)
@@ -202,6 +201,36 @@ def test_muscles_share_a_part_and_say_what_is_odd_about_loads(laboratory):
     expected = whole["samples"]["front.activation"][inside]
     assert part["samples"]["front.activation"] == pytest.approx(expected, abs=1e-12)
     assert part.metadata["inputs"]["time_range"] == [0.1, 0.2]
+
+
+def test_wrenches_of_another_vertical_are_turned(laboratory):
+    """Force and torque as recorded with z upwards, for a scene with y upwards."""
+    path, _, _ = laboratory
+    load = {"plate": {"frame": "lower", "expressed_in": "world"}}
+    scene, rng = scene_from({**SCENE, "external_wrenches": load}, urdf=URDF), np.random
+    wrench = rng.default_rng(8).standard_normal((40, 6))
+    time = motion()["samples"]["time"]
+    kinds = [f"plate.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz"]
+
+    def plates(rows):
+        columns = [Column(n, column) for n, column in zip(kinds, rows.T, strict=True)]
+        return Result({"samples": Table([Column("time", time, "s"), *columns])})
+
+    expected = scene.inverse(motion(), wrenches=plates(wrench))["samples"]["elbow.effort"]
+    lying = wrench[:, [0, 2, 1, 3, 5, 4]] * [1, -1, 1, 1, -1, 1]
+    options = {"wrenches": plates(lying), "wrench_axes": "x,z,-y"}
+    found = scene.inverse(motion(), **options)
+    assert found["samples"]["elbow.effort"] == pytest.approx(expected, abs=1e-12)
+    assert found.metadata["inputs"]["wrench_axes"] == "x,z,-y"
+    shared = scene.muscle_forces(motion(), reserves=1.0, **options)["samples"]
+    assert shared["elbow.effort"] == pytest.approx(expected, abs=1e-12)
+    for given, match in (
+        ({"wrenches": plates(lying), "wrench_axes": "y,x,z"}, "--wrench-axes y,x,z is a mirror"),
+        ({"wrenches": plates(lying), "wrench_axes": "screen"}, "it has no POINT:X_SCREEN"),
+        ({"external": path, "wrench_axes": "x,z,-y"}, "--wrench-axes turns --wrenches alone"),
+    ):
+        with pytest.raises(DataError, match=match):
+            scene.inverse(motion(), **given)
 
 
 def test_a_motion_in_degrees_of_some_joints_gives_torques_and_says_what_is_assumed(tmp_path):

@@ -26,6 +26,7 @@ class Batch(NamedTuple):
         wrenches: Table or bag of the external loads of every motion.
         external: External loads of OpenSim (.xml): none, of every motion, or one each.
         time_range: First and last time that is solved [s]; None for all.
+        wrench_axes: Recorded axis along each axis of the scene; None: the same.
         derivatives: given, causal, zero-phase or opensim.
         cutoff: Of the filters [Hz]; None: the default of `Derivatives`.
         half_width: Samples on either side of a local zero-phase fit; None without one.
@@ -46,6 +47,7 @@ class Batch(NamedTuple):
     wrenches: Path | None
     external: Sequence[Path]
     time_range: Sequence[float] | None
+    wrench_axes: str | None
     derivatives: str
     cutoff: float | None
     half_width: int | None
@@ -110,7 +112,7 @@ def _inverse(batch: Batch, say: Say) -> None:
     (external,) = externals_of(batch.external, len(batch.motions))
     more = batch.topic, batch.parts, batch.bounds, external, between, batch.power
     stance = stance_of(batch.stance, batch.stance_gap, batch.stance_speed)
-    asked = Task(motion, derivatives, batch.wrenches, *more, stance)
+    asked = Task(motion, derivatives, batch.wrenches, *more, stance, batch.wrench_axes)
     inverse_to(load_scene(batch.scene), asked, batch.out, say)
 
 

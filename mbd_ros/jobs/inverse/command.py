@@ -14,6 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add_motions(parser)
     add_time_range(parser)
+    add_wrench_axes(parser)
     add_derivatives(parser)
     parser.add_argument(
         "--parts",
@@ -97,6 +98,15 @@ def add_time_range(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         metavar=("FIRST", "LAST"),
         help="solve these times alone [s]; derivatives come from the whole motion",
+    )
+
+
+def add_wrench_axes(parser: argparse.ArgumentParser) -> None:
+    """Axes of a laboratory that are not those of the scene."""
+    parser.add_argument(
+        "--wrench-axes",
+        help="recorded axis along each axis of the scene, as x,z,-y, or screen: as the .c3d says "
+        "by X_SCREEN, Y_SCREEN; turns --wrenches (default: x,y,z)",
     )
 
 

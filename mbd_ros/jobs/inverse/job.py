@@ -39,6 +39,7 @@ def inverse(
     wrenches: Source | None = None,
     external: str | Path | None = None,
     time_range: tuple[float, float] | None = None,
+    wrench_axes: str | None = None,
     topic: str = "/joint_states",
     parts: bool = False,
     bounds: bool = False,
@@ -60,6 +61,8 @@ def inverse(
         wrenches: Result, file or bag of the external loads; a bag motion carries its own.
         external: External loads of OpenSim (.xml), in place of those of the scene.
         time_range: First and last time that is solved [s]; derivatives come from the whole motion.
+        wrench_axes: Recorded axis of `wrenches` along each axis of the scene, as `x,z,-y`, or
+            `screen` where a .c3d says them.
         topic: JointState topic of a bag.
         parts: Also give the torque components (gravity, coriolis, inertial, external).
         bounds: Efforts keep the limits of their actuators; stops, dry friction and limited
@@ -90,7 +93,8 @@ def inverse(
     with watching(progress):
         loads = None if external is None else Path(external)
         task = Task(
-            motion, chosen, wrenches, topic, parts, bounds, loads, time_range, power, asked
+            *(motion, chosen, wrenches, topic, parts, bounds, loads, time_range, power, asked),
+            wrench_axes,
         )
         result = run_inverse(scene, task, say or remarks.append)
     if say is None:
@@ -125,7 +129,7 @@ def _in_pieces(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
     """Number of samples written from bag to bag; None where that takes the whole motion."""
     if not (isinstance(task.motion, Path) and is_bag(task.motion) and is_bag(out)):
         return None
-    if task.external is not None or task.time_range is not None:
+    if (task.external, task.time_range, task.wrench_axes) != (None, None, None):
         return None
     from mbd_ros.jobs.inverse.streamed import stream  # loads rosbags
 

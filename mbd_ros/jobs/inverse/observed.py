@@ -43,6 +43,7 @@ class Task(NamedTuple):
         time_range: First and last time of the samples that are solved [s]; None for all.
         power: Also give powers and their balance.
         stance: Forces of contacts that nobody measured are unknowns; None for none of them.
+        wrench_axes: Recorded axis of `wrenches` along each axis of the scene; None: the same.
     """
 
     motion: Source
@@ -55,6 +56,7 @@ class Task(NamedTuple):
     time_range: tuple[float, float] | None = None
     power: bool = False
     stance: "StanceTask | None" = None
+    wrench_axes: str | None = None
 
 
 class Observed(NamedTuple):
@@ -85,6 +87,8 @@ def loads_of_laboratory(scene: Scene, task: Task) -> "ExternalLoads | None":
         return None
     if task.wrenches is not None:
         raise DataError(f"--external {task.external}: --wrenches gives the loads already")
+    if task.wrench_axes is not None:
+        raise DataError(f"--external {task.external}: --wrench-axes turns --wrenches alone")
     from mbd_ros.jobs.inverse.external import ExternalLoads  # reads XML, loads scipy
 
     return ExternalLoads(scene, task.external)
@@ -103,7 +107,7 @@ def observe_motion(
     motion = recording.motion
     loads, dropped = dict[str, WrenchSamples](), Counter[str]()
     if external is None:
-        loads, dropped = read_loads(scene, task.motion, task.wrenches)
+        loads, dropped = read_loads(scene, task.motion, task.wrenches, task.wrench_axes)
     if recording.of_laboratory and derivatives.source == "given" and motion.velocity is None:
         derivatives = derivatives._replace(source="zero-phase" if motion.bodies else OPENSIM)
         say(f"positions alone: {derivatives.source} derivatives")

@@ -31,7 +31,7 @@ def _inputs(task: Task) -> dict[str, object]:
         "cutoff": cutoff,
         "half_width": half_width,
     }
-    also = {name: getattr(task, name) for name in ("parts", "bounds", "power")}
+    also = {name: getattr(task, name) for name in ("parts", "bounds", "power", "wrench_axes")}
     stance = None if task.stance is None else task.stance.method
     return {**asked, **filters, **also, "stance": stance}
 

@@ -1,22 +1,25 @@
 """External loads of a recorded motion."""
 
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
 from mbd_ros.core.model.wrenches import at_stamps
 from mbd_ros.core.state import NANOSECOND, Array, WrenchSamples
 from mbd_ros.errors import DataError
-from mbd_ros.files.formats import is_bag
+from mbd_ros.files.formats import is_bag, read_result
+from mbd_ros.files.markers import SCREEN
 from mbd_ros.files.recordings import Source, name_of, read_wrenches
 from mbd_ros.files.table import Result
+from mbd_ros.jobs.recorded_axes import axes_matrix
 from mbd_ros.scene.built_scene import Scene
 
 WRENCH_MAX_AGE = 0.1  # s
 
 
 def read_loads(
-    scene: Scene, motion: Source, wrenches: Source | None
+    scene: Scene, motion: Source, wrenches: Source | None, axes: str | None = None
 ) -> tuple[dict[str, WrenchSamples], Counter[str]]:
     """Samples of the loads of a scene, and messages left out, counted by reason.
 
@@ -24,6 +27,7 @@ def read_loads(
         scene: The scene.
         motion: Result, file or bag of the motion; a bag carries its wrenches itself.
         wrenches: Result, file or bag of the wrenches, or None.
+        axes: Recorded axis along each axis of the scene, see `recorded_axes`; None: the same.
 
     Raises:
         DataError: A file that cannot be read or that the scene has no use for, or a wrench in
@@ -48,7 +52,20 @@ def read_loads(
                 f"{name_of(source)}: wrench '{name}' is in frame '{samples.frame_id}', the scene "
                 f"expects '{expected}'"
             )
+    if axes is not None:
+        loads = {name: _turned(samples, source, axes) for name, samples in loads.items()}
     return loads, dropped
+
+
+def _turned(samples: WrenchSamples, source: Source, axes: str) -> WrenchSamples:
+    """A load in axes of the scene."""
+    screen: Sequence[str] = ()
+    if axes == SCREEN and (isinstance(source, Result) or not is_bag(source)):
+        result = source if isinstance(source, Result) else read_result(source)
+        screen = result.metadata.get(SCREEN, ())
+    R = axes_matrix(f"{name_of(source)}: --wrench-axes", axes, screen)
+    parts = samples.wrench.reshape(-1, 2, 3) @ R.T
+    return samples._replace(wrench=parts.reshape(-1, 6))
 
 
 def refuse_unused(scene: Scene, wrenches: Source | None) -> None:

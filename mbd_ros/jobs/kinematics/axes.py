@@ -1,7 +1,6 @@
-"""Axes of a recording: written as `x,z,-y`, the recorded axis along each axis of the scene."""
+"""Markers in other axes than the scene: turned, or recognised."""
 
 from collections.abc import Iterator
-from itertools import permutations, product
 
 import numpy as np
 
@@ -9,11 +8,9 @@ from mbd_ros.core.estimation.marker_cost import Seen
 from mbd_ros.core.estimation.marker_fit import Bools, Fit
 from mbd_ros.core.estimation.marker_kinematics import MarkerKinematics
 from mbd_ros.core.state import Array
-from mbd_ros.errors import DataError
-from mbd_ros.files.markers import SCREEN
 from mbd_ros.jobs.kinematics.capture import Capture
+from mbd_ros.jobs.recorded_axes import axes_matrix, other_axes
 
-_AS_RECORDED = "x,y,z"
 _WIDE = 0.1  # of the size of the cloud of markers: misses that ask for a reason
 _AS_GOOD = 1.05  # of the smallest misses: as good
 _EXPLAINS = 0.2  # of the misses: what is left with the right axes
@@ -29,11 +26,8 @@ def turned(capture: Capture, axes: str) -> Capture:
     Raises:
         DataError: No axes, a mirror image, or a recording that does not say its own.
     """
-    if axes == SCREEN:
-        if not capture.screen:
-            raise DataError(f"{capture.where}: --axes screen: it has no POINT:X_SCREEN, Y_SCREEN")
-        axes = _right_handed(capture.where, capture.screen)
-    return capture._replace(places=capture.places @ _matrix(capture.where, axes).T)
+    R = axes_matrix(f"{capture.where}: --axes", axes, capture.screen)
+    return capture._replace(places=capture.places @ R.T)
 
 
 def axes_lines(
@@ -73,8 +67,8 @@ def _best(solver: MarkerKinematics, start: Array, seen: Seen, there: Bools) -> t
     A base that can turn along makes several as good: the one nearest to the start is taken.
     """
     found, origin = [], solver.robot.origin
-    for axes in _every():
-        places = (seen.places + origin) @ _rows(axes.split(",")).T - origin
+    for axes, R in other_axes():
+        places = (seen.places + origin) @ R.T - origin
         fit = solver.first(start, seen._replace(places=places))
         found.append((_rms(fit.misses[0, there]), float(np.abs(fit.q[0] - start).sum()), axes))
     least = min(found)[0]
@@ -85,43 +79,3 @@ def _best(solver: MarkerKinematics, start: Array, seen: Seen, there: Bools) -> t
 
 def _rms(vectors: Array) -> float:
     return float(np.sqrt((vectors**2).sum(axis=1).mean()))
-
-
-def _every() -> Iterator[str]:
-    """All turns by right angles but none."""
-    for order, signs in product(permutations("xyz"), product(("", "-"), repeat=3)):
-        axes = ",".join(sign + axis for sign, axis in zip(signs, order, strict=True))
-        if axes != _AS_RECORDED and np.linalg.det(_rows(axes.split(","))) > 0.0:
-            yield axes
-
-
-def _rows(names: list[str]) -> Array:
-    """A unit vector a name."""
-    rows = np.zeros((3, 3))
-    for i, name in enumerate(names):
-        rows[i, "xyz".index(name[-1])] = -1.0 if name.startswith("-") else 1.0
-    return rows
-
-
-def _matrix(where: str, axes: str) -> Array:
-    """From recorded axes to those of the scene."""
-    names = [name.strip().lower().removeprefix("+") for name in axes.split(",")]
-    accepted = "accepted: three of x, y, z, -x, -y, -z, as x,z,-y, or screen"
-    if sorted(name.removeprefix("-") for name in names) != ["x", "y", "z"]:
-        raise DataError(f"{where}: --axes {axes}: {accepted}")
-    rows = _rows(names)
-    if np.linalg.det(rows) < 0.0:
-        raise DataError(f"{where}: --axes {axes} is a mirror image; {accepted}")
-    return rows
-
-
-def _right_handed(where: str, screen: tuple[str, str]) -> str:
-    """Three axes, the last one square to what a screen shows."""
-    names = [name.strip().lower().removeprefix("+") for name in screen]
-    if not {name.removeprefix("-") for name in names} < set("xyz") or len(set(names)) < 2:
-        told = ", ".join(screen)
-        raise DataError(f"{where}: POINT:X_SCREEN, Y_SCREEN are {told}, accepted: as +X, +Z")
-    (last,) = set("xyz") - {name.removeprefix("-") for name in names}
-    axes = [*names, last]
-    sign = "" if np.linalg.det(_rows(axes)) > 0.0 else "-"
-    return ",".join([*names, sign + last])

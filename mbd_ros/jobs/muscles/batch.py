@@ -30,6 +30,7 @@ class Batch(NamedTuple):
         wrenches: Table or bag of the external loads of every motion.
         external: External loads of OpenSim (.xml): none, of every motion, or one each.
         time_range: First and last time that is solved [s]; None for all.
+        wrench_axes: Recorded axis along each axis of the scene; None: the same.
         derivatives: given, causal, zero-phase or opensim.
         cutoff: Of the filters [Hz].
         half_width: Samples on either side of a local zero-phase fit.
@@ -46,6 +47,7 @@ class Batch(NamedTuple):
     wrenches: Path | None
     external: Sequence[Path]
     time_range: Sequence[float] | None
+    wrench_axes: str | None
     derivatives: str
     cutoff: float | None
     half_width: int | None
@@ -105,7 +107,8 @@ def _muscles(batch: Batch, scene: Scene, say: Say) -> None:
     (external,) = externals_of(batch.external, 1)
     between = None if batch.time_range is None else (batch.time_range[0], batch.time_range[1])
     given = motion, derivatives, batch.wrenches, batch.topic
-    task = Task(*given, external=external, time_range=between)
+    more = {"external": external, "time_range": between, "wrench_axes": batch.wrench_axes}
+    task = Task(*given, **more)
     options = _options(batch, scene)
     asked = muscles_task(scene, options, "muscles")
     muscles_to(scene, Sharing(task, asked, options), batch.out, say)

@@ -6,7 +6,12 @@ from typing import Any
 
 from mbd_ros.errors import OK
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.inverse.command import add_derivatives, add_motions, add_time_range
+from mbd_ros.jobs.inverse.command import (
+    add_derivatives,
+    add_motions,
+    add_time_range,
+    add_wrench_axes,
+)
 from mbd_ros.jobs.lines import say
 from mbd_ros.scene.locate import path_word
 from mbd_ros.workers.arguments import add_workers
@@ -32,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add_motions(parser)
     add_time_range(parser)
+    add_wrench_axes(parser)
     add_derivatives(parser)
     _add_sharing(parser)
     _add_measured(parser)

@@ -54,6 +54,7 @@ def muscles(
     wrenches: Source | None = None,
     external: str | Path | None = None,
     time_range: tuple[float, float] | None = None,
+    wrench_axes: str | None = None,
     topic: str = "/joint_states",
     say: Say | None = None,
     progress: Watch = False,
@@ -70,6 +71,8 @@ def muscles(
         wrenches: Result, file or bag of the external loads; a bag motion carries its own.
         external: External loads of OpenSim (.xml), in place of those of the scene.
         time_range: First and last time that is solved [s]; derivatives come from the whole motion.
+        wrench_axes: Recorded axis of `wrenches` along each axis of the scene, as `x,z,-y`, or
+            `screen` where a .c3d says them.
         topic: JointState topic of a bag.
         say: Is called with each line for people; without it the lines are
             `metadata["remarks"]`.
@@ -92,7 +95,8 @@ def muscles(
     with watching(progress):
         loads = None if external is None else Path(external)
         chosen = Derivatives(derivatives, cutoff, half_width)
-        task = Task(motion, chosen, wrenches, topic, external=loads, time_range=time_range)
+        more: dict[str, Any] = {"time_range": time_range, "wrench_axes": wrench_axes}
+        task = Task(motion, chosen, wrenches, topic, external=loads, **more)
         asked = muscles_task(scene, options, "muscles")
         result = run_muscles(scene, Sharing(task, asked, options), say or remarks.append)
     if say is None:
@@ -194,6 +198,7 @@ def _about(scene: Scene, order: Sharing, solver: StaticOptimization) -> dict[str
         "wrenches": task.wrenches,
         "external": task.external,
         "time_range": task.time_range and list(task.time_range),
+        "wrench_axes": task.wrench_axes,
         "derivatives": source,
         "cutoff": cutoff,
         "half_width": half_width,
