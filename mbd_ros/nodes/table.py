@@ -5,6 +5,7 @@ NODES = {
     "joint_state_projector": "mbd_ros.nodes.joint_state_projector.node:JointStateProjectorNode",
     "marker_kinematics": "mbd_ros.nodes.marker_kinematics.node:MarkerKinematicsNode",
     "muscle_forces": "mbd_ros.nodes.muscle_forces.node:MuscleForcesNode",
+    "payload_estimator": "mbd_ros.nodes.payload_estimator.node:PayloadEstimatorNode",
     "qp_controller": "mbd_ros.nodes.controller.qp:QpControllerNode",
     "reference_player": "mbd_ros.nodes.reference_player.node:ReferencePlayer",
     "simulator": "mbd_ros.nodes.simulator.node:SimulatorNode",

@@ -107,7 +107,7 @@ def payload(
     loads = () if wrenches is None else (wrenches,)
     common = Task((motion,), loads, topic, derivatives, band, gains=gains or {}, learned=1.0)
     common = common._replace(partial=partial)
-    carrier, place = _carrier(scene, frame)
+    carrier, place = carrier_of(scene, frame)
     with watching(progress):
         if without is not None:
             told("the robot alone:")
@@ -128,7 +128,7 @@ class _Found(NamedTuple):
     body: Array
 
 
-def _carrier(scene: Scene, frame: str | None) -> tuple[str, int]:
+def carrier_of(scene: Scene, frame: str | None) -> tuple[str, int]:
     """Link, and the place of its body among those that move.
 
     Raises:

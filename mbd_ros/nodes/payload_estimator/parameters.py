@@ -1,0 +1,17 @@
+"""Parameters of the node `payload_estimator`."""
+
+from mbd_ros.nodes.inverse_dynamics.parameters import STREAM, tunable
+from mbd_ros.nodes.shell.parameters import Parameter
+
+_SHARED = (
+    *("scene", "allow_code", "cutoff", "velocity_margin", "patience", "max_age", "rewind"),
+    *("timeout", "clock_tolerance"),
+)
+
+PARAMETERS = (
+    *(parameter for parameter in STREAM if parameter.name in _SHARED),
+    Parameter("frame", str, "Link that carries the payload; empty: the last one.", ""),
+    tunable("memory", 10.0, 0.1, 1e4, "Time after which samples count 1/e [s]."),
+    tunable("largest_mass", 10.0, 1e-6, 1e6, "Mass that may be expected [kg]."),
+    tunable("size", 0.2, 1e-4, 100.0, "Size of the payload that may be expected [m]."),
+)
