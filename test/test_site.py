@@ -79,3 +79,18 @@ def test_references_are_complete(site):
     assert set(all_words()) <= site["command_reference.html"].ids
     interface = {"mbd_ros.api.load_scene", "mbd_ros.api.Scene.simulate", "mbd_ros.core.parts.Load"}
     assert interface <= site["python_reference.html"].ids
+
+
+OF_SCENES = {"force_plate"}  # topics that a scene names
+TOPIC = re.compile(r"^\| `([^`]+)` \| [\w/]+ \| (?:in|out|service) \|$", re.MULTILINE)
+
+
+def test_every_topic_of_a_running_node_is_explained(site):
+    """What nodes have in ROS, against the tables that people write, where `<name>` is any word."""
+    made = (ROOT / "build/docs_source/node_reference.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/nodes.md").read_text(encoding="utf-8")
+    words = re.findall(r"`([\w~/<>]+)`", text)
+    known = re.compile("|".join(re.sub("<[^>]*>", "[^/]+", word) for word in words))
+    topics = set(TOPIC.findall(made))
+    assert {"~/joint_torques", "~/reset", "joint_states"} <= topics
+    assert {topic for topic in topics - OF_SCENES if not known.fullmatch(topic)} == set()

@@ -165,3 +165,35 @@ def test_every_command_of_a_page_is_run_or_a_synopsis(page):
         return
     left = {line for line in shown if line not in ran and not SYNOPSIS.search(line)}
     assert left == set()
+
+
+def lines_of(pages, begin):
+    """Lines of all blocks that begin so, without their comments."""
+    every = (line for page in pages for block in blocks(page) for line in commands(block))
+    return [line for line in every if line.startswith(begin)]
+
+
+def test_lines_for_ros_name_what_there_is():
+    """`ros2` is no wheel: its files, executables and arguments are looked up here."""
+    launched = [line.split()[3:] for line in lines_of(PAGES, "ros2 launch mbd_ros")]
+    assert launched
+    for file, *arguments in launched:
+        text = (ROOT / "launch" / file).read_text(encoding="utf-8")
+        names = [word.partition(":=")[0] for word in arguments]
+        assert [name for name in names if f'"{name}"' not in text] == [], file
+    started = {line.split()[3] for line in lines_of(PAGES, "ros2 run mbd_ros")}
+    assert started <= {*NODES, "mbd-ros"}
+
+
+def test_lines_for_pip_name_what_setup_names():
+    setup = (ROOT / "setup.py").read_text(encoding="utf-8")
+    for line in lines_of(PAGES, "pip install"):
+        for word in shlex.split(line)[2:]:
+            extra = re.fullmatch(r"mbd_ros\[(\w+)\]", word)
+            assert f'"{extra[1] if extra else word}"' in setup, line
+
+
+def test_the_readme_tests_as_continuous_integration_does():
+    readme = lines_of([ROOT / "README.md"], "make ")
+    assert "make test" in readme
+    assert "exec make lint test" in (ROOT / ".ci/run").read_text(encoding="utf-8")

@@ -18,14 +18,14 @@ from matplotlib.figure import Figure
 from mbd_ros.api import Scene
 from mbd_ros.demo.walking.task import DURATION, excitations, marked_leg
 from mbd_ros.files.table import Result
-from mbd_ros.view.frames import Frames
+from mbd_ros.view.frames import SLACK, TIGHT, Frames
 from mbd_ros.view.motion import ViewedMotion, viewed_motion
 
 TARGET = Path(__file__).parents[1] / "images/muscle_leg.gif"
 SIZE, DOTS = (6.4, 3.8), 100  # inches, dots an inch
 IMAGES_PER_SECOND, REST = 20, 12  # of the picture; images that show the last sample
 STEP = 0.006  # s between images
-BONE, OUTLINE, SLACK, TIGHT = "#d9cbb0", "#8a7a5c", "#7a9cc6", "#c8202a"
+BONE, OUTLINE, BLUE, RED = "#d9cbb0", "#8a7a5c", "#7a9cc6", "#c8202a"
 BONES = (("femur", "tibia"), ("tibia", "talus"))
 FOOT = (("talus", (0.0, 0.0)), ("calcaneus", (-0.02, 0.0)), ("toes", (0.06, -0.01)))
 PELVIS = ((-0.14, 0.02), (-0.065, 0.095), (-0.02, -0.02), (-0.06, -0.08), (-0.126, -0.105))
@@ -82,14 +82,15 @@ def prepare(leg: Any, curves: Any, swing: Result) -> Drawing:
 
 def updater(scene: Scene, motion: ViewedMotion, frames: Frames, drawing: Drawing) -> Any:
     """The function that draws a sample."""
-    of = motion.states, motion.accelerations, motion.multipliers
+    assert motion.multipliers is not None  # the scene has no rows
+    of: Any = motion.states, motion.accelerations, motion.multipliers
     tensions = np.array([frames.tensions(*each) for each in zip(*of, strict=True)])
-    palette = mpl.colors.LinearSegmentedColormap.from_list("tension", (SLACK, TIGHT))
+    palette = mpl.colors.LinearSegmentedColormap.from_list("tension", (BLUE, RED))
     data = scene.robot.model.createData()
 
     def draw(row: int) -> None:
         drawn = frames.at(*(values[row] for values in of), most=float(tensions.max()))
-        red = (drawn.colours[:, 0].astype(float) - 90.0) / 130.0
+        red = np.clip((drawn.colours - SLACK)[:, 2] / (TIGHT - SLACK)[2], 0.0, 1.0)
         drawing.muscles.set(
             segments=drawn.lines[:, :, ::2],
             linewidths=1.5 + 4.5 * red,
