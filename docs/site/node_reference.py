@@ -50,7 +50,7 @@ def page() -> str:
         for name in NODES:
             pieces += [f"## {name}", *_node(name, domain)]
     pieces += ["## Parameters of every node", _parameters(PARAMETERS)]
-    pieces += ["## Control laws", scene_reference.controllers()]
+    pieces += ["## Control laws", scene_reference.parts_of("controllers")]
     return "\n\n".join(pieces) + "\n"
 
 

@@ -32,13 +32,14 @@ def page() -> str:
         if types_of(section):
             pieces.append(f"## {section.key}\n\n{_form(section)}")
             pieces += [_part(section, name, where) for name, where in types_of(section).items()]
+    for kind in PARTS.keys() - {section.parts for section in SECTIONS} - {"controllers"}:
+        pieces += [f"## {kind}\n\nStand in task files.", parts_of(kind)]
     return "\n\n".join(pieces) + "\n"
 
 
-def controllers() -> str:
-    """The control laws as Markdown: parts of nodes, not of scenes."""
-    laws = PARTS["controllers"].items()
-    return "\n\n".join(_described(name, _found(where), {}) for name, where in laws)
+def parts_of(kind: str) -> str:
+    """The parts of a kind that no section of a scene has, as Markdown."""
+    return "\n\n".join(_described(name, _found(at), {}) for name, at in PARTS[kind].items())
 
 
 def _overview() -> str:
