@@ -238,6 +238,44 @@ def test_a_prosthetic_leg_gives_its_drive_torques_back():
     assert free == pytest.approx(foot, abs=1e-8) and foot.max() > 400.0
 
 
+def four_bar_on_foot():
+    """The leg with a four-bar knee flies free and comes onto its sole; two drives move it."""
+    leg = mbd.load_scene("four_bar_leg")
+    urdf_file = str(leg.path.parents[1] / "robots/four_bar_leg.urdf")
+    bent = {name: q for name, q in leg.entries["initial"]["position"].items() if "knee" in name}
+    sections = {
+        "robot": {"urdf": urdf_file, "base": "floating", "locked": {"hip_flexion": 0.0}},
+        "constraints": leg.entries["constraints"],
+        "forces": leg.entries["forces"],
+        "actuators": [{"type": "ideal", "joints": [one]} for one in ("knee_anterior", "ankle")],
+        "initial": {"position": bent},
+        "integrator": {"type": "moreau_jean"},
+    }
+    sole = [[x, y, -0.06825] for x in (-0.0665, 0.1995) for y in (0.035, -0.035)]
+    ground = {"half_space": [0.0, 0.0, 1.0], "xyz": [0.0, 0.0, -0.0055]}
+    entry = {"type": "rigid", "name": "sole", "friction": 0.7}
+    entry["between"] = [{"frame": "foot", "points": sole}, ground]
+    return mbd.scene_from(sections | {"contacts": [entry]})
+
+
+@pytest.mark.parametrize("bounds", [False, True])
+def test_a_leg_with_a_loop_in_its_knee_gives_its_drive_torques_back(bounds):
+    scene, t = four_bar_on_foot(), np.linspace(0.0, 0.2, 101)
+    efforts = [
+        ("knee_anterior.effort", 5.0 * np.sin(30.0 * t)),
+        ("ankle.effort", np.cos(20.0 * t)),
+    ]
+    run = scene.simulate(0.07, dt=0.002, efforts=table([("time", t), *efforts]))
+    samples = run["samples"]
+    assert samples["sole.force_z"][0] == 0.0 and samples["sole.force_z"][-1] > 20.0
+    motion = Result({"samples": Table([c for c in samples.columns if "sole." not in c.name])})
+    found = scene.inverse(motion, stance="minimum-norm", power=True, bounds=bounds)["samples"]
+    for name in ("knee_anterior", "ankle"):
+        assert found[f"{name}.effort"] == pytest.approx(samples[f"{name}.effort"], abs=1e-8)
+    assert np.abs(residual(found)).max() <= 1e-9
+    assert np.abs(found["power.residual"]).max() <= 1e-9
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -184,7 +184,8 @@ def _unknown(scene: Scene, source: Source, part: Constraint, names: Sequence[str
     return (
         f"warning: {name_of(source)}: no column {listed(names)}: the forces of contact "
         f"{part.name} are not known, 0 is taken{given}; simulate writes these columns, and "
-        "external_wrenches of the scene take measured forces by --wrenches"
+        "external_wrenches of the scene take measured forces by --wrenches, and --stance "
+        "makes unknowns of them"
     )
 
 
