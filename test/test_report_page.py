@@ -9,6 +9,9 @@ from mbd_ros.report.compose import plain
 from mbd_ros.report.items import Section, Table
 from mbd_ros.report.page import page
 from mbd_ros.report.page_section import section_lines
+from mbd_ros.report.scene_pages import scene_pages
+from mbd_ros.report.subjects import Subject
+from mbd_ros.scene.locate import find_scene
 from mbd_ros.workers.remaining import Remaining, watched
 from mbd_ros.workers.task import Result, Task
 
@@ -25,6 +28,7 @@ FACTS = {
     "versions": {"numpy": "2"},
     "timed": 0,
     "cpus": [],
+    "pages": {"<arm>": "scenes/arm.html"},
 }
 PIXEL = bytes.fromhex(
     "89504e470d0a1a0a0000000d4948445200000001000000010806000000"
@@ -133,3 +137,19 @@ def test_a_browser_without_network_has_nothing_to_say(browser, tmp_path, width):
     context.close()
     assert said == []
     assert [url for url in asked if not url.startswith(("file:", "data:"))] == []
+
+
+def test_a_report_links_to_pages_of_the_scenes_that_run(tmp_path):
+    pytest.importorskip("viser", reason="viser is not installed")
+    broken = tmp_path / "broken.yaml"
+    broken.write_text("robot: {urdf: missing.urdf}\n", encoding="utf-8")
+    arm, made = str(find_scene("controlled_arm")), {}
+    subjects = [Subject("my_arm", arm, (0.1,)), Subject("broken", str(broken), (0.1,))]
+    (said,) = scene_pages(subjects, tmp_path, made)
+    assert said.startswith("no page of broken: ") and "missing.urdf" in said
+    assert made == {"my_arm": "scenes/my_arm.html"}
+    text = (tmp_path / made["my_arm"]).read_text(encoding="utf-8")
+    assert "<title>my_arm</title>" in text and "default-src 'none'" in text
+    linked = page({**FACTS, "pages": made}, {"ab": SECTION}, dict.fromkeys(SECTION.figures, PIXEL))
+    assert '<a href="scenes/my_arm.html">my_arm</a>' in linked and "<script" not in linked
+    assert '<a href="scenes/arm.html">&lt;arm&gt;</a>' in PAGE

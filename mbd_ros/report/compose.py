@@ -16,7 +16,9 @@ from mbd_ros.report.items import Item, Section
 from mbd_ros.report.machine import git_state, machine, package_versions
 from mbd_ros.report.page import page
 from mbd_ros.report.program import program
+from mbd_ros.report.scene_pages import scene_pages
 from mbd_ros.report.store import Store
+from mbd_ros.report.subjects import subjects
 from mbd_ros.report.work import collect, finish, label
 from mbd_ros.scene.locate import find_scene
 from mbd_ros.scene.reader import load_scene
@@ -73,6 +75,9 @@ def report(order: Order) -> Iterator[str]:
     facts["changed"] = yield from _results(order, work, results)
     sections = {kind: _section(kind, made, results) for kind, made in found.items()}
     sections = {k: _asked(s) if k in order.only else s for k, s in sections.items()}
+    facts["pages"] = {}
+    if not (order.quick or order.only):
+        yield from scene_pages(subjects(scenes, False), order.out, facts["pages"])
     facts["duration"] = time.monotonic() - begin
     wrong = _write(order.out, facts, sections, [(item, results[label(item)]) for item in work])
     yield f"{len(sections)} sections -> {order.out / 'index.html'}"

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from html import escape
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from mbd_ros.report.items import Section
 from mbd_ros.report.page_section import section_lines
@@ -27,7 +28,7 @@ def page(
         HTML.
     """
     style = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
-    body = [*_head(facts), *_navigation(sections)]
+    body = [*_head(facts), *_navigation(sections), *_scenes(facts["pages"])]
     for kind, section in sections.items():
         body += section_lines(kind, section, pictures)
     body += _foot(facts)
@@ -68,6 +69,16 @@ def _head(facts: Mapping[str, Any]) -> Iterator[str]:
 def _navigation(sections: Mapping[str, Section]) -> Iterator[str]:
     links = (f'<li><a href="#{k}">{escape(s.title)}</a></li>' for k, s in sections.items())
     yield f'<nav><ul>{"".join(links)}<li><a href="#made">How it was made</a></li></ul></nav>'
+
+
+def _scenes(pages: Mapping[str, str]) -> Iterator[str]:
+    """Links to what moves: those pages run scripts, this one does not."""
+    if pages:
+        links = (
+            f'<li><a href="{escape(quote(file), quote=True)}">{escape(name)}</a></li>'
+            for name, file in pages.items()
+        )
+        yield f'<p>Scenes, moving:</p><nav class="small"><ul>{"".join(links)}</ul></nav>'
 
 
 def _foot(facts: Mapping[str, Any]) -> Iterator[str]:
