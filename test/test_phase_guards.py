@@ -7,6 +7,7 @@ import pytest
 from mechanisms import double_pendulum, joint, link, urdf
 
 import mbd_ros as mbd
+from mbd_ros.errors import MbdError
 
 G, MASS = 9.81, 2.0
 SLIDER = urdf(link("world"), link("mass", MASS), joint("slide", "prismatic", "world", "mass"))
@@ -243,3 +244,64 @@ def test_contact_of_a_phase_that_is_not_held_acts_in_it_alone(kind):
     falls = free(ball, contact, high).simulate(0.39)["samples"]["body.position.z"]
     assert stops.min() > 0.08
     assert falls[-1] == pytest.approx(0.6 - 0.5 * G * 0.39**2, abs=1e-9)
+
+
+def test_relabelled_joints_take_their_internal_states_along():
+    """Two equal joints with motors swap places and signs; the whole is the same afterwards."""
+    robot = double_pendulum()
+    drives = [
+        {"name": f"motor_{i}", "type": "series_elastic_drive", "joint": f"joint_{i}"}
+        | {"stiffness": 50.0, "rotor_inertia": 1.0e-3, "ratio": 20.0}
+        for i in (1, 2)
+    ]
+    names = ("angle", "speed")
+    scene = mbd.scene_from(
+        {
+            "actuators": drives,
+            "phases": {
+                "one": {
+                    "until": {"late": {"time": 0.1}},
+                    "then": "one",
+                    "reset": {
+                        "exchange": {
+                            "joint_1": {"joint": "joint_2", "factor": -1.0},
+                            **{
+                                f"motor_1.{name}": {"joint": f"motor_2.{name}", "factor": -1.0}
+                                for name in names
+                            },
+                        }
+                    },
+                }
+            },
+            "initial": {"position": {"joint_1": 0.3, "joint_2": -0.1}},
+            "integrator": METHOD,
+            "dt": 0.01,
+        },
+        urdf=robot,
+    )
+    states = scene.internals.names
+    assert set(states) == {f"motor_{i}.{name}" for i in (1, 2) for name in names}, states
+    event = next(iter(_events(scene, 0.15)))
+    of = {name: i for i, name in enumerate(states)}
+    for name in names:
+        one, two = of[f"motor_1.{name}"], of[f"motor_2.{name}"]
+        assert event.after.z[[one, two]].tolist() == (-event.before.z[[two, one]]).tolist()
+    assert event.after.q.tolist() == (-event.before.q[::-1]).tolist()
+    assert event.after.v.tolist() == (-event.before.v[::-1]).tolist()
+
+
+def _events(scene, duration):
+    simulation = scene.simulation()
+    for _ in simulation.run(scene.initial, duration):
+        pass
+    return simulation.events
+
+
+def test_impulse_that_a_held_contact_cannot_exert_is_an_error_by_name():
+    """The rimless wheel needs mu >= tan(22.5 deg) = 0.41421 where a spoke strikes."""
+    scene = mbd.load_scene("rimless_wheel")
+    numbers = ("spoke.friction", "next_spoke.friction")
+    enough = scene.with_(dict.fromkeys(numbers, 0.4143))
+    assert len(enough.simulate(1.0)["events"]["time"]) == 1
+    with pytest.raises(MbdError, match="impact: contact next_spoke is held and would slip"):
+        scene.with_({"spoke.friction": 0.6, "next_spoke.friction": 0.4141}).simulate(1.0)

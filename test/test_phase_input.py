@@ -54,7 +54,10 @@ def phases(fall=None, stand=None):
         (phases({"couplings": ["knee"]}), ["fall.couplings", "unknown dependent joint 'knee'"]),
         (phases({"limit": 0.0}), ["fall.limit", "out of range"]),
         (phases({"reset": {"impact": ["heel"]}}), ["hit.reset.impact", "unknown rigid contact"]),
-        (phases({"reset": {"exchange": {"slide": "knee"}}}), ["exchange", "unknown joint 'knee'"]),
+        (
+            phases({"reset": {"exchange": {"slide": "knee"}}}),
+            ["exchange", "unknown joint or internal state 'knee'"],
+        ),
         (phases({"reset": {"relabel": {"slide": {}}}}), ["hit.reset", "cannot be told apart"]),
         (
             phases(

@@ -2,55 +2,23 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
-from mbd_ros.core.ranges import NotNegative, Positive, Unit
+from mbd_ros.core.ranges import Positive, Unit
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
 from mbd_ros.scene.nearest import nearest
 from mbd_ros.scene.part_names import checked_name
+from mbd_ros.scene.phase_plans import (
+    GuardEntry,
+    GuardPlan,
+    PhasePlan,
+    ResetEntry,
+    WhenEntry,
+)
 
 _KINDS = ("touch_down", "lift_off", "slip", "joint", "joints", "force", "multiplier", "time")
-
-
-@dataclass(frozen=True)
-class WhenEntry:
-    """Where a guard acts: a sum of joint positions times factors beyond a level."""
-
-    joint: str | None = None
-    joints: Mapping[str, float] | None = None
-    above: float | None = None
-    below: float | None = None
-
-
-@dataclass(frozen=True)
-class ResetEntry:
-    """What happens at once: an impact, then joints under other names."""
-
-    impact: Sequence[str] | None = None
-    exchange: Mapping[str, Any] | None = None
-    relabel: Mapping[str, Mapping[str, float]] | None = None
-    shift: Mapping[str, float] | None = None
-
-
-@dataclass(frozen=True)
-class GuardEntry:
-    """What ends a phase."""
-
-    touch_down: str | None = None
-    lift_off: str | None = None
-    slip: str | None = None
-    joint: str | None = None
-    joints: Mapping[str, float] | None = None
-    force: str | None = None
-    multiplier: str | None = None
-    time: Annotated[NotNegative, Unit("s")] | None = None
-    at: float = 0.0
-    direction: Literal["up", "down", "both"] | None = None
-    when: Mapping[str, Any] | None = None
-    then: str | None = None
-    reset: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -63,63 +31,6 @@ class _PhaseEntry:
     then: str | None = None
     reset: Mapping[str, Any] | None = None
     limit: Annotated[Positive, Unit("s")] | None = None
-
-
-@dataclass(frozen=True)
-class GuardPlan:
-    """A guard by names.
-
-    Attributes:
-        name: Unique in the phase.
-        entry: What it looks at.
-        when: Where it acts; None for everywhere.
-        then: Name of the next phase.
-        reset: What happens at once.
-        where: File and key, for the messages.
-    """
-
-    name: str
-    entry: GuardEntry
-    when: WhenEntry | None
-    then: str
-    reset: ResetEntry
-    where: str
-
-
-@dataclass(frozen=True)
-class PhasePlan:
-    """A phase by names, which `phased_systems` makes a system of.
-
-    Attributes:
-        name: Unique in the scene.
-        contacts: Names of the contacts that are on.
-        held: Whether these are held closed.
-        constraints: Names of the constraints that are on; None for all.
-        couplings: Dependent joints that are; None for all.
-        guards: What ends it, in the order of the file.
-        limit: Longest time in it [s]; None without one.
-        where: File and key, for the messages.
-    """
-
-    name: str
-    contacts: tuple[str, ...]
-    held: bool
-    constraints: tuple[str, ...] | None
-    couplings: tuple[str, ...] | None
-    guards: tuple[GuardPlan, ...]
-    limit: float | None
-    where: str
-
-    @property
-    def told(self) -> str:
-        """What ends it, for people."""
-        return ", ".join(f"{guard.name} -> {guard.then}" for guard in self.guards)
-
-    @property
-    def on(self) -> str:
-        """The contacts that are on, for people."""
-        how = "held" if self.held else "open or closed"
-        return f"{how}: {', '.join(self.contacts)}" if self.contacts else "no contact"
 
 
 def build_phases(site: Site, entries: Any) -> dict[str, PhasePlan]:
@@ -145,6 +56,7 @@ class _Names:
         self.site, self.phases = site, phases
         self.contacts = [part.name for part in site.parts.get("contacts", ())]
         self.rigid = [p.name for p in site.parts.get("contacts", ()) if hasattr(p, "residual")]
+        self.stateful = [p.name for p in site.parts.get("contacts", ()) if p.internal]
         self.constraints = [part.name for part in site.parts.get("constraints", ())]
         self.dependent = list(site.parts["couplings"].dependent)
         assert site.robot is not None
@@ -185,6 +97,11 @@ def _phase(names: _Names, name: str, given: Any) -> PhasePlan:
     accepted = names.rigid if entry.held else names.contacts
     contacts = _listed(entry.contacts, names.contacts, "contact", f"{where}.contacts") or ()
     for one in contacts:
+        if one in names.stateful:
+            raise SceneError(
+                f"{where}.contacts: {one} has internal states and acts in every phase; accepted: "
+                "friction with creep instead of bristles"
+            )
         if one not in accepted:
             raise SceneError(
                 f"{where}.contacts: {one} is compliant and cannot be held; accepted: held: false"
@@ -253,10 +170,6 @@ def _joints(names: _Names, entry: Any, where: str) -> None:
 def _reset(names: _Names, given: Any, where: str) -> ResetEntry:
     entry: ResetEntry = schema.call(ResetEntry, {} if given is None else given, where)
     _listed(entry.impact, names.rigid, "rigid contact", f"{where}.impact")
-    for key in ("exchange", "relabel", "shift"):
-        for name in getattr(entry, key) or ():
-            known(name, names.joints, "joint", f"{where}.{key}")
-    for name, sources in (entry.relabel or {}).items():
-        for source in sources:
-            known(source, names.joints, "joint", f"{where}.relabel.{name}")
+    for name in entry.shift or ():
+        known(name, names.joints, "joint", f"{where}.shift")
     return entry

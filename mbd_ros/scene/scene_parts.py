@@ -24,7 +24,7 @@ from mbd_ros.scene.sections import Section
 if TYPE_CHECKING:
     from mbd_ros.core.muscles.muscle import Muscle
     from mbd_ros.core.sensor import Sensor
-    from mbd_ros.scene.phase_entries import PhasePlan
+    from mbd_ros.scene.phase_plans import PhasePlan
 
 
 @dataclass(frozen=True, eq=False, repr=False)

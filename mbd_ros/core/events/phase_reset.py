@@ -1,5 +1,6 @@
 """What happens at once between two phases: an impact, then joints under other names."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -7,32 +8,53 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.velocity_level import VelocityLevel
+from mbd_ros.core.events.crossings import Crossing
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import ASSEMBLED
+from mbd_ros.errors import SolveError
 
 Slots = NDArray[np.intp]
+_SLACK = 1.0e-9  # of the largest impulse
 
 
 class Relabelling(NamedTuple):
-    """Joints under other names: q+ = A q + b, v+ = A v.
+    """Joints and internal states under other names: q+ = A q + b, v+ = A v, z+ = B z.
 
     Attributes:
-        q: Indices of all joints in a configuration, shape (n,).
+        q: Indices of some joints in a configuration, shape (n,).
         v: Their indices in a velocity, shape (n,).
         A: Shape (n, n).
         b: [rad or m], shape (n,).
+        z: Indices of some internal states, shape (m,).
+        B: Shape (m, m).
     """
 
     q: Slots
     v: Slots
     A: Array
     b: Array
+    z: Slots
+    B: Array
 
     def after(self, x: State) -> State:
         """The state under the new names."""
-        q, v = x.q.copy(), x.v.copy()
+        q, v, z = x.q.copy(), x.v.copy(), x.z.copy()
         q[self.q] = self.A.dot(x.q[self.q]) + self.b
         v[self.v] = self.A.dot(x.v[self.v])
-        return x._replace(q=q, v=v)
+        z[self.z] = self.B.dot(x.z[self.z])
+        return x._replace(q=q, v=v, z=z)
+
+
+class Demand(NamedTuple):
+    """What impulses of a contact that is held have to keep.
+
+    Attributes:
+        crossing: A number that may not be negative.
+        failure: What it means that it is.
+    """
+
+    crossing: Crossing
+    failure: str
 
 
 class Struck(NamedTuple):
@@ -62,6 +84,7 @@ class PhaseReset:
         slots: Where the multipliers of that system stand among those of the scene.
         touching: Slots in that system of contacts that bounce.
         relabelling: Joints under other names; None where they keep theirs.
+        demands: Of the impulses of that system.
 
     Attributes:
         striking: As given.
@@ -75,8 +98,10 @@ class PhaseReset:
         slots: Slots,
         touching: tuple[int, ...],
         relabelling: Relabelling | None,
+        demands: Sequence[Demand] = (),
     ) -> None:
         self._size, self._slots, self._touching = size, slots, touching
+        self._demands = tuple(demands)
         self.striking, self.relabelling = striking, relabelling
         self._level = None if striking is None else VelocityLevel(striking)
 
@@ -87,7 +112,8 @@ class PhaseReset:
             x: State of all joints before it.
 
         Raises:
-            SolveError: Nothing can keep a contact from closing further; names it.
+            SolveError: Nothing can keep a contact from closing further, or one that is held would
+                pull or slip; names it.
         """
         impulse, share = np.zeros(self._size), 1.0
         if self._level is not None:
@@ -98,6 +124,41 @@ class PhaseReset:
                 found = self._level.impact(x, ())
                 impulse[self._slots] += found.p
                 x = x._replace(v=found.v)
+            self._refuse_unheld(x, impulse[self._slots])
         if self.relabelling is not None:
             x = self.relabelling.after(x)
         return Struck(x, impulse, share)
+
+    def _refuse_unheld(self, x: State, p: Array) -> None:
+        """Refuse impulses that a contact which is held cannot exert."""
+        assert self.striking is not None
+        slack = _SLACK * float(np.abs(p).max(initial=0.0))
+        for crossing, failure in self._demands:
+            if crossing.value(self.striking.k, x, p) < -slack:
+                raise SolveError(f"t = {x.t:.9g} s, impact: {failure}")
+
+
+def refuse_open(system: System, y: State, where: str) -> None:
+    """Refuse a state after a reset that is off the rows of the phase that begins.
+
+    Args:
+        system: That of the phase.
+        y: State of what it integrates.
+        where: Which guard leads there, for the message.
+
+    Raises:
+        SolveError: Names the row that is most open.
+    """
+    held = system.held
+    if not held.rows:
+        return
+    g = held.residual(y.t, y.q)
+    rate = held.jacobian(y.t, y.q).dot(y.v) + held.rate(y.t, y.q)
+    fastest = 1.0 + float(np.abs(y.v).max(initial=0.0))
+    for size, unit, accepted in ((g, "m or rad", 1.0), (rate, "m/s or rad/s", fastest)):
+        worst = int(np.argmax(np.abs(size)))
+        if not abs(size[worst]) <= ASSEMBLED * accepted:
+            raise SolveError(
+                f"t = {y.t:.9g} s: {where}, whose row {held.rows[worst].name} is "
+                f"{abs(size[worst]):.3g} {unit} open: its reset has to close it"
+            )

@@ -4,19 +4,16 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from mbd_ros.core.dynamics.phased_system import PhasedSystem
 from mbd_ros.core.dynamics.row_heights import rounding
-from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.events.event import Event
 from mbd_ros.core.events.event_log import EventLog
 from mbd_ros.core.events.phase import Exit, Phase
+from mbd_ros.core.events.phase_reset import refuse_open
 from mbd_ros.core.integration.stepping import Stepper
 from mbd_ros.core.memory import Memory
 from mbd_ros.core.names import label
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.thresholds import ASSEMBLED
 from mbd_ros.errors import SolveError
 
 _MOST_AT_ONCE = 100  # phases that may follow one another at one time
@@ -189,7 +186,7 @@ class PhaseSteps(Stepper):
         new, inner = self.phases[self.now], self._steppers[self.now]
         system = self.system.systems[self.now]
         y = system.reduce(x._replace(mode=()))
-        _refuse_open(system, y, f"{label(phase, exit_.name)} leads to phase {new.name}")
+        refuse_open(system, y, f"{label(phase, exit_.name)} leads to phase {new.name}")
         pace = self._steppers[self._stepped].pace
         inner.restart()
         self._used.add(self.now)
@@ -238,20 +235,3 @@ class PhaseSteps(Stepper):
         x = self.system.outward(self.now, y)
         self._last = _Pair(x, y)
         return x
-
-
-def _refuse_open(system: System, y: State, where: str) -> None:
-    """Refuse a state after a reset that is off the rows of the phase that begins."""
-    held = system.held
-    if not held.rows:
-        return
-    g = held.residual(y.t, y.q)
-    rate = held.jacobian(y.t, y.q).dot(y.v) + held.rate(y.t, y.q)
-    fastest = 1.0 + float(np.abs(y.v).max(initial=0.0))
-    for size, unit, accepted in ((g, "m or rad", 1.0), (rate, "m/s or rad/s", fastest)):
-        worst = int(np.argmax(np.abs(size)))
-        if not abs(size[worst]) <= ASSEMBLED * accepted:
-            raise SolveError(
-                f"t = {y.t:.9g} s: {where}, whose row {held.rows[worst].name} is "
-                f"{abs(size[worst]):.3g} {unit} open: its reset has to close it"
-            )
