@@ -1,6 +1,7 @@
 """The nodes of this package, a line each; `setup.py` makes an executable of every line."""
 
 NODES = {
+    "digital_twin": "mbd_ros.nodes.digital_twin.node:DigitalTwinNode",
     "inverse_dynamics": "mbd_ros.nodes.inverse_dynamics.node:InverseDynamicsNode",
     "joint_state_projector": "mbd_ros.nodes.joint_state_projector.node:JointStateProjectorNode",
     "marker_kinematics": "mbd_ros.nodes.marker_kinematics.node:MarkerKinematicsNode",

@@ -91,17 +91,30 @@ def estimation_of(
     sensors = _sensors(scene, task, measured, rated)
     if not sensors:
         raise SceneError(f"{where}: nothing is measured: neither joint states nor sensors")
-    scene = _driven(scene, task)
-    system = scene.system()
+    system = made_ready(scene, task, ()).system()
     scale = effort_scale(system, scene.initial)
     joints = _told_apart(system, scene) if task.disturbance is None else tuple(task.disturbance)
     try:
-        scene = _disturbed(scene, joints)
+        scene = made_ready(scene, task, joints)
         process = _process(scene, task, sensors, scale, joints)
         estimator = _estimator(task, process, where)
     except ModelError as error:
         raise SceneError(f"{where}: {error}") from error
     return Estimation(scene, task, process, estimator, scale, joints)
+
+
+def made_ready(scene: Scene, task: EstimateTask, disturbed: Sequence[str]) -> Scene:
+    """The scene with what stands for measured efforts and unknown ones.
+
+    Args:
+        scene: As it is read.
+        task: What is asked.
+        disturbed: Joints with an unknown effort.
+
+    Raises:
+        ModelError: Unknown joint.
+    """
+    return _disturbed(_driven(scene, task), disturbed)
 
 
 def effort_scale(system: System, x: State) -> Array:

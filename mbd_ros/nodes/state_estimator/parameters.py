@@ -35,6 +35,12 @@ PARAMETERS = (
         choices=("efforts", "commands", "none"),
     ),
     Parameter(
+        "measured",
+        list[str],
+        "Joints whose positions count; empty for all that joint states carry.",
+        (),
+    ),
+    Parameter(
         "velocities",
         bool,
         "Whether velocities of joint states count as measured, beside positions.",

@@ -9,6 +9,7 @@ import numpy as np
 from mbd_ros.core.estimation.tracker import Taken, Tracker
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.jobs.estimate.estimation import EFFORTS, estimation_of
+from mbd_ros.nodes.shell.parameters import ParameterError
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.nodes.state_estimator.messages import EstimateMessages, EstimateWriter
 from mbd_ros.nodes.state_estimator.parameters import task_of
@@ -19,6 +20,17 @@ from mbd_ros.sensors.tachometer import Tachometer
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader
+
+
+def refuse_unknown(given: Sequence[str], names: Sequence[str]) -> None:
+    """Refuse joints that there are not.
+
+    Raises:
+        ParameterError: Names them and what there is.
+    """
+    unknown = [name for name in given if name not in names]
+    if unknown:
+        raise ParameterError(f"unknown joints {', '.join(unknown)}; accepted: {', '.join(names)}")
 
 
 class EstimatorPipeline:
@@ -40,8 +52,10 @@ class EstimatorPipeline:
         self.scene = scene = load_scene(values.scene, description)
         self._values = values
         names = [joint.name for joint in scene.robot.joints]
+        measured = list(values.measured) or names
+        refuse_unknown(measured, names)
         self.estimation = found = estimation_of(
-            scene, task_of(values), names, names if values.velocities else ()
+            scene, task_of(values), measured, measured if values.velocities else ()
         )
         self.joints = JointStateReader(names)
         self.reader = JointStateCdrReader(self.joints, joint_state)
@@ -147,8 +161,10 @@ class EstimatorPipeline:
         reasons = [f"{name}: {what}" for name, what in faults.items()]
         if not belief.is_trusted:
             reasons.append(belief.remark)
-        elif fault := self.tracker.watch.consistency().fault:
-            reasons.append(fault)
+        else:
+            consistency = self.tracker.watch.consistency()
+            if consistency.nis > consistency.nis_band[1] and consistency.fault:
+                reasons.append(consistency.fault)
         return (WARN, "; ".join(reasons)) if reasons else (OK, "estimates published")
 
     def details(self) -> dict[str, str]:
