@@ -25,6 +25,7 @@ class DemoRobot(NamedTuple):
 
 
 WALKING = "swing of a leg with nine muscles, from markers to the load of the knee"
+TWIN = "press with one encoder, its digital twin, and faults that are named"
 LAWS = {  # law -> node that has it
     "sliding_mode": "sliding_mode_controller",
     "super_twisting": "sliding_mode_controller",

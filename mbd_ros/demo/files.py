@@ -19,7 +19,9 @@ BAG, PICTURE, PAGE = "bag", "demo.png", "demo.html"
 PLANT, MODEL, DESCRIPTION, GAINS = "plant.yaml", "model.yaml", "model.urdf", "controller.yaml"
 OF_LOOP = (BAG, PICTURE, PAGE, PLANT, MODEL, DESCRIPTION, GAINS)
 TABLES = ("swing", "markers", "motion", "moments", "forces")  # of the walking leg, as CSV
-KNOWN = (*OF_LOOP, *(f"{table}.csv" for table in TABLES))  # what a new demo may replace
+TWIN_TABLE = "samples"  # of the press, as CSV
+# What a new demo may replace.
+KNOWN = (*OF_LOOP, *(f"{table}.csv" for table in (*TABLES, TWIN_TABLE)))
 _ROBOTS = "package://mbd_ros/config/robots"
 _BANDWIDTH = 20.0  # 1/s
 _LAYER = 1.3  # times gain x period: a model up to 1.3 times too heavy does not chatter either

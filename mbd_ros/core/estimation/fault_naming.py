@@ -20,6 +20,8 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import TINY
 
 _EXPLAINED = 0.6  # share of what is not explained, above which nothing is named
+_LAG, _DELAYS = 0.1, 8  # longest delay, as a share of the window; how many are tried
+_PAUSE = 0.05  # share of the window between two comparisons
 _FILLED = 0.9  # share of the window that samples must cover
 _BETTER = 0.7  # times the share of the second best that a named one has at most
 
@@ -38,12 +40,15 @@ class Named(NamedTuple):
     size: float
 
 
+_NOTHING = Named("", {}, 0.0)
+
+
 class _Sample(NamedTuple):
-    """Time, sum of squares of lacking efforts, what hypotheses leave of it, size in deviations."""
+    """Time, lacking efforts, those of the hypotheses, shape (h, k), size in deviations."""
 
     t: float
-    whole: float
-    left: Array
+    lacking: Array
+    expected: Array
     size: float
 
 
@@ -73,6 +78,7 @@ class FaultNaming:
     def forget(self) -> None:
         """Begin anew."""
         self._samples = deque[_Sample]()
+        self._looked, self._newest = -math.inf, _NOTHING
 
     def add(self, x: State, u: Array | None, lacking: Array, deviation: Array) -> None:
         """Take a sample.
@@ -93,22 +99,45 @@ class FaultNaming:
             for system in self._others.values()
         ]
         size = float(np.mean((lacking / np.maximum(deviation, TINY)) ** 2))
-        left = np.array([float(((lacking - d) ** 2).sum()) for d in expected])
-        self._samples.append(_Sample(x.t, float(lacking.dot(lacking)), left, size))
+        self._samples.append(_Sample(x.t, np.array(lacking), np.array(expected), size))
         while self._samples[0].t < x.t - self._window:
             self._samples.popleft()
 
     def named(self) -> Named:
-        """What explains the last samples best."""
+        """What explains the last samples best; looked for anew a few times a window."""
         samples = self._samples
         if len(samples) < 2 or samples[-1].t - samples[0].t < _FILLED * self._window:
-            return Named("", {}, 0.0)
-        whole = sum(sample.whole for sample in samples)
-        left = sum((sample.left for sample in samples), np.zeros(len(self._others)))
-        shares = dict(zip(self._others, (left / max(whole, TINY)).tolist(), strict=True))
+            return _NOTHING
+        if samples[-1].t - self._looked >= _PAUSE * self._window:
+            self._looked, self._newest = samples[-1].t, self._compared()
+        return self._newest
+
+    def _compared(self) -> Named:
+        samples = self._samples
+        d = np.array([sample.lacking for sample in samples])
+        expected = np.array([sample.expected for sample in samples])
+        shares = dict(zip(self._others, _unexplained(d, expected).tolist(), strict=True))
         size = math.sqrt(sum(sample.size for sample in samples) / len(samples))
         ranked = sorted(shares, key=lambda name: shares[name])
         is_clear = len(ranked) < 2 or shares[ranked[0]] <= _BETTER * shares[ranked[1]]
         is_told = bool(ranked) and shares[ranked[0]] <= _EXPLAINED and is_clear
         name = ranked[0] if is_told and size > self._significant else ""
         return Named(name, shares, size)
+
+
+def _unexplained(d: Array, expected: Array) -> Array:
+    """Share that each hypothesis leaves, at the delay that suits it best, shape (h,).
+
+    An estimate of an effort lags behind it, the more the less a sensor says of it.
+
+    Args:
+        d: Lacking efforts, shape (n, k).
+        expected: Those of the hypotheses, shape (n, h, k).
+    """
+    n = len(d)
+    found = []
+    for delay in range(0, max(1, round(_LAG * n)), max(1, round(_LAG * n / _DELAYS))):
+        late = d[delay:]
+        left = ((late[:, None] - expected[: n - delay]) ** 2).sum(axis=(0, 2))
+        found.append(left / max(float((late**2).sum()), TINY))
+    return np.min(found, axis=0)
