@@ -32,6 +32,7 @@ class PageServer:
         viser: The `viser.ViserServer`.
         token: As given or made up.
         address: Of the page, without token.
+        departures: How many browsers went away.
 
     Raises:
         MbdError: Nothing can be listened to there.
@@ -43,6 +44,8 @@ class PageServer:
         self.token = token or ("" if is_loopback(host) else secrets.token_urlsafe(16))
         self.viser = started(label)
         self.viser.gui.configure_theme(show_logo=False, show_share_button=False)
+        self.departures = 0
+        self.viser.on_client_disconnect(self._note_departure)
         self._guard = Guard(self.viser.get_host(), self.viser.get_port(), self.token, origins)
         try:
             found = self._listen(host, port)
@@ -60,6 +63,9 @@ class PageServer:
     def browsers(self) -> int:
         """How many are connected."""
         return len(self.viser.get_clients())
+
+    async def _note_departure(self, _: Any) -> None:
+        self.departures += 1
 
     def close(self) -> None:
         """End it."""

@@ -1,5 +1,6 @@
 """Node `web_view`: a page that shows robots as their topics tell of them, and leads them."""
 
+import gc
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -50,7 +51,7 @@ class WebViewNode(SceneNode):
         self._robots: list[_Robot] = []
         self._reports: dict[str, str] = {}
         self._reached: dict[str, str] = {}
-        self._frames = 0
+        self._frames = self._departures = 0
 
     def build(self, description: str | None) -> None:
         """Read the scenes and what is drawn of them."""
@@ -86,7 +87,7 @@ class WebViewNode(SceneNode):
         label = Path(self._views[0].scene.name).name
         server = PageServer(values.host, values.port, label, values.token, values.origins)
         self._entities.keep(self.state, PageServer.close, server)
-        self._page = LivePage(server, self._views, label, self._offsets())
+        self._page, self._departures = LivePage(server, self._views, label, self._offsets()), 0
         self._robots = [
             self._robot(space, view) for space, view in zip(self._spaces, self._views, strict=True)
         ]
@@ -182,6 +183,9 @@ class WebViewNode(SceneNode):
 
     def _look(self) -> None:
         """Once a second: how robots and nodes are."""
+        if self._departures != self._page.server.departures:
+            self._departures = self._page.server.departures
+            gc.collect()  # what a browser leaves are cycles, too few for a collection by itself
         for robot in self._robots:
             robot.topics.measure_rate()
         if self._page.server.browsers:
