@@ -49,7 +49,9 @@ class LivePage:
         self._panel = LivePanel(viser.gui, robots, title)
         for number, robot in enumerate(robots):
             for solid, node in robot.stage.solids:
-                node.on_click(self._panel.chooser(number, solid.joint))
+                choose = self._panel.chooser(number, solid.joint)
+                if choose is not None:  # what is not clicked on hides nothing that is
+                    node.on_click(choose)
         self._pull, self._follower = Pull(self.robots, viser), Follower(viser)
         self._reach: Reach | None = None
         self._refused: tuple[LiveRobot, int] | None = None

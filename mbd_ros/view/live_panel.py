@@ -107,15 +107,19 @@ class LivePanel:
         self._followed.options = [_NOBODY, *known]
         self._joint.options = [ALL, *known]
 
-    def chooser(self, number: int, joint: int) -> Callable[[Any], None]:
-        """What a click on a solid does: choose its robot, and its joint or free body."""
+    def chooser(self, number: int, joint: int) -> Callable[[Any], None] | None:
+        """What a click on a solid does: choose its robot, and its joint or free body.
+
+        None for a solid that nothing moves.
+        """
         name = next((n for n, at in self._known[number].items() if at == joint), None)
+        if name is None:
+            return None
 
         def choose(_: Any) -> None:
-            if name is not None:
-                self._robot_dropdown.value = self._titles[number]
-                self._on_robot(None)
-                self._joint.value = name
+            self._robot_dropdown.value = self._titles[number]
+            self._on_robot(None)
+            self._joint.value = name
 
         return choose
 
