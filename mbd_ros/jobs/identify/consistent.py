@@ -17,10 +17,14 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.identification.inertial_parameters import COUNT, pseudo_inertia
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import DataError, SolveError, install_hint
 
 _LEAST = 1.0e-3  # of the given pseudo-inertia: what is left of a body
 _LIGHT = 1.0e-3  # of the usual body: what one without mass counts as
+_BLUNT = (1.0, 0.1, 0.01, 1.0e-3, 1.0e-4)  # factors of the weight of the data
+_MISSED = 1.0e-5  # of the sizes at hand: by how much a solver may miss the cones
+_FREE = 1.0e-9  # of the weight of bodies: friction is as the data say
 _SIDE = 4  # of P
 _UPPER = [(i, j) for j in range(_SIDE) for i in range(j + 1)]
 
@@ -65,12 +69,10 @@ def consistent(
     scale[scale == 0.0] = 1.0
     whole[:, COUNT * bodies :] /= scale
     one = np.tile(_svec(np.eye(_SIDE)), bodies)
-    prior = np.zeros(whole.shape[1])
+    prior = np.full(whole.shape[1], _FREE)
     prior[: len(one)] = 1.0
-    H = whole.T @ whole + np.diag(prior)
-    g = -whole.T @ b
-    g[: len(one)] -= one
-    x = _solve(H, g, bodies, np.flatnonzero(is_signed))
+    known = np.concatenate([one, np.zeros(len(prior) - len(one))])
+    x = _within_reach(whole, b, np.diag(prior), known, np.flatnonzero(is_signed))
     z = x[: len(one)].reshape(bodies, COUNT)
     inertial = np.array([M @ own for M, own in zip(maps, z, strict=True)])
     away = np.linalg.norm(z - one.reshape(bodies, COUNT), axis=1)
@@ -84,34 +86,101 @@ def prior_deviation(T: Array, given: Array) -> Array:
     return deviation
 
 
-def _solve(H: Array, g: Array, bodies: int, signed: NDArray[np.intp]) -> Array:
-    """The optimum by an interior-point method, its conditions looked at again."""
+def _within_reach(
+    A: Array, b: Array, prior: Array, known: Array, signed: NDArray[np.intp]
+) -> Array:
+    """The optimum; where data are too sharp for the solver, they are taken for blunter.
+
+    Args:
+        A: Rows of the data, shape (k, n).
+        b: Shape (k,).
+        prior: Rows that hold without data, shape (n, n).
+        known: Their right side, shape (n,); ones of bodies come first.
+        signed: Places of numbers that are not negative.
+
+    Raises:
+        SolveError: However blunt they are, there is no optimum.
+    """
+    bodies = int((known == 1.0).sum()) // _SIDE
+    for blunt in _BLUNT:
+        rows, wanted = np.concatenate([blunt * A, prior]), np.concatenate([blunt * b, known])
+        try:
+            return _solve(rows, wanted, bodies, signed)
+        except SolveError:
+            if blunt == _BLUNT[-1]:
+                raise
+    raise SolveError("no consistent inertias")
+
+
+def _solve(A: Array, b: Array, bodies: int, signed: NDArray[np.intp]) -> Array:
+    """The x nearest to A x = b within the cones.
+
+    With A = Q R and x = x0 + R^-1 u, x0 the least squares, it is the shortest u: well
+    conditioned, however well the data tell one thing and how badly another.
+
+    Args:
+        A: Rows of full column rank, shape (k, n).
+        b: Shape (k,).
+        bodies: How many; ten numbers of each come first.
+        signed: Places of numbers that are not negative.
+    """
+    Q, R = np.linalg.qr(A)
+    x0 = np.linalg.solve(R, Q.T @ b)
+    m = COUNT * bodies
+    least = _LEAST * np.tile(_svec(np.eye(_SIDE)), bodies)
+    sides = [np.linalg.eigvalsh(_matrix(z))[0] for z in x0[:m].reshape(bodies, COUNT)]
+    if min(sides, default=1.0) >= _LEAST and (x0[signed] >= 0.0).all():
+        return np.asarray(x0)
+    back = np.linalg.solve(R, np.eye(len(x0)))
+    rows = -np.concatenate([back[:m], back[signed]])
+    bound = np.concatenate([x0[:m] - least, x0[signed]])
+    x = np.asarray(x0 + back @ _shortest(rows, bound, bodies, len(signed)))
+    x[:m] = np.concatenate([_inside(z) for z in x[:m].reshape(bodies, COUNT)])
+    x[signed] = np.maximum(x[signed], 0.0)
+    return x
+
+
+def _inside(z: Array) -> Array:
+    """The nearest numbers of a body, which an interior-point method misses by little."""
+    values, vectors = np.linalg.eigh(_matrix(z))
+    return _svec(vectors @ np.diag(np.maximum(values, _LEAST)) @ vectors.T)
+
+
+def _shortest(rows: Array, bound: Array, bodies: int, signed: int) -> Array:
+    """The shortest u with bound - rows u in the cones, by an interior-point method.
+
+    Raises:
+        DataError: The solver is not installed.
+        SolveError: It finds none.
+    """
     try:
         import clarabel
     except ImportError as error:
         raise DataError(install_hint("clarabel")) from error
     from scipy import sparse
 
-    n, m = len(g), COUNT * bodies
-    size = float(np.abs(g).max()) or 1.0
-    rows = np.zeros((m + len(signed), n))
-    rows[np.arange(m), np.arange(m)] = -1.0
-    rows[m + np.arange(len(signed)), m + signed] = -1.0
-    bound = np.zeros(len(rows))
-    bound[:m] = -_LEAST * np.tile(_svec(np.eye(_SIDE)), bodies)
+    blocks = [slice(COUNT * i, COUNT * (i + 1)) for i in range(bodies)]
+    blocks += [slice(k, k + 1) for k in range(COUNT * bodies, COUNT * bodies + signed)]
+    scale = np.ones(len(rows))  # a cone is the same in other units
+    for own in blocks:
+        scale[own] = max(float(np.abs(rows[own]).max()), TINY)
+    rows, bound = rows / scale[:, None], bound / scale
+    size = max(float(np.abs(bound).max(initial=0.0)), 1.0)
     cones = [clarabel.PSDTriangleConeT(_SIDE)] * bodies
-    if len(signed):
-        cones.append(clarabel.NonnegativeConeT(len(signed)))
+    if signed:
+        cones.append(clarabel.NonnegativeConeT(signed))
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    P = sparse.csc_matrix(np.triu(H / size))
-    solver = clarabel.DefaultSolver(P, g / size, sparse.csc_matrix(rows), bound, cones, settings)
-    found = solver.solve()
-    x = np.array(found.x)
-    if not np.isfinite(x).all() or (bound - rows @ x)[m:].min(initial=0.0) < -1e-6:
+    n = rows.shape[1]
+    H, A = sparse.csc_matrix(sparse.identity(n)), sparse.csc_matrix(rows)
+    found = clarabel.DefaultSolver(H, np.zeros(n), A, bound / size, cones, settings).solve()
+    u = size * np.array(found.x)
+    left = bound - rows @ u
+    sides = [np.linalg.eigvalsh(_matrix(z))[0] for z in left[: COUNT * bodies].reshape(-1, COUNT)]
+    worst = min([*sides, *left[COUNT * bodies :]], default=0.0)
+    if not (np.isfinite(u).all() and worst > -_MISSED * size):
         raise SolveError(f"no consistent inertias: the solver ends with {found.status}")
-    x[m + signed] = np.maximum(x[m + signed], 0.0)
-    return x
+    return u
 
 
 def _maps(given: Array) -> list[Array]:

@@ -146,7 +146,8 @@ def _nearest(problem: Problem, found: Learned) -> Consistent:
     """The nearest bodies, rows weighed by what they are worth."""
     r, fit = len(problem.base.chosen), found.fit
     worth = np.array([np.sqrt(max(j.effective, 1.0) / max(j.rows, 1)) for j in found.joints])
-    least = np.array([_LEAST * j.usual for j in found.joints])
+    usual = np.array([joint.usual for joint in found.joints])
+    least = np.maximum(_LEAST * usual, 0.1 * _LEAST * usual.max())
     deviation = np.maximum(fit.deviation, least) / worth
     A, b = stacked(found.joints, fit.taken, r, deviation)
     signed = [
