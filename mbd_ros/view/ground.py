@@ -11,9 +11,9 @@ from mbd_ros.core.state import Array
 _CELLS, _REACH = 4, 3  # of the grid: in the size of a robot, and to each side in its sizes
 _LINE, _MAIN_LINE = (226, 229, 233), (196, 202, 209)
 _SUNK = 0.02  # of the size: what is deeper than that has its grid below it
-_FROM = np.array([0.55, -0.95, 0.3])  # where the camera stands, in diagonals, z up
+_FROM = np.array([0.48, -0.82, 0.25])  # where the camera stands, in diagonals, z up
 _SUN, _SHADE = np.array([1.0, -2.0, 3.0]), (150, 150, 165)
-_FARTHER, _LOWER = 1.5, 0.55  # of telephones: distances, and diagonals that they look below
+_FARTHER, _LOWER = 1.7, 0.55  # of telephones: distances, and diagonals that they look below
 SMALLEST = 0.05  # m, of what is looked at
 
 

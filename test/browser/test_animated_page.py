@@ -110,10 +110,10 @@ def test_the_page_of_a_demo_moves_without_a_network(
 
 def test_view_writes_a_page_for_itself(offline, screenshot, tmp_path, capsys):
     file = tmp_path / "leg.html"
-    assert main(["view", "muscle_leg", "-t", "0.2", "-o", str(file)]) == 0
+    assert main(["view", "four_bar_leg", "-t", "0.2", "-o", str(file)]) == 0
     assert f"{file}: 0." in capsys.readouterr().out
     tab, asked, thrown = offline(file, 1280, 800)
     drawn(tab, tab, 3)
-    assert tab.title() == "muscle_leg.yaml" and thrown == []
+    assert tab.title() == "four_bar_leg.yaml" and thrown == []
     assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
     screenshot(tab, "written_1280")
