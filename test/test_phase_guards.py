@@ -305,3 +305,32 @@ def test_impulse_that_a_held_contact_cannot_exert_is_an_error_by_name():
     assert len(enough.simulate(1.0)["events"]["time"]) == 1
     with pytest.raises(MbdError, match="impact: contact next_spoke is held and would slip"):
         scene.with_({"spoke.friction": 0.6, "next_spoke.friction": 0.4141}).simulate(1.0)
+
+
+@pytest.mark.parametrize("wide", [0.0, 0.05])
+def test_sole_tips_where_the_centre_of_pressure_reaches_its_edge(wide):
+    """A mass that a spring drives forward over a sole of 0.3 m: (m g + k h) x = weight * edge."""
+    mass, height, stiffness = 2.0, 0.4, 40.0
+    rail = joint("slide", "prismatic", "sole", "load", axis=(1, 0, 0))
+    robot = urdf(link("sole", 1.0), link("load", mass, (0.0, 0.0, height)), rail)
+    spring = {"type": "joint_spring", "joint": "slide", "stiffness": stiffness}
+    stand = {**ON_GROUND, "until": {"heel_off": {"tip": "sole"}}, "then": "roll"}
+    entries = {
+        "robot": {"base": "floating"},
+        "phases": {"stand": stand, "roll": {**LATE, "then": "stand"}},
+        **{"forces": [spring], "integrator": METHOD, "dt": 0.01},
+        "initial": {"position": {"slide": -0.15}},
+    }
+
+    def standing(heel, toe):
+        corners = [[x, y, 0.0] for x in (heel, toe) for y in sorted({-wide, wide})]
+        between = [{"frame": "sole", "points": corners}, GROUNDED]
+        contact = {"name": "sole", "type": "rigid", "between": between, "friction": 5.0}
+        return mbd.scene_from({**entries, "contacts": [contact]}, urdf=robot)
+
+    x = 0.1 * (1.0 + mass) * G / (mass * G + stiffness * height)
+    t = math.acos(-x / 0.15) / math.sqrt(stiffness / mass)
+    (event,) = (one for one in _events(standing(-0.2, 0.1), t + 0.01) if one.ends_phase)
+    assert event.t == pytest.approx(t, abs=1e-9)
+    with pytest.raises(MbdError, match="contact sole is held and would tip about an edge"):
+        _events(standing(-0.1, 0.2), 0.1)

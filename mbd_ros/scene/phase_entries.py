@@ -18,7 +18,8 @@ from mbd_ros.scene.phase_plans import (
     WhenEntry,
 )
 
-_KINDS = ("touch_down", "lift_off", "slip", "joint", "joints", "force", "multiplier", "time")
+_OF_CONTACTS = ("lift_off", "slip", "tip", "force")  # that are held
+_KINDS = ("touch_down", *_OF_CONTACTS, "joint", "joints", "multiplier", "time")
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ def _guard(
     kind = chosen[0]
     if kind == "touch_down":
         known(entry.touch_down, names.contacts, "contact", f"{key}.touch_down")
-    elif kind in ("lift_off", "slip", "force"):
+    elif kind in _OF_CONTACTS:
         held = on if phase.held else ()
         known(getattr(entry, kind), held, "contact that is held", f"{key}.{kind}")
     _joints(names, entry, key)

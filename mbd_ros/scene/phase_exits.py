@@ -10,6 +10,7 @@ from mbd_ros.core.events.crossings import (
     Condition,
     ConeRoom,
     Crossing,
+    Footing,
     Force,
     Gap,
 )
@@ -20,7 +21,7 @@ from mbd_ros.errors import SceneError
 from mbd_ros.scene.phase_plans import GuardPlan, PhasePlan
 
 _WAYS = {"up": 1, "down": -1, "both": 0}
-_DOWN = ("touch_down", "lift_off", "slip")  # guards that act so unless an entry says otherwise
+_DOWN = ("touch_down", "lift_off", "slip", "tip")  # act so, unless an entry says it
 
 
 class PhaseExits:
@@ -56,15 +57,13 @@ class PhaseExits:
         exits = tuple(self._exit(plan, guard, at, then, reset) for guard, then, reset in given)
         looked_at = {(g.entry.lift_off, "pulls") for g in plan.guards}
         looked_at |= {(g.entry.slip, "slips") for g in plan.guards}
+        looked_at |= {(g.entry.tip, "tips") for g in plan.guards}
         held = plan.contacts if plan.held else ()
-        checks = tuple(
-            check
-            for name in held
-            for word, check in self.checks(name, at)
-            if (name, word) not in looked_at
-        )
+        every = [(name, *one) for name in held for one in self.checks(name, at)]
+        demands = tuple(check for _, _, check in every)
+        checks = tuple(check for name, word, check in every if (name, word) not in looked_at)
         limit = float("inf") if plan.limit is None else plan.limit
-        return Phase(plan.name, exits, checks, limit)
+        return Phase(plan.name, exits, checks, demands, limit)
 
     def checks(self, name: str, at: Mapping[str, int]) -> list[tuple[str, Check]]:
         """What a contact that is held may not do."""
@@ -80,7 +79,15 @@ class PhaseExits:
             f"contact {name} is held and would slip, friction {self._friction(name):g} is too "
             f"small; accepted: a guard slip: {name}, more friction, or held: false",
         )
-        return [("pulls", pulls), ("slips", slips)]
+        if len(self._along(name, at, 0)) < 2:
+            return [("pulls", pulls), ("slips", slips)]
+        tips = Check(
+            f"{name}_tips",
+            Footing(self._contacts[name], self._along(name, at, 0)),
+            f"contact {name} is held and would tip about an edge of its points; accepted: a "
+            f"guard tip: {name}, or held: false",
+        )
+        return [("pulls", pulls), ("slips", slips), ("tips", tips)]
 
     def _exit(
         self,
@@ -112,6 +119,8 @@ class PhaseExits:
             return self._normal(entry.lift_off, at)
         if entry.slip is not None:
             return self._room(entry.slip, at)
+        if entry.tip is not None:
+            return Footing(self._contacts[entry.tip], self._along(entry.tip, at, 0))
         if entry.force is not None:
             return self._normal(entry.force, at, entry.at)
         if entry.multiplier is not None:

@@ -34,6 +34,7 @@ class GuardEntry:
     touch_down: str | None = None
     lift_off: str | None = None
     slip: str | None = None
+    tip: str | None = None
     joint: str | None = None
     joints: Mapping[str, float] | None = None
     force: str | None = None

@@ -1,5 +1,6 @@
 """Numbers whose zeros end a phase."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
@@ -9,6 +10,9 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import TINY
+
+_LINE = 1.0e-9  # of the size of points: so near to a line, they are on it
 
 
 class Crossing(Protocol):
@@ -104,6 +108,49 @@ class ConeRoom(NamedTuple):
         n = sum(float(lam[i]) for i in self.normals)
         t = (sum(float(lam[i]) for i in each) for each in self.tangents)
         return self.mu * n - math.hypot(*t)
+
+
+class Footing(NamedTuple):
+    """How far the centre of pressure of a contact that is held is from the edge of its points [N].
+
+        min over edges of sum n_i d_i / d,   d_i the distance of point i from the edge
+
+    d is the size of the points. The sums do not depend on how points share the load. Source: P.
+    Sardain, G. Bessonnet, IEEE Trans. Systems, Man, Cybernetics A 34, 2004, 630-637.
+
+    Attributes:
+        contact: The contact.
+        normals: Slots of the normal forces among the multipliers of the phase, one a feature.
+    """
+
+    contact: Any
+    normals: Sequence[int]
+    reads: Reads = Reads.POSITION
+
+    def value(self, k: Kinematics, x: State, lam: Array) -> float:
+        """As `Crossing.value`."""
+        places = self.contact.pair.places(k)
+        away = places.point - places.point.mean(axis=0)
+        flat = away.dot(places.axes[0][:, :2])
+        n = lam[list(self.normals)]
+        return min(float(n.dot(inside)) for inside in _inside(flat))
+
+
+def _inside(points: Array) -> list[Array]:
+    """Distances of points in a plane from each edge of their hull, in sizes of it, shape (n,)."""
+    _, sizes, ways = np.linalg.svd(points, full_matrices=False)
+    along = points.dot(ways[0])
+    size = float(np.ptp(along)) or 1.0
+    if sizes[-1] <= _LINE * sizes[0]:  # on a line: its ends
+        return [(along - along.min()) / size, (along.max() - along) / size]
+    found = []
+    for i, j in itertools.permutations(range(len(points)), 2):
+        edge, from_i = points[j] - points[i], points - points[i]
+        length = float(np.hypot(*edge))
+        inside = (edge[0] * from_i[:, 1] - edge[1] * from_i[:, 0]) / max(length * size, TINY)
+        if length > _LINE * size and (inside >= -_LINE).all():
+            found.append(inside)
+    return found
 
 
 class Condition(NamedTuple):

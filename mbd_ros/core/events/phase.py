@@ -56,12 +56,14 @@ class Phase(NamedTuple):
         name: Unique in the scene.
         exits: What ends it, in the order of the scene: the first one that fires decides.
         checks: What may not happen in it.
+        demands: What holds where it begins: the checks, and what exits wait for instead.
         limit: Longest time in it [s], beyond which no guard is waited for; inf without one.
     """
 
     name: str
     exits: tuple[Exit, ...]
     checks: tuple[Check, ...]
+    demands: tuple[Check, ...]
     limit: float
 
 

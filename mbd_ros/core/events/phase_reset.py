@@ -134,6 +134,7 @@ class PhaseReset:
         assert self.striking is not None
         slack = _SLACK * float(np.abs(p).max(initial=0.0))
         for crossing, failure in self._demands:
+            self.striking.k.refresh(x.q, x.v, crossing.reads)
             if crossing.value(self.striking.k, x, p) < -slack:
                 raise SolveError(f"t = {x.t:.9g} s, impact: {failure}")
 

@@ -198,12 +198,12 @@ class PhaseSteps(Stepper):
     def _refuse_unheld(self, y: State, u: Array | None) -> None:
         """Refuse a phase in which a contact that is held would open or slip from the start."""
         phase = self.phases[self.now]
-        if not phase.checks:
+        if not phase.demands:
             return
         system = self.system.systems[self.now]
         x, k = system.expand(y), system.k
         now = system.evaluate(x, u)
-        for check in phase.checks:
+        for check in phase.demands:
             k.refresh(x.q, x.v, check.crossing.reads)
             if check.crossing.value(k, x, now.lam) < -rounding(y):
                 raise SolveError(f"t = {y.t:.9g} s, phase {phase.name}: {check.failure}")
