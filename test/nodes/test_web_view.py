@@ -100,9 +100,9 @@ def test_robots_by_namespace_get_thirty_frames_a_second_and_a_sleeping_browser_c
     streams.run(3.0)
     counts = turned(page.hear(0.2))
     lasted = time.monotonic() - begin
-    frames = {name: n / lasted for name, n in counts.items()}
-    assert {name[:2] for name in frames} == {"/0", "/1"}
-    assert min(frames.values()) > 5.0 and max(frames.values()) <= 30.5
+    assert {name[:2] for name in counts} == {"/0", "/1"}
+    assert min(counts.values()) > 5.0 * lasted
+    assert max(counts.values()) <= 30.0 * (lasted + 0.3)  # of what was under way before
     page.close()
     sleeping.socket.socket.close()
 
@@ -189,7 +189,7 @@ def test_what_topics_tell_is_on_the_page_and_a_pull_is_the_wrench_of_the_scene(
         return {"/0/points", "/0/forces"} <= drawn and "torque 0.25 N·m" in said
 
     probe.spin_until(is_shown)
-    probe.spin_until(lambda: page.hear(0.2) and "/web_view: ok shown" in str(page.state))
+    probe.spin_until(lambda: tell() or "/web_view: ok shown" in str(page.state))
 
     heard = []
     probe.node.create_subscription(WrenchStamped, "/simulator/wrench/hand", heard.append, 10)
