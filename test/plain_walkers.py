@@ -42,6 +42,12 @@ class PlainWalker:
     def basis(self, x):
         return np.eye(self.size)
 
+    def is_timed(self, segment):
+        return False
+
+    def ends_phase(self, segment):
+        return True
+
     def _step(self, y, h):
         k = []
         for row in _A[:-1]:
@@ -117,4 +123,65 @@ def rimless_wheel(slope=0.08, alpha=math.pi / 8, gravity=9.81):
         lambda y: (slope - alpha, cosine * y[1]),
         2,
         dt=0.05,
+    )
+
+
+def round_foot_walker(slope=0.01, hip=1.0, leg=0.5, inertia=0.02, middle=0.5, radius=0.2):
+    """A walker that rolls on round feet; legs of 1 m to the centres of the feet, gravity 1.
+
+    y = a, b, a', b': stance and swing leg from the normal, positive where a leg leans downhill
+    seen from its foot. The hip moves with ((cos a + r), -sin a) times -a' of the stance leg.
+    """
+
+    def places(a, b):
+        """Jacobians of hip, stance and swing mass by (a', b'), and what their rates add."""
+        hip_ = np.array([[-(math.cos(a) + radius), 0.0], [-math.sin(a), 0.0]])
+        one, two = (np.array([middle * math.cos(s), middle * math.sin(s)]) for s in (a, b))
+        return hip_, hip_ + np.outer(one, [1.0, 0.0]), hip_ + np.outer(two, [0.0, 1.0])
+
+    masses = (hip, leg, leg)
+
+    def rates(y):
+        a, b, da, db = y.tolist()
+        jacobians = places(a, b)
+        hip_ = np.array([math.sin(a), -math.cos(a)]) * da * da
+        one, two = (
+            middle * np.array([-math.sin(s), math.cos(s)]) * ds * ds
+            for s, ds in ((a, da), (b, db))
+        )
+        drifts = (hip_, hip_ + one, hip_ + two)
+        weight = np.array([math.sin(slope), -math.cos(slope)])
+        M, f = inertia * np.eye(2), np.zeros(2)
+        for m, J, drift in zip(masses, jacobians, drifts, strict=True):
+            M += m * J.T @ J
+            f += m * J.T @ (weight - drift)
+        return da, db, *np.linalg.solve(M, f)
+
+    def reset(y):
+        """Angular momentum about the new foot, and that of the old stance leg about the hip."""
+        a, b, da, db = y
+        before = [J @ (da, db) for J in places(a, b)]
+        spins = inertia * da, inertia * db
+        hip_, old, new = places(b, a)[0], places(b, a)[2], places(b, a)[1]
+        at = np.array([-math.sin(b), math.cos(b) + radius])  # of the hip, from the new foot
+        arms = [at, at + middle * np.array([math.sin(a), -math.cos(a)])]
+        arms.append(at + middle * np.array([math.sin(b), -math.cos(b)]))
+
+        def cross(arm, v):
+            return arm[0] * v[1] - arm[1] * v[0]
+
+        whole = sum(m * cross(arm, v) for m, arm, v in zip(masses, arms, before, strict=True))
+        whole += sum(spins)
+        own = leg * cross(arms[1] - arms[0], before[1]) + spins[0]
+        M = np.zeros((2, 2))
+        for i in range(2):
+            unit = np.eye(2)[i]  # new stance rate, new swing rate
+            after = [hip_ @ unit, old @ unit, new @ unit]
+            M[0, i] = sum(m * cross(r, v) for m, r, v in zip(masses, arms, after, strict=True))
+            M[0, i] += inertia
+            M[1, i] = leg * cross(arms[1] - arms[0], after[1]) + inertia * unit[1]
+        return b, a, *np.linalg.solve(M, [whole, own])
+
+    return PlainWalker(
+        rates, lambda y: -(y[0] + y[1]), reset, 4, 0.05, may_strike=lambda y: y[0] < -0.05
     )

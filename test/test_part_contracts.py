@@ -221,7 +221,7 @@ def test_force_does_the_work_that_its_potential_loses(name, base):
     scene = scene_with("forces", name, base)
     part, model = part_in(scene), scene.robot.model
     for k, x in moments(scene):
-        still, v = State(x.t, x.q, 0.0 * x.v), x.v
+        still, v = x._replace(v=0.0 * x.v), x.v
         power = v @ part.force(*refreshed(k, still), scene.inputs.safe)
         ends = [
             part.potential(*refreshed(k, still._replace(q=pin.integrate(model, x.q, h * v))))

@@ -171,8 +171,10 @@ class Load(Part):
     Attributes:
         surfaces: Names of those at which it jumps, see `events.switching.DiscontinuousForce`.
         brings: Entries of the `<dynamics>` of its `joint` that it covers: friction, damping.
+        gives_work: Whether its work counts as that of an actuator, as of every `Actuator`.
     """
 
+    gives_work: bool = False
     brings: tuple[str, ...] = ()
     surfaces: tuple[str, ...] = ()
 
@@ -215,6 +217,7 @@ class Actuator(Load):
         takes: Meaning and unit of a command; empty where it is the torque of the joint.
     """
 
+    gives_work = True
     joints: tuple[str, ...]
     takes: str = ""
 

@@ -61,6 +61,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "bushing": "mbd_ros.forces.bushing:Bushing",
         "path_force": "mbd_ros.forces.path_force:PathForce",
         "path_spring": "mbd_ros.forces.path_spring:PathSpring",
+        "push_off": "mbd_ros.forces.push_off:PushOff",
         "soft_limit": "mbd_ros.forces.soft_limit:SoftLimit",
     },
     "integrators": {

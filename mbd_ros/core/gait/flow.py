@@ -79,3 +79,11 @@ class HybridFlow(Protocol):
     def reset(self, segment: Segment, x: State) -> State:
         """The state after the event at the end of a segment, from one at which its guard is 0."""
         ...
+
+    def is_timed(self, segment: Segment) -> bool:
+        """Whether the event at the end comes a given time after the begin of its phase."""
+        ...
+
+    def ends_phase(self, segment: Segment) -> bool:
+        """Whether the event at the end begins a phase, whose time counts from there."""
+        ...

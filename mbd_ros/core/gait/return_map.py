@@ -1,20 +1,11 @@
 """The map from one event of a gait to the same event a cycle later."""
 
-from functools import reduce
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from mbd_ros.core.gait.flow import HybridFlow, Segment
-from mbd_ros.core.gait.saltation import (
-    crossing,
-    landed,
-    landing,
-    reset_along,
-    saltation,
-    transition,
-)
+from mbd_ros.core.gait.saltation import landed, landing, section_reset, through, transition
 from mbd_ros.core.gait.travel import Travel
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import FORGOTTEN
@@ -95,13 +86,14 @@ class ReturnMap:
             SolveError: The motion grazes a guard.
         """
         flow, segments = self.flow, passage.segments
-        first = reset_along(flow, passage.start, crossing(flow, passage.start, passage.begin))
-        parts = [first, transition(flow, segments[0])]
-        for before, segment in pairwise(segments):
-            parts += [saltation(flow, before), transition(flow, segment)]
-        parts.append(landing(flow, segments[-1]))
-        parts.append(self.travel.without(segments[-1].end, flow.size))
-        return reduce(lambda done, part: part.dot(done), parts)
+        moved, late = section_reset(flow, passage.start), np.zeros(flow.size)
+        for segment in segments[:-1]:
+            moved, delays = through(flow, segment, transition(flow, segment).dot(moved), late)
+            late = delays if flow.ends_phase(segment) else late
+        last = segments[-1]
+        moved = landing(flow, last, transition(flow, last).dot(moved), late)
+        found: Array = self.travel.without(last.end, flow.size).dot(moved)
+        return found
 
 
 def multipliers(derivative: Array) -> Array:

@@ -58,6 +58,8 @@ def landed(flow: HybridFlow, segment: Segment, x: State, rate: Array) -> State:
         x: State.
         rate: Direction, in the tangent, shape (n,).
     """
+    if flow.is_timed(segment):
+        return x
     speed = _speed(flow, segment, x, rate)
     best, height = x, abs(flow.value(segment, x))
     for _ in range(_LANDINGS):
@@ -90,9 +92,45 @@ def saltation(flow: HybridFlow, segment: Segment) -> Array:
     Raises:
         SolveError: The motion only touches the guard.
     """
+    return through(flow, segment, np.eye(flow.size), np.zeros(flow.size))[0]
+
+
+def through(flow: HybridFlow, segment: Segment, moved: Array, late: Array) -> tuple[Array, Array]:
+    """Derivatives of a state and of a delay, from before an event to after it.
+
+    An event that comes a given time after another one is as late as that was: its delay is no
+    function of the state there.
+
+    Args:
+        flow: The flow.
+        segment: Ends with the event.
+        moved: Derivative of the state before it by some start, shape (n, k).
+        late: That of the delay with which its phase began [s], shape (k,).
+
+    Returns:
+        Those of the state after it, at the time of the nominal event, and of its own delay.
+    """
+    after = flow.rate(segment.after)
+    if flow.is_timed(segment):
+        delayed = moved + np.outer(flow.rate(segment.end), late)
+        return _reset_anywhere(flow, segment).dot(delayed) - np.outer(after, late), late
     before = crossing(flow, segment, segment.end)
-    along = reset_along(flow, segment, before)
-    return along - np.outer(flow.rate(segment.after), before.delays)
+    delays = before.delays.dot(moved)
+    return reset_along(flow, segment, before).dot(moved) - np.outer(after, delays), delays
+
+
+def section_reset(flow: HybridFlow, segment: Segment) -> Array:
+    """Derivative of the state after the event of a section, wherever a start meets it."""
+    if flow.is_timed(segment):
+        return _reset_anywhere(flow, segment)
+    return reset_along(flow, segment, crossing(flow, segment, segment.end))
+
+
+def _reset_anywhere(flow: HybridFlow, segment: Segment) -> Array:
+    def after(near: State) -> Array:
+        return flow.minus(flow.reset(segment, near), segment.after)
+
+    return derivative(flow, after, segment.end)
 
 
 def reset_along(flow: HybridFlow, segment: Segment, before: Crossing) -> Array:
@@ -105,10 +143,19 @@ def reset_along(flow: HybridFlow, segment: Segment, before: Crossing) -> Array:
     return derivative(flow, after, segment.end)
 
 
-def landing(flow: HybridFlow, segment: Segment) -> Array:
-    """Derivative of the state at which a motion meets a guard, by one near by, shape (n, n)."""
+def landing(flow: HybridFlow, segment: Segment, moved: Array, late: Array) -> Array:
+    """Derivative of the state at which a motion meets the section, from that at a fixed time.
+
+    Args:
+        flow: The flow.
+        segment: Ends with the event of the section.
+        moved: As for `through`.
+        late: As for `through`.
+    """
+    if flow.is_timed(segment):
+        return moved + np.outer(flow.rate(segment.end), late)
     before = crossing(flow, segment, segment.end)
-    return np.eye(flow.size) + np.outer(before.rate, before.delays)
+    return moved + np.outer(before.rate, before.delays.dot(moved))
 
 
 def transition(flow: HybridFlow, segment: Segment) -> Array:

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.dynamics.equilibrium import settled
 from mbd_ros.core.dynamics.phased_system import PhasedSystem
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.events.crossings import Combination, Gap
@@ -24,10 +25,17 @@ _TURN, _NONE = 2.0 * np.pi, np.zeros(0)
 
 
 class _Guard(NamedTuple):
-    """What ends a segment: an exit of a phase, or else a margin of its mode."""
+    """What ends a segment: an exit of a phase, or else a margin of its mode.
+
+    Attributes:
+        exit: The exit.
+        margin: The margin.
+        more: What happens in no time after it: what it is, and the state before it.
+    """
 
     exit: Any = None
     margin: Margin | None = None
+    more: "tuple[tuple[_Guard, State], ...]" = ()
 
 
 class SimulatedFlow(CheckedSteps):
@@ -45,7 +53,6 @@ class SimulatedFlow(CheckedSteps):
     Attributes:
         size: Length of a tangent.
         longest: As given; may be changed.
-        is_timed: Whether a phase ends after a time, which no state knows.
     """
 
     def __init__(
@@ -66,8 +73,6 @@ class SimulatedFlow(CheckedSteps):
         self._motions = [SmoothMotion(one, dt) for one in systems]
         self.size = 2 * self.system.nv + self.system.internals.nz
         self._turning = np.zeros(0, int) if turning is None else turning
-        exits = () if phased is None else (e for p in phased.phases for e in p.exits)
-        self.is_timed = any(one.after is not None for one in exits)
 
     def plus(self, x: State, d: Array) -> State:
         """As `HybridFlow.plus`."""
@@ -100,21 +105,30 @@ class SimulatedFlow(CheckedSteps):
         y = self.stepper.settle(x, None)
         self.stepper.take_events()
         begin, times, limit = y, [y.t], x.t + self.longest
+        found: Segment | None = None
         while y.t < limit:
             y = self._corrected(self._step(y, None, limit))
             self.stepper.continue_from(y)
-            events = self.stepper.take_events()
-            for event in events:
-                end = self.system.reduce(event.before)
-                times += [end.t] if end.t > times[-1] else []
+            for event in self.stepper.take_events():
+                end, after = self.system.reduce(event.before), self.system.reduce(event.after)
                 guard = self._guard(event.guards, end)
-                after = self.system.reduce(event.after)
+                if found is not None and end.t <= found.end.t:
+                    found = _joined(found, event.guards, guard, end, after)
+                    continue
+                if found is not None:
+                    yield found
+                    if self._ends_cycle(found):
+                        return
+                    begin, times = found.after, [found.after.t, *times[1:]]
+                times += [end.t] if end.t > times[-1] else []
                 found = Segment(begin, np.array(times), end, after, event.guards, guard)
+                times = [after.t]
+            if found is not None and y.t > found.end.t:
                 yield found
                 if self._ends_cycle(found):
                     return
-                begin, times = after, [after.t]
-            if not events:
+                begin, found = found.after, None
+            if y.t > times[-1]:
                 times.append(y.t)
         raise FallError(f"no cycle has ended after {self.longest:g} s")
 
@@ -133,11 +147,6 @@ class SimulatedFlow(CheckedSteps):
         if segment.guard.exit is None:
             return motion.margin(y, segment.guard.margin)
         system, crossing = motion.system, segment.guard.exit.crossing
-        if crossing is None:
-            raise SolveError(
-                f"{', '.join(segment.event)} comes after a time in its phase, which no state "
-                "knows; derivatives go by whole steps there"
-            )
         every = system.expand(y)
         lam = _NONE if isinstance(crossing, Combination | Gap) else system.evaluate(every).lam
         system.k.refresh(every.q, every.v, crossing.reads)
@@ -145,13 +154,20 @@ class SimulatedFlow(CheckedSteps):
 
     def reset(self, segment: Segment, x: State) -> State:
         """As `HybridFlow.reset`."""
-        motion, y = self._motion(x), self._inward(x)
-        if segment.guard.exit is None:
-            after = motion.after(y, segment.guard.margin)
-        else:
-            struck = segment.guard.exit.reset.after(motion.system.expand(y))
-            after = self._motion(segment.after).system.reduce(struck.x._replace(mode=()))
-        return after._replace(mode=segment.after.mode)
+        x = self._after(segment.guard, x)
+        for guard, before in segment.guard.more:
+            x = self._after(guard, x._replace(mode=before.mode))
+        return x._replace(mode=segment.after.mode)
+
+    def is_timed(self, segment: Segment) -> bool:
+        """As `HybridFlow.is_timed`."""
+        one = segment.guard.exit
+        return one is not None and one.crossing is None
+
+    def ends_phase(self, segment: Segment) -> bool:
+        """As `HybridFlow.ends_phase`."""
+        guards = (segment.guard, *(guard for guard, _ in segment.guard.more))
+        return any(guard.exit is not None for guard in guards)
 
     def onto(self, x: State) -> State:
         """The state on the rows of its mode."""
@@ -159,7 +175,11 @@ class SimulatedFlow(CheckedSteps):
 
     def own(self, segment: Segment) -> Segment:
         """A segment of the same scene with other numbers, with the guard of this one."""
-        return segment._replace(guard=self._guard(segment.event, segment.end))
+        more = tuple(
+            (self._guard(segment.event, before), before) for _, before in segment.guard.more
+        )
+        guard = self._guard(segment.event, segment.end)._replace(more=more)
+        return segment._replace(guard=guard)
 
     def states(self, segment: Segment, count: int) -> list[State]:
         """States of a segment at equal times, both ends included."""
@@ -190,6 +210,8 @@ class SimulatedFlow(CheckedSteps):
             SolveError: The mechanism cannot be assembled near it.
         """
         y = self._assembled(x)
+        if self._nz:
+            y = settled(self.system, y, None)
         self.stepper.restart()
         return self.stepper.settle(y, None)
 
@@ -201,8 +223,30 @@ class SimulatedFlow(CheckedSteps):
                     return _Guard(exit=one)
         return _Guard(margin=self._motion(end).margin_at(names, self._inward(end)))
 
+    def _after(self, guard: _Guard, x: State) -> State:
+        """The state after one event, in the mode that begins."""
+        motion, y = self._motion(x), self._inward(x)
+        if guard.exit is None:
+            assert guard.margin is not None
+            after = motion.after(y, guard.margin)
+            phase = 0 if self._phased is None else self._phased.phase(x)
+            return after if self._phased is None else self._phased.outward(phase, after)
+        assert self._phased is not None
+        struck = guard.exit.reset.after(motion.system.expand(y))
+        system = self._phased.systems[guard.exit.then]
+        return system.reduce(struck.x._replace(mode=()))
+
     def _motion(self, x: State) -> SmoothMotion:
         return self._motions[0 if self._phased is None else self._phased.phase(x)]
 
     def _inward(self, x: State) -> State:
         return x if self._phased is None else self._phased.inward(x)
+
+
+def _joined(
+    found: Segment, names: tuple[str, ...], guard: _Guard, before: State, after: State
+) -> Segment:
+    """A segment whose end leads on in no time."""
+    more = (*found.guard.more, (guard, before))
+    event = (*found.event, *names)
+    return found._replace(event=event, after=after, guard=found.guard._replace(more=more))

@@ -8,6 +8,7 @@ import pinocchio as pin
 from mbd_ros.core.gait.periodic import PeriodicMotion
 from mbd_ros.core.gait.simulated_flow import SimulatedFlow
 from mbd_ros.core.gait.travel import Travel
+from mbd_ros.core.parts import Load
 from mbd_ros.core.state import Array, State
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.gait_task import GaitTask
@@ -66,8 +67,7 @@ def measures_of(
 
 def _work(flow: SimulatedFlow, motion: PeriodicMotion) -> tuple[float, float]:
     """Positive and negative work of the actuators, by Simpson's rule."""
-    actuators = flow.system.loads.actuators
-    if not actuators:
+    if not _working(flow):
         return 0.0, 0.0
     positive = negative = 0.0
     for segment in motion.passage.segments:
@@ -83,13 +83,18 @@ def _work(flow: SimulatedFlow, motion: PeriodicMotion) -> tuple[float, float]:
     return positive, negative
 
 
+def _working(flow: SimulatedFlow) -> list[Load]:
+    loads = flow.system.loads
+    return [one for one in (*loads.actuators, *loads.forces) if one.gives_work]
+
+
 def _powers(flow: SimulatedFlow, y: State) -> Array:
     """Power of each actuator [W], shape (n,)."""
     system = flow.system
     x = system.expand(y)
     loads, k = system.loads, system.k
     u, found = loads.inputs(x, None), []
-    for actuator in loads.actuators:
+    for actuator in _working(flow):
         k.refresh(x.q, x.v, actuator.reads)
         found.append(float(actuator.force(k, x, u).dot(x.v)))
     return np.array(found)
