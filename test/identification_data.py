@@ -43,6 +43,35 @@ def recording(names, t, **fields):
     return Result({"samples": Table(columns)})
 
 
+def flown(scene, true, t, seed=1):
+    """Recordings of a floating robot: all but efforts, and the wrench that carries its base.
+
+    Velocities are prescribed; poses follow by steps that need not be exact, since dynamics holds
+    for any pose.
+    """
+    model, (base,) = true.robot.model, true.robot.bases
+    _, v, a = fourier(model.nv, t, seed, amplitude=0.4)
+    q = [true.robot.neutral()]
+    for before, after, step in zip(v, v[1:], np.diff(t), strict=False):
+        q.append(pin.integrate(model, q[-1], 0.5 * step * (before + after)))
+    q, data = np.array(q), model.createData()
+    tau = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a, strict=True)])
+    pose = [f"position.{x}" for x in "xyz"] + [f"orientation.{x}" for x in "xyzw"]
+    columns = [Column("time", t)]
+    columns += [Column(f"{base.name}.{n}", q[:, base.q][:, k]) for k, n in enumerate(pose)]
+    for word, values in (("velocity", v), ("acceleration", a)):
+        names = [f"{kind}_{word}.{x}" for kind in ("linear", "angular") for x in "xyz"]
+        own = values[:, base.v]
+        columns += [Column(f"{base.name}.{n}", own[:, k]) for k, n in enumerate(names)]
+    for joint in scene.robot.joints:
+        at = {"position": q[:, joint.q], "velocity": v[:, joint.v], "acceleration": a[:, joint.v]}
+        columns += [Column(f"{joint.name}.{field}", values) for field, values in at.items()]
+    pushes = [f"push.{kind}.{x}" for kind in ("force", "torque") for x in "xyz"]
+    pushed = [Column(name, tau[:, base.v][:, k]) for k, name in enumerate(pushes)]
+    loads = Table([Column("time", t), *pushed])
+    return Result({"samples": Table(columns)}), Result({"samples": loads})
+
+
 def moved(scene, true, t, seed=1, noise=0.0, **options):
     """A recording of a true scene on a random motion, with accelerations."""
     names = scene.couplings.independent

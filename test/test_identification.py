@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from identification_data import fourier, moved, others, recording
+from identification_data import flown, fourier, moved, others, recording
 
 from mbd_ros.api import Scene
 from mbd_ros.cli import main
@@ -115,6 +115,24 @@ def test_a_four_bar_is_weighed_by_the_joints_that_drive_it():
     table, expected = (one.tables["base_parameters"] for one in (found, known))
     assert table.rows == 14
     assert np.abs(table["estimate"] - expected["given"]).max() < 1e-8
+
+
+def test_a_body_that_floats_is_weighed_by_what_carries_it():
+    """No effort of any joint: the six rows of the base and a measured wrench."""
+    entries = {
+        "robot": {"base": "floating"},
+        "external_wrenches": {"push": {"frame": "trunk", "expressed_in": "trunk"}},
+    }
+    scene = scene_from(entries, urdf="free_flyer")
+    true = others(scene)
+    motion, loads = flown(scene, true, np.arange(0.0, 12.0, 0.01))
+    found = identify(scene, motion, wrenches=loads)
+    base = identify(true, motion, wrenches=loads).tables["base_parameters"]
+    table = found.tables["base_parameters"]
+    assert table.rows >= 20
+    assert np.abs(table["estimate"] - base["given"]).max() < 1e-8
+    mass = pin.computeTotalMass(true.robot.model)
+    assert found.tables["bodies"]["mass"].sum() == pytest.approx(mass, rel=1e-4)
 
 
 def test_couplings_left_out_are_missed_and_the_tendon_force_is_predicted():

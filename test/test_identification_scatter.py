@@ -35,8 +35,8 @@ def hits(trials):
 
 
 def test_estimates_scatter_as_they_say():
-    """30 x 43 estimates: 95 % within 1.96 deviations, to 3 sigma of that share."""
-    assert hits(30).mean() == pytest.approx(0.95, abs=0.025)
+    """12 x 43 estimates: 95 % within 1.96 deviations, to 3 sigma of that share."""
+    assert hits(12).mean() == pytest.approx(0.95, abs=0.035)
 
 
 @pytest.mark.soak

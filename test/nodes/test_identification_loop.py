@@ -19,7 +19,7 @@ from mbd_ros.scene.reader import load_scene
 from msg_adapters.time import read_time
 
 pytest.importorskip("clarabel", reason="clarabel is optional (extra: identification)")
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.alone, pytest.mark.soak]
 PERIOD, RATE = 10.0, 250.0  # s, Hz
 LEAD = 3.0  # s: the controller leads to where the motion begins
 NOISE = np.array([0.6, 0.6, 0.4, 0.4, 0.2, 0.1, 0.05])  # N·m

@@ -87,6 +87,8 @@ class Limits:
         fast = np.abs(v).max(axis=0)
         most = np.minimum(beside / away, self._speed[self._independent] / fast)
         motion, left = shape.scaled(share * most), 1.0
+        if not self.keeps(motion.scaled(np.full(len(share), _SMALLER**_STEPS)), t):
+            return None
         for _ in range(_STEPS):
             if self.keeps(motion, t):
                 return Judged(motion, left)

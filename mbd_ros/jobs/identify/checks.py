@@ -11,7 +11,7 @@ from mbd_ros.errors import DataError
 
 _LOW, _HIGH = 0.2, 5.0  # measured over given torque: no robot is described as badly as that
 _MATTERS = 0.3  # of the torque: what the given robot explains at least, to compare units
-_CONDITION = 1.0e5  # of scaled columns: more is a motion that hides some of them
+_CONDITION = 2.0e4  # of scaled columns: more is a motion that hides some of them
 _PART = 0.2  # of a hidden direction: parameters that are named
 _FEWEST = 2.0  # independent rows for each unknown
 _LITTLE = 0.02  # rad or m: a joint that moves less shows nothing

@@ -53,6 +53,11 @@ def add_recordings(parser: argparse.ArgumentParser) -> None:
         help="where velocities and accelerations come from (default: given where a motion has "
         "accelerations, else zero-phase)",
     )
+    add_physics(parser)
+
+
+def add_physics(parser: argparse.ArgumentParser) -> None:
+    """What is looked for, and what is known."""
     parser.add_argument(
         "--band",
         type=float,

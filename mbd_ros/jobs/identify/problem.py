@@ -133,7 +133,7 @@ class Problem:
         self._kept = {}
 
     def movement(self) -> list[tuple[str, float, str]]:
-        """Of each row: its name, how far it moves [rad or m], and the body that it moves first."""
+        """Of each driven joint: name, how far it moves [rad or m], the body it moves first."""
         far, mine = np.zeros(len(self.rows)), self.regressor.coordinates[self.rows]
         for piece in self._pieces:
             step = float(np.median(np.diff(piece.times)))
@@ -141,7 +141,8 @@ class Problem:
         model, at = self.scene.robot.model, self.scene.couplings.v_index
         first = {int(model.joints[body.joint].idx_v): body.name for body in self.bodies}
         names = [first.get(int(at[i]), n) for i, n in zip(mine, self.labels, strict=True)]
-        return list(zip(self.labels, far.tolist(), names, strict=True))
+        every = zip(self.labels, far.tolist(), names, strict=True)
+        return [one for one, joint in zip(every, self.joints, strict=True) if joint >= 0]
 
     def _choose_rows(self, say: Say) -> None:
         """Rows of joints with efforts, and of what nothing drives where wrenches are measured."""
@@ -149,7 +150,7 @@ class Problem:
         independent = scene.couplings.independent
         passive = passive_joints(scene, task.passive, self.learned, say)
         are_measured = any(one.motion.effort is not None for one in self.learned)
-        is_free = bool(passive) and not are_measured
+        is_free = (bool(passive) or scene.robot.floating) and not are_measured
         if not scene.has_loops:
             check_efforts(scene, self.learned, independent if is_free else passive)
         at = IndependentCoordinates(scene.robot, scene.couplings).joint_w
