@@ -99,6 +99,7 @@ UNNAMED = {  # by an empty scene: events, contacts, internal states, several rob
         "dynamics.equilibrium",
         "dynamics.exact_rows",
         "dynamics.extended",
+        "dynamics.phased_system",
         "dynamics.row_heights",
         "dynamics.world_axes",
         "events",

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.dynamics.phased_system import inward
+from mbd_ros.core.dynamics.in_phase import inward
 from mbd_ros.core.dynamics.system import System, evaluation_at
 from mbd_ros.core.state import State
 from mbd_ros.scene.built_scene import Scene

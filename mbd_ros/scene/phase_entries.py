@@ -18,6 +18,7 @@ from mbd_ros.scene.phase_plans import (
     WhenEntry,
 )
 
+MAX_PHASES = 200  # each is a system of its own
 _OF_CONTACTS = ("lift_off", "slip", "tip", "force")  # that are held
 _KINDS = ("touch_down", *_OF_CONTACTS, "joint", "joints", "multiplier", "time")
 
@@ -41,6 +42,8 @@ def build_phases(site: Site, entries: Any) -> dict[str, PhasePlan]:
         SceneError: Names key, what is wrong and what is accepted.
     """
     given = schema.value(entries, Mapping[str, Any], site.where)
+    if len(given) > MAX_PHASES:
+        raise SceneError(f"{site.where}: {len(given)} phases, accepted are {MAX_PHASES}")
     names = _Names(site, tuple(given))
     return {name: _phase(names, name, entry) for name, entry in given.items()}
 

@@ -181,19 +181,3 @@ class PhasedSystem:
     def evaluations(self) -> int:
         """As `System.evaluations`, of all phases."""
         return sum(system.evaluations for system in self.systems)
-
-
-def during(system: System, x: State) -> System:
-    """The system of the phase of a state; the system itself where it has no phases."""
-    return system.during(x) if isinstance(system, PhasedSystem) else system
-
-
-def inward(system: System, x: State) -> State:
-    """The state with the mode that the system of its phase has for it."""
-    return system.inward(x) if isinstance(system, PhasedSystem) else x
-
-
-def phase_names(system: System) -> tuple[str, ...]:
-    """Names of the phases in the order of the scene; empty where it has none."""
-    phases = system.phases if isinstance(system, PhasedSystem) else ()
-    return tuple(phase.name for phase in phases)

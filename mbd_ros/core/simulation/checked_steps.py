@@ -3,8 +3,8 @@
 import math
 from typing import TYPE_CHECKING
 
+from mbd_ros.core.dynamics.in_phase import during, phased
 from mbd_ros.core.dynamics.overshoots import Overshoots
-from mbd_ros.core.dynamics.phased_system import PhasedSystem, during
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.blocks import BlockStepper
 from mbd_ros.core.integration.stepping import Integrator
@@ -54,7 +54,8 @@ class CheckedSteps:
         self.steps, self.worst = 0, (1.0, 0.0)
         has_stops = any(block.part.stops for block in system.layout.smoothed)
         self.overshoots = Overshoots(system) if has_stops else None
-        systems = system.systems if isinstance(system, PhasedSystem) else (system,)
+        several = phased(system)
+        systems = (system,) if several is None else several.systems
         has_rows = any(one.held.rows for one in systems)
         self._is_corrected = has_rows and not integrator.keeps_constraints
         self._nz = system.internals.nz

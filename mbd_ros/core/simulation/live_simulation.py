@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.dynamics.phased_system import PhasedSystem, during, phase_names
+from mbd_ros.core.dynamics.in_phase import during, phase_names, phased
 from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.model.base_motion import world_pose
 from mbd_ros.core.model.joints import Base, Joint
@@ -155,10 +155,8 @@ class LiveSimulation:
     @property
     def phase(self) -> str:
         """Name of the phase of the newest state; empty where the scene has none."""
-        system = self.simulation.system
-        if not isinstance(system, PhasedSystem):
-            return ""
-        return str(system.phases[system.phase(self._y)].name)
+        several = phased(self.simulation.system)
+        return "" if several is None else str(several.phases[several.phase(self._y)].name)
 
     @property
     def begun(self) -> list[str]:

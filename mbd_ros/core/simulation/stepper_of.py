@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from mbd_ros.core.dynamics.phased_system import PhasedSystem
+from mbd_ros.core.dynamics.in_phase import phased
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.core.names import type_name
@@ -23,10 +23,10 @@ def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
         ModelError: The method cannot stop at events, or surfaces stand beside smoothed rows; or it
             cannot move internal states; names them.
     """
-    if isinstance(system, PhasedSystem):
+    if (several := phased(system)) is not None:
         from mbd_ros.core.events.phase_steps import PhaseSteps
 
-        return PhaseSteps(system, lambda one: stepper_of(method, one, dt))
+        return PhaseSteps(several, lambda one: stepper_of(method, one, dt))
     rows, guards = happenings(system)
     surfaces = method.finds_surfaces and any(force.surfaces for force in system.loads.forces)
     if not (guards or surfaces) and (method.at_velocity_level or not rows):

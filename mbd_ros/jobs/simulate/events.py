@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from mbd_ros.core.dynamics.phased_system import phase_names
+from mbd_ros.core.dynamics.in_phase import phase_names
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.events.event import Event
 from mbd_ros.core.names import without_multiplier

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbd_ros.core.dynamics.phased_system import phase_names
+from mbd_ros.core.dynamics.in_phase import phase_names
 from mbd_ros.core.ranges import SHORTEST_DT
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State

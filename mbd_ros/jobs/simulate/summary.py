@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mbd_ros.core.dynamics.phased_system import phase_names
+from mbd_ros.core.dynamics.in_phase import phase_names
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.integration.blocks import BlockStepper
 from mbd_ros.core.simulation.simulation import Simulation

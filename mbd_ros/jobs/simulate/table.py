@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.dynamics.in_phase import during, phase_names
 from mbd_ros.core.dynamics.inputs import command_names
-from mbd_ros.core.dynamics.phased_system import during, phase_names
 from mbd_ros.core.dynamics.showing import Showing
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.parts import Part
