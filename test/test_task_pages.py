@@ -17,7 +17,7 @@ from mbd_ros.nodes.table import NODES
 
 PAGES = task_pages()
 IDS = [page.name for page in PAGES]
-MINUTES = ("demo", "report")  # commands that run for longer than others
+MINUTES = ("demo", "gait", "report")  # commands that run for longer than others
 PROCESSES = ("replay", *MINUTES)  # which take hold of signals or of this process's files
 IN_A_SHELL = ("eval", "export", "ros2", "pip", "colcon", "make", "dask", ".")  # checked, not run
 SYNOPSIS = re.compile(r"\b[A-Z]{2,}\b|\.\.(?!/)|\||\[")  # SCENE, `..`, [a|b]
@@ -124,7 +124,7 @@ def test_my_bag(follow, capsys):
     spring = (-1.0 * q - 0.1 * v)[inside]
     assert np.abs(found["wrist_flexion.effort"][inside] - spring).max() < 0.01
     assert "0 lost" in capsys.readouterr().out
-    assert {p.name for p in (folder / "results").iterdir()} == {"recorded.mcap", "torques.mcap"}
+    assert (folder / "torques.mcap").stat().st_size > 10_000
 
 
 def test_my_prosthesis(follow, capsys):
