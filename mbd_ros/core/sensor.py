@@ -31,6 +31,8 @@ class Sensor(Part):
         unit: Of every component.
         components: Names of the components, one empty word for a single number.
         label: What recordings and messages call the sensor; its name by default.
+        delay: From a measurement to its message [s]; the message carries the time of the
+            measurement.
         is_linear: Whether it is a constant linear function of q and v: `jacobian` and
             `by_position` never change.
         noise_varies: Whether `covariance` depends on the state.
@@ -40,6 +42,7 @@ class Sensor(Part):
     unit: str = ""
     components: tuple[str, ...] = ("",)
     label: str = ""
+    delay: float = 0.0
     is_linear: bool = False
     noise_varies: bool = False
 

@@ -25,6 +25,7 @@ class Accelerometer(Sensor):
         xyz: Place in `frame`, shape (3,).
         noise: Standard deviation of each component.
         label: What recordings and messages call it; empty for its name.
+        delay: From a measurement to its message.
 
     Raises:
         ModelError: Unknown frame.
@@ -44,10 +45,11 @@ class Accelerometer(Sensor):
         xyz: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
         noise: Annotated[NotNegative, Unit("m/s^2")] = 0.05,
         label: str = "",
+        delay: Annotated[NotNegative, Unit("s")] = 0.0,
     ) -> None:
         self.point, self.frame = robot.point(frame, xyz), frame
         self.xyz: Sequence[float] = xyz
-        self.noise, self.label = noise, label
+        self.noise, self.label, self.delay = noise, label, delay
         self._gravity = robot.model.gravity.linear.copy()
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:

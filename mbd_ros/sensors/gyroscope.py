@@ -22,6 +22,7 @@ class Gyroscope(Sensor):
         frame: Link (or frame) in whose axes it measures.
         noise: Standard deviation of each component.
         label: What recordings and messages call it; empty for its name.
+        delay: From a measurement to its message.
 
     Raises:
         ModelError: Unknown frame.
@@ -40,9 +41,11 @@ class Gyroscope(Sensor):
         frame: str,
         noise: Annotated[NotNegative, Unit("rad/s")] = 0.01,
         label: str = "",
+        delay: Annotated[NotNegative, Unit("s")] = 0.0,
     ) -> None:
         self.point = robot.point(frame)
-        self.frame, self.noise, self.label = frame, noise, label
+        self.frame, self.noise = frame, noise
+        self.label, self.delay = label, delay
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
         """Angular velocity in the axes of the link [rad/s], shape (3,)."""

@@ -27,6 +27,7 @@ class Imu(Sensor):
         gyro_noise: Standard deviation of each component of the angular velocity.
         acceleration_noise: Of each component of the specific force.
         label: Topic of its messages; empty for `~/imu/<name>`.
+        delay: From a measurement to its message.
 
     Raises:
         ModelError: Unknown frame.
@@ -49,10 +50,11 @@ class Imu(Sensor):
         gyro_noise: Annotated[NotNegative, Unit("rad/s")] = 0.01,
         acceleration_noise: Annotated[NotNegative, Unit("m/s^2")] = 0.05,
         label: str = "",
+        delay: Annotated[NotNegative, Unit("s")] = 0.0,
     ) -> None:
         self.point, self.frame, self.xyz = robot.point(frame, xyz), frame, xyz
         self.gyro_noise, self.acceleration_noise = gyro_noise, acceleration_noise
-        self.label = label
+        self.label, self.delay = label, delay
         self._gravity = robot.model.gravity.linear.copy()
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:

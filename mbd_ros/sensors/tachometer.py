@@ -20,6 +20,7 @@ class Tachometer(Sensor):
         joint: Joint that it is on.
         noise: Standard deviation.
         label: What recordings and messages call it; empty for its name.
+        delay: From a measurement to its message.
 
     Raises:
         ModelError: Unknown joint.
@@ -36,8 +37,10 @@ class Tachometer(Sensor):
         joint: str,
         noise: Annotated[NotNegative, Unit("rad/s or m/s")] = 0.01,
         label: str = "",
+        delay: Annotated[NotNegative, Unit("s")] = 0.0,
     ) -> None:
-        self.joint, self.noise, self.label = robot.joint(joint), noise, label
+        self.joint, self.noise = robot.joint(joint), noise
+        self.label, self.delay = label, delay
         self.frame, self.unit = joint, f"{self.joint.position_unit}/s"
         self._row = np.zeros((1, int(robot.model.nv)))
         self._none = np.zeros_like(self._row)

@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 from geometry_msgs.msg import Vector3
+from nodes.conftest import ROOT
 from nodes.joint_stream import ACTIVE, MS, parameter_file
 from nodes.simulation_client import DEEP
 from sensor_msgs.msg import Imu, JointState
@@ -132,8 +133,7 @@ def test_dropouts_disorder_and_a_frozen_encoder_stay_bounded_and_are_named(start
         machine.send(i, MEASURED, noise)
         machine.probe.spin_for(0.002)
         if i == 59:
-            health = machine.health()
-            assert health.level == WARN and "hip_flexion.position: frozen" in health.message
+            assert machine.probe.wait_health(is_frozen).level == WARN
     machine.probe.spin_until(
         lambda: read_time(machine.states[-1].header.stamp) >= machine.begin + 149 * STEP
     )
@@ -144,6 +144,10 @@ def test_dropouts_disorder_and_a_frozen_encoder_stay_bounded_and_are_named(start
         for s, m in zip(stamps, machine.states, strict=True)
     ]
     assert max(errors[5:]) < 0.3 and errors[-1] < 3e-3
+
+
+def is_frozen(health):
+    return health.name == NAME and "hip_flexion.position: frozen" in health.message
 
 
 def imu(stamp, values, frame):
@@ -177,6 +181,7 @@ def test_an_imu_is_heard_beside_an_encoder(started, tmp_path):
         values = sensor.measure(system.k, x, Now(found.a, found.lam)).tolist()
         publisher.publish(imu(machine.begin + i * STEP, values, "foot"))
         machine.probe.spin_for(0.003)
+    machine.probe.spin_until(lambda: len(machine.states) == 200)
     assert machine.error(99, machine.states[-1]) < 0.02
     count = len(machine.states)
     publisher.publish(imu(machine.begin + 100 * STEP, values, "shank"))
@@ -190,3 +195,46 @@ def test_reset_and_nothing_measured(started):
     for i in range(10):
         machine.ask(i, MEASURED)
     assert machine.health().level == OK
+
+
+def test_what_the_sensors_of_a_simulator_tell_is_heard(probe, start_node, tmp_path):
+    """Simulator and estimator at 200 Hz, with noise and a delay: all joints are estimated."""
+    scene = tmp_path / "press.yaml"
+    text = (ROOT / "config/scenes/press.yaml").read_text(encoding="utf-8")
+    text = text.replace("../robots", "package://mbd_ros/config/robots").replace(
+        "noise: 1.0e-4}", "noise: 1.0e-4, delay: 0.02}"
+    )
+    text = text.replace("actuators:\n- {type: ideal, joints: [crank], limit: 5.0}\n", "")
+    scene.write_text(text, encoding="utf-8")
+    measured, states, answers = [], [], []
+    create = probe.node.create_subscription
+    kept = [
+        create(JointState, "/simulator/measured_joint_states", measured.append, DEEP),
+        create(JointState, "/joint_states", states.append, DEEP),
+        create(JointState, f"{NAME}/joint_states", answers.append, DEEP),
+    ]
+    given = {"scene": str(scene), "inputs": "none", "memory": 0.5, "timeout": 60.0}
+    file = parameter_file(tmp_path, given)
+    remap = ("-r", "joint_states:=/simulator/measured_joint_states")
+    start_node(arguments=("--params-file", str(file), *remap), target=TARGET).wait_for(ACTIVE)
+    given = {"scene": str(scene), "rate": 200.0, "seed": 3}
+    file = parameter_file(tmp_path, given)
+    target = ("-m", "mbd_ros.nodes", "simulator")
+    start_node(arguments=("--params-file", str(file)), target=target).wait_for(ACTIVE)
+    probe.spin_until(lambda: len(answers) > 300)
+    exact = {read_time(m.header.stamp): m.position for m in states}
+    noise = [
+        m.position[0] - exact[read_time(m.header.stamp)][0]
+        for m in measured
+        if read_time(m.header.stamp) in exact
+    ]
+    assert 0.7e-4 < np.std(noise) < 1.4e-4
+    ahead = read_time(states[-1].header.stamp) - read_time(measured[-1].header.stamp)
+    assert ahead >= 15 * MS
+    errors = [
+        np.abs(np.array(m.position) - exact[read_time(m.header.stamp)]).max()
+        for m in answers[100:]
+        if read_time(m.header.stamp) in exact
+    ]
+    assert len(errors) > 100 and max(errors) < 2e-3
+    assert len(kept) == 3

@@ -21,11 +21,13 @@ from mbd_ros.core.estimation.state_tangent import StateTangent
 from mbd_ros.core.sensor import Sensor
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import ModelError
 
 _PIECE = 0.01  # s, over which A is taken for constant
 _SMALL = 0.25  # of |A dt|, where its exponential is not halved
-_SEARCHES, _FOUND = 20, 1.0e-9  # of the first state [m, rad and rates]
+_STAGE = 0.1  # rad, m or their rates in one step to the first state
+_SEARCHES, _FOUND = 2000, 1.0e-9  # of the first state [m, rad and rates]
 _NEGLIGIBLE = 1.0e-13  # terms of that size
 
 
@@ -65,7 +67,7 @@ class MechanismProcess:
     ) -> None:
         self.simulation, system = simulation, simulation.system
         self._system: System = system
-        self.start = simulation.start(x, system.loads.sources.held(x.t))
+        self.start = self.consistent(x)
         self.sensors = SensorSet(sensors, system)
         self.tangent = StateTangent(system, self.start)
         self._limits = StateLimits(system, self.tangent, positions=limits, velocities=limits)
@@ -77,25 +79,35 @@ class MechanismProcess:
             raise ModelError("process noise must be finite and >= 0")
         self.nw = len(self._density)
 
-    def near(self, x: State, values: Array, P: Array) -> State:
-        """The state of what is integrated that fits a prior and a measurement best.
-
-        Args:
-            x: Mean of the prior, of all joints.
-            values: Measured, NaN where nothing was, shape (m,).
-            P: Covariance of the prior, shape (n, n).
+    def consistent(self, x: State) -> State:
+        """The nearest state of what is integrated to one of all joints.
 
         Raises:
             SolveError: The mechanism cannot be assembled near x.
         """
-        system = self._system
-        prior = y = self.simulation.start(x, system.loads.sources.held(x.t))
+        return self.simulation.start(x, self._system.loads.sources.held(x.t))
+
+    def near(self, x: State, values: Array, P: Array) -> State:
+        """The state of what is integrated that fits a measurement, on the way from x.
+
+        Short steps keep the branches of loops. What is not measured goes as little as the prior
+        allows.
+
+        Args:
+            x: State to begin from.
+            values: Measured, NaN where nothing was, shape (m,).
+            P: Covariance of the prior, shape (n, n).
+
+        Raises:
+            SolveError: No consistent state is near.
+        """
+        y = x
         for _ in range(_SEARCHES):
             seen = self.sensors.observe(y, None, self.tangent)
-            error = values - seen.y + seen.H.dot(self.minus(y, prior))
-            step = updated(P, seen.H, seen.R, error).step
-            before, y = y, self.plus(prior, step)
-            if float(np.abs(self.minus(y, before)).max()) <= _FOUND:
+            step = updated(P, seen.H, seen.R, values - seen.y).step
+            longest = float(np.abs(step).max())
+            y = self.plus(y, step * min(1.0, _STAGE / max(longest, TINY)))
+            if longest <= _FOUND:
                 break
         return y
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from mbd_ros.core.estimation.kalman_update import updated
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
@@ -89,6 +90,9 @@ class Process(Protocol):
 
     def minus(self, x1: Any, x0: Any) -> Array:
         """The d with x0 (+) d = x1, shape (n,)."""
+
+    def near(self, x: Any, values: Array, P: Array) -> Any:
+        """The state that fits a measurement, on the way from x; P says what goes easily."""
 
     def turned(self, x0: Any, x1: Any) -> Array | None:
         """From steps at x0 to the same steps at a state beside it, (n, n); None for unity."""
@@ -172,6 +176,10 @@ class LinearProcess:
     def minus(self, x1: Array, x0: Array) -> Array:
         """As `Process.minus`."""
         return x1 - x0
+
+    def near(self, x: Array, values: Array, P: Array) -> Array:
+        """As `Process.near`."""
+        return x + updated(P, self.C, self.R, values - self.C.dot(x)).step
 
     def turned(self, x0: Array, x1: Array) -> None:
         """As `Process.turned`: the same everywhere."""

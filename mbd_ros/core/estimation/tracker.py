@@ -139,7 +139,8 @@ class Tracker:
         """
         self.restarts += 1
         estimator = self.estimator
-        estimator.begin(self.belief.x, self._prior, t)
+        x = estimator.process.near(self.belief.x, values, self._prior)
+        estimator.begin(x, self._prior, t)
         belief = estimator.correct(Measurement(t, values))
         self._steps.clear()
         self.faults.forget(t)

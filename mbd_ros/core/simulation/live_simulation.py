@@ -12,7 +12,7 @@ from mbd_ros.core.model.base_motion import world_pose
 from mbd_ros.core.model.joints import Base, Joint
 from mbd_ros.core.model.poses import POSE, TWIST, with_sign_of
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.outputs import FrictionCone, Output
+from mbd_ros.core.outputs import FrictionCone, Now, Output
 from mbd_ros.core.parts import Wrench
 from mbd_ros.core.projection.assembly import Violation, violation
 from mbd_ros.core.simulation.command_watch import CommandWatch
@@ -26,6 +26,7 @@ from mbd_ros.errors import DivergedError, MbdError, ModelError, SolveError
 
 if TYPE_CHECKING:
     from mbd_ros.core.events.event import Event
+    from mbd_ros.core.simulation.noisy_sensors import NoisySensors
 
 _NO_TWISTS: Array = np.zeros((0, TWIST))
 
@@ -176,6 +177,16 @@ class LiveSimulation:
     def cones(self) -> list[FrictionCone]:
         """The friction cones of `showing` at the newest state."""
         return self.showing.cones_at(self._x, *self._evaluated)
+
+    def measured(self, sensors: "NoisySensors", sample: int) -> list[Array]:
+        """What each sensor tells of the newest state.
+
+        Args:
+            sensors: With their noise.
+            sample: Number of the sample since the start.
+        """
+        _, a, lam = self._evaluated
+        return sensors.at(self.simulation.system, self._x, Now(a, lam), sample)
 
     def _inputs(self) -> Array:
         """Inputs of this tick, shape (nu,); those of actuators come first."""

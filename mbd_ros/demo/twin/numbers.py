@@ -156,7 +156,7 @@ def _run(scene: Scene, fault: str) -> Run:
 
 def _tracker(estimation: Estimation) -> Tracker:
     process, first = estimation.process, estimation.scene.initial
-    y = process.near(first, np.array([first.q[0]]), estimation.prior)
+    y = process.near(process.consistent(first), np.array([first.q[0]]), estimation.prior)
     estimation.estimator.begin(y, estimation.prior, 0.0)
     return Tracker(estimation.estimator, process.sensors)
 

@@ -155,7 +155,7 @@ def _filtered(
     process, estimator = estimation.process, estimation.estimator
     first = estimation.scene.initial._replace(t=float(times[0]))
     with about(where):
-        y = process.near(first, values[0], estimation.prior)
+        y = process.near(process.consistent(first), values[0], estimation.prior)
         estimator.begin(y, estimation.prior, float(times[0]))
     tracker = Tracker(estimator, process.sensors, memory=0.0)
     tracker.watch = InnovationWatch(len(times))

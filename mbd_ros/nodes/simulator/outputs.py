@@ -53,6 +53,11 @@ class SimulatorOutputs:
         self._phase = None
         if plant.live.phase:
             self._phase = PhaseTopic(node, plant.live)
+        self._sensed = None
+        if plant.scene.sensors:
+            from mbd_ros.nodes.simulator.sensed import SensorTopics  # only with sensors
+
+            self._sensed = SensorTopics(node, plant.live, plant.scene.sensors, plant.seed, STATES)
         self._contacts = None
         if plant.live.showing.cones:
             from mbd_ros.nodes.simulator.contacts import ContactTopics  # only with contacts
@@ -92,6 +97,8 @@ class SimulatorOutputs:
                 self._events.publish(event)
         if self._contacts is not None:
             self._contacts.publish(stamp)
+        if self._sensed is not None:
+            self._sensed.publish(stamp)
         if self._motion.get_subscription_count():
             self._motion.publish(plant.motion(stamp))
         rate, now = values.marker_rate, perf_counter()

@@ -83,4 +83,12 @@ PARAMETERS = (
         "move.",
         (),
     ),
+    Parameter(
+        "seed",
+        int,
+        "Of the noise of the sensors of the scene: the same seed, the same noise.",
+        0,
+        low=0,
+        high=2**31 - 1,
+    ),
 )

@@ -42,6 +42,7 @@ class Plant:
         scene: The scene, with a load for every link that can be pushed.
         live: The simulation.
         pushes: Which links these are.
+        seed: Of the noise of sensors.
         reader: Messages to commands.
         has_actuators: Whether anything can be commanded.
         wrenches: What takes the external loads, by name.
@@ -58,6 +59,7 @@ class Plant:
     def __init__(self, values: Any, description: str | None, tell: Tell | None = None) -> None:
         self.pushes = Pushes(load_scene(values.scene, description), values.pushed_links)
         self.scene = scene = self.pushes.scene
+        self.seed = values.seed
         self.has_actuators = bool(scene.commanded)
         self.reader = command_reader(scene, values.joints)
         times = values.command_timeout, values.safe_ramp

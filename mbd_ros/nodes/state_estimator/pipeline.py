@@ -143,7 +143,7 @@ class EstimatorPipeline:
         first = start._replace(t=0.0, v=start.v.copy())
         told = np.flatnonzero(np.isfinite(velocity))
         first.v[[self._v[i] for i in told]] = velocity[told]
-        y = found.process.near(first, values, found.prior)
+        y = found.process.near(found.process.consistent(first), values, found.prior)
         found.estimator.begin(y, found.prior, 0.0)
         names = ("memory", "patience", "max_age", "gate", "agility")
         options = {name: getattr(kept, name) for name in names}
