@@ -120,3 +120,19 @@ def test_spokes_that_strike_one_after_the_other_roll_as_one_that_is_relabelled()
     speeds = events["wheel.velocity.after"], one["wheel.velocity.after"]
     np.testing.assert_allclose(*speeds, rtol=1.0e-9)
     np.testing.assert_array_equal(events["phase.after"], [1, 2, 3, 4, 5])
+
+
+@pytest.mark.parametrize("kind", ["rk4", "adams", "dop853"])
+def test_checkpoint_in_any_phase_goes_on_with_the_same_bits(kind):
+    """Just before and after a strike, in a simulation that walked already."""
+    scene = mbd.load_scene("simplest_walker").with_(integrator={"type": kind}, dt=0.02)
+    simulation, states, kept = scene.simulation(), [], []
+    for k, x in enumerate(simulation.run(scene.initial, 8.0)):
+        states.append(x)
+        if k in (190, 194, 195):
+            kept.append((k, simulation.checkpoint()))
+    for k, checkpoint in kept:
+        for other in (simulation, scene.simulation()):
+            rest = list(other.run(checkpoint, 8.0))
+            assert [x.q.tobytes() for x in rest] == [x.q.tobytes() for x in states[k + 1 :]]
+            assert [x.mode for x in rest] == [x.mode for x in states[k + 1 :]]
