@@ -221,6 +221,7 @@ BAD = {
     "no effort": (lambda d, n: changed(d, n, "effort", lambda x: x * np.nan), "no effort of"),
     "zeros": (lambda d, n: changed(d, n[:1], "effort", lambda x: 0.0 * x), "is 0 in every"),
     "currents": (lambda d, n: changed(d, n, "effort", lambda x: 0.08 * x), "currents"),
+    "another sign": (lambda d, n: changed(d, n, "effort", lambda x: -x), "of the other sign"),
     "too short": (lambda d, n: short(d), "too short"),
     "a joint at rest": (lambda d, n: rested(d, n[3]), "moves by 0 only"),
 }
@@ -246,6 +247,36 @@ def test_a_joint_at_rest_is_named_with_what_it_hides():
     data = rested(moved(scene, scene, t), scene.couplings.independent[3])
     with pytest.raises(DataError, match=r"link4\.mass link4\.cx"):
         identify(scene, data)
+
+
+def test_currents_become_torques_by_gains_and_a_lost_sample_is_no_matter():
+    scene, t = scene_from({}, urdf="arm7"), np.arange(0.0, 12.0, 0.01)
+    names, true = scene.couplings.independent, others(scene)
+    currents = changed(moved(scene, true, t, noise=0.01), names, "effort", lambda x: x / 20.0)
+    lost = changed(currents, names[2:3], "effort", lambda x: np.where(t == t[400], np.nan, x))
+    found = identify(scene, lost, gains=dict.fromkeys(names, 20.0))
+    assert found.errors["identified"] < 2e-3 < 0.02 < found.errors["given"]
+    assert any("1 samples without an effort" in line for line in found.remarks)
+    with pytest.raises(DataError, match="no such joint"):
+        identify(scene, currents, gains={"elbow": 1.0})
+
+
+CART = """<robot name="cart"><link name="rail"/><link name="cart"/><link name="pole"/>
+ <joint name="slide" type="prismatic"><parent link="rail"/><child link="cart"/>
+  <axis xyz="1 0 0"/><limit lower="-2" upper="2" velocity="2" effort="100"/></joint>
+ <joint name="hinge" type="continuous"><parent link="cart"/><child link="pole"/>
+  <axis xyz="0 1 0"/></joint></robot>"""
+
+
+def test_a_description_without_any_mass_gets_its_masses_from_the_motion():
+    """As a prosthesis without a drawing: what moves is weighed, whatever nothing was known of."""
+    scene, t = scene_from({}, urdf=CART), np.arange(0.0, 12.0, 0.01)
+    cart, pole = np.diag([0.1, 0.1, 0.1]), np.diag([0.1, 0.1, 0.01])
+    true = scene.with_inertias({"cart": (5.0, [0, 0, 0], cart), "pole": (1.2, [0, 0, 0.5], pole)})
+    found = identify(scene, moved(scene, true, t, noise=0.02, amplitude=0.3))
+    table = found.tables["base_parameters"]
+    assert table["consistent"] == pytest.approx([6.2, 0.0, 0.6, 0.4], abs=0.02)
+    assert found.errors["identified"] < 2e-3
 
 
 def test_joints_that_lack_are_named(tmp_path, capsys):

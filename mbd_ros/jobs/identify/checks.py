@@ -43,15 +43,18 @@ def check_units(
         if np.linalg.norm(alone) < 1e-9 * max(np.linalg.norm(y), 1e-300) or not left.any():
             continue
         along = float(alone @ left) / float(np.linalg.norm(alone) * np.linalg.norm(left))
-        if along > 1.0 - _MATTERS and np.linalg.norm(left) > _MATTERS * np.linalg.norm(y) / 3.0:
+        if (
+            abs(along) > 1.0 - _MATTERS
+            and np.linalg.norm(left) > _MATTERS * np.linalg.norm(y) / 3.0
+        ):
             slopes[label] = float(alone @ left / (alone @ alone))
     off = {name: slope for name, slope in slopes.items() if not _LOW < slope < _HIGH}
     if off and 2 * len(off) > len(slopes):
         found = ", ".join(f"{name} {slope:.3g}" for name, slope in off.items())
         raise DataError(
             f"{where}: efforts are the torques of the given robot times {found}: these look like "
-            "motor currents or torques before the gear, not N·m at the joint; give the torque for "
-            "a unit of effort of each joint: --gain JOINT=VALUE .."
+            "motor currents, torques before the gear or of the other sign, not N·m at the joint; "
+            "give the torque for a unit of effort of each joint: --gain JOINT=VALUE .."
         )
 
 

@@ -21,7 +21,7 @@ from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import DataError, SolveError, install_hint
 
 _LEAST = 1.0e-3  # of the given pseudo-inertia: what is left of a body
-_LIGHT = 1.0e-3  # of the usual body: what one without mass counts as
+_LIGHT = 1.0e-2  # of the usual body: what one without mass counts as beside others
 _BLUNT = (1.0, 0.1, 0.01, 1.0e-3, 1.0e-4)  # factors of the weight of the data
 _MISSED = 1.0e-5  # of the sizes at hand: by how much a solver may miss the cones
 _FREE = 1.0e-9  # of the weight of bodies: friction is as the data say
@@ -188,13 +188,14 @@ def _maps(given: Array) -> list[Array]:
     every = np.array([pseudo_inertia(numbers) for numbers in given])
     heavy = [P for P in every if np.linalg.eigvalsh(P)[0] > 0.0]
     usual = _bare(np.mean(heavy, axis=0)) if heavy else np.diag([0.01, 0.01, 0.01, 1.0])
+    light = _LIGHT if heavy else 1.0  # nothing is known of a description without any mass
     units = [pseudo_inertia(unit) for unit in np.eye(COUNT)]
     of_numbers = np.array([_svec(unit) for unit in units]).T
     maps = []
     for P in every:
         size = np.sqrt(np.diag(usual))
         least = np.linalg.eigvalsh(P / np.outer(size, size))[0]
-        L = np.linalg.cholesky(P if least > _LIGHT**2 else _lifted(P, usual))
+        L = np.linalg.cholesky(P if least > _LIGHT**3 else _lifted(P, light * usual))
         of_z = np.array([_svec(L @ _matrix(unit) @ L.T) for unit in np.eye(COUNT)]).T
         maps.append(np.linalg.solve(of_numbers, of_z))
     return maps
@@ -205,11 +206,11 @@ def _bare(P: Array) -> Array:
     return np.diag(np.diag(P))
 
 
-def _lifted(P: Array, usual: Array) -> Array:
+def _lifted(P: Array, light: Array) -> Array:
     """A pseudo-inertia that is none, or nearly, made one by a light body around it."""
     values, vectors = np.linalg.eigh(P)
     kept = vectors @ np.diag(np.maximum(values, 0.0)) @ vectors.T
-    lifted: Array = kept + _LIGHT * usual
+    lifted: Array = kept + light
     return lifted
 
 

@@ -25,6 +25,7 @@ from mbd_ros.jobs.progress import Watch, watching
 from mbd_ros.scene.built_scene import Scene
 
 _LEAST = 1.0e-6  # of the usual torque: deviations that weigh rows beside what bodies can have
+_LONGEST = 10.0  # s: of a delay
 _REACH = 1.0  # periods of the end of the band: delays that are looked for
 _AGAIN = 2  # fits: friction that grows with the load needs the load of the model found before
 
@@ -101,6 +102,7 @@ def run_identify(scene: Scene, task: Task, say: Say) -> Identified:
     """See `identify`."""
     if not 0.1 <= task.learned <= 1.0:
         raise DataError(f"--learned {task.learned:g}: accepted are 0.1 .. 1")
+    _check_numbers(task)
     allowed = task.allowed
     bare = without_friction(scene)
     problem = Problem(bare, task, say)
@@ -112,6 +114,14 @@ def run_identify(scene: Scene, task: Task, say: Say) -> Identified:
             problem.carry(fitted.inertial)
             found, fitted = _fitted(problem, allowed, lambda line: None)
     return outcome(scene, problem, found, fitted, say)
+
+
+def _check_numbers(task: Task) -> None:
+    """Refuse numbers without a meaning."""
+    if task.band is not None and not 0.0 < task.band < float("inf"):
+        raise DataError(f"--band {task.band:g}: must be finite and > 0")
+    if task.delay is not None and not abs(task.delay) <= _LONGEST:
+        raise DataError(f"--delay {task.delay:g}: accepted are -{_LONGEST:g} .. {_LONGEST:g} s")
 
 
 def _fitted(problem: Problem, allowed: Sequence[str], say: Say) -> tuple[Learned, Consistent]:

@@ -1,6 +1,6 @@
 """The rows of an identification: which there are, and what is known of them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 
 import numpy as np
@@ -175,13 +175,14 @@ class Problem:
         if self.band is None:
             bands = [band for one in self.learned for band in self._bands(one)]
             self.band = max(bands)
-        self._pieces = [p for one in self.learned for p in pieces(self.scene, one, self.band)]
+        found = (p for one in self.learned for p in pieces(self.scene, one, self.band))
+        names = self.scene.couplings.independent
+        self._pieces = list(_gained(found, names, task.gains))
         self.correlation = np.ones(1)
         self.step = max(float(np.median(np.diff(p.times))) for p in self._pieces)
         if self.band is not None:
             rate = 1.0 / self.step
             self.correlation = Filter.of(rate / grid_step(rate, self.band), self.band).correlation
-        _gain(self._pieces, self.scene.couplings.independent, task.gains)
         at = self.regressor.coordinates[self.rows]
         v = np.concatenate([piece.v for piece in self._pieces])[:, at]
         usual, peak = np.sqrt(np.mean(np.square(v), axis=0)), np.abs(v).max(axis=0)
@@ -202,9 +203,8 @@ class Problem:
     def tested(self) -> Iterator[Piece]:
         """Pieces of what is left for the test, long enough for the filter."""
         for one in self.left:
-            found = list(pieces(self.scene, one, self.band))
-            _gain(found, self.scene.couplings.independent, self.task.gains)
-            yield from found
+            found = pieces(self.scene, one, self.band)
+            yield from _gained(found, self.scene.couplings.independent, self.task.gains)
 
 
 def regressor_of(scene: Scene, recorded: Sequence[Recorded]) -> Regressor | LoopRegressor:
@@ -230,13 +230,13 @@ def _recordings(scene: Scene, task: Task, say: Say) -> Iterator[Recorded]:
         yield read(scene, source, wrenches=load, **options)
 
 
-def _gain(found: Sequence[Piece], names: Sequence[str], gains: dict[str, float]) -> None:
-    """Torques of efforts in other units, in place."""
+def _gained(
+    found: Iterable[Piece], names: Sequence[str], gains: Mapping[str, float]
+) -> Iterator[Piece]:
+    """Pieces with the torques of efforts in other units."""
     unknown = [name for name in gains if name not in names]
     if unknown:
         raise DataError(f"--gain {unknown[0]}: no such joint; there are {', '.join(names)}")
     factors = np.array([gains.get(name, 1.0) for name in names])
     for piece in found:
-        piece.effort[...] *= factors
-        if piece.measured is not piece.effort:
-            piece.measured[...] *= factors
+        yield piece._replace(effort=factors * piece.effort, measured=factors * piece.measured)

@@ -17,6 +17,7 @@ from mbd_ros.jobs.inverse.zero_phase import zero_phase
 from mbd_ros.jobs.lines import Say
 from mbd_ros.scene.built_scene import Scene
 
+_MEASURED = 0.99  # of the samples: a joint with fewer efforts has none
 _LEARNED = 0.6  # of the time of a recording; what follows is for the test
 
 
@@ -99,7 +100,21 @@ def read(
         whole = all(x is not None and np.isfinite(x[:, :n]).all() for x in there)
         whole = whole and all(body.acceleration is not None for body in motion.bodies)
         derivatives = "given" if whole else "zero-phase"
-    return Recorded(name_of(source), motion, loads, derivatives)
+    return Recorded(name_of(source), _filled(motion, n, say), loads, derivatives)
+
+
+def _filled(motion: Motion, n: int, say: Say) -> Motion:
+    """Single samples without an effort take that between their neighbours."""
+    if motion.effort is None:
+        return motion
+    effort, times = motion.effort.copy(), motion.stamps * NANOSECOND
+    for name, values in zip(motion.names[:n], effort[:, :n].T, strict=True):
+        there = np.isfinite(values)
+        if there.all() or there.mean() <= _MEASURED:
+            continue
+        say(f"{name}: {int((~there).sum())} samples without an effort, taken from those beside")
+        values[~there] = np.interp(times[~there], times[there], values[there])
+    return motion._replace(effort=effort)
 
 
 def split(recorded: Recorded, learned: float = _LEARNED) -> tuple[Recorded, Recorded | None]:
@@ -162,7 +177,7 @@ def check_efforts(scene: Scene, recorded: Sequence[Recorded], passive: Sequence[
         effort = one.motion.effort
         there = np.zeros(len(names), dtype=np.bool_)
         if effort is not None:
-            there = np.isfinite(effort[:, : len(names)]).mean(axis=0) > 0.99
+            there = np.isfinite(effort[:, : len(names)]).mean(axis=0) > _MEASURED
         lacking = [name for name, is_there in zip(names, there, strict=True) if not is_there]
         lacking = [name for name in lacking if name not in passive]
         if lacking:
