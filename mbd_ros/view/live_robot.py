@@ -59,6 +59,7 @@ class LiveRobot:
         begin = scene.initial._replace(t=0.0)
         self.begin: State = begin._replace(z=np.nan_to_num(begin.z))
         self.drawn: Drawn = self.frames.at(self.begin)
+        self._plain = self.drawn
         self.low, self.high = box_around(self.solids, self.drawn.poses)
         self.size = max(float((self.high - self.low).max()), SMALLEST)
         self.up, self.offset = upright(scene.robot), np.zeros(3)
@@ -120,7 +121,11 @@ class LiveRobot:
                 return self.frames.at(x, self._no_acceleration, lam, most)
             except (MbdError, ArithmeticError) as error:  # a message may say anything
                 self.fault = f"no forces: {error}"
-        return self.frames.at(x._replace(z=np.nan_to_num(x.z)))
+        try:
+            self._plain = self.frames.at(x._replace(z=np.nan_to_num(x.z)))
+        except (MbdError, ArithmeticError) as error:
+            self.fault = f"not drawn: {error}"
+        return self._plain
 
     def _note_tension(self, sample: LiveSample) -> None:
         found = self.frames.tensions(sample.state, self._no_acceleration, sample.multipliers)

@@ -131,6 +131,7 @@ def test_a_target_is_reached_by_the_reference_that_the_controller_gets(view, pro
     heard = []
     probe.node.create_subscription(JointState, "/my_controller/reference", heard.append, 10)
     _, address = view()
+    probe.meet(NAME)
     page = PageClient(address)
     page.set("joint", "joint6")
     page.set("target of the joint", True)

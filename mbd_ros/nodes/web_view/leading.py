@@ -1,6 +1,7 @@
 """Wrenches and references that a page sends to one robot."""
 
 from collections.abc import Callable
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,13 @@ from mbd_ros.core.state import Array
 from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.view.pull import Pulled
+from msg_adapters.errors import MessageError
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
 from msg_adapters.wrench import write_wrench
 
 _REFERENCE = "/reference"
 _DEPTH = 10
+_TIMES, _AGAIN = 2, 1.0  # that a reference is sent, and s in between
 
 
 class Leading:
@@ -57,6 +60,7 @@ class Leading:
         self._at = [scene.robot.joint(name).q for name in self._joints]
         self._writer = JointStateCdrWriter(self._joints, ("position",))
         self._reference: Publisher | None = None
+        self._posture, self._left, self._due = np.zeros(0), 0, 0.0
         self._last: tuple[Publisher, str] | None = None
 
     def pull(self, pulled: Pulled, k: Kinematics) -> None:
@@ -86,19 +90,40 @@ class Leading:
             self._last = None
 
     def lead(self, q: Array) -> None:
-        """Send a configuration, shape (nq,), as reference."""
+        """Send a configuration, shape (nq,), as reference, once its listener is known."""
         topic = self._found()
         if topic is None:
             return
         if self._reference is None or self._reference.topic_name != topic:
             self._reference = self._node.publish_to(JointState, topic, _DEPTH)
+        self._posture, self._left, self._due = q[self._at], _TIMES, 0.0
+
+    def tend(self) -> None:
+        """Send what is to be sent now.
+
+        A new writer and its reader get to know each other at different times: the last reference
+        is sent again.
+        """
+        reference, now = self._reference, perf_counter()
+        if reference is None or not self._left or now < self._due:
+            return
+        if not reference.get_subscription_count():
+            return
+        self._left, self._due = self._left - 1, now + _AGAIN
         stamp = self._node.get_clock().now().nanoseconds
-        self._reference.publish(self._writer.write(stamp, position=q[self._at]))
+        try:
+            reference.publish(self._writer.write(stamp, position=self._posture))
+        except MessageError as error:
+            self._tell(f"target: {error}")
 
     def _send(self, publisher: Publisher, frame: str, wrench: Array) -> None:
         stamp = self._node.get_clock().now().nanoseconds
-        if np.isfinite(wrench).all():
+        if not np.isfinite(wrench).all():
+            return
+        try:
             publisher.publish(write_wrench(WrenchStamped(), stamp, frame, wrench))
+        except MessageError as error:
+            self._tell(f"pull: {error}")
 
     def _found(self) -> str | None:
         """The topic of references: that of the parameter, or the only one there is."""

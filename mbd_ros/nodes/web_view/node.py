@@ -171,6 +171,8 @@ class WebViewNode(SceneNode):
         reached = page.reached([robot.topics.q for robot in self._robots])
         if reached is not None:
             self._robots[reached[0]].leading.lead(reached[1])
+        for robot in self._robots:
+            robot.leading.tend()
 
     def _do_wishes(self) -> None:
         while (wish := self._page.take_wish()) is not None:
