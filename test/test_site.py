@@ -13,6 +13,8 @@ from mbd_ros.jobs.completion.words import all_words
 from mbd_ros.nodes.table import NODES
 from mbd_ros.scene.registry import PARTS
 
+pytestmark = pytest.mark.timeout(300)  # a build takes 15 s, but not beside others
+
 ROOT = Path(__file__).parents[1]
 LOADING = {"script": "src", "img": "src", "iframe": "src", "link": "href", "source": "src"}
 
@@ -41,7 +43,7 @@ def site(tmp_path_factory):
     pytest.importorskip("myst_parser")
     out = tmp_path_factory.mktemp("site")
     words = [sys.executable, "docs/site/build.py", str(out)]
-    built = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=110)
+    built = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=280)
     assert built.returncode == 0, built.stderr
     assert built.stderr == ""
     return {page.name: Read(page) for page in out.glob("*.html")}

@@ -57,8 +57,8 @@ def assemble(folder: Path) -> None:
     texts = {page.stem: page.read_text(encoding="utf-8") for page in DOCS.glob("*.md")}
     for name in OF_PROJECT:
         texts[name] = (ROOT / f"{name}.md").read_text(encoding="utf-8")
-    texts = {name: at_one_level(text) for name, text in texts.items()}
     texts |= {name: module.page() for name, module in MADE.items()}
+    texts = {name: at_one_level(text) for name, text in texts.items()}
     texts["index"] += navigation(texts["index"])
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(DOCS / "images", folder / "images")
