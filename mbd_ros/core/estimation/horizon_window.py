@@ -18,8 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.estimation.process import Bounded, Observation, Process, Transition
-from mbd_ros.core.optimization.row_bounded_qp import RowBoundedQp
+from mbd_ros.core.optimization.row_bounded_qp import Optimum, RowBoundedQp
+from mbd_ros.core.state import NONE as _NONE
 from mbd_ros.core.state import Array
+from mbd_ros.errors import SolveError
 
 _FLOOR = 1.0e-15  # eigenvalues of a covariance below that share of the largest are none
 
@@ -109,24 +111,54 @@ class HorizonProgram:
         n, roots = self._process.n, [self._root(node.going) for node in nodes[:-1]]
         ends = [n, *(n + np.cumsum([L.shape[1] for L in roots])).tolist()]
         width = ends[-1]
-        H, g, rows = np.eye(width), np.zeros(width), list[Rows]()
+        H, g = np.eye(width), np.zeros(width)
         S, e = self._first(nodes[0], arrival)
         if arrival.P is None:
             H[:n, :n] = 0.0
         paths = [(S, e)]
         for i, node in enumerate(nodes):
             self._measure(node, S, e, H, g)
-            self._bound_state(node, S, e, rows)
             if i < len(roots):
                 S, e = self._onward(node, nodes[i + 1], S, e, roots[i])
-                self._bound_noise(roots[i], ends[i], rows)
                 paths.append((S, e))
-        found = self._qp.solve(H, g, *_stacked(rows, width))
-        steps = np.array([e + S.dot(found.x[: S.shape[1]]) for S, e in paths])
-        P = S.dot(eigenpy.LLT(H).solve(S.T).reshape(width, n))
-        w = [L.dot(found.x[at : at + L.shape[1]]) for L, at in zip(roots, ends, strict=False)]
+        factor = eigenpy.LLT(H)
+        if factor.info() != eigenpy.ComputationInfo.Success:
+            raise SolveError("what was measured does not determine the window")
+        found = Optimum(-factor.solve(g).ravel(), _NONE, 0.0)
+        steps, w = _motion(found.x, paths, roots, ends)
+        if not self._are_kept(nodes, steps, w):
+            rows = self._all_rows(nodes, paths, roots, ends)
+            found = self._qp.solve(H, g, *_stacked(rows, width))
+            steps, w = _motion(found.x, paths, roots, ends)
+        P = S.dot(factor.solve(S.T).reshape(width, n))
         active = int(np.count_nonzero(found.multipliers))
-        return Answer(steps, 0.5 * (P + P.T), found.residual, active, np.array(w))
+        return Answer(steps, 0.5 * (P + P.T), found.residual, active, w)
+
+    def _are_kept(self, nodes: list[Node], steps: Array, w: Array) -> bool:
+        """Whether no bound of states and disturbances is passed."""
+        for node, step in zip(nodes, steps, strict=True):
+            bounds = node.bounds
+            if bounds is not None and len(bounds.values):
+                there = bounds.values + bounds.by.dot(step)
+                if (there < bounds.lower).any() or (there > bounds.upper).any():
+                    return False
+        which = self._is_bounded
+        pushed = w[:, which] if len(w) else w
+        return not ((pushed < self._lower[which]).any() or (pushed > self._upper[which]).any())
+
+    def _all_rows(
+        self,
+        nodes: list[Node],
+        paths: list[tuple[Array, Array]],
+        roots: list[Array],
+        ends: list[int],
+    ) -> list[Rows]:
+        rows = list[Rows]()
+        for i, (node, (S, e)) in enumerate(zip(nodes, paths, strict=True)):
+            self._bound_state(node, S, e, rows)
+            if i < len(roots):
+                self._bound_noise(roots[i], ends[i], rows)
+        return rows
 
     def _root(self, going: Transition | None) -> Array:
         assert going is not None
@@ -184,6 +216,15 @@ class HorizonProgram:
             C = np.zeros((int(which.sum()), at + L.shape[1]))
             C[:, at:] = L[which]
             rows.append(Rows(C, self._lower[which], self._upper[which]))
+
+
+def _motion(
+    xi: Array, paths: list[tuple[Array, Array]], roots: list[Array], ends: list[int]
+) -> tuple[Array, Array]:
+    """Steps of the nodes, and disturbances between them."""
+    steps = np.array([e + S.dot(xi[: S.shape[1]]) for S, e in paths])
+    w = [L.dot(xi[at : at + L.shape[1]]) for L, at in zip(roots, ends, strict=False)]
+    return steps, np.array(w)
 
 
 def _stacked(rows: list[Rows], width: int) -> Rows:
