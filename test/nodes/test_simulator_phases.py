@@ -45,7 +45,7 @@ def test_walk_has_the_bits_of_an_offline_run_and_publishes_each_phase_once(
         ]
         spin(lambda: phases and all(one.get_publisher_count() for one in kept))
         client.pause(False)
-        patience = DEADLINE + 2.0 * duration / FASTER
+        patience = DEADLINE + duration  # a busy machine walks slower
         spin(lambda: len(events) >= len(expected) and len(phases) >= len(names), patience)
         client.pause(True)
         client.settle()
