@@ -70,7 +70,9 @@ def multipliers_of(result, count, row=0):
     return np.array([complex(*pair) for pair in pairs])[:count]
 
 
-@pytest.mark.parametrize("name", LIMIT)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.soak] if "gentle" in n else []) for n in LIMIT]
+)
 def test_the_simplest_walker_as_a_mechanism(name):
     """States and multipliers in the limit of feet without mass, by the trend from two masses.
 
@@ -118,6 +120,17 @@ def test_a_walker_with_knees_walks_as_published():
     bent = result["samples"]["right_knee.position"]
     assert bent.max() > 0.2 and bent.min() > -1e-9
     assert np.abs(result["samples"]["left_knee.position"]).max() < 1e-9
+
+
+def test_a_push_off_walks_on_the_level():
+    """Ankle and hip give over a cycle what the strikes take; their memory is part of the gait."""
+    scene = mbd.load_scene("level_walker")
+    assert scene.robot.model.gravity.linear[0] == 0.0
+    gaits = scene.gait()["gaits"]
+    given = gaits["positive_work"][0] + gaits["negative_work"][0]
+    assert given == pytest.approx(gaits["energy_lost"][0], rel=1e-5)
+    assert gaits["travel"][0] > 0.1 and gaits["cost_of_transport"][0] > 0.0
+    assert bool(gaits["stable"][0]) and 0.0 < gaits["ankle.activation"][0] < 1.0
 
 
 TASK = """\

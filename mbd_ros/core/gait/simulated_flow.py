@@ -25,13 +25,7 @@ _TURN, _NONE = 2.0 * np.pi, np.zeros(0)
 
 
 class _Guard(NamedTuple):
-    """What ends a segment: an exit of a phase, or else a margin of its mode.
-
-    Attributes:
-        exit: The exit.
-        margin: The margin.
-        more: What happens in no time after it: what it is, and the state before it.
-    """
+    """An exit of a phase or a margin of its mode, and what follows in no time."""
 
     exit: Any = None
     margin: Margin | None = None
