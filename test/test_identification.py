@@ -1,5 +1,7 @@
 """Identification: base parameters, consistent bodies, friction, and what is refused."""
 
+import time
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -277,6 +279,20 @@ def test_a_description_without_any_mass_gets_its_masses_from_the_motion():
     table = found.tables["base_parameters"]
     assert table["consistent"] == pytest.approx([6.2, 0.0, 0.6, 0.4], abs=0.02)
     assert found.errors["identified"] < 2e-3
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(600)
+def test_a_million_samples_take_a_minute_of_one_core():
+    scene, t = scene_from({}, urdf="arm7"), np.arange(10**6) * 1e-3
+    names = scene.couplings.independent
+    q, v, a = fourier(7, t, 1, frequency=0.1, amplitude=0.4)
+    tau = others(scene).inverse_dynamics().batch(q, v, a, []).tau + np.tanh(v / 0.02)
+    data = recording(names, t, position=q, velocity=v, effort=tau)
+    before = time.process_time()
+    found = identify(scene, data)
+    assert time.process_time() - before < 60.0
+    assert found.errors["identified"] < 0.01
 
 
 def test_joints_that_lack_are_named(tmp_path, capsys):

@@ -72,7 +72,8 @@ def consistent(
     prior = np.full(whole.shape[1], _FREE)
     prior[: len(one)] = 1.0
     known = np.concatenate([one, np.zeros(len(prior) - len(one))])
-    x = _within_reach(whole, b, np.diag(prior), known, np.flatnonzero(is_signed))
+    signed = len(one) + np.flatnonzero(is_signed)
+    x = _within_reach(whole, b, np.diag(prior), known, signed)
     z = x[: len(one)].reshape(bodies, COUNT)
     inertial = np.array([M @ own for M, own in zip(maps, z, strict=True)])
     away = np.linalg.norm(z - one.reshape(bodies, COUNT), axis=1)

@@ -1,6 +1,7 @@
 """Identification of inertias and friction from recorded motion: `mbd-ros identify`."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -73,10 +74,10 @@ def identify(
         DataError: Recordings that cannot be read, or that say nothing, with the reason.
         SolveError: Inertias that bodies can have are not found.
     """
-    loads = [wrenches] if isinstance(wrenches, str | Result) or hasattr(wrenches, "name") else []
+    loads = [wrenches] if isinstance(wrenches, str | Path | Result) else list(wrenches)
     task = Task(
         motions,
-        loads or list(wrenches),  # type: ignore[arg-type]
+        loads,
         topic,
         derivatives,
         band,

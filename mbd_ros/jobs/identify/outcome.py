@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+import pinocchio as pin
 
 from mbd_ros.core.identification.base_parameters import parameter_name
 from mbd_ros.core.identification.inertial_parameters import parameters_of
@@ -123,8 +124,6 @@ def _base_table(problem: Problem, found: Learned, fitted: Consistent) -> Table:
 
 def _bodies_table(problem: Problem, fitted: Consistent) -> Table:
     """A body a row: its ten numbers about its mass centre, in the axes of its joint."""
-    import pinocchio as pin
-
     found = [pin.Inertia.FromDynamicParameters(p) for p in fitted.inertial]
     given = [problem.scene.robot.model.inertias[body.joint] for body in problem.bodies]
     columns = [
