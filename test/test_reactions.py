@@ -171,6 +171,7 @@ def test_wrenches_of_a_force_do_the_work_of_its_generalized_force(name):
     force = schema.call(part, entry, name, robot)
     model, data, rng = robot.model, robot.model.createData(), np.random.default_rng(6)
     x, u = State(0.3, *rng.uniform(-1, 1, (2, model.nv))), rng.normal(size=len(force.inputs))
+    x = x._replace(z=rng.uniform(size=len(force.internal)))
     pin.forwardKinematics(model, data, x.q, x.v, np.zeros(model.nv))
     pin.computeJointJacobians(model, data)
     pin.updateFramePlacements(model, data)

@@ -81,7 +81,7 @@ def test_what_a_task_leaves_out_is_left_to_the_scene(read):
         ("from: motions/start.csv", "from: 3", "simulate.from: expected a word, got 3"),
         ("from:", "form:", "simulate: unknown key 'form', accepted: duration, start, dt, integra"),
         ("efforts: m", "efforts: package://no/m", "simulate.efforts: package://no/motions/effort"),
-        ("simulate:", "gait:", "unknown key 'gait', accepted: simulate"),
+        ("simulate:", "dance:", "unknown key 'dance', accepted: simulate"),
         (FULL, "simulate:", "asks for nothing, accepted: simulate"),
         (FULL, "simulate: 3", "simulate: expected a mapping, got 3"),
         (FULL, "", "the file is empty"),
