@@ -170,3 +170,9 @@ def test_a_section_without_runs_says_so():
     assert "No contact" in compose([]).text[0]
     failed = compose([("bend", {"failed": "not installed on this worker: mujoco"})])
     assert "mujoco" in failed.text[1]
+
+
+def test_only_packages_that_know_contact_take_part():
+    """Exudyn is a peer of other kinds of the report."""
+    asked = {name for item in kind.items([], quick=True) for name in item.spec["peers"]}
+    assert asked <= set(PEERS.values())

@@ -26,7 +26,8 @@ def items(scenes: Sequence[str], quick: bool) -> list[Item]:
     """One item a problem; none for the scenes of a user, which have no closed form."""
     if scenes:
         return []
-    seconds, peers = (_SECONDS_QUICK if quick else _SECONDS), installed()
+    seconds = _SECONDS_QUICK if quick else _SECONDS
+    peers = [name for name in installed() if name in _PEERS]
     return [
         Item(KIND, p.name, {"problem": p.name, "peers": peers, "quick": quick}, seconds, True)
         for p in problems(quick)
