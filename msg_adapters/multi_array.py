@@ -1,9 +1,7 @@
 """std_msgs/Float64MultiArray <-> vector in an agreed order."""
 
-import math
 import re
 from array import array
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -32,26 +30,6 @@ def read_multi_array(msg: Any, size: int) -> NDArray[np.float64]:
     if not np.isfinite(values).all():
         raise MessageError(f"data is not finite: {values.tolist()}")
     return values
-
-
-def read_labelled(msg: Any, labels: Sequence[str]) -> NDArray[np.float64]:
-    """Values of one message by the labels of its dimensions, one each.
-
-    Args:
-        msg: Float64MultiArray whose layout has a dimension a value, or none.
-        labels: Those asked for.
-
-    Returns:
-        Shape (len(labels),), NaN where a label is missing.
-    """
-    data, dimensions = msg.data, msg.layout.dim
-    found = (
-        {one.label: at for at, one in enumerate(dimensions)}
-        if len(dimensions) == len(data)
-        else {}
-    )
-    rows = [found.get(label) for label in labels]
-    return np.array([math.nan if row is None else data[row] for row in rows], dtype=np.float64)
 
 
 def read_answered(msg: Any) -> int | None:

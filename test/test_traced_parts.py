@@ -9,6 +9,7 @@ from test_part_contracts import NAMED, OF_A_ROBOT, arguments, moments, part_in
 
 from mbd_ros.compiled.symbols.trace import trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
+from mbd_ros.core.outputs import Now
 from mbd_ros.core.parts import Load
 from mbd_ros.core.row_laws import Level
 from mbd_ros.core.rows.constraint import Constraint
@@ -49,10 +50,10 @@ def scene_with(section, name, base, rng, **more):
     return scene_from({"robot": {"base": base}, **parts}, urdf="prosthetic_leg")
 
 
-def methods_of(part):
+def methods_of(part, nv):
     """What an equation of motion, or an estimate, asks of a part."""
     if isinstance(part, Sensor):
-        yield from (partial(part.measure, now=None), part.jacobian)
+        yield from (partial(part.measure, now=Now(np.zeros(nv), np.zeros(0))), part.jacobian)
     if isinstance(part, Constraint):
         yield from (part.jacobian, part.drift, part.rate, part.pushes)
         yield lambda k, x: np.vstack([part.accelerations(k, x)[0].T, part.accelerations(k, x)[1]])
@@ -69,7 +70,7 @@ def test_a_part_of_symbols_has_the_numbers_of_the_part(section, name, base):
         part = part_in(scene)
         nu = len(scene.inputs.channels)
         symbols, u = Symbols(scene.robot, scene.internals.nz, nu), rng.normal(size=nu)
-        asked = [(method, ()) for method in methods_of(part)]
+        asked = [(method, ()) for method in methods_of(part, scene.robot.model.nv)]
         if isinstance(part, Load):
             asked = [(part.force, (symbols.u,)), (part.potential, ())]
             asked += [(part.rates, (symbols.u,))] if part.internal else []

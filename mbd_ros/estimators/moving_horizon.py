@@ -34,7 +34,7 @@ class MovingHorizon(Estimator):
         relinearize: Step of a node after which it is linearised again [m, rad and rates].
         lower: Smallest disturbances, shape (nw,); one number for all; none by default.
         upper: Largest disturbances.
-        bounds: Whether states keep their bounds.
+        keep_bounds: Whether states keep their bounds.
 
     Raises:
         ModelError: Bounds of another size, or a lower one above the upper one.
@@ -53,10 +53,10 @@ class MovingHorizon(Estimator):
         relinearize: Annotated[NotNegative, Unit("-")] = 1.0e-3,
         lower: float | Sequence[float] = -math.inf,
         upper: float | Sequence[float] = math.inf,
-        bounds: bool = True,
+        keep_bounds: bool = True,
     ) -> None:
         super().__init__(process)
-        self.samples, self.arrival, self.bounds = samples, arrival, bounds
+        self.samples, self.arrival, self.keep_bounds = samples, arrival, keep_bounds
         self.iterations, self.settled, self.relinearize = iterations, settled, relinearize
         try:
             low, high = (np.broadcast_to(np.asarray(b, float), process.nw) for b in (lower, upper))
@@ -108,7 +108,7 @@ class MovingHorizon(Estimator):
         judged = updated(self._predicted.P, seen.H, seen.R, values - seen.y)
         self._filtered, used = judged.P, judged.innovation.used
         node = Node(measurement.t, x, np.where(used, values, np.nan), seen=seen)
-        node.bounds = process.bounded(x) if self.bounds else None
+        node.bounded = process.bounded(x) if self.keep_bounds else None
         self._nodes.append(node)
         self._arrivals.append(self._predicted)
         self._shorten()
@@ -180,6 +180,6 @@ class MovingHorizon(Estimator):
         process, nodes, node = self.process, self._nodes, self._nodes[i]
         node.x = x
         node.seen = process.observe(node.x, nodes[i - 1].u if i else node.u)
-        node.bounds = process.bounded(node.x) if self.bounds else None
+        node.bounded = process.bounded(node.x) if self.keep_bounds else None
         if i + 1 < len(nodes):
             node.going = process.advance(node.x, node.u, nodes[i + 1].t)

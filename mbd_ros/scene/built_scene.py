@@ -215,7 +215,10 @@ class Scene(MeasuredScene):
             if self.phases and chosen.must_compile:
                 raise ModelError("solver: compiled does not serve phases; accepted: plain, auto")
             if self.phases or not chosen.compiles:
-                return Simulation(*parts)
+                simulation = Simulation(*parts)
+                if chosen.compiles:
+                    simulation.how = "not compiled: phases change what holds"
+                return simulation
             from mbd_ros.scene.compiling import compiled_simulation, kept_for
 
             kept = None if forces else kept_for(self, chosen.backend)

@@ -37,7 +37,7 @@ class Node:
         u: Inputs after it.
         going: To the next node, linearised at x; None at the end.
         seen: Linearised at x.
-        bounds: At x.
+        bounded: At x.
     """
 
     t: float
@@ -46,7 +46,7 @@ class Node:
     u: Array | None = None
     going: Transition | None = None
     seen: Observation | None = None
-    bounds: Bounded | None = None
+    bounded: Bounded | None = None
 
 
 class Arrival(NamedTuple):
@@ -137,7 +137,7 @@ class HorizonProgram:
     def _are_kept(self, nodes: list[Node], steps: Array, w: Array) -> bool:
         """Whether no bound of states and disturbances is passed."""
         for node, step in zip(nodes, steps, strict=True):
-            bounds = node.bounds
+            bounds = node.bounded
             if bounds is not None and len(bounds.values):
                 there = bounds.values + bounds.by.dot(step)
                 if (there < bounds.lower).any() or (there > bounds.upper).any():
@@ -205,7 +205,7 @@ class HorizonProgram:
 
     @staticmethod
     def _bound_state(node: Node, S: Array, e: Array, rows: list[Rows]) -> None:
-        bounds = node.bounds
+        bounds = node.bounded
         if bounds is not None and len(bounds.values):
             here = bounds.values + bounds.by.dot(e)
             rows.append(Rows(bounds.by.dot(S), bounds.lower - here, bounds.upper - here))

@@ -24,8 +24,8 @@ from mbd_ros.view.frames import Frames
 from mbd_ros.view.live_curves import LiveSample
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader
+from msg_adapters.labelled import read_labelled
 from msg_adapters.marker_shapes import Shapes, read_shapes
-from msg_adapters.multi_array import read_labelled
 from msg_adapters.odometry import read_odometry
 
 _FARTHEST = 1.0e6  # rad or m, of a joint that can be drawn
