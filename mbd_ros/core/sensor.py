@@ -9,9 +9,11 @@ from enum import IntEnum
 import numpy as np
 
 from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.points import Point
 from mbd_ros.core.outputs import Now
 from mbd_ros.core.parts import Part
 from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
 
 
 class Measures(IntEnum):
@@ -80,3 +82,25 @@ class Sensor(Part):
     def covariance(self, k: Kinematics, x: State) -> Array:
         """Covariance of the noise [unit^2], shape (n, n); none by default."""
         return np.zeros((len(self.components), len(self.components)))
+
+
+def specific_force(
+    sensor: Sensor, k: Kinematics, point: Point, now: Now | None, gravity: Array
+) -> Array:
+    """R' (a - g) of a point, in its axes: what an accelerometer feels [m/s^2], shape (3,).
+
+    Args:
+        sensor: Who asks, for the message.
+        k: Kinematics at the state, refreshed to drifts.
+        point: Where it is.
+        now: Accelerations.
+        gravity: In the world [m/s^2], shape (3,).
+
+    Raises:
+        ModelError: Accelerations are not given.
+    """
+    if now is None:
+        raise ModelError(f"{sensor.name} needs accelerations, and none are known")
+    moved = k.jacobian(point).dot(now.a) + k.acceleration(point)
+    felt: Array = k.rotation(point).T.dot(moved - gravity)
+    return felt

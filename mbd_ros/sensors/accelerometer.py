@@ -9,9 +9,8 @@ from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.outputs import Now
 from mbd_ros.core.ranges import NotNegative, Unit, Vector
-from mbd_ros.core.sensor import Measures, Sensor
+from mbd_ros.core.sensor import Measures, Sensor, specific_force
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import ModelError
 
 
 class Accelerometer(Sensor):
@@ -58,10 +57,7 @@ class Accelerometer(Sensor):
         Raises:
             ModelError: Accelerations are not given.
         """
-        if now is None:
-            raise ModelError(f"{self.name} needs accelerations, and none are known")
-        moved = k.jacobian(self.point).dot(now.a) + k.acceleration(self.point)
-        return k.rotation(self.point).T.dot(moved - self._gravity)
+        return specific_force(self, k, self.point, now, self._gravity)
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
         """Derivative by the accelerations of the joints, shape (3, nv)."""

@@ -8,9 +8,8 @@ from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.outputs import Now
 from mbd_ros.core.ranges import NotNegative, Unit, Vector
-from mbd_ros.core.sensor import Measures, Sensor
+from mbd_ros.core.sensor import Measures, Sensor, specific_force
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import ModelError
 
 _ANGULAR = slice(3, 6)  # of a spatial velocity
 
@@ -63,11 +62,8 @@ class Imu(Sensor):
         Raises:
             ModelError: Accelerations are not given.
         """
-        if now is None:
-            raise ModelError(f"{self.name} needs accelerations, and none are known")
-        turn = k.own_jacobian(self.point)[_ANGULAR].dot(x.v)
-        moved = k.jacobian(self.point).dot(now.a) + k.acceleration(self.point)
-        return np.concatenate((turn, k.rotation(self.point).T.dot(moved - self._gravity)))
+        felt = specific_force(self, k, self.point, now, self._gravity)
+        return np.concatenate((k.own_jacobian(self.point)[_ANGULAR].dot(x.v), felt))
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
         """Derivative by the accelerations of the joints, shape (6, nv)."""

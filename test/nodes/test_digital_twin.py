@@ -185,3 +185,4 @@ def test_parameters_that_do_not_fit_are_named(start_node, tmp_path, parameters, 
     file = parameter_file(tmp_path, {"scene": "press", **parameters})
     node = start_node(arguments=("--params-file", str(file)), target=TARGET)
     node.wait_for(said)
+    assert "Traceback" not in node.log

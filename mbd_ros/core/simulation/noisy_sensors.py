@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.model.kinematics import Reads
+from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.outputs import Now
 from mbd_ros.core.sensor import Sensor
 from mbd_ros.core.state import Array, State
@@ -48,9 +48,9 @@ class NoisySensors:
             )
         return found
 
-    def _root(self, i: int, sensor: Sensor, k: object, x: State) -> Array:
+    def _root(self, i: int, sensor: Sensor, k: Kinematics, x: State) -> Array:
         """L with L L' the covariance of a sensor."""
         if i not in self._roots or sensor.noise_varies:
-            values, vectors = np.linalg.eigh(sensor.covariance(k, x))  # type: ignore[arg-type]
+            values, vectors = np.linalg.eigh(sensor.covariance(k, x))
             self._roots[i] = vectors * np.sqrt(np.maximum(values, 0.0))
         return self._roots[i]

@@ -14,7 +14,7 @@ _TASK = (
     *("model_noise", "disturbance_noise", "position_noise", "velocity_noise"),
     *("position_deviation", "velocity_deviation", "limits"),
 )
-_TRACKER = ("memory", "patience", "max_age", "gate", "agility")
+TRACKER = ("memory", "patience", "max_age", "gate", "agility")
 _HORIZON = ("samples", "iterations")
 
 PARAMETERS = (
@@ -53,7 +53,7 @@ PARAMETERS = (
         True,
     ),
     *of(EstimateTask, {name: name for name in _TASK}),
-    *of(Tracker, {name: name for name in _TRACKER}, skip=2),
+    *of(Tracker, {name: name for name in TRACKER}, skip=2),
     *of(MovingHorizon, {name: f"horizon.{name}" for name in _HORIZON}, skip=1),
     Parameter(
         "deadline",

@@ -12,7 +12,7 @@ from mbd_ros.jobs.estimate.estimation import EFFORTS, estimation_of
 from mbd_ros.nodes.shell.parameters import ParameterError
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.nodes.state_estimator.messages import EstimateMessages, EstimateWriter
-from mbd_ros.nodes.state_estimator.parameters import task_of
+from mbd_ros.nodes.state_estimator.parameters import TRACKER, task_of
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.sensors.encoder import Encoder
 from mbd_ros.sensors.imu import Imu
@@ -145,8 +145,7 @@ class EstimatorPipeline:
         first.v[[self._v[i] for i in told]] = velocity[told]
         y = found.process.near(found.process.consistent(first), values, found.prior)
         found.estimator.begin(y, found.prior, 0.0)
-        names = ("memory", "patience", "max_age", "gate", "agility")
-        options = {name: getattr(kept, name) for name in names}
+        options = {name: getattr(kept, name) for name in TRACKER}
         self.tracker = Tracker(found.estimator, found.process.sensors, **options)
 
     def held(self) -> Sequence[str]:
