@@ -130,9 +130,9 @@ class Tracker:
         self.faults.note(t, values, belief.innovation)
         self.watch.add(belief.innovation)
         if (self.faults.refused() & (known > _DETERMINED * noise)).any():
-            self._widen(t, values, u)
+            self._widen(t, values)
 
-    def _widen(self, t: float, values: Array, u: Array | None) -> None:
+    def _widen(self, t: float, values: Array) -> None:
         """A sensor does not fit for long, and no other one says that it is wrong.
 
         So the estimate is lost, and begins anew where it is, with the doubt of the beginning.

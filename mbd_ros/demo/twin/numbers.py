@@ -1,7 +1,6 @@
 """A press with one noisy encoder, its twin, and a fault that is planted in the press."""
 
 from collections.abc import Mapping
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ from mbd_ros.core.estimation.tracker import Tracker
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.demo.summary import Check
-from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.files.table import Column, Table
 from mbd_ros.jobs.estimate.estimation import EFFORTS, Estimation, estimation_of, made_ready
 from mbd_ros.scene.estimate_task import EstimateTask
 
@@ -97,13 +96,6 @@ class TwinNumbers:
         wrong = [t for t, what in run.named if what and what != run.fault]
         right = [t for t, what in run.named if what == run.fault]
         return right[0] - FAULT if right and not wrong else None
-
-    @cached_property
-    def result(self) -> Result:
-        """The samples of all runs, as a table a run."""
-        names = ["sound", *(name.replace(" ", "_") for name in HYPOTHESES)]
-        tables = {n: run.samples for n, run in zip(names, self.runs, strict=True)}
-        return Result({MAIN: tables["sound"], **tables}, {"job": "demo", "scene": SCENE})
 
 
 class _Press:

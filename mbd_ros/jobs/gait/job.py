@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.gait.simulated_flow import SimulatedFlow
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.jobs.columns import state_topics
@@ -114,7 +113,7 @@ def run_gait(scene: Scene, task: GaitTask, say: Say, where: Where = _HERE) -> Re
     flow, gaits = family.flow(), found_gaits(family, say)
     with about(task.source or scene.name):
         found = [measures_of(scene, task, flow, one.travel, one.motion) for one in gaits]
-    for line in gait_lines(flow, gaits, found):
+    for line in gait_lines(gaits, found):
         say(line)
     tables = {MAIN: motion_table(flow, gaits[0]), GAITS: gait_table(flow, gaits, found)}
     if along is not None:
@@ -126,9 +125,7 @@ def run_gait(scene: Scene, task: GaitTask, say: Say, where: Where = _HERE) -> Re
     return Result(tables, metadata_of("gait", scene, inputs, topics))
 
 
-def gait_lines(
-    flow: SimulatedFlow, gaits: Sequence[Gait], found: Sequence[Measures]
-) -> Iterator[str]:
+def gait_lines(gaits: Sequence[Gait], found: Sequence[Measures]) -> Iterator[str]:
     """What is said of gaits."""
     for number, (one, measures) in enumerate(zip(gaits, found, strict=True), 1):
         motion = one.motion

@@ -41,7 +41,7 @@ def outcome(
     price = _without_bodies(problem, found)
     inertias, remarks = inertias_of_links(problem.scene.robot, problem.bodies, fitted.inertial)
     new = identified_scene(problem.scene, inertias, entries)
-    errors, tested, residuals = _test(scene, new, problem, found.delay, say)
+    errors, tested, residuals = _test(scene, new, problem, found.delay)
     base = _base_table(problem, found, fitted)
     if price is not None:
         errors["least squares"] = price
@@ -155,7 +155,7 @@ def _friction_table(entries: Sequence[dict[str, object]]) -> Table:
 
 
 def _test(
-    scene: Scene, new: Scene, problem: Problem, delay: float, say: Say
+    scene: Scene, new: Scene, problem: Problem, delay: float
 ) -> tuple[dict[str, float], Table, tuple[Array, Array, Array, Array] | None]:
     """Errors on what is left, through the filter and as measured."""
     found = []
