@@ -5,7 +5,7 @@ from typing import Any
 
 from mbd_ros.core.events.clearance import Clearance
 from mbd_ros.core.events.event_log import EventLog
-from mbd_ros.core.events.mode_field import ModeField
+from mbd_ros.core.events.mode_field import Margin, ModeField
 from mbd_ros.core.events.step_events import StepEvents
 from mbd_ros.core.events.transitions import Transitions
 from mbd_ros.core.integration.stepping import Stepper
@@ -87,6 +87,7 @@ class EventSteps(Stepper):
             after: State after the step where it was taken already.
         """
         happens = self._transitions
+        kept: Margin | None = None
         while True:
             rest = min((rest.t for rest in happens.rests), default=math.inf)
             self.field.watch(x, u, happens.left)
@@ -95,11 +96,13 @@ class EventSteps(Stepper):
                 after = self._inner.step(x, u, min(end, rest, longest))
             if after is x or not math.isfinite(after.v.dot(after.v)):  # the simulation says so
                 return after
-            after, margin = self._search.first(x, u, after, happens.left)
+            after, margin = self._search.first(x, u, after, happens.left, kept)
             if after is not x:
                 break
             assert margin is not None
+            mode = self.field.mode
             x, after = self._follow(happens.happened(x, u, margin)), None
+            kept = margin if self.field.mode == mode else None
             if happens.ended:
                 return x
         after = self.field.onto(after, u)

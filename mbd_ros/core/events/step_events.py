@@ -38,7 +38,12 @@ class StepEvents:
         self._known: tuple[Any, Any, Array] = (None, None, NONE)
 
     def first(
-        self, x: State, u: Array | None, after: State, left: Collection[int]
+        self,
+        x: State,
+        u: Array | None,
+        after: State,
+        left: Collection[int],
+        kept: Margin | None = None,
     ) -> tuple[State, Margin | None]:
         """State at the first event and its margin, or the state after the step and None.
 
@@ -47,6 +52,7 @@ class StepEvents:
             u: Commands.
             after: End of the step.
             left: Switches that the motion is just leaving: heights of rounding do not count there.
+            kept: An event at the start that changed nothing: its gap opens by less than rounding.
 
         Raises:
             SolveError: A switch is not left.
@@ -67,7 +73,7 @@ class StepEvents:
         while late is not None:
             event = late
             done.add(event)
-            h = self._zero(x, u, event, h, left)
+            h = self._zero(x, u, event, h, left, kept)
             if h <= 4.0 * math.ulp(x.t):
                 return x, event
             after = self._advanced(x, h)
@@ -93,7 +99,13 @@ class StepEvents:
         return min(negative, key=lambda event: negative[event], default=None)
 
     def _zero(
-        self, x: State, u: Array | None, event: Margin, h: float, left: Collection[int]
+        self,
+        x: State,
+        u: Array | None,
+        event: Margin,
+        h: float,
+        left: Collection[int],
+        kept: Margin | None,
     ) -> float:
         """Length of the step with which a margin is zero, 0 for one that is so at the start."""
         margin = self._margin(x, u, event)
@@ -102,7 +114,9 @@ class StepEvents:
         if not way and switch in left:
             near = self._beyond(x, u, event, h, 4.0 * math.ulp(x.t))
             if near == 0.0 and switch in self._field.gaps:
-                return 0.0  # it opened by less than rounding, and is decided anew
+                # It opened by less than rounding: decided anew, and where that changes nothing,
+                # it is decided where it has closed again.
+                return self._closed_again(x, u, event, h) if event == kept else 0.0
             if near == 0.0:
                 name = self._field.names[switch]
                 raise SolveError(
@@ -152,6 +166,14 @@ class StepEvents:
                 return near
             near *= _SHRINK
         return 0.0
+
+    def _closed_again(self, x: State, u: Array | None, event: Margin, h: float) -> float:
+        """Length of the step with which a gap is beyond its end by rounding."""
+        margin, slack = self._margin(x, u, event), rounding(x)
+        at_start, at_end = margin(0.0) + slack, margin(h) + slack
+        if at_start <= 0.0 or at_end >= 0.0:
+            return h if at_end >= 0.0 else 0.0
+        return sign_change(lambda length: margin(length) + slack, (0.0, at_start), (h, at_end))
 
     def _pass_over(self, x: State, u: Array | None, after: State, left: Collection[int]) -> None:
         """Guards of parts that were zero and go on to the other side do not act in this step."""
