@@ -9,6 +9,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.files.formats import read_result as read_result
 from mbd_ros.jobs.estimate.job import estimate
 from mbd_ros.jobs.excite.job import excite
+from mbd_ros.jobs.follow.job import follow
 from mbd_ros.jobs.gait.job import gait
 from mbd_ros.jobs.identify.job import identify
 from mbd_ros.jobs.inverse.job import inverse
@@ -41,6 +42,7 @@ class Scene(built_scene.Scene):
     muscle_forces = muscles
     estimate = estimate
     gait = gait
+    follow = follow
 
     @classmethod
     def of(cls, scene: built_scene.Scene) -> "Scene":

@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 
 from mbd_ros.core.control.contract import EffortBox, Reference
+from mbd_ros.core.control.tracking_plan import TrackingPlan
 from mbd_ros.core.dynamics.sources import Sampled
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.parts import Part
@@ -261,12 +262,21 @@ def test_rows_are_the_derivatives_of_one_another(section, name, base):
         assert part.pushes(k, x).shape == jacobian.shape == (len(part.rows), model.nv)
 
 
+def standing(names):
+    """A plan that stands still."""
+    n, still = len(names), np.zeros((2, len(names)))
+    gain, cost = np.ones((2, n, 2 * n)), np.stack([np.eye(2 * n)] * 2)
+    return TrackingPlan(names, names, np.array([0.0, 1.0]), still, still, still, gain, cost)
+
+
 @pytest.mark.parametrize("name", [name for section, name in EVERY if section == "controllers"])
 def test_control_is_finite_of_the_right_shape_and_changes_nothing(name):
     motors = {"type": "ideal", "joints": ["hip_flexion", "knee", "ankle"]}
     scene = scene_from({"actuators": [motors]}, urdf="prosthetic_leg")
     joints, (_, x) = scene.controlled_joints(), next(moments(scene))
-    part = schema.call(kind_of("controllers", name), arguments("controllers", name), name, joints)
+    kind, given = kind_of("controllers", name), arguments("controllers", name)
+    given |= {key: standing(joints.names) for key in kind.files}
+    part = schema.call(kind, given, name, joints)
     n, memory = len(joints), part.begin()
     ref, box = Reference(*np.ones((3, n))), EffortBox(np.full(n, -1e6), np.full(n, 1e6))
     before = [values.copy() for values in (x.q, x.v, *ref, memory, *box)]

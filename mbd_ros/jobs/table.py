@@ -77,6 +77,9 @@ COMMANDS: Mapping[str, Command] = {
     "gait": Command(
         "mbd_ros.jobs.gait.command", "periodic walking: multipliers, branches, basin of attraction"
     ),
+    "follow": Command(
+        "mbd_ros.jobs.follow.command", "gains that lead a robot back to a motion, and how far off"
+    ),
     "replay": Command(
         "mbd_ros.jobs.replay.command", "a bag through the live node, with an error table"
     ),

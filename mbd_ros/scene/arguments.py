@@ -78,6 +78,8 @@ def _argument(parameter: inspect.Parameter, hint: Any, text: str) -> Argument:
         kind = float
     elif origin is Literal and all(isinstance(choice, str) for choice in inner):
         kind, choices = str, inner
+    elif origin in (types.UnionType, typing.Union) and str in inner:
+        kind = str  # a file; from Python also what it holds
     is_keyword = parameter.kind in (parameter.KEYWORD_ONLY, parameter.POSITIONAL_OR_KEYWORD)
     if kind not in _KINDS or not is_keyword:
         given = "no annotation" if hint is None else f"the annotation {hint}"

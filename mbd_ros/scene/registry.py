@@ -38,6 +38,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "super_twisting": "mbd_ros.controllers.super_twisting:SuperTwisting",
         "computed_torque": "mbd_ros.controllers.computed_torque:ComputedTorque",
         "gravity_compensation": "mbd_ros.controllers.gravity_compensation:GravityCompensation",
+        "trajectory_tracking": "mbd_ros.controllers.trajectory_tracking:TrajectoryTracking",
         "qp_tracking": "mbd_ros.controllers.qp_tracking:QpTracking",
     },
     "estimators": {

@@ -150,9 +150,12 @@ class Controller:
         joints: The controlled joints.
         limit_names: Names of the limits that it keeps itself, one an entry of `Control.active`.
         example: Gains with which the law works on a small arm.
+        files: Arguments that name files of plans; who builds the law reads them and gives what
+            they hold.
     """
 
     example: ClassVar[dict[str, Any]]
+    files: ClassVar[tuple[str, ...]] = ()
     limit_names: tuple[str, ...] = ()
     joints: ControlledJoints
 
@@ -163,6 +166,10 @@ class Controller:
     def details(self) -> dict[str, str]:
         """Remarks of the control law on its work, for diagnostics."""
         return {}
+
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with its work, for diagnostics."""
+        return ()
 
     def loop_gains(self, at_rest: Response, period: float) -> LoopGains | None:
         """How the control law answers small errors in a pose; None where it is not known.

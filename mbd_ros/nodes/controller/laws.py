@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mbd_ros.core.control.contract import ControlledJoints, Controller
-from mbd_ros.errors import ModelError
+from mbd_ros.errors import DataError, ModelError
+from mbd_ros.files.plans import read_plan
 from mbd_ros.nodes.controller.parameters import COMMON, EACH
 from mbd_ros.nodes.shell.constructor_parameters import parameter
 from mbd_ros.nodes.shell.parameters import Parameter, ParameterError
@@ -57,8 +58,10 @@ def build_controller(values: Any, joints: ControlledJoints) -> Controller:
     names = list(inspect.signature(law).parameters)[1:]
     given = {name: _unwrapped(getattr(values, f"gains_{name}")) for name in names}
     try:
+        for name in law.files:
+            given[name] = read_plan(given[name]) if given[name] else None
         controller: Controller = law(joints, **given)
-    except ModelError as error:
+    except (ModelError, DataError) as error:
         raise ParameterError(f"parameters gains of {values.controller}: {error}") from error
     return controller
 

@@ -127,7 +127,8 @@ class ControllerNode(JointStateNode):
         if watch.fault:
             lost = f"the loop was lost, the command went safe: {watch.fault}"
             return ERROR, "; ".join([lost, *wrong]), details
-        wrong += [*watch.warnings(), *([self._loss] if self._loss else [])]
+        wrong += [*watch.warnings(), *pipeline.loop.controller.warnings()]
+        wrong += [self._loss] if self._loss else []
         if not self._is_heard:
             wrong.append("nobody hears the commands: integrals stand still")
         if pipeline.loop.guard.powerless:

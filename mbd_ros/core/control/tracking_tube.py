@@ -1,0 +1,156 @@
+"""How far a motion may be from a plan and still return to it."""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.control.contract import EffortBox
+from mbd_ros.core.control.tracking_plan import TrackingPlan
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.projection.assembly import assemble
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
+
+Watched = Callable[[Iterable[Any]], Iterable[Any]]
+_STEP = 0.2  # of a step, over the fastest rate of the loop
+_LONGEST = 5.0e-3  # s
+_HALVINGS = 40
+_LOST = 100.0  # times a level, at which a motion is given up
+_MARGIN = 0.5  # of the level that every disturbance returned from
+_HELD = 1.0e-3  # share of the level at which a motion has returned to an end at rest
+
+
+class Outcome(NamedTuple):
+    """What a disturbed motion does.
+
+    Attributes:
+        largest: Largest cost to go on its way; inf where it is lost.
+        last: Cost to go at its end.
+    """
+
+    largest: float
+    last: float
+
+
+class DisturbedMotion:
+    """Motion under the gains of a plan, from states beside it, with inputs held each step.
+
+    Args:
+        system: What is controlled.
+        motion: States of what it integrates at the times of the plan.
+        plan: The plan.
+        chosen: Places of its joints among the coordinates.
+        box: Efforts that inputs can have.
+        hold: How long the plan holds its end [s].
+    """
+
+    def __init__(
+        self,
+        system: System,
+        motion: Sequence[State],
+        plan: TrackingPlan,
+        chosen: NDArray[np.intp],
+        box: EffortBox,
+        hold: float = 0.0,
+    ) -> None:
+        self._system, self._motion, self._plan = system, motion, plan
+        self._chosen, self._box, self._hold = chosen, box, hold
+        self._accelerate, self._rates = system.accelerator(), np.zeros((4, system.nv))
+
+    def after(self, i: int, e: Array, limit: float, fastest: float) -> Outcome:
+        """The motion to the end from sample i with the deviation e, shape (2 d,).
+
+        Args:
+            i: Number of the sample at which it is disturbed.
+            e: Deviation of the independent coordinates, then of their velocities.
+            limit: Cost to go at which the motion is given up.
+            fastest: Rate of the loop that steps resolve [1/s].
+        """
+        try:
+            y = self._beside(i, e)
+        except SolveError:
+            return Outcome(math.inf, math.inf)
+        end = self._plan.end + self._hold
+        count = max(1, math.ceil((end - y.t) / min(_LONGEST, _STEP / fastest)))
+        h, largest, cost = (end - y.t) / count, 0.0, math.inf
+        for _ in range(count + 1):
+            cost, u = self._answer(y)
+            largest = max(largest, cost)
+            if not largest <= limit:
+                return Outcome(math.inf, math.inf)
+            y = self._stepped(y, u, h)
+        return Outcome(largest, cost)
+
+    def _beside(self, i: int, e: Array) -> State:
+        y, d = self._motion[i], len(self._chosen)
+        dq, v = np.zeros(self._system.nv), y.v.copy()
+        dq[self._chosen] = e[:d]
+        v[self._chosen] += e[d:]
+        moved = y._replace(q=self._system.chart.integrate(y.q, dq), v=v)
+        return assemble(self._system, moved) if self._system.held.rows else moved
+
+    def _answer(self, y: State) -> tuple[float, Array]:
+        """Cost to go, and the efforts."""
+        wanted = self._plan.at(y.t)
+        e = np.concatenate([y.q[self._chosen] - wanted.q, y.v[self._chosen] - wanted.v])
+        u = np.clip(wanted.u - wanted.gain.dot(e), self._box.lower, self._box.upper)
+        return float(e.dot(wanted.cost).dot(e)), u
+
+    def _stepped(self, y: State, u: Array, h: float) -> State:
+        """A classical Runge-Kutta step with held inputs."""
+        a, integrate = self._rates, self._system.chart.integrate
+        self._accelerate(y.t, y.q, y.v, u, a[0])
+        v1 = y.v + 0.5 * h * a[0]
+        self._accelerate(y.t, integrate(y.q, 0.5 * h * y.v), v1, u, a[1])
+        v2 = y.v + 0.5 * h * a[1]
+        self._accelerate(y.t, integrate(y.q, 0.5 * h * v1), v2, u, a[2])
+        v3 = y.v + h * a[2]
+        self._accelerate(y.t, integrate(y.q, h * v2), v3, u, a[3])
+        speed = (y.v + 2.0 * (v1 + v2) + v3) / 6.0
+        v = y.v + h / 6.0 * (a[0] + 2.0 * (a[1] + a[2]) + a[3])
+        return y._replace(t=y.t + h, q=integrate(y.q, h * speed), v=v)
+
+
+def tube_level(
+    disturbed: DisturbedMotion,
+    plan: TrackingPlan,
+    largest: float,
+    fastest: float,
+    *,
+    rests: bool,
+    count: int = 48,
+    seed: int = 0,
+    watched: Watched = iter,
+) -> float:
+    """Half of a cost to go from which random disturbances return, each at a random sample.
+
+    Args:
+        disturbed: The motion.
+        plan: What it follows.
+        largest: Where the search begins; halved until all return.
+        fastest: Rate of the loop that steps resolve [1/s].
+        rests: Whether motions must come back to the end, which is at rest; else they must end
+            in the tube.
+        count: Number of disturbances.
+        seed: Of their random numbers.
+        watched: Passes the disturbances of a level on, for progress.
+
+    Returns:
+        The level; 0 where no disturbance returns.
+    """
+    rng, (n, m) = np.random.default_rng(seed), plan.cost.shape[:2]
+    at, ways = rng.integers(0, n - 1, count), rng.normal(size=(count, m))
+    level = largest
+    for _ in range(_HALVINGS):
+        for i, way in watched(zip(at.tolist(), ways, strict=True)):
+            e = way * math.sqrt(level / float(way.dot(plan.cost[i]).dot(way)))
+            found = disturbed.after(i, e, _LOST * level, fastest)
+            if not found.last <= (_HELD if rests else 1.0) * level:
+                break
+        else:
+            return _MARGIN * level
+        level *= 0.5
+    return 0.0
