@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from standing_plan import standing
 
 from mbd_ros.core.control.contract import ControlledJoints, Controller
 from mbd_ros.core.dynamics.loads import Loads
@@ -82,7 +83,8 @@ def controlled(robot):
 
 def built(section, name, robot):
     part = resolve(section, name, "here")
-    return called(section, part, part.example, f"{section}.{name}", robot)
+    plans = dict.fromkeys(getattr(part, "files", ()), standing([j.name for j in robot.joints]))
+    return called(section, part, {**part.example, **plans}, f"{section}.{name}", robot)
 
 
 def called(section, part, entry, where, robot):

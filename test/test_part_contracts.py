@@ -9,9 +9,9 @@ import numpy as np
 import parts_of_pages
 import pinocchio as pin
 import pytest
+from standing_plan import standing
 
 from mbd_ros.core.control.contract import EffortBox, Reference
-from mbd_ros.core.control.tracking_plan import TrackingPlan
 from mbd_ros.core.dynamics.sources import Sampled
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.parts import Part
@@ -260,13 +260,6 @@ def test_rows_are_the_derivatives_of_one_another(section, name, base):
         np.testing.assert_allclose(jacobian, part.jacobian(k, x), rtol=1e-13, atol=1e-14)
         np.testing.assert_allclose(drift, part.drift(k, x), rtol=1e-12, atol=1e-13)
         assert part.pushes(k, x).shape == jacobian.shape == (len(part.rows), model.nv)
-
-
-def standing(names):
-    """A plan that stands still."""
-    n, still = len(names), np.zeros((2, len(names)))
-    gain, cost = np.ones((2, n, 2 * n)), np.stack([np.eye(2 * n)] * 2)
-    return TrackingPlan(names, names, np.array([0.0, 1.0]), still, still, still, gain, cost)
 
 
 @pytest.mark.parametrize("name", [name for section, name in EVERY if section == "controllers"])

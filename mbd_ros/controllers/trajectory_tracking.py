@@ -33,7 +33,7 @@ class TrajectoryTracking(Controller):
         ModelError: There is no plan, or it is one of other joints.
     """
 
-    example = {"plan": ""}
+    example = {}
     files = ("plan",)
 
     def __init__(self, joints: ControlledJoints, *, plan: TrackingPlan | str = "") -> None:
