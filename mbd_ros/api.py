@@ -19,6 +19,7 @@ from mbd_ros.jobs.muscles.job import muscles
 from mbd_ros.jobs.payload.job import payload
 from mbd_ros.jobs.simulate.job import simulate
 from mbd_ros.scene import built_scene, from_python, reader
+from mbd_ros.scene.building import Origin
 from mbd_ros.scene.code_permission import permitting
 
 
@@ -80,7 +81,7 @@ class Scene(built_scene.Scene):
         return Scene.of(super().with_inertias(inertias))
 
 
-def load_scene(path: str | Path, *, allow_code: bool = False) -> Scene:
+def load_scene(path: str | Path, *, allow_code: bool = False) -> Any:
     """Read and build a scene.
 
     Args:
@@ -88,11 +89,24 @@ def load_scene(path: str | Path, *, allow_code: bool = False) -> Scene:
             `mbd-ros scenes` lists.
         allow_code: Whether the scene may import code from outside this package.
 
+    Returns:
+        A `Scene`; or a scene of particles, with the methods that these have, where the file has
+        a section `particles`.
+
     Raises:
         SceneError: Names file, key, what is wrong and what is accepted.
     """
     with permitting(allow_code):
-        return Scene.of(reader.load_scene(path))
+        return _with_jobs(reader.load_any(path))
+
+
+def _with_jobs(scene: Any) -> Any:
+    """A scene with the jobs as methods."""
+    if not reader.is_of_particles(scene):
+        return Scene.of(scene)
+    from mbd_ros.jobs.particle_api import ParticleScene
+
+    return ParticleScene.of(scene)
 
 
 def scene_from(
@@ -100,7 +114,7 @@ def scene_from(
     *,
     urdf: str | Path | None = None,
     allow_code: bool = False,
-) -> Scene:
+) -> Any:
     """Build a scene from Python values instead of a file.
 
     Args:
@@ -110,10 +124,16 @@ def scene_from(
             as `arm7`, or URDF text.
         allow_code: Whether `type` may name code from outside this package.
 
+    Returns:
+        As for `load_scene`.
+
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
     with permitting(allow_code):
+        if urdf is None and reader.has_particles(entries or {}):
+            given = from_python.plain(entries, Origin().name)
+            return _with_jobs(reader.build_any(Origin(), given))
         return Scene.of(from_python.scene_from(entries, urdf=urdf))
 
 
@@ -126,4 +146,5 @@ def read_robot(urdf: str | Path) -> Robot:
     Raises:
         SceneError: Names what is wrong and what is accepted.
     """
-    return scene_from(urdf=urdf).robot
+    robot: Robot = scene_from(urdf=urdf).robot
+    return robot

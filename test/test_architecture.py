@@ -55,6 +55,7 @@ CORE_ORDER = (  # of the subjects in `core`: the same
     "events",
     "inverse",
     "simulation",
+    "particles",
     "gait",
     "estimation",
     "identification",

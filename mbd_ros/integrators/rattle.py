@@ -50,6 +50,10 @@ class Rattle(Integrator):
         Raises:
             ModelError: The system has one-sided rows, or rows of velocities.
         """
+        if hasattr(system, "clusters"):
+            from mbd_ros.core.particles.verlet_steps import ParticleVerlet
+
+            return ParticleVerlet(system, self.tolerance, dt)
         refuse_bounded_rows(system, "rattle")
         refuse_rows_of_velocities(system, "rattle")
         return _Steps(system, self.tolerance, dt)

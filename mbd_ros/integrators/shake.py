@@ -1,7 +1,7 @@
 """SHAKE: Verlet on position constraints."""
 
 import math
-from typing import Any
+from typing import Any, Literal
 
 from mbd_ros.core.integration.constrained_verlet import ConstrainedVerlet, PositionStep
 from mbd_ros.core.integration.newton import refuse_bounded_rows, refuse_rows_of_velocities
@@ -21,13 +21,16 @@ class Shake(Integrator):
         v_n = (q_{n+1} - q_{n-1}) / (2 h)
 
     whose positions are those of RATTLE. v_n needs the positions of the next step, which are solved
-    for ahead and used then; a step after a restart therefore costs two. For other robots q_{n+1} =
+    for ahead and used then; a step after a restart therefore costs two. Scenes of particles may
+    have `unprojected` velocities instead, those of RATTLE without its last projection, whose
+    positions are the same. For other robots q_{n+1} =
     q_n (+) h w_{n+1/2}, v_n is the mean of both w, and f(q_n, v_n) comes by iteration; the method
     is of second order and time-reversible (if the forces are), but not symplectic. One-sided rows
     and rows of velocities are refused.
 
     Args:
         tolerance: |g| from which one more correction is the last [m, rad].
+        velocity: `central` as above, or `unprojected`, for particles alone.
 
     Source: Ryckaert, Ciccotti, Berendsen, J. Comput. Phys. 23, 1977, 327-341; Leimkuhler, Skeel,
         J. Comput. Phys. 112, 1994, 117-125.
@@ -38,10 +41,15 @@ class Shake(Integrator):
     stable = 2.0
     example: dict[str, Any] = {}
 
-    def __init__(self, *, tolerance: float = 1.0e-13) -> None:
+    def __init__(
+        self,
+        *,
+        tolerance: float = 1.0e-13,
+        velocity: Literal["central", "unprojected"] = "central",
+    ) -> None:
         if not 0.0 < tolerance < 1.0:
             raise ModelError(f"tolerance {tolerance:g}, accepted: between 0 and 1")
-        self.tolerance = tolerance
+        self.tolerance, self.velocity = tolerance, velocity
 
     def prepare(self, system: Any, dt: float) -> Stepper:
         """A stepper for one system and one step size [s].
@@ -49,6 +57,16 @@ class Shake(Integrator):
         Raises:
             ModelError: The system has one-sided rows, or rows of velocities.
         """
+        if hasattr(system, "clusters"):
+            from mbd_ros.core.particles.verlet_steps import ParticleShake, ParticleVerlet
+
+            if self.velocity == "unprojected":
+                return ParticleVerlet(system, self.tolerance, dt, projects=False)
+            return ParticleShake(system, self.tolerance, dt)
+        if self.velocity != "central":
+            raise ModelError(
+                f"shake: velocity {self.velocity} is for particles; accepted: central"
+            )
         refuse_bounded_rows(system, "shake")
         refuse_rows_of_velocities(system, "shake")
         return _Steps(system, self.tolerance, dt)

@@ -23,10 +23,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
     from mbd_ros.scene.check import describe
-    from mbd_ros.scene.reader import load_scene
+    from mbd_ros.scene.reader import is_of_particles, load_any
 
     with about(arguments.scene):
-        scene = load_scene(arguments.scene)
+        scene = load_any(arguments.scene)
+        if is_of_particles(scene):
+            say_all(scene.check().splitlines())
+            return OK
         if arguments.compiled and not scene.solver.compiles:
             scene = scene.holding(solver=replace(scene.solver, type="auto"))
         say_all(describe(scene, announce))

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from mbd_ros.errors import SceneError
 from mbd_ros.scene.building import Kept, Origin, build, foreign_keys, present, table_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.locate import find_scene
@@ -27,6 +28,38 @@ def load_scene(path: str | Path, description: str | None = None) -> Scene:
     return build_scene(Origin(path, description), entries_of(path))
 
 
+def load_any(path: str | Path) -> Any:
+    """A `Scene` of robots and bodies, or a `ParticleScene`.
+
+    Args:
+        path: As for `load_scene`.
+
+    Raises:
+        SceneError: As for `load_scene`.
+    """
+    path = find_scene(path)
+    return build_any(Origin(path), entries_of(path))
+
+
+def build_any(origin: Origin, entries: Mapping[str, Any]) -> Any:
+    """The same of entries that were read."""
+    if not has_particles(entries):
+        return build_scene(origin, entries)
+    from mbd_ros.scene.particles.particle_scene import build_particle_scene
+
+    return build_particle_scene(origin, entries)
+
+
+def is_of_particles(scene: Any) -> bool:
+    """Whether a built scene is one of particles; nothing is imported to tell."""
+    return not isinstance(scene, Scene)
+
+
+def has_particles(entries: Mapping[str, Any]) -> bool:
+    """Whether these are the sections of a scene of particles."""
+    return entries.get("particles") is not None
+
+
 def build_scene(
     origin: Origin,
     entries: Mapping[str, Any],
@@ -42,6 +75,11 @@ def build_scene(
     Raises:
         SceneError: Names file, key, what is wrong and what is accepted.
     """
+    if has_particles(entries):
+        raise SceneError(
+            f"{origin.name}: particles: has no joints and no topics; only check, simulate, sample "
+            "and bracket take particles"
+        )
     foreign = foreign_keys(origin, entries)
     origin, entries = with_model(origin, present(entries))
     sections, code = table_of(origin, entries, foreign)

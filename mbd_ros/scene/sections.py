@@ -178,6 +178,33 @@ SECTIONS = (
     ),
     Section("safe", Form.SINGLE, f"{_ENTRIES}:build_safe", (), absent=_NOTHING),
 )
+_PARTICLES = "mbd_ros.scene.particles.particles_entry"
+PARTICLES = (  # of a scene that has the section `particles`, and no others
+    Section(
+        "units",
+        Form.SINGLE,
+        "mbd_ros.scene.particles.units_entry:build_units",
+        (),
+        absent="si",
+    ),
+    Section("particles", Form.SINGLE, f"{_PARTICLES}:build_particles", ("units",)),
+    Section(
+        "initial",
+        Form.SINGLE,
+        f"{_PARTICLES}:build_start",
+        ("units", "particles"),
+        absent=_NOTHING,
+    ),
+    Section(
+        "integrator",
+        Form.SINGLE,
+        "mbd_ros.scene.particles.particle_scene:build_method",
+        (),
+        absent={"type": "rattle"},
+    ),
+    Section("dt", Form.SINGLE, f"{_PARTICLES}:build_time_step", (), absent=1.0e-3),
+    Section("record", Form.SINGLE, f"{_PARTICLES}:build_record", (), absent=_NOTHING),
+)
 TASKS = (
     Section("simulate", Form.SINGLE, "mbd_ros.scene.simulate_task:build_task", ()),
     Section("kinematics", Form.SINGLE, "mbd_ros.scene.kinematics_task:build_task", ()),

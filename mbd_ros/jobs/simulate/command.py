@@ -86,9 +86,13 @@ def _add_tables(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
     from mbd_ros.jobs.simulate.to_file import simulate_to
-    from mbd_ros.scene.reader import load_scene
+    from mbd_ros.scene.reader import is_of_particles, load_any
 
-    scene = load_scene(arguments.scene)
+    scene = load_any(arguments.scene)
+    if is_of_particles(scene):
+        from mbd_ros.jobs.simulate import particles
+
+        return particles.run(scene, arguments)
     if arguments.ensemble is not None:
         return _run_ensemble(scene, arguments)
     for name in ("workers", "scheduler"):

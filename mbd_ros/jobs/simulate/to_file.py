@@ -42,12 +42,12 @@ def simulate_to(scene: Scene, run: Run, out: Path, say: Say, events: Path | None
         result = run_simulation(scene, run, say)
     except Interrupted as early:
         assert early.result is not None
-        raise Interrupted(f"{early}; {_kept(places, early.result)}") from early
+        raise Interrupted(f"{early}; {kept(places, early.result)}") from early
     if "ended" in result.metadata:
-        stopped = Interrupted(f"{result.metadata['ended']}; {_kept(places, result)}")
+        stopped = Interrupted(f"{result.metadata['ended']}; {kept(places, result)}")
         stopped.exit_code = INTERRUPTED
         raise stopped
-    for text in _written(result, out, events):
+    for text in written(result, out, events):
         say(text)
 
 
@@ -75,7 +75,7 @@ def _check_events(scene: Scene, run: Run, events: Path, out: Path) -> None:
         raise DataError(f"--events: nothing in {scene.name} happens at one time, such as impacts")
 
 
-def _written(result: Result, out: Path, events: Path | None = None) -> Iterator[str]:
+def written(result: Result, out: Path, events: Path | None = None) -> Iterator[str]:
     """Write the files; a text for each."""
     result.to(out)
     yield f"{result[MAIN].rows} states -> {out}"
@@ -85,10 +85,10 @@ def _written(result: Result, out: Path, events: Path | None = None) -> Iterator[
         yield f"{result[EVENTS].rows} events -> {events}"
 
 
-def _kept(places: Sequence[Path], result: Result) -> str:
+def kept(places: Sequence[Path], result: Result) -> str:
     """Write the motion so far; a failure must not hide why the run ended."""
     try:
-        written = list(_written(result, *map(diverged_place, places)))
+        texts = list(written(result, *map(diverged_place, places)))
     except DataError as error:
         return f"the states so far are lost: {error}"
-    return ", ".join(text.replace(" -> ", " so far are in ") for text in written)
+    return ", ".join(text.replace(" -> ", " so far are in ") for text in texts)

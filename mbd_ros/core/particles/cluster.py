@@ -1,0 +1,193 @@
+"""Rows that share points: a block of rows, solved for side by side in all molecules of a kind.
+
+Arrays are (atoms, 3, lanes), a lane a molecule. A row has one direction in space, so that an entry
+of J M^-1 J' is a number that masses give, times the product of two directions.
+"""
+
+from collections.abc import Sequence
+from math import isfinite, sqrt
+
+import numpy as np
+
+from mbd_ros.core.particles.elimination import least_solved, solved
+from mbd_ros.core.particles.row_geometry import PointRow
+from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import ASSEMBLED, BRANCH_STEP, LANDED, redundant
+from mbd_ros.errors import SolveError
+
+_NEWTON = 25
+_ASSEMBLY = 200
+_FORESEEN = 1.0e-2  # of the tolerance: what a last correction leaves
+
+
+class Cluster:
+    """Rows of a molecule that are solved for together.
+
+    Args:
+        rows: The rows.
+        masses: Of all points of the molecule, shape (atoms,).
+        at: Positions of the template, shape (atoms, 3).
+
+    Attributes:
+        rows: As given.
+        sizes: Of the rows, shape (m,): residuals are compared with multiples of them.
+        rank: Rows that are independent at the template.
+    """
+
+    def __init__(self, rows: Sequence[PointRow], masses: Array, at: Array) -> None:
+        self.rows = tuple(rows)
+        self.sizes: Array = np.array([row.size for row in rows])
+        self._pushes = [[(i, sign / masses[i]) for i, sign in row.ends] for row in rows]
+        self._shares = _shares(rows, masses)
+        D = self.directions(at[:, :, None])
+        values = np.linalg.eigvalsh(self._metric(D, D)[:, :, 0])
+        self.rank = int(np.count_nonzero(values > redundant(len(rows)) * values[-1]))
+        self._solve = solved if self.rank == len(rows) else least_solved
+
+    def directions(self, x: Array) -> list[Array]:
+        """The direction of each row, shape (3, lanes) each."""
+        return [row.direction(x) for row in self.rows]
+
+    def residual(self, x: Array) -> Array:
+        """g, shape (m, lanes)."""
+        return np.array([row.residual(x, row.direction(x)) for row in self.rows])
+
+    def rate(self, x: Array, v: Array) -> Array:
+        """g', shape (m, lanes)."""
+        return np.array([row.rate(v, row.direction(x)) for row in self.rows])
+
+    def metric(self, x: Array) -> Array:
+        """J M^-1 J', shape (m, m, lanes)."""
+        D = self.directions(x)
+        return self._metric(D, D)
+
+    def pushed(self, x: Array, lam: Array) -> Array:
+        """J' lam, shape (atoms, 3, lanes), of multipliers of shape (m, lanes)."""
+        force = np.zeros_like(x)
+        for row, D, each in zip(self.rows, self.directions(x), lam, strict=True):
+            for i, sign in row.ends:
+                force[i] += sign * each * D
+        return force
+
+    def multipliers(self, x: Array, v: Array, a: Array) -> Array:
+        """The lam with J (a + M^-1 J' lam) + drift = 0, shape (m, lanes).
+
+        Args:
+            x: Positions.
+            v: Velocities.
+            a: Accelerations without the rows.
+        """
+        D = self.directions(x)
+        pairs = zip(self.rows, D, strict=True)
+        right = np.array([row.rate(a, each) + row.drift(v) for row, each in pairs])
+        return self._solve(self._metric(D, D), -right)
+
+    def project(self, x: Array, v: Array) -> None:
+        """The nearest velocities, in the mass metric, with g' = 0; v is written."""
+        D = self.directions(x)
+        rate = np.array([row.rate(v, each) for row, each in zip(self.rows, D, strict=True)])
+        self._push(v, D, self._solve(self._metric(D, D), -rate))
+
+    def close(self, x: Array, moved: Array, w: Array, h: float, tolerance: float) -> None:
+        """Positions moved + M^-1 J(x)' mu with g = 0; `moved`, and w by the change over h, change.
+
+        Newton's method in all lanes at once.
+
+        Args:
+            x: Positions whose rows push.
+            moved: Positions without multipliers.
+            w: Velocities that led there.
+            h: Time step.
+            tolerance: |g| in sizes of the rows that may be left. Corrections square |g|, so that
+                the last one is known before it is made.
+
+        Raises:
+            SolveError: Some rows stay open; names the worst row and its lane.
+        """
+        before = self.directions(x)
+        nearly = sqrt(_FORESEEN * tolerance) if self.rank == len(self.rows) else tolerance
+        total, last = np.zeros((len(self.rows), x.shape[2])), np.inf
+        for _ in range(_NEWTON):
+            D = self.directions(moved)
+            pairs = zip(self.rows, D, strict=True)
+            g = np.array([row.residual(moved, each) for row, each in pairs])
+            worst = float((np.abs(g).max(axis=1) / self.sizes).max())
+            if not isfinite(worst):
+                break
+            step = self._solve(self._metric(D, before), -g)
+            total += step
+            self._push(moved, before, step)
+            if worst <= nearly or (worst <= ASSEMBLED and worst >= 0.5 * last):
+                self._push(w, before, total / h)
+                return
+            last = worst
+        self._refuse(g)
+
+    def assemble(self, x: Array) -> None:
+        """Moves positions onto the rows, each correction the least one in the mass metric.
+
+        Raises:
+            SolveError: The rows cannot all hold near these positions; names the worst one.
+        """
+        limit = BRANCH_STEP * float(self.sizes.min())
+        for _ in range(_ASSEMBLY):
+            D = self.directions(x)
+            g = np.array([row.residual(x, each) for row, each in zip(self.rows, D, strict=True)])
+            worst = float((np.abs(g).max(axis=1) / self.sizes).max())
+            if worst <= LANDED:
+                return
+            if not isfinite(worst):
+                break
+            before = x.copy()
+            self._push(x, D, self._solve(self._metric(D, D), -g))
+            longest = float(np.abs(x - before).max())
+            if longest > limit:
+                x += (limit / longest - 1.0) * (x - before)
+        if not worst <= ASSEMBLED:
+            self._refuse(g)
+
+    def _refuse(self, g: Array) -> None:
+        row, lane = np.unravel_index(int(np.argmax(np.abs(g))), g.shape)
+        raise SolveError(
+            f"row {self.rows[row].name}, molecule {lane + 1}: {g[row, lane]:.3g} open"
+        )
+
+    def _push(self, out: Array, D: Sequence[Array], amount: Array) -> None:
+        """Adds M^-1 J' amount."""
+        for pushes, direction, each in zip(self._pushes, D, amount, strict=True):
+            along = direction * each
+            for i, share in pushes:
+                out[i] += share * along
+
+    def _metric(self, D: Sequence[Array], E: Sequence[Array]) -> Array:
+        """J M^-1 K' of directions D and E, shape (m, m, lanes)."""
+        m = len(self.rows)
+        A = np.zeros((m, m, D[0].shape[1]))
+        for a, b, share in self._shares:
+            np.einsum("kl,kl->l", D[a], E[b], out=A[a, b])
+            A[a, b] *= share
+        return A
+
+
+def _shares(rows: Sequence[PointRow], masses: Array) -> list[tuple[int, int, float]]:
+    """The factor of masses for all pairs of rows that share a point."""
+    shares = []
+    for a, one in enumerate(rows):
+        for b, other in enumerate(rows):
+            found = [s * t / masses[i] for i, s in one.ends for j, t in other.ends if i == j]
+            if found:
+                shares.append((a, b, float(sum(found))))
+    return shares
+
+
+def clusters_of(rows: Sequence[PointRow], masses: Array, at: Array) -> list[Cluster]:
+    """Rows in blocks that share no point."""
+    groups: list[tuple[set[int], list[PointRow]]] = []
+    for row in rows:
+        points, mine = {i for i, _ in row.ends}, [row]
+        for group in [g for g in groups if g[0] & points]:
+            groups.remove(group)
+            points |= group[0]
+            mine = [*group[1], *mine]
+        groups.append((points, mine))
+    return [Cluster(mine, masses, at) for _, mine in groups]

@@ -1,0 +1,150 @@
+"""A scene of particles: points and rows between them, no robot."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.particles.particle_system import ParticleSystem
+from mbd_ros.core.particles.units import Units
+from mbd_ros.core.state import State
+from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.scene.building import NO_FILE, Origin, build, present, refuse_unknown
+from mbd_ros.scene.part_entries import build_part
+from mbd_ros.scene.particles.particles_entry import Particles, Record
+from mbd_ros.scene.sections import PARTICLES, keys
+
+METHODS = ("rattle", "shake")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ParticleScene:
+    """A built scene of particles, in units of its own.
+
+    Attributes:
+        origin: The file, or what else its sections came from.
+        parts: The built sections, by key.
+        entries: The sections as given, by key.
+    """
+
+    origin: Origin
+    parts: Mapping[str, Any]
+    entries: Mapping[str, Any]
+
+    @property
+    def path(self) -> Path | None:
+        """The file; None for a scene that Python made."""
+        return self.origin.path
+
+    @property
+    def name(self) -> str:
+        """The file as messages call it, `scene` without one."""
+        return self.origin.name
+
+    @property
+    def units(self) -> Units:
+        """Units of all its numbers."""
+        units: Units = self.parts["units"]
+        return units
+
+    @property
+    def particles(self) -> Particles:
+        """The molecules, and where they stand."""
+        particles: Particles = self.parts["particles"]
+        return particles
+
+    @property
+    def initial(self) -> State:
+        """The start, on the rows."""
+        initial: State = self.parts["initial"]
+        return initial
+
+    @property
+    def dt(self) -> float:
+        """Step."""
+        dt: float = self.parts["dt"]
+        return dt
+
+    @property
+    def record(self) -> Record:
+        """What results hold."""
+        record: Record = self.parts["record"]
+        return record
+
+    @property
+    def method(self) -> Integrator:
+        """The integrator."""
+        method: Integrator = self.parts["integrator"]
+        return method
+
+    def system(self) -> ParticleSystem:
+        """The points and what acts on them."""
+        return self.particles.system
+
+    def stepper(
+        self, *, dt: float | None = None, integrator: Mapping[str, Any] | None = None
+    ) -> Stepper:
+        """Steps of the points.
+
+        Args:
+            dt: In place of that of the scene.
+            integrator: Entry in place of that of the scene.
+
+        Raises:
+            SceneError: No method for particles.
+        """
+        method = self.method if integrator is None else _method(integrator, self.name)
+        try:
+            return method.prepare(self.system(), self.dt if dt is None else dt)
+        except ModelError as error:
+            raise SceneError(f"{self.name}: integrator: {error}") from error
+
+    def with_(self, **sections: Any) -> "ParticleScene":
+        """The scene with other sections; None removes one.
+
+        Raises:
+            SceneError: Names key, what is wrong and what is accepted.
+        """
+        from mbd_ros.scene.from_python import plain
+
+        old = self.origin
+        title = old.title if old.path is None else f"{old.path} (changed)"
+        origin = old._replace(path=None, title=title, base=old.folder)
+        return build_particle_scene(origin, {**self.entries, **plain(sections, NO_FILE)})
+
+    def check(self) -> str:
+        """The lines of `mbd-ros check`."""
+        from mbd_ros.scene.particles.describe import describe
+
+        return "\n".join(describe(self))
+
+    def __repr__(self) -> str:
+        kinds = ", ".join(f"{kind.count} {kind.name}" for kind in self.system().kinds)
+        return f"ParticleScene {self.name}: {kinds}; units {self.units.name}"
+
+
+def build_particle_scene(origin: Origin, entries: Mapping[str, Any]) -> ParticleScene:
+    """A scene of entries that have a section `particles`.
+
+    Raises:
+        SceneError: Names file, key, what is wrong and what is accepted.
+    """
+    refuse_unknown(origin, [key for key in entries if key not in keys(PARTICLES)], PARTICLES)
+    entries = present(entries)
+    return ParticleScene(origin, build(origin, entries, PARTICLES).parts, entries)
+
+
+def build_method(site: Any, given: Any) -> Integrator:
+    """The section `integrator`."""
+    return _method(given, site.where)
+
+
+def _method(given: Any, where: str) -> Integrator:
+    kind = given.get("type") if isinstance(given, Mapping) else given
+    if kind not in METHODS:
+        raise SceneError(
+            f"{where}: {kind!r} does not step particles; accepted: {', '.join(METHODS)}"
+        )
+    method: Integrator = build_part("integrators", given, where)
+    return method

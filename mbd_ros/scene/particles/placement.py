@@ -1,0 +1,112 @@
+"""Where molecules stand at the start."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.particles.molecules import Molecules
+from mbd_ros.core.particles.units import Units
+from mbd_ros.core.state import Array
+from mbd_ros.errors import SceneError
+from mbd_ros.scene import schema
+from mbd_ros.scene.particles.molecule_entries import MoleculeEntry
+
+
+@dataclass(frozen=True)
+class _Placement:
+    positions: Sequence[Any] | None = None
+    file: str | None = None
+    lattice: str | None = None
+    seed: int = 0
+
+
+class Room(NamedTuple):
+    """What placements need to know.
+
+    Attributes:
+        folder: Where relative paths start.
+        units: Of the scene.
+        box: Edges of the periodic box; None without one.
+    """
+
+    folder: Path
+    units: Units
+    box: Array | None
+
+
+def placed(entry: MoleculeEntry, room: Room) -> Array:
+    """Positions of all atoms of a kind, shape (count * atoms, 3).
+
+    Raises:
+        SceneError: Names file, key, what is wrong and what is accepted.
+    """
+    kind, where = entry.kind, f"{entry.where}.placement"
+    if entry.placement is None:
+        if kind.count > 1 and room.box is not None:
+            return _on_lattice(kind, room.box, 0)
+        return np.tile(kind.at, (kind.count, 1))
+    placement: _Placement = schema.call(_Placement, entry.placement, where)
+    ways = (placement.positions, placement.file, placement.lattice)
+    if sum(way is not None for way in ways) != 1:
+        raise SceneError(f"{where}: give either 'positions', 'file' or 'lattice'")
+    if placement.file is not None:
+        return _from_file(kind, placement.file, room, where)
+    if placement.positions is not None:
+        offsets = _offsets(placement.positions, kind.count, f"{where}.positions")
+        return (offsets[:, None] + kind.at).reshape(-1, 3)
+    if placement.lattice != "cubic":
+        raise SceneError(f"{where}.lattice: got {placement.lattice!r}, accepted: cubic")
+    if room.box is None:
+        raise SceneError(f"{where}.lattice: needs the key 'box' of particles")
+    return _on_lattice(kind, room.box, placement.seed)
+
+
+def _offsets(given: Sequence[Any], count: int, where: str) -> Array:
+    try:
+        offsets = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        offsets = np.zeros(0)
+    if offsets.shape != (count, 3) or not np.isfinite(offsets).all():
+        raise SceneError(f"{where}: expected {count} places of 3 numbers, one a molecule")
+    return offsets
+
+
+def _on_lattice(kind: Molecules, box: Array, seed: int) -> Array:
+    """Centres of the cells of a cubic lattice, turned at random."""
+    edge = math.ceil(kind.count ** (1.0 / 3.0) - 1.0e-9)
+    cells = np.array(list(np.ndindex(edge, edge, edge)))[: kind.count]
+    turns = np.random.Generator(np.random.Philox(seed)).normal(size=(kind.count, 4))
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    center = kind.masses.dot(kind.at) / kind.masses.sum()
+    turned = np.einsum("nij,aj->nai", _rotations(turns), kind.at - center)
+    return (((cells + 0.5) / edge * box)[:, None] + turned).reshape(-1, 3)
+
+
+def _rotations(unit: Array) -> Array:
+    """Rotation matrices of unit quaternions (x, y, z, w), shape (n, 3, 3)."""
+    v, w = unit[:, :3], unit[:, 3, None, None]
+    cross = np.cross(np.eye(3)[None], v[:, None, :])
+    rotations: Array = np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+    return rotations
+
+
+def _from_file(kind: Molecules, name: str, room: Room, where: str) -> Array:
+    from mbd_ros.scene.locate import find_file
+    from mbd_ros.scene.particles.coordinate_files import read_coordinates
+
+    path = find_file(room.folder, name, f"{where}.file")
+    if not room.units.sizes:
+        raise SceneError(
+            f"{where}.file: {path} has units of its own, a scene in reduced units not"
+        )
+    metres = read_coordinates(path, f"{where}.file")
+    if len(metres) != kind.size:
+        raise SceneError(
+            f"{where}.file: {path} has {len(metres)} atoms, accepted: {kind.size}, "
+            f"{kind.count} times {', '.join(kind.atoms)}"
+        )
+    return metres / room.units.sizes[0]
