@@ -77,7 +77,9 @@ def report(order: Order) -> Iterator[str]:
     sections = {k: _asked(s) if k in order.only else s for k, s in sections.items()}
     facts["pages"] = {}
     if not (order.quick or order.only):
-        yield from scene_pages(subjects(scenes, False), order.out, facts["pages"])
+        measured = {item.spec.get("scene") for item in work}
+        shown = [subject for subject in subjects(scenes, False) if subject.path in measured]
+        yield from scene_pages(shown, order.out, facts["pages"])
     facts["duration"] = time.monotonic() - begin
     wrong = _write(order.out, facts, sections, [(item, results[label(item)]) for item in work])
     yield f"{len(sections)} sections -> {order.out / 'index.html'}"

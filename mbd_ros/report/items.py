@@ -23,7 +23,8 @@ class Item(NamedTuple):
     Attributes:
         kind: A key of `PARTS`.
         name: Unique within its kind; letters, digits, `_`, `-`, `.`.
-        spec: Argument of `run` of its module; with `name` the identity of the result.
+        spec: Argument of `run` of its module; with `name` the identity of the result. A scene
+            that it measures is its entry `scene`.
         seconds: About how long it takes.
         alone: It times something: no other item runs beside it, and its result is for one kind
             of processor only.

@@ -28,6 +28,8 @@ def scene_pages(subjects: Sequence[Subject], folder: Path, made: dict[str, str])
     Yields:
         What is left out, a line each.
     """
+    if not subjects:
+        return
     if find_spec("viser") is None:
         yield "no pages of scenes: pip install 'mbd_ros[view]'"
         return
