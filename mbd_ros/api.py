@@ -17,6 +17,7 @@ from mbd_ros.jobs.kinematics.job import kinematics
 from mbd_ros.jobs.moment_arms.job import moment_arms
 from mbd_ros.jobs.muscles.job import muscles
 from mbd_ros.jobs.payload.job import payload
+from mbd_ros.jobs.predict.job import predict
 from mbd_ros.jobs.simulate.job import simulate
 from mbd_ros.scene import built_scene, from_python, reader
 from mbd_ros.scene.building import Origin
@@ -44,6 +45,7 @@ class Scene(built_scene.Scene):
     estimate = estimate
     gait = gait
     follow = follow
+    predict = predict
 
     @classmethod
     def of(cls, scene: built_scene.Scene) -> "Scene":

@@ -58,6 +58,20 @@ class SolveError(MbdError):
     """Equations without a trustworthy solution: names the rows and the residuals."""
 
 
+class NotConvergedError(SolveError):
+    """A motion that was looked for and not found: says what stands against it.
+
+    Attributes:
+        result: The last iterate, a `Result` that is marked as not converged; None without one.
+    """
+
+    exit_code = FAILED
+
+    def __init__(self, message: str = "", result: object = None) -> None:
+        super().__init__(message)
+        self.result = result
+
+
 class JammedError(SolveError):
     """Friction leaves contacts that slip no consistent acceleration (Painlevé): names them."""
 

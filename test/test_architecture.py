@@ -57,6 +57,7 @@ CORE_ORDER = (  # of the subjects in `core`: the same
     "simulation",
     "particles",
     "gait",
+    "prediction",
     "estimation",
     "identification",
     "control",

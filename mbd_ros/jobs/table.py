@@ -80,6 +80,9 @@ COMMANDS: Mapping[str, Command] = {
     "follow": Command(
         "mbd_ros.jobs.follow.command", "gains that lead a robot back to a motion, and how far off"
     ),
+    "predict": Command(
+        "mbd_ros.jobs.predict.command", "the motion that costs least, by optimal control"
+    ),
     "replay": Command(
         "mbd_ros.jobs.replay.command", "a bag through the live node, with an error table"
     ),

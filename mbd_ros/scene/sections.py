@@ -212,6 +212,7 @@ TASKS = (
     Section("muscles", Form.SINGLE, "mbd_ros.scene.muscles_task:build_task", ()),
     Section("estimate", Form.SINGLE, "mbd_ros.scene.estimate_task:build_task", ()),
     Section("gait", Form.SINGLE, "mbd_ros.scene.gait_task:build_task", ()),
+    Section("predict", Form.SINGLE, "mbd_ros.scene.predict_task:build_task", ()),
 )
 
 

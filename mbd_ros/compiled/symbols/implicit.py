@@ -20,6 +20,7 @@ from mbd_ros.compiled.symbols.turns import ZERO
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 
 if TYPE_CHECKING:
+    from mbd_ros.compiled.symbols.dynamics import TreeDynamics
     from mbd_ros.compiled.symbols.equations import Equations
 
 _BASE_V = 6
@@ -27,17 +28,24 @@ MOST = 100_000  # operations: more of them gain nothing over differences
 _BY = "qvzup"
 
 
-def residual(equations: "Equations", a: Sequence[Any], lam: Sequence[Any]) -> Any:
+def residual(
+    equations: "Equations",
+    a: Sequence[Any],
+    lam: Sequence[Any],
+    dynamics: "TreeDynamics | None" = None,
+) -> Any:
     """The r, a column of size nv + the number of rows that act.
 
     Args:
         equations: Of the system.
         a: The y'', SX scalars.
         lam: Multipliers of the rows that act, SX scalars.
+        dynamics: In axes of one's choice; by default those in which accelerations take the fewest
+            operations.
     """
     c, rows = equations.coordinates, equations.acting
     whole = [ca.SX(one) for one in c.lifted(a)]
-    needed = equations.chosen[0].needed(whole)
+    needed = (equations.chosen[0] if dynamics is None else dynamics).needed(whole)
     left = c.reduced([n - t for n, t in zip(needed, equations.tau, strict=True)])
     ends = list(equations.bias)
     for i, row in enumerate(rows.J):

@@ -74,6 +74,7 @@ class Traced:
         equations: The expressions.
 
     Attributes:
+        equations: As given.
         tier: Name of the way of solving.
         parameters: Names of p.
         nq: Size of the configuration of what is integrated.
@@ -93,7 +94,7 @@ class Traced:
     least_health = 1.0e-8
 
     def __init__(self, equations: Equations) -> None:
-        self._equations, self._answers = equations, Answers(equations)
+        self.equations, self._answers = equations, Answers(equations)
         self.tier, self.parameters = equations.tier, equations.parameters
         self.nq, self.nv = equations.nq, equations.nv
         self.nz, self.nu, self.np = equations.nz, equations.nu, len(equations.parameters)
@@ -105,17 +106,17 @@ class Traced:
     @property
     def margins(self) -> tuple[tuple[int, int], ...]:
         """Row, and 1 or -1 where its multiplier meets a bound: what `guards` begins with."""
-        return self._equations.margins
+        return self.equations.margins
 
     @property
     def keys(self) -> dict[tuple[int, int], int]:
         """Margins in all modes: row and way -> place among those of `heights`, then `answers`."""
-        return getattr(self._equations.yielding, "keys", {})
+        return getattr(self.equations.yielding, "keys", {})
 
     @property
     def searched(self) -> SearchedPaths:
         """Paths that functions made so far have as numbers."""
-        return self._equations.k.searches
+        return self.equations.k.searches
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -133,7 +134,7 @@ class Traced:
                 raise Untraceable(f"no function '{name}'; there are {', '.join(ARGUMENTS)}")
             made: Callable[[], Sequence[Any]] = getattr(self._answers, name)
             results = ca.cse([_dense(result) for result in made()])
-            arguments = [self._equations.symbols[key] for key in ARGUMENTS[name]]
+            arguments = [self.equations.symbols[key] for key in ARGUMENTS[name]]
             paths = self.searched.symbols
             if self.searched and ca.depends_on(ca.vertcat(*map(ca.vec, results)), paths):
                 if name in _OF_PATHS:

@@ -1,0 +1,196 @@
+"""A sparse program solved by IPOPT, from a point, with its last iterate kept whatever happens.
+
+Source: A. Waechter, L. T. Biegler, On the implementation of an interior-point filter line-search
+algorithm for large-scale nonlinear programming, Mathematical Programming 106, 2006.
+"""
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from mbd_ros.compiled.program.sparse_program import SparseProgram
+from mbd_ros.core.state import Array
+
+STOPPED = "User_Requested_Stop"
+_GOOD = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Feasible_Point_Found")
+_WARM = {
+    "mu_init": 1.0e-5,
+    "bound_push": 1.0e-7,
+    "bound_frac": 1.0e-7,
+    "bound_mult_init_method": "mu-based",
+}
+Tell = Callable[[int, float, float], bool]  # iteration, cost, violation; whether to stop
+
+
+class Solved(NamedTuple):
+    """What a solver leaves.
+
+    Attributes:
+        x: The unknowns, shape (n,).
+        cost: The cost.
+        rows: Values of the rows, shape (m,).
+        row_forces: Multipliers of the rows: what the cost loses a unit of their bounds, (m,).
+        bound_forces: Multipliers of bounds of the unknowns, shape (n,).
+        status: What the solver says.
+        iterations: How many it took.
+        is_good: Whether conditions of optimality hold.
+        violation: Largest violation of rows, in their usual sizes.
+        stationarity: Largest slope of the Lagrangian, in usual sizes.
+    """
+
+    x: Array
+    cost: float
+    rows: Array
+    row_forces: Array
+    bound_forces: Array
+    status: str
+    iterations: int
+    is_good: bool
+    violation: float
+    stationarity: float
+
+
+def solve(
+    program: SparseProgram,
+    guess: Array,
+    lower: Array,
+    upper: Array,
+    *,
+    accuracy: float = 1.0e-9,
+    most: int = 1000,
+    is_near: bool = False,
+    tell: Tell | None = None,
+) -> Solved:
+    """Solve a program.
+
+    Args:
+        program: The program.
+        guess: All unknowns, fixed ones too, shape (n,).
+        lower: Their bounds, shape (n,).
+        upper: The same.
+        accuracy: Of the conditions of optimality, in usual sizes.
+        most: Largest number of iterations.
+        is_near: Whether the guess solves a program that is nearly this one.
+        tell: Is called after every iteration; stops the solver where it says so.
+    """
+    functions, at = program.functions(), program.open
+    watch = _Watch(len(at), program.m, tell or _silent)
+    ipopt: dict[str, Any] = {
+        "print_level": 0,
+        "sb": "yes",
+        "tol": accuracy,
+        "constr_viol_tol": accuracy,
+        "dual_inf_tol": 1.0e3 * accuracy,
+        "compl_inf_tol": accuracy,
+        "bound_relax_factor": 0.0,
+        "max_iter": most,
+        "linear_solver": "mumps",
+        **(_WARM if is_near else {}),
+    }
+    options = {name: functions[name] for name in ("grad_f", "jac_g", "hess_lag")}
+    more = {"print_time": False, "iteration_callback": watch, "calc_multipliers": False}
+    solver = ca.nlpsol(
+        "predict", "ipopt", functions["program"], {**options, **more, "ipopt": ipopt}
+    )
+    sizes, (row_lower, row_upper) = program.sizes[at], program.bounds
+    with _stopping(watch):
+        found = solver(
+            x0=guess[at] / sizes,
+            lbx=lower[at] / sizes,
+            ubx=upper[at] / sizes,
+            lbg=row_lower,
+            ubg=row_upper,
+        )
+    return _solved(program, guess, found, solver.stats(), functions)
+
+
+def _solved(
+    program: SparseProgram, guess: Array, found: Any, stats: Any, functions: Any
+) -> Solved:
+    at, sizes, x = program.open, program.sizes[program.open], guess.copy()
+    y, lam = _flat(found["x"]), _flat(found["lam_g"])
+    pulls, bounds = _flat(found["lam_x"]), np.zeros(len(x))
+    x[at] = y * sizes
+    rows = _flat(found["g"])
+    lower, upper = program.bounds
+    off = np.maximum(np.maximum(lower - rows, rows - upper), 0.0)
+    slope = _flat(functions["grad_f"](y, [])[1])
+    if program.m:
+        slope = slope + _flat(functions["jac_g"](y, [])[1].T @ found["lam_g"])
+    cost = program.cost_size
+    bounds[at] = pulls * cost / sizes
+    status = str(stats["return_status"])
+    return Solved(
+        x,
+        float(found["f"]) * cost,
+        rows * program.row_sizes,
+        lam * cost / program.row_sizes,
+        bounds,
+        status,
+        int(stats["iter_count"]),
+        status in _GOOD,
+        float(off.max(initial=0.0)),
+        float(np.abs(slope + pulls).max(initial=0.0)),
+    )
+
+
+def _flat(values: Any) -> Array:
+    return np.array(ca.DM(values).full(), dtype=np.float64).ravel()
+
+
+def _silent(iteration: int, cost: float, violation: float) -> bool:
+    return False
+
+
+class _Watch(ca.Callback):  # type: ignore[misc]
+    """What is called after every iteration."""
+
+    def __init__(self, n: int, m: int, tell: Tell) -> None:
+        ca.Callback.__init__(self)
+        self._n, self._m, self._tell = n, m, tell
+        self.is_stopped, self.iterations = False, 0
+        self.construct("watch", {})
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return str(ca.nlpsol_out(i))
+
+    def get_name_out(self, i: int) -> str:
+        return "ret"
+
+    def get_sparsity_in(self, i: int) -> Any:
+        name = ca.nlpsol_out(i)
+        size = {"f": 1, "x": self._n, "lam_x": self._n, "g": self._m, "lam_g": self._m}
+        return ca.Sparsity.dense(size[name], 1) if name in size else ca.Sparsity(0, 0)
+
+    def eval(self, given: Any) -> list[int]:
+        self.iterations += 1
+        stop = self._tell(self.iterations, float(given[1]), 0.0)
+        return [int(stop or self.is_stopped)]
+
+
+@contextmanager
+def _stopping(watch: _Watch) -> Iterator[None]:
+    """Ctrl-C ends the solver after an iteration instead of the process."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, frame: Any) -> None:
+        watch.is_stopped = True
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,242 @@
+"""A phase of a motion in a program: its equations, bounds, conditions at ends and costs."""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from mbd_ros.compiled.program.block import Block, Form
+from mbd_ros.compiled.program.goals import Terms, terms_of
+from mbd_ros.compiled.program.phase_equations import LETTERS, PhaseEquations
+from mbd_ros.compiled.program.phase_forms import CLOSING, PhaseForms
+from mbd_ros.compiled.program.quantities import Quantities, Quantity, input_bounds
+from mbd_ros.compiled.program.sizes import Usual, usual_sizes
+from mbd_ros.core.prediction.mesh import Numbers
+from mbd_ros.core.prediction.problem import PhaseProblem, Range, Ranges
+from mbd_ros.core.prediction.unknowns import PhaseMotion, Unknowns
+from mbd_ros.core.state import Array
+from mbd_ros.errors import ModelError
+
+Reference = Callable[[str, Array], Array]  # name of a quantity, times [s] -> values
+START, END, PATH = "start", "end", "bounds"
+_AT_NODES = "qvz"
+
+
+class MotionPhase:
+    """What is asked of a phase, as blocks on any mesh.
+
+    Args:
+        problem: What is asked.
+        equations: Of the system of the phase.
+        parameters: Numbers of the parameters among the unknowns.
+        references: What is tracked.
+
+    Attributes:
+        problem: As given.
+        equations: As given.
+        quantities: By name.
+        forms: Equations on meshes.
+
+    Raises:
+        ModelError: A quantity that is not there, or has no value where it is asked for.
+    """
+
+    def __init__(
+        self,
+        problem: PhaseProblem,
+        equations: PhaseEquations,
+        parameters: Numbers,
+        references: Reference | None = None,
+    ) -> None:
+        self.problem, self.equations = problem, equations
+        self.quantities, self._references = Quantities(equations), references
+        self.forms = PhaseForms(equations, parameters)
+        self._parameters = parameters
+        self.terms = {goal.name: terms_of(goal, self.quantities) for goal in problem.goals}
+        self._bounds = self._ranges(problem.bounds, (*LETTERS, "p"))
+        self._start = self._ranges(problem.start, _AT_NODES)
+        self._end = self._ranges(problem.end, _AT_NODES)
+        self._integrals = {name: self._integral(one) for name, one in self.terms.items()}
+        self._path = self._rows_of(self._bounds, at_points=True)
+        self._at_start = self._rows_of(self._start, at_points=False)
+        self._at_end = self._rows_of(self._end, at_points=False)
+
+    def bound(self, unknowns: Unknowns, lower: Array, upper: Array) -> None:
+        """Write what bounds say of single unknowns."""
+        system = self.equations.equations.system
+        lower[unknowns.points["u"]], upper[unknowns.points["u"]] = input_bounds(system)
+        for places in (unknowns.points["z"], unknowns.nodes["z"]):
+            lower[places], upper[places] = system.internals.lower, system.internals.upper
+        for one, (low, high) in self._bounds:
+            places = self._places(unknowns, one)
+            lower[places] = np.maximum(lower[places], low)
+            upper[places] = np.minimum(upper[places], high)
+        for ranges, node in ((self._start, 0), (self._end, -1)):
+            for one, (low, high) in ranges:
+                if one.letter:
+                    at = unknowns.nodes[one.letter][node, one.index]
+                    if low == high:
+                        lower[at] = upper[at] = low
+                    else:
+                        lower[at], upper[at] = max(lower[at], low), min(upper[at], high)
+        lower[unknowns.duration], upper[unknowns.duration] = self.problem.duration
+
+    def usual(self, motion: PhaseMotion, p: Array) -> Usual:
+        """Usual sizes near a motion."""
+        lower, upper = input_bounds(self.equations.equations.system)
+        room = upper - lower
+        for one, (low, high) in self._bounds:
+            if one.letter == "u":
+                room[one.index] = min(room[one.index], high - low)
+        return usual_sizes(self.equations, motion, p, room)
+
+    def state_at_end(self, given: Ranges, usual: Array) -> Array:
+        """q, v and z within some ranges, near usual values."""
+        found, sizes = usual.copy(), self.equations.sizes
+        first = {"q": 0, "v": sizes.nq, "z": sizes.nq + sizes.nv}
+        for one, (low, high) in self._ranges(given, _AT_NODES):
+            if one.letter:
+                at = first[one.letter] + one.index
+                found[at] = min(max(found[at], low), high)
+        return found
+
+    def blocks(self, unknowns: Unknowns, sizes: Array, rows: Array) -> list[Block]:
+        """All equations, conditions and costs on a mesh.
+
+        Args:
+            unknowns: Where the unknowns stand.
+            sizes: Their usual sizes.
+            rows: Usual sizes of the equations at a point.
+        """
+        forms, mesh = self.forms, unknowns.mesh
+        found = forms.blocks(unknowns, sizes, rows)
+        points = forms.point_places(unknowns)
+        if self._path is not None:
+            form, lower, upper, size = self._path
+            found.append(Block(PATH, form, points, mesh.shares[None], lower, upper, size))
+        for name, given, node in ((START, self._at_start, 0), (END, self._at_end, mesh.intervals)):
+            if given is not None:
+                form, lower, upper, size = given
+                places = forms.node_places(unknowns, np.array([node]))
+                share = np.array([[float(node > 0)]])
+                found.append(Block(name, form, places, share, lower, upper, size))
+        for name in self.terms:
+            found += self._costs(name, unknowns, points)
+        return found
+
+    def _costs(self, name: str, unknowns: Unknowns, points: Any) -> Iterator[Block]:
+        """Blocks of a goal; they have its name."""
+        terms, mesh = self.terms[name], unknowns.mesh
+        interval = np.repeat(np.arange(mesh.intervals), mesh.degrees)
+        weights = np.concatenate([mesh.scheme_of(int(d)).b for d in mesh.degrees])
+        integral = self._integrals[name]
+        if integral is not None:
+            places = np.vstack((points, unknowns.widths[interval]))
+            data = [mesh.shares, weights, *self._tracked(terms, unknowns)]
+            yield Block(name, integral, places, np.array(data))
+        if terms.final is not None:
+            form = self.forms.node_form(ca.SX(0, 1), terms.final)
+            last = np.array([mesh.intervals])
+            yield Block(name, form, self.forms.node_places(unknowns, last), np.ones((1, 1)))
+        if terms.time:
+            T = self.forms.duration
+            form = Form(T, ca.SX(0, 1), ca.SX(0, 1), terms.time * T)
+            yield Block(name, form, np.array([[unknowns.duration]]))
+        yield from self._steep(name, unknowns)
+        yield from self._speeds(name, unknowns)
+
+    def _integral(self, terms: Terms) -> Form | None:
+        width, weight = ca.SX.sym("width"), ca.SX.sym("weight")
+        wanted = ca.SX.sym("wanted", len(terms.tracked))
+        total = ca.SX(0) if terms.integral is None else terms.integral
+        for i, (one, _, share) in enumerate(terms.tracked):
+            total = total + share * (one.value - wanted[i]) ** 2
+        total = ca.SX(total)
+        if total.is_zero():
+            return None
+        data = ca.vertcat(weight, wanted)
+        cost = self.forms.duration * width * weight * total
+        return self.forms.point_form(ca.SX(0, 1), cost, data, width)
+
+    def _tracked(self, terms: Terms, unknowns: Unknowns) -> list[Array]:
+        if not terms.tracked or self._references is None:
+            return []
+        shortest, longest = self.problem.duration
+        times = unknowns.mesh.shares * 0.5 * (shortest + longest)
+        return [self._references(name, times) for _, name, _ in terms.tracked]
+
+    def _steep(self, name: str, unknowns: Unknowns) -> Iterator[Block]:
+        """Squared rates of inputs."""
+        mesh = unknowns.mesh
+        for degree in np.unique(mesh.degrees).tolist() if self.terms[name].steep else []:
+            scheme, chosen = mesh.scheme_of(degree), np.flatnonzero(mesh.degrees == degree)
+            slopes = scheme.powers()[1:] * np.arange(1, degree)[:, None]
+            D = np.vander(scheme.c, degree - 1, increasing=True) @ slopes
+            u, T, w, s = ca.SX.sym("u", degree), ca.SX.sym("T"), ca.SX.sym("w"), ca.SX.sym("s")
+            cost = s * ca.dot(ca.DM(scheme.b), (ca.DM(D) @ u) ** 2) / (T * w)
+            form = Form(ca.vertcat(u, T, w), s, ca.SX(0, 1), cost)
+            at = mesh.first_points[chosen][:, None] + np.arange(degree)
+            for one, share in self.terms[name].steep:
+                own = unknowns.points["u"][at, one.index].T
+                shared = np.full(len(chosen), unknowns.duration), unknowns.widths[chosen]
+                data = np.full((1, len(chosen)), share)
+                yield Block(name, form, np.vstack((own, *shared)), data)
+
+    def _speeds(self, name: str, unknowns: Unknowns) -> Iterator[Block]:
+        """Squares of mean speeds less what they should be."""
+        for one, target, share in self.terms[name].speeds:
+            if one.letter != "q":
+                raise ModelError(f"{one.name} is no position of an independent joint")
+            x0, x1, T = (ca.SX.sym(letter) for letter in ("a", "b", "T"))
+            cost = share * ((x1 - x0) / T - target) ** 2
+            form = Form(ca.vertcat(x0, x1, T), ca.SX(0, 1), ca.SX(0, 1), cost)
+            ends = unknowns.nodes["q"][[0, -1], one.index]
+            yield Block(name, form, np.array([[*ends, unknowns.duration]]).T)
+
+    def _ranges(self, given: Mapping[str, Range], letters: Any) -> list[tuple[Quantity, Range]]:
+        found = []
+        for name, (low, high) in given.items():
+            for one in self.quantities.find(name):
+                self._refuse_elsewhere(one, letters)
+                found.append((one, (low, high)))
+        return found
+
+    def _refuse_elsewhere(self, one: Quantity, letters: Any) -> None:
+        symbols = self.equations.symbols
+        known = [*letters, "t", "p"]
+        others = [symbols[key] for key in LETTERS if key not in known]
+        if others and ca.depends_on(one.value, ca.vertcat(*others)):
+            raise ModelError(f"{one.name} has no value at an end alone; accepted: in bounds")
+
+    def _places(self, unknowns: Unknowns, one: Quantity) -> Numbers:
+        if one.letter == "p":
+            return self._parameters[[one.index]]
+        if not one.letter:
+            return np.zeros(0, dtype=np.intp)
+        places = unknowns.points[one.letter][:, one.index]
+        if one.letter in _AT_NODES:
+            return np.concatenate((unknowns.nodes[one.letter][:, one.index], places))
+        return places
+
+    def _rows_of(self, ranges: Any, *, at_points: bool) -> Any:
+        """A form of quantities that are no unknowns, its bounds and usual sizes."""
+        derived = [(one, bounds) for one, bounds in ranges if not one.letter]
+        if not derived:
+            return None
+        values = ca.vertcat(*(one.value for one, _ in derived))
+        low, high = (np.array(each) for each in zip(*(b for _, b in derived), strict=True))
+        finite = [np.where(np.isfinite(one), np.abs(one), 0.0) for one in (low, high)]
+        size = np.maximum(np.maximum(*finite), 1.0)
+        form = (self.forms.point_form if at_points else self.forms.node_form)(values)
+        return form, low, high, size
+
+    def row_name(self, block: str, row: int) -> str:
+        """What a row of a block is, for messages."""
+        ranges = {PATH: self._bounds, START: self._start, END: self._end}.get(block)
+        if ranges is not None:
+            return [one.name for one, _ in ranges if not one.letter][row]
+        e = self.equations.equations
+        if block == CLOSING:
+            return "closure of loops"
+        return e.system.robot.joints[0].name if block else ""

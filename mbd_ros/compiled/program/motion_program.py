@@ -1,0 +1,213 @@
+"""Phases of a motion, with what links them, as one program; its solution as motions."""
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import casadi as ca
+import numpy as np
+
+from mbd_ros.compiled.program.block import Block, Form
+from mbd_ros.compiled.program.ipopt import Solved, Tell, solve
+from mbd_ros.compiled.program.motion_phase import MotionPhase
+from mbd_ros.compiled.program.phase_equations import LETTERS
+from mbd_ros.compiled.program.sparse_program import SparseProgram
+from mbd_ros.core.prediction.problem import Range
+from mbd_ros.core.prediction.unknowns import PhaseMotion, Unknowns
+from mbd_ros.core.state import Array
+
+_NODES = "qvz"
+
+
+class Linkage(Protocol):
+    """What links ends of phases."""
+
+    def blocks(self, every: Sequence[Unknowns], first: int) -> tuple[list[Block], int]:
+        """Blocks of rows, and the number after their own unknowns, which begin with `first`."""
+
+
+class Parameter(NamedTuple):
+    """A number of the scene that is unknown.
+
+    Attributes:
+        name: As `Scene.with_` takes it.
+        bounds: Least and largest value.
+        value: To begin with.
+    """
+
+    name: str
+    bounds: Range
+    value: float
+
+
+class Solution(NamedTuple):
+    """What was found.
+
+    Attributes:
+        motions: Of each phase.
+        parameters: Values of the parameters.
+        solved: What the solver leaves.
+        program: What was solved.
+        unknowns: Of each phase.
+    """
+
+    motions: tuple[PhaseMotion, ...]
+    parameters: Array
+    solved: Solved
+    program: SparseProgram
+    unknowns: tuple[Unknowns, ...]
+
+
+class MotionProgram:
+    """A motion as a program on any meshes.
+
+    Args:
+        phases: The phases, in order; their parameters are the first unknowns.
+        parameters: Unknown numbers.
+        begin: Time at which the first phase begins [s].
+        linkages: What links ends of phases.
+    """
+
+    def __init__(
+        self,
+        phases: Sequence[MotionPhase],
+        parameters: Sequence[Parameter] = (),
+        begin: float = 0.0,
+        linkages: Sequence[Linkage] = (),
+    ) -> None:
+        self.phases, self.parameters = tuple(phases), tuple(parameters)
+        self._begin, self._linkages = begin, tuple(linkages)
+
+    def solve(
+        self,
+        guesses: Sequence[PhaseMotion],
+        parameters: Array,
+        *,
+        accuracy: float = 1.0e-9,
+        cost_size: float = 1.0,
+        most: int = 1000,
+        is_near: bool = False,
+        tell: Tell | None = None,
+    ) -> Solution:
+        """Solve on the meshes of guesses.
+
+        Args:
+            guesses: Of each phase.
+            parameters: Values to begin with.
+            accuracy: Of the conditions of optimality, in usual sizes.
+            cost_size: Usual size of the cost.
+            most: Largest number of iterations.
+            is_near: Whether the guesses solve a program that is nearly this one.
+            tell: See `ipopt.solve`.
+        """
+        every = self._numbered(guesses)
+        guess = np.zeros(every[-1].end)
+        guess[: len(parameters)] = parameters
+        for unknowns, motion in zip(every, guesses, strict=True):
+            written(guess, unknowns, motion)
+        sizes = np.ones(every[-1].end)
+        sizes[: len(parameters)] = np.maximum(np.abs(parameters), 1.0e-6)
+        rows = list[Array]()
+        for phase, unknowns, motion in zip(self.phases, every, guesses, strict=True):
+            usual = phase.usual(motion, np.asarray(parameters))
+            usual.write(sizes, unknowns)
+            rows.append(usual.rows)
+        blocks, end = self._blocks(every, sizes, rows)
+        guess = np.append(guess, np.zeros(end - len(guess)))
+        sizes = np.append(sizes, np.ones(end - len(sizes)))
+        lower, upper = self._bounds(every, end)
+        guess = np.clip(guess, lower, upper)
+        known = np.where(lower == upper, lower, np.nan)
+        program = SparseProgram(blocks, sizes, known, cost_size)
+        more = {"accuracy": accuracy, "most": most, "is_near": is_near}
+        solved = solve(program, guess, lower, upper, tell=tell, **more)  # type: ignore[arg-type]
+        motions = tuple(read(solved.x, unknowns) for unknowns in every)
+        found = solved.x[: len(self.parameters)]
+        return Solution(motions, found, solved, program, tuple(every))
+
+    def _numbered(self, guesses: Sequence[PhaseMotion]) -> list[Unknowns]:
+        found, first = list[Unknowns](), len(self.parameters)
+        for phase, motion in zip(self.phases, guesses, strict=True):
+            found.append(Unknowns(phase.equations.sizes, motion.mesh, first))
+            first = found[-1].end
+        return found
+
+    def _blocks(
+        self, every: Sequence[Unknowns], sizes: Array, rows: Sequence[Array]
+    ) -> tuple[list[Block], int]:
+        found = list[Block]()
+        for phase, unknowns, usual in zip(self.phases, every, rows, strict=True):
+            found += phase.blocks(unknowns, sizes, usual)
+            if unknowns.mesh.free.any():
+                found += _moving_knots(unknowns)
+        for one, following in itertools.pairwise(every):
+            places = np.array([[one.begin, one.duration, following.begin]]).T
+            found.append(Block("times", _following(), places))
+        end = every[-1].end
+        for linkage in self._linkages:
+            more, end = linkage.blocks(every, end)
+            found += more
+        return found, end
+
+    def _bounds(self, every: Sequence[Unknowns], end: int) -> tuple[Array, Array]:
+        lower, upper = np.full(end, -np.inf), np.full(end, np.inf)
+        for i, one in enumerate(self.parameters):
+            lower[i], upper[i] = one.bounds
+        for i, (phase, unknowns) in enumerate(zip(self.phases, every, strict=True)):
+            mesh = unknowns.mesh
+            lower[unknowns.widths] = upper[unknowns.widths] = mesh.widths
+            moving = np.flatnonzero(_moves(mesh.free))
+            lower[unknowns.widths[moving]] = 0.05 * mesh.widths[moving]
+            upper[unknowns.widths[moving]] = 1.0
+            if i == 0:
+                lower[unknowns.begin] = upper[unknowns.begin] = self._begin
+            phase.bound(unknowns, lower, upper)
+        return lower, upper
+
+
+def written(x: Array, unknowns: Unknowns, motion: PhaseMotion) -> None:
+    """Write a motion on the mesh of some unknowns into these."""
+    for letter in _NODES:
+        x[unknowns.nodes[letter]] = motion.nodes[letter]
+    for letter in LETTERS:
+        x[unknowns.points[letter]] = motion.points[letter]
+    x[unknowns.begin], x[unknowns.duration] = motion.begin, motion.duration
+    x[unknowns.widths] = motion.mesh.widths
+    if unknowns.steps.size:
+        x[unknowns.steps] = motion.points["d"]
+
+
+def read(x: Array, unknowns: Unknowns) -> PhaseMotion:
+    """The motion of some unknowns."""
+    mesh = unknowns.mesh._replace(widths=x[unknowns.widths])
+    nodes = {letter: x[unknowns.nodes[letter]] for letter in _NODES}
+    points = {letter: x[unknowns.points[letter]] for letter in LETTERS}
+    points["d"] = x[unknowns.steps]
+    bases = unknowns.sizes.bases
+    return PhaseMotion(mesh, x[unknowns.begin], x[unknowns.duration], nodes, points, bases)
+
+
+def _moves(free: Array) -> Array:
+    """Which widths are unknown: those beside a knot that may move."""
+    moving: Array = free | np.concatenate(([False], free[:-1]))
+    return moving
+
+
+def _moving_knots(unknowns: Unknowns) -> list[Block]:
+    """Neighbours of knots that move keep their sum."""
+    moving, found, run = _moves(unknowns.mesh.free), list[Block](), list[int]()
+    for i, moves in enumerate([*moving, False]):
+        if moves:
+            run.append(i)
+        elif run:
+            x = ca.SX.sym("w", len(run))
+            total = float(unknowns.mesh.widths[run].sum())
+            form = Form(x, ca.SX(0, 1), ca.sum1(x))
+            found.append(Block("knots", form, unknowns.widths[run][:, None], None, total, total))
+            run = []
+    return found
+
+
+def _following() -> Form:
+    begin, T, after = (ca.SX.sym(name) for name in ("b", "T", "a"))
+    return Form(ca.vertcat(begin, T, after), ca.SX(0, 1), after - begin - T)

@@ -1,0 +1,132 @@
+"""The equations of a phase as a residual of symbols, for collocation.
+
+    r = (M a + h - loads - J' lam, J a + b, z' - rates)
+
+No mass matrix is factorised: accelerations, multipliers and rates are unknowns beside the state.
+"""
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from mbd_ros.compiled.symbols.equations import Equations
+from mbd_ros.compiled.symbols.implicit import residual
+from mbd_ros.compiled.symbols.rows import Rows
+from mbd_ros.compiled.symbols.scalar import scalars
+from mbd_ros.core.prediction.unknowns import Sizes
+from mbd_ros.core.row_laws import Level
+from mbd_ros.core.state import Array
+
+LETTERS = "qvzawul"  # what is unknown at a point
+_BASE_Q = 7
+
+
+class PhaseEquations:
+    """Expressions of a system in one mode.
+
+    Args:
+        equations: Of the system.
+
+    Attributes:
+        equations: As given.
+        symbols: Letter -> column: t, p and `LETTERS`.
+        sizes: Of the system.
+    """
+
+    def __init__(self, equations: Equations) -> None:
+        self.equations, e = equations, equations
+        self.symbols = {key: e.symbols[key] for key in "tpqvzual"}
+        self.symbols["w"] = ca.SX.sym("w", e.nz)
+        m = len(e.acting.J)
+        joints = e.system.chart.model.joints
+        bases = tuple((int(j.idx_q), int(j.idx_v)) for j in joints if j.nq == _BASE_Q)
+        self.sizes = Sizes(e.nq, e.nv, e.nz, e.nu, m, len(self._closing.g), bases)
+
+    @cached_property
+    def residual(self) -> Any:
+        """The r, a column of size nv + m + nz."""
+        e = self.equations
+        a, lam = (scalars(self.symbols[key]) for key in "al")
+        r = residual(e, a, lam, e.dynamics[-1 if e.mh else 0])
+        return ca.vertcat(r, self.symbols["w"] - e.rates)
+
+    @cached_property
+    def positions(self) -> Any:
+        """G of rows that state positions, a column of size mg."""
+        return ca.vertcat(ca.SX(0, 1), *self._closing.g)
+
+    @cached_property
+    def velocities(self) -> Any:
+        """G' of all rows, or what rows of velocities state, a column of size m."""
+        e = self.equations
+        return ca.vertcat(ca.SX(0, 1), *e.acting.velocities(scalars(self.symbols["v"])))
+
+    @cached_property
+    def jacobians(self) -> tuple[Any, Any]:
+        """J of rows of positions and of all rows, shapes (mg, nv) and (m, nv)."""
+        return self._dense(self._closing), self._dense(self.equations.acting)
+
+    @property
+    def _closing(self) -> Rows:
+        return self.equations.acting.of(Level.POSITION)
+
+    def _dense(self, rows: Rows) -> Any:
+        found = ca.SX(len(rows.J), self.equations.nv)
+        for i, row in enumerate(rows.J):
+            for j, value in row.items():
+                found[i, j] = value
+        return found
+
+    @property
+    def depends_on_time(self) -> bool:
+        """Whether anything depends on the time itself."""
+        whole = ca.vertcat(self.residual, self.positions, self.velocities)
+        return bool(ca.depends_on(whole, self.symbols["t"]))
+
+    @cached_property
+    def flat(self) -> np.ndarray:
+        """Pairs of places in q and v of coordinates that add up, shape (.., 2)."""
+        joints = self.equations.system.chart.model.joints
+        found = [(j.idx_q, j.idx_v) for j in joints if j.nq == 1 and j.idx_q >= 0]
+        return np.array(found, dtype=np.intp).reshape(-1, 2)
+
+    @cached_property
+    def _slopes(self) -> Any:
+        """(t, q, v, z, a, w, u, l, p) -> r, and its slopes by (a, l, w), dense."""
+        by = ca.vertcat(*(self.symbols[key] for key in "alw"))
+        given = [self.symbols[key] for key in ("t", *LETTERS, "p")]
+        results = [ca.densify(self.residual), ca.densify(ca.jacobian(self.residual, by))]
+        return ca.Function("slopes", given, ca.cse(results))
+
+    def answers(self, values: Mapping[str, Array], times: Array, p: Array) -> tuple[Array, Array]:
+        """The r and its slopes by (a, l, w), shapes (n, rows) and (n, rows, rows).
+
+        Args:
+            values: Letter -> values, shape (n, ..); of what is not there, zeros.
+            times: [s], shape (n,).
+            p: Parameters.
+        """
+        n, sizes = len(times), self.sizes
+        given = [times[None, :]]
+        for key in LETTERS:
+            size = int(self.symbols[key].numel())
+            given.append(values[key].T if key in values else np.zeros((size, n)))
+        given.append(np.repeat(np.asarray(p)[:, None], n, axis=1))
+        r, K = self._slopes.map(n)(*given)
+        rows = sizes.nv + sizes.m + sizes.nz
+        return _full(r).T, _full(K).T.reshape(n, rows, rows).transpose(0, 2, 1)
+
+    def solved(self, values: Mapping[str, Array], times: Array, p: Array) -> dict[str, Array]:
+        """Accelerations, multipliers and rates at states with inputs: letters a, l, w."""
+        given = {key: values[key] for key in "qvzu"}
+        r, K = self.answers(given, times, p)
+        x = np.linalg.solve(K, -r[:, :, None])[:, :, 0] if r.size else r
+        nv, m = self.sizes.nv, self.sizes.m
+        return {"a": x[:, :nv], "l": x[:, nv : nv + m], "w": x[:, nv + m :]}
+
+
+def _full(values: Any) -> Array:
+    return np.array(values.full(), dtype=np.float64)

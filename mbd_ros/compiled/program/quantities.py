@@ -1,0 +1,180 @@
+"""What goes by a name in a task: expressions of the symbols of a phase."""
+
+from collections.abc import Iterator, Mapping
+from fnmatch import fnmatchcase
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from mbd_ros.compiled.program.phase_equations import PhaseEquations
+from mbd_ros.compiled.symbols.scalar import plain
+from mbd_ros.compiled.symbols.untraceable import tracing
+from mbd_ros.core.dynamics.inputs import command_names, input_names
+from mbd_ros.core.state import Array
+from mbd_ros.errors import ModelError
+
+_AXES = "xyz"
+
+
+class Quantity(NamedTuple):
+    """A number of a motion.
+
+    Attributes:
+        name: As tasks call it.
+        value: Its expression.
+        letter: That of the unknown that it is; empty for other expressions.
+        index: Its place in that.
+    """
+
+    name: str
+    value: Any
+    letter: str = ""
+    index: int = -1
+
+
+class Quantities:
+    """Quantities by name.
+
+    `<joint>.position`, `.velocity`, `.acceleration`, commands and excitations as tables call them,
+    internal states, multipliers, `<frame>.position.x` and `.velocity.x` of links, and parameters.
+
+    Args:
+        phase: Of which phase.
+    """
+
+    def __init__(self, phase: PhaseEquations) -> None:
+        self._phase, self._named = phase, dict[str, Quantity]()
+        for one in (*self._joints(), *self._bodies(), *self._others()):
+            self._named.setdefault(one.name, one)
+
+    @property
+    def symbols(self) -> Mapping[str, Any]:
+        """As those of the phase."""
+        return self._phase.symbols
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names but those of frames."""
+        return tuple(self._named)
+
+    def find(self, name: str) -> list[Quantity]:
+        """The quantities of a name, or of a pattern: unknowns first, else others.
+
+        Raises:
+            ModelError: There is none; lists what there is.
+        """
+        if name in self._named:
+            return [self._named[name]]
+        found = [one for key, one in self._named.items() if fnmatchcase(key, name)]
+        found = [one for one in found if one.letter] or found
+        if not found:
+            of_frame = self._of_frame(name)
+            found = [] if of_frame is None else [of_frame]
+        if not found:
+            raise ModelError(
+                f"no quantity '{name}', there are {', '.join(self._named)} and "
+                "<frame>.position.x of links"
+            )
+        return found
+
+    def inputs(self) -> list[Quantity]:
+        """All inputs, in the order of u."""
+        return [one for one in self._named.values() if one.letter == "u"]
+
+    def _joints(self) -> Iterator[Quantity]:
+        e, symbols = self._phase.equations, self._phase.symbols
+        lifted = e.coordinates.lifted(ca.vertsplit(symbols["a"]))
+        own = {letter: _places(symbols[letter]) for letter in "qva"}
+        for joint in e.system.robot.joints:
+            values = {
+                "position": ("q", plain(e.coordinates.q[joint.q])),
+                "velocity": ("v", plain(e.coordinates.v[joint.v])),
+                "acceleration": ("a", lifted[joint.v]),
+            }
+            for kind, (letter, value) in values.items():
+                yield _quantity(f"{joint.name}.{kind}", ca.SX(value), letter, own[letter])
+
+    def _bodies(self) -> Iterator[Quantity]:
+        e = self._phase.equations
+        kinds = (("position", "xyz"), ("orientation", "xyzw"), ("velocity", "xyz"))
+        for base in e.system.robot.bases:
+            q, v = e.coordinates.q[base.q], e.coordinates.v[base.v]
+            values = [*q, *v]
+            names = [f"{base.name}.{kind}.{axis}" for kind, axes in kinds for axis in axes]
+            names += [f"{base.name}.angular_velocity.{axis}" for axis in _AXES]
+            for i, (name, value) in enumerate(zip(names, values, strict=True)):
+                letter = "q" if i < len(q) else "v"
+                places = _places(self._phase.symbols[letter])
+                yield _quantity(name, ca.SX(plain(value)), letter, places)
+
+    def _others(self) -> Iterator[Quantity]:
+        e, symbols = self._phase.equations, self._phase.symbols
+        for i, name in enumerate(input_labels(e.system)):
+            yield Quantity(name, symbols["u"][i], "u", i)
+        for i, name in enumerate(e.system.internals.names):
+            yield Quantity(name, symbols["z"][i], "z", i)
+        for i, name in enumerate(multiplier_names(e)):
+            yield Quantity(name, symbols["l"][i], "l", i)
+        for i, name in enumerate(e.parameters):
+            yield Quantity(name, symbols["p"][i], "p", i)
+        yield Quantity("time", symbols["t"], "t", 0)
+        total: Any = e.k.zeros(e.tree.nv)
+        for part in e.loads[: len(e.system.loads.actuators)]:
+            with tracing(part):
+                total = total + part.force(e.k, e.x, e.u)
+        for joint in e.system.robot.joints:
+            yield Quantity(f"{joint.name}.effort", ca.SX(plain(total[joint.v])))
+
+    def _of_frame(self, name: str) -> Quantity | None:
+        frame, _, rest = name.partition(".")
+        kind, _, axis = rest.partition(".")
+        k, robot = self._phase.equations.k, self._phase.equations.system.robot
+        if kind not in ("position", "velocity") or axis not in tuple(_AXES):
+            return None
+        point = robot.point(frame)
+        value = getattr(k, kind)(point)[_AXES.index(axis)]
+        if kind == "position":
+            value = value + float(robot.origin[_AXES.index(axis)])
+        return Quantity(name, ca.SX(plain(value)))
+
+
+def input_labels(system: Any) -> list[str]:
+    """Names of u: `<joint>.effort` where that is the command, `<name>.command`, or their own."""
+    loads, found = system.loads, [""] * len(system.loads.idle)
+    for part, names in zip(loads.actuators, command_names(loads.actuators), strict=True):
+        for i, name in enumerate(names):
+            is_effort = not part.takes and name in part.joints
+            kind = ".effort" if is_effort else ".command"
+            found[part.u.start + i] = f"{name}{kind}" if part.joints else name
+    for part in loads.forces:
+        if part.inputs:
+            found[part.u] = input_names(part)
+    return found
+
+
+def input_bounds(system: Any) -> tuple[Array, Array]:
+    """Bounds within which inputs have an effect, shape (nu,) each."""
+    lower, upper = np.full((2, len(system.loads.idle)), np.inf) * [[-1.0], [1.0]]
+    for part in (*system.loads.actuators, *system.loads.forces):
+        if part.inputs:
+            lower[part.u] = [one.lower for one in part.inputs]
+            upper[part.u] = [one.upper for one in part.inputs]
+    return lower, upper
+
+
+def multiplier_names(e: Any) -> list[str]:
+    """Names of the rows that act."""
+    rigid = e.system.held.constraints.blocks
+    found = [row.name for block in rigid for row in block.rows]
+    every = [row.name for row in e.system.multiplier_rows]
+    return found + [every[slot] for slot in e.yielding.slots[: len(e.acting.J) - len(found)]]
+
+
+def _places(symbols: Any) -> dict[int, int]:
+    return {one.element_hash(): i for i, one in enumerate(ca.vertsplit(symbols))}
+
+
+def _quantity(name: str, value: Any, letter: str, places: dict[int, int]) -> Quantity:
+    at = places.get(value.element_hash(), -1) if value.is_symbolic() else -1
+    return Quantity(name, value, letter if at >= 0 else "", at)

@@ -1,0 +1,31 @@
+"""Words of `mbd-ros predict`."""
+
+import argparse
+
+from mbd_ros.errors import FAILED, OK
+from mbd_ros.jobs.arguments import add_scene
+from mbd_ros.jobs.lines import say
+from mbd_ros.scene.locate import path_word
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The words that `predict` understands."""
+    add_scene(parser)
+    parser.add_argument("task", type=path_word, help="task file with a section predict")
+    parser.add_argument(
+        "-o",
+        "--out",
+        type=path_word,
+        help="the motion; .npz and .parquet hold all tables, beside a .csv stand OUT.goals.csv "
+        "and OUT.nodes.csv",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Do what the words say; the exit code."""
+    from mbd_ros.jobs.predict.to_file import predict_to
+    from mbd_ros.scene.reader import load_scene
+
+    scene = load_scene(arguments.scene)
+    is_found = predict_to(scene, arguments.task, arguments.out, say)
+    return OK if is_found else FAILED

@@ -1,0 +1,122 @@
+"""The best motion of a scene: `mbd-ros predict`."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from mbd_ros.errors import NotConvergedError
+from mbd_ros.files.table import MAIN, Result
+from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.metadata import metadata_of
+from mbd_ros.jobs.predict.failure import reasons
+from mbd_ros.jobs.predict.problem import problem_of
+from mbd_ros.jobs.predict.replay import Replay, replay, simulation_of
+from mbd_ros.jobs.predict.solving import Found, solve
+from mbd_ros.jobs.predict.tables import GOALS, NODES, goal_table, motion_table, node_table
+from mbd_ros.jobs.progress import Watch, watching
+from mbd_ros.jobs.simulate.table import topics_of
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.predict_task import PredictTask, predict_task
+from mbd_ros.scene.task_reader import read_task
+
+
+def predict(
+    scene: Scene,
+    task: str | Path | Mapping[str, Any],
+    *,
+    say: Say | None = None,
+    progress: Watch = False,
+) -> Result:
+    """The motion that costs least, between what bounds and equations of motion let it be.
+
+    Args:
+        scene: The scene.
+        task: A task file with a section `predict`, or its keys; see docs/prediction.md.
+        say: Is called with each line for people; without it the lines are
+            `metadata["remarks"]`.
+        progress: True for lines on a terminal.
+
+    Returns:
+        Table `samples`: the motion, with the columns of a simulation. Table `goals`, a row a goal.
+        Table `nodes`, a row a node of the mesh. Metadata: `cost`, `converged`, `error` between
+        nodes, `replay`, the deviation of a simulation, `active`, and `parameters`.
+
+    Raises:
+        NotConvergedError: No solution was found; says what stands against it. Its `result` is the
+            last iterate.
+        SceneError: The task cannot be read, or does not fit the scene.
+    """
+    remarks: list[str] = []
+    with watching(progress):
+        asked = task_of(scene, task)
+        found, result = run_predict(scene, asked, say or remarks.append)
+    if say is None:
+        result.metadata["remarks"] = remarks
+    if not found.is_converged:
+        raise NotConvergedError("\n".join(reasons(found, asked)), result)
+    return result
+
+
+def task_of(scene: Scene, task: str | Path | Mapping[str, Any]) -> PredictTask:
+    """The task of a file, or of the keys of its section."""
+    if isinstance(task, str | Path):
+        parts = read_task(task, scene).parts
+        found: PredictTask = parts.get("predict") or predict_task({}, str(task))
+        return found
+    return predict_task(dict(task), "predict")
+
+
+def run_predict(scene: Scene, task: PredictTask, say: Say) -> tuple[Found, Result]:
+    """See `predict`; the last iterate too where there is no solution."""
+    found = solve(problem_of(scene, task), task, say)
+    driven, motion = found.problem.scene, found.solution.motions[0]
+    simulation = simulation_of(driven, motion)
+    again = replay(driven, motion)
+    for line in solution_lines(found, again):
+        say(line)
+    tables = {
+        MAIN: motion_table(simulation, motion),
+        GOALS: goal_table(found),
+        NODES: node_table(found),
+    }
+    inputs = {"task": task.source or None}
+    metadata = metadata_of("predict", driven, inputs, topics_of(simulation.system))
+    metadata |= numbers_of(found, again)
+    return found, Result(tables, metadata)
+
+
+def numbers_of(found: Found, again: Replay) -> dict[str, Any]:
+    """What a result says of how good it is."""
+    solved = found.solution.solved
+    names = [one.name for one in found.problem.program.parameters]
+    return {
+        "converged": found.is_converged,
+        "status": solved.status,
+        "cost": solved.cost,
+        "duration": [motion.duration for motion in found.solution.motions],
+        "error": found.worst,
+        "violation": solved.violation,
+        "stationarity": solved.stationarity,
+        "iterations": found.iterations,
+        "replay": again.deviation if again.deviation == again.deviation else None,
+        "parameters": dict(zip(names, found.solution.parameters.tolist(), strict=True)),
+    }
+
+
+def solution_lines(found: Found, again: Replay) -> Iterator[str]:
+    """What is said of a solution."""
+    solved = found.solution.solved
+    word = "found" if found.is_converged else "NOT CONVERGED, the last iterate"
+    T = ", ".join(f"{motion.duration:.9g}" for motion in found.solution.motions)
+    yield f"{word}: cost {solved.cost:.12g}, duration {T} s, {found.iterations} iterations"
+    names = [one.name for one in found.problem.program.parameters]
+    for name, value in zip(names, found.solution.parameters, strict=True):
+        yield f"  {name} = {value:.9g}"
+    yield (
+        f"  violation {solved.violation:.1e}, slope of the Lagrangian {solved.stationarity:.1e}, "
+        f"both in usual sizes; error between nodes {found.worst:.1e}"
+    )
+    if again.why:
+        yield f"  integrated again: {again.why}"
+    else:
+        yield f"  integrated again with 1e-10: the end is off by {again.deviation:.1e}"

@@ -1,0 +1,144 @@
+"""A program solved on finer and finer meshes, until errors between nodes are small enough."""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.prediction.error_estimate import errors_of
+from mbd_ros.core.prediction.mesh import Mesh
+from mbd_ros.core.prediction.refinement import refined
+from mbd_ros.core.prediction.unknowns import PhaseMotion
+from mbd_ros.core.state import Array
+from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.predict.problem import Problem
+from mbd_ros.jobs.progress import PERIOD, announce
+from mbd_ros.scene.predict_task import PredictTask
+
+if TYPE_CHECKING:
+    from mbd_ros.compiled.program.motion_program import Solution
+
+STOPPED = "User_Requested_Stop"
+
+
+class Found(NamedTuple):
+    """A solution, or the last iterate.
+
+    Attributes:
+        problem: What was solved.
+        solution: Of the last mesh.
+        errors: Relative errors between nodes, of each interval of each phase.
+        is_fine: Whether the errors are within the tolerance.
+        iterations: On all meshes.
+        lines: One a mesh, for people.
+    """
+
+    problem: Problem
+    solution: "Solution"
+    errors: list[Array]
+    is_fine: bool
+    iterations: int
+    lines: list[str]
+
+    @property
+    def is_converged(self) -> bool:
+        """Whether conditions of optimality hold and errors are within the tolerance."""
+        return self.solution.solved.is_good and self.is_fine
+
+    @property
+    def worst(self) -> float:
+        """Largest relative error between nodes."""
+        return max(float(one.max(initial=0.0)) for one in self.errors)
+
+
+def solve(problem: Problem, task: PredictTask, say: Say) -> Found:
+    """Solve on the first mesh, and on refined ones.
+
+    Args:
+        problem: What is solved.
+        task: The task.
+        say: Is told a line a mesh.
+    """
+    guesses, parameters, cost_size = list(problem.guesses), problem.parameters, 1.0
+    total, lines, is_near = 0, list[str](), False
+    for round_ in range(task.mesh.refinements + 1):
+        solution = problem.program.solve(
+            guesses,
+            parameters,
+            accuracy=task.accuracy,
+            cost_size=cost_size,
+            most=task.iterations,
+            is_near=is_near,
+            tell=_Watcher(round_),
+        )
+        solved = solution.solved
+        total += solved.iterations
+        errors = [
+            error_of(phase, motion, solution.parameters)
+            for phase, motion in zip(problem.program.phases, solution.motions, strict=True)
+        ]
+        worst = max(float(one.max(initial=0.0)) for one in errors)
+        lines.append(mesh_line(round_, solution, worst))
+        say(lines[-1])
+        is_fine = worst <= task.tolerance
+        found = Found(problem, solution, errors, is_fine, total, lines)
+        if is_fine or not solved.is_good:
+            return found
+        guesses = [
+            moved(motion, refined(motion.mesh, error, task.tolerance))
+            for motion, error in zip(solution.motions, errors, strict=True)
+        ]
+        parameters = solution.parameters
+        cost_size, is_near = abs(solved.cost) or 1.0, True
+    return found
+
+
+def mesh_line(round_: int, solution: "Solution", worst: float) -> str:
+    """What is said of a mesh."""
+    intervals = sum(motion.mesh.intervals for motion in solution.motions)
+    points = sum(int(motion.mesh.degrees.sum()) for motion in solution.motions)
+    solved = solution.solved
+    return (
+        f"mesh {round_ + 1}: {intervals} intervals, {points} points, {solved.iterations} "
+        f"iterations, cost {solved.cost:.12g}, error between nodes {worst:.2g}"
+    )
+
+
+def error_of(phase: Any, motion: PhaseMotion, p: Array) -> Array:
+    """Relative error of each interval of a phase, shape (n,)."""
+
+    def rates(shares: Array, values: dict[str, Array]) -> tuple[Array, Array]:
+        found = phase.equations.solved(values, motion.begin + motion.duration * shares, p)
+        return found["a"], found["w"]
+
+    return errors_of(motion, rates).relative
+
+
+def moved(motion: PhaseMotion, mesh: Mesh) -> PhaseMotion:
+    """A motion on another mesh."""
+    at = motion.at(mesh.shares)
+    knots = motion.at(mesh.knots[:-1])
+    nodes = {key: np.vstack((knots[key], motion.nodes[key][-1])) for key in "qvz"}
+    points: dict[str, Array] = {key: at[key] for key in "qvzawul"}
+    points["d"] = np.zeros((len(mesh.shares) + mesh.intervals, 6 * len(motion.bases)))
+    return PhaseMotion(mesh, motion.begin, motion.duration, nodes, points, motion.bases)
+
+
+class _Watcher:
+    """Says on a terminal how far the solver is."""
+
+    def __init__(self, round_: int) -> None:
+        self._round, self._due = round_, 0.0
+
+    def __call__(self, iteration: int, cost: float, violation: float) -> bool:
+        if time.monotonic() >= self._due:
+            self._due = time.monotonic() + PERIOD
+            announce(
+                f"predict: mesh {self._round + 1}, iteration {iteration}, cost {cost:.6g}, "
+                f"violation {violation:.1e}"
+            )
+        return False
+
+
+Progress = Callable[[Sequence[str]], None]

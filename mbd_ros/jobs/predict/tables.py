@@ -1,0 +1,84 @@
+"""Tables of a predicted motion."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbd_ros.core.prediction.unknowns import PhaseMotion
+from mbd_ros.core.simulation.simulation import Simulation
+from mbd_ros.core.state import Array, State
+from mbd_ros.files.table import Column, Table
+from mbd_ros.files.times import TIME
+from mbd_ros.jobs.predict.solving import Found
+from mbd_ros.jobs.simulate.table import table_of
+
+if TYPE_CHECKING:
+    from mbd_ros.compiled.program.motion_program import Solution
+
+GOALS, NODES = "goals", "nodes"
+_SHOWN = 240  # intervals of the samples of a phase
+
+
+def motion_table(simulation: Simulation, motion: PhaseMotion) -> Table:
+    """Samples of a motion at equal times, with the columns of a simulation."""
+    shares = np.linspace(0.0, 1.0, _SHOWN + 1)
+    values = motion.at(shares[:-1])
+    rows = {key: np.vstack((values[key], motion.nodes[key][-1])) for key in "qvz"}
+    times = motion.begin + motion.duration * shares
+    states = [
+        simulation.system.expand(State(float(t), *(rows[key][i] for key in "qvz")))
+        for i, t in enumerate(times)
+    ]
+    table, _, failure = table_of(simulation, states)
+    if failure is not None:
+        raise failure
+    internals = simulation.system.internals
+    more = [
+        Column(name, column, unit)
+        for name, column, unit in zip(internals.names, rows["z"].T, internals.units, strict=True)
+        if name not in table
+    ]
+    return Table([*table.columns, *more])
+
+
+def goal_table(found: Found) -> Table:
+    """A row a goal: name, weight and what it adds to the cost."""
+    values = goal_values(found.solution)
+    weights = {
+        goal.name: goal.weight
+        for phase in found.problem.program.phases
+        for goal in phase.problem.goals
+    }
+    return Table(
+        [
+            Column("goal", np.array(list(weights))),
+            Column("weight", np.array(list(weights.values()))),
+            Column("value", np.array([values.get(name, 0.0) for name in weights])),
+        ]
+    )
+
+
+def goal_values(solution: "Solution") -> dict[str, float]:
+    """Name of a goal -> what it adds to the cost."""
+    found = dict[str, float]()
+    for block in solution.program.blocks:
+        if block.form.has_cost:
+            x = solution.solved.x[block.places]
+            values = block.form.cost.map(block.count)(x, block.data)
+            found[block.name] = found.get(block.name, 0.0) + float(np.sum(values.full()))
+    return found
+
+
+def node_table(found: Found) -> Table:
+    """A row a node: time, errors of the interval that follows, costates of the state there."""
+    parts = list[dict[str, Array]]()
+    for phase, motion, error in zip(
+        found.problem.program.phases, found.solution.motions, found.errors, strict=True
+    ):
+        times = motion.begin + motion.duration * motion.mesh.knots
+        part = {TIME: times, "error": np.append(error, 0.0)}
+        part["degree"] = np.append(motion.mesh.degrees, 0).astype(float)
+        assert phase is not None
+        parts.append(part)
+    names = list(parts[0])
+    return Table([Column(name, np.concatenate([p[name] for p in parts])) for name in names])

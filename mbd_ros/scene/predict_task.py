@@ -1,0 +1,290 @@
+"""The `predict` section of a task file: which motion is asked of a scene, and what is best."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from mbd_ros.core.prediction.collocation import LARGEST_DEGREE
+from mbd_ros.core.prediction.problem import Goal, Range
+from mbd_ros.core.ranges import LARGEST, SMALLEST, Within
+from mbd_ros.errors import SceneError
+from mbd_ros.scene import schema
+from mbd_ros.scene.building import Site
+from mbd_ros.scene.locate import find_file
+from mbd_ros.scene.predict_goals import goals_of
+
+FREE = "free"
+Scheme = Literal["gauss", "radau", "hermite_simpson"]
+Count = Annotated[int, Within(1, 10_000)]
+
+
+@dataclass(frozen=True)
+class MeshTask:
+    """The first mesh.
+
+    Attributes:
+        scheme: Of collocation.
+        degree: Points of an interval.
+        intervals: Of each phase.
+        refinements: How many times intervals are split at most.
+    """
+
+    scheme: Scheme = "gauss"
+    degree: Annotated[int, Within(1, LARGEST_DEGREE)] = 5
+    intervals: Count = 10
+    refinements: Annotated[int, Within(0, 30)] = 10
+
+
+@dataclass(frozen=True)
+class PhaseTask:
+    """What is asked of a phase.
+
+    Attributes:
+        phase: Name of a phase of the scene; empty where it has none.
+        duration: Shortest and longest [s].
+        bounds: Quantity -> range, all the time.
+        start: The same at the beginning.
+        end: The same at the end.
+        goals: Terms of the cost.
+    """
+
+    phase: str
+    duration: Range
+    bounds: Mapping[str, Range]
+    start: Mapping[str, Range]
+    end: Mapping[str, Range]
+    goals: tuple[Goal, ...]
+
+
+@dataclass(frozen=True)
+class PredictTask:
+    """A motion that is asked of a scene.
+
+    Attributes:
+        phases: What is asked of each phase, in the order of the motion.
+        start_free: Whether a state that `start` does not name is free, in place of that of the
+            scene.
+        periodic: Quantities that end as they begin; empty for none.
+        symmetric: Quantity at the end -> quantity at the beginning that has its value.
+        parameters: Unknown numbers of the scene and their ranges.
+        mesh: The first mesh.
+        tolerance: Of the error between nodes, relative.
+        accuracy: Of the conditions of optimality.
+        iterations: Largest number of iterations on a mesh.
+        guess: Quantity -> values at equal times; straight lines between them.
+        guess_file: Motion to begin with; None for straight lines.
+        starts: How many guesses are tried, the first one as given, the others at random.
+        continuation: Number of the scene -> values, the last one that of the motion.
+        source: The file, for messages; empty without one.
+    """
+
+    phases: tuple[PhaseTask, ...]
+    start_free: bool = False
+    periodic: tuple[str, ...] = ()
+    symmetric: Mapping[str, str] = field(default_factory=dict)
+    parameters: Mapping[str, Range] = field(default_factory=dict)
+    mesh: MeshTask = field(default_factory=MeshTask)
+    tolerance: float = 1.0e-7
+    accuracy: float = 1.0e-9
+    iterations: int = 1000
+    guess: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    guess_file: Path | None = None
+    starts: int = 1
+    continuation: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    source: str = ""
+
+
+def build_task(site: Site, given: Any) -> PredictTask:
+    """The `predict` section of a task file.
+
+    Raises:
+        SceneError: Names file, key, what is wrong and what is accepted.
+    """
+    return predict_task(given, site.where, site.origin.name, site.origin.folder)
+
+
+def predict_task(
+    given: Any, where: str, source: str = "", folder: Path | None = None
+) -> PredictTask:
+    """The task of some entries.
+
+    Args:
+        given: Entries by key, see `_task`.
+        where: File and key, for the messages.
+        source: The file; empty without one.
+        folder: From which files are looked for.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    task: PredictTask = schema.call(_task, given, where, where, source, folder or Path())
+    return task
+
+
+def _task(
+    where: str,
+    source: str,
+    folder: Path,
+    *,
+    duration: Any = None,
+    start: Any = None,
+    end: Mapping[str, Any] | None = None,
+    bounds: Mapping[str, Any] | None = None,
+    goals: Sequence[Any] = (),
+    phases: Sequence[Mapping[str, Any]] = (),
+    periodic: Any = False,
+    symmetric: Mapping[str, str] | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    mesh: Mapping[str, Any] | None = None,
+    tolerance: Annotated[float, Within(1.0e-13, 1.0)] = 1.0e-7,
+    accuracy: Annotated[float, Within(1.0e-13, 1.0e-2)] = 1.0e-9,
+    iterations: Count = 1000,
+    guess: Any = None,
+    starts: Annotated[int, Within(1, 1000)] = 1,
+    continuation: Mapping[str, Any] | None = None,
+) -> PredictTask:
+    if duration is None and not phases:
+        raise SceneError(f"{where}: key 'duration' is missing")
+    shared = goals_of(goals, f"{where}.goals", folder)
+    always = _ranges(bounds or {}, f"{where}.bounds")
+    is_free = start == FREE or (start is None and (bool(periodic) or bool(symmetric)))
+    first = {} if start is None or start == FREE else _ranges(start, f"{where}.start")
+    last = _ranges(end or {}, f"{where}.end")
+    if phases:
+        some = tuple(
+            schema.call(_phase, one, f"{where}.phases[{i}]", f"{where}.phases[{i}]", folder)
+            for i, one in enumerate(phases)
+        )
+        some = tuple(_with_shared(one, always, shared) for one in some)
+        some = (_at_start(some[0], first), *some[1:])
+        some = (*some[:-1], _at_end(some[-1], last))
+    else:
+        span = _duration(duration, f"{where}.duration")
+        some = (PhaseTask("", span, always, first, last, shared),)
+    if not any(one.goals for one in some):
+        raise SceneError(f"{where}: key 'goals' is missing, such as [{{type: effort}}]")
+    lines, file = _guess(guess, f"{where}.guess", folder)
+    return PredictTask(
+        some,
+        is_free,
+        _names(periodic, f"{where}.periodic"),
+        dict(symmetric or {}),
+        {
+            key: _open_range(one, f"{where}.parameters.{key}")
+            for key, one in (parameters or {}).items()
+        },
+        schema.call(MeshTask, dict(mesh or {}), f"{where}.mesh"),
+        tolerance,
+        accuracy,
+        iterations,
+        lines,
+        file,
+        starts,
+        {
+            key: tuple(schema.value(one, Sequence[float], f"{where}.continuation.{key}"))
+            for key, one in (continuation or {}).items()
+        },
+        source,
+    )
+
+
+def _phase(
+    where: str,
+    folder: Path,
+    *,
+    duration: Any,
+    phase: str = "",
+    bounds: Mapping[str, Any] | None = None,
+    start: Mapping[str, Any] | None = None,
+    end: Mapping[str, Any] | None = None,
+    goals: Sequence[Any] = (),
+) -> PhaseTask:
+    return PhaseTask(
+        phase,
+        _duration(duration, f"{where}.duration"),
+        _ranges(bounds or {}, f"{where}.bounds"),
+        _ranges(start or {}, f"{where}.start"),
+        _ranges(end or {}, f"{where}.end"),
+        goals_of(goals, f"{where}.goals", folder),
+    )
+
+
+def _with_shared(
+    one: PhaseTask, bounds: Mapping[str, Range], goals: tuple[Goal, ...]
+) -> PhaseTask:
+    whole = {**bounds, **one.bounds}
+    return PhaseTask(one.phase, one.duration, whole, one.start, one.end, (*goals, *one.goals))
+
+
+def _at_start(one: PhaseTask, start: Mapping[str, Range]) -> PhaseTask:
+    whole = {**start, **one.start}
+    return PhaseTask(one.phase, one.duration, one.bounds, whole, one.end, one.goals)
+
+
+def _at_end(one: PhaseTask, end: Mapping[str, Range]) -> PhaseTask:
+    whole = {**end, **one.end}
+    return PhaseTask(one.phase, one.duration, one.bounds, one.start, whole, one.goals)
+
+
+def _duration(given: Any, where: str) -> Range:
+    low, high = _range(given, where)
+    if not (low >= SMALLEST and high <= LARGEST):
+        raise SceneError(f"{where}: {low:g} .. {high:g} s is out of range, accepted: above 0")
+    return low, high
+
+
+def _ranges(given: Any, where: str) -> dict[str, Range]:
+    if not isinstance(given, dict):
+        raise SceneError(f"{where}: expected quantities with a number or [low, high] each")
+    return {str(key): _range(one, f"{where}.{key}") for key, one in given.items()}
+
+
+def _range(given: Any, where: str) -> Range:
+    """A number, [low, high] with null for no bound, or `free`."""
+    if given == FREE:
+        return -math.inf, math.inf
+    if isinstance(given, list):
+        if len(given) != 2:
+            raise SceneError(f"{where}: expected a number or [low, high], got {given}")
+        ends = (-math.inf, math.inf)
+        pairs = zip(given, ends, strict=True)
+        low, high = (end if one is None else schema.value(one, float, where) for one, end in pairs)
+        if low > high:
+            raise SceneError(f"{where}: lower bound {low:g} is above the upper one {high:g}")
+        return low, high
+    number = schema.value(given, float, where)
+    return number, number
+
+
+def _open_range(given: Any, where: str) -> Range:
+    low, high = _range(given, where)
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise SceneError(f"{where}: expected [low, high] with low < high, got {given}")
+    return low, high
+
+
+def _names(given: Any, where: str) -> tuple[str, ...]:
+    if isinstance(given, bool):
+        return ("*.position", "*.velocity") if given else ()
+    return tuple(schema.value(given, Sequence[str], where))
+
+
+def _guess(
+    given: Any, where: str, folder: Path
+) -> tuple[dict[str, tuple[float, ...]], Path | None]:
+    if given is None:
+        return {}, None
+    if isinstance(given, str):
+        return {}, find_file(folder, given, where)
+    if not isinstance(given, dict):
+        raise SceneError(f"{where}: expected a file, or quantities with values, got {given!r}")
+    return {
+        str(key): tuple(
+            schema.value(
+                one if isinstance(one, list) else [one], Sequence[float], f"{where}.{key}"
+            )
+        )
+        for key, one in given.items()
+    }, None
