@@ -1,4 +1,4 @@
-"""Tables of an identification, and its test on what was not learned from."""
+"""What an identification found: tables, lines and the scene."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -7,21 +7,18 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.identification.base_parameters import parameter_name
-from mbd_ros.core.identification.inertial_parameters import parameters_of
 from mbd_ros.core.state import Array
 from mbd_ros.files.table import Column, Table
-from mbd_ros.jobs.identify.band import Filter, grid_step
 from mbd_ros.jobs.identify.bodies import inertias_of_links
 from mbd_ros.jobs.identify.consistent import Consistent, prior_deviation
 from mbd_ros.jobs.identify.identified_scene import friction_entries, identified_scene
-from mbd_ros.jobs.identify.learning import Learned, residual
-from mbd_ros.jobs.identify.problem import Problem, regressor_of
-from mbd_ros.jobs.identify.samples import Piece
+from mbd_ros.jobs.identify.learning import Learned
+from mbd_ros.jobs.identify.problem import Problem
 from mbd_ros.jobs.identify.task import Identified
+from mbd_ros.jobs.identify.validation import Tested, tested
 from mbd_ros.jobs.lines import Say
 from mbd_ros.scene.built_scene import Scene
 
-_MOST = 200_000  # samples of the test
 _SHOWN = 0.5  # of what the given bodies leave open: data that say more show a parameter
 
 
@@ -38,25 +35,23 @@ def outcome(
         say: Is told what matters.
     """
     fit, entries = found.fit, _friction(problem, found, fitted)
-    price = _without_bodies(problem, found)
     inertias, remarks = inertias_of_links(problem.scene.robot, problem.bodies, fitted.inertial)
     new = identified_scene(problem.scene, inertias, entries)
-    errors, tested, residuals = _test(scene, new, problem, found.delay)
+    test = tested(scene, new, problem, found)
     base = _base_table(problem, found, fitted)
-    if price is not None:
-        errors["least squares"] = price
     tables = {
         "base_parameters": base,
         "bodies": _bodies_table(problem, fitted),
         "friction": _friction_table(entries),
-        "validation": tested,
+        "drives": _drives_table(problem, test.feedback),
+        "validation": test.table,
     }
     r = len(fit.base)
-    for text in (*remarks, *_lines(problem, found, fitted, errors), *_shown(base)):
+    for text in (*remarks, *_lines(problem, found, fitted, test), *_shown(base)):
         say(text)
     covariance = found.covariance[:r, :r]
-    about = found.delay, problem.band, fit.condition, errors
-    return Identified(new, tables, inertias, covariance, *about, [], residuals)
+    about = found.delay, problem.band, fit.condition, test.errors
+    return Identified(new, tables, inertias, covariance, *about, [], test.residuals)
 
 
 def _friction(problem: Problem, found: Learned, fitted: Consistent) -> list[dict[str, object]]:
@@ -68,10 +63,10 @@ def _friction(problem: Problem, found: Learned, fitted: Consistent) -> list[dict
 
 
 def _lines(
-    problem: Problem, found: Learned, fitted: Consistent, errors: dict[str, float]
+    problem: Problem, found: Learned, fitted: Consistent, test: Tested
 ) -> list[str]:
     """Summary for people."""
-    r, band = len(found.fit.base), problem.band
+    r, band, errors = len(found.fit.base), problem.band, test.errors
     looked = "all that was measured" if band is None else f"up to {band:.3g} Hz"
     lines = [
         f"{r} base parameters, condition number {found.fit.condition:.3g}, {looked}",
@@ -80,15 +75,29 @@ def _lines(
         mass = sum(float(numbers[0]) for numbers in fitted.inertial)
         lines.append(f"total mass {mass:.6g} kg, given {problem.given[:, 0].sum():.6g} kg")
     if errors:
+        shares = {key: 100.0 * value for key, value in errors.items()}
         lines.append(
             "not learned from: identified {identified:.2f} % of the torque, given "
             "{given:.2f} %; as measured, with its noise {identified as measured:.2f} % and "
-            "{given as measured:.2f} %".format(**{k: 100.0 * v for k, v in errors.items()})
+            "{given as measured:.2f} %".format(**shares)
         )
+        if (test.feedback[0] > 0.0).any():
+            lines.append(_answer(problem, test, shares))
     if "least squares" in errors:
         price = 100.0 * (errors["identified"] - errors["least squares"])
         lines.append(f"price of bodies that can exist: {price:+.2f} % beside least squares")
     return lines
+
+
+def _answer(problem: Problem, test: Tested, shares: dict[str, float]) -> str:
+    """Says which drives answer to noise, and what it would be without."""
+    pairs = zip(problem.labels, test.feedback[0], strict=True)
+    gains = ", ".join(f"{name} {gain:.3g}" for name, gain in pairs if gain > 0.0)
+    plain = "{identified without feedback:.2f} % and {given without feedback:.2f} %"
+    return (
+        f"drives answer to noise of the measured velocity by {gains} N·m·s/rad, which is taken "
+        f"out of the efforts as measured; with it {plain.format(**shares)}"
+    )
 
 
 def _shown(base: Table) -> list[str]:
@@ -142,6 +151,15 @@ def _bodies_table(problem: Problem, fitted: Consistent) -> Table:
     return Table(columns)
 
 
+def _drives_table(problem: Problem, feedback: tuple[Array, Array]) -> Table:
+    """A joint a row: what its drive answers to noise of the measured velocity."""
+    unit = "N·m·s/rad or N·s/m"
+    columns = [Column("joint", np.array(list(problem.labels), dtype=np.str_))]
+    columns.append(Column("feedback", feedback[0], unit))
+    columns.append(Column("feedback_deviation", feedback[1], unit))
+    return Table(columns)
+
+
 def _friction_table(entries: Sequence[dict[str, object]]) -> Table:
     """A joint a row."""
     keys = ("viscous", "coulomb", "load", "stribeck", "stribeck_velocity", "offset")
@@ -152,91 +170,3 @@ def _friction_table(entries: Sequence[dict[str, object]]) -> Table:
     for key in keys:
         columns.append(Column(key, np.array([float(entry.get(key, 0.0)) for entry in entries])))  # type: ignore[arg-type]
     return Table(columns)
-
-
-def _test(
-    scene: Scene, new: Scene, problem: Problem, delay: float
-) -> tuple[dict[str, float], Table, tuple[Array, Array, Array, Array] | None]:
-    """Errors on what is left, through the filter and as measured."""
-    found = []
-    for piece in problem.tested():
-        part = _compared(scene, new, problem, piece, delay)
-        if part is not None:
-            found.append(part)
-    empty = Table([Column("joint", np.array(list(problem.labels)))])
-    if not found:
-        return {}, empty, None
-    low = [np.concatenate([part[0][k] for part in found]) for k in range(3)]
-    raw = [np.concatenate([part[1][k] for part in found]) for k in range(4)]
-    errors, columns = {}, [*empty.columns]
-    for name, y, pair in (("", low[0], low[1:]), (" as measured", raw[1], raw[2:])):
-        for who, prediction in zip(("identified", "given"), pair, strict=True):
-            off = np.sqrt(np.mean(np.square(prediction - y), axis=0))
-            size = np.maximum(np.sqrt(np.mean(np.square(y), axis=0)), 1e-300)
-            key = f"{who}{name}"
-            errors[key] = float(np.linalg.norm(prediction - y) / max(np.linalg.norm(y), 1e-300))
-            columns.append(Column(f"{key.replace(' ', '_')}.rms", off, "N·m or N"))
-            columns.append(Column(f"{key.replace(' ', '_')}.share", 100.0 * off / size, "%"))
-    return errors, Table(columns), (raw[0], raw[1], raw[2], raw[3])
-
-
-def _without_bodies(problem: Problem, found: Learned) -> float | None:
-    """Share of the torque of the test that least squares leave, in the band."""
-    left, whole = 0.0, 0.0
-    for piece in problem.tested():
-        for block in problem.maker.blocks(piece, problem.band, np.array([found.delay])):
-            left += float(np.sum(np.square(residual(block, found.fit))))
-            whole += float(np.sum(np.square(block.Y[:, :, 0])))
-    return float(np.sqrt(left / whole)) if whole > 0.0 else None
-
-
-def _compared(
-    scene: Scene, new: Scene, problem: Problem, piece: Piece, delay: float
-) -> tuple[list[Array], list[Array]] | None:
-    """Torques measured, identified and given: filtered, and as measured with times."""
-    band, count = problem.band, len(piece.times)
-    rate = 1.0 / float(np.median(np.diff(piece.times)))
-    step = 1 if band is None else max(grid_step(rate, band), count // _MOST)
-    grid = np.arange(0, count, step)
-    loads = [load[grid] for load in piece.loads]
-    motion = piece.y[grid], piece.v[grid], piece.a[grid]
-    predictions = [_torques(one, problem, motion, loads) for one in (new, scene)]
-    plain = _efforts(problem, piece, piece.measured, grid, 0.0)
-    low = _efforts(problem, piece, piece.effort, grid, delay)
-    times = piece.times[grid]
-    raw = [times, plain, *(_later(times, values, delay) for values in predictions)]
-    if band is None:
-        return [plain, *predictions], raw
-    filtered = Filter.of(rate / step, band)
-    if not len(filtered.starts(len(grid))):
-        return None
-    return [filtered.passed(values) for values in (low, *predictions)], raw
-
-
-def _later(times: Array, values: Array, delay: float) -> Array:
-    """What is measured of values that arrive later; efforts keep their noise so."""
-    if not delay:
-        return values
-    return np.transpose([np.interp(times - delay, times, column) for column in values.T])
-
-
-def _torques(
-    scene: Scene, problem: Problem, motion: tuple[Array, Array, Array], loads: list[Array]
-) -> Array:
-    """What a scene says of the torques of the rows."""
-    regressor = regressor_of(scene, problem.learned)
-    W = regressor.rows(*motion)
-    inertial = parameters_of(scene.robot.model).ravel()
-    found: Array = (W @ inertial + regressor.known(W, *motion, loads))[:, problem.rows]
-    return found
-
-
-def _efforts(problem: Problem, piece: Piece, values: Array, grid: Array, delay: float) -> Array:
-    """Efforts of the rows at the times of the motion, 0 of rows without any."""
-    found = np.zeros((len(grid), len(problem.rows)))
-    for k, joint in enumerate(problem.joints):
-        if joint >= 0 and delay:
-            found[:, k] = np.interp(piece.times[grid] + delay, piece.times, values[:, joint])
-        elif joint >= 0:
-            found[:, k] = values[grid, joint]
-    return found

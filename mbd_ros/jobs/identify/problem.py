@@ -1,6 +1,7 @@
 """The rows of an identification: which there are, and what is known of them."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
 from itertools import zip_longest
 
 import numpy as np
@@ -22,7 +23,15 @@ from mbd_ros.errors import DataError, ModelError
 from mbd_ros.jobs.identify.band import Filter, band_of, grid_step
 from mbd_ros.jobs.identify.passive import driven_joints, passive_joints
 from mbd_ros.jobs.identify.rows import Block, RowMaker
-from mbd_ros.jobs.identify.samples import Piece, Recorded, check_efforts, pieces, read, split
+from mbd_ros.jobs.identify.samples import (
+    Piece,
+    Recorded,
+    asked_cutoffs,
+    check_efforts,
+    pieces,
+    read,
+    split,
+)
 from mbd_ros.jobs.identify.task import Task
 from mbd_ros.jobs.lines import Say
 from mbd_ros.scene.built_scene import Scene
@@ -175,9 +184,7 @@ class Problem:
         if self.band is None:
             bands = [band for one in self.learned for band in self._bands(one)]
             self.band = max(bands)
-        found = (p for one in self.learned for p in pieces(self.scene, one, self.band))
-        names = self.scene.couplings.independent
-        self._pieces = list(_gained(found, names, task.gains))
+        self._pieces = list(self._pieces_of(self.learned, self.band))
         self.correlation = np.ones(1)
         self.step = max(float(np.median(np.diff(p.times))) for p in self._pieces)
         if self.band is not None:
@@ -201,9 +208,24 @@ class Problem:
             yield band_of(piece.times, piece.v[:, self.regressor.coordinates[self.rows]])
 
     def tested(self) -> Iterator[Piece]:
-        """Pieces of what is left for the test, long enough for the filter."""
-        for one in self.left:
-            found = pieces(self.scene, one, self.band)
+        """Pieces of what is left for the test, in the band."""
+        return self._pieces_of(self.left, self.band)
+
+    def recorded(self, some: Iterable[Recorded]) -> list[Piece]:
+        """Pieces of recordings with the low-pass of motions that what is learned from asks for."""
+        return list(self._pieces_of(some, self._cutoff))
+
+    @cached_property
+    def _cutoff(self) -> float | None:
+        """The highest that any joint asks for, at most the band [Hz]; None without a band."""
+        if self.band is None:
+            return None
+        asked = np.concatenate([asked_cutoffs(self.scene, one) for one in self.learned])
+        return float(min(asked[np.isfinite(asked)].max(initial=0.0), self.band)) or self.band
+
+    def _pieces_of(self, some: Iterable[Recorded], band: float | None) -> Iterator[Piece]:
+        for one in some:
+            found = pieces(self.scene, one, band)
             yield from _gained(found, self.scene.couplings.independent, self.task.gains)
 
 

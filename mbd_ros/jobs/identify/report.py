@@ -32,6 +32,7 @@ _TITLES = {
     "base_parameters": "Base parameters",
     "bodies": "Bodies, all of positive density",
     "friction": "Friction",
+    "drives": "Drives: what they answer to noise of the measured velocity",
 }
 
 

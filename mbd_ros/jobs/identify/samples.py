@@ -54,6 +54,7 @@ class Piece(NamedTuple):
         effort: Low-passed efforts of the independent joints, shape (n, m), NaN if not measured.
         measured: The same as measured.
         loads: Wrenches, shape (n, 6) each.
+        rate: Velocities of the independent joints as measured, shape (n, m), NaN if not.
     """
 
     times: Array
@@ -63,6 +64,7 @@ class Piece(NamedTuple):
     effort: Array
     measured: Array
     loads: list[Array]
+    rate: Array
 
 
 def read(
@@ -145,15 +147,24 @@ def pieces(scene: Scene, recorded: Recorded, band: float | None) -> Iterator[Pie
             recorded.derivatives, band if recorded.derivatives != "given" else None
         )
         samples = differentiate(scene, recorded.where, motion, chosen).samples
-        measured = np.full((len(motion.stamps), n), np.nan)
-        if motion.effort is not None:
-            measured = motion.effort[:, :n]
+        nothing = np.full((len(motion.stamps), n), np.nan)
+        measured = nothing if motion.effort is None else motion.effort[:, :n]
+        rate = nothing if motion.velocity is None else motion.velocity[:, :n]
         loads = [wrench_at(name, load, samples.stamps) for name, load in recorded.loads.items()]
         low = measured
         if band is not None and recorded.derivatives != "given":
             low = _low_passed(motion, measured, band)
         times = motion.stamps * NANOSECOND
-        yield Piece(times, *samples[1:4], low, measured, loads)
+        yield Piece(times, *samples[1:4], low, measured, loads, rate)
+
+
+def asked_cutoffs(scene: Scene, recorded: Recorded) -> Array:
+    """Half-power frequencies that the spectra of the joints ask for [Hz], inf for none."""
+    if recorded.derivatives == "given":
+        return np.full(1, np.inf)
+    chosen = Derivatives(recorded.derivatives)
+    found = differentiate(scene, recorded.where, recorded.motion, chosen).cutoff
+    return np.full(1, np.inf) if found is None else found
 
 
 def _low_passed(motion: Motion, effort: Array, band: float) -> Array:

@@ -66,14 +66,15 @@ class Identified(NamedTuple):
 
     Attributes:
         scene: The scene with these numbers; its bodies are consistent.
-        tables: `base_parameters`, `bodies`, `friction`, `validation`, by name.
+        tables: `base_parameters`, `bodies`, `friction`, `drives`, `validation`, by name.
         inertias: Link -> `pinocchio.Inertia` that differs from the given one.
         covariance: Of the base parameters by least squares, shape (r, r).
         delay: Of efforts against the motion [s].
         band: End of the band that was looked at [Hz]; None for all that was measured.
         condition: Of the scaled, weighted rows.
         errors: Share of the torque that is not explained, of what was not learned from:
-            `identified` and `given`, in the band and `.. as measured`.
+            `identified` and `given`, in the band, `.. as measured`, and so `.. without feedback`:
+            with what drives answer to noise of the measured velocity.
         remarks: Lines for people.
         residuals: Of the test, for pictures: times [s], torques measured, identified and given,
             shape (n, m) each; None without a test.
