@@ -10,7 +10,7 @@ import pytest
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.model.coupling_functions import Polynomial
 from mbd_ros.core.model.couplings import Coupling, Couplings
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
@@ -83,6 +83,23 @@ def test_gear_friction_grows_with_the_load_and_shrinks_with_speed():
     assert force(part, 0.0, -v) == pytest.approx(0.2 + 0.1 + dry, abs=1e-12)
     assert force(part, 0.0, 0.0) == pytest.approx(0.2)
     assert part.armature()[ROBOT.joint("ankle").v] == 0.01
+
+
+def test_a_motor_that_two_joints_turn_rubs_on_both():
+    """tau = -U' f(U v): power is that of the motor, and nothing where it stands still."""
+    part = GearFriction(ROBOT, joint="ankle", also={"knee": -0.5}, coulomb=0.4, viscous=0.1)
+    at, other = ROBOT.joint("ankle").v, ROBOT.joint("knee").v
+    v = np.zeros(5)
+    v[at], v[other] = 1.0, -2.0
+    k = Kinematics(ROBOT)
+    k.refresh(np.zeros(5), v, Reads.VELOCITY)
+    tau = part.force(k, State(0.0, np.zeros(5), v), np.zeros(0))
+    assert tau @ v == pytest.approx(-(0.4 + 0.1 * 2.0) * 2.0)
+    v[at] = -1.0
+    assert np.abs(part.force(k, State(0.0, np.zeros(5), v), np.zeros(0))).max() < 1e-12
+    bad = {"joint": "ankle", "also": {"knee": 1.0}, "rotor_inertia": 0.1}
+    with pytest.raises(SceneError, match="one joint turns"):
+        schema.call(GearFriction, bad, "forces[0]", ROBOT)
 
 
 def test_force_on_a_dependent_joint_reaches_its_parent_through_the_slope():

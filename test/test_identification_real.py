@@ -11,14 +11,14 @@ from mbd_ros.scene.reader import load_scene
 pytest.importorskip("clarabel", reason="clarabel is optional (extra: identification)")
 PANDA = "rename: {" + ", ".join(f"panda_joint{i}: fer_joint{i}" for i in range(1, 8)) + "}"
 ARMS = {
-    "panda_unisa_ros2bag": ("panda_nohand.urdf", PANDA, 2.8, 3.4),
+    "panda_unisa_ros2bag": ("panda_nohand.urdf", PANDA, 2.8, 2.8),
     "ur10_unisa_ros2bag": ("ur10_robot.urdf", "base: fixed", 8.3, 8.3),  # the authors' own model
 }
 
 
 @pytest.mark.parametrize("name", ARMS)
 def test_an_arm_that_was_not_looked_at_is_explained(data_dir, tmp_path, capsys, name):
-    """First 60 % -> last 40 %, no option. Efforts of the Panda hold 3 % of white noise."""
+    """First 60 % -> last 40 %, no option."""
     urdf, more, in_band, as_measured = ARMS[name]
     scene, out = tmp_path / "arm.yaml", tmp_path / "out"
     text = f"robot:\n  urdf: {data_dir / name / urdf}\n  {more}\n"

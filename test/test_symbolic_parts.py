@@ -53,6 +53,11 @@ FORCES = {
         GearFriction,
         {"joint": "ankle", "coulomb": 0.4, "load": 0.1, "stribeck": 0.2, "viscous": 0.05},
     ),
+    "gear_friction of two joints": (
+        LEG,
+        GearFriction,
+        {"joint": "ankle", "coulomb": 0.4, "viscous": 0.05, "also": {"knee": -0.5}},
+    ),
     "joint_torque": (LEG, JointTorque, {"joint": "knee", "torque": 3.0}),
     "point_spring": (ARM, PointSpring, {"frame_a": "link2", "frame_b": "flange", **SPRING, **FAR}),
     "cable over points of links": (ARM, Cable, {**CABLE, "path": through(ARM, VIA)}),

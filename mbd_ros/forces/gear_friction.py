@@ -1,5 +1,6 @@
 """Friction, offset and rotor inertia of a drive, as identification finds them."""
 
+from collections.abc import Mapping
 from typing import Annotated
 
 import numpy as np
@@ -9,6 +10,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.parts import Load
 from mbd_ros.core.ranges import NotNegative, Positive, Smoothing, Unit
 from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
 
 
 class GearFriction(Load):
@@ -17,9 +19,14 @@ class GearFriction(Load):
     s = tanh(v / smoothing), g the torque that holds the robot still at its position. The rotor
     adds its inertia to the joint. No stiction: a joint at rest creeps.
 
+    A motor in a wrist may turn with several joints, as behind bevel gears: v is then its speed
+    v_joint + sum ratio v_other, and the other joints feel `ratio` times its friction.
+
     Args:
         robot: Robot of the scene.
         joint: Joint of the drive.
+        also: Other joints that turn its motor, and how far it turns with them [motor angle for
+            a unit of theirs over that for a unit of `joint`].
         coulomb: Dry friction.
         load: Dry friction for a unit of the torque that carries the weight.
         stribeck: Dry friction that motion takes away.
@@ -47,23 +54,41 @@ class GearFriction(Load):
         offset: Annotated[float, Unit("N·m or N")] = 0.0,
         rotor_inertia: Annotated[NotNegative, Unit("kg·m^2 or kg")] = 0.0,
         smoothing: Smoothing = 1.0e-2,
+        also: Annotated[Mapping[str, float], Unit("rad/rad")] = {},
     ) -> None:
         self.joint = robot.joint(joint)
         self._coulomb, self._load, self._stribeck = coulomb, load, stribeck
         self._at, self._viscous, self._offset = stribeck_velocity, viscous, offset
         self._inertia, self._smoothing = rotor_inertia, smoothing
         self._nv = int(robot.model.nv)
+        self._also = [(robot.joint(name).v, ratio) for name, ratio in also.items()]
         self.brings = ("friction", "damping")
+
+    @staticmethod
+    def check(joint: str, also: Mapping[str, float], load: float, rotor_inertia: float) -> None:
+        """Refuse a motor of several joints with what is known of one joint alone.
+
+        Raises:
+            ModelError: Says why.
+        """
+        if joint in also:
+            raise ModelError(f"also: {joint} is the joint of the drive")
+        if also and (load or rotor_inertia):
+            raise ModelError("load and rotor_inertia are those of a motor that one joint turns")
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
         tau, at = k.zeros(self._nv), self.joint.v
         rate = k.item(x.v, at)
+        for other, ratio in self._also:
+            rate = rate + ratio * k.item(x.v, other)
         weight = k.item(k.gravity(x.q), at)
         carried = k.maximum(weight, -weight)
         ratio = rate / self._at
         dry = self._coulomb + self._load * carried + self._stribeck / (1.0 + ratio * ratio)
         tau[at] = self._offset - self._viscous * rate - dry * k.tanh(rate / self._smoothing)
+        for other, ratio in self._also:
+            tau[other] = ratio * tau[at]
         return tau
 
     def armature(self) -> Array:

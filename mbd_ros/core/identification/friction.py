@@ -20,6 +20,7 @@ from mbd_ros.core.state import Array
 _SMOOTHINGS = (0.005, 0.02, 0.05, 0.1, 0.2, 0.4)  # of the usual velocity
 _STRIBECKS = (0.1, 0.3, 0.6)  # the same
 TERMS = ("viscous", "coulomb", "offset", "load", "stribeck", "inertia")
+OF_SEVERAL = ("viscous", "coulomb", "offset", "stribeck")  # of a motor that several joints turn
 
 
 class Column(NamedTuple):

@@ -125,12 +125,12 @@ def _later(times: Array, values: Array, delay: float) -> Array:
 def torques(
     scene: Scene, problem: Problem, motion: tuple[Array, Array, Array], loads: list[Array]
 ) -> Array:
-    """What a scene says of the torques of the rows, shape (n, m)."""
+    """What a scene says of the efforts of the rows, shape (n, m)."""
     regressor = regressor_of(scene, problem.learned)
     W = regressor.rows(*motion)
     inertial = parameters_of(scene.robot.model).ravel()
     found: Array = (W @ inertial + regressor.known(W, *motion, loads))[:, problem.rows]
-    return found
+    return problem.motors.measured(found)
 
 
 def efforts(

@@ -27,7 +27,10 @@ def without_friction(scene: Scene) -> Scene:
 
 
 def friction_entries(
-    names: Sequence[str], chosen: Sequence[Sequence[Column]], values: Sequence[Sequence[float]]
+    names: Sequence[str],
+    chosen: Sequence[Sequence[Column]],
+    values: Sequence[Sequence[float]],
+    also: Sequence[Mapping[str, float]],
 ) -> list[dict[str, Any]]:
     """Entries of `gear_friction`, of joints with any.
 
@@ -35,9 +38,10 @@ def friction_entries(
         names: Of the joints.
         chosen: Columns of each.
         values: Of these columns.
+        also: Of each the other joints that turn its motor, and their ratios.
     """
     entries = []
-    for name, columns, own in zip(names, chosen, values, strict=True):
+    for name, columns, own, others in zip(names, chosen, values, also, strict=True):
         entry: dict[str, Any] = {"type": "gear_friction", "joint": name}
         for column, value in zip(columns, own, strict=True):
             if column.term == "offset":
@@ -51,6 +55,7 @@ def friction_entries(
             if column.stribeck:
                 entry["stribeck_velocity"] = float(column.stribeck)
         if len(entry) > 2:
+            entry |= {"also": dict(others)} if others else {}
             entries.append(entry)
     return entries
 

@@ -18,6 +18,7 @@ from mbd_ros.jobs.identify.checks import (
 from mbd_ros.jobs.identify.consistent import Consistent, consistent
 from mbd_ros.jobs.identify.identified_scene import without_friction
 from mbd_ros.jobs.identify.learning import Learned, Search, learn
+from mbd_ros.jobs.identify.motors import choose_motors, coupled_in
 from mbd_ros.jobs.identify.outcome import outcome
 from mbd_ros.jobs.identify.problem import Problem
 from mbd_ros.jobs.identify.task import Identified, Task
@@ -107,6 +108,8 @@ def run_identify(scene: Scene, task: Task, say: Say) -> Identified:
     allowed = task.allowed
     bare = without_friction(scene)
     problem = Problem(bare, task, say)
+    if {"coulomb", "viscous"} & set(allowed):
+        choose_motors(problem, coupled_in(scene, problem.labels), allowed, _search(problem), say)
     found, fitted = _fitted(problem, allowed, say)
     if any(
         problem.columns[i][k].term == "load" for i, own in enumerate(found.fit.taken) for k in own
@@ -128,15 +131,12 @@ def _check_numbers(task: Task) -> None:
 def _fitted(problem: Problem, allowed: Sequence[str], say: Say) -> tuple[Learned, Consistent]:
     """Least squares, then the nearest bodies."""
     r, task = len(problem.base.chosen), problem.task
-    reach = 0.0
-    if task.delay is None and problem.band is not None and (problem.joints >= 0).any():
-        reach = _REACH / problem.band
     if task.delay is not None:
         problem.shift(task.delay)
     for line in check_still(problem.where, problem.movement(), problem.texts, task.partial):
         say(line)
-    search = Search(reach, 0.5 * problem.step)
-    found = learn(problem.blocks, problem.columns, r, allowed, search, problem.correlation)
+    about = allowed, _search(problem), problem.correlation
+    found = learn(problem.blocks, problem.columns, r, *about)
     if found.delay:
         later = "later" if found.delay > 0 else "earlier"
         say(f"efforts come {abs(found.delay) * 1e3:.3g} ms {later} than the motion: taken out")
@@ -151,6 +151,13 @@ def _fitted(problem: Problem, allowed: Sequence[str], say: Say) -> tuple[Learned
     for line in check_excitation(problem.where, problem.base, problem.texts, whole, task.partial):
         say(line)
     return found, _nearest(problem, found)
+
+
+def _search(problem: Problem) -> Search:
+    """Delays that are looked for: none where one is given."""
+    has_motors = problem.band is not None and (problem.joints >= 0).any()
+    is_open = problem.task.delay is None and has_motors
+    return Search(_REACH / (problem.band or 1.0) if is_open else 0.0, 0.5 * problem.step)
 
 
 def _nearest(problem: Problem, found: Learned) -> Consistent:

@@ -71,16 +71,11 @@ def learn(
 
     Source: P. J. Huber, Robust Statistics, 1981, section 7.8 (weights).
     """
-    delay, reach = 0.0, search.reach
-    if reach > 0.0:
-        found = _first(blocks, columns, r, allowed, delay)
-        noise = [noise_of(e, correlation) for e in _residuals(blocks(np.zeros(1)), found)]
-        delay = find_delay(blocks, columns, r, allowed, reach, noise)
-        delay = delay if abs(delay) > search.least else 0.0
+    delay = delay_of(blocks, columns, r, allowed, search, correlation)
     at = np.array([delay])
-    found = _first(blocks, columns, r, allowed, delay)
+    found = first_fit(blocks, columns, r, allowed, delay)
     for _ in range(_ROUNDS):
-        left = _residuals(blocks(at), found)
+        left = residuals(blocks(at), found)
         noise = [noise_of(each, correlation) for each in left]
         weights = _Weights(found, _limits(left))
         joints = _joints(_triangles(blocks(at), columns, weights), columns, r, 0, noise)
@@ -89,7 +84,7 @@ def learn(
         found = fit(joints, taken, r)
         if is_same:
             break
-    left = _residuals(blocks(at), found)
+    left = residuals(blocks(at), found)
     noise = [noise_of(each, correlation) for each in left]
     sums = Spread(noise, found.taken, r)
     for block in _weighted(blocks(at), weights):
@@ -98,7 +93,24 @@ def learn(
     return Learned(found, joints, covariance, delay, noise)
 
 
-def _first(
+def delay_of(
+    blocks: Blocks,
+    columns: Sequence[tuple[Column, ...]],
+    r: int,
+    allowed: Sequence[str],
+    search: Search,
+    correlation: Array,
+) -> float:
+    """Delay of efforts against the motion [s], 0 where it does not count; as for `learn`."""
+    if search.reach <= 0.0:
+        return 0.0
+    found = first_fit(blocks, columns, r, allowed, 0.0)
+    noise = [noise_of(e, correlation) for e in residuals(blocks(np.zeros(1)), found)]
+    delay = find_delay(blocks, columns, r, allowed, search.reach, noise)
+    return delay if abs(delay) > search.least else 0.0
+
+
+def first_fit(
     blocks: Blocks,
     columns: Sequence[tuple[Column, ...]],
     r: int,
@@ -197,7 +209,7 @@ def _joints(
     return joints
 
 
-def _residuals(blocks: Iterable[Block], found: Fit) -> list[Array]:
+def residuals(blocks: Iterable[Block], found: Fit) -> list[Array]:
     """What a fit leaves of the torque of each row, those that count."""
     every: list[list[Array]] = [[] for _ in found.taken]
     for block in blocks:

@@ -13,6 +13,7 @@ from mbd_ros.jobs.identify.bodies import inertias_of_links
 from mbd_ros.jobs.identify.consistent import Consistent, prior_deviation
 from mbd_ros.jobs.identify.identified_scene import friction_entries, identified_scene
 from mbd_ros.jobs.identify.learning import Learned
+from mbd_ros.jobs.identify.motors import also_of
 from mbd_ros.jobs.identify.problem import Problem
 from mbd_ros.jobs.identify.task import Identified
 from mbd_ros.jobs.identify.validation import Tested, tested
@@ -59,12 +60,10 @@ def _friction(problem: Problem, found: Learned, fitted: Consistent) -> list[dict
     chosen = [[problem.columns[i][k] for k in own] for i, own in enumerate(found.fit.taken)]
     ends = np.cumsum([0, *map(len, chosen)])
     values = [fitted.friction[a:b].tolist() for a, b in pairwise(ends)]
-    return friction_entries(problem.labels, chosen, values)
+    return friction_entries(problem.labels, chosen, values, also_of(problem))
 
 
-def _lines(
-    problem: Problem, found: Learned, fitted: Consistent, test: Tested
-) -> list[str]:
+def _lines(problem: Problem, found: Learned, fitted: Consistent, test: Tested) -> list[str]:
     """Summary for people."""
     r, band, errors = len(found.fit.base), problem.band, test.errors
     looked = "all that was measured" if band is None else f"up to {band:.3g} Hz"

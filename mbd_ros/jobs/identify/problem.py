@@ -7,7 +7,7 @@ from itertools import zip_longest
 import numpy as np
 
 from mbd_ros.core.identification.base_parameters import base_parameters, expressions
-from mbd_ros.core.identification.friction import Column, candidates
+from mbd_ros.core.identification.friction import OF_SEVERAL, TERMS, Column, candidates
 from mbd_ros.core.identification.inertial_parameters import (
     COUNT,
     inertia_of,
@@ -15,6 +15,7 @@ from mbd_ros.core.identification.inertial_parameters import (
     parameters_of,
 )
 from mbd_ros.core.identification.loop_regressor import LoopRegressor
+from mbd_ros.core.identification.motors import Motors
 from mbd_ros.core.identification.regressor import Regressor, random_states
 from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
 from mbd_ros.core.model.base_motion import IndependentCoordinates
@@ -63,6 +64,8 @@ class Problem:
         rows: Their places in the regressor.
         joints: Their places among the independent joints, -1 without an effort.
         columns: Candidates of friction of each row.
+        motors: Of the rows; one a joint until `couple` says otherwise.
+        pieces: Of it, in the band.
         seconds: Time that is learned from.
         step: Usual step of the samples [s].
         correlation: Of white noise behind the filter, 1 first, shape (k,).
@@ -100,7 +103,7 @@ class Problem:
             yield from self._kept[key]
             return
         kept: list[Block] | None = []
-        for piece in self._pieces:
+        for piece in self.pieces:
             for block in self.maker.blocks(piece, self.band, delays + self._shift):
                 yield block
                 if kept is not None:
@@ -144,7 +147,7 @@ class Problem:
     def movement(self) -> list[tuple[str, float, str]]:
         """Of each driven joint: name, how far it moves [rad or m], the body it moves first."""
         far, mine = np.zeros(len(self.rows)), self.regressor.coordinates[self.rows]
-        for piece in self._pieces:
+        for piece in self.pieces:
             step = float(np.median(np.diff(piece.times)))
             far = np.maximum(far, np.ptp(np.cumsum(piece.v[:, mine], axis=0), axis=0) * step)
         model, at = self.scene.robot.model, self.scene.couplings.v_index
@@ -184,22 +187,26 @@ class Problem:
         if self.band is None:
             bands = [band for one in self.learned for band in self._bands(one)]
             self.band = max(bands)
-        self._pieces = list(self._pieces_of(self.learned, self.band))
+        self.pieces = list(self._pieces_of(self.learned, self.band))
         self.correlation = np.ones(1)
-        self.step = max(float(np.median(np.diff(p.times))) for p in self._pieces)
+        self.step = max(float(np.median(np.diff(p.times))) for p in self.pieces)
         if self.band is not None:
             rate = 1.0 / self.step
             self.correlation = Filter.of(rate / grid_step(rate, self.band), self.band).correlation
+        self.couple(Motors.of_joints(len(self.rows)))
+
+    def couple(self, motors: Motors) -> None:
+        """From now on rows are those of motors, whose friction is looked for."""
         at = self.regressor.coordinates[self.rows]
-        v = np.concatenate([piece.v for piece in self._pieces])[:, at]
+        v = motors.speeds(np.concatenate([piece.v for piece in self.pieces])[:, at])
         usual, peak = np.sqrt(np.mean(np.square(v), axis=0)), np.abs(v).max(axis=0)
+        terms = [TERMS if alone else OF_SEVERAL for alone in motors.alone]
         self.columns: list[tuple[Column, ...]] = [
-            candidates(float(u)) if i >= 0 and u > 0.0 else ()
-            for u, i in zip(usual, self.joints, strict=True)
+            tuple(c for c in candidates(float(u)) if c.term in own) if i >= 0 and u > 0.0 else ()
+            for u, i, own in zip(usual, self.joints, terms, strict=True)
         ]
-        self.maker = RowMaker(
-            self.regressor, self.base, self.rows, self.columns, self.joints, peak
-        )
+        chosen = self.rows, self.columns, self.joints, peak, motors
+        self.maker, self.motors = RowMaker(self.regressor, self.base, *chosen), motors
         self._shift, self._kept = 0.0, dict[tuple[float, ...], list[Block]]()
 
     def _bands(self, one: Recorded) -> Iterator[float]:

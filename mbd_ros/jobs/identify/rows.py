@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.identification.base_parameters import BaseParameters
 from mbd_ros.core.identification.friction import Column, columns_of
 from mbd_ros.core.identification.loop_regressor import LoopRegressor
+from mbd_ros.core.identification.motors import Motors
 from mbd_ros.core.identification.regressor import Regressor
 from mbd_ros.core.state import Array
 from mbd_ros.jobs.identify.band import Filter, grid_step
@@ -44,7 +45,8 @@ class RowMaker:
         rows: Rows of the regressor that are used, shape (m,).
         columns: Candidates of friction of each of them; none of a row without a joint.
         joints: Place of each of these rows among the independent joints, -1 of no effort.
-        peak: Largest velocity of each, shape (m,).
+        peak: Largest speed of the motor of each, shape (m,).
+        motors: Of these rows.
     """
 
     def __init__(
@@ -55,10 +57,12 @@ class RowMaker:
         columns: Sequence[tuple[Column, ...]],
         joints: NDArray[np.intp],
         peak: Array,
+        motors: Motors,
     ) -> None:
         self.regressor, self.base, self.rows = regressor, base, rows
         self.coordinates = regressor.coordinates[rows]
         self.columns, self.joints, self.peak = columns, joints, peak
+        self.motors = motors
         self.carried: Array | None = None  # inertial numbers that are known, of all bodies
 
     def blocks(self, piece: Piece, band: float | None, delays: Array) -> Iterator[Block]:
@@ -89,24 +93,34 @@ class RowMaker:
         known = self.regressor.known(W, y, v, a, [load[at] for load in piece.loads])[:, self.rows]
         if self.carried is not None:
             known = known + W[:, self.rows] @ self.carried
-        weight = self.regressor.weight(y)[:, self.rows]
         X = np.ascontiguousarray(W[:, self.rows][:, :, self.base.chosen])
-        Y = np.empty((len(at), len(self.rows), len(delays)))
-        F = []
-        for i, (row, joint) in enumerate(zip(self.coordinates, self.joints, strict=True)):
-            F.append(columns_of(self.columns[i], v[:, row], a[:, row], weight[:, i]))
-            for k, delay in enumerate(delays):
-                effort = 0.0
-                if joint >= 0:
-                    effort = np.interp(
-                        piece.times[at] + delay, piece.times, piece.effort[:, joint]
-                    )
-                Y[:, i, k] = effort - known[:, i]
-        speeds = np.abs(v[:, self.coordinates])
-        moves = speeds > _STILL * self.peak
+        effort = np.zeros((len(at), len(self.rows), len(delays)))
+        for i, joint in enumerate(self.joints):
+            if joint >= 0:
+                for k, delay in enumerate(delays):
+                    late = piece.times[at] + delay
+                    effort[:, i, k] = np.interp(late, piece.times, piece.effort[:, joint])
+        weight = self.regressor.weight(y)[:, self.rows]
+        v, a = v[:, self.coordinates], a[:, self.coordinates]
+        if self.motors.are_coupled:
+            X, known, weight, effort, v, a = self._of_motors(X, known, weight, effort, v, a)
+        each = zip(self.columns, v.T, a.T, weight.T, strict=True)
+        F = [columns_of(own, rate, push, load) for own, rate, push, load in each]
+        moves = np.abs(v) > _STILL * self.peak
         moves[:, self.peak == 0.0] = True
         moves[:, self.joints < 0] = True
+        Y = effort - known[:, :, None]
         return X, F, Y, moves
+
+    def _of_motors(
+        self, X: Array, known: Array, weight: Array, effort: Array, v: Array, a: Array
+    ) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """All of them for motors in place of joints."""
+        motors = self.motors
+        turned = np.swapaxes(motors.torques(np.swapaxes(X, 1, 2)), 1, 2)
+        told = np.swapaxes(motors.from_measured(np.swapaxes(effort, 1, 2)), 1, 2)
+        known, weight = motors.torques(known), motors.torques(weight)
+        return turned, known, weight, told, motors.speeds(v), motors.speeds(a)
 
 
 def _overlapping(grid: NDArray[np.intp], low: Filter) -> Iterator[NDArray[np.intp]]:

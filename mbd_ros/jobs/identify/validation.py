@@ -91,8 +91,9 @@ def _least_squares(problem: Problem, found: Learned) -> float | None:
     left, whole = 0.0, 0.0
     for piece in problem.tested():
         for block in problem.maker.blocks(piece, problem.band, np.array([found.delay])):
-            left += float(np.sum(np.square(residual(block, found.fit))))
-            whole += float(np.sum(np.square(block.Y[:, :, 0])))
+            of = problem.motors.as_measured
+            left += float(np.sum(np.square(of(residual(block, found.fit)))))
+            whole += float(np.sum(np.square(of(block.Y[:, :, 0]))))
     return float(np.sqrt(left / whole)) if whole > 0.0 else None
 
 

@@ -1,0 +1,77 @@
+"""Identification of drives: motors that turn with two joints, and feedback of measured noise."""
+
+import numpy as np
+import pytest
+from identification_data import fourier, others, recording
+
+from mbd_ros.jobs.identify.job import identify
+from mbd_ros.scene.from_python import scene_from
+
+pytest.importorskip("clarabel", reason="clarabel is optional (extra: identification)")
+WAYS = {
+    "one motor also by the other joint": ([[1.0, 0.0], [1.0, 1.0]], True),
+    "behind bevel gears": ([[1.0, 1.0], [-1.0, 1.0]], False),
+}
+
+
+def wrist(ratios, are_motors):
+    """A bare arm, one that rubs at motors of its joints 5 and 6, and a recording of it."""
+    bare, t = scene_from({}, urdf="arm7"), np.arange(0.0, 15.0, 0.02)
+    names, U = bare.couplings.independent, np.eye(7)
+    U[4:6, 4:6] = ratios
+    rubbing = [
+        {"type": "gear_friction", "joint": n, "coulomb": 1.0, "viscous": 0.4, "smoothing": 0.02}
+        for n in names
+    ]
+    for row, other in ((4, 5), (5, 4)):
+        if U[row, other]:
+            rubbing[row]["also"] = {names[other]: float(U[row, other])}
+    true = others(bare).with_(forces=rubbing)
+    q, v, a = fourier(7, t, 1, amplitude=0.4)
+    tau = true.inverse_dynamics().batch(q, v, a, []).tau
+    if are_motors:
+        tau = tau @ np.linalg.inv(U)
+    tau += 0.02 * np.random.default_rng(1).normal(size=tau.shape)
+    return bare, true, recording(names, t, position=q, velocity=v, acceleration=a, effort=tau)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_motors_that_two_joints_turn_are_found_by_their_friction(way):
+    ratios, are_motors = WAYS[way]
+    bare, true, data = wrist(ratios, are_motors)
+    found = identify(bare, data)
+    entries = {entry["joint"]: entry for entry in found.scene.entries["forces"]}
+    for entry in true.entries["forces"][4:6]:
+        own = entries[entry["joint"]]
+        assert own.get("also", {}) == entry.get("also", {})
+        assert own["coulomb"] == pytest.approx(1.0, abs=0.05)
+        assert own["viscous"] == pytest.approx(0.4, abs=0.05)
+    assert any("efforts are those of the motors" in line for line in found.remarks) == are_motors
+    assert found.errors["identified"] < 2e-3 < 0.1 < found.errors["given"]
+
+
+def test_motors_are_coupled_as_the_scene_says():
+    """The ratios that the scene gives are kept, whatever they are; here one that is no whole."""
+    bare, true, data = wrist([[1.0, 0.0], [0.3, 1.0]], True)
+    found = identify(true, data)
+    (entry,) = (e for e in found.scene.entries["forces"] if "also" in e)
+    assert entry["also"] == {bare.couplings.independent[4]: 0.3}
+    assert entry["coulomb"] == pytest.approx(1.0, abs=0.05)
+    assert found.errors["identified"] < 2e-3
+
+
+def test_what_a_drive_answers_to_noise_of_its_velocity_is_told():
+    """A damping controller of 20 N·m·s/rad on one joint; its torque moves nothing here."""
+    scene, t = scene_from({}, urdf="arm7"), np.arange(0.0, 12.0, 0.01)
+    q, v, a = fourier(7, t, 1, amplitude=0.4)
+    random = np.random.default_rng(2)
+    jitter, sensor = random.normal(0.0, 0.02, v.shape), random.normal(0.0, 0.2, v.shape)
+    gains = np.array([0.0, 20.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    tau = scene.inverse_dynamics().batch(q, v, a, []).tau - gains * jitter + sensor
+    names = scene.couplings.independent
+    found = identify(scene, recording(names, t, position=q, velocity=v + jitter, effort=tau))
+    drives = found.tables["drives"]
+    assert drives["feedback"] == pytest.approx(gains, abs=1.0)
+    assert (drives["feedback"] > 0.0).sum() == 1
+    errors = found.errors
+    assert errors["identified as measured"] < 0.95 * errors["identified without feedback"]
