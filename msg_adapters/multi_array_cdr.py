@@ -43,3 +43,27 @@ class MultiArrayCdrWriter:
         if not all(map(math.isfinite, values)):
             raise MessageError(f"data is not finite and is not sent: {list(values)}")
         return self._head + self._values.pack(*values)
+
+
+class MatrixCdrWriter(MultiArrayCdrWriter):
+    """Writes matrices, row by row.
+
+    Two dimensions, as std_msgs has it: labels of rows and of columns, each joined by commas, the
+    number of rows and of columns, and strides.
+
+    Args:
+        rows: Labels of the rows.
+        columns: Labels of the columns.
+    """
+
+    def __init__(self, rows: Sequence[str], columns: Sequence[str]) -> None:
+        size = len(rows) * len(columns)
+        dimensions = ((rows, size), (columns, len(columns)))
+        layout = struct.pack("<I", len(dimensions))
+        for names, stride in dimensions:
+            label = ",".join(names).encode() + b"\0"
+            layout += struct.pack("<I", len(label)) + label + bytes(-len(label) % 4)
+            layout += struct.pack("<II", len(names), stride)
+        layout += struct.pack("<II", 0, size)
+        self._head = _HEAD + layout + bytes(-len(layout) % 8)
+        self._values = struct.Struct(f"<{size}d")

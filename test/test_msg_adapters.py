@@ -23,6 +23,7 @@ from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWrite
 from msg_adapters.markers import Arrow, Cone, MarkerWriter
 from msg_adapters.multi_array import read_multi_array, write_multi_array
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
+from msg_adapters.pose import read_pose, write_pose
 from msg_adapters.time import read_time, write_time
 from msg_adapters.wrench import read_wrench, write_wrench
 
@@ -212,6 +213,17 @@ def test_diagnostics_of_a_bag_are_read_alike():
     status.name, status.level, status.message, status.values = "node", 2, "bad", [pair]
     msg.status = [status]
     assert diag.read_diagnostics(msg) == [diag.Health("node", diag.ERROR, "bad", {"rate": "1 Hz"})]
+
+
+def test_pose_comes_back_as_it_was_and_must_be_one(new):
+    msg, pose = new("geometry_msgs/msg/PoseStamped"), np.array([1.0, 2.0, 3.0, 0.6, 0.0, 0.0, 0.8])
+    sample = read_pose(write_pose(msg, STAMP, "world", pose))
+    assert (sample.stamp, sample.frame_id, sample.pose.tolist()) == (STAMP, "world", [*pose])
+    for i, value, said in ((0, np.nan, "pose is not finite"), (6, 5.0, "length")):
+        broken = pose.copy()
+        broken[i] = value
+        with pytest.raises(MessageError, match=said):
+            read_pose(write_pose(msg, STAMP, "world", broken))
 
 
 @pytest.mark.parametrize("name", ["diagnostics", "joint_state", "multi_array", "time", "wrench"])

@@ -70,7 +70,7 @@ def test_simulation_shows_markers_and_a_scene_without_sensors_none():
         ({**TOE, "frame": "fot"}, "no frame 'fot'"),
         ({**TOE, "xyz": [0.0, 1.0]}, "xyz"),
         ({**TOE, "weight": -1.0}, "weight"),
-        ({**TOE, "type": "beacon"}, "unknown type 'beacon', accepted: accelerometer, encoder"),
+        ({**TOE, "type": "beacon"}, "unknown type 'beacon', accepted: accelerometer, effort"),
     ],
 )
 def test_bad_entries_are_named(entry, text):

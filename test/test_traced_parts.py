@@ -13,7 +13,7 @@ from mbd_ros.core.outputs import Now
 from mbd_ros.core.parts import Load
 from mbd_ros.core.row_laws import Level
 from mbd_ros.core.rows.constraint import Constraint
-from mbd_ros.core.sensor import Sensor
+from mbd_ros.core.sensor import Measures, Sensor
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.registry import PARTS
 
@@ -29,7 +29,8 @@ SMOOTHED = {
     "rope": {"smoothed": True, "restitution": 0.0},
 }
 ALL = [(section, name) for section in OF_A_ROBOT for name in PARTS[section]]
-TRACED = [pair for pair in ALL if pair not in REFUSED]
+IN_NUMBERS = {("sensors", "pose")}  # a rotation has its vector by branches
+TRACED = [pair for pair in ALL if pair not in REFUSED and pair not in IN_NUMBERS]
 
 
 def other(value, factor):
@@ -53,7 +54,10 @@ def scene_with(section, name, base, rng, **more):
 def methods_of(part, nv):
     """What an equation of motion, or an estimate, asks of a part."""
     if isinstance(part, Sensor):
-        yield from (partial(part.measure, now=Now(np.zeros(nv), np.zeros(0))), part.jacobian)
+        now = Now(np.zeros(nv), np.zeros(0), np.ones((nv, 6)))
+        yield partial(part.measure, now=now)
+        if part.level < Measures.FORCE:
+            yield part.jacobian
     if isinstance(part, Constraint):
         yield from (part.jacobian, part.drift, part.rate, part.pushes)
         yield lambda k, x: np.vstack([part.accelerations(k, x)[0].T, part.accelerations(k, x)[1]])

@@ -57,6 +57,10 @@ class Ideal(Actuator):
         tau[self._v] = u
         return tau
 
+    def constant_slopes(self, nv: int, nz: int) -> Array:
+        """Nothing, shape (nv, 2 nv + nz): only commands move it."""
+        return np.zeros((nv, 2 * nv + nz))
+
     def columns(self, k: Kinematics, x: State) -> Array:
         """Ones, shape (nv, len(joints)), not to be written to."""
         return self._columns

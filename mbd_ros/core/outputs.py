@@ -57,10 +57,14 @@ class Now(NamedTuple):
     Attributes:
         a: Accelerations of all joints [rad/s^2 or m/s^2], shape (nv,).
         lam: Multipliers of the own rows of the part, shape (m,).
+        reactions: Wrench of the parent of every joint on its child [N, N·m], about the origin and
+            in the axes of the joint on the child, in the order of `Robot.joints`, shape (n, 6);
+            None where nobody asked for them.
     """
 
     a: Array
     lam: Array
+    reactions: Array | None = None
 
 
 class FrictionCone(NamedTuple):

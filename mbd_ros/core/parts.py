@@ -192,6 +192,20 @@ class Load(Part):
         """
         return None
 
+    def constant_slopes(self, nv: int, nz: int) -> Array | None:
+        """Derivative of the force by steps of (q, v, z) of all joints, where it never changes.
+
+        Whoever gives it has internal states whose rates never change either.
+
+        Args:
+            nv: Size of the velocity of the robot.
+            nz: Number of internal states of the scene.
+
+        Returns:
+            Shape (nv, 2 nv + nz); None where it depends on the state, or nobody knows it.
+        """
+        return None
+
     def beside(self, k: Kinematics, x: State) -> "Load":
         """The force near a state, smooth across the surfaces at which it jumps."""
         return self

@@ -59,12 +59,13 @@ class Sensor(Part):
         Args:
             k: Kinematics at the state, refreshed as far as `reads` says.
             x: State of all joints.
-            now: Accelerations and multipliers; needed from `Measures.ACCELERATION` on.
+            now: Accelerations and multipliers; needed from `Measures.ACCELERATION` on, with
+                reactions for `Measures.FORCE`.
         """
         raise NotImplementedError
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """Derivative by q, v or a, whichever `level` says, shape (n, nv).
+        """Derivative by q, v or a, whichever `level` says, shape (n, nv); not asked for forces.
 
         Args:
             k: Kinematics at the state, refreshed to Jacobians.
@@ -79,9 +80,28 @@ class Sensor(Part):
         """
         return None
 
+    def by_internal(self, nz: int) -> Array | None:
+        """Constant derivative by all internal states, shape (n, nz); None for none."""
+        return None
+
+    def near(self, values: Array, expected: Array) -> Array:
+        """Measured values as near to the expected ones as they can be written; themselves here."""
+        return values
+
     def covariance(self, k: Kinematics, x: State) -> Array:
         """Covariance of the noise [unit^2], shape (n, n); none by default."""
         return np.zeros((len(self.components), len(self.components)))
+
+
+def reactions_of(sensor: Sensor, now: Now | None) -> Array:
+    """Reactions of all joints, as `Now.reactions`.
+
+    Raises:
+        ModelError: They are not given.
+    """
+    if now is None or now.reactions is None:
+        raise ModelError(f"{sensor.name} needs reactions of joints, and none are known")
+    return now.reactions
 
 
 def specific_force(

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
-from mbd_ros.core.ranges import NotNegative, Positive, Unit
+from mbd_ros.core.ranges import LARGEST, SMALLEST, NotNegative, Positive, Unit, Within
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
 
@@ -28,6 +28,10 @@ class EstimateTask:
         velocity_noise: Of their velocities.
         position_deviation: Of positions at the start.
         velocity_deviation: Of velocities at the start.
+        parameters: Numbers of the scene that are estimated, and the deviation with which each is
+            known: `<force>.<argument>`, `<link>.mass`, `<frame>.payload` for a mass that it
+            carries, `<sensor>.offset`.
+        parameter_time: In which such a number may change by its deviation.
         limits: Whether joints keep their limits, where an estimator has bounds.
     """
 
@@ -40,6 +44,10 @@ class EstimateTask:
     velocity_noise: Annotated[Positive, Unit("rad/s or m/s")] = 0.01
     position_deviation: Annotated[Positive, Unit("rad or m")] = 0.1
     velocity_deviation: Annotated[NotNegative, Unit("rad/s or m/s")] = 10.0
+    parameters: Mapping[str, Annotated[float, Within(SMALLEST, LARGEST)]] = field(
+        default_factory=dict
+    )
+    parameter_time: Annotated[Positive, Unit("s")] = 100.0
     limits: bool = True
 
 

@@ -70,7 +70,7 @@ def _flat(given: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def _replaced(given: Any, swapped: Mapping[int, Any]) -> Any:
-    if isinstance(given, tuple | list):
+    if type(given) in (tuple, list):
         return tuple(swapped.get(id(part), part) for part in given)
     if isinstance(given, dict):
         return {name: swapped.get(id(part), part) for name, part in given.items()}

@@ -85,11 +85,14 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     },
     "sensors": {
         "accelerometer": "mbd_ros.sensors.accelerometer:Accelerometer",
+        "effort": "mbd_ros.sensors.effort:Effort",
         "encoder": "mbd_ros.sensors.encoder:Encoder",
         "gyroscope": "mbd_ros.sensors.gyroscope:Gyroscope",
         "imu": "mbd_ros.sensors.imu:Imu",
-        "tachometer": "mbd_ros.sensors.tachometer:Tachometer",
         "marker": "mbd_ros.sensors.marker:Marker",
+        "pose": "mbd_ros.sensors.pose:Pose",
+        "tachometer": "mbd_ros.sensors.tachometer:Tachometer",
+        "wrench": "mbd_ros.sensors.wrench:Wrench",
     },
     "stabilization": {
         "baumgarte": "mbd_ros.stabilization.baumgarte:Baumgarte",

@@ -19,6 +19,7 @@ class Encoder(Sensor):
         robot: Robot of the scene.
         joint: Joint that it is on.
         noise: Standard deviation.
+        offset: What it shows at the zero of the joint.
         label: What recordings and messages call it; empty for its name.
         delay: From a measurement to its message.
 
@@ -36,10 +37,11 @@ class Encoder(Sensor):
         *,
         joint: str,
         noise: Annotated[NotNegative, Unit("rad or m")] = 1.0e-4,
+        offset: Annotated[float, Unit("rad or m")] = 0.0,
         label: str = "",
         delay: Annotated[NotNegative, Unit("s")] = 0.0,
     ) -> None:
-        self.joint, self.noise = robot.joint(joint), noise
+        self.joint, self.noise, self.offset = robot.joint(joint), noise, offset
         self.label, self.delay = label, delay
         self.frame, self.unit = joint, self.joint.position_unit
         self._row = np.zeros((1, int(robot.model.nv)))
@@ -47,7 +49,7 @@ class Encoder(Sensor):
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
         """Position of the joint [rad or m], shape (1,)."""
-        return np.array((x.q[self.joint.q],))
+        return np.array((x.q[self.joint.q] + self.offset,))
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
         """Derivative by q, shape (1, nv)."""

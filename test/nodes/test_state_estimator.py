@@ -2,6 +2,7 @@
 
 import math
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -190,11 +191,33 @@ def test_an_imu_is_heard_beside_an_encoder(started, tmp_path):
     assert len(machine.states) == count
 
 
-def test_reset_and_nothing_measured(started):
-    machine = started(disturbances=False, timeout=60.0)
+def test_unknown_numbers_and_the_covariance_are_published_on_request(started):
+    known = ["foot.payload=0.1", "ankle.position.offset=0.01"]
+    given = {"parameters": known, "covariance": True, "disturbances": False, "timeout": 60.0}
+    told = {}
+    machine = started(**given)
+    create = machine.probe.node.create_subscription
+    kept = [
+        create(Float64MultiArray, f"{NAME}/{topic}", partial(told.__setitem__, topic), DEEP)
+        for topic in ("parameters", "covariance", "deviations")
+    ]
+    machine.probe.spin_until(lambda: machine.probe.node.count_publishers(f"{NAME}/covariance"))
+    machine.probe.spin_for(0.3)
     for i in range(10):
         machine.ask(i, MEASURED)
+    machine.probe.spin_until(lambda: len(told) == len(kept))
     assert machine.health().level == OK
+    names = [dimension.label for dimension in told["parameters"].layout.dim]
+    unknown = ["foot.payload", "ankle.position.offset"]
+    assert names == [*unknown, *(f"{name}.deviation" for name in unknown)]
+    rows, columns = told["covariance"].layout.dim
+    labels = [dimension.label for dimension in told["deviations"].layout.dim]
+    assert rows.label.split(",") == columns.label.split(",") == labels
+    assert labels[-2:] == unknown and rows.size == columns.stride == len(labels)
+    P = np.reshape(told["covariance"].data, (rows.size, columns.size))
+    np.testing.assert_allclose(np.sqrt(P.diagonal()), told["deviations"].data, atol=1e-9)
+    np.testing.assert_allclose(told["parameters"].data[2:], told["deviations"].data[-2:])
+    np.testing.assert_allclose(P, P.T, atol=1e-12)
 
 
 def test_what_the_sensors_of_a_simulator_tell_is_heard(probe, start_node, tmp_path):

@@ -2,7 +2,8 @@
 
     da = ABA_q dq + ABA_v dv + M^-1 dtau
 
-The loads are differentiated by differences: they are cheap, and most of them linear. Source:
+Loads that do not know their derivatives are differentiated by differences: they are cheap, and
+most of them linear. Source:
 J. Carpentier, N. Mansard, Analytical derivatives of rigid body dynamics algorithms, RSS 2018.
 """
 
@@ -13,6 +14,7 @@ from mbd_ros.core.dynamics.chart import Chart
 from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.system import Derivatives
+from mbd_ros.core.parts import Load
 from mbd_ros.core.state import Array, State
 
 _STEP = 1.5e-8  # square root of the rounding unit
@@ -29,7 +31,15 @@ class FreeDerivatives:
 
     def __init__(self, mechanism: Mechanism, chart: Chart, internals: Internals) -> None:
         self._mechanism, self._chart, self._internals = mechanism, chart, internals
-        self._nv, self._nz = int(mechanism.model.nv), internals.nz
+        self._nv, self._nz = nv, nz = int(mechanism.model.nv), internals.nz
+        self._constant, self._varying = np.zeros((nv + nz, 2 * nv + nz)), list[Load]()
+        for part in (*mechanism.loads.actuators, *mechanism.loads.forces):
+            slopes = part.constant_slopes(nv, nz)
+            if slopes is None:
+                self._varying.append(part)
+            else:
+                self._constant[:nv] += slopes
+        self._moving = [part for part in self._varying if part.internal]
 
     def at(self, y: State, u: Array | None, *, inputs: bool) -> Derivatives:
         """As `System.derivatives`."""
@@ -40,11 +50,11 @@ class FreeDerivatives:
         model, data = mechanism.model, mechanism.data
         mechanism.evaluations += 1
         pin.computeABADerivatives(model, data, y.q, y.v, force[:nv])
-        by_q, by_v = np.array(data.ddq_dq), np.array(data.ddq_dv)
+        by_q, by_v, respond = np.array(data.ddq_dq), np.array(data.ddq_dv), np.array(data.Minv)
         if slopes is None:
             none = np.zeros((nv, 0))
-            return Derivatives(by_q, by_v, none, none)
-        pushed = np.array(data.Minv).dot(slopes[:nv])
+            return Derivatives(by_q, by_v, none, none, force=respond)
+        pushed = respond.dot(slopes[:nv])
         by_q += pushed[:, :nv]
         by_v += pushed[:, nv : 2 * nv]
         at = 2 * nv + nz
@@ -54,7 +64,8 @@ class FreeDerivatives:
             rates = Derivatives(
                 rows[:, :nv], rows[:, nv : 2 * nv], rows[:, 2 * nv : at], rows[:, at:]
             )
-        return Derivatives(by_q, by_v, pushed[:, 2 * nv : at], pushed[:, at:], rates)
+        by_z, by_u = pushed[:, 2 * nv : at], pushed[:, at:]
+        return Derivatives(by_q, by_v, by_z, by_u, rates, force=respond)
 
     def _loads(self, y: State, u: Array) -> Array:
         """Forces of the loads on the joints, then rates of their states, shape (nv + nz,)."""
@@ -72,15 +83,34 @@ class FreeDerivatives:
             return None
         nv, nz = self._nv, self._nz
         found = np.empty((nv + nz, 2 * nv + nz + nu))
-        inside, step = self._internals.upper, np.zeros(2 * nv + nz)
-        for i in range(2 * nv + nz):
-            step[i] = _STEP
-            if i >= 2 * nv and y.z[i - 2 * nv] + _STEP > inside[i - 2 * nv]:
-                step[i] = -_STEP
-            found[:, i] = (self._loads(self._chart.plus(y, step), u) - force) / step[i]
-            step[i] = 0.0
+        found[:, : 2 * nv + nz] = self._constant
+        if self._varying:
+            self._differ(y, u, found)
         for i in range(nu):
             moved = u.copy()
             moved[i] += _STEP * max(1.0, abs(float(u[i])))
             found[:, 2 * nv + nz + i] = (self._loads(y, moved) - force) / (moved[i] - u[i])
         return found
+
+    def _differ(self, y: State, u: Array, found: Array) -> None:
+        """Add the slopes of the loads that do not know them, by q, v and z."""
+        nv, here = self._nv, self._of_varying(y, u)
+        inside, step = self._internals.upper, np.zeros(2 * nv + self._nz)
+        for i in range(len(step)):
+            step[i] = _STEP
+            if i >= 2 * nv and y.z[i - 2 * nv] + _STEP > inside[i - 2 * nv]:
+                step[i] = -_STEP
+            found[:, i] += (self._of_varying(self._chart.plus(y, step), u) - here) / step[i]
+            step[i] = 0.0
+
+    def _of_varying(self, y: State, u: Array) -> Array:
+        """As `_loads`, of the loads that do not know their slopes."""
+        mechanism, internals, nv = self._mechanism, self._internals, self._nv
+        x = y._replace(z=internals.inside(y.z)) if self._nz else y
+        k, total = mechanism.k, np.zeros(nv + self._nz)
+        k.refresh(x.q, x.v, max(mechanism.loads.reads, internals.reads))
+        for part in self._varying:
+            total[:nv] += part.force(k, x, u)
+        for part in self._moving:
+            total[nv:][part.z] = part.rates(k, x, u)
+        return total

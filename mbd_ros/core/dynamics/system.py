@@ -37,6 +37,8 @@ class Derivatives(NamedTuple):
         u: By the inputs, shape (nv, nu).
         rates: The same of the rates z', (nz,) instead of (nv,); None without internal states.
         p: By the parameters of a compiled system, shape (nv, np); None where it is not compiled.
+        force: By generalized forces on all joints, shape (nv, nv of the robot); None where that
+            did not come with the others.
     """
 
     q: Array
@@ -45,6 +47,7 @@ class Derivatives(NamedTuple):
     u: Array
     rates: "Derivatives | None" = None
     p: Array | None = None
+    force: Array | None = None
 
     @property
     def of_velocities(self) -> tuple[Array, Array]:

@@ -34,6 +34,12 @@ class EffortDisturbance(Load):
         tau[self._v] = x.z[self.z]
         return tau
 
+    def constant_slopes(self, nv: int, nz: int) -> Array:
+        """Ones by the efforts, shape (nv, 2 nv + nz)."""
+        slopes = np.zeros((nv, 2 * nv + nz))
+        slopes[self._v, 2 * nv + np.arange(nz)[self.z]] = 1.0
+        return slopes
+
     def rates(self, k: Kinematics, x: State, u: Array) -> Array:
         """Nothing, shape (len(joints),)."""
         return self._still

@@ -78,7 +78,7 @@ class InnovationWatch:
         if last is not None:
             both = innovation.used & (last != 0.0)
             product = float(now.dot(last))
-            size = 0.5 * float(now.dot(now * both) + last.dot(last * both))
+            size = 0.5 * float(((now * now + last * last) * both).sum())
             pairs = float(np.count_nonzero(both))
         self._last = now
         term = np.array((innovation.squared, innovation.freedom, product, size, pairs))

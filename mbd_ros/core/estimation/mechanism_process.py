@@ -12,15 +12,16 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.system import Derivatives, System
 from mbd_ros.core.estimation.kalman_update import updated
 from mbd_ros.core.estimation.process import Bounded, Observation, Transition
 from mbd_ros.core.estimation.sensor_set import SensorSet
 from mbd_ros.core.estimation.state_limits import StateLimits
 from mbd_ros.core.estimation.state_tangent import StateTangent
+from mbd_ros.core.estimation.unknown_inertias import UnknownInertias, UnknownMass
 from mbd_ros.core.sensor import Sensor
 from mbd_ros.core.simulation.simulation import Simulation
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, Evaluation, State
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import ModelError
 
@@ -40,6 +41,7 @@ class MechanismProcess:
         x: State of all joints near which it begins.
         effort_noise: Density of white efforts on all joints [N·m s^(1/2) or N s^(1/2)], (nv,).
         internal_noise: Density of white noise on the rates of internal states, shape (nz,).
+        masses: Of its robot, whose model nobody else uses then, that are internal states.
         limits: Whether joints keep their position and velocity limits, in estimators with bounds.
 
     Attributes:
@@ -63,12 +65,14 @@ class MechanismProcess:
         effort_noise: Array,
         internal_noise: Array | None = None,
         *,
+        masses: Sequence[UnknownMass] = (),
         limits: bool = True,
     ) -> None:
         self.simulation, system = simulation, simulation.system
         self._system: System = system
+        self._inertias = UnknownInertias(system.robot.model, masses)
         self.start = self.consistent(x)
-        self.sensors = SensorSet(sensors, system)
+        self.sensors = SensorSet(sensors, system, self.evaluate)
         self.tangent = StateTangent(system, self.start)
         self._limits = StateLimits(system, self.tangent, positions=limits, velocities=limits)
         self.n, nz = self.tangent.n, system.internals.nz
@@ -78,6 +82,11 @@ class MechanismProcess:
         if not (np.isfinite(self._density).all() and (self._density >= 0.0).all()):
             raise ModelError("process noise must be finite and >= 0")
         self.nw = len(self._density)
+
+    def evaluate(self, x: State, u: Array | None = None) -> Evaluation:
+        """As `System.evaluate`, with the masses of the state."""
+        self._inertias.write(x.z)
+        return self._system.evaluate(x, u)
 
     def consistent(self, x: State) -> State:
         """The nearest state of what is integrated to one of all joints.
@@ -104,7 +113,8 @@ class MechanismProcess:
         y = x
         for _ in range(_SEARCHES):
             seen = self.sensors.observe(y, None, self.tangent)
-            step = updated(P, seen.H, seen.R, values - seen.y).step
+            error = self.sensors.near(values, seen.y) - seen.y
+            step = updated(P, seen.H, seen.R, error).step
             longest = float(np.abs(step).max())
             y = self.plus(y, step * min(1.0, _STAGE / max(longest, TINY)))
             if longest <= _FOUND:
@@ -118,17 +128,22 @@ class MechanismProcess:
             DivergedError: The state is no longer finite.
             SolveError: Equations contradict one another.
         """
+        self._inertias.write(x.z)
         count = max(1, math.ceil((t - x.t) / _PIECE - 1.0e-9))
-        times = np.linspace(x.t, t, count + 1)[1:].tolist()
-        lift, flow, y = self.tangent.lifted(x), None, self._begun(x, u)
-        for end in times:
-            piece = _exponential(self._slopes(y, u) * (end - y.t))
+        lift, flow, y, before = self.tangent.lifted(x), None, self._begun(x, u), x.t
+        for i in range(1, count + 1):
+            end = t if i == count else before + i * (t - before) / count
+            slopes = self._system.derivatives(y, u, inputs=False)
+            piece = _exponential(self._flow(y, u, slopes) * (end - y.t))
             flow = piece if flow is None else piece.dot(flow)
             y = self.simulation.advance(y, u, end)
         assert flow is not None
+        pushed = self._pushed(y, u, slopes.force, t - before)
+        noise = np.diag(self._density**2 / (t - before))
+        if self.tangent.is_whole:
+            return Transition(y, flow, pushed, noise)
         lower = self.tangent.lowered(y)
-        G = lower.dot(self._pushed(y, u, t - x.t))
-        return Transition(y, lower.dot(flow).dot(lift), G, np.diag(self._density**2 / (t - x.t)))
+        return Transition(y, lower.dot(flow).dot(lift), lower.dot(pushed), noise)
 
     def observe(self, x: State, u: Array | None) -> Observation:
         """As `Process.observe`."""
@@ -155,28 +170,34 @@ class MechanismProcess:
         stepper.restart()
         return stepper.settle(x, u)
 
-    def _slopes(self, y: State, u: Array | None) -> Array:
+    def _flow(self, y: State, u: Array | None, found: Derivatives) -> Array:
         """A of (q, v, z)' in the steps of `Chart.plus`, shape (2 nv + nz, 2 nv + nz)."""
         system = self._system
-        nv, found = system.nv, system.derivatives(y, u, inputs=False)
+        nv = system.nv
         A = np.zeros((2 * nv + len(y.z),) * 2)
         A[:nv, nv : 2 * nv] = np.eye(nv)
         for base in system.chart.bases:
             A[base, base] = -pin.Motion(y.v[base]).action
         A[nv : 2 * nv, :nv], A[nv : 2 * nv, nv : 2 * nv] = found.q, found.v
         A[nv : 2 * nv, 2 * nv :] = found.z
+        if self._inertias.masses:
+            now = system.evaluate(system.expand(y), u)
+            asked = now.respond(self._inertias.efforts(now.x, now.a))
+            for mass, column in zip(self._inertias.masses, asked.T, strict=True):
+                A[nv : 2 * nv, 2 * nv :][:, mass.part.z] = -system.integrated(column)[:, None]
         if found.rates is not None:
             rates = found.rates
             A[2 * nv :, :nv], A[2 * nv :, nv : 2 * nv], A[2 * nv :, 2 * nv :] = rates[:3]
         return A
 
-    def _pushed(self, y: State, u: Array | None, dt: float) -> Array:
+    def _pushed(self, y: State, u: Array | None, rate: Array | None, dt: float) -> Array:
         """What held disturbances change in the steps of `Chart.plus`, shape (2 nv + nz, nw)."""
         system, nz = self._system, len(y.z)
         nv, joints = system.nv, system.robot.model.nv
-        respond = system.evaluate(system.expand(y), u).respond(np.eye(joints))
         pushed = np.zeros((2 * nv + nz, self.nw))
-        rate = system.integrated(respond)
+        if rate is None:
+            respond = system.evaluate(system.expand(y), u).respond
+            rate = system.integrated(respond(np.eye(joints)))
         pushed[:nv, :joints], pushed[nv : 2 * nv, :joints] = 0.5 * dt * dt * rate, dt * rate
         pushed[2 * nv :, joints:] = dt * np.eye(nz)
         return pushed

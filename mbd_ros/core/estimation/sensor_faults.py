@@ -92,8 +92,8 @@ class SensorFaults:
         """Take what counted of a sample."""
         self._t = t
         told = np.isfinite(values)
-        self._heard[told], self._came = t, self._came | told
-        self._counted[innovation.used] = t
+        self._heard, self._came = np.where(told, t, self._heard), self._came | told
+        self._counted = np.where(innovation.used, t, self._counted)
 
     def refused(self) -> Bools:
         """Which numbers came and did not count for longer than the patience, shape (m,)."""
@@ -116,11 +116,11 @@ class SensorFaults:
         return faults
 
     def remember(self) -> Mapping[str, Any]:
-        """All that later answers depend on."""
-        return {name: np.copy(getattr(self, name)) for name in _KEPT}
+        """All that later answers depend on; arrays are never written to."""
+        own = self.__dict__
+        return {name: own[name] for name in _KEPT}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Go back to what `remember` gave."""
         for name, value in memory.items():
-            setattr(self, name, value.copy())
-        self._t = float(self._t)
+            setattr(self, name, value)

@@ -1,17 +1,18 @@
 """All sensors of an estimator at once: what they should see, and how that changes."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.estimation.process import Observation
 from mbd_ros.core.estimation.state_tangent import StateTangent
+from mbd_ros.core.inverse.felt_reactions import FeltReactions
 from mbd_ros.core.model.kinematics import Reads
 from mbd_ros.core.outputs import Now
 from mbd_ros.core.sensor import Measures, Sensor
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, Evaluation, State
 from mbd_ros.errors import ModelError
 
 _STEP = 1.0e-6  # of differences [m, rad and their rates]
@@ -22,7 +23,9 @@ class SensorSet:
 
     Args:
         sensors: The sensors.
-        system: The system; what depends on accelerations asks it.
+        system: The system.
+        evaluate: As that of the system, which it is by default; what depends on accelerations
+            asks it.
 
     Attributes:
         sensors: As given.
@@ -31,8 +34,14 @@ class SensorSet:
         names: `<sensor>`, or `<sensor>.<component>`, in the same order.
     """
 
-    def __init__(self, sensors: Sequence[Sensor], system: System) -> None:
+    def __init__(
+        self,
+        sensors: Sequence[Sensor],
+        system: System,
+        evaluate: Callable[[State, Array | None], Evaluation] | None = None,
+    ) -> None:
         self.sensors, self._system = tuple(sensors), system
+        self._evaluate = system.evaluate if evaluate is None else evaluate
         ends = np.cumsum([0, *(len(sensor.components) for sensor in sensors)]).tolist()
         self.m = ends[-1]
         self.slices = [slice(a, b) for a, b in itertools.pairwise(ends)]
@@ -43,13 +52,31 @@ class SensorSet:
         )
         self._reads = max((_asked(sensor) for sensor in sensors), default=Reads.NOTHING)
         self._needs_forces = any(s.level >= Measures.ACCELERATION for s in sensors)
+        feels = any(s.level >= Measures.FORCE for s in sensors)
+        self._felt = FeltReactions(system) if feels else None
         self._noise_varies = any(s.noise_varies for s in sensors)
         self._R: Array | None = None
         nv = int(system.robot.model.nv)
         self._by_q, self._by_v = np.zeros((2, self.m, nv))
         each = zip(self.sensors, self.slices, strict=True)
         self._turning = [(s, mine) for s, mine in each if not s.is_linear]
-        self._is_filled = False
+        self._is_filled, nz = False, system.internals.nz
+        self._by_z, self._is_offset = np.zeros((self.m, nz)), False
+        for sensor, mine in zip(self.sensors, self.slices, strict=True):
+            slope = sensor.by_internal(nz)
+            if slope is not None:
+                self._by_z[mine], self._is_offset = slope, True
+        each = zip(self.sensors, self.slices, strict=True)
+        self._winding = [(s, mine) for s, mine in each if type(s).near is not Sensor.near]
+
+    def near(self, values: Array, expected: Array) -> Array:
+        """What was measured, written as near to what is expected as it can be, shape (m,)."""
+        if not self._winding:
+            return values
+        found = values.copy()
+        for sensor, mine in self._winding:
+            found[mine] = sensor.near(values[mine], expected[mine])
+        return found
 
     def values(self, y: State, u: Array | None) -> Array:
         """What they should see, shape (m,)."""
@@ -93,6 +120,8 @@ class SensorSet:
                 self._by_q[mine], self._by_v[mine] = by_q, sensor.jacobian(k, x)
         nv, lift = self._by_q.shape[1], tangent.of_all_joints(y)
         H = self._by_q.dot(lift[:nv]) + self._by_v.dot(lift[nv:])
+        if self._is_offset:
+            H[:, tangent.n - self._by_z.shape[1] :] += self._by_z
         if differ:
             H[differ] = self._differences(y, u, here, tangent)[differ]
         return Observation(here, H, R)
@@ -121,8 +150,10 @@ class SensorSet:
         system, now = self._system, None
         x, k = system.expand(y), system.k
         if self._needs_forces:
-            found = system.evaluate(x, u)
-            now = Now(found.a, found.lam)
+            found = self._evaluate(x, u)
+            felt = self._felt
+            reactions = None if felt is None else felt.at(x, u, found.a, found.lam)
+            now = Now(found.a, found.lam, reactions)
         k.refresh(x.q, x.v, self._reads)
         every = [np.asarray(s.measure(k, x, now), dtype=np.float64) for s in self.sensors]
         return x, np.concatenate([np.zeros(0), *every])

@@ -68,7 +68,7 @@ class Tracker:
         gate: float = 6.0,
         agility: float = 50.0,
     ) -> None:
-        self.estimator, self._memory = estimator, memory
+        self.estimator, self._sensors, self._memory = estimator, sensors, memory
         self.faults = SensorFaults(sensors, gate, agility, patience, max_age)
         self.watch, self.restarts = InnovationWatch(), 0
         self._prior: Array = estimator.belief.P
@@ -122,6 +122,7 @@ class Tracker:
         if dt > _SAME:
             estimator.predict(u, t)
         seen = estimator.process.observe(self.belief.x, u)
+        values = self._sensors.near(values, seen.y)
         known = np.einsum("ij,ij->i", seen.H.dot(self.belief.P), seen.H)
         noise = seen.R.diagonal()
         used = self.faults.usable(values, seen.y, np.sqrt(known + noise), dt)

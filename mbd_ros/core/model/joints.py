@@ -1,7 +1,9 @@
 """What moves in a robot: joints with one coordinate, and free bases."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import pinocchio as pin
 
 from mbd_ros.core.state import Array
 
@@ -30,6 +32,18 @@ class Base(NamedTuple):
     def title(self) -> str:
         """For messages."""
         return "the floating base" if self.name == BASE else f"free body '{self.name}'"
+
+
+def child_link(model: Any, v: int) -> str:
+    """Name of the link that a joint carries, whose axes are those of the joint.
+
+    Args:
+        model: Pinocchio model.
+        v: Index of the coordinate of the joint in a velocity.
+    """
+    joint = next(i for i, one in enumerate(model.joints) if i and one.idx_v == v)
+    links = (f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == joint)
+    return str(next(link.name for link in links if link.placement.isIdentity()))
 
 
 BASE = "base"  # name of the base of the only robot

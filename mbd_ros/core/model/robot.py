@@ -108,6 +108,13 @@ class Robot:
         existing = ", ".join(joint.name for joint in self.joints) or "none"
         raise ModelError(f"no joint '{name}'; the robot has {existing}")
 
+    def axis(self, joint: Joint) -> Array:
+        """Unit motion of a joint in the axes of its child: linear, then angular, shape (6,)."""
+        mine = next(j for j in self.model.joints if j.nv == 1 and j.idx_v == joint.v)
+        data, q = mine.createData(), self.neutral()
+        mine.calc(data, q, np.zeros(int(self.model.nv)))
+        return np.array(data.S, dtype=np.float64).reshape(6)
+
     def neutral(self) -> Array:
         """Configuration with every joint at 0 and every base at its start, shape (nq,), fresh."""
         q: Array = pin.neutral(self.model)

@@ -26,6 +26,7 @@ from mbd_ros.errors import DivergedError, MbdError, ModelError, SolveError
 
 if TYPE_CHECKING:
     from mbd_ros.core.events.event import Event
+    from mbd_ros.core.inverse.felt_reactions import FeltReactions
     from mbd_ros.core.simulation.noisy_sensors import NoisySensors
 
 _NO_TWISTS: Array = np.zeros((0, TWIST))
@@ -113,6 +114,7 @@ class LiveSimulation:
         self.simulation, self.fault, self._steps = simulation, "", 0
         system, loads = simulation.system, simulation.system.loads
         self.showing = Showing(system.k, system.layout, (*loads.actuators, *loads.forces))
+        self._felt: FeltReactions | None = None
         self._commands = sum(len(a.inputs) for a in simulation.system.loads.actuators)
         for watch in self.watches:
             watch.restart()
@@ -185,8 +187,15 @@ class LiveSimulation:
             sensors: With their noise.
             sample: Number of the sample since the start.
         """
-        _, a, lam = self._evaluated
-        return sensors.at(self.simulation.system, self._x, Now(a, lam), sample)
+        u, a, lam = self._evaluated
+        system, reactions = self.simulation.system, None
+        if sensors.needs_reactions:
+            if self._felt is None:
+                from mbd_ros.core.inverse import felt_reactions
+
+                self._felt = felt_reactions.FeltReactions(system)
+            reactions = self._felt.at(self._x, u, a, lam)
+        return sensors.at(system, self._x, Now(a, lam, reactions), sample)
 
     def _inputs(self) -> Array:
         """Inputs of this tick, shape (nu,); those of actuators come first."""

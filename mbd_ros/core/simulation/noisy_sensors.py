@@ -11,7 +11,7 @@ import numpy as np
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.outputs import Now
-from mbd_ros.core.sensor import Sensor
+from mbd_ros.core.sensor import Measures, Sensor
 from mbd_ros.core.state import Array, State
 
 
@@ -21,11 +21,16 @@ class NoisySensors:
     Args:
         sensors: What measures.
         seed: Of the noise.
+
+    Attributes:
+        sensors: As given.
+        needs_reactions: Whether one of them feels forces in joints.
     """
 
     def __init__(self, sensors: Sequence[Sensor], seed: int) -> None:
         self.sensors, self._seed = tuple(sensors), seed
         self._reads = max((sensor.reads for sensor in sensors), default=Reads.NOTHING)
+        self.needs_reactions = any(one.level >= Measures.FORCE for one in sensors)
         self._roots: dict[int, Array] = {}
 
     def at(self, system: System, x: State, now: Now, sample: int) -> list[Array]:
@@ -34,7 +39,7 @@ class NoisySensors:
         Args:
             system: Of the simulation.
             x: State of all joints.
-            now: Accelerations and multipliers there.
+            now: Accelerations and multipliers there, with reactions where they are needed.
             sample: Number of the sample, >= 0.
         """
         k = system.k

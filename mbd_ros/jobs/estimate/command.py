@@ -24,6 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--innovations", type=path_word, help="also write how far predictions were off"
     )
     parser.add_argument(
+        "--wrenches", type=path_word, help="table or bag of the external loads of the scene"
+    )
+    parser.add_argument(
         "--inputs",
         choices=("efforts", "commands", "none"),
         help="what moves the mechanism (default: efforts)",
@@ -49,6 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
         say,
         task=arguments.task or NO_TASK,
         topic=arguments.topic,
+        wrenches=arguments.wrenches,
         **options,
     )
     return OK

@@ -1,8 +1,9 @@
 """A scene made ready for an estimator: sensors, inputs, unknown efforts, noise."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -16,6 +17,7 @@ from mbd_ros.core.sensor import Sensor
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import FIXED_BY_OTHERS
 from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.jobs.estimate.unknowns import Unknowns, with_unknowns
 from mbd_ros.scene import schema
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.estimate_task import EstimateTask
@@ -38,6 +40,7 @@ class Estimation:
         estimator: Has not begun.
         scale: Efforts that accelerate each joint by 1 rad/s^2 or m/s^2, shape (nv,).
         disturbed: Joints with an unknown effort.
+        deviations: Internal state that is estimated -> its deviation at the start.
     """
 
     scene: Scene
@@ -46,6 +49,18 @@ class Estimation:
     estimator: Estimator
     scale: Array
     disturbed: tuple[str, ...]
+    deviations: Mapping[str, float]
+
+    @cached_property
+    def disturbance(self) -> slice:
+        """Where the unknown efforts stand in z, in the order of `disturbed`."""
+        return _disturbance(self.scene).z if self.disturbed else slice(0, 0)
+
+    @cached_property
+    def parameters(self) -> dict[str, int]:
+        """Numbers that are estimated -> where each stands in z."""
+        names = self.process.simulation.system.internals.names
+        return {name: names.index(name) for name in self.deviations}
 
     def unknown_efforts(self, x: State) -> Array:
         """Of the disturbed joints [N·m or N], shape (len(disturbed),).
@@ -53,7 +68,7 @@ class Estimation:
         Args:
             x: State of all joints.
         """
-        return x.z[_disturbance(self.scene).z] if self.disturbed else x.z[:0]
+        return x.z[self.disturbance]
 
     @property
     def prior(self) -> Array:
@@ -65,9 +80,9 @@ class Estimation:
             (np.full(nv, task.position_deviation), np.full(nv, task.velocity_deviation))
         )
         z = np.zeros(nz)
-        if self.disturbed:
-            at = [self.scene.robot.joint(name).v for name in self.disturbed]
-            z[_disturbance(self.scene).z] = _UNKNOWN * self.scale[at]
+        at = [self.scene.robot.joint(name).v for name in self.disturbed]
+        z[self.disturbance] = _UNKNOWN * self.scale[at]
+        z[list(self.parameters.values())] = list(self.deviations.values())
         lower = tangent.lowered(self.process.start)
         P: Array = (lower * np.concatenate((deviation, z)) ** 2).dot(lower.T)
         return P
@@ -95,12 +110,13 @@ def estimation_of(
     scale = effort_scale(system, scene.initial)
     joints = _told_apart(system, scene) if task.disturbance is None else tuple(task.disturbance)
     try:
-        scene = made_ready(scene, task, joints)
-        process = _process(scene, task, sensors, scale, joints)
+        ready = made_ready(scene, task, joints)
+        unknowns = with_unknowns(scene, ready, sensors, task.parameters)
+        process = _process(unknowns, task, scale, joints)
         estimator = _estimator(task, process, where)
     except ModelError as error:
         raise SceneError(f"{where}: {error}") from error
-    return Estimation(scene, task, process, estimator, scale, joints)
+    return Estimation(unknowns.scene, task, process, estimator, scale, joints, unknowns.deviations)
 
 
 def made_ready(scene: Scene, task: EstimateTask, disturbed: Sequence[str]) -> Scene:
@@ -171,19 +187,25 @@ def _sensors(
 
 
 def _process(
-    scene: Scene,
-    task: EstimateTask,
-    sensors: Sequence[Sensor],
-    scale: Array,
-    joints: Sequence[str],
+    unknowns: Unknowns, task: EstimateTask, scale: Array, joints: Sequence[str]
 ) -> MechanismProcess:
+    scene = unknowns.scene
     simulation = scene.simulation()
-    noise = np.zeros(simulation.system.internals.nz)
+    internals = simulation.system.internals
+    noise = np.zeros(internals.nz)
     if joints:
         at = [scene.robot.joint(name).v for name in joints]
         noise[_disturbance(scene).z] = task.disturbance_noise * scale[at]
+    for name, deviation in unknowns.deviations.items():
+        noise[internals.names.index(name)] = deviation / math.sqrt(task.parameter_time)
     return MechanismProcess(
-        simulation, sensors, scene.initial, task.model_noise * scale, noise, limits=task.limits
+        simulation,
+        unknowns.sensors,
+        scene.initial,
+        task.model_noise * scale,
+        noise,
+        masses=unknowns.masses,
+        limits=task.limits,
     )
 
 

@@ -12,13 +12,14 @@ from mbd_ros.core.estimation.kalman_filter import KalmanFilter
 from mbd_ros.core.estimation.smoother import Filtered, smoothed
 from mbd_ros.core.estimation.tracker import Tracker
 from mbd_ros.core.state import NANOSECOND, Array, Motion
-from mbd_ros.errors import DataError, MbdError, SceneError
-from mbd_ros.files.recordings import Source, name_of, read_columns, read_motion
+from mbd_ros.errors import MbdError, SceneError
+from mbd_ros.files.recordings import Source, name_of, read_motion
 from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result
 from mbd_ros.jobs.columns import state_topics
 from mbd_ros.jobs.error_source import about
-from mbd_ros.jobs.estimate.estimation import EFFORTS, Estimation, estimation_of
+from mbd_ros.jobs.estimate.estimation import Estimation, estimation_of
+from mbd_ros.jobs.estimate.measured import measured_values, recorded_inputs
 from mbd_ros.jobs.estimate.tables import INNOVATIONS, innovation_table, sample_table
 from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.metadata import metadata_of
@@ -55,6 +56,7 @@ def estimate(
     motion: Source,
     *,
     task: EstimateTask | str | Path = NO_TASK,
+    wrenches: Source | None = None,
     topic: str = "/joint_states",
     say: Say | None = None,
     progress: Watch = False,
@@ -67,6 +69,7 @@ def estimate(
         motion: Result, file or bag with positions, velocities and efforts of some joints, and
             `<sensor>` or `<sensor>.<component>` of sensors of the scene.
         task: A task, or a task file with a section `estimate`.
+        wrenches: Result, file or bag of the external loads of the scene.
         topic: JointState topic of a bag.
         say: Is called with each line for people; without it the lines are
             `metadata["remarks"]`.
@@ -87,13 +90,18 @@ def estimate(
     tell = say or remarks.append
     with watching(progress):
         asked = replace(_task(scene, task), **options)
-        found = run_estimate(scene, motion, asked, topic, tell)
+        found = run_estimate(scene, motion, asked, topic, tell, wrenches)
         tables = {
             MAIN: sample_table(found.estimation, found.samples, found.inputs),
             INNOVATIONS: innovation_table(found.estimation, found.samples),
         }
     topics = state_topics(scene.robot, ("position", "velocity"))
-    given = {"motion": motion, "task": task if isinstance(task, str | Path) else None, **options}
+    given = {
+        "motion": motion,
+        "wrenches": wrenches,
+        "task": task if isinstance(task, str | Path) else None,
+        **options,
+    }
     result = Result(tables, metadata_of("estimate", scene, given, topics))
     result.metadata["consistency"] = found.watch.consistency()._asdict()
     if say is None:
@@ -120,7 +128,12 @@ def estimate_to(
 
 
 def run_estimate(
-    scene: Scene, source: Source, task: EstimateTask, topic: str, say: Say
+    scene: Scene,
+    source: Source,
+    task: EstimateTask,
+    topic: str,
+    say: Say,
+    wrenches: Source | None = None,
 ) -> Estimated:
     """See `estimate`."""
     where = name_of(source)
@@ -134,8 +147,8 @@ def run_estimate(
     with about(where):
         estimation = estimation_of(scene, task, given, rated)
     say(f"measured: {', '.join(estimation.process.sensors.names)}")
-    values = _values(estimation, source, motion)
-    inputs = _inputs(estimation, motion, say)
+    values = measured_values(estimation, source, motion)
+    inputs = recorded_inputs(estimation, motion, wrenches, say)
     found = _filtered(estimation, motion.stamps * NANOSECOND, values, inputs, where)
     for line in _lines(found):
         say(line)
@@ -190,45 +203,6 @@ def _rated(motion: Motion) -> list[str]:
         return []
     told = np.isfinite(motion.velocity).any(axis=0) & motion.velocity.any(axis=0)
     return [name for name, is_told in zip(motion.names, told, strict=True) if is_told]
-
-
-def _values(estimation: Estimation, source: Source, motion: Motion) -> Array:
-    """What was measured, NaN where nothing was, shape (samples, m)."""
-    sensors = estimation.process.sensors
-    found = np.full((len(motion.stamps), sensors.m), np.nan)
-    of_joints = {"Encoder": motion.position, "Tachometer": motion.velocity}
-    column = {name: i for i, name in enumerate(motion.names)}
-    for sensor, mine in zip(sensors.sensors, sensors.slices, strict=True):
-        own = of_joints.get(type(sensor).__name__)
-        if own is not None:
-            found[:, mine.start] = own[:, column[sensor.frame]]  # type: ignore[attr-defined]
-        else:
-            read = read_columns(source, sensors.names[mine])
-            if read is not None and len(read) == len(found):
-                found[:, mine] = read
-    if not np.isfinite(found).any():
-        raise DataError(f"{name_of(source)}: nothing of {', '.join(sensors.names)} is in it")
-    return found
-
-
-def _inputs(estimation: Estimation, motion: Motion, say: Say) -> list[Array | None]:
-    """Inputs before each sample: its efforts and commands act in the interval that ends there."""
-    scene, task = estimation.scene, estimation.task
-    told = motion.effort if task.inputs == "efforts" else motion.command
-    if task.inputs == "none":
-        return [None] * len(motion.stamps)
-    if told is None or not np.isfinite(told).any():
-        say(f"no {task.inputs} in the recording: none are assumed")
-        return [None] * len(motion.stamps)
-    values = np.where(np.isfinite(told), told, 0.0)
-    u = np.tile(scene.inputs.safe, (len(values), 1))
-    if task.inputs == "efforts":
-        u[:, scene.inputs.slots[EFFORTS]] = values
-    else:
-        column = {name: i for i, name in enumerate(motion.names)}
-        for part in scene.actuators:
-            u[:, part.u] = values[:, [column[name] for name in part.joints]]
-    return list(u)
 
 
 def _lines(found: Estimated) -> Iterator[str]:

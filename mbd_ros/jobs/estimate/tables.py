@@ -33,7 +33,7 @@ def sample_table(
     for sample, u in zip(samples, inputs, strict=True):
         belief = sample.belief
         x = system.expand(belief.x)
-        now = system.evaluate(x, u)
+        now = process.evaluate(x, u)
         known = loads.inputs(x, u)
         t.append(belief.t)
         q.append(x.q)

@@ -4,17 +4,17 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from geometry_msgs.msg import WrenchStamped
 
 from mbd_ros.core.estimation.cusum import Cusum
 from mbd_ros.core.estimation.determination import Determination, Determinations
 from mbd_ros.core.estimation.fault_naming import FaultNaming, Named
 from mbd_ros.core.estimation.tracker import Taken
-from mbd_ros.core.inverse.reactions import JointReactions
-from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.inverse.felt_reactions import FeltReactions
+from mbd_ros.core.model.joints import child_link
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.nodes.digital_twin.hypotheses import hypothesis_systems
+from mbd_ros.nodes.shell.parameters import ParameterError
 from mbd_ros.nodes.state_estimator.messages import EstimateMessages
 from mbd_ros.nodes.state_estimator.pipeline import EstimatorPipeline, refuse_unknown
 from msg_adapters.diagnostics import OK, WARN
@@ -68,17 +68,16 @@ class TwinPipeline(EstimatorPipeline):
         wanted = list(names if _ALL in values.reactions else values.reactions)
         refuse_unknown(wanted, names)
         self.reactions = {name: (names.index(name), WrenchStamped()) for name in wanted}
-        rows = ConstraintRows(system.layout.blocks, system.robot.model.nv)
-        self._slots = rows.slots
-        wrenches = tuple(self.scene.wrenches.values())
-        self._solver = JointReactions(robot, rows, wrenches, system.loads.forces)
-        self._frames = {j.name: _child(robot.model, j.v) for j in robot.joints}
+        self._felt = FeltReactions(system)
+        self._frames = {j.name: child_link(robot.model, j.v) for j in robot.joints}
         self._writer_of_numbers = MultiArrayCdrWriter(len(_NUMBERS), _NUMBERS)
         self._naming = self._name_faults(values)
 
     def _name_faults(self, values: Any) -> FaultNaming | None:
         if not values.hypotheses:
             return None
+        if values.parameters:
+            raise ParameterError("hypotheses and parameters: accepted is one of them")
         found = self.estimation
         systems = hypothesis_systems(self.scene, found, values.hypotheses)
         at = np.array([self.scene.robot.joint(name).v for name in found.disturbed], dtype=np.intp)
@@ -110,7 +109,8 @@ class TwinPipeline(EstimatorPipeline):
         self._cusum.add(np.concatenate((belief.innovation.normalized, self._off(now.x, sample))))
         if self._naming is not None and self.estimation.disturbed:
             lacking = self.estimation.unknown_efforts(now.x)
-            spread = np.sqrt(belief.P.diagonal()[-len(lacking) :])
+            nz = len(belief.x.z)
+            spread = np.sqrt(belief.P.diagonal()[-nz:][self.estimation.disturbance])
             self._naming.add(now.x, self._newest_u, lacking, spread)
             self.fault = self._naming.named()
 
@@ -131,7 +131,7 @@ class TwinPipeline(EstimatorPipeline):
         now = self._writer.now
         reactions = {}
         if self.reactions:
-            local = self._solver.solve(now.x, now.a, now.lam[self._slots]).local
+            local = self._felt.at(now.x, self._newest_u, now.a, now.lam)
             for name, (row, message) in self.reactions.items():
                 reactions[name] = write_wrench(message, stamp, self._frames[name], local[row])
         found = self.determination
@@ -194,10 +194,3 @@ class TwinPipeline(EstimatorPipeline):
             "fault": self.fault.name or "none",
             "unexplained by hypotheses": shares or "none compared",
         }
-
-
-def _child(model: Any, v: int) -> str:
-    """Name of the link that a joint carries, whose axes are those of the joint."""
-    joint = next(i for i, one in enumerate(model.joints) if i and one.idx_v == v)
-    links = (f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == joint)
-    return str(next(link.name for link in links if link.placement.isIdentity()))

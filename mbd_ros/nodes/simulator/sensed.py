@@ -4,11 +4,9 @@ import math
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import Imu as ImuMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -16,11 +14,11 @@ from mbd_ros.core.sensor import Sensor
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.core.simulation.noisy_sensors import NoisySensors
 from mbd_ros.core.state import NANOSECOND, Array
+from mbd_ros.nodes.shell.sensor_messages import sensor_messages
 from mbd_ros.nodes.shell.shell import Shell
+from mbd_ros.sensors.effort import Effort
 from mbd_ros.sensors.encoder import Encoder
-from mbd_ros.sensors.imu import Imu
 from mbd_ros.sensors.tachometer import Tachometer
-from msg_adapters.imu import write_imu
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 
@@ -30,8 +28,9 @@ _SOONER = 0.5e-9  # s by which a message may be early: rounding
 class SensorTopics:
     """What sensors tell, with noise and delays.
 
-    Encoders and tachometers of one delay share `~/measured_joint_states`, an IMU has
-    `~/imu/<name>` or the topic that it names, all others stand in `~/sensors`.
+    Encoders, and tachometers and effort sensors where every encoder has one, share
+    `~/measured_joint_states`; IMUs, poses and wrenches have topics of their own, all others stand
+    in `~/sensors`.
 
     Args:
         node: The publishing node.
@@ -53,21 +52,26 @@ class SensorTopics:
         self._waiting = deque[tuple[float, Callable[[], None]]]()
         self._at = {sensor.name: i for i, sensor in enumerate(sensors)}
         self._sample, self._newest = 0, math.inf
-        encoders = {s.frame: s for s in sensors if isinstance(s, Encoder)}
-        rates = {s.frame: s for s in sensors if isinstance(s, Tachometer)}
-        self._joints = [(encoders[name], rates.get(name)) for name in encoders]
-        self._has_rates = bool(encoders) and encoders.keys() <= rates.keys()
-        self._imus = [
-            (s, node.publish_to(ImuMessage, s.label or f"~/imu/{s.name}", depth))
-            for s in sensors
-            if isinstance(s, Imu)
+        encoders, rates, efforts = (
+            {s.joint.name: s for s in sensors if isinstance(s, kind)}
+            for kind in (Encoder, Tachometer, Effort)
+        )
+        fields = {"position": encoders, "velocity": rates, "effort": efforts}
+        self._joints = {
+            field: [told[name] for name in encoders]
+            for field, told in fields.items()
+            if encoders and encoders.keys() <= told.keys()
+        }
+        robot = live.simulation.system.robot
+        self._own = [
+            (one, node.publish_to(one.type, one.topic, depth))
+            for one in sensor_messages(robot, sensors)
         ]
-        taken = {id(s) for pair in self._joints for s in (pair[0], *pair[1:]) if s is not None}
-        taken |= {id(s) for s, _ in self._imus}
+        taken = {id(s) for told in self._joints.values() for s in told}
+        taken |= {id(one.sensor) for one, _ in self._own}
         self._others = [s for s in sensors if id(s) not in taken]
         if self._joints:
-            fields = ("position", "velocity") if self._has_rates else ("position",)
-            self._writer = JointStateCdrWriter(list(encoders), fields)
+            self._writer = JointStateCdrWriter(list(encoders), tuple(self._joints))
             self._states = node.publish_to(JointState, "~/measured_joint_states", depth)
         if self._others:
             names = [
@@ -103,25 +107,19 @@ class SensorTopics:
     def _messages(self, stamp: int, values: list[Array]) -> list[tuple[float, Callable[[], None]]]:
         found: list[tuple[float, Callable[[], None]]] = []
         if self._joints:
-            position = np.concatenate([values[self._at[e.name]] for e, _ in self._joints])
-            fields = {"position": position}
-            if self._has_rates:
-                rates = [values[self._at[r.name]] for _, r in self._joints if r is not None]
-                fields["velocity"] = np.concatenate(rates)
+            fields = {
+                field: np.concatenate([values[self._at[s.name]] for s in told])
+                for field, told in self._joints.items()
+            }
             message = self._writer.write(stamp, **fields)
-            delay = max(s.delay for pair in self._joints for s in pair if s is not None)
+            delay = max(s.delay for told in self._joints.values() for s in told)
             found.append((delay, partial(self._states.publish, message)))
-        for sensor, topic in self._imus:
-            imu = write_imu(
-                ImuMessage(), stamp, sensor.frame, values[self._at[sensor.name]], _noise(sensor)
-            )
-            found.append((sensor.delay, partial(topic.publish, imu)))
+        for one, topic in self._own:
+            sensor = one.sensor
+            written = one.write(stamp, values[self._at[sensor.name]])
+            found.append((sensor.delay, partial(topic.publish, written)))
         if self._others:
             told = np.concatenate([values[self._at[s.name]] for s in self._others]).tolist()
             delay = max(s.delay for s in self._others)
             found.append((delay, partial(self._array.publish, self._numbers.write(told))))
         return found
-
-
-def _noise(sensor: Any) -> tuple[float, float]:
-    return sensor.gyro_noise, sensor.acceleration_noise

@@ -6,10 +6,10 @@ import numpy as np
 
 from mbd_ros.core.estimation.tracker import Tracker
 from mbd_ros.core.names import without_multiplier
-from mbd_ros.core.state import Array, Evaluation
+from mbd_ros.core.state import NONE, Array, Evaluation, State
 from mbd_ros.jobs.estimate.estimation import Estimation
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
-from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
+from msg_adapters.multi_array_cdr import MatrixCdrWriter, MultiArrayCdrWriter
 
 
 class EstimateMessages(NamedTuple):
@@ -21,6 +21,8 @@ class EstimateMessages(NamedTuple):
         disturbance: Unknown efforts, None without any.
         forces: Multipliers of all rows, None without any.
         deviations: Float64MultiArray of standard deviations, labelled.
+        parameters: Float64MultiArray of estimated numbers and their deviations, None without any.
+        covariance: Float64MultiArray, None where it is not wanted.
         innovations: Float64MultiArray, labelled: normalised innovations, then NIS, its mean and
             the correlation of the newest samples.
     """
@@ -30,6 +32,8 @@ class EstimateMessages(NamedTuple):
     disturbance: bytes | None
     forces: bytes | None
     deviations: bytes
+    parameters: bytes | None
+    covariance: bytes | None
     innovations: bytes
 
 
@@ -38,14 +42,10 @@ class EstimateWriter:
 
     Args:
         estimation: What is estimated.
-
-    Attributes:
-        now: The equations of motion at the newest estimate.
+        with_covariance: Whether the covariance is wanted.
     """
 
-    now: Evaluation
-
-    def __init__(self, estimation: Estimation) -> None:
+    def __init__(self, estimation: Estimation, *, with_covariance: bool = False) -> None:
         self._estimation, self._system = estimation, estimation.process.simulation.system
         joints = estimation.scene.robot.joints
         names = [joint.name for joint in joints]
@@ -56,9 +56,24 @@ class EstimateWriter:
         self._forces = JointStateCdrWriter(rows, ("effort",)) if rows else None
         labels = [f"{name}.{kind}" for kind in ("position", "velocity") for name in names]
         labels += self._system.internals.names
+        self._numbers = list(estimation.parameters.values())
+        named = [*estimation.parameters, *(f"{n}.deviation" for n in estimation.parameters)]
+        self._parameters = MultiArrayCdrWriter(len(named), named) if named else None
+        self._covariance = MatrixCdrWriter(labels, labels) if with_covariance else None
         self._deviations = MultiArrayCdrWriter(len(labels), labels)
         numbers = [*estimation.process.sensors.names, "nis", "mean_nis", "correlation"]
         self._innovations = MultiArrayCdrWriter(len(numbers), numbers)
+        self._x: State = estimation.process.start
+        self._u: Array = NONE
+        self._now: Evaluation | None = None
+        self._whole: Array | None = None
+
+    @property
+    def now(self) -> Evaluation:
+        """The equations of motion at the newest estimate."""
+        if self._now is None:
+            self._now = self._estimation.process.evaluate(self._x, self._u)
+        return self._now
 
     def write(self, tracker: Tracker, stamp: int, u: Array) -> EstimateMessages:
         """The messages of the newest estimate.
@@ -73,7 +88,8 @@ class EstimateWriter:
         """
         system, belief = self._system, tracker.belief
         x = system.expand(belief.x)
-        self.now = system.evaluate(x, u)
+        self._x, self._u, self._now = x, u, None
+        system.k.refresh(x.q, x.v, system.loads.reads)
         effort = system.loads.actuator_torque(system.k, x, u)
         states = self._states.write(
             stamp, position=x.q[self._q], velocity=x.v[self._v], effort=effort[self._v]
@@ -84,18 +100,32 @@ class EstimateWriter:
             disturbance = self._disturbance.write(stamp, effort=unknown)
         if self._forces is not None:
             forces = self._forces.write(stamp, effort=self.now.lam)
-        spread = self._deviations.write(self._spread(tracker, len(x.z)))
-        judged = self._judged(tracker)
-        return EstimateMessages(stamp, states, disturbance, forces, spread, judged)
+        rows = self._rows(belief.x)
+        spread = np.sqrt(np.maximum(np.einsum("ij,ij->i", rows.dot(belief.P), rows), 0.0))
+        parameters = covariance = None
+        if self._parameters is not None:
+            known = spread[len(spread) - len(x.z) :][self._numbers]
+            parameters = self._parameters.write([*x.z[self._numbers].tolist(), *known.tolist()])
+        if self._covariance is not None:
+            covariance = self._covariance.write(rows.dot(belief.P).dot(rows.T).ravel().tolist())
+        deviations = self._deviations.write(spread.tolist())
+        return EstimateMessages(
+            *(stamp, states, disturbance, forces, deviations, parameters, covariance),
+            self._judged(tracker),
+        )
 
-    def _spread(self, tracker: Tracker, nz: int) -> list[float]:
-        belief, nv = tracker.belief, self._system.robot.model.nv
-        lift = self._estimation.process.tangent.of_all_joints(belief.x)
-        rows = lift[[*self._v, *(nv + v for v in self._v)]]
-        spread = np.einsum("ij,ij->i", rows.dot(belief.P), rows)
-        every = np.concatenate((spread, belief.P.diagonal()[len(belief.P) - nz :]))
-        deviations: list[float] = np.sqrt(np.maximum(every, 0.0)).tolist()
-        return deviations
+    def _rows(self, y: State) -> Array:
+        """From steps of the tangent to positions, velocities and internal states."""
+        if self._whole is not None:
+            return self._whole
+        tangent, nz = self._estimation.process.tangent, len(y.z)
+        lift, nv = tangent.of_all_joints(y), self._system.robot.model.nv
+        rows = np.zeros((2 * len(self._v) + nz, tangent.n))
+        rows[: len(rows) - nz] = lift[[*self._v, *(nv + v for v in self._v)]]
+        rows[len(rows) - nz :, tangent.n - nz :] = np.eye(nz)
+        if tangent.is_whole:
+            self._whole = rows
+        return rows
 
     def _judged(self, tracker: Tracker) -> bytes:
         innovation, consistency = tracker.belief.innovation, tracker.watch.consistency()

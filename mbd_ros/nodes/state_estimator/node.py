@@ -4,19 +4,21 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from sensor_msgs.msg import Imu, JointState
+from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from mbd_ros.core.estimation.differentiation import SampleStatus
 from mbd_ros.core.estimation.tracker import Taken
 from mbd_ros.errors import DivergedError, SolveError
 from mbd_ros.nodes.shell.joint_state_node import SENSOR, JointStateNode
+from mbd_ros.nodes.shell.sensor_messages import SensorMessage
+from mbd_ros.nodes.shell.wrenches import read_load
 from mbd_ros.nodes.simulator.commands import command_reader
 from mbd_ros.nodes.state_estimator.parameters import PARAMETERS
 from mbd_ros.nodes.state_estimator.pipeline import EstimateMessages, EstimatorPipeline
 from msg_adapters.diagnostics import OK
 from msg_adapters.errors import MessageError
-from msg_adapters.imu import read_imu
 from msg_adapters.joint_state import JointSample
 
 DEPTH = 100  # a reader may be away for 0.2 s at 500 Hz
@@ -27,7 +29,7 @@ class StateEstimatorNode(JointStateNode):
 
     NAME = "state_estimator"
     PARAMETERS = PARAMETERS
-    STAMPED = "joint states and IMUs"
+    STAMPED = "joint states and sensors"
     _pipeline: EstimatorPipeline
 
     def build(self, description: str | None) -> None:
@@ -41,15 +43,21 @@ class StateEstimatorNode(JointStateNode):
         self._disturbance = self.publish_to(JointState, "~/disturbance", DEPTH)
         self._forces = self.publish_to(JointState, "~/constraint_forces", DEPTH)
         self._deviations = self.publish_to(Float64MultiArray, "~/deviations", DEPTH)
+        self._parameters = self._covariance = None
+        if self.parameters.parameters:
+            self._parameters = self.publish_to(Float64MultiArray, "~/parameters", DEPTH)
+        if self.parameters.covariance:
+            self._covariance = self.publish_to(Float64MultiArray, "~/covariance", DEPTH)
         self._innovations = self.publish_to(Float64MultiArray, "~/innovations", DEPTH)
         super().configure_core()
 
     def listen(self) -> None:
         """Subscribe to joint states, and to what else is measured."""
         super().listen()
-        for name, (sensor, _) in self._pipeline.imus.items():
-            topic = sensor.label or f"~/imu/{name}"
-            self.subscribe(Imu, topic, self._on_imu(name, topic, sensor.frame), SENSOR)
+        for one in self._pipeline.messages:
+            self.subscribe(one.type, one.topic, self._on_sensor(one), SENSOR)
+        for name, wrench in self._pipeline.scene.wrenches.items():
+            self.subscribe(WrenchStamped, wrench.heard_on, self._on_wrench(name), SENSOR)
         if self.parameters.inputs == "commands":
             self._commands = command_reader(self._pipeline.estimation.scene, ())
             self.subscribe(JointState, "joint_commands", self._take_command, SENSOR)
@@ -93,6 +101,12 @@ class StateEstimatorNode(JointStateNode):
             self._forces.publish(answer.forces)
         self._deviations.publish(answer.deviations)
         self._innovations.publish(answer.innovations)
+        for message, topic in (
+            (answer.parameters, self._parameters),
+            (answer.covariance, self._covariance),
+        ):
+            if message is not None and topic is not None:
+                topic.publish(message)
 
     def _take_command(self, msg: Any) -> None:
         try:
@@ -100,20 +114,32 @@ class StateEstimatorNode(JointStateNode):
         except MessageError as error:
             self.drop("command", f"joint_commands: {error}")
 
-    def _on_imu(self, name: str, topic: str, frame: str) -> Callable[[Any], None]:
+    def _on_sensor(self, one: SensorMessage) -> Callable[[Any], None]:
+        name = one.sensor.name
+
         def take(msg: Any) -> None:
             try:
-                sample = read_imu(msg)
+                sample = one.read(msg)
             except MessageError as error:
-                self.drop("imu", f"{topic}: {error}")
-                return
-            if sample.frame_id not in ("", frame):
-                self.drop("imu", f"{topic}: frame '{sample.frame_id}', expected '{frame}'")
+                self.drop("sensor", f"{one.topic}: {error}")
                 return
             stamp = self.stamp_of(sample.stamp)
             if stamp is not None:
-                ask = partial(self._pipeline.answer_imu, name, stamp, sample.values)
+                ask = partial(self._pipeline.answer_sensor, name, stamp, sample.values)
                 self.judge(partial(self._answer, ask), self._pipeline.joints)
+
+        return take
+
+    def _on_wrench(self, name: str) -> Callable[[Any], None]:
+        def take(msg: Any) -> None:
+            try:
+                sample = read_load(msg, self._pipeline.scene.wrenches[name])
+            except MessageError as error:
+                self.drop("wrench", str(error))
+                return
+            stamp = sample.stamp or self.receive_time()
+            if not self._pipeline.wrenches[name].add(stamp, sample.wrench):
+                self.drop("wrench", f"wrench '{name}': stamp not newer than the last")
 
         return take
 

@@ -1,18 +1,20 @@
 """Parameters of the node `state_estimator`."""
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 from mbd_ros.core.estimation.tracker import Tracker
 from mbd_ros.estimators.moving_horizon import MovingHorizon
 from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS as INVERSE_DYNAMICS
 from mbd_ros.nodes.shell.constructor_parameters import of
-from mbd_ros.nodes.shell.parameters import Parameter
+from mbd_ros.nodes.shell.parameters import Parameter, ParameterError
 from mbd_ros.scene.estimate_task import EstimateTask
 
 _SHARED = ("scene", "allow_code", "timeout", "clock_tolerance")
 _TASK = (
     *("model_noise", "disturbance_noise", "position_noise", "velocity_noise"),
-    *("position_deviation", "velocity_deviation", "limits"),
+    *("position_deviation", "velocity_deviation", "parameter_time", "limits"),
 )
 TRACKER = ("memory", "patience", "max_age", "gate", "agility")
 _HORIZON = ("samples", "iterations")
@@ -52,9 +54,31 @@ PARAMETERS = (
         "Whether there are unknown efforts on as many joints as can be told apart.",
         True,
     ),
+    Parameter(
+        "parameters",
+        list[str],
+        "Numbers of the scene that are estimated, and how well each is known: "
+        "`<name>=<deviation>`, such as `hand.payload=1.0`, `knee_friction.viscous=0.1` or "
+        "`crank_encoder.offset=0.01`.",
+        (),
+    ),
+    Parameter(
+        "covariance",
+        bool,
+        "Whether the whole covariance is published on `~/covariance`.",
+        False,
+    ),
     *of(EstimateTask, {name: name for name in _TASK}),
     *of(Tracker, {name: name for name in TRACKER}, skip=2),
     *of(MovingHorizon, {name: f"horizon.{name}" for name in _HORIZON}, skip=1),
+    Parameter(
+        "wrench_max_age",
+        float,
+        "Time for which the newest external wrench stands for later samples [s].",
+        0.1,
+        low=0.0,
+        high=10.0,
+    ),
     Parameter(
         "deadline",
         float,
@@ -77,8 +101,25 @@ PARAMETERS = (
 )
 
 
+def _deviations(texts: Sequence[str]) -> dict[str, float]:
+    found = dict[str, float]()
+    for text in texts:
+        name, _, given = text.rpartition("=")
+        try:
+            found[name.strip()] = deviation = float(given)
+        except ValueError:
+            deviation = math.nan
+        if not name.strip() or not 0.0 < deviation < math.inf:
+            raise ParameterError(f"parameters: '{text}', accepted: <name>=<deviation>, > 0")
+    return found
+
+
 def task_of(values: Any) -> EstimateTask:
-    """What the parameters ask for."""
+    """What the parameters ask for.
+
+    Raises:
+        ParameterError: A text of another form.
+    """
     estimator: dict[str, Any] = {"type": values.estimator}
     if values.estimator == "moving_horizon":
         estimator |= {name: getattr(values, f"horizon_{name}") for name in _HORIZON}
@@ -86,5 +127,6 @@ def task_of(values: Any) -> EstimateTask:
         estimator,
         values.inputs,
         None if values.disturbances else (),
+        parameters=_deviations(values.parameters),
         **{name: getattr(values, name) for name in _TASK},
     )

@@ -7,19 +7,24 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.estimation.tracker import Taken, Tracker
+from mbd_ros.core.model.wrenches import WrenchBuffer
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.jobs.estimate.estimation import EFFORTS, estimation_of
+from mbd_ros.jobs.estimate.unknowns import inner
 from mbd_ros.nodes.shell.parameters import ParameterError
+from mbd_ros.nodes.shell.sensor_messages import sensor_messages
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.nodes.state_estimator.messages import EstimateMessages, EstimateWriter
 from mbd_ros.nodes.state_estimator.parameters import TRACKER, task_of
 from mbd_ros.scene.reader import load_scene
+from mbd_ros.sensors.effort import Effort
 from mbd_ros.sensors.encoder import Encoder
-from mbd_ros.sensors.imu import Imu
 from mbd_ros.sensors.tachometer import Tachometer
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader
+
+_REWIND = 1.0  # s, by which wrenches are older where time begins anew
 
 
 def refuse_unknown(given: Sequence[str], names: Sequence[str]) -> None:
@@ -45,7 +50,8 @@ class EstimatorPipeline:
         estimation: Scene, process and estimator.
         joints: Which joints the newest joint state carried.
         reader: Serialized joint states to samples.
-        imus: Sensors whose messages come on topics of their own.
+        messages: Of sensors that have topics of their own.
+        wrenches: Newest samples of external wrenches, by name.
     """
 
     def __init__(self, values: Any, description: str | None) -> None:
@@ -62,15 +68,23 @@ class EstimatorPipeline:
         sensors = found.process.sensors
         pairs = list(zip(sensors.sensors, sensors.slices, strict=True))
         at = {name: i for i, name in enumerate(names)}
-        self._of_position, self._of_velocity = (
-            [(at[s.frame], mine.start) for s, mine in pairs if isinstance(s, kind)]
-            for kind in (Encoder, Tachometer)
-        )
-        self.imus = {s.name: (s, mine) for s, mine in pairs if isinstance(s, Imu)}
+        own = [(inner(s), mine) for s, mine in pairs]
+        self._of_joints = [
+            [(at[s.frame], mine.start) for s, mine in own if isinstance(s, kind)]
+            for kind in (Encoder, Tachometer, Effort)
+        ]
+        self._slices = {s.name: mine for s, mine in pairs}
+        self.messages = sensor_messages(scene.robot, scene.sensors)
+        ages = round(values.wrench_max_age / NANOSECOND), round(_REWIND / NANOSECOND)
+        self.wrenches = {name: WrenchBuffer(*ages) for name in scene.wrenches}
         self._inputs = found.scene.inputs.safe
-        self._efforts = found.scene.inputs.slots.get(EFFORTS)
+        slots = found.scene.inputs.slots
+        self._efforts = slots.get(EFFORTS)
+        self._loads = [(slots[name], buffer) for name, buffer in self.wrenches.items()]
+        self._driven = np.ones(len(names), dtype=np.bool_)
+        self._driven[[row for row, _ in self._of_joints[-1]]] = False
         self._v = [joint.v for joint in scene.robot.joints]
-        self._writer = EstimateWriter(found)
+        self._writer = EstimateWriter(found, with_covariance=values.covariance)
         self.forget()
 
     def forget(self) -> None:
@@ -78,6 +92,8 @@ class EstimatorPipeline:
         self.tracker: Tracker | None = None
         self._origin, self._debt, self._late = 0, 0.0, 0
         self._command = self._inputs.copy()
+        for buffer in self.wrenches.values():
+            buffer.clear()
 
     def take_command(self, values: Array) -> None:
         """Take the commands of all actuators, in the order of the scene."""
@@ -95,19 +111,29 @@ class EstimatorPipeline:
             DivergedError: The prediction is no longer finite.
         """
         values = np.full(self.estimation.process.sensors.m, np.nan)
-        for row, at in self._of_position:
-            values[at] = sample.position[row]
-        for row, at in self._of_velocity:
-            values[at] = sample.velocity[row]
+        told = sample.position, sample.velocity, sample.effort
+        for field, rows in zip(told, self._of_joints, strict=True):
+            for row, at in rows:
+                values[at] = field[row]
         values[~np.isfinite(values)] = np.nan
         u = self._command
         if self._efforts is not None:
             u = self._inputs.copy()
-            u[self._efforts] = np.where(np.isfinite(sample.effort), sample.effort, 0.0)
-        return self._taken(stamp, values, u, sample.velocity)
+            known = self._driven & np.isfinite(sample.effort)
+            u[self._efforts] = np.where(known, sample.effort, 0.0)
+        return self._taken(stamp, values, self._loaded(stamp, u), sample.velocity)
 
-    def answer_imu(self, name: str, stamp: int, measured: Array) -> EstimateMessages | Taken:
-        """Messages for an IMU; before the first joint state it says nothing.
+    def _loaded(self, stamp: int, u: Array) -> Array:
+        """The inputs with external wrenches at a time [ns]; nothing where none is near."""
+        if self._loads:
+            u = u.copy()
+        for slot, buffer in self._loads:
+            wrench = buffer.at(stamp)
+            u[slot] = 0.0 if wrench is None else wrench
+        return u
+
+    def answer_sensor(self, name: str, stamp: int, measured: Array) -> EstimateMessages | Taken:
+        """Messages for a sensor with a topic of its own; nothing before the first joint state.
 
         Raises:
             SolveError: As `answer`.
@@ -116,7 +142,7 @@ class EstimatorPipeline:
         if self.tracker is None:
             return Taken.OLD
         values = np.full(self.estimation.process.sensors.m, np.nan)
-        values[self.imus[name][1]] = measured
+        values[self._slices[name]] = measured
         return self._taken(stamp, values, self._newest_u, self.joints.absent)
 
     def _taken(
@@ -173,6 +199,7 @@ class EstimatorPipeline:
             "estimator": self._values.estimator,
             "measured": ", ".join(found.process.sensors.names),
             "unknown efforts": ", ".join(found.disturbed) or "none",
+            "unknown numbers": ", ".join(found.deviations) or "none",
             "inputs": self._values.inputs,
             "answers without the horizon": str(self._late),
         }
