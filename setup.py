@@ -56,7 +56,7 @@ setup(
         "dask": ["dask[distributed]"],
         "docs": ["furo", "latex2mathml", "myst-parser", "sphinx"],
         "identification": ["clarabel"],
-        "peers": ["drake", "exudyn", "mujoco", 'opensim; python_version >= "3.11"'],
+        "peers": ["drake", "exudyn", "mujoco", "openmm", 'opensim; python_version >= "3.11"'],
         "tables": ["pandas", "pyarrow"],
         "view": ["av", "viser"],
         "ziglang": ["ziglang"],

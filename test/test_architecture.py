@@ -74,6 +74,7 @@ PART_FOLDERS = {
         "forces",
         "integrators",
         "muscles",
+        "neighbours",
         "sensors",
         "stabilization",
     )

@@ -202,6 +202,7 @@ PARTICLES = (  # of a scene that has the section `particles`, and no others
         (),
         absent={"type": "rattle"},
     ),
+    Section("solver", Form.SINGLE, f"{_PARTICLES}:build_solver", (), absent=_NOTHING),
     Section("dt", Form.SINGLE, f"{_PARTICLES}:build_time_step", (), absent=1.0e-3),
     Section("record", Form.SINGLE, f"{_PARTICLES}:build_record", (), absent=_NOTHING),
 )

@@ -129,16 +129,16 @@ class Cluster:
         Raises:
             SolveError: The rows cannot all hold near these positions; names the worst one.
         """
-        limit = BRANCH_STEP * float(self.sizes.min())
+        limit, last = BRANCH_STEP * float(self.sizes.min()), np.inf
         for _ in range(_ASSEMBLY):
             D = self.directions(x)
             g = np.array([row.residual(x, each) for row, each in zip(self.rows, D, strict=True)])
             worst = float((np.abs(g).max(axis=1) / self.sizes).max())
-            if worst <= LANDED:
+            if worst == 0.0 or (worst <= LANDED and worst >= 0.5 * last):
                 return
             if not isfinite(worst):
                 break
-            before = x.copy()
+            before, last = x.copy(), worst
             self._push(x, D, self._solve(self._metric(D, D), -g))
             longest = float(np.abs(x - before).max())
             if longest > limit:
@@ -180,7 +180,7 @@ def _shares(rows: Sequence[PointRow], masses: Array) -> list[tuple[int, int, flo
     return shares
 
 
-def clusters_of(rows: Sequence[PointRow], masses: Array, at: Array) -> list[Cluster]:
+def blocks_of(rows: Sequence[PointRow]) -> list[list[PointRow]]:
     """Rows in blocks that share no point."""
     groups: list[tuple[set[int], list[PointRow]]] = []
     for row in rows:
@@ -190,4 +190,4 @@ def clusters_of(rows: Sequence[PointRow], masses: Array, at: Array) -> list[Clus
             points |= group[0]
             mine = [*group[1], *mine]
         groups.append((points, mine))
-    return [Cluster(mine, masses, at) for _, mine in groups]
+    return [mine for _, mine in groups]

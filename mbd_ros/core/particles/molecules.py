@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mbd_ros.core.particles import elastic, fields
-from mbd_ros.core.particles.cluster import Cluster, clusters_of
+from mbd_ros.core.particles.cluster import Cluster, blocks_of
 from mbd_ros.core.particles.elastic import ElasticTerm
 from mbd_ros.core.particles.fields import Field
 from mbd_ros.core.particles.row_geometry import PointRow
+from mbd_ros.core.particles.settle import SettledCluster, triangle_of
 from mbd_ros.core.state import Array
 
 
@@ -42,7 +43,7 @@ class Molecules:
     mobility: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        found = clusters_of(self.rows, self.masses, self.at)
+        found = (cluster_of(rows, self.masses, self.at) for rows in blocks_of(self.rows))
         object.__setattr__(self, "clusters", tuple(found))
         object.__setattr__(self, "mobility", (1.0 / self.masses)[:, None, None])
 
@@ -87,6 +88,11 @@ class Molecules:
         for term in self.terms:
             term.add_force(x, force)
 
+    @property
+    def has_forces(self) -> bool:
+        """Whether fields or elastic terms act on them."""
+        return bool(self.fields or self.terms)
+
     def accelerations(self, force: Array) -> Array:
         """M^-1 force, shape (atoms, 3, lanes)."""
         a: Array = force * self.mobility
@@ -121,3 +127,11 @@ class Molecules:
     @staticmethod
     def _stacked(parts: list[Array], x: Array) -> Array:
         return np.vstack(parts) if parts else np.zeros((0, x.shape[2]))
+
+
+def cluster_of(rows: Sequence[PointRow], masses: Array, at: Array) -> Cluster:
+    """A block of rows with the solver that fits: closed form of a rigid triangle, or Newton's."""
+    triangle = triangle_of(rows, masses)
+    if triangle is not None:
+        return SettledCluster(rows, masses, at, triangle)
+    return Cluster(rows, masses, at)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from types import SimpleNamespace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -39,10 +39,12 @@ class ParticleSystem:
         kinds: The molecules.
         pairs: Forces between molecules; None without any.
         force_unit: For the names of multipliers.
+        steps: What takes half steps of a kind, called as `KindSteps`; None for that.
 
     Attributes:
         kinds: As given.
         pairs: As given.
+        steps: As given.
         slices: Where each kind stands in q and v.
         clusters: Whether there are rows; methods of constrained Verlet steps look for it.
         masses: Of each point, shape (n,).
@@ -59,13 +61,18 @@ class ParticleSystem:
     condition = 1.0
 
     def __init__(
-        self, kinds: Sequence[Molecules], pairs: PairForces | None = None, force_unit: str = "N"
+        self,
+        kinds: Sequence[Molecules],
+        pairs: PairForces | None = None,
+        force_unit: str = "N",
+        steps: Callable[[Molecules, float, bool], Any] | None = None,
     ) -> None:
-        self.kinds, self.pairs = tuple(kinds), pairs
+        self.kinds, self.pairs, self.steps = tuple(kinds), pairs, steps
         ends = (3 * np.cumsum([0, *(kind.size for kind in kinds)])).tolist()
         self.slices = [slice(*pair) for pair in pairwise(ends)]
         self.masses = np.concatenate([np.tile(kind.masses, kind.count) for kind in kinds])
         self.names = tuple(name for kind in kinds for name in kind.labels)
+        self._force_unit = force_unit
         self.nq = self.nv = 3 * len(self.masses)
         self.chart = Chart(SimpleNamespace(nq=self.nq, nv=self.nv, joints=()))
         self.internals, self.loads, self.layout = Internals(()), Loads(self.nv), RowLayout()
@@ -86,6 +93,31 @@ class ParticleSystem:
         """Views of a vector of all coordinates, (atoms, 3, lanes) of each kind."""
         pairs = zip(self.kinds, self.slices, strict=True)
         return [kind.lanes(flat[mine]) for kind, mine in pairs]
+
+    def joined(self, lanes: Sequence[Array]) -> Array:
+        """A vector of all coordinates, fresh, from (atoms, 3, lanes) of each kind."""
+        return np.concatenate([part.transpose(2, 0, 1).ravel() for part in lanes])
+
+    def forces(self, lanes: Sequence[Array]) -> list[Array | None]:
+        """Forces without those of the rows on each kind, None where there are none.
+
+        Args:
+            lanes: Places, (atoms, 3, lanes) of each kind.
+        """
+        self.evaluations += 1
+        forces: list[Array | None] = []
+        of_pairs = None
+        if self.pairs is not None:
+            flat = np.zeros(self.nv)
+            self.pairs.add_force(self.joined(lanes).reshape(-1, 3), flat.reshape(-1, 3))
+            of_pairs = self.split(flat)
+        for number, (kind, x) in enumerate(zip(self.kinds, lanes, strict=True)):
+            force = None if of_pairs is None else of_pairs[number]
+            if kind.has_forces:
+                force = np.zeros_like(x) if force is None else force
+                kind.add_force(x, force)
+            forces.append(force)
+        return forces
 
     def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
         """Forces without those of the rows, shape (nv,)."""
@@ -241,7 +273,7 @@ class ParticleSystem:
         from dataclasses import replace
 
         kinds = [replace(kind, count=count * kind.count) for kind in self.kinds]
-        return ParticleSystem(kinds)
+        return ParticleSystem(kinds, None, self._force_unit, self.steps)
 
 
 def _joined(parts: Sequence[Array]) -> Array:

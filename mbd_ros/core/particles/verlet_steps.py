@@ -1,15 +1,51 @@
 """RATTLE and SHAKE of points: rows of a molecule are solved side by side in all molecules."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from mbd_ros.core.integration.step_length import clip
 from mbd_ros.core.integration.stepping import Stepper
-from mbd_ros.core.particles.cluster import Cluster
+from mbd_ros.core.particles.molecules import Molecules
 from mbd_ros.core.particles.particle_system import ParticleSystem
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import SAME_TIME
 from mbd_ros.errors import DivergedError, SolveError
+
+
+class KindSteps:
+    """Half steps of the molecules of one kind, on arrays of shape (atoms, 3, lanes).
+
+    Args:
+        kind: The molecules.
+        tolerance: |g| in sizes of the rows that may be left.
+        projects: Whether velocities are moved onto the rows.
+    """
+
+    def __init__(self, kind: Molecules, tolerance: float, projects: bool) -> None:
+        self.kind, self._tolerance, self._projects = kind, tolerance, projects
+
+    def move(self, x: Array, v: Array, force: Array | None, kick: float, h: float) -> Array:
+        """Kicks the velocities, which are written; the places they lead to, on the rows.
+
+        Raises:
+            SolveError: Rows cannot be closed.
+        """
+        if force is not None:
+            v += kick * self.kind.accelerations(force)
+        moved: Array = h * v
+        moved += x
+        for cluster in self.kind.clusters:
+            cluster.close(x, moved, v, h, self._tolerance)
+        return moved
+
+    def finish(self, x: Array, v: Array, force: Array | None, kick: float) -> None:
+        """Kicks the velocities and moves them onto the rows; v is written."""
+        if force is not None:
+            v += kick * self.kind.accelerations(force)
+        if self._projects:
+            self.kind.project(x, v)
 
 
 class ParticleVerlet(Stepper):
@@ -28,8 +64,6 @@ class ParticleVerlet(Stepper):
         projects: Whether velocities are moved onto the rows.
     """
 
-    kept = ("_last",)
-
     def __init__(
         self,
         system: ParticleSystem,
@@ -38,13 +72,16 @@ class ParticleVerlet(Stepper):
         *,
         projects: bool = True,
     ) -> None:
-        self._points, self._tolerance, self._dt = system, tolerance, dt
-        self._projects = projects
+        self._points, self._dt = system, dt
+        steps = system.steps or KindSteps
+        self._steps: list[KindSteps] = [steps(k, tolerance, projects) for k in system.kinds]
         self.restart()
 
     def restart(self) -> None:
-        """Forget the forces of the last configuration."""
-        self._last: tuple[State | None, Array] = (None, np.zeros(0))
+        """Forget the last state and its forces."""
+        self._last: State | None = None
+        self._lanes: list[tuple[Array, Array]] = []
+        self._force: Sequence[Array | None] = ()
 
     def step(self, x: State, u: Array | None = None, end: float = math.inf) -> State:
         """Advance by one step.
@@ -52,40 +89,56 @@ class ParticleVerlet(Stepper):
         Raises:
             DivergedError: Rows of a molecule cannot be closed; names them.
         """
+        self._load(x)
         h, t = clip(x.t, self._dt, end)
-        last, force = self._last
-        if last is not x:
-            force = self._points.applied(x.t, x.q, x.v)
+        self._one(x.t, h)
+        return self._unload(t)
+
+    def advance(self, x: State, due: float) -> State:
+        """Advance to a time in as many steps as that takes; errors as for `step`."""
+        nearly = due - max(SAME_TIME * self._dt, 2.0 * math.ulp(due))
+        if not x.t < nearly:
+            return x
+        self._load(x)
+        t = x.t
+        while t < nearly:
+            h, after = clip(t, self._dt, due)
+            self._one(t, h)
+            t = after
+        return self._unload(t)
+
+    def _load(self, x: State) -> None:
+        """Takes up a state, unless it is the last one."""
+        if x is not self._last:
+            pairs = zip(self._points.split(x.q), self._points.split(x.v), strict=True)
+            self._lanes = [(np.array(q, order="C"), np.array(v, order="C")) for q, v in pairs]
+            self._force = self._points.forces([q for q, _ in self._lanes])
+
+    def _unload(self, t: float) -> State:
+        q, v = (self._points.joined([pair[i] for pair in self._lanes]) for i in (0, 1))
+        self._last = State(t, q, v)
+        return self._last
+
+    def _one(self, t: float, h: float) -> None:
+        """One step of the lanes."""
         half = 0.5 * h
-        v = x.v + half * self._points.mass(x.q).solve(force)
-        q = x.q + h * v
-        self._close(x, q, v, h)
-        force = self._points.applied(t, q, v)
-        v += half * self._points.mass(q).solve(force)
-        if self._projects:
-            parts = zip(self._points.kinds, *map(self._points.split, (q, v)), strict=True)
-            for kind, position, velocity in parts:
-                kind.project(position, velocity)
-        y = State(t, q, v)
-        self._last = y, force
-        return y
+        self._move(t, half, h)
+        self._force = self._points.forces([q for q, _ in self._lanes])
+        for steps, (q, v), force in zip(self._steps, self._lanes, self._force, strict=True):
+            steps.finish(q, v, force, half)
 
-    def _close(self, x: State, q: Array, v: Array, h: float) -> None:
-        parts = zip(self._points.kinds, *map(self._points.split, (x.q, q, v)), strict=True)
-        for kind, before, moved, w in parts:
-            for cluster in kind.clusters:
-                self._close_one(kind.name, cluster, (before, moved, w), x.t, h)
-
-    def _close_one(
-        self, name: str, cluster: Cluster, arrays: tuple[Array, Array, Array], t: float, h: float
-    ) -> None:
-        try:
-            cluster.close(*arrays, h, self._tolerance)
-        except SolveError as error:
-            raise DivergedError(
-                f"no step from t = {t:.9g} by {h:g} ends on the rows of {name}: {error}; "
-                "try a smaller dt"
-            ) from error
+    def _move(self, t: float, kick: float, h: float) -> None:
+        parts = zip(self._steps, self._lanes, self._force, strict=True)
+        moved = []
+        for steps, (q, v), force in parts:
+            try:
+                moved.append((steps.move(q, v, force, kick, h), v))
+            except SolveError as error:
+                raise DivergedError(
+                    f"no step from t = {t:.9g} by {h:g} ends on the rows of {steps.kind.name}: "
+                    f"{error}; try a smaller dt"
+                ) from error
+        self._lanes = moved
 
 
 class ParticleShake(ParticleVerlet):
@@ -105,26 +158,25 @@ class ParticleShake(ParticleVerlet):
     def restart(self) -> None:
         """Forget the half step that was solved ahead."""
         super().restart()
-        self._ahead: tuple[State | None, float, Array, Array] = (None, 0.0, *2 * (np.zeros(0),))
-
-    kept = ("_ahead",)
+        self._ahead = 0.0
 
     def step(self, x: State, u: Array | None = None, end: float = math.inf) -> State:
         """Advance by one step; errors as for `ParticleVerlet.step`."""
         h, t = clip(x.t, self._dt, end)
-        last, length, w, q = self._ahead
-        if last is not x or length != h:
-            w, q = self._moved(x, x.v, 0.5 * h, h)
-        middle = State(t, q, w)
-        w_next, q_next = self._moved(middle, w, h, h)
-        y = State(t, q, 0.5 * (w + w_next))
-        self._ahead = y, h, w_next, q_next
-        return y
+        if x is not self._last or self._ahead != h:
+            self._load(x)
+            self._move(x.t, 0.5 * h, h)
+        q = self._points.joined([one for one, _ in self._lanes])
+        w = self._points.joined([one for _, one in self._lanes])
+        self._force = self._points.forces([one for one, _ in self._lanes])
+        self._move(t, h, h)
+        w_next = self._points.joined([one for _, one in self._lanes])
+        self._last, self._ahead = State(t, q, 0.5 * (w + w_next)), h
+        return self._last
 
-    def _moved(self, x: State, v: Array, kick: float, h: float) -> tuple[Array, Array]:
-        """Velocity of the half step, and the positions it leads to."""
-        force = self._points.applied(x.t, x.q, v)
-        w = v + kick * self._points.mass(x.q).solve(force)
-        q = x.q + h * w
-        self._close(x, q, w, h)
-        return w, q
+    def advance(self, x: State, due: float) -> State:
+        """Advance to a time in as many steps as that takes; errors as for `step`."""
+        nearly = due - max(SAME_TIME * self._dt, 2.0 * math.ulp(due))
+        while x.t < nearly:
+            x = self.step(x, None, due)
+        return x

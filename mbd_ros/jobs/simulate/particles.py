@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.integration.stepping import Stepper
 from mbd_ros.core.particles.particle_run import run as states_of
 from mbd_ros.core.particles.particle_run import sample_count
 from mbd_ros.core.particles.particle_system import ParticleSystem
 from mbd_ros.core.particles.units import Units
+from mbd_ros.core.particles.verlet_steps import ParticleVerlet
 from mbd_ros.core.ranges import LARGEST
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import INTERRUPTED, OK, DataError, MbdError
@@ -31,7 +31,7 @@ from mbd_ros.scene.particles.particle_scene import ParticleScene
 from mbd_ros.scene.particles.particles_entry import QUANTITIES
 
 _MANY = 100  # particles from which on they have no columns of their own
-_OF_ROBOTS = ("tolerance", "solver", "origin", "start", "efforts", "wrenches", "ensemble")
+_OF_ROBOTS = ("tolerance", "origin", "start", "efforts", "wrenches", "ensemble")
 _OF_ROBOTS_TOO = ("workers", "scheduler", "events", "task")
 _AXES = "xyz"
 
@@ -123,7 +123,7 @@ def _check_times(duration: float, dt: float, every: int) -> None:
 
 
 def _samples(
-    scene: ParticleScene, stepper: Stepper, times: tuple[float, float, int]
+    scene: ParticleScene, stepper: ParticleVerlet, times: tuple[float, float, int]
 ) -> tuple[list[_Sample], MbdError | KeyboardInterrupt | None]:
     """Samples, and why they end early."""
     samples: list[_Sample] = []
@@ -229,8 +229,9 @@ def run(scene: ParticleScene, arguments: argparse.Namespace) -> int:
         if getattr(arguments, name) is not None:
             word = "from" if name == "origin" else name
             raise DataError(f"--{word}: is not for {scene.name}, which holds particles")
-    if arguments.compiled:
-        raise DataError("--compiled: scenes of particles say solver: {type: compiled}")
+    solver = "compiled" if arguments.compiled else arguments.solver
+    if solver is not None:
+        scene = scene.with_(solver={"type": solver})
     if arguments.time is None:
         raise DataError("-t: is missing: give the time to simulate, in the unit of the scene")
     _check_place(arguments.out, scene)

@@ -6,7 +6,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from mbd_ros.core.particles.molecules import Molecules
+from mbd_ros.core.particles.pairs import Pairs, PlainKernel
 from mbd_ros.core.particles.particle_system import ParticleSystem
+from mbd_ros.core.particles.settle import SettledCluster
+from mbd_ros.core.particles.units import Units
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.part_lines import line
 from mbd_ros.scene.particles.particle_scene import ParticleScene
@@ -28,6 +31,8 @@ def describe(scene: ParticleScene) -> Iterator[str]:
     box = scene.particles.box
     if box is not None:
         yield line("box", f"periodic, {' x '.join(f'{edge:g}' for edge in box)} {units.length}")
+    if isinstance(system.pairs, Pairs):
+        yield line("pairs", _pair_text(system.pairs, units))
     rank = sum(cluster.rank * kind.count for kind in system.kinds for cluster in kind.clusters)
     yield line("particles", f"{len(system.names)}, degrees of freedom {system.nv - rank}")
     for kind in system.kinds:
@@ -37,6 +42,8 @@ def describe(scene: ParticleScene) -> Iterator[str]:
                 yield line("rank", f"{text}, multipliers of smallest norm")
     yield from _start_lines(scene, system)
     steps = scene.method.title
+    if system.steps is not None:
+        steps += ", native"
     yield line("forward", f"{steps}, dt {scene.dt:g} {units.time}; {_solvers(system)}")
     yield line("cost", f"step {_cost(scene) * 1e6:.3g} us")
 
@@ -51,10 +58,20 @@ def _kind_text(kind: Molecules) -> str:
 
 
 def _solvers(system: ParticleSystem) -> str:
-    largest = max((len(c.rows) for kind in system.kinds for c in kind.clusters), default=0)
-    if not largest:
+    """How rows are solved."""
+    clusters = [cluster for kind in system.kinds for cluster in kind.clusters]
+    if not clusters:
         return "no rows"
-    return f"{len(system.rows)} rows in blocks of at most {largest}, Newton side by side"
+    settled = [c for c in clusters if isinstance(c, SettledCluster)]
+    largest = max((len(c.rows) for c in clusters if c not in settled), default=0)
+    newton = f"blocks of at most {largest} by Newton side by side" if largest else ""
+    ways = ", ".join(filter(None, ("rigid triangles by SETTLE" if settled else "", newton)))
+    return f"{len(system.rows)} rows: {ways}"
+
+
+def _pair_text(pairs: Pairs, units: Units) -> str:
+    how = "native code" if not isinstance(pairs.kernel, PlainKernel) else "arrays"
+    return f"between molecules up to {pairs.model.cutoff:g} {units.length}, {how}"
 
 
 def _start_lines(scene: ParticleScene, system: ParticleSystem) -> Iterator[str]:

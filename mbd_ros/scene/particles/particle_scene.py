@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.particles.particle_system import ParticleSystem
 from mbd_ros.core.particles.units import Units
+from mbd_ros.core.particles.verlet_steps import ParticleVerlet
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene.building import NO_FILE, Origin, build, present, refuse_unknown
@@ -79,12 +81,25 @@ class ParticleScene:
         return method
 
     def system(self) -> ParticleSystem:
-        """The points and what acts on them."""
-        return self.particles.system
+        """The points and what acts on them.
+
+        Raises:
+            SceneError: The solver is `compiled`, and nothing can be compiled here.
+        """
+        return self._system
+
+    @cached_property
+    def _system(self) -> ParticleSystem:
+        plain, kind = self.particles.system, self.parts["solver"].type
+        if kind == "plain":
+            return plain
+        from mbd_ros.scene.particles.compiling import system_for
+
+        return system_for(plain, self.units.force, kind, f"{self.name}: solver")
 
     def stepper(
         self, *, dt: float | None = None, integrator: Mapping[str, Any] | None = None
-    ) -> Stepper:
+    ) -> ParticleVerlet:
         """Steps of the points.
 
         Args:
@@ -96,9 +111,11 @@ class ParticleScene:
         """
         method = self.method if integrator is None else _method(integrator, self.name)
         try:
-            return method.prepare(self.system(), self.dt if dt is None else dt)
+            stepper: Any = method.prepare(self.system(), self.dt if dt is None else dt)
         except ModelError as error:
             raise SceneError(f"{self.name}: integrator: {error}") from error
+        steps: ParticleVerlet = stepper
+        return steps
 
     def with_(self, **sections: Any) -> "ParticleScene":
         """The scene with other sections; None removes one.

@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.particles.pairs import Pairs
 from mbd_ros.core.particles.particle_system import ParticleSystem
 from mbd_ros.core.particles.units import Units
 from mbd_ros.core.ranges import LARGEST, NotNegative, Vector, Within
@@ -16,6 +17,7 @@ from mbd_ros.scene.building import Site
 from mbd_ros.scene.nearest import nearest
 from mbd_ros.scene.particles.field_entries import read_fields
 from mbd_ros.scene.particles.molecule_entries import MOST, MoleculeEntry, read_molecule
+from mbd_ros.scene.particles.pair_entries import read_pairs, refuse_overlap
 from mbd_ros.scene.particles.placement import Room, placed
 
 Step = Annotated[float, Within(1.0e-30, LARGEST)]
@@ -45,6 +47,7 @@ class _Entry:
     molecules: Mapping[str, Any]
     box: Vector | None = None
     fields: Any = None
+    pairs: Any = None
 
 
 def build_particles(site: Site, given: Any) -> Particles:
@@ -68,7 +71,10 @@ def build_particles(site: Site, given: Any) -> Particles:
         raise SceneError(f"{where}: {count} particles, accepted are {MOST}")
     room = Room(site.origin.folder, units, box)
     at = np.concatenate([placed(one, room) for one in entries])
-    system = ParticleSystem([one.kind for one in entries], force_unit=units.force)
+    pairs = None
+    if entry.pairs is not None:
+        pairs = read_pairs(entry.pairs, f"{where}.pairs", entries, box, units)
+    system = ParticleSystem([one.kind for one in entries], pairs, units.force)
     _refuse_repeated(system, where)
     return Particles(system, entries, box, at)
 
@@ -117,9 +123,12 @@ def build_start(site: Site, given: Any) -> State:
             where = f"{site.where}.{key}.{name}"
             out[_number(system, name, where)] = schema.value(numbers, Vector, where)
     try:
-        return system.projected(State(0.0, q.ravel(), v.ravel()))
+        x = system.projected(State(0.0, q.ravel(), v.ravel()))
     except SolveError as error:
         raise SceneError(f"{site.where}: the rows cannot all hold: {error}") from error
+    if isinstance(system.pairs, Pairs):
+        refuse_overlap(system, system.pairs, x.q.reshape(-1, 3), site.where)
+    return x
 
 
 def _number(system: ParticleSystem, name: str, where: str) -> int:
@@ -156,3 +165,21 @@ def build_record(site: Site, given: Any) -> Record:
             accepted = ", ".join(QUANTITIES)
             raise SceneError(f"{site.where}.quantities: unknown {name!r}, accepted: {accepted}")
     return record
+
+
+@dataclass(frozen=True)
+class ParticleSolver:
+    """The section `solver` of particles.
+
+    Attributes:
+        type: Whether forces of pairs and steps of rigid triangles are native code: `plain` not,
+            `compiled` always, `auto` where there is a compiler.
+    """
+
+    type: Literal["plain", "compiled", "auto"] = "plain"
+
+
+def build_solver(site: Site, given: Any) -> ParticleSolver:
+    """The section `solver`."""
+    solver: ParticleSolver = schema.call(ParticleSolver, given, site.where)
+    return solver
