@@ -56,6 +56,9 @@ COMMANDS: Mapping[str, Command] = {
     "kinematics": Command(
         "mbd_ros.jobs.kinematics.command", "motion of all joints from recorded markers"
     ),
+    "loads": Command(
+        "mbd_ros.jobs.loads.command", "loads on one body of a motion, for finite elements"
+    ),
     "moment-arms": Command(
         "mbd_ros.jobs.moment_arms.command", "lengths, speeds and moment arms of paths in a motion"
     ),

@@ -91,6 +91,16 @@ def known_contacts(
     return scene, known
 
 
+def forces_at(known: KnownContact, motion: Motion, stamps: NDArray[np.int64]) -> Array:
+    """Forces of a contact in its contact frames at some stamps [N], shape (n, m).
+
+    Raises:
+        DataError: A bag has no force of the contact at one of them.
+    """
+    of_forces = motion.stamps if known.stamps is None else known.stamps
+    return known.forces[_rows(known.name, of_forces, stamps)]
+
+
 def contact_loads(
     scene: Scene, known: Sequence[KnownContact], motion: Motion, samples: Observations
 ) -> tuple[dict[str, MeasuredWrench], list[Array]]:
@@ -112,13 +122,12 @@ def contact_loads(
     states = [_state(scene, sample) for sample in samples.each()]
     robot, k = scene.robot, Kinematics(scene.robot)
     values: dict[tuple[str, str], list[Array]] = {}
-    for name, forces, of_forces, exert in known:
-        chosen = _rows(name, motion.stamps if of_forces is None else of_forces, stamps)
-        for x, lam in zip(states, forces[chosen], strict=True):
+    for one in known:
+        for x, lam in zip(states, forces_at(one, motion, stamps), strict=True):
             k.refresh(x.q, x.v, Reads.POSITION)
-            for wrench in exert(k, x, lam):
+            for wrench in one.exert(k, x, lam):
                 if robot.carrier(wrench.frame).moves:
-                    rows = values.setdefault((name, wrench.frame), [])
+                    rows = values.setdefault((one.name, wrench.frame), [])
                     rows.append(in_link(k, robot, wrench))
     loads = {}
     for name, frame in values:

@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbd_ros.core.state import Array
-from mbd_ros.errors import DataError
 from mbd_ros.files.formats import is_bag
 from mbd_ros.files.recordings import Source, name_of
 from mbd_ros.files.replacing import check_place, refuse_overwriting
@@ -17,16 +15,16 @@ from mbd_ros.jobs.inverse import loops, open_chains
 from mbd_ros.jobs.inverse.commands import commands_of
 from mbd_ros.jobs.inverse.derivatives import Derivatives
 from mbd_ros.jobs.inverse.explained import power_columns
-from mbd_ros.jobs.inverse.observed import Observed, Task, loads_of_laboratory, observe_motion
+from mbd_ros.jobs.inverse.observed import Task
 from mbd_ros.jobs.inverse.open_chains import Violations
 from mbd_ros.jobs.inverse.outcome import about_result, check_finite
+from mbd_ros.jobs.inverse.solved import solve_motion
 from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.progress import Watch, watching
 from mbd_ros.scene.built_scene import Scene
 
 if TYPE_CHECKING:
-    from mbd_ros.jobs.inverse.contact_forces import KnownContact
-    from mbd_ros.jobs.inverse.ground import Ground, StanceTask
+    from mbd_ros.jobs.inverse.ground import StanceTask
 
 
 def inverse(
@@ -151,39 +149,19 @@ def stance_of(method: str | None, gap: float | None, speed: float | None) -> "St
 
 def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     """See `inverse`."""
-    external = loads_of_laboratory(scene, task)
-    if external is not None:
-        scene = external.scene
-        for text in external.remarks:
-            say(text)
-    where = name_of(task.motion)
-    for text in scene.robot.doubts:
-        say(f"warning: {text}")
-    given = set(scene.wrenches)
-    scene, known, ground = _known_contacts(scene, task, say)
-    has_loops = scene.has_loops or task.bounds or ground is not None
-    if task.parts and has_loops:
-        raise DataError(f"{scene.name}: --parts goes with scenes without loops and --bounds only")
-    observed = observe_motion(scene, task, say, external)
-    samples = observed.samples
-    scene, wrenches = _with_contacts(scene, known, observed)
-    if has_loops:
-        if ground is not None:
-            ground = ground.told(scene, task.motion, observed)
-        columns, remarks, explained = loops.solve(scene, where, samples, wrenches, task, ground)
-    else:
-        columns, remarks, explained = open_chains.solve(scene, where, samples, wrenches, task)
+    where, solved = name_of(task.motion), solve_motion(scene, task, say)
+    scene, observed, ground = solved.scene, solved.observed, solved.ground
+    columns, remarks, explained = solved.way
     if task.power:
-        contacts = {one for one in scene.wrenches if one not in given}
-        powers, text = power_columns(scene, explained, wrenches, contacts)
+        powers, text = power_columns(scene, explained, solved.wrenches, solved.contacts)
         columns, remarks = [*columns, *powers], [*remarks, text]
-    table = Table([*time_columns(samples.stamps), *columns])
+    table = Table([*time_columns(observed.samples.stamps), *columns])
     check_finite(where, table)
     with about(where), np.errstate(over="ignore", invalid="ignore"):
         commands, beyond = commands_of(scene, table)
     table = Table([*table.columns, *commands])
     violations = Violations(scene)
-    violations.add(samples)
+    violations.add(observed.samples)
     for text in (*violations.lines(), *remarks, *beyond):
         say(text)
     if observed.cutoff is not None:
@@ -193,38 +171,5 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
             say(text)
     done = task._replace(derivatives=observed.derivatives)
     contacts = () if ground is None else ground.contacts
-    topics = loops.topics(scene, contacts) if has_loops else open_chains.topics(scene)
+    topics = loops.topics(scene, contacts) if solved.has_loops else open_chains.topics(scene)
     return Result({MAIN: table}, about_result(scene, done, topics))
-
-
-def _known_contacts(
-    scene: Scene, task: Task, say: Say
-) -> "tuple[Scene, list[KnownContact], Ground | None]":
-    """The scene, contacts whose forces the motion carries, and those of unknown force."""
-    if not scene.parts.get("contacts"):
-        if task.stance is not None:
-            raise DataError(f"{scene.name}: --stance goes with scenes with rigid contacts")
-        return scene, [], None
-    from mbd_ros.jobs.inverse.contact_forces import known_contacts  # only where something touches
-
-    tell = say if task.stance is None else lambda text: None
-    scene, known = known_contacts(scene, task.motion, task.topic, tell)
-    if task.stance is None:
-        return scene, known, None
-    from mbd_ros.jobs.inverse.ground import ground_of
-
-    ground = ground_of(scene, task.stance, [one.name for one in known], say)
-    return scene, known, ground if ground.contacts else None
-
-
-def _with_contacts(
-    scene: Scene, known: "list[KnownContact]", observed: Observed
-) -> tuple[Scene, list[Array]]:
-    """The scene with known contacts among its loads, and the values of all loads."""
-    if not known:
-        return scene, observed.wrenches
-    from mbd_ros.jobs.inverse.contact_forces import contact_loads
-
-    loads, wrenches = contact_loads(scene, known, observed.motion, observed.samples)
-    every = {**scene.wrenches, **loads}
-    return scene.holding(external_wrenches=every), [*observed.wrenches, *wrenches]
