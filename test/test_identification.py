@@ -225,8 +225,19 @@ BAD = {
     "currents": (lambda d, n: changed(d, n, "effort", lambda x: 0.08 * x), "currents"),
     "another sign": (lambda d, n: changed(d, n, "effort", lambda x: -x), "of the other sign"),
     "too short": (lambda d, n: short(d), "too short"),
+    "in phase": (lambda d, n: in_phase(n), "in one phase, does not show .*link1"),
     "a joint at rest": (lambda d, n: rested(d, n[3]), "moves by 0 only"),
 }
+
+
+def in_phase(names):
+    """All joints by one sine, without noise."""
+    t, scene = np.arange(0.0, 10.0, 0.01), scene_from({}, urdf="arm7")
+    far, w = np.array([0.7, 0.6, 0.9, 0.7, 0.6, 1.0, 0.7]), 2.5
+    q = np.outer(np.sin(w * t), far) + 0.3
+    v, a = np.outer(w * np.cos(w * t), far), np.outer(-(w**2) * np.sin(w * t), far)
+    tau = scene.inverse_dynamics().batch(q, v, a, []).tau
+    return recording(names, t, position=q, velocity=v, acceleration=a, effort=tau)
 
 
 def rested(data, name):

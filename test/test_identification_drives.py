@@ -1,9 +1,12 @@
 """Identification of drives: motors that turn with two joints, and feedback of measured noise."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from identification_data import fourier, others, recording
 
+from mbd_ros.cli import main
+from mbd_ros.errors import DataError
 from mbd_ros.jobs.identify.job import identify
 from mbd_ros.scene.from_python import scene_from
 
@@ -75,3 +78,62 @@ def test_what_a_drive_answers_to_noise_of_its_velocity_is_told():
     assert (drives["feedback"] > 0.0).sum() == 1
     errors = found.errors
     assert errors["identified as measured"] < 0.95 * errors["identified without feedback"]
+
+
+GAINS = np.array([20.0, 25.0, -18.0, 15.0, 8.0, 7.0, 5.0])  # N·m/A
+LOAD = pin.Inertia(3.0, np.array([0.02, 0.01, 0.1]), 0.01 * np.eye(3))
+
+
+def currents(scene, seed):
+    """Motor currents of a scene on a random motion, with noise."""
+    t = np.arange(0.0, 12.0, 0.01)
+    q, v, a = fourier(7, t, seed, amplitude=0.4)
+    tau = scene.inverse_dynamics().batch(q, v, a, []).tau
+    tau += 0.02 * np.random.default_rng(seed).normal(size=tau.shape)
+    names = scene.couplings.independent
+    return recording(names, t, position=q, velocity=v, acceleration=a, effort=tau / GAINS)
+
+
+@pytest.mark.parametrize("fixed_by", ["load", "links", "nothing"])
+def test_gains_of_currents_are_found_where_something_fixes_the_scale(fixed_by):
+    bare = scene_from({}, urdf="arm7")
+    names, true = bare.couplings.independent, others(bare)
+    inertias = true.robot.inertias()
+    heavier = inertias["link7"] + LOAD
+    data = currents(true, 1)
+    more = {
+        "nothing": {},
+        "load": {"held": currents(true.with_inertias({"link7": heavier}), 2)},
+        "links": {"known": ["link6", "link7"]},
+    }[fixed_by]
+    if fixed_by == "load":
+        more["payload"] = ("link7", [3.0, 0.02, 0.01, 0.1, 0.01, 0.01, 0.01])
+    scene = bare.with_inertias({name: inertias[name] for name in more.get("known", ())})
+    if fixed_by == "nothing":
+        with pytest.raises(DataError, match=f"fixes the gains of {', '.join(names)}.*--held"):
+            identify(scene, data, currents=True)
+        return
+    found = identify(scene, data, currents=True, **more)
+    drives = found.tables["drives"]
+    assert drives["gain"] == pytest.approx(GAINS, rel=0.01 if fixed_by == "load" else 0.1)
+    assert np.all(np.abs(drives["gain"] - GAINS) < 4.0 * drives["gain_deviation"])
+    assert found.errors["identified"] < 5e-3
+
+
+BAD = {
+    "--held": (["--held", "{motion}"], "--held and --payload"),
+    "--payload": (["--held", "{motion}", "--payload", "elbow=2,0,0,0"], "--payload elbow"),
+    "mass": (["--held", "{motion}", "--payload", "flange=-2,0,0,0"], "expected LINK=MASS"),
+    "--known": (["--known", "elbow"], "--known elbow: no link that moves; there are link1"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_words_about_what_is_known_are_checked(tmp_path, capsys, case):
+    words, said = BAD[case]
+    motion, out = str(tmp_path / "motion.csv"), tmp_path / "out"
+    currents(scene_from({}, urdf="arm7"), 1).to(motion)
+    every = ["identify", "arm7", motion, "-o", str(out)]
+    assert main([*every, *(word.format(motion=motion) for word in words)]) == 2
+    assert said in capsys.readouterr().err
+    assert not out.exists()

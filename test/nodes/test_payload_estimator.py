@@ -2,6 +2,7 @@
 
 import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +16,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
+from mbd_ros.errors import SceneError
 from mbd_ros.jobs.domain_claim import claimed_domain
+from mbd_ros.nodes.payload_estimator.pipeline import PayloadPipeline
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import write_joint_state
@@ -118,3 +121,15 @@ def test_a_moving_arm_tells_what_it_holds_and_one_at_rest_does_not(arm):
     health = arm.health()
     assert health.level == WARN and "no effort of joint1" in health.message
     assert all(np.isfinite(m.inertia.m) for m in arm.payloads[seen:])
+
+
+@pytest.mark.parametrize(
+    ("scene", "said"),
+    [
+        ("four_bar_leg", "without loops; record the motion"),
+        ("free_flyer", "without free bases; hold the base"),
+    ],
+)
+def test_a_scene_that_it_does_not_serve_is_refused_with_what_to_do(scene, said):
+    with pytest.raises(SceneError, match=said):
+        PayloadPipeline(SimpleNamespace(scene=scene), None)

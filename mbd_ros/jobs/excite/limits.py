@@ -184,8 +184,16 @@ def refuse(scene: Scene) -> None:
     Raises:
         DataError: Says why.
     """
-    if scene.has_loops or scene.robot.floating:
-        what = "loops" if scene.has_loops else "free bases"
-        raise DataError(f"{scene.name}: excite serves scenes without {what}")
+    if scene.has_loops:
+        raise DataError(
+            f"{scene.name}: excite serves scenes without loops. Drive the motors by different "
+            "slow and fast sines within their limits; identify takes recordings of loops"
+        )
+    if scene.robot.floating:
+        raise DataError(
+            f"{scene.name}: excite serves scenes without free bases. Hold the base and say "
+            "`robot: {base: fixed}`, or record any lively motion with the wrench that carries "
+            "it: identify takes that"
+        )
     if not scene.couplings.independent:
         raise DataError(f"{scene.name}: no joint moves")

@@ -105,7 +105,7 @@ def _of_piece(
     times, at = piece.times[grid], problem.joints
     motion = piece.y[grid], piece.v[grid], piece.a[grid]
     loads = [load[grid] for load in piece.loads]
-    said = [torques(scene, problem, motion, loads) for scene in scenes]
+    said = [torques(scene, problem, motion, loads, piece.carried) for scene in scenes]
     noise = np.zeros((len(grid), len(problem.rows)))
     own = problem.maker.coordinates
     noise[:, at >= 0] = (piece.rate[grid][:, at] - motion[1][:, own])[:, at >= 0]
@@ -123,13 +123,18 @@ def _later(times: Array, values: Array, delay: float) -> Array:
 
 
 def torques(
-    scene: Scene, problem: Problem, motion: tuple[Array, Array, Array], loads: list[Array]
+    scene: Scene,
+    problem: Problem,
+    motion: tuple[Array, Array, Array],
+    loads: list[Array],
+    carried: Array | None,
 ) -> Array:
     """What a scene says of the efforts of the rows, shape (n, m)."""
     regressor = regressor_of(scene, problem.learned)
     W = regressor.rows(*motion)
     inertial = parameters_of(scene.robot.model).ravel()
-    found: Array = (W @ inertial + regressor.known(W, *motion, loads))[:, problem.rows]
+    moved = inertial if carried is None else inertial + carried
+    found: Array = (W @ moved + regressor.known(W, *motion, loads))[:, problem.rows]
     return problem.motors.measured(found)
 
 

@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.identification.inertial_parameters import Body, inertia_of, is_consistent
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
+from mbd_ros.errors import DataError
 
 
 def inertias_of_links(
@@ -39,6 +41,22 @@ def inertias_of_links(
             said.append(f"{body.name} takes the inertia of {', '.join(others)}, fixed to it")
         found[body.name] = places[body.name].actInv(inertia_of(left))
     return found, said
+
+
+def known_numbers(bodies: Sequence[Body], given: Array, known: Sequence[str]) -> Array:
+    """Inertial numbers of bodies with links that are known, 0 of others, shape (10 bodies,).
+
+    Raises:
+        DataError: No such link.
+    """
+    found, links = np.zeros_like(given), [set(body.links) for body in bodies]
+    for name in known:
+        at = [i for i, own in enumerate(links) if name in own]
+        if not at:
+            names = ", ".join(body.name for body in bodies)
+            raise DataError(f"--known {name}: no link that moves; there are {names}")
+        found[at[0]] = given[at[0]]
+    return found.ravel()
 
 
 def _placement(robot: Robot, link: str) -> Any:

@@ -12,6 +12,7 @@ from mbd_ros.errors import DataError
 _LOW, _HIGH = 0.2, 5.0  # measured over given torque: no robot is described as badly as that
 _MATTERS = 0.3  # of the torque: what the given robot explains at least, to compare units
 _CONDITION = 2.0e4  # of scaled columns: more is a motion that hides some of them
+_IN_PHASE = 3.0e2  # the same, of a motion in which all joints follow one another
 _PART = 0.2  # of a hidden direction: parameters that are named
 _FEWEST = 2.0  # independent rows for each unknown
 _LITTLE = 0.02  # rad or m: a joint that moves less shows nothing
@@ -54,7 +55,8 @@ def check_units(
         raise DataError(
             f"{where}: efforts are the torques of the given robot times {found}: these look like "
             "motor currents, torques before the gear or of the other sign, not N·m at the joint; "
-            "give the torque for a unit of effort of each joint: --gain JOINT=VALUE .."
+            "give the torque for a unit of effort of each joint, --gain JOINT=VALUE .., or have "
+            "it estimated from what is known, --currents"
         )
 
 
@@ -64,6 +66,7 @@ def check_excitation(
     texts: Sequence[str],
     rows: Array,
     partial: bool,
+    in_phase: bool = False,
 ) -> list[str]:
     """Refuse a motion that hides base parameters, or name them.
 
@@ -73,21 +76,24 @@ def check_excitation(
         texts: Expressions of the base parameters.
         rows: Weighted rows of the base parameters, shape (k, r).
         partial: Name them only.
+        in_phase: All joints move in one phase, which tells sums from parts by curvature alone.
 
     Raises:
         DataError: With the names.
     """
+    most = _IN_PHASE if in_phase else _CONDITION
     scale = np.linalg.norm(rows, axis=0)
     hidden = scale <= 1e-9 * scale.max(initial=0.0)
     seen = np.flatnonzero(~hidden)
     _, s, V = np.linalg.svd(rows[:, seen] / scale[seen], full_matrices=True)
     s = np.r_[s, np.zeros(len(seen) - len(s))]
-    weak = V[s * _CONDITION < s.max(initial=0.0)]
+    weak = V[s * most < s.max(initial=0.0)]
     hidden[seen] |= (np.abs(weak) > _PART).any(axis=0)
     if not hidden.any():
         return []
     names = [texts[i] for i in np.flatnonzero(hidden)]
-    said = f"{where}: the motion does not show {'; '.join(names)}"
+    how = ", all joints in one phase," if in_phase else ""
+    said = f"{where}: the motion{how} does not show {'; '.join(names)}"
     if not partial:
         raise DataError(
             f"{said}. Move all joints, together and fast (mbd-ros excite makes such a motion), or "

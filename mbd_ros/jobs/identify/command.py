@@ -24,6 +24,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: %(default)s)",
     )
     parser.add_argument(
+        "--held",
+        type=path_word,
+        nargs="+",
+        default=(),
+        help="recordings with a known load, see --payload",
+    )
+    parser.add_argument(
+        "--payload",
+        metavar="LINK=MASS,CX,CY,CZ[,IXX,IYY,IZZ]",
+        help="what --held holds: mass in kg, centre in m and moments about it in the axes of a "
+        "link",
+    )
+    parser.add_argument(
+        "--known", nargs="+", default=(), metavar="LINK", help="links whose inertia is right"
+    )
+    parser.add_argument(
+        "--currents",
+        action="store_true",
+        help="efforts are in other units, such as motor currents: their gains are estimated, "
+        "which a known load or link has to fix",
+    )
+    parser.add_argument(
         "--partial",
         action="store_true",
         help="go on with a motion that does not show everything; what it hides stays as given",
@@ -90,6 +112,28 @@ def add_physics(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def payload_of(word: str | None) -> tuple[str, list[float]] | None:
+    """Link and numbers of a load; None without one.
+
+    Raises:
+        DataError: They are not.
+    """
+    if word is None:
+        return None
+    link, _, numbers = word.rpartition("=")
+    try:
+        found = [float(number) for number in numbers.split(",")]
+    except ValueError:
+        found = []
+    is_right = len(found) in (4, 7) and all(abs(x) < float("inf") for x in found)
+    if not link or not is_right or min([found[0], *found[4:]]) <= 0.0:
+        raise DataError(
+            f"--payload {word}: expected LINK=MASS,CX,CY,CZ or LINK=MASS,CX,CY,CZ,IXX,IYY,IZZ, "
+            "mass and moments > 0"
+        )
+    return link, found
+
+
 def gains_of(words: Sequence[str]) -> dict[str, float]:
     """Joint -> torque for a unit of effort.
 
@@ -126,6 +170,10 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.learned,
         arguments.delay,
         arguments.partial,
+        arguments.held,
+        payload_of(arguments.payload),
+        arguments.known,
+        arguments.currents,
     )
     identify_to(load_scene(arguments.scene), task, arguments.out, say)
     return OK

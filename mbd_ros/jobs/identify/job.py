@@ -16,9 +16,11 @@ from mbd_ros.jobs.identify.checks import (
     check_units,
 )
 from mbd_ros.jobs.identify.consistent import Consistent, consistent
+from mbd_ros.jobs.identify.gains import estimate_gains
 from mbd_ros.jobs.identify.identified_scene import without_friction
 from mbd_ros.jobs.identify.learning import Learned, Search, learn
 from mbd_ros.jobs.identify.motors import choose_motors, coupled_in
+from mbd_ros.jobs.identify.movement import movement, moves_as_one
 from mbd_ros.jobs.identify.outcome import outcome
 from mbd_ros.jobs.identify.problem import Problem
 from mbd_ros.jobs.identify.task import Identified, Task
@@ -45,6 +47,10 @@ def identify(
     learned: float = 0.6,
     delay: float | None = None,
     partial: bool = False,
+    held: Source | Sequence[Source] = (),
+    payload: tuple[str, Sequence[float]] | None = None,
+    known: Sequence[str] = (),
+    currents: bool = False,
     say: Say | None = None,
     progress: Watch = False,
 ) -> Identified:
@@ -65,6 +71,12 @@ def identify(
             rest is for the test.
         delay: Of efforts against motion [s]; None: estimated.
         partial: Go on with a motion that does not show all that states can show.
+        held: Motions with a known load, besides those without it.
+        payload: That load: link, and mass, centre and perhaps three principal moments about it
+            in the axes of the link.
+        known: Links that the description has right.
+        currents: Efforts are in other units; gains that are not given are estimated, which
+            something known has to fix.
         say: Is called with each line for people.
         progress: True for a line on a terminal, or a function of a label and a share.
 
@@ -75,7 +87,7 @@ def identify(
         DataError: Recordings that cannot be read, or that say nothing, with the reason.
         SolveError: Inertias that bodies can have are not found.
     """
-    loads = [wrenches] if isinstance(wrenches, str | Path | Result) else list(wrenches)
+    loads = _several(wrenches)
     task = Task(
         motions,
         loads,
@@ -88,6 +100,10 @@ def identify(
         learned,
         delay,
         partial,
+        _several(held),
+        payload,
+        known,
+        currents,
     )
     remarks: list[str] = []
 
@@ -100,6 +116,10 @@ def identify(
         return run_identify(scene, task, told)._replace(remarks=remarks)
 
 
+def _several(sources: Source | Sequence[Source]) -> list[Source]:
+    return [sources] if isinstance(sources, str | Path | Result) else list(sources)
+
+
 def run_identify(scene: Scene, task: Task, say: Say) -> Identified:
     """See `identify`."""
     if not 0.1 <= task.learned <= 1.0:
@@ -108,6 +128,8 @@ def run_identify(scene: Scene, task: Task, say: Say) -> Identified:
     allowed = task.allowed
     bare = without_friction(scene)
     problem = Problem(bare, task, say)
+    if task.currents:
+        estimate_gains(problem, allowed, say)
     if {"coulomb", "viscous"} & set(allowed):
         choose_motors(problem, coupled_in(scene, problem.labels), allowed, _search(problem), say)
     found, fitted = _fitted(problem, allowed, say)
@@ -133,7 +155,7 @@ def _fitted(problem: Problem, allowed: Sequence[str], say: Say) -> tuple[Learned
     r, task = len(problem.base.chosen), problem.task
     if task.delay is not None:
         problem.shift(task.delay)
-    for line in check_still(problem.where, problem.movement(), problem.texts, task.partial):
+    for line in check_still(problem.where, movement(problem), problem.texts, task.partial):
         say(line)
     about = allowed, _search(problem), problem.correlation
     found = learn(problem.blocks, problem.columns, r, *about)
@@ -148,7 +170,8 @@ def _fitted(problem: Problem, allowed: Sequence[str], say: Say) -> tuple[Learned
     whole = np.concatenate(
         [j.R[:, :r] / d for j, d in zip(found.joints, found.fit.deviation, strict=True)]
     )
-    for line in check_excitation(problem.where, problem.base, problem.texts, whole, task.partial):
+    shown = problem.where, problem.base, problem.texts, whole, task.partial
+    for line in check_excitation(*shown, moves_as_one(problem)):
         say(line)
     return found, _nearest(problem, found)
 

@@ -242,4 +242,6 @@ def _weighted(blocks: Iterable[Block], weights: _Weights | None) -> Iterator[Blo
         size = np.maximum(np.abs(residual(block, weights.found)), TINY)
         root = np.sqrt(np.minimum(np.maximum(weights.limits, TINY) / size, 1.0))
         F = [root[:, i, None] * own for i, own in enumerate(block.F)]
-        yield Block(root[:, :, None] * block.X, F, root[:, :, None] * block.Y, block.kept)
+        yield Block(
+            root[:, :, None] * block.X, F, root[:, :, None] * block.Y, block.kept, block.known
+        )

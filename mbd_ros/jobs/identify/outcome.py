@@ -151,9 +151,12 @@ def _bodies_table(problem: Problem, fitted: Consistent) -> Table:
 
 
 def _drives_table(problem: Problem, feedback: tuple[Array, Array]) -> Table:
-    """A joint a row: what its drive answers to noise of the measured velocity."""
+    """A joint a row: torque for a unit of effort, what the drive answers to noise."""
     unit = "N·m·s/rad or N·s/m"
     columns = [Column("joint", np.array(list(problem.labels), dtype=np.str_))]
+    gains = [problem.gains.get(name, 1.0) for name in problem.labels]
+    scatter = problem.gain_deviation if len(problem.gain_deviation) else np.zeros(len(gains))
+    columns += [Column("gain", np.array(gains)), Column("gain_deviation", scatter)]
     columns.append(Column("feedback", feedback[0], unit))
     columns.append(Column("feedback_deviation", feedback[1], unit))
     return Table(columns)

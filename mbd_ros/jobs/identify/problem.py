@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
-from itertools import zip_longest
 
 import numpy as np
 
@@ -22,7 +21,9 @@ from mbd_ros.core.model.base_motion import IndependentCoordinates
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, ModelError
 from mbd_ros.jobs.identify.band import Filter, band_of, grid_step
+from mbd_ros.jobs.identify.bodies import known_numbers
 from mbd_ros.jobs.identify.passive import driven_joints, passive_joints
+from mbd_ros.jobs.identify.recordings import gained, recordings
 from mbd_ros.jobs.identify.rows import Block, RowMaker
 from mbd_ros.jobs.identify.samples import (
     Piece,
@@ -30,7 +31,6 @@ from mbd_ros.jobs.identify.samples import (
     asked_cutoffs,
     check_efforts,
     pieces,
-    read,
     split,
 )
 from mbd_ros.jobs.identify.task import Task
@@ -66,14 +66,17 @@ class Problem:
         columns: Candidates of friction of each row.
         motors: Of the rows; one a joint until `couple` says otherwise.
         pieces: Of it, in the band.
+        gains: Joint -> torque for a unit of its effort, where that is not 1.
+        gain_deviation: Of each row, where gains were estimated.
         seconds: Time that is learned from.
         step: Usual step of the samples [s].
         correlation: Of white noise behind the filter, 1 first, shape (k,).
     """
 
     def __init__(self, scene: Scene, task: Task, say: Say) -> None:
-        self.scene, self.task = scene, task
-        parts = [split(recorded, task.learned) for recorded in _recordings(scene, task, say)]
+        self.scene, self.task, self.gains = scene, task, dict(task.gains)
+        self.gain_deviation = np.zeros(0)
+        parts = [split(recorded, task.learned) for recorded in recordings(scene, task, say)]
         self.learned = [first for first, _ in parts]
         self.left = [rest for _, rest in parts if rest is not None]
         self.where = ", ".join(one.where for one in self.learned)
@@ -82,8 +85,10 @@ class Problem:
         self.bodies = moving_bodies(scene.robot)
         self.given = parameters_of(scene.robot.model)
         self._choose_rows(say)
-        rows = self.regressor.rows(*self._states())[:, self.rows]
-        self.base = base_parameters(rows.reshape(-1, self.given.size))
+        self._known = known_numbers(self.bodies, self.given, task.known)
+        rows = self.regressor.rows(*self._states())[:, self.rows].reshape(-1, self.given.size)
+        rows[:, np.repeat(self._known.reshape(self.given.shape).any(axis=1), COUNT)] = 0.0
+        self.base = base_parameters(rows)
         self.texts = expressions(self.base, [body.name for body in self.bodies])
         self._filter()
 
@@ -122,6 +127,13 @@ class Problem:
         """Efforts come later than the motion by a known time [s]."""
         self._shift = delay
 
+    def gain(self, gains: Mapping[str, float]) -> None:
+        """From now on efforts of joints are torques over these gains."""
+        names = self.scene.couplings.independent
+        self.gains |= gains
+        self.pieces = list(gained(self.pieces, names, gains))
+        self._kept = {}
+
     def only(self, body: int) -> None:
         """From now on all bodies are known, and another one is fixed to one of them.
 
@@ -143,18 +155,6 @@ class Problem:
             model.inertias[body.joint] = inertia_of(numbers)
         self.regressor.carry(model)
         self._kept = {}
-
-    def movement(self) -> list[tuple[str, float, str]]:
-        """Of each driven joint: name, how far it moves [rad or m], the body it moves first."""
-        far, mine = np.zeros(len(self.rows)), self.regressor.coordinates[self.rows]
-        for piece in self.pieces:
-            step = float(np.median(np.diff(piece.times)))
-            far = np.maximum(far, np.ptp(np.cumsum(piece.v[:, mine], axis=0), axis=0) * step)
-        model, at = self.scene.robot.model, self.scene.couplings.v_index
-        first = {int(model.joints[body.joint].idx_v): body.name for body in self.bodies}
-        names = [first.get(int(at[i]), n) for i, n in zip(mine, self.labels, strict=True)]
-        every = zip(self.labels, far.tolist(), names, strict=True)
-        return [one for one, joint in zip(every, self.joints, strict=True) if joint >= 0]
 
     def _choose_rows(self, say: Say) -> None:
         """Rows of joints with efforts, and of what nothing drives where wrenches are measured."""
@@ -207,6 +207,7 @@ class Problem:
         ]
         chosen = self.rows, self.columns, self.joints, peak, motors
         self.maker, self.motors = RowMaker(self.regressor, self.base, *chosen), motors
+        self.maker.carried = self._known if self._known.any() else None
         self._shift, self._kept = 0.0, dict[tuple[float, ...], list[Block]]()
 
     def _bands(self, one: Recorded) -> Iterator[float]:
@@ -233,7 +234,7 @@ class Problem:
     def _pieces_of(self, some: Iterable[Recorded], band: float | None) -> Iterator[Piece]:
         for one in some:
             found = pieces(self.scene, one, band)
-            yield from _gained(found, self.scene.couplings.independent, self.task.gains)
+            yield from gained(found, self.scene.couplings.independent, self.gains)
 
 
 def regressor_of(scene: Scene, recorded: Sequence[Recorded]) -> Regressor | LoopRegressor:
@@ -245,27 +246,3 @@ def regressor_of(scene: Scene, recorded: Sequence[Recorded]) -> Regressor | Loop
         return LoopRegressor(scene.robot, solver, scene.initial, driven_joints(scene, recorded))
     except ModelError as error:
         raise DataError(f"{scene.name}: {error}") from error
-
-
-def _recordings(scene: Scene, task: Task, say: Say) -> Iterator[Recorded]:
-    if task.wrenches and len(task.wrenches) != len(task.motions):
-        raise DataError(
-            f"--wrenches: {len(task.wrenches)} for {len(task.motions)} motions; give one for each"
-        )
-    if not task.motions:
-        raise DataError("no motion to identify from")
-    for source, load in zip_longest(task.motions, task.wrenches):
-        options = {"topic": task.topic, "derivatives": task.derivatives, "say": say}
-        yield read(scene, source, wrenches=load, **options)
-
-
-def _gained(
-    found: Iterable[Piece], names: Sequence[str], gains: Mapping[str, float]
-) -> Iterator[Piece]:
-    """Pieces with the torques of efforts in other units."""
-    unknown = [name for name in gains if name not in names]
-    if unknown:
-        raise DataError(f"--gain {unknown[0]}: no such joint; there are {', '.join(names)}")
-    factors = np.array([gains.get(name, 1.0) for name in names])
-    for piece in found:
-        yield piece._replace(effort=factors * piece.effort, measured=factors * piece.measured)

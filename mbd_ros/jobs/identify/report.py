@@ -32,7 +32,7 @@ _TITLES = {
     "base_parameters": "Base parameters",
     "bodies": "Bodies, all of positive density",
     "friction": "Friction",
-    "drives": "Drives: what they answer to noise of the measured velocity",
+    "drives": "Drives: torque for a unit of effort, answer to noise of the measured velocity",
 }
 
 
@@ -42,7 +42,7 @@ def identify_to(scene: Scene, task: Task, folder: Path, say: Say) -> None:
     Raises:
         MbdError: As `identify`, or a place that cannot be written to.
     """
-    sources: Sequence[Source] = (*task.motions, *task.wrenches)
+    sources: Sequence[Source] = (*task.motions, *task.held, *task.wrenches)
     refuse_overwriting(folder, *(source for source in sources if isinstance(source, Path)))
     description_of(scene)  # refuses scenes that no file can hold
     lines: list[str] = []

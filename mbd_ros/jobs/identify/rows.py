@@ -28,12 +28,14 @@ class Block(NamedTuple):
         F: Candidates of friction of each row, shape (n, k) each.
         Y: Torques with a delay each, shape (n, m, delays).
         kept: Which of the n x m rows count, shape (n, m).
+        known: What is known of the torques and taken out of them, shape (n, m).
     """
 
     X: Array
     F: list[Array]
     Y: Array
     kept: NDArray[np.bool_]
+    known: Array
 
 
 class RowMaker:
@@ -76,23 +78,24 @@ class RowMaker:
         else:
             chunks = _overlapping(grid, low)
         for chunk in chunks:
-            X, F, Y, moves = self._plain(piece, chunk, delays)
+            X, F, Y, moves, known = self._plain(piece, chunk, delays)
             if low is None:
-                yield Block(X, F, Y, moves)
+                yield Block(X, F, Y, moves, known)
                 continue
             passed = low.passed(moves.astype(np.float64))
             X, F, Y = low.passed(X), [low.passed(f) for f in F], low.passed(Y)
-            yield Block(X, F, Y, passed >= _MOVING)
+            yield Block(X, F, Y, passed >= _MOVING, low.passed(known))
 
     def _plain(
         self, piece: Piece, at: NDArray[np.intp], delays: Array
-    ) -> tuple[Array, list[Array], Array, NDArray[np.bool_]]:
+    ) -> tuple[Array, list[Array], Array, NDArray[np.bool_], Array]:
         """Rows of samples before the filter, and which joints move."""
         y, v, a = piece.y[at], piece.v[at], piece.a[at]
         W = self.regressor.rows(y, v, a)
         known = self.regressor.known(W, y, v, a, [load[at] for load in piece.loads])[:, self.rows]
-        if self.carried is not None:
-            known = known + W[:, self.rows] @ self.carried
+        for carried in (self.carried, piece.carried):
+            if carried is not None:
+                known = known + W[:, self.rows] @ carried
         X = np.ascontiguousarray(W[:, self.rows][:, :, self.base.chosen])
         effort = np.zeros((len(at), len(self.rows), len(delays)))
         for i, joint in enumerate(self.joints):
@@ -110,7 +113,7 @@ class RowMaker:
         moves[:, self.peak == 0.0] = True
         moves[:, self.joints < 0] = True
         Y = effort - known[:, :, None]
-        return X, F, Y, moves
+        return X, F, Y, moves, known
 
     def _of_motors(
         self, X: Array, known: Array, weight: Array, effort: Array, v: Array, a: Array

@@ -29,12 +29,14 @@ class Recorded(NamedTuple):
         motion: Its samples, independent joints first.
         loads: Measured wrenches, by name.
         derivatives: Where velocities and accelerations come from: given or zero-phase.
+        carried: Inertial numbers of all bodies of a known load, shape (10 bodies,); None without.
     """
 
     where: str
     motion: Motion
     loads: dict[str, WrenchSamples]
     derivatives: str
+    carried: Array | None = None
 
     @property
     def times(self) -> Array:
@@ -55,6 +57,7 @@ class Piece(NamedTuple):
         measured: The same as measured.
         loads: Wrenches, shape (n, 6) each.
         rate: Velocities of the independent joints as measured, shape (n, m), NaN if not.
+        carried: As of the recording.
     """
 
     times: Array
@@ -65,6 +68,7 @@ class Piece(NamedTuple):
     measured: Array
     loads: list[Array]
     rate: Array
+    carried: Array | None
 
 
 def read(
@@ -155,7 +159,7 @@ def pieces(scene: Scene, recorded: Recorded, band: float | None) -> Iterator[Pie
         if band is not None and recorded.derivatives != "given":
             low = _low_passed(motion, measured, band)
         times = motion.stamps * NANOSECOND
-        yield Piece(times, *samples[1:4], low, measured, loads, rate)
+        yield Piece(times, *samples[1:4], low, measured, loads, rate, recorded.carried)
 
 
 def asked_cutoffs(scene: Scene, recorded: Recorded) -> Array:

@@ -27,6 +27,11 @@ class Task(NamedTuple):
         passive: Joints without a motor.
         learned: Share of the time of each recording that is learned from.
         delay: Of efforts against motion [s]; None: estimated.
+        held: Motions with a known load.
+        payload: That load: link, and mass, centre and perhaps principal moments about it in the
+            axes of the link.
+        known: Links that the description has right.
+        currents: Efforts are in other units, whose gains are estimated.
         partial: Go on with a motion that does not show all that states can show.
     """
 
@@ -41,6 +46,10 @@ class Task(NamedTuple):
     learned: float = 0.6
     delay: float | None = None
     partial: bool = False
+    held: Sequence[Source] = ()
+    payload: tuple[str, Sequence[float]] | None = None
+    known: Sequence[str] = ()
+    currents: bool = False
 
     @property
     def allowed(self) -> tuple[str, ...]:

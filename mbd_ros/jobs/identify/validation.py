@@ -93,7 +93,7 @@ def _least_squares(problem: Problem, found: Learned) -> float | None:
         for block in problem.maker.blocks(piece, problem.band, np.array([found.delay])):
             of = problem.motors.as_measured
             left += float(np.sum(np.square(of(residual(block, found.fit)))))
-            whole += float(np.sum(np.square(of(block.Y[:, :, 0]))))
+            whole += float(np.sum(np.square(of(block.Y[:, :, 0] + block.known))))
     return float(np.sqrt(left / whole)) if whole > 0.0 else None
 
 
@@ -107,7 +107,7 @@ def _in_band(
     grid = np.arange(0, count, step)
     loads = [load[grid] for load in piece.loads]
     motion = piece.y[grid], piece.v[grid], piece.a[grid]
-    predictions = [torques(one, problem, motion, loads) for one in (new, scene)]
+    predictions = [torques(one, problem, motion, loads, piece.carried) for one in (new, scene)]
     values = [efforts(problem, piece, piece.effort, grid, delay), *predictions]
     if band is None:
         return values

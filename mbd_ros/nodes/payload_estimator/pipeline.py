@@ -154,5 +154,11 @@ def _refuse(scene: Scene) -> None:
     """
     why = "loops" if scene.has_loops else "free bases" if scene.robot.floating else ""
     why = why or ("external_wrenches" if scene.wrenches else "")
-    if why:
-        raise SceneError(f"{scene.name}: payload_estimator serves scenes without {why}")
+    if not why:
+        return
+    advice = {
+        "loops": "record the motion: mbd-ros identify takes mechanisms with loops",
+        "free bases": "hold the base and give a scene with `robot: {base: fixed}`",
+        "external_wrenches": "give a scene without this section",
+    }[why]
+    raise SceneError(f"{scene.name}: payload_estimator serves scenes without {why}; {advice}")
