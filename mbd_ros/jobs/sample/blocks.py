@@ -1,0 +1,254 @@
+"""Blocks of chains, done here or by workers: the same bits wherever."""
+
+import base64
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.ensembles.chains import Checkpoint, Plan, Sampled, begun, blocks_of, gone_on
+from mbd_ros.core.ensembles.components import random_starts
+from mbd_ros.core.ensembles.counting import kinetic_after_step
+from mbd_ros.core.ensembles.ensemble import Ensemble, Walkers
+from mbd_ros.core.ensembles.held_space import HeldSpace
+from mbd_ros.core.ensembles.mean_force import instant
+from mbd_ros.core.ensembles.observables import Observable
+from mbd_ros.core.state import Array
+from mbd_ros.errors import DataError, DivergedError, SceneError
+from mbd_ros.jobs.progress import progress
+from mbd_ros.jobs.sample.quantities import DRIVEN, quantity
+from mbd_ros.jobs.sample.sampled_scene import SampledScene, sampled_scene
+from mbd_ros.scene.reader import load_any
+from mbd_ros.scene.sample_task import SampleTask, sample_task
+from mbd_ros.workers.opening import cores, do_all, open_workers
+from mbd_ros.workers.remaining import watched
+from mbd_ros.workers.task import Task
+
+_WAY = 40  # steps in which a held quantity is brought to its value
+
+
+class Order(NamedTuple):
+    """A block of chains that is asked for.
+
+    Attributes:
+        number: Of the block among those of its value.
+        level: Value of the held quantity; None without one.
+        start: Where it goes on; None begins it.
+    """
+
+    number: int
+    level: float | None = None
+    start: Checkpoint | None = None
+
+
+class Asked:
+    """A scene, a task for it, and all that both give.
+
+    Args:
+        scene: The scene.
+        task: The task.
+        where: File and key of the task, for messages.
+
+    Raises:
+        SceneError: The task does not fit the scene.
+    """
+
+    def __init__(self, scene: Any, task: SampleTask, where: str) -> None:
+        self.scene, self.task, self.where = scene, task, where
+        self.sampled: SampledScene = sampled_scene(scene)
+        kT = task.thermal_energy
+        if kT is None:
+            kT = self.sampled.boltzmann * float(task.temperature or 0.0)
+        self.kT = kT
+        if task.method == "langevin" and not self.sampled.space.has_constant_masses:
+            raise SceneError(
+                f"{where}.method: langevin needs constant masses, those of a mechanism depend on "
+                "its configuration; accepted: metropolis"
+            )
+        if task.kinetics and not self.sampled.points:
+            raise SceneError(f"{where}.kinetics: is for particles")
+        self.quantities = self._quantities()
+        self.coordinate = None
+        if task.coordinate is not None:
+            self.coordinate = self._coordinate(task.coordinate)
+        names = ("method", "chains", "samples", "warmup", "steps", "dt", "friction", "seed")
+        self.plan = Plan(**{name: getattr(task, name) for name in names})
+
+    @property
+    def energies(self) -> tuple[str, ...]:
+        """Names of the energies of a sample, which stand before its quantities."""
+        own = ["energy.potential", "energy.kinetic"]
+        if self.task.kinetics:
+            parts = ("translation", "rotation", "internal")
+            kinds = [kind.name for kind in self.sampled.space.kinds]
+            own += [f"{kind}.{part}" for kind in kinds for part in parts]
+            own += ["energy.kinetic_rattle", "energy.kinetic_shake"]
+        return tuple(own)
+
+    def _quantities(self) -> tuple[Observable, ...]:
+        given = self.task.observe
+        if not given:
+            return self.sampled.defaults
+        where = f"{self.where}.observe"
+        return tuple(
+            quantity(text, self.sampled, f"{where}.{name}", name) for name, text in given.items()
+        )
+
+    def _coordinate(self, text: str) -> Observable:
+        where = f"{self.where}.coordinate"
+        found = quantity(text, self.sampled, where)
+        if text.split()[0] == "dihedral":
+            raise SceneError(f"{where}: '{text}', accepted: {', '.join(DRIVEN)}")
+        if not self.sampled.space.has_constant_masses:
+            raise SceneError(f"{where}: mean forces are those of particles, not of mechanisms")
+        return found
+
+    def ensemble(self, level: float | None) -> Ensemble:
+        """The ensemble, with the coordinate held where a value is given."""
+        space = self.sampled.space
+        if level is None:
+            return Ensemble(space, self.kT, fixman=self.task.fixman)
+        assert self.coordinate is not None
+        return Ensemble(HeldSpace(space, self.coordinate, level), self.kT)
+
+    def done(self, order: Order) -> Sampled:
+        """A block of chains.
+
+        Raises:
+            DivergedError: A step does not end on the rows.
+            SceneError: A held value cannot be reached.
+        """
+        ensemble = self.ensemble(order.level)
+        start = order.start
+        if start is None:
+            chains = blocks_of(self.plan.chains)[order.number]
+            q = self._starts(ensemble, order, chains.stop - chains.start)
+            start = begun(ensemble, self.plan, order.number, q)
+
+        def measure(at: Walkers) -> Array:
+            if order.level is not None:
+                return np.array(instant(ensemble, at, fixman=self.task.fixman))
+            own = [ensemble.space.potential(at.q), ensemble.kinetic(at.v)]
+            if self.task.kinetics:
+                own += [*self.sampled.space.kinetic_parts(at.q, at.v)]
+                own += [*kinetic_after_step(ensemble, at, start.dt)]
+            return np.array([*own, *(one.value(at.q) for one in self.quantities)])
+
+        return gone_on(ensemble, self.plan, order.number, start, measure, _shown)
+
+    def _starts(self, ensemble: Ensemble, order: Order, count: int) -> Array:
+        q = self.sampled.start
+        if order.level is not None:
+            q = self._brought(ensemble, order.level)
+        elif self.task.starts == "random":
+            seed = (self.plan.seed + 7919 * (order.number + 1)) % 2**63
+            found = random_starts(ensemble, q, count, seed)
+            if not found.shape[1]:
+                raise SceneError(f"{self.where}.starts: no random configuration closes the rows")
+            return found[:, np.arange(count) % found.shape[1]]
+        return np.repeat(q[:, None], count, axis=1)
+
+    def _brought(self, ensemble: Ensemble, level: float) -> Array:
+        """A configuration with a value of the held quantity, from the start of the scene."""
+        assert self.coordinate is not None
+        q = self.sampled.start[:, None]
+        (rows,) = ensemble.space.blocks
+        first = float(self.coordinate.value(q)[0])
+        for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:
+            rows.level = first + share * (level - first)  # type: ignore[attr-defined]
+            with np.errstate(all="ignore"):
+                q, found = ensemble.manifold.close(ensemble.manifold.at(q), q)
+            if not found.all():
+                raise SceneError(
+                    f"{self.where}.at: {self.coordinate.name} cannot be brought from {first:g} to "
+                    f"{level:g}: it stops near {rows.level:g}"  # type: ignore[attr-defined]
+                )
+        return q[:, 0]
+
+
+def blocks_done(
+    asked: Asked, orders: Sequence[Order], workers: int | None, scheduler: str | None
+) -> list[Sampled]:
+    """Blocks of chains, in the order of `orders`, here or by workers.
+
+    Raises:
+        DataError: A worker has failed.
+        MbdError: As `Asked.done`.
+    """
+    scene = asked.scene
+    alone = scene.path is None or getattr(scene, "code", ()) or len(orders) < 2
+    if alone or (workers == 1 and scheduler is None):
+        return [asked.done(order) for order in orders]
+    entries = _entries(asked.task)
+    tasks = [
+        Task(str(i), f"{__name__}:do", {"scene": str(scene.path), "task": entries} | _sent(order))
+        for i, order in enumerate(orders)
+    ]
+    with open_workers(scheduler, workers or cores()) as opened:
+        done = {t.name: r for t, r in watched(do_all(opened, tasks), tasks, opened.count)}
+    for task in tasks:
+        failure = done[task.name].failure
+        if failure:
+            raise _failed(failure)
+    return [_received(done[task.name].value) for task in tasks]
+
+
+def do(sent: Mapping[str, Any]) -> dict[str, Any]:
+    """A block of chains in a worker."""
+    asked = Asked(load_any(sent["scene"]), sample_task(sent["task"], "sample"), "sample")
+    start = None if sent["start"] is None else _checkpoint(sent["start"])
+    done = asked.done(Order(sent["number"], sent["level"], start))
+    return {
+        "values": _packed(done.values),
+        "accepted": _packed(done.accepted),
+        "end": _listed(done.end),
+    }
+
+
+def _failed(failure: str) -> Exception:
+    kind, _, text = failure.partition(": ")
+    kinds = {"DivergedError": DivergedError, "SceneError": SceneError}
+    return kinds[kind](text.rpartition(" (")[0]) if kind in kinds else DataError(failure)
+
+
+def _entries(task: SampleTask) -> dict[str, Any]:
+    entries = {key: value for key, value in vars(task).items() if value is not None}
+    entries["observe"], entries["histograms"] = dict(task.observe), {}
+    entries["at"] = list(task.at)
+    if task.coordinate is None:
+        del entries["at"]
+    return entries
+
+
+def _sent(order: Order) -> dict[str, Any]:
+    start = None if order.start is None else _listed(order.start)
+    return {"number": order.number, "level": order.level, "start": start}
+
+
+def _listed(one: Checkpoint) -> list[Any]:
+    return [_packed(one.q), _packed(one.v), one.sweeps, one.dt]
+
+
+def _checkpoint(listed: Sequence[Any]) -> Checkpoint:
+    q, v, sweeps, dt = listed
+    return Checkpoint(_unpacked(q), _unpacked(v), sweeps, dt)
+
+
+def _received(value: Mapping[str, Any]) -> Sampled:
+    values, accepted = (_unpacked(value[key]) for key in ("values", "accepted"))
+    return Sampled(values, accepted, _checkpoint(value["end"]))
+
+
+def _packed(values: Array) -> list[Any]:
+    """An array as JSON holds it, to the bit."""
+    data = np.ascontiguousarray(values, dtype="<f8").tobytes()
+    return [list(values.shape), base64.b64encode(data).decode()]
+
+
+def _unpacked(packed: Sequence[Any]) -> Array:
+    shape, data = packed
+    return np.frombuffer(base64.b64decode(data), dtype="<f8").reshape(shape).copy()
+
+
+def _shown(samples: range) -> Iterable[int]:
+    return progress(samples, len(samples), "sampling")
