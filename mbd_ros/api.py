@@ -19,6 +19,7 @@ from mbd_ros.jobs.moment_arms.job import moment_arms
 from mbd_ros.jobs.muscles.job import muscles
 from mbd_ros.jobs.payload.job import payload
 from mbd_ros.jobs.predict.job import predict
+from mbd_ros.jobs.sample.job import sample
 from mbd_ros.jobs.simulate.job import simulate
 from mbd_ros.scene import built_scene, from_python, reader
 from mbd_ros.scene.building import Origin
@@ -46,6 +47,7 @@ class Scene(built_scene.Scene):
     muscle_forces = muscles
     estimate = estimate
     gait = gait
+    sample = sample
     follow = follow
     predict = predict
 

@@ -56,6 +56,7 @@ CORE_ORDER = (  # of the subjects in `core`: the same
     "inverse",
     "simulation",
     "particles",
+    "ensembles",
     "gait",
     "prediction",
     "estimation",

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from mbd_ros.jobs.sample.job import sample
 from mbd_ros.jobs.simulate.particles import simulate
 from mbd_ros.scene.particles import particle_scene
 
@@ -10,6 +11,7 @@ class ParticleScene(particle_scene.ParticleScene):
     """A built scene of particles, which runs jobs."""
 
     simulate = simulate
+    sample = sample
 
     @classmethod
     def of(cls, scene: particle_scene.ParticleScene) -> "ParticleScene":

@@ -85,6 +85,8 @@ COMMANDS: Mapping[str, Command] = {
     ),
     "predict": Command(
         "mbd_ros.jobs.predict.command", "the motion that costs least, by optimal control"
+    "sample": Command(
+        "mbd_ros.jobs.sample.command", "configurations at a temperature; mean forces along them"
     ),
     "replay": Command(
         "mbd_ros.jobs.replay.command", "a bag through the live node, with an error table"

@@ -214,6 +214,7 @@ TASKS = (
     Section("estimate", Form.SINGLE, "mbd_ros.scene.estimate_task:build_task", ()),
     Section("gait", Form.SINGLE, "mbd_ros.scene.gait_task:build_task", ()),
     Section("predict", Form.SINGLE, "mbd_ros.scene.predict_task:build_task", ()),
+    Section("sample", Form.SINGLE, "mbd_ros.scene.sample_task:build_task", ()),
 )
 
 

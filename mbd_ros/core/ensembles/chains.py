@@ -13,7 +13,7 @@ from mbd_ros.core.ensembles.random_streams import stream
 from mbd_ros.core.state import Array
 
 METHODS = ("metropolis", "langevin")
-_LARGEST, _FEWEST = 256, 4  # chains of a block; blocks of a run with many chains
+_LARGEST, _FEWEST = 256, 2  # chains of a block; blocks of a run with few chains
 _WISHED = 0.9  # acceptance
 _FIRST, _USUAL = 0.1, 0.05  # steps, in times a particle of kT takes for the scale of the space
 _FORGOTTEN = 0.025  # friction times the step

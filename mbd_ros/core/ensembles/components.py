@@ -4,18 +4,21 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.ensembles.ensemble import Ensemble
+from mbd_ros.core.ensembles.feature_walk import arrives
 from mbd_ros.core.ensembles.metropolis import Metropolis
 from mbd_ros.core.ensembles.observables import Observable
 from mbd_ros.core.ensembles.random_streams import stream
+from mbd_ros.core.ensembles.space import Marks
 from mbd_ros.core.state import Array
 
-_PROBES, _SWEEPS, _STEPS = 24, 200, 4
-_ACCEPTED = 0.8
+_PROBES, _SWEEPS, _STEPS = 24, 200, 5
+_SHORT = 0.03  # of the scale: a step, too short to jump from one branch to another
 _TRIES = 60  # of corrections towards the rows
-_NEAR = 3.0  # times the usual distance to the next sample of the same chain: they have met
-_KEPT = 150  # samples of a chain that are compared
+_KEPT = 150  # samples of a chain from which walks begin and at which they end
+_WALKS = 8  # from a chain to a component
 _STREAM = 2**62  # of probes, apart from those of chains
 
 
@@ -24,12 +27,12 @@ class Components(NamedTuple):
 
     Attributes:
         of_probe: Number of the component of each random start, 0 that of the scene's start.
-        count: How many there are.
+        number: How many there are.
         walls: What tells pairs of components apart, for people.
     """
 
-    of_probe: Array
-    count: int
+    of_probe: NDArray[np.intp]
+    number: int
     walls: tuple[str, ...]
 
 
@@ -67,7 +70,7 @@ def random_starts(ensemble: Ensemble, q: Array, count: int, seed: int) -> Array:
     """
     random, space = stream(seed, _STREAM, 0), ensemble.space
     far = q[:, None] + 2.0 * space.scale * random.standard_normal((space.size, count))
-    found = np.zeros(count, dtype=np.bool_)
+    found: Marks = np.zeros(count, dtype=np.bool_)
     with np.errstate(all="ignore"):
         for _ in range(_TRIES):
             places = ensemble.manifold.at(far)
@@ -76,7 +79,7 @@ def random_starts(ensemble: Ensemble, q: Array, count: int, seed: int) -> Array:
                 break
             again = q[:, None] + 2.0 * space.scale * random.standard_normal((space.size, count))
             far = np.where(found, far, again)
-        found &= np.isfinite(space.potential(far))
+        found = found & np.isfinite(space.potential(far))
     return far[:, found]
 
 
@@ -85,8 +88,8 @@ def components(
 ) -> Components:
     """Components of the manifold, as far as random starts find them.
 
-    Chains without energies go out from random starts; chains that come near each other are in the
-    same component.
+    Chains without energies go out from random starts. Two of them are in the same component where
+    a walk along the rows leads from one to the other.
 
     Args:
         ensemble: The ensemble; its walls count, its energies do not.
@@ -96,8 +99,8 @@ def components(
     """
     flat = Ensemble(_Flat(ensemble), 1.0)
     starts = np.column_stack((q, random_starts(ensemble, q, _PROBES, seed)))
-    clouds = _clouds(flat, starts, features, seed)
-    group = _groups(clouds)
+    clouds, at = _clouds(flat, starts, features, seed)
+    group = _groups(flat, clouds, at, features)
     numbers = np.unique(group)
     walls = tuple(
         _wall(clouds, group, int(numbers[0]), int(other), features) for other in numbers[1:]
@@ -107,42 +110,56 @@ def components(
 
 def _clouds(
     flat: Ensemble, starts: Array, features: Sequence[Observable], seed: int
-) -> Array:
-    """Features of samples, shape (probes, samples, features)."""
+) -> tuple[Array, Array]:
+    """Features of samples, (probes, samples, features), and these, (samples, size, probes)."""
     chains = starts.shape[1]
     at = flat.at(starts, np.zeros(starts.shape))
-    method = Metropolis(flat, 0.05 * flat.space.scale * float(np.sqrt(flat.space.mass.min())))
-    found = []
+    step = _SHORT * flat.space.scale * float(np.sqrt(flat.space.mass.min()))
+    method = Metropolis(flat, step)
+    found, visited = [], []
     for k in range(_SWEEPS):
-        at, accepted = method.sweep(at, stream(seed, _STREAM, k + 1), _STEPS)
-        method.dt *= np.exp((accepted.mean() - _ACCEPTED) / (1.0 + k) ** 0.6)
-        found.append([feature.value(at.q) for feature in features])
-    return np.array(found).transpose(2, 0, 1).reshape(chains, _SWEEPS, -1)
+        at, _ = method.sweep(at, stream(seed, _STREAM, k + 1), _STEPS)
+        if k >= _SWEEPS - _KEPT:
+            found.append([feature.value(at.q) for feature in features])
+            visited.append(at.q)
+    return np.array(found).transpose(2, 0, 1).reshape(chains, _KEPT, -1), np.array(visited)
 
 
-def _groups(clouds: Array) -> Array:
-    """Smallest number of a probe that is in the same component, for each probe."""
+def _groups(
+    flat: Ensemble, clouds: Array, at: Array, features: Sequence[Observable]
+) -> NDArray[np.intp]:
+    """Smallest number of a probe that is in the same component, for each probe.
+
+    A component grows by the probes from which a walk arrives at a sample of it.
+    """
     spread = clouds.reshape(-1, clouds.shape[2]).std(axis=0)
     used = spread > 1.0e-9 * max(float(spread.max()), 1.0e-300)
-    scaled = (clouds / np.where(used, spread, 1.0))[:, :, used]
-    few = scaled[:, -_KEPT:]
-    usual = np.array([_usual_gap(cloud) for cloud in few])
-    group = np.arange(len(clouds))
-    for i in range(len(few)):
-        for j in range(i + 1, len(few)):
-            if group[i] == group[j]:
-                continue
-            nearest = np.sqrt(_apart(few[i], few[j]).min())
-            if nearest <= _NEAR * max(usual[i], usual[j], 1.0e-6):
-                group[group == max(group[i], group[j])] = min(group[i], group[j])
+    kept, spread = [f for f, use in zip(features, used, strict=True) if use], spread[used]
+    scaled = clouds[:, :, used] / spread
+    group = np.full(len(clouds), -1)
+    while (group < 0).any():
+        first = int(np.flatnonzero(group < 0)[0])
+        group[first], grown = first, [first]
+        while grown and (group < 0).any():
+            others = np.flatnonzero(group < 0)
+            pairs = [_nearest(scaled, int(other), grown) for other in others]
+            a, b = np.concatenate(pairs, axis=1)
+            start, end = (at[i % _KEPT, :, i // _KEPT].T for i in (a, b))
+            joins = arrives(flat, start, end, kept, spread).reshape(len(others), -1).any(axis=1)
+            group[others[joins]] = first
+            grown = others[joins].tolist()
     return group
 
 
-def _usual_gap(cloud: Array) -> float:
-    """Usual distance from a sample to the next one of the same chain."""
-    apart = _apart(cloud, cloud)
-    np.fill_diagonal(apart, np.inf)
-    return float(np.sqrt(np.quantile(apart.min(axis=1), 0.9)))
+def _nearest(scaled: Array, one: int, others: Sequence[int]) -> Array:
+    """Pairs of samples of a probe and of others, near ones and less near ones, (2, walks)."""
+    every = np.concatenate([other * _KEPT + np.arange(_KEPT) for other in others])
+    flat = scaled.reshape(-1, scaled.shape[2])[every]
+    apart = _apart(scaled[one], flat)
+    nearest = np.argmin(apart, axis=1)
+    order = np.argsort(apart[np.arange(_KEPT), nearest])
+    chosen = order[np.linspace(0, _KEPT // 2, _WALKS).astype(int)]
+    return np.array([one * _KEPT + chosen, every[nearest[chosen]]])
 
 
 def _apart(a: Array, b: Array) -> Array:
@@ -153,13 +170,16 @@ def _apart(a: Array, b: Array) -> Array:
 
 
 def _wall(
-    clouds: Array, group: Array, one: int, other: int, features: Sequence[Observable]
+    clouds: Array, group: NDArray[np.intp], one: int, other: int, features: Sequence[Observable]
 ) -> str:
     """What tells two components apart."""
     a = clouds[group == one].reshape(-1, clouds.shape[2])
     b = clouds[group == other].reshape(-1, clouds.shape[2])
     spread = np.maximum(np.concatenate((a, b)).std(axis=0), 1.0e-300)
-    above, below = (a.min(axis=0) - b.max(axis=0)) / spread, (b.min(axis=0) - a.max(axis=0)) / spread
+    above, below = (
+        (a.min(axis=0) - b.max(axis=0)) / spread,
+        (b.min(axis=0) - a.max(axis=0)) / spread,
+    )
     gap = np.maximum(above, below)
     k = int(np.argmax(gap))
     ends = [f"{cloud[:, k].min():.4g} .. {cloud[:, k].max():.4g}" for cloud in (a, b)]

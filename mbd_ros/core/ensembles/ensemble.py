@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.ensembles.manifold import Manifold, Place
-from mbd_ros.core.ensembles.space import Space
+from mbd_ros.core.ensembles.space import Marks, Space
 from mbd_ros.core.state import Array
 
 
@@ -24,7 +24,7 @@ class Walkers(NamedTuple):
     v: Array
     places: list[Place]
     force: Array
-    whole: Array
+    whole: Marks
 
 
 class Ensemble:

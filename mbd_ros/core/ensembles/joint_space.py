@@ -116,4 +116,3 @@ class JointSpace:
             if not fixman:
                 found += float(np.linalg.slogdet(J.dot(mass.solve(J.T)))[1])
         return 0.5 * found
-

@@ -5,7 +5,7 @@ from math import exp, sqrt
 import numpy as np
 
 from mbd_ros.core.ensembles.ensemble import Ensemble, Walkers
-from mbd_ros.core.state import Array
+from mbd_ros.core.ensembles.space import Marks
 from mbd_ros.errors import DivergedError
 
 
@@ -28,7 +28,7 @@ class Langevin:
         self._kept = exp(-friction * dt)
         self._new = sqrt(1.0 - self._kept**2)
 
-    def sweep(self, at: Walkers, random: np.random.Generator, steps: int) -> tuple[Walkers, Array]:
+    def sweep(self, at: Walkers, random: np.random.Generator, steps: int) -> tuple[Walkers, Marks]:
         """Some steps.
 
         Args:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.ensembles.small_matrices import inverse, log_determinant, solve
-from mbd_ros.core.ensembles.space import Block, Space
+from mbd_ros.core.ensembles.space import Block, Marks, Space
 from mbd_ros.core.state import Array
 
 _CLOSED = 1.0e-13  # of the scale: distance from the rows at which a step ends
@@ -69,7 +69,7 @@ class BlockRows:
         nearest: Array = v - np.einsum("aib,ab->ib", place.D, s)
         return nearest
 
-    def close(self, place: Place, x: Array) -> tuple[Array, Array]:
+    def close(self, place: Place, x: Array) -> tuple[Array, Marks]:
         """The configurations x - D s on the rows, and which were found, shape (n,).
 
         Args:
@@ -142,17 +142,17 @@ class Manifold:
             v = part.put(v, part.project(place, part.of(v)))
         return v
 
-    def close(self, places: list[Place], q: Array) -> tuple[Array, Array]:
+    def close(self, places: list[Place], q: Array) -> tuple[Array, Marks]:
         """Configurations on the rows from those near them, and which were found, (chains,)."""
-        found = np.isfinite(q).all(axis=0)
+        found: Marks = np.asarray(np.isfinite(q).all(axis=0))
         for part, place in zip(self.parts, places, strict=True):
             x, well = part.close(place, part.of(q))
             q = part.put(q, x)
-            found &= well.reshape(part.block.copies, -1).all(axis=0)
+            found = found & well.reshape(part.block.copies, -1).all(axis=0)
         return q, found
 
     def log_gram(self, places: list[Place]) -> Array:
-        """ln det J M^-1 J', the sum of all blocks, shape (chains,)."""
+        """Logarithm of det J M^-1 J', the sum of all blocks, shape (chains,)."""
         total = np.zeros(1)
         for part, place in zip(self.parts, places, strict=True):
             total = total + log_determinant(place.A).reshape(part.block.copies, -1).sum(axis=0)

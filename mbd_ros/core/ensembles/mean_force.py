@@ -7,7 +7,8 @@ alone changes,
     dA/dxi = <w (lam_xi + kT G)> / <w>,   w = (det A_s / det A)^(1/2)
     G = tr(A^-1 K) - tr(A_s^-1 K_s),      K_ca = (M^-1 J_a') . H_c W
 
-Without other rows these are w = Z^-1/2 and G = grad xi . H grad xi / |grad xi|^4 of the literature.
+Without other rows these are w = Z^-1/2 and G = grad xi . H grad xi / |grad xi|^4, as in
+the sources.
 Where rows s are the limit of stiff springs (Fixman), w = det A^(-1/2) and G = tr(A^-1 K).
 
 Sources: E. A. Carter et al., Chem. Phys. Lett. 156, 1989, 472; M. Sprik, G. Ciccotti, J. Chem.
@@ -82,7 +83,7 @@ def instant(held: Ensemble, at: Walkers, *, fixman: bool) -> Instant:
 
 
 def _bending(held: Ensemble, at: Walkers) -> Array:
-    """v . H_a v of all rows, averaged over the velocities where that is cheap, (m, chains)."""
+    """The v . H_a v of all rows, their mean over velocities where that is cheap, (m, chains)."""
     ((part,), (place,)), space = (held.manifold.parts, at.places), held.space
     velocities = [at.v]
     if space.size <= _AVERAGED:

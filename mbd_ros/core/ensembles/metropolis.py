@@ -3,6 +3,7 @@
 import numpy as np
 
 from mbd_ros.core.ensembles.ensemble import Ensemble, Walkers
+from mbd_ros.core.ensembles.space import Marks
 from mbd_ros.core.state import Array
 
 _BACK = 1.0e-8  # of the scale: how near a step back has to come
@@ -27,7 +28,7 @@ class Metropolis:
     def __init__(self, ensemble: Ensemble, dt: float) -> None:
         self._ensemble, self.dt = ensemble, dt
 
-    def sweep(self, at: Walkers, random: np.random.Generator, steps: int) -> tuple[Walkers, Array]:
+    def sweep(self, at: Walkers, random: np.random.Generator, steps: int) -> tuple[Walkers, Marks]:
         """One proposal for every chain.
 
         Args:
@@ -48,7 +49,7 @@ class Metropolis:
             for _ in range(steps):
                 there = self._stepped(there, h)
             rise = self._total(there) - before
-            accepted = there.whole & (chosen < np.exp(np.minimum(-rise / ensemble.kT, 0.0)))
+            accepted: Marks = there.whole & (chosen < np.exp(np.minimum(-rise / ensemble.kT, 0.0)))
         return _chosen(accepted, there, at), accepted
 
     def _total(self, at: Walkers) -> Array:
@@ -66,7 +67,7 @@ class Metropolis:
         return there._replace(whole=there.whole & whole & near)
 
 
-def _chosen(taken: Array, there: Walkers, here: Walkers) -> Walkers:
+def _chosen(taken: Marks, there: Walkers, here: Walkers) -> Walkers:
     """The states of `there` for some chains, those of `here` for the others."""
     places = [
         type(a)(*(_taken(taken, *pair) for pair in zip(a, b, strict=True)))
@@ -79,6 +80,6 @@ def _chosen(taken: Array, there: Walkers, here: Walkers) -> Walkers:
     return Walkers(q, v, places, force, np.ones(len(taken), dtype=np.bool_))
 
 
-def _taken(taken: Array, there: Array, here: Array) -> Array:
+def _taken(taken: Marks, there: Array, here: Array) -> Array:
     copies = there.shape[-1] // len(taken)
     return np.where(np.tile(taken, copies), there, here)

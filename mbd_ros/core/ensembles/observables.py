@@ -1,12 +1,14 @@
-"""Quantities of configurations, by which samples are judged and along which forces are averaged."""
+"""Quantities of configurations: samples are judged by them, forces averaged along them."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
 
+Indices = NDArray[np.intp]
 _TINY = 1.0e-30  # of a coordinate, in the imaginary direction: derivatives to rounding
 
 
@@ -23,7 +25,7 @@ class Observable(NamedTuple):
 
     name: str
     unit: str
-    coordinates: Array
+    coordinates: Indices
     of: Callable[[Array], Array]
 
     def value(self, q: Array) -> Array:
@@ -44,7 +46,7 @@ class Observable(NamedTuple):
         return found
 
 
-def point(number: int) -> Array:
+def point(number: int) -> Indices:
     """Coordinates of a particle."""
     return 3 * number + np.arange(3)
 
@@ -101,7 +103,7 @@ def volume(name: str, unit: str, points: Sequence[int]) -> Observable:
     return Observable(name, unit, _points(*points), of)
 
 
-def _points(*numbers: int) -> Array:
+def _points(*numbers: int) -> Indices:
     return np.concatenate([point(number) for number in numbers])
 
 

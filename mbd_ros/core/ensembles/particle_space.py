@@ -8,7 +8,7 @@ import numpy as np
 from mbd_ros.core.ensembles.counting import kinetic_parts
 from mbd_ros.core.ensembles.independent_rows import independent
 from mbd_ros.core.particles.molecules import Molecules
-from mbd_ros.core.particles.row_geometry import DistanceRow, PointRow
+from mbd_ros.core.particles.row_geometry import DistanceRow, PointRow, SurfaceRow
 from mbd_ros.core.state import Array
 
 
@@ -40,41 +40,48 @@ class MoleculeRows:
         self.coordinates = first + np.arange(size * self.copies).reshape(-1, size).T
         if is_alone and self.copies == 1:
             self.coordinates = None
-        self._take(kind.rows)
+        self._take(list(kind.rows))
         J = self.jacobian(kind.at.reshape(-1, 1))[:, :, 0]
-        ordered = [*self._bonds, *self._others]
+        ordered: list[PointRow] = [*self._bonds, *self._surfaces]
         self._take([ordered[i] for i in independent(J)])
-        self.rows = tuple(row.name for row in (*self._bonds, *self._others))
+        kept: list[PointRow] = [*self._bonds, *self._surfaces]
+        self.rows = tuple(row.name for row in kept)
 
     def _take(self, rows: Sequence[PointRow]) -> None:
         self._bonds = [row for row in rows if isinstance(row, DistanceRow)]
-        self._others = [row for row in rows if not isinstance(row, DistanceRow)]
+        self._surfaces = [row for row in rows if isinstance(row, SurfaceRow)]
         self._i = np.array([row.i for row in self._bonds], dtype=np.intp)
         self._j = np.array([row.j for row in self._bonds], dtype=np.intp)
         self._length = np.array([row.length for row in self._bonds])[:, None, None]
+        self._at = np.array([row.i for row in self._surfaces], dtype=np.intp)
+        self._level = np.array([row.level for row in self._surfaces])[:, None]
+        self._squares, self._normal, self._center = (
+            np.array([getattr(row, name) for row in self._surfaces]).reshape(-1, 3, 1)
+            for name in ("squares", "normal", "center")
+        )
 
     def residual(self, x: Array) -> Array:
         """g, shape (m, n)."""
         at, n = x.reshape(self._atoms, 3, -1), len(self._bonds)
-        g = np.empty((n + len(self._others), x.shape[1]))
+        g = np.empty((n + len(self._surfaces), x.shape[1]))
         d = at[self._i] - at[self._j]
         length = self._length[:, 0]
         g[:n] = 0.5 * (np.einsum("kcn,kcn->kn", d, d) / length - length)
-        for k, row in enumerate(self._others, n):
-            g[k] = row.residual(at, row.direction(at))
+        if self._surfaces:
+            d = at[self._at] - self._center
+            g[n:] = np.einsum("kcn,kcn->kn", self._squares * d + self._normal, d) - self._level
         return g
 
     def jacobian(self, x: Array) -> Array:
         """dg/dx, shape (m, 3 atoms, n)."""
         at, n = x.reshape(self._atoms, 3, -1), len(self._bonds)
-        J = np.zeros((n + len(self._others), *at.shape))
+        J = np.zeros((n + len(self._surfaces), *at.shape))
         d = (at[self._i] - at[self._j]) / self._length
         rows = np.arange(n)
         J[rows, self._i], J[rows, self._j] = d, -d
-        for k, row in enumerate(self._others, n):
-            direction = row.direction(at)
-            for i, sign in row.ends:
-                J[k, i] += sign * direction
+        if self._surfaces:
+            d = at[self._at] - self._center
+            J[np.arange(n, len(J)), self._at] = 2.0 * self._squares * d + self._normal
         return J.reshape(len(J), *x.shape)
 
 
@@ -87,6 +94,7 @@ class ParticleSpace:
 
     Attributes:
         kinds: As given.
+        pair_forces: As given.
         names: x, y and z of every point.
         size: Three times the number of points.
         mass: Of every coordinate.
@@ -98,7 +106,7 @@ class ParticleSpace:
     has_constant_masses = True
 
     def __init__(self, kinds: Sequence[Molecules], pair_forces: PairForces | None = None) -> None:
-        self.kinds, self._pair_forces = tuple(kinds), pair_forces
+        self.kinds, self.pair_forces = tuple(kinds), pair_forces
         labels = [label for kind in kinds for label in kind.labels]
         self.names = tuple(f"{label}.{axis}" for label in labels for axis in "xyz")
         self.size = len(self.names)
@@ -117,7 +125,7 @@ class ParticleSpace:
         energy = np.zeros(q.shape[1])
         for kind, x in self._lanes(q):
             energy += kind.energy(x).reshape(kind.count, -1).sum(axis=0)
-        if self._pair_forces is not None:
+        if self.pair_forces is not None:
             energy += np.array([self._pairs_of(one)[0] for one in q.T])
         return energy
 
@@ -130,16 +138,16 @@ class ParticleSpace:
                 kind.add_force(x, own)
                 by_copy = own.reshape(x.shape[0] * 3, kind.count, chains).transpose(1, 0, 2)
                 force[first : first + 3 * kind.size] = by_copy.reshape(-1, chains)
-        if self._pair_forces is not None:
+        if self.pair_forces is not None:
             for i, one in enumerate(q.T):
                 force[:, i] += self._pairs_of(one)[1]
         return force
 
     def _pairs_of(self, q: Array) -> tuple[float, Array]:
         """Energy and forces of the pairs of one chain, the forces of shape (size,)."""
-        assert self._pair_forces is not None
+        assert self.pair_forces is not None
         force = np.zeros((self.size // 3, 3))
-        energy = self._pair_forces.add_force(np.ascontiguousarray(q).reshape(-1, 3), force)
+        energy = self.pair_forces.add_force(np.ascontiguousarray(q).reshape(-1, 3), force)
         return energy, force.ravel()
 
     def volume(self, q: Array, *, fixman: bool) -> Array:
@@ -174,7 +182,7 @@ def _usual_size(kinds: Sequence[Molecules]) -> float:
     for kind in kinds:
         apart = np.linalg.norm(kind.at[:, None] - kind.at[None, :], axis=2)
         lengths += list(apart[np.triu_indices(len(kind.at), 1)])
-        lengths += [row.length for row in kind.rows if hasattr(row, "length")]
+        lengths += [row.length for row in kind.rows if isinstance(row, DistanceRow)]
     lengths = [x for x in lengths if x > 0.0]
     if not lengths:
         lengths = [float(np.linalg.norm(kind.at, axis=1).max()) for kind in kinds]

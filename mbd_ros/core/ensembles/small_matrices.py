@@ -4,7 +4,6 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 
-
 _LOOPED = 4  # rows up to which a loop over them costs less than a call a matrix
 
 
@@ -23,10 +22,11 @@ def solve(A: Array, b: Array) -> Array:
     m = len(A)
     if m > _LOOPED:
         try:
-            right = np.moveaxis(b, -1, 0)
-            columns = right[:, :, None] if b.ndim == 2 else right
-            found = np.linalg.solve(np.moveaxis(A, -1, 0), columns)
-            return np.moveaxis(found[:, :, 0] if b.ndim == 2 else found, 0, -1)
+            if b.ndim == 2:
+                one: Array = np.linalg.solve(A.transpose(2, 0, 1), b.T[:, :, None])[:, :, 0].T
+                return one
+            many: Array = np.linalg.solve(A.transpose(2, 0, 1), b.transpose(2, 0, 1))
+            return many.transpose(1, 2, 0)
         except np.linalg.LinAlgError:  # one of them is singular: the others count
             pass
     A, x = A.copy(), b.copy()
@@ -44,14 +44,14 @@ def solve(A: Array, b: Array) -> Array:
 
 
 def log_determinant(A: Array) -> Array:
-    """ln det A of symmetric positive definite matrices, shape (n,); -inf where A is singular.
+    """Logarithms of determinants of symmetric matrices, shape (n,); -inf where det A <= 0.
 
     Args:
         A: Shape (m, m, n).
     """
     m = len(A)
     if m > _LOOPED:
-        sign, size = np.linalg.slogdet(np.moveaxis(A, -1, 0))
+        sign, size = np.linalg.slogdet(A.transpose(2, 0, 1))
         return np.where(sign > 0.0, size, -np.inf)
     A, found = A.copy(), np.zeros(A.shape[2])
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,9 +1,14 @@
 """What is sampled: configurations of many chains at once, their rows and their energy."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
+
+Marks = NDArray[np.bool_]
 
 
 class Block(Protocol):
@@ -15,9 +20,17 @@ class Block(Protocol):
         rows: Names of the rows of one copy, m of them.
     """
 
-    coordinates: Array | None
-    copies: int
-    rows: Sequence[str]
+    @property
+    def coordinates(self) -> Any:
+        """See the attributes of the class."""
+
+    @property
+    def copies(self) -> int:
+        """See there."""
+
+    @property
+    def rows(self) -> Sequence[str]:
+        """See there."""
 
     def residual(self, x: Array) -> Array:
         """g, shape (m, n).
@@ -46,7 +59,7 @@ class Space(Protocol):
     names: Sequence[str]
     size: int
     mass: Array
-    blocks: Sequence[Block]
+    blocks: Any
     scale: float
     has_constant_masses: bool
 
@@ -57,7 +70,7 @@ class Space(Protocol):
         """-dV/dq, shape (size, chains)."""
 
     def volume(self, q: Array, *, fixman: bool) -> Array:
-        """ln of the density at V = 0, against that which `mass` would give, shape (chains,).
+        """Logarithm of the density at V = 0, relative to that of `mass`, shape (chains,).
 
         Args:
             q: Configurations.

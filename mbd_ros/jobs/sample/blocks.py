@@ -1,26 +1,37 @@
 """Blocks of chains, done here or by workers: the same bits wherever."""
 
-import base64
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.ensembles.chains import Checkpoint, Plan, Sampled, begun, blocks_of, gone_on
+from mbd_ros.core.ensembles.chains import (
+    Checkpoint,
+    Plan,
+    Sampled,
+    begun,
+    blocks_of,
+    gone_on,
+    usual_step,
+)
 from mbd_ros.core.ensembles.components import random_starts
 from mbd_ros.core.ensembles.counting import kinetic_after_step
 from mbd_ros.core.ensembles.ensemble import Ensemble, Walkers
 from mbd_ros.core.ensembles.held_space import HeldSpace
+from mbd_ros.core.ensembles.independent_rows import independent
 from mbd_ros.core.ensembles.mean_force import instant
 from mbd_ros.core.ensembles.observables import Observable
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, DivergedError, SceneError
 from mbd_ros.jobs.progress import progress
+from mbd_ros.jobs.sample.packing import checkpoint, listed, listed_checkpoint, received
 from mbd_ros.jobs.sample.quantities import DRIVEN, quantity
+from mbd_ros.jobs.sample.row_swept import row_swept
 from mbd_ros.jobs.sample.sampled_scene import SampledScene, sampled_scene
 from mbd_ros.scene.reader import load_any
 from mbd_ros.scene.sample_task import SampleTask, sample_task
-from mbd_ros.workers.opening import cores, do_all, open_workers
+from mbd_ros.workers.opening import do_all, open_workers
 from mbd_ros.workers.remaining import watched
 from mbd_ros.workers.task import Task
 
@@ -96,8 +107,14 @@ class Asked:
 
     def _coordinate(self, text: str) -> Observable:
         where = f"{self.where}.coordinate"
+        if self.sampled.points:
+            swept = row_swept(self.sampled.space, text, self.sampled.length)
+            if swept is not None:
+                found, space = swept
+                self.sampled = replace(self.sampled, space=space)
+                return found
         found = quantity(text, self.sampled, where)
-        if text.split()[0] == "dihedral":
+        if text.split()[0] not in DRIVEN and len(text.split()) > 1:
             raise SceneError(f"{where}: '{text}', accepted: {', '.join(DRIVEN)}")
         if not self.sampled.space.has_constant_masses:
             raise SceneError(f"{where}: mean forces are those of particles, not of mechanisms")
@@ -125,13 +142,15 @@ class Asked:
             q = self._starts(ensemble, order, chains.stop - chains.start)
             start = begun(ensemble, self.plan, order.number, q)
 
+        h = usual_step(ensemble) if self.plan.dt is None else self.plan.dt
+
         def measure(at: Walkers) -> Array:
             if order.level is not None:
                 return np.array(instant(ensemble, at, fixman=self.task.fixman))
             own = [ensemble.space.potential(at.q), ensemble.kinetic(at.v)]
             if self.task.kinetics:
                 own += [*self.sampled.space.kinetic_parts(at.q, at.v)]
-                own += [*kinetic_after_step(ensemble, at, start.dt)]
+                own += [*kinetic_after_step(ensemble, at, h)]
             return np.array([*own, *(one.value(at.q) for one in self.quantities)])
 
         return gone_on(ensemble, self.plan, order.number, start, measure, _shown)
@@ -153,15 +172,20 @@ class Asked:
         assert self.coordinate is not None
         q = self.sampled.start[:, None]
         (rows,) = ensemble.space.blocks
+        if len(independent(rows.jacobian(q)[:, :, 0])) < len(rows.rows):
+            raise SceneError(
+                f"{self.where}.coordinate: rows of the scene hold {self.coordinate.name} already; "
+                f"accepted: another quantity, or one of them: {', '.join(rows.rows[:-1])}"
+            )
         first = float(self.coordinate.value(q)[0])
         for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:
-            rows.level = first + share * (level - first)  # type: ignore[attr-defined]
+            rows.level = first + share * (level - first)
             with np.errstate(all="ignore"):
                 q, found = ensemble.manifold.close(ensemble.manifold.at(q), q)
             if not found.all():
                 raise SceneError(
                     f"{self.where}.at: {self.coordinate.name} cannot be brought from {first:g} to "
-                    f"{level:g}: it stops near {rows.level:g}"  # type: ignore[attr-defined]
+                    f"{level:g}: it stops near {rows.level:g}"
                 )
         return q[:, 0]
 
@@ -176,7 +200,7 @@ def blocks_done(
         MbdError: As `Asked.done`.
     """
     scene = asked.scene
-    alone = scene.path is None or getattr(scene, "code", ()) or len(orders) < 2
+    alone = scene.path is None or getattr(scene, "code", False) or len(orders) < 2
     if alone or (workers == 1 and scheduler is None):
         return [asked.done(order) for order in orders]
     entries = _entries(asked.task)
@@ -184,25 +208,20 @@ def blocks_done(
         Task(str(i), f"{__name__}:do", {"scene": str(scene.path), "task": entries} | _sent(order))
         for i, order in enumerate(orders)
     ]
-    with open_workers(scheduler, workers or cores()) as opened:
+    with open_workers(scheduler, workers) as opened:
         done = {t.name: r for t, r in watched(do_all(opened, tasks), tasks, opened.count)}
     for task in tasks:
         failure = done[task.name].failure
         if failure:
             raise _failed(failure)
-    return [_received(done[task.name].value) for task in tasks]
+    return [received(done[task.name].value) for task in tasks]
 
 
 def do(sent: Mapping[str, Any]) -> dict[str, Any]:
     """A block of chains in a worker."""
     asked = Asked(load_any(sent["scene"]), sample_task(sent["task"], "sample"), "sample")
-    start = None if sent["start"] is None else _checkpoint(sent["start"])
-    done = asked.done(Order(sent["number"], sent["level"], start))
-    return {
-        "values": _packed(done.values),
-        "accepted": _packed(done.accepted),
-        "end": _listed(done.end),
-    }
+    start = None if sent["start"] is None else checkpoint(sent["start"])
+    return listed(asked.done(Order(sent["number"], sent["level"], start)))
 
 
 def _failed(failure: str) -> Exception:
@@ -221,33 +240,8 @@ def _entries(task: SampleTask) -> dict[str, Any]:
 
 
 def _sent(order: Order) -> dict[str, Any]:
-    start = None if order.start is None else _listed(order.start)
+    start = None if order.start is None else listed_checkpoint(order.start)
     return {"number": order.number, "level": order.level, "start": start}
-
-
-def _listed(one: Checkpoint) -> list[Any]:
-    return [_packed(one.q), _packed(one.v), one.sweeps, one.dt]
-
-
-def _checkpoint(listed: Sequence[Any]) -> Checkpoint:
-    q, v, sweeps, dt = listed
-    return Checkpoint(_unpacked(q), _unpacked(v), sweeps, dt)
-
-
-def _received(value: Mapping[str, Any]) -> Sampled:
-    values, accepted = (_unpacked(value[key]) for key in ("values", "accepted"))
-    return Sampled(values, accepted, _checkpoint(value["end"]))
-
-
-def _packed(values: Array) -> list[Any]:
-    """An array as JSON holds it, to the bit."""
-    data = np.ascontiguousarray(values, dtype="<f8").tobytes()
-    return [list(values.shape), base64.b64encode(data).decode()]
-
-
-def _unpacked(packed: Sequence[Any]) -> Array:
-    shape, data = packed
-    return np.frombuffer(base64.b64decode(data), dtype="<f8").reshape(shape).copy()
 
 
 def _shown(samples: range) -> Iterable[int]:

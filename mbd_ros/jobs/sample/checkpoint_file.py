@@ -25,7 +25,7 @@ def write_checkpoint(path: Path, blocks: Sequence[Checkpoint]) -> None:
         for key, value in zip(_KEYS, block, strict=True)
     }
     with replacing(path) as file:
-        np.savez(file, **arrays)
+        np.savez(file, allow_pickle=False, **arrays)
 
 
 def read_checkpoint(path: Path, sizes: Sequence[tuple[int, int]]) -> list[Checkpoint]:

@@ -72,7 +72,8 @@ def sample(
         progress: True for a line on a terminal, or a function of a label and a share.
 
     Returns:
-        Tables `samples`, `averages`, `histograms` and `chains`; with a coordinate `profile`.
+        Tables `samples`, `averages`, `chains` and `histogram.<quantity>`; with a coordinate
+        `profile`.
 
     Raises:
         SceneError: The task cannot be read, or does not fit the scene.
@@ -122,12 +123,12 @@ def _first_lines(asked: Asked) -> Iterator[str]:
     if not looks or asked.coordinate is not None or not sampled.features:
         return
     found = components(asked.ensemble(None), sampled.start, sampled.features, task.seed)
-    if found.count == 1:
+    if found.number == 1:
         yield f"components: 1, from {len(found.of_probe) - 1} random starts"
         return
     own = int(np.count_nonzero(found.of_probe == 0)) - 1
     yield (
-        f"components: {found.count} that no motion along the rows joins; "
+        f"components: {found.number} that no motion along the rows joins; "
         f"{own} of {len(found.of_probe) - 1} random starts are in that of the scene"
     )
     yield from (f"  wall: {wall}" for wall in found.walls)
@@ -148,13 +149,16 @@ def _ensemble(asked: Asked, say: Say, where: Where) -> dict[str, Any]:
         say(f"accepted {accepted.mean():.3f}, dt {done[0].end.dt:.4g}")
     for line in _average_lines(averages, units, asked):
         say(line)
-    bins = {name: histogram(x, e) for name, x, e in _binned(asked, names, values)}
     found = {
         MAIN: tables.sample_table(values, names, units),
         tables.AVERAGES: tables.average_table(averages, units),
         tables.CHAINS: tables.chain_table(accepted),
     }
-    return found | ({tables.HISTOGRAMS: tables.histogram_table(bins)} if bins else {})
+    by_name = dict(zip(names, units, strict=True))
+    for name, x, edges in _binned(asked, names, values):
+        table = tables.histogram_table(histogram(x, edges), by_name[name])
+        found[tables.HISTOGRAM + name] = table
+    return found
 
 
 def _done(asked: Asked, orders: Sequence[Order], where: Where) -> list[Sampled]:

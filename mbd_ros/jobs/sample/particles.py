@@ -9,8 +9,9 @@ import numpy as np
 from mbd_ros.core.ensembles import observables
 from mbd_ros.core.ensembles.observables import Observable
 from mbd_ros.core.ensembles.particle_space import ParticleSpace
+from mbd_ros.core.particles.elastic import ElasticBond
 from mbd_ros.core.particles.molecules import Molecules
-from mbd_ros.core.particles.row_geometry import SurfaceRow
+from mbd_ros.core.particles.row_geometry import DistanceRow, SurfaceRow
 from mbd_ros.core.state import Array
 from mbd_ros.jobs.sample.sampled_scene import SampledScene
 
@@ -21,10 +22,9 @@ def sampled_particles(scene: Any) -> SampledScene:
     """What of a scene of particles is sampled."""
     system, units = scene.system(), scene.units
     space = ParticleSpace(system.kinds, system.pairs)
-    bends = [one for kind, first in _firsts(system.kinds) for one in _bends(kind, first)]
-    features = [
-        one for kind, first in _firsts(system.kinds) for one in _features(kind, first, units.length)
-    ]
+    firsts = list(_firsts(system.kinds))
+    bends = [one for kind, first in firsts for one in _bends(kind, first)]
+    features = [one for kind, first in firsts for one in _features(kind, first, units.length)]
     return SampledScene(
         scene.name,
         space,
@@ -48,20 +48,18 @@ def _firsts(kinds: tuple[Molecules, ...]) -> Iterator[tuple[Molecules, int]]:
 
 def _bends(kind: Molecules, first: int) -> Iterator[Observable]:
     """Cosines between bonds of the first molecule that share a point."""
-    bonds = [tuple(sorted((b.i, b.j))) for b in (*kind.rows, *kind.terms) if _is_bond(b)]
+    every = (*kind.rows, *kind.terms)
+    bonds = [(b.i, b.j) for b in every if isinstance(b, DistanceRow | ElasticBond)]
+    bonds = [(min(pair), max(pair)) for pair in bonds]
     for one, other in itertools.combinations(sorted(set(bonds)), 2):
         shared = set(one) & set(other)
         if len(shared) == 1:
             (b,) = shared
             (a,), (c,) = set(one) - shared, set(other) - shared
-            if tuple(sorted((a, c))) not in bonds:
+            if (min(a, c), max(a, c)) not in bonds:
                 names = kind.labels
                 name = f"cosine_{names[a]}_{names[b]}_{names[c]}"
                 yield observables.cosine(name, first + a, first + b, first + c)
-
-
-def _is_bond(part: Any) -> bool:
-    return hasattr(part, "length")
 
 
 def _features(kind: Molecules, first: int, unit: str) -> Iterator[Observable]:

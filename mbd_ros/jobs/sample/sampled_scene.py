@@ -9,6 +9,7 @@ import numpy as np
 from mbd_ros.core.ensembles.joint_space import JointSpace
 from mbd_ros.core.ensembles.observables import Observable, coordinate
 from mbd_ros.core.particles.units import BOLTZMANN
+from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.built_scene import Scene
@@ -71,15 +72,14 @@ def _mechanism(scene: Scene) -> SampledScene:
         raise SceneError(f"{scene.name}: no joint moves, there is nothing to sample")
     if len(system.held.rows) != len(system.rows):
         raise SceneError(f"{scene.name}: rows of velocities have no ensemble of configurations")
-    y = system.reduce(scene.initial)
+    y = assemble(system, system.reduce(scene.initial))
     names = scene.couplings.independent
     kinds = {joint.name: joint.kind for joint in scene.robot.joints}
     walls = _walls(scene, system)
     space = JointSpace(system, y, names, walls)
     units = ["m" if kinds[name] == "prismatic" else "rad" for name in names]
     positions = tuple(
-        coordinate(f"{name}.position", unit, i)
-        for i, (name, unit) in enumerate(zip(names, units, strict=True))
+        _position(name, unit, i) for i, (name, unit) in enumerate(zip(names, units, strict=True))
     )
     features = [one for p in positions for one in _circular(p)]
     if not np.isfinite(space.potential(y.q[:, None])).all():
@@ -121,6 +121,14 @@ def _walls(scene: Scene, system: Any) -> list[Any]:
 
         walls.append(is_within)
     return walls
+
+
+def _position(name: str, unit: str, number: int) -> Observable:
+    """A position; that of an angle lies between -pi and pi."""
+    found = coordinate(f"{name}.position", unit, number)
+    if unit != "rad":
+        return found
+    return found._replace(of=lambda x: (x[0] + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def _circular(position: Observable) -> tuple[Observable, ...]:

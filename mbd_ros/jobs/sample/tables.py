@@ -9,7 +9,7 @@ from mbd_ros.core.ensembles.mean_force import MeanForce, Profile
 from mbd_ros.core.state import Array
 from mbd_ros.files.table import Column, Table
 
-AVERAGES, HISTOGRAMS, CHAINS, PROFILE = "averages", "histograms", "chains", "profile"
+AVERAGES, HISTOGRAM, CHAINS, PROFILE = "averages", "histogram.", "chains", "profile"
 
 
 def sample_table(values: Array, names: Sequence[str], units: Sequence[str]) -> Table:
@@ -30,36 +30,32 @@ def sample_table(values: Array, names: Sequence[str], units: Sequence[str]) -> T
 
 
 def average_table(found: Mapping[str, Average], units: Sequence[str]) -> Table:
-    """Averages, a row a quantity; values are in the unit of their row."""
-    rows = list(found.values())
-    columns = [Column("quantity", np.array(list(found))), Column("unit", np.array(units))]
-    for field, name in zip(Average._fields, _AVERAGE, strict=True):
-        columns.append(Column(name, np.array([getattr(row, field) for row in rows])))
+    """Averages in one row: `<quantity>.mean`, `.standard_error`, .."""
+    columns = []
+    for (name, one), unit in zip(found.items(), units, strict=True):
+        for value, (word, has_unit) in zip(one, _AVERAGE, strict=True):
+            columns.append(Column(f"{name}.{word}", np.array([value]), unit if has_unit else ""))
     return Table(columns)
 
 
 _AVERAGE = (
-    "mean",
-    "standard_error",
-    "standard_deviation",
-    "autocorrelation_time",
-    "effective_samples",
-    "split_rhat",
+    ("mean", True),
+    ("standard_error", True),
+    ("standard_deviation", True),
+    ("autocorrelation_time", False),
+    ("effective_samples", False),
+    ("split_rhat", False),
 )
 
 
-def histogram_table(found: Mapping[str, Histogram]) -> Table:
+def histogram_table(found: Histogram, unit: str) -> Table:
     """Shares of samples, a row a bin."""
-    names = [name for name, one in found.items() for _ in one.shares]
-    low = np.concatenate([one.edges[:-1] for one in found.values()])
-    high = np.concatenate([one.edges[1:] for one in found.values()])
     return Table(
         [
-            Column("quantity", np.array(names)),
-            Column("low", low),
-            Column("high", high),
-            Column("share", np.concatenate([one.shares for one in found.values()])),
-            Column("standard_error", np.concatenate([one.errors for one in found.values()])),
+            Column("low", found.edges[:-1], unit),
+            Column("high", found.edges[1:], unit),
+            Column("share", found.shares),
+            Column("standard_error", found.errors),
         ]
     )
 

@@ -1,0 +1,80 @@
+"""Ensembles into files: `mbd-ros sample`."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mbd_ros.errors import SceneError
+from mbd_ros.files.formats import PICTURES, format_of, suffix_of
+from mbd_ros.files.replacing import check_place, refuse_overwriting
+from mbd_ros.files.table import MAIN, Result
+from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.sample.blocks import Asked
+from mbd_ros.jobs.sample.job import Where, run_sample
+from mbd_ros.scene.sample_task import sample_task
+from mbd_ros.scene.task_reader import read_task
+
+
+def sample_to(
+    scene: Any,
+    task: Path | None,
+    changed: Mapping[str, Any],
+    out: Path | None,
+    plot: Path | None,
+    say: Say,
+    where: Where,
+) -> None:
+    """Sample an ensemble, and write it where a place is given.
+
+    Args:
+        scene: The scene.
+        task: Task file; None for entries alone.
+        changed: Entries of the section `sample` that replace those of the file.
+        out: Where samples go; its suffix chooses the format.
+        plot: Where a picture goes.
+        say: Is told what was found, a line each.
+        where: Where chains are sampled.
+
+    Raises:
+        MbdError: As `sample`, or a place that cannot be written to.
+    """
+    for place in filter(None, (out, plot, where.checkpoint)):
+        refuse_overwriting(place, task, scene.path)
+        check_place(place)
+    if plot is not None and suffix_of(plot) not in PICTURES:
+        raise SceneError(f"--plot {plot}: accepted are {', '.join(PICTURES)}")
+    if out is not None:
+        format_of(out)
+    entries, name = _entries_of(scene, task), "sample" if task is None else f"{task}: sample"
+    asked = Asked(scene, sample_task({**entries, **changed}, name), name)
+    result = run_sample(asked, say, where)
+    if out is not None:
+        _write(result, out, say)
+    if plot is not None:
+        from mbd_ros.files.plot import save
+        from mbd_ros.jobs.sample.pictures import picture_of
+
+        save(picture_of(result), plot)
+        say(f"picture -> {plot}")
+
+
+def _entries_of(scene: Any, task: Path | None) -> dict[str, Any]:
+    if task is None:
+        return {}
+    entries = read_task(task, scene).entries
+    if "sample" not in entries:
+        raise SceneError(f"{task}: has no section sample")
+    return dict(entries["sample"])
+
+
+def _write(result: Result, out: Path, say: Say) -> None:
+    if not format_of(out).one_table:
+        result.to(out)
+        say(f"{', '.join(result)} -> {out}")
+        return
+    suffix = suffix_of(out)
+    for name, table in result.tables.items():
+        stem = out.name.removesuffix(suffix)
+        place = out if name == MAIN else out.with_name(f"{stem}.{name}{suffix}")
+        Result({MAIN: table}, result.metadata).to(place)
+        say(f"{name}, {table.rows} rows -> {place}")
