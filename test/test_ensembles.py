@@ -1,4 +1,4 @@
-"""Ensembles against closed forms: configurations, velocities, mean forces, and what rounding adds."""
+"""Ensembles against closed forms: configurations, velocities and mean forces."""
 
 import numpy as np
 import pytest
@@ -171,7 +171,6 @@ def test_a_four_bar_in_a_heat_bath(samples):
     asked = {"thermal_energy": kT, "chains": 32, "samples": samples, "warmup": 100, "steps": 8}
     averages = scene.sample(asked | {"components": False}, workers=1)["averages"]
     off = averages["energy.potential.mean"][0] - (weight * energy).sum() / weight.sum()
-    print(off, averages["energy.potential.standard_error"][0])
     assert abs(off) < 3.0 * averages["energy.potential.standard_error"][0] < 3.0
 
 

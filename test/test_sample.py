@@ -57,7 +57,8 @@ def test_a_run_with_all_its_files(tmp_path, capsys):
     task = tmp_path / "task.yaml"
     task.write_text(
         "sample:\n  temperature: 1.0\n  chains: 8\n  samples: 20\n  warmup: 5\n"
-        "  observe: {bend: angle A B C, ends: distance A C}\n  histograms: {ends: [0.0, 2.0, 4]}\n",
+        "  observe: {bend: angle A B C, ends: distance A C}\n"
+        "  histograms: {ends: [0.0, 2.0, 4]}\n",
         encoding="utf-8",
     )
     out, plot = tmp_path / "o.csv", tmp_path / "o.svg"
@@ -76,7 +77,17 @@ def test_a_run_with_all_its_files(tmp_path, capsys):
 
 def test_a_row_as_coordinate_is_swept(capsys):
     """The row gives way; what others hold is not asked for twice."""
-    words = ("particles/ellipse", "--temperature", 1, "--chains", 4, "--samples", 10, "--warmup", 5)
+    words = (
+        "particles/ellipse",
+        "--temperature",
+        1,
+        "--chains",
+        4,
+        "--samples",
+        10,
+        "--warmup",
+        5,
+    )
     code, said, _ = run(capsys, *words, "--coordinate", "P_quadric", "--at", 0.5, 0.6)
     assert code == 0
     assert said.count("mean force") == 2

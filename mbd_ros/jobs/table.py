@@ -85,6 +85,7 @@ COMMANDS: Mapping[str, Command] = {
     ),
     "predict": Command(
         "mbd_ros.jobs.predict.command", "the motion that costs least, by optimal control"
+    ),
     "sample": Command(
         "mbd_ros.jobs.sample.command", "configurations at a temperature; mean forces along them"
     ),

@@ -16,7 +16,7 @@ METHODS = ("metropolis", "langevin")
 _LARGEST, _FEWEST = 256, 2  # chains of a block; blocks of a run with few chains
 _WISHED = 0.9  # acceptance
 _FIRST, _USUAL = 0.1, 0.05  # steps, in times a particle of kT takes for the scale of the space
-_FORGOTTEN = 0.025  # friction times the step
+_LOST = 0.025  # friction times the step
 _QUICK, _FADING = 1.0, 0.6  # how a step is changed while it is looked for
 
 
@@ -93,7 +93,7 @@ def method_of(ensemble: Ensemble, plan: Plan, dt: float) -> Langevin | Metropoli
     """The method of a plan with a step."""
     if plan.method == "metropolis":
         return Metropolis(ensemble, dt)
-    friction = _FORGOTTEN / dt if plan.friction is None else plan.friction
+    friction = _LOST / dt if plan.friction is None else plan.friction
     return Langevin(ensemble, dt, friction)
 
 

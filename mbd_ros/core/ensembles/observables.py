@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.state import Array
 
 Indices = NDArray[np.intp]
-_TINY = 1.0e-30  # of a coordinate, in the imaginary direction: derivatives to rounding
+_IMAGINARY = 1.0e-30  # of a coordinate, in the imaginary direction: derivatives to rounding
 
 
 class Observable(NamedTuple):
@@ -40,8 +40,8 @@ class Observable(NamedTuple):
         """Its derivative by all coordinates, by complex steps, shape (size, chains)."""
         x, found = q[self.coordinates].astype(complex), np.zeros(q.shape)
         for k, i in enumerate(self.coordinates):
-            x[k] += 1j * _TINY
-            found[i] = self.of(x).imag / _TINY
+            x[k] += 1j * _IMAGINARY
+            found[i] = self.of(x).imag / _IMAGINARY
             x[k] = x[k].real
         return found
 
