@@ -23,5 +23,6 @@ def near_pairs(x: Array, box: Array | None, reach: float) -> NDArray[np.int32]:
         inside = x - box * np.floor(x / box)
         inside[inside >= box] = 0.0  # what rounding leaves on the far side
     pairs = cKDTree(inside, boxsize=box).query_pairs(reach, output_type="ndarray")
-    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    return pairs.astype(np.int32)
+    keys = pairs[:, 0] * len(x) + pairs[:, 1]
+    keys.sort()
+    return np.column_stack(np.divmod(keys, len(x))).astype(np.int32)

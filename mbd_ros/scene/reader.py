@@ -75,11 +75,7 @@ def build_scene(
     Raises:
         SceneError: Names file, key, what is wrong and what is accepted.
     """
-    if has_particles(entries):
-        raise SceneError(
-            f"{origin.name}: particles: has no joints and no topics; only check, simulate, sample "
-            "and bracket take particles"
-        )
+    _refuse_particles(origin, entries)
     foreign = foreign_keys(origin, entries)
     origin, entries = with_model(origin, present(entries))
     sections, code = table_of(origin, entries, foreign)
@@ -96,6 +92,20 @@ def description_topic(path: str | Path) -> str | None:
     """
     path = find_scene(path)
     origin, entries = Origin(path), entries_of(path)
+    _refuse_particles(origin, entries)
     foreign_keys(origin, entries)
     robot = present(entries).get("robot")
     return None if robot is None else read_entry(f"{path}: robot", robot).description_topic
+
+
+def _refuse_particles(origin: Origin, entries: Mapping[str, Any]) -> None:
+    """Refuse particles where a robot is asked for: by nodes, and by most commands.
+
+    Raises:
+        SceneError: Says who takes them.
+    """
+    if has_particles(entries):
+        raise SceneError(
+            f"{origin.name}: particles: has no joints and no topics; only check, simulate, sample "
+            "and bracket take particles"
+        )

@@ -10,7 +10,7 @@ from math import isfinite, sqrt
 import numpy as np
 
 from mbd_ros.core.particles.elimination import least_solved, solved
-from mbd_ros.core.particles.row_geometry import PointRow
+from mbd_ros.core.particles.row_geometry import PointRow, product
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import ASSEMBLED, BRANCH_STEP, LANDED, redundant
 from mbd_ros.errors import SolveError
@@ -91,7 +91,7 @@ class Cluster:
     def close(self, x: Array, moved: Array, w: Array, h: float, tolerance: float) -> None:
         """Positions moved + M^-1 J(x)' mu with g = 0; `moved`, and w by the change over h, change.
 
-        Newton's method in all lanes at once.
+        Newton's method in all lanes at once; a lane that is done stays as it is.
 
         Args:
             x: Positions whose rows push.
@@ -106,18 +106,20 @@ class Cluster:
         """
         before = self.directions(x)
         nearly = sqrt(_FORESEEN * tolerance) if self.rank == len(self.rows) else tolerance
-        total, last = np.zeros((len(self.rows), x.shape[2])), np.inf
+        total, last = np.zeros((len(self.rows), x.shape[2])), np.full(x.shape[2], np.inf)
+        is_open = np.ones(x.shape[2], dtype=np.bool_)
         for _ in range(_NEWTON):
             D = self.directions(moved)
             pairs = zip(self.rows, D, strict=True)
             g = np.array([row.residual(moved, each) for row, each in pairs])
-            worst = float((np.abs(g).max(axis=1) / self.sizes).max())
-            if not isfinite(worst):
+            worst = (np.abs(g) / self.sizes[:, None]).max(axis=0)
+            if not isfinite(worst.sum()):
                 break
-            step = self._solve(self._metric(D, before), -g)
+            step = is_open * self._solve(self._metric(D, before), -g)
             total += step
             self._push(moved, before, step)
-            if worst <= nearly or (worst <= ASSEMBLED and worst >= 0.5 * last):
+            is_open &= ~((worst <= nearly) | ((worst <= ASSEMBLED) & (worst >= 0.5 * last)))
+            if not is_open.any():
                 self._push(w, before, total / h)
                 return
             last = worst
@@ -164,8 +166,7 @@ class Cluster:
         m = len(self.rows)
         A = np.zeros((m, m, D[0].shape[1]))
         for a, b, share in self._shares:
-            np.einsum("kl,kl->l", D[a], E[b], out=A[a, b])
-            A[a, b] *= share
+            np.multiply(product(D[a], E[b]), share, out=A[a, b])
         return A
 
 

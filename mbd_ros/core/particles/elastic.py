@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.particles.row_geometry import product
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
 
@@ -80,7 +81,7 @@ class ElasticAngle(NamedTuple):
         a, b = x[self.i] - x[self.j], x[self.k] - x[self.j]
         along, across = _norm(a), _norm(b)
         e, f = a / along, b / across
-        c, s = _dot(e, f), _norm(np.cross(e, f, axis=0))
+        c, s = product(e, f), _norm(np.cross(e, f, axis=0))
         return np.arctan2(s, c), along, across, e, f, c, s
 
 
@@ -101,7 +102,7 @@ class Torsion(NamedTuple):
     def energy(self, x: Array) -> Array:
         """V, shape (lanes,)."""
         m, n = self._normals(x)[3:]
-        cosine = _dot(m, n) / np.sqrt(_dot(m, m) * _dot(n, n))
+        cosine = product(m, n) / np.sqrt(product(m, m) * product(n, n))
         energy: Array = np.polynomial.polynomial.polyval(cosine, np.array(self.coefficients))
         return energy
 
@@ -109,9 +110,9 @@ class Torsion(NamedTuple):
         """Adds -dV/dx."""
         i, j, k, end = self.points
         a, b, c, m, n = self._normals(x)
-        mm, nn = _dot(m, m), _dot(n, n)
+        mm, nn = product(m, m), product(n, n)
         size = np.sqrt(mm * nn)
-        cosine = _dot(m, n) / size
+        cosine = product(m, n) / size
         slopes = np.polynomial.polynomial.polyder(np.array(self.coefficients))
         slope = -np.polynomial.polynomial.polyval(cosine, slopes)
         by_m = slope * (n / size - (cosine / mm) * m)
@@ -133,13 +134,8 @@ class Torsion(NamedTuple):
 ElasticTerm = ElasticBond | ElasticAngle | Torsion
 
 
-def _dot(a: Array, b: Array) -> Array:
-    product: Array = np.einsum("kl,kl->l", a, b)
-    return product
-
-
 def _norm(a: Array) -> Array:
-    norm: Array = np.sqrt(_dot(a, a))
+    norm: Array = np.sqrt(product(a, a))
     return norm
 
 

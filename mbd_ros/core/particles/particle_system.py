@@ -1,6 +1,7 @@
 """Points with rows between them, as a system: no joints, no Pinocchio model."""
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any, Protocol
@@ -48,7 +49,6 @@ class ParticleSystem:
         slices: Where each kind stands in q and v.
         clusters: Whether there are rows; methods of constrained Verlet steps look for it.
         masses: Of each point, shape (n,).
-        names: Of each point.
     """
 
     tier = "particles"
@@ -71,18 +71,34 @@ class ParticleSystem:
         ends = (3 * np.cumsum([0, *(kind.size for kind in kinds)])).tolist()
         self.slices = [slice(*pair) for pair in pairwise(ends)]
         self.masses = np.concatenate([np.tile(kind.masses, kind.count) for kind in kinds])
-        self.names = tuple(name for kind in kinds for name in kind.labels)
         self._force_unit = force_unit
         self.nq = self.nv = 3 * len(self.masses)
         self.chart = Chart(SimpleNamespace(nq=self.nq, nv=self.nv, joints=()))
         self.internals, self.loads, self.layout = Internals(()), Loads(self.nv), RowLayout()
-        self.rows = tuple(
-            Row(f"{name}.force", force_unit) for kind in kinds for name in kind.row_names
-        )
-        self.multiplier_rows = self.rows
-        self.clusters = bool(self.rows)
+        self.clusters = any(kind.clusters for kind in kinds)
         self.evaluations = 0
         self._mass = ParticleMass(np.repeat(self.masses, 3))
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Of each point."""
+        return tuple(name for kind in self.kinds for name in kind.labels)
+
+    @cached_property
+    def rows(self) -> tuple[Row, ...]:
+        """One entry a row, in the order of the multipliers."""
+        names = (name for kind in self.kinds for name in kind.row_names)
+        return tuple(Row(f"{name}.force", self._force_unit) for name in names)
+
+    @property
+    def multiplier_rows(self) -> tuple[Row, ...]:
+        """The same."""
+        return self.rows
+
+    @property
+    def row_count(self) -> int:
+        """How many rows there are."""
+        return sum(kind.count * len(kind.rows) for kind in self.kinds)
 
     @property
     def held(self) -> "ParticleSystem":
@@ -168,11 +184,11 @@ class ParticleSystem:
 
     def rate(self, t: float, q: Array) -> Array:
         """dg/dt, shape (m,)."""
-        return np.zeros(len(self.rows))
+        return np.zeros(self.row_count)
 
     def jacobian(self, t: float, q: Array) -> Array:
         """dg/dq, shape (m, nv), dense."""
-        J, row = np.zeros((len(self.rows), self.nv)), 0
+        J, row = np.zeros((self.row_count, self.nv)), 0
         for kind, x, mine in zip(self.kinds, self.split(q), self.slices, strict=True):
             own = [row for cluster in kind.clusters for row in cluster.rows]
             directions = [one.direction(x) for one in own]

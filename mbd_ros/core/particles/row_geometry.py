@@ -2,9 +2,19 @@
 
 from typing import NamedTuple
 
-import numpy as np
 
 from mbd_ros.core.state import Array
+
+
+def product(a: Array, b: Array) -> Array:
+    """Products a . b of vectors side by side, (3, lanes) each, shape (lanes,).
+
+    Written out, so that a lane has the same bits whatever stands beside it.
+    """
+    sum_: Array = a[0] * b[0]
+    sum_ += a[1] * b[1]
+    sum_ += a[2] * b[2]
+    return sum_
 
 
 class DistanceRow(NamedTuple):
@@ -48,20 +58,20 @@ class DistanceRow(NamedTuple):
 
     def residual(self, x: Array, direction: Array) -> Array:
         """g, shape (lanes,), from the direction at the same positions."""
-        g: Array = np.einsum("kl,kl->l", direction, direction)
+        g: Array = product(direction, direction)
         g -= 1.0
         g *= 0.5 * self.length
         return g
 
     def rate(self, v: Array, direction: Array) -> Array:
         """g', shape (lanes,)."""
-        rate: Array = np.einsum("kl,kl->l", direction, v[self.i] - v[self.j])
+        rate: Array = product(direction, v[self.i] - v[self.j])
         return rate
 
     def drift(self, v: Array) -> Array:
         """The part of g'' without the accelerations, shape (lanes,)."""
         d = v[self.i] - v[self.j]
-        drift: Array = np.einsum("kl,kl->l", d, d) / self.length
+        drift: Array = product(d, d) / self.length
         return drift
 
 
@@ -103,17 +113,17 @@ class SurfaceRow(NamedTuple):
         """g, shape (lanes,)."""
         a, n, c = (part[:, None] for part in (self.squares, self.normal, self.center))
         d = x[self.i] - c
-        g: Array = np.einsum("kl,kl->l", a * d + n, d) - self.level
+        g: Array = product(a * d + n, d) - self.level
         return g
 
     def rate(self, v: Array, direction: Array) -> Array:
         """g', shape (lanes,)."""
-        rate: Array = np.einsum("kl,kl->l", direction, v[self.i])
+        rate: Array = product(direction, v[self.i])
         return rate
 
     def drift(self, v: Array) -> Array:
         """The part of g'' without the accelerations, shape (lanes,)."""
-        drift: Array = 2.0 * self.squares.dot(v[self.i] ** 2)
+        drift: Array = 2.0 * product(self.squares[:, None] * v[self.i], v[self.i])
         return drift
 
 

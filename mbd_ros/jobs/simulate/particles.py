@@ -1,6 +1,7 @@
 """Motion of the particles of a scene."""
 
 import argparse
+import math
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -15,7 +16,7 @@ from mbd_ros.core.particles.units import Units
 from mbd_ros.core.particles.verlet_steps import ParticleVerlet
 from mbd_ros.core.ranges import LARGEST
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import INTERRUPTED, OK, DataError, MbdError
+from mbd_ros.errors import INTERRUPTED, OK, DataError, DivergedError, MbdError
 from mbd_ros.files.formats import format_of, is_bag
 from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Column, Result, Table
@@ -88,7 +89,9 @@ def simulate(
     with watching(progress):
         samples, failure = _samples(scene, stepper, (duration, step, stride))
     wall = time.perf_counter() - begin
-    times = np.array([sample.balance[0] for sample in samples])
+    if not samples:
+        raise type(failure)(f"{scene.name}: {failure}") from failure
+    times = [sample.balance[0] for sample in samples]
     result = Result({MAIN: _table(scene, samples)}, metadata_of("simulate", scene, inputs, {}))
     if failure is None:
         for text in _summary(scene, samples, wall):
@@ -146,7 +149,7 @@ def _wanted(scene: ParticleScene) -> Sequence[str]:
     """Quantities that samples hold, beside energies."""
     if scene.record.quantities is not None:
         return scene.record.quantities
-    return QUANTITIES if len(scene.system().names) <= _MANY else ()
+    return QUANTITIES if len(scene.system().masses) <= _MANY else ()
 
 
 def _sample(system: ParticleSystem, x: State, wanted: Sequence[str]) -> _Sample:
@@ -155,6 +158,8 @@ def _sample(system: ParticleSystem, x: State, wanted: Sequence[str]) -> _Sample:
     kinetic, potential = system.kinetic(x.v), system.potential_of_molecules(x.q) + of_pairs
     drifts = (system.residual(x.t, x.q), system.rate_of_rows(x.q, x.v))
     worst = (float(np.abs(drift).max(initial=0.0)) for drift in drifts)
+    if not math.isfinite(kinetic + potential):
+        raise DivergedError(f"energy is not finite at t = {x.t:.9g}")
     return _Sample(
         (x.t, kinetic + potential, kinetic, potential, *worst),
         x.q if "positions" in wanted else none,
@@ -188,7 +193,7 @@ def _state_columns(
     for word, unit, values in kinds:
         if not values.shape[1]:
             continue
-        if len(system.names) > _MANY:
+        if len(system.masses) > _MANY:
             shaped = values.reshape(len(values), -1, 3)
             yield Column(
                 {"position": QUANTITIES[0], "velocity": QUANTITIES[1]}[word], shaped, unit
@@ -197,7 +202,7 @@ def _state_columns(
         labels = (f"{name}.{word}.{axis}" for name in system.names for axis in _AXES)
         yield from (Column(label, values[:, i], unit) for i, label in enumerate(labels))
     lam = arrays[2]
-    if lam.shape[1] and len(system.names) > _MANY:
+    if lam.shape[1] and len(system.masses) > _MANY:
         yield Column(QUANTITIES[2], lam, units.force)
     elif lam.shape[1]:
         yield from (Column(row.name, lam[:, i], row.unit) for i, row in enumerate(system.rows))

@@ -23,6 +23,11 @@ def describe(scene: ParticleScene) -> Iterator[str]:
     Raises:
         MbdError: The scene has no start from which it can move.
     """
+    with np.errstate(all="ignore"):  # what is not finite is said
+        yield from _lines(scene)
+
+
+def _lines(scene: ParticleScene) -> Iterator[str]:
     system, units = scene.system(), scene.units
     yield line("scene", scene.name)
     yield line("units", f"{units.name}: {units.length}, {units.time}, energy {units.energy}")
@@ -34,7 +39,7 @@ def describe(scene: ParticleScene) -> Iterator[str]:
     if isinstance(system.pairs, Pairs):
         yield line("pairs", _pair_text(system.pairs, units))
     rank = sum(cluster.rank * kind.count for kind in system.kinds for cluster in kind.clusters)
-    yield line("particles", f"{len(system.names)}, degrees of freedom {system.nv - rank}")
+    yield line("particles", f"{len(system.masses)}, degrees of freedom {system.nv - rank}")
     for kind in system.kinds:
         for cluster in kind.clusters:
             if cluster.rank < len(cluster.rows):
@@ -66,7 +71,7 @@ def _solvers(system: ParticleSystem) -> str:
     largest = max((len(c.rows) for c in clusters if c not in settled), default=0)
     newton = f"blocks of at most {largest} by Newton side by side" if largest else ""
     ways = ", ".join(filter(None, ("rigid triangles by SETTLE" if settled else "", newton)))
-    return f"{len(system.rows)} rows: {ways}"
+    return f"{system.row_count} rows: {ways}"
 
 
 def _pair_text(pairs: Pairs, units: Units) -> str:
@@ -76,8 +81,7 @@ def _pair_text(pairs: Pairs, units: Units) -> str:
 
 def _start_lines(scene: ParticleScene, system: ParticleSystem) -> Iterator[str]:
     x, units = scene.initial, scene.units
-    with np.errstate(all="ignore"):
-        a, _ = system.accelerations(x.q, x.v)
+    a, _ = system.accelerations(x.q, x.v)
     if not np.isfinite(a).all():
         name = system.names[int(np.flatnonzero(~np.isfinite(a))[0]) // 3]
         raise SceneError(f"{scene.name}: the acceleration of {name} at the start is not finite")

@@ -50,7 +50,10 @@ def read_pairs(
         np.arange(sum(one.kind.count for one in entries), dtype=np.int32),
         [len(one.atoms) for one in entries for _ in range(one.kind.count)],
     )
-    model = _model(entry.cutoff, box, atoms, units)
+    with np.errstate(all="ignore"):
+        model = _model(entry.cutoff, box, atoms, units)
+        if not np.isfinite(model.powers).all():
+            raise SceneError(f"{where}: sigma and epsilon beside this cutoff overflow")
     near = importlib.import_module(_TREE).near_pairs
     return Pairs(model, molecules, near, PlainKernel(model))
 

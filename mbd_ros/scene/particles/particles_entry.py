@@ -20,6 +20,7 @@ from mbd_ros.scene.particles.molecule_entries import MOST, MoleculeEntry, read_m
 from mbd_ros.scene.particles.pair_entries import read_pairs, refuse_overlap
 from mbd_ros.scene.particles.placement import Room, placed
 
+Seed = Annotated[int, Within(0, 2**63 - 1)]
 Step = Annotated[float, Within(1.0e-30, LARGEST)]
 QUANTITIES = ("positions", "velocities", "multipliers")
 
@@ -90,9 +91,10 @@ def _box(given: Sequence[float] | None, where: str) -> Array | None:
 
 def _refuse_repeated(system: ParticleSystem, where: str) -> None:
     """Refuse points of one name, of two kinds of which there is one molecule each."""
-    if len(set(system.names)) < len(system.names):
-        twice = next(name for name in system.names if system.names.count(name) > 1)
-        raise SceneError(f"{where}.molecules: two atoms are called {twice}; rename one")
+    names = [name for kind in system.kinds if kind.count == 1 for name in kind.labels]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise SceneError(f"{where}.molecules: two atoms are called {twice[0]}; rename one")
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ class _Initial:
     position: Mapping[str, Any] | None = None
     velocity: Mapping[str, Any] | None = None
     temperature: NotNegative | None = None
-    seed: int = 0
+    seed: Seed = 0
 
 
 def build_start(site: Site, given: Any) -> State:

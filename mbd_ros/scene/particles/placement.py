@@ -4,12 +4,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from mbd_ros.core.particles.molecules import Molecules
 from mbd_ros.core.particles.units import Units
+from mbd_ros.core.ranges import Within
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
@@ -21,7 +22,7 @@ class _Placement:
     positions: Sequence[Any] | None = None
     file: str | None = None
     lattice: str | None = None
-    seed: int = 0
+    seed: Annotated[int, Within(0, 2**63 - 1)] = 0
 
 
 class Room(NamedTuple):
