@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-
 from mbd_ros.core.state import Array
 
 
