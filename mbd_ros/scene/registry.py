@@ -63,6 +63,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "path_force": "mbd_ros.forces.path_force:PathForce",
         "path_spring": "mbd_ros.forces.path_spring:PathSpring",
         "push_off": "mbd_ros.forces.push_off:PushOff",
+        "smooth_ground": "mbd_ros.forces.smooth_ground:SmoothGround",
         "soft_limit": "mbd_ros.forces.soft_limit:SoftLimit",
     },
     "integrators": {
