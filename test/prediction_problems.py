@@ -11,7 +11,9 @@ import mbd_ros as mbd
 
 def link(name, m=0.0, com="0 0 0", inertia=0.0):
     moments = " ".join(f"i{axis}='{inertia}'" for axis in ("xx", "yy", "zz"))
-    inertial = f"<origin xyz='{com}'/><mass value='{m}'/><inertia {moments} ixy='0' ixz='0' iyz='0'/>"
+    inertial = (
+        f"<origin xyz='{com}'/><mass value='{m}'/><inertia {moments} ixy='0' ixz='0' iyz='0'/>"
+    )
     return f"<link name='{name}'>" + (f"<inertial>{inertial}</inertial>" if m else "") + "</link>"
 
 
@@ -58,6 +60,7 @@ def swing_up():
         "duration": 1.5,
         "end": {"q0.position": math.pi / 2, "q1.position": 0.0, "*.velocity": 0.0},
         "goals": [{"type": "effort"}],
+        "guess": {"q0.position": [-math.pi / 2, math.pi / 2], "q0.velocity": [0.0, 0.0]},
     }
     return scene, task, 929.7542742458
 
@@ -113,14 +116,13 @@ def four_bar():
         },
         urdf=robot,
     )
-    turned = {f"{name}.position": value for name, value in place.items()}
     task = {
         "duration": 1.0,
         "end": {"crank.position": 2.0 * math.pi, "crank.velocity": 0.0},
         "goals": [{"type": "effort"}],
         "guess": {"crank.position": [0.0, 2.0 * math.pi]},
     }
-    return scene, task, 0.5968733288904, turned
+    return scene, task, 0.5968733288904
 
 
 MUSCLE = {

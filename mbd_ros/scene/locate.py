@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mbd_ros.errors import SceneError, printable
 
-_SCENES = Path("config/scenes")
+_SCENES, _TASKS = Path("config/scenes"), Path("config/tasks")
 
 
 def path_word(text: str) -> Path:
@@ -77,6 +77,25 @@ def find_scene(name: str | Path) -> Path:
         f"{text}: there is no such file, and no embedded scene of that name; {hint}"
         "`mbd-ros scenes` lists them"
     )
+
+
+def find_task(name: str | Path) -> Path:
+    """The file of a task.
+
+    Args:
+        name: A file, `package://<package>/<path>`, or the name of an embedded task, such as
+            `arm_reach`, unless a file of that name exists.
+
+    Raises:
+        SceneError: The package is not installed.
+    """
+    text = str(name)
+    if not Path(text).suffix and not os.path.exists(text):
+        for share in (*_own_shares(), *_shares("mbd_ros")):
+            file = share / _TASKS / f"{text}.yaml"
+            if file.is_file():
+                return file
+    return find_file(Path(), text, "task")
 
 
 def embedded_scenes() -> dict[str, Path]:

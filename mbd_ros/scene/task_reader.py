@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.building import Origin, build, present, refuse_unknown
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.locate import find_file
+from mbd_ros.scene.locate import find_task
 from mbd_ros.scene.sections import TASKS, keys
 from mbd_ros.scene.strict_yaml import read_mapping
 
@@ -32,13 +32,13 @@ def read_task(path: str | Path, scene: Scene) -> Task:
     """Read a task for a scene.
 
     Args:
-        path: Task file, or `package://<package>/<path>`.
+        path: Task file, `package://<package>/<path>`, or the name of an embedded task.
         scene: The scene.
 
     Raises:
         SceneError: Names file, key, what is wrong and what is accepted.
     """
-    path = find_file(Path(), str(path), "task")
+    path = find_task(path)
     origin, entries = Origin(path, task_of=scene), read_mapping(path, "task file")
     refuse_unknown(origin, [key for key in entries if key not in keys(TASKS)], TASKS)
     entries = present(entries)
