@@ -14,6 +14,7 @@ from mbd_ros.jobs.gait.job import gait
 from mbd_ros.jobs.identify.job import identify
 from mbd_ros.jobs.inverse.job import inverse
 from mbd_ros.jobs.kinematics.job import kinematics
+from mbd_ros.jobs.learn.job import learn
 from mbd_ros.jobs.loads.job import loads
 from mbd_ros.jobs.moment_arms.job import moment_arms
 from mbd_ros.jobs.muscles.job import muscles
@@ -40,6 +41,7 @@ class Scene(built_scene.Scene):
     inverse = inverse
     identify = identify
     payload = payload
+    learn = learn
     excite = excite
     kinematics = kinematics
     loads = loads

@@ -102,6 +102,9 @@ PACKAGES = {  # module -> what pip calls the package that brings it
     "eigenpy": "pin",
     "pinocchio": "pin",
     "pydrake": "drake",
+    "onnx": "'mbd_ros[learn]'",
+    "onnxruntime": "'mbd_ros[learned]'",
+    "torch": "'mbd_ros[learn]'",
     "viser": "'mbd_ros[view]'",
     "yaml": "PyYAML",
 }

@@ -61,6 +61,7 @@ CORE_ORDER = (  # of the subjects in `core`: the same
     "prediction",
     "estimation",
     "identification",
+    "learned",
     "control",
 )
 CORE, NODES = "mbd_ros.core", "mbd_ros.nodes"

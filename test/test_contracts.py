@@ -28,6 +28,7 @@ from mbd_ros.scene import schema
 from mbd_ros.scene.building import Origin, Site
 from mbd_ros.scene.code_permission import permitting
 from mbd_ros.scene.contact_entries import with_shapes
+from mbd_ros.scene.learned_entries import with_files
 from mbd_ros.scene.path_entries import with_paths
 from mbd_ros.scene.registry import METHODS, PARTS, resolve
 
@@ -91,6 +92,8 @@ def called(section, part, entry, where, robot):
     """A part as a scene calls it, which builds the paths of its entry first."""
     if section in OF_A_ROBOT:
         entry = with_paths(part, entry, where, robot, {})
+    if part.__name__ == "LearnedTorque":
+        entry = with_files(part, entry, where, Path())
     if section == "contacts":
         entry = with_shapes(Site(None, Origin(), robot, {}), entry, where)
     return schema.call(part, dict(entry), where, *context(section, robot))

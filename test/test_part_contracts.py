@@ -4,6 +4,7 @@ import inspect
 import sys
 import typing
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 import parts_of_pages
@@ -25,6 +26,7 @@ from mbd_ros.scene.code_permission import permitting
 from mbd_ros.scene.contact_entries import with_shapes
 from mbd_ros.scene.docstrings import entries
 from mbd_ros.scene.from_python import scene_from
+from mbd_ros.scene.learned_entries import with_files
 from mbd_ros.scene.part_lines import part_lines
 from mbd_ros.scene.path_entries import with_paths
 from mbd_ros.scene.reader import load_scene
@@ -153,6 +155,7 @@ def test_constructor_stores_and_derives_so_that_it_takes_symbols(section, name):
     entry = with_paths(part, arguments(section, name), name, robot, {})
     if section == "contacts":
         entry = with_shapes(Site(None, Origin(), robot, {}), entry, name)
+    entry = with_files(part, entry, name, Path())
     assert isinstance(part(robot, **{**entry, **given}), Part)
 
 

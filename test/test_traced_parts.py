@@ -20,6 +20,7 @@ from mbd_ros.scene.registry import PARTS
 EXACT = 1e-13  # of the largest entry, or of 1 where that is a difference of larger ones
 REFUSED = {  # part -> why
     ("contacts", "compliant"): "a number that depends on the state",
+    ("forces", "learned_torque"): "needs the value of a number",
     ("forces", "switching_force"): "a number that depends on the state",
 }
 SMOOTHED = {

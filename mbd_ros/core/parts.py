@@ -172,9 +172,11 @@ class Load(Part):
         surfaces: Names of those at which it jumps, see `events.switching.DiscontinuousForce`.
         brings: Entries of the `<dynamics>` of its `joint` that it covers: friction, damping.
         gives_work: Whether its work counts as that of an actuator, as of every `Actuator`.
+        has_inertia: Whether it adds `inertia`, which takes a solve with the whole mass matrix.
     """
 
     gives_work: bool = False
+    has_inertia: bool = False
     brings: tuple[str, ...] = ()
     surfaces: tuple[str, ...] = ()
 
@@ -217,6 +219,14 @@ class Load(Part):
     def wrenches(self, k: Kinematics, x: State, u: Array) -> "tuple[Wrench, ...]":
         """Wrenches on bodies; empty for a force in joints, between parent and child."""
         return ()
+
+    def inertia(self, k: Kinematics, x: State) -> Array:
+        """Mass matrix that it adds beside its force, shape (nv, nv), where `has_inertia`."""
+        raise NotImplementedError
+
+    def doubt(self, x: State) -> str:
+        """Why its force is not to be trusted at a state of all joints; empty where it is."""
+        return ""
 
     def armature(self) -> Array:
         """Inertia that it adds to the joints [kg·m^2 or kg], shape (nv,) or (1,) of 0."""

@@ -64,6 +64,30 @@ def progress_of(pairs: Iterable[tuple[float, T]], label: str) -> Iterator[T]:
             sys.stderr.flush()
 
 
+@contextmanager
+def share_watch(label: str) -> Iterator[Callable[[float], None]]:
+    """A function that is told the share that is done, for work that is no loop over items.
+
+    Args:
+        label: Name of the work.
+    """
+    watch, due = _watch(), 0.0
+    tell = _write if watch is True else watch
+
+    def told(share: float) -> None:
+        nonlocal due
+        if tell is not False and time.monotonic() >= due:
+            due = time.monotonic() + PERIOD
+            tell(label, min(share, 1.0))
+
+    try:
+        yield told
+    finally:
+        if watch is True:
+            sys.stderr.write("\r\x1b[K")  # erase the line
+            sys.stderr.flush()
+
+
 def announce(line: str) -> None:
     """Say on a terminal what takes time from now on, unless somebody else listens."""
     if _watch() is True:

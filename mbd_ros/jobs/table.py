@@ -68,6 +68,9 @@ COMMANDS: Mapping[str, Command] = {
     "identify": Command(
         "mbd_ros.jobs.identify.command", "inertias and friction from motion and measured efforts"
     ),
+    "learn": Command(
+        "mbd_ros.jobs.learn.command", "a network for what physics leaves of measured torques"
+    ),
     "estimate": Command(
         "mbd_ros.jobs.estimate.command", "motion of all joints from noisy and partial recordings"
     ),

@@ -24,6 +24,7 @@ _PLAIN = {"type": "plain"}
 _TIERS = {
     "aba": "open chain, articulated-body algorithm",
     "reduced": "couplings eliminated exactly, q = F(z)",
+    "dense": "open chain, factorised mass matrix, since a force adds inertia",
     "kkt": "bilateral rows, one factorised solve",
 }
 

@@ -218,6 +218,10 @@ def _typed(
         from mbd_ros.scene.path_entries import with_paths
 
         entry = with_paths(part, entry, where, site.robot, site.parts.get("paths", {}))
+    if site is not None and _takes_file(part):
+        from mbd_ros.scene.learned_entries import with_files
+
+        entry = with_files(part, entry, where, site.origin.folder)
     return schema.call(part, entry, where, *context)
 
 
@@ -225,6 +229,12 @@ def _takes_path(part: Any) -> bool:
     """Whether a class may have an argument that is a path, as the texts of its hints say."""
     hints = getattr(part.__init__, "__annotations__", {}).values()
     return any(isinstance(hint, str) or "Path" in str(hint) for hint in hints)
+
+
+def _takes_file(part: Any) -> bool:
+    """Whether a class has an argument that is the contents of a file."""
+    hints = getattr(part.__init__, "__annotations__", {}).values()
+    return any("LearnedFile" in str(hint) for hint in hints)
 
 
 def _named(site: Site, given: Any) -> Mapping[str, Any]:

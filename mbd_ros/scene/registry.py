@@ -60,6 +60,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "switching_force": "mbd_ros.forces.switching_force:SwitchingForce",
         "body_force": "mbd_ros.forces.body_force:BodyForce",
         "bushing": "mbd_ros.forces.bushing:Bushing",
+        "learned_torque": "mbd_ros.forces.learned_torque:LearnedTorque",
         "path_force": "mbd_ros.forces.path_force:PathForce",
         "path_spring": "mbd_ros.forces.path_spring:PathSpring",
         "push_off": "mbd_ros.forces.push_off:PushOff",

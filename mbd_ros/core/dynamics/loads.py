@@ -24,6 +24,7 @@ class Loads:
 
     Attributes:
         is_empty: Whether the sum is always zero.
+        heavy: Those of the forces that add inertia.
         reads: What `total` reads of k.
         commands: Names of the commanded joints.
         sources: What gives u.
@@ -41,6 +42,7 @@ class Loads:
         self.forces, self.actuators = tuple(forces), tuple(actuators)
         self.watching = tuple(watching)
         self.is_empty = not forces and not actuators
+        self.heavy = tuple(force for force in forces if force.has_inertia)
         self.reads = max((part.reads for part in (*actuators, *forces)), default=Reads.NOTHING)
         self.commands = tuple(joint for a in actuators for joint in a.joints)
         ends = np.cumsum([0, *(len(a.joints) for a in actuators)]).tolist()

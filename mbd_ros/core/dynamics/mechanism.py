@@ -49,7 +49,11 @@ class Mechanism:
 
     def mass(self, q: Array) -> Array:
         """Mass matrix of all joints, symmetric, shape (nv, nv), overwritten by the next call."""
-        return pin.crba(self.model, self.data, q)
+        M: Array = pin.crba(self.model, self.data, q)
+        if not self.loads.heavy:
+            return M
+        x = self.placed(0.0, q, self.loads.reads)
+        return M + sum(load.inertia(self.k, x) for load in self.loads.heavy)
 
     def bias(self, q: Array, v: Array) -> Array:
         """The h of M a + h = tau, shape (nv,), overwritten by the next call."""
@@ -64,4 +68,6 @@ class Mechanism:
         """Kinetic and potential energy [J] at a state of all joints."""
         stored = float(pin.computeMechanicalEnergy(self.model, self.data, x.q, x.v))
         self.k.refresh(x.q, x.v, min(self.loads.reads, Reads.POSITION))
+        for load in self.loads.heavy:
+            stored += 0.5 * float(x.v.dot(load.inertia(self.k, x)).dot(x.v))
         return stored + self.loads.potential(self.k, x)

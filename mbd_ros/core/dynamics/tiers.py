@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from mbd_ros.core.dynamics.aba import Aba
 from mbd_ros.core.dynamics.composed_system import ComposedSystem
+from mbd_ros.core.dynamics.dense import Dense
 from mbd_ros.core.dynamics.free_motion import FreeMotion
 from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.kkt import Kkt
@@ -42,6 +43,7 @@ def build_system(
     """The system of a scene in the cheapest tier that serves, or in the one that is asked for.
 
     aba: no rows. reduced: couplings only, eliminated. kkt: bilateral rows, couplings among them.
+    dense: as aba, where loads add inertia.
     qp: bounded rows on top of any of these; when asked for, all rows go through the QP.
 
     Args:
@@ -127,14 +129,26 @@ class _Plan:
         return ExactRows(motion, solver)
 
     def _motion(self, mechanism: Mechanism, held: RigidRows) -> FreeMotion:
-        if self._mimics is not None:
+        is_heavy = bool(mechanism.loads.heavy)
+        if self._mimics is not None and not is_heavy:
             return Mimic(mechanism, self._couplings, self._mimics)
         if self._is_reduced:
             return Reduced(mechanism, self._couplings)
         is_solved = {block.slots.start for block in self._limited}
         if any(block.slots.start not in is_solved for block in self._held):
+            if is_heavy:
+                raise ModelError(_heavy_rows(mechanism.loads))
             return Kkt(mechanism, held)
-        return Aba(mechanism)
+        return Dense(mechanism) if is_heavy else Aba(mechanism)
+
+
+def _heavy_rows(loads: Loads) -> str:
+    """Why rigid rows and loads that add inertia do not go together."""
+    names = ", ".join(load.name for load in loads.heavy)
+    return (
+        f"{names} adds inertia that changes with the posture, which no solver serves beside rigid "
+        "rows; accepted: a learned model without structure (--variant free)"
+    )
 
 
 def _refuse_unserved(blocks: Sequence[RowBlock]) -> None:

@@ -1,8 +1,8 @@
 """Motion and external loads -> torques of the independent coordinates and coupling multipliers.
 
-    tau_y = G' (rnea(F(y), G y', G y'' + dG/dt y') - sum J' w - sum f)
+    tau_y = G' (rnea(F(y), G y', G y'' + dG/dt y') - sum J' w - sum f + sum M_f a)
 
-with w the external wrenches and f the force terms of the scene.
+with w the external wrenches, f the force terms of the scene and M_f the inertia that some add.
 """
 
 from collections.abc import Sequence
@@ -91,6 +91,7 @@ class InverseDynamics:
         self.couplings, self.rows = couplings, couplings.dependent
         self.needed, self.gap = couplings.independent, np.zeros(len(couplings.dependent))
         self.wrenches, self.forces = tuple(wrenches), tuple(forces)
+        self._heavy = tuple(force for force in forces if force.has_inertia)
         read = (force.reads for force in forces)
         self._reads = max([Reads.POSITION, *read])  # wrenches read positions
         self._model, self._data = robot.model, pin.Data(robot.model)
@@ -206,17 +207,24 @@ class InverseDynamics:
                 self._batch_loads = BatchLoads(self._robot, self.wrenches)
             tau -= self._batch_loads.forces(q, wrenches)
         if self.forces:
-            self._take_forces(tau, q, v)
+            self._take_forces(tau, q, v, a)
         reduced, multipliers = couplings.reduce(tau, slopes)
         return reduced.T, multipliers.T
 
-    def _take_forces(self, tau: Array, q: Array, v: Array) -> None:
+    def _take_forces(self, tau: Array, q: Array, v: Array, a: Array) -> None:
         """Take the force terms of each sample, a column, from its torques."""
         for i, (here, rate) in enumerate(zip(q.T, v.T, strict=True)):
             self._k.refresh(here, rate, self._reads)
             x = State(0.0, here, rate)
             for term in self.forces:
                 tau[:, i] -= term.force(self._k, x, NONE)
+            for term in self._heavy:
+                tau[:, i] += term.inertia(self._k, x).dot(a[:, i])
+
+    def doubts(self) -> list[str]:
+        """What is to be said about force terms at the last sample of `solve`."""
+        x = State(0.0, self._q, self._v)
+        return [said for term in self.forces if (said := term.doubt(x))]
 
     def _expand(self, position: Array, velocity: Array, acceleration: Array) -> None:
         couplings = self.couplings
@@ -238,4 +246,6 @@ class InverseDynamics:
             x = State(0.0, self._q, self._v)
             for term in self.forces:
                 tau -= term.force(self._k, x, NONE)
+            for term in self._heavy:
+                tau += term.inertia(self._k, x).dot(self._a)
         return tau

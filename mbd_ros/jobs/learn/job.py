@@ -1,0 +1,126 @@
+"""Learning of what the equations of motion leave of measured torques: `mbd-ros learn`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.errors import DataError, MbdError
+from mbd_ros.files.recordings import Source
+from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.jobs.identify.identified_scene import description_of
+from mbd_ros.jobs.identify.job import run_identify
+from mbd_ros.jobs.identify.samples import split
+from mbd_ros.jobs.identify.task import Task as IdentifyTask
+from mbd_ros.jobs.learn.fitting import fit, network_of, require_torch, said_by
+from mbd_ros.jobs.learn.onnx_file import onnx_of
+from mbd_ros.jobs.learn.recordings import Recordings, share_of
+from mbd_ros.jobs.learn.scales import Samples
+from mbd_ros.jobs.learn.task import FREEZE, Learned, Outcome, Task
+from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.progress import Watch, share_watch, watching
+from mbd_ros.scene.built_scene import Scene
+
+
+def learn(
+    scene: Scene,
+    *motions: Source,
+    wrenches: Source | Sequence[Source] = (),
+    say: Say | None = None,
+    progress: Watch = False,
+    **options: Any,
+) -> Outcome:
+    """What the equations of motion leave of measured torques, as a network beside them.
+
+    Args:
+        scene: The scene.
+        *motions: Results, files or bags with positions and efforts.
+        wrenches: Of tables with external loads, one a motion.
+        say: Is called with each line for people.
+        progress: True for a line on a terminal, or a function of a label and a share.
+        **options: Other attributes of `mbd_ros.jobs.learn.task.Task`.
+
+    Raises:
+        DataError: Recordings that cannot be read or say nothing, with the reason; torch is not
+            installed.
+    """
+    loads = [wrenches] if isinstance(wrenches, str | Path | Result) else list(wrenches)
+    remarks: list[str] = []
+
+    def told(line: str) -> None:
+        remarks.append(line)
+        if say is not None:
+            say(line)
+
+    with watching(progress):
+        return run_learn(scene, Task(motions, loads, **options), told)._replace(remarks=remarks)
+
+
+def run_learn(scene: Scene, task: Task, say: Say) -> Outcome:
+    """See `learn`."""
+    task.check()
+    if task.freeze == FREEZE[1] and task.start is None:
+        raise DataError(f"--freeze {FREEZE[1]}: needs the model that is adapted, --start DIR")
+    require_torch()
+    recordings = Recordings(scene, task, say)
+    parts = [split(one, task.learned) for one in recordings.every]
+    stands_on = physics_of(scene, task, say)
+    samples = recordings.samples(stands_on, [first for first, _ in parts])
+    rest = [one for _, one in parts if one is not None]
+    with share_watch("learning") as tell:
+        model = fit(stands_on, task, recordings.joints, samples, tell)
+    for name, share in zip(recordings.joints, model.trust, strict=True):
+        if share == 0.0:
+            say(f"{name}: nothing was found that holds where it was not learned from; it gives 0")
+    test = recordings.samples(stands_on, rest) if rest else None
+    errors, table = _validated(model, test)
+    if errors:
+        say(
+            "not learned from, efforts as measured: physics {physics:.2f} % of the torque, with "
+            "what was learned {learned:.2f} %".format(**{k: 100 * e for k, e in errors.items()})
+        )
+    content = onnx_of(model.about, model.weights, model.scales, model.trust)
+    return Outcome(model, content, stands_on, {"validation": table}, errors, [])
+
+
+def physics_of(scene: Scene, task: Task, say: Say) -> Scene:
+    """The scene that the network stands on: identified from the same samples, or as given."""
+    if task.physics == "given" or task.start is not None:
+        return scene
+    asked = IdentifyTask(
+        task.motions,
+        task.wrenches,
+        task.topic,
+        task.derivatives,
+        task.band,
+        learned=task.learned,
+        partial=True,
+    )
+    try:
+        description_of(scene)
+        found = run_identify(scene, asked, lambda line: None)
+    except MbdError as error:
+        say(f"the scene stays as given: {error}")
+        return scene
+    say("the scene is identified first; the network stands on that")
+    return found.scene
+
+
+def prediction(model: Learned, samples: Samples) -> Any:
+    """Torque of the scene and of the model [N·m or N], shape (n, m)."""
+    network = network_of(model.about.kind, model.scales)
+    return samples.physics + model.trust * said_by(network, model.weights, samples)
+
+
+def _validated(model: Learned, test: Samples | None) -> tuple[dict[str, float], Table]:
+    """Errors of what was not learned from."""
+    joints = Column("joint", np.array(list(model.about.joints)))
+    if test is None:
+        return {}, Table([joints])
+    said = {"physics": test.physics, "learned": prediction(model, test)}
+    columns = [joints, Column("trust", model.trust)]
+    for name, torque in said.items():
+        rms = np.sqrt(np.mean(np.square(torque - test.measured), axis=0))
+        columns.append(Column(f"{name}.rms", rms, "N·m or N"))
+    return {name: share_of(torque, test.measured) for name, torque in said.items()}, Table(columns)

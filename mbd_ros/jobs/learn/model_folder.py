@@ -1,0 +1,108 @@
+"""The folder of a learned model: the network, its weights, the scene that loads it."""
+
+import io
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+import yaml
+
+from mbd_ros.core.learned.model_file import VERSION, About
+from mbd_ros.core.state import Array
+from mbd_ros.errors import DataError, SceneError
+from mbd_ros.jobs.identify.identified_scene import description_of, scene_text, write_files
+from mbd_ros.jobs.learn.scales import Scales
+from mbd_ros.jobs.learn.task import Learned, Outcome
+from mbd_ros.jobs.lines import Say
+
+MODEL, WEIGHTS = "model.onnx", "weights.npz"
+_LARGEST = 256_000_000  # bytes of weights
+
+
+def write_folder(folder: Path, found: Outcome, more: Mapping[str, bytes], say: Say) -> None:
+    """Write `model.onnx`, `weights.npz`, `scene.yaml` and tables; all, or none.
+
+    Args:
+        folder: Is made.
+        found: What was learned.
+        more: Other files by name.
+        say: Is told the names.
+
+    Raises:
+        DataError: A place that cannot be written to.
+    """
+    files: dict[str, bytes] = {MODEL: found.content, WEIGHTS: _weights(found.model), **more}
+    try:
+        files["robot.urdf"] = description_of(found.scene).encode()
+        files["scene.yaml"] = _scene(found)
+    except SceneError as error:
+        say(f"no scene.yaml is written: {error}")
+    for name, table in found.tables.items():
+        files[f"{name}.csv"] = csv(table.columns)
+    write_files(folder, files, say)
+
+
+def _scene(found: Outcome) -> bytes:
+    """The scene that the network stands on, with the network."""
+    values: dict[str, Any] = yaml.safe_load(scene_text(found.scene, "robot.urdf"))
+    forces = [*(values.get("forces") or []), {"type": "learned_torque", "model": MODEL}]
+    text: str = yaml.safe_dump({**values, "forces": forces}, sort_keys=False, width=120)
+    return text.encode()
+
+
+def csv(columns: Any) -> bytes:
+    """Comma-separated values with a line of names."""
+    rows = zip(*(column.values.tolist() for column in columns), strict=True)
+    lines = [",".join(column.name for column in columns)]
+    lines += [",".join(x if isinstance(x, str) else repr(x) for x in row) for row in rows]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _weights(model: Learned) -> bytes:
+    arrays = {f"weight.{key}": value for key, value in model.weights.items()}
+    arrays |= {f"scale.{key}": value for key, value in model.scales._asdict().items()}
+    arrays |= {"trust": model.trust, "low": model.about.low, "high": model.about.high}
+    said = model.about._asdict() | {"low": None, "high": None, "version": VERSION}
+    target = io.BytesIO()
+    np.savez_compressed(target, about=np.array(json.dumps(said)), **arrays)
+    return target.getvalue()
+
+
+def read_folder(folder: Path) -> Learned:
+    """The model of a folder, to go on from; reading it runs no code.
+
+    Raises:
+        DataError: It is none, of another version, or damaged; names it.
+    """
+    path = folder / WEIGHTS
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise DataError(f"{path}: more than {_LARGEST} bytes")
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except (ValueError, EOFError, KeyError, BadZipFile) as error:
+        raise DataError(f"{path}: is damaged, or no file of mbd-ros learn") from error
+    return _learned(path, arrays)
+
+
+def _learned(path: Path, arrays: dict[str, Array]) -> Learned:
+    try:
+        said = json.loads(str(arrays["about"]))
+        version = said.pop("version", None)
+        if version != VERSION:
+            raise DataError(f"{path}: version {version!r} of learned models, accepted: {VERSION}")
+        said |= {"low": arrays["low"], "high": arrays["high"], "joints": tuple(said["joints"])}
+        scales = Scales(*(arrays[f"scale.{key}"] for key in Scales._fields))
+        weights = {
+            key.removeprefix("weight."): value
+            for key, value in arrays.items()
+            if key.startswith("weight.")
+        }
+        return Learned(About(**said), scales, weights, arrays["trust"])
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DataError(f"{path}: is no file of mbd-ros learn: {error}") from error

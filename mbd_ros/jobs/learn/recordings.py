@@ -1,0 +1,119 @@
+"""Recordings as samples to learn from, with the torques of a scene beside the efforts."""
+
+from collections.abc import Sequence
+from itertools import zip_longest
+
+import numpy as np
+
+from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
+from mbd_ros.core.model.base_motion import IndependentCoordinates
+from mbd_ros.core.state import Array
+from mbd_ros.errors import DataError
+from mbd_ros.jobs.identify.band import band_of
+from mbd_ros.jobs.identify.samples import Piece, Recorded, pieces, read
+from mbd_ros.jobs.inverse.loop_closing import kept_rows
+from mbd_ros.jobs.learn.scales import Samples
+from mbd_ros.jobs.learn.task import Task
+from mbd_ros.jobs.lines import Say
+from mbd_ros.scene.built_scene import Scene
+
+_MEASURED = 0.99  # of the samples: a joint with fewer efforts is not learned
+_FEWEST = 20  # samples
+
+
+class Recordings:
+    """Recordings of a scene.
+
+    Args:
+        scene: The scene; its torques are not asked yet.
+        task: What is asked for.
+        say: Is told what is left out.
+
+    Attributes:
+        every: The recordings.
+        joints: Joints with efforts.
+        band: End of the band [Hz]; None where motions have accelerations.
+    """
+
+    def __init__(self, scene: Scene, task: Task, say: Say) -> None:
+        if not isinstance(scene.inverse_dynamics(), InverseDynamics):
+            raise DataError(f"{scene.name}: learning takes open chains, the scene has loops")
+        if task.wrenches and len(task.wrenches) != len(task.motions):
+            raise DataError(
+                f"--wrenches: {len(task.wrenches)} for {len(task.motions)} motions; give one each"
+            )
+        if not task.motions:
+            raise DataError("no motion to learn from")
+        options = {"topic": task.topic, "derivatives": task.derivatives, "say": say}
+        pairs = zip_longest(task.motions, task.wrenches)
+        self.every = [read(scene, source, wrenches=load, **options) for source, load in pairs]
+        self.where = ", ".join(one.where for one in self.every)
+        self.joints = self._measured(scene, say)
+        self.band = task.band
+        if self.band is None and any(one.derivatives != "given" for one in self.every):
+            found = [band_of(p.times, p.v) for one in self.every for p in pieces(scene, one, None)]
+            self.band = max(found)
+
+    def _measured(self, scene: Scene, say: Say) -> tuple[str, ...]:
+        names, kept = scene.couplings.independent, []
+        for i, name in enumerate(names):
+            efforts = [one.motion.effort for one in self.every]
+            columns = [e[:, i] for e in efforts if e is not None]
+            whole = len(columns) == len(efforts) and all(
+                np.isfinite(c).mean() > _MEASURED and c.any() for c in columns
+            )
+            if whole:
+                kept.append(name)
+            else:
+                say(f"{name}: no effort, nothing is learned of it")
+        if not kept:
+            raise DataError(f"{self.where}: no effort of any of {', '.join(names)}")
+        return tuple(kept)
+
+    def samples(self, scene: Scene, recorded: Sequence[Recorded]) -> Samples:
+        """Samples of recordings, one after another.
+
+        Args:
+            scene: Whose torques stand beside the efforts; of the same robot.
+            recorded: Recordings, or parts of them.
+
+        Raises:
+            DataError: Too few.
+        """
+        found = [
+            self._of_piece(scene, p) for one in recorded for p in pieces(scene, one, self.band)
+        ]
+        joined = Samples(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
+        there = np.isfinite(np.hstack([joined.effort, joined.measured])).all(axis=1)
+        joined = joined.at(there)
+        if joined.count < _FEWEST:
+            raise DataError(
+                f"{self.where}: {joined.count} samples to learn from, needed are {_FEWEST}"
+            )
+        return joined
+
+    def _of_piece(self, scene: Scene, piece: Piece) -> Samples:
+        at = IndependentCoordinates(scene.robot, scene.couplings)
+        tau = scene.inverse_dynamics().batch(piece.y, piece.v, piece.a, piece.loads).tau
+        names = scene.couplings.independent
+        mine = [names.index(name) for name in self.joints]
+        y, w = np.array(at.joint_y)[mine], np.array(at.joint_w)[mine]
+        motion = piece.y[:, y], piece.v[:, w], piece.a[:, w]
+        return Samples(
+            piece.times, *motion, piece.effort[:, mine], piece.measured[:, mine], tau[:, w]
+        )
+
+
+def first_seconds(recorded: Recorded, seconds: float) -> Recorded:
+    """The beginning of a recording."""
+    return recorded._replace(motion=kept_rows(recorded.motion, recorded.times <= seconds))
+
+
+def thinned(samples: Samples, most: int) -> Samples:
+    """Every so many samples: those between say little that is new."""
+    return samples.at(slice(None, None, -(-samples.count // most)))
+
+
+def share_of(prediction: Array, measured: Array) -> float:
+    """Norm of an error over the norm of what was measured."""
+    return float(np.linalg.norm(prediction - measured) / max(np.linalg.norm(measured), 1e-300))

@@ -1,0 +1,250 @@
+"""Learned torques without torch: files, refusals, range, and what scenes make of them."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import mbd_ros as mbd
+from mbd_ros.cli import main
+from mbd_ros.core.learned.model_file import About, numbers_of
+from mbd_ros.core.state import NONE, State
+from mbd_ros.errors import SceneError
+from mbd_ros.jobs.learn.curves import CURVES
+from mbd_ros.jobs.learn.onnx_file import onnx_of
+from mbd_ros.jobs.learn.scales import Scales
+
+pytest.importorskip("onnx", reason="onnx is optional (extra: learn)")
+pytest.importorskip("onnxruntime", reason="onnxruntime is optional (extra: learned)")
+MEMBERS, HIDDEN = 3, 8
+POINT = [0.3, 0.0, 0.6]
+TIERS = {
+    ("arm7", "free"): "aba",
+    ("arm7", "structured"): "dense",
+    ("prosthetic_leg", "structured"): "reduced",
+}
+
+
+def layers(random, *sizes):
+    found = {}
+    for i, (before, after) in enumerate(pairwise(sizes), 1):
+        found[f"W{i}"] = random.normal(size=(MEMBERS, after, before)) / np.sqrt(before)
+        found[f"b{i}"] = 0.3 * random.normal(size=(MEMBERS, after))
+    return found
+
+
+def scales(m):
+    return Scales(np.zeros(m), *(np.linspace(a, b, m) for a, b in ((1, 2), (1, 3), (0.1, 0.2))),
+                  np.linspace(5, 9, m), np.linspace(2, 4, m))  # fmt: skip
+
+
+def weights(kind, m, seed=0):
+    random = np.random.default_rng(seed)
+    if kind == "free":
+        return layers(random, 3 * m, HIDDEN, HIDDEN, m)
+    found = layers(random, 2 * m, HIDDEN, HIDDEN, m * (m + 1) // 2 + 1)
+    found["friction"] = random.normal(size=(MEMBERS, m, len(CURVES) + 1)) - 2.0
+    return found | {"offset": random.normal(size=(MEMBERS, m))}
+
+
+def content(scene, kind="free", half=3.0, trust=1.0):
+    """A model with random weights; positions and velocities are trusted within a half span."""
+    joints = scene.couplings.independent
+    m = len(joints)
+    wall = np.full(2 * m, half)
+    said = About(kind, "arm7", joints, -wall, wall, numbers_of(scene.robot))
+    return onnx_of(said, weights(kind, m), scales(m), np.full(m, trust))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Models of the embedded arm and leg."""
+    place = tmp_path_factory.mktemp("learned")
+    for name, kind in (("arm7", "free"), ("arm7", "structured"), ("prosthetic_leg", "structured")):
+        (place / f"{name}_{kind}.onnx").write_bytes(content(mbd.load_scene(name), kind))
+    return place
+
+
+def with_model(name, path, **more):
+    entry = {"type": "learned_torque", "model": str(path), **more}
+    return mbd.load_scene(name).with_(forces=[entry])
+
+
+def states(m, count, seed=1, size=2.0):
+    random = np.random.default_rng(seed)
+    return random.uniform(-size, size, (2, count, m))
+
+
+@pytest.mark.parametrize("count", [3000, pytest.param(100_000, marks=pytest.mark.soak)])
+def test_a_structured_model_is_a_mechanism(folder, count):
+    """M positive definite at random states; v' (M' - 2 C) v is 0; M' is the rate of M."""
+    scene = with_model("prosthetic_leg", folder / "prosthetic_leg_structured.onnx")
+    session = scene.forces[0]._session
+    m = 3
+    least, power = np.inf, 0.0
+    for q, v in zip(*states(m, count), strict=True):
+        (M,) = session.run(["inertia"], {"position": q, "velocity": v})
+        least = min(least, float(np.linalg.eigvalsh(M)[0]))
+    assert least > 0.0
+    for q, v in zip(*states(m, 300, seed=2), strict=True):
+        ask = lambda at, u: session.run(["torque", "inertia"], {"position": at, "velocity": u})  # noqa: E731
+        (rate,) = session.run(["inertia_rate"], {"position": q, "velocity": v})
+        even = 0.5 * (ask(q, v)[0] + ask(q, -v)[0])  # without friction, which is odd
+        Cv = even - ask(q, 0.0 * v)[0]
+        power = max(power, abs(float(v @ rate @ v - 2.0 * v @ Cv)) / max(1.0, float(v @ v)))
+        h = 1e-5
+        slope = (ask(q + h * v, v)[1] - ask(q - h * v, v)[1]) / (2.0 * h)
+        assert np.abs(slope - rate).max() < 1e-8 * max(1.0, np.abs(rate).max())
+    assert power < 1e-10
+
+
+def test_friction_of_a_structured_model_takes_energy(folder):
+    scene = with_model("prosthetic_leg", folder / "prosthetic_leg_structured.onnx")
+    session = scene.forces[0]._session
+    for q, v in zip(*states(3, 200), strict=True):
+        plus, minus = (session.run(["torque"], {"position": q, "velocity": u})[0] for u in (v, -v))
+        assert ((plus - minus) * v >= 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    TIERS,
+)
+def test_forward_and_inverse_dynamics_agree(folder, name, kind):
+    """Open chain and couplings: torques of the accelerations that torques make."""
+    scene = with_model(name, folder / f"{name}_{kind}.onnx")
+    system, solver, couplings = scene.system(), scene.inverse_dynamics(), scene.couplings
+    assert system.tier == TIERS[name, kind]
+    for y, rate in zip(*states(len(couplings.independent), 5), strict=True):
+        q, v, a = np.zeros((3, scene.robot.model.nv))
+        q[couplings.q_index], v[couplings.v_index] = y, rate
+        couplings.expand(q, v, a)
+        now = system.evaluate(State(0.0, q, v)).a[couplings.v_index]
+        tau = solver.solve(y, rate, now).tau
+        assert np.abs(tau).max() < 1e-9
+        assert np.allclose(solver.batch(y[None], rate[None], now[None]).tau[0], tau, atol=1e-11)
+
+
+def test_energy_of_a_free_swing_holds(folder):
+    """Without friction, offset and V a structured model is an inertia: energy is constant."""
+    scene = mbd.load_scene("prosthetic_leg")
+    joints, m = scene.couplings.independent, 3
+    made = weights("structured", m)
+    made |= {"friction": np.full_like(made["friction"], -60.0), "offset": np.zeros((MEMBERS, m))}
+    made["W3"][:, -1] = 0.0
+    wall = np.full(2 * m, 50.0)
+    said = About("structured", "leg", joints, -wall, wall, numbers_of(scene.robot))
+    path = folder / "conservative.onnx"
+    path.write_bytes(onnx_of(said, made, scales(m), np.ones(m)))
+    heavy = with_model("prosthetic_leg", path)
+    run = heavy.simulate(duration=0.2, integrator="dopri5", tolerance=1e-9)
+    energy = run["samples"]["energy"]
+    assert run["samples"]["knee.velocity"].min() < -0.1
+    assert np.ptp(energy) < 1e-6 * np.abs(energy).max()
+
+
+def test_it_fades_outside_of_what_it_learned_from_and_says_so(folder):
+    scene = with_model("arm7", folder / "arm7_free.onnx", fade=0.5)
+    (part,) = scene.forces
+    q, v = np.full(7, 1.0), np.zeros(7)
+    inside = part.force(None, State(0.0, q, v), NONE)
+    assert inside.any() and part.doubt(State(0.0, q, v)) == ""
+    edge = np.array([3.0, *np.zeros(6)])
+    shares = []
+    for far in np.linspace(0.0, 0.6, 13):
+        x = State(0.0, edge * (1.0 + far), v)
+        share, spread = part.show(None, x, NONE, None)
+        shares.append(share)
+        assert spread > 0.0
+    assert shares[0] == 1.0 and shares[-1] == shares[-2] == 0.0
+    assert (np.diff(shares) <= 0.0).all() and shares[5] == pytest.approx(0.5)
+    x = State(0.0, 1.25 * edge, v)
+    assert "position of" in part.doubt(x) and "50 % of it acts" in part.doubt(x)
+    assert not part.force(None, State(0.0, q, np.full(7, 9.0)), NONE).any()
+    assert "velocity of" in part.doubt(State(0.0, q, np.full(7, 9.0)))
+
+
+def damaged(data):
+    return data[:5000] + bytes([data[5000] ^ 1]) + data[5001:]
+
+
+def versioned(data):
+    from mbd_ros.core.learned.model_file import ZEROS, _place, signed
+
+    at = data.find(_place()) + len(_place())
+    blank = data[:at] + ZEROS.encode() + data[at + 64 :]
+    return signed(blank.replace(b'{"version": 1,', b'{"version": 9,'))
+
+
+def foreign_operator(data):
+    """A file that is whole, with an operator that no ONNX has."""
+    import onnx
+
+    from mbd_ros.core.learned.model_file import SUM, ZEROS, signed
+
+    model = onnx.load_from_string(data)
+    model.graph.node[0].op_type = "RunCode"
+    for prop in model.metadata_props:
+        if prop.key == SUM:
+            prop.value = ZEROS
+    return signed(model.SerializeToString())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (damaged, "damaged"),
+        (lambda data: data[:3000], "damaged|no file of mbd-ros learn"),
+        (lambda data: b"\x80\x04\x95cos\nsystem\n", "no file of mbd-ros learn"),
+        (lambda data: b"", "no file of mbd-ros learn"),
+        (versioned, "version 9 .* accepted: 1"),
+        (foreign_operator, "the network cannot be asked"),
+    ],
+)
+def test_a_file_that_is_none_is_refused_by_name(folder, tmp_path, change, message):
+    path = tmp_path / "model.onnx"
+    path.write_bytes(change((folder / "arm7_free.onnx").read_bytes()))
+    with pytest.raises(SceneError, match=f"model.onnx.*({message})"):
+        with_model("arm7", path)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("prosthetic_leg", "another robot"), ("prosthetic_arm", "another robot")],
+)
+def test_the_model_of_another_robot_is_refused(folder, name, message):
+    with pytest.raises(SceneError, match=f"arm7_free.onnx was learned on arm7, {message}"):
+        with_model(name, folder / "arm7_free.onnx")
+
+
+def test_the_model_of_other_masses_is_refused(folder):
+    scene = mbd.load_scene("arm7")
+    link, one = next((k, i) for k, i in reversed(scene.robot.inertias().items()) if i.mass > 0)
+    other = scene.with_inertias({link: (1.2 * one.mass, one.lever, one.inertia)})
+    with pytest.raises(SceneError, match=f"another inertia or place of '{link}'"):
+        other.with_(forces=[{"type": "learned_torque", "model": str(folder / "arm7_free.onnx")}])
+
+
+def test_beside_rigid_rows_inertia_is_refused(folder):
+    anchor = {
+        "type": "frame_anchor",
+        "frame": "flange",
+        "kind": "point",
+        "position": [0.3, 0.0, 0.6],
+    }
+    scene = with_model("arm7", folder / "arm7_structured.onnx")
+    held = scene.with_(constraints=[anchor])
+    with pytest.raises(SceneError, match="adds inertia that changes with the posture"):
+        held.system()
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(SceneError, match=r"forces\[0\].model: .*nosuch.onnx is no file"):
+        with_model("arm7", tmp_path / "nosuch.onnx")
+
+
+def test_learning_without_torch_says_how_to_get_it(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    words = ["learn", "arm7", str(tmp_path / "x.csv"), "-o", str(tmp_path / "out")]
+    assert main(words) == 2
+    assert "torch is not installed: pip install 'mbd_ros[learn]'" in capsys.readouterr().err
