@@ -71,6 +71,7 @@ class ClosedLoopInverseDynamics:
         couplings: Its dependent joints.
         standing: Says which features of the contacts press; None without such contacts.
         carriers: As given.
+        forces: As given.
         efforts: Those of `Torques.tau`.
         constraints: Rows of the multipliers: couplings, then constraints in the order of the
             scene; without bounds bilateral ones and drives alone.
@@ -95,7 +96,7 @@ class ClosedLoopInverseDynamics:
         near: Nearness | None = None,
     ) -> None:
         self.robot, self.couplings, self.efforts = robot, couplings, efforts
-        self.carriers = tuple(carriers)
+        self.carriers, self.forces = tuple(carriers), tuple(forces)
         self.motion = LoopMotion(with_inertia(robot), couplings, constraints)
         given, kept = (robot, couplings, constraints, efforts, wrenches, forces), with_bounds
         self._balance = LoopBalance(*given, with_bounds=kept, contacts=contacts)

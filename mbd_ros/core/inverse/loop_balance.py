@@ -154,6 +154,8 @@ class LoopBalance:
         loads = np.zeros_like(a) if self._rest is None else self._rest(self._k, x)
         for force in self._forces:
             loads += force.force(self._k, x, NONE)
+            if force.has_inertia:
+                loads -= force.inertia(self._k, x).dot(a)
         self._loads.set(self._k, wrenches)
         model, data = self._model, self._data
         loaded = pin.rnea(model, data, x.q, x.v, a, self._loads.forces)

@@ -100,6 +100,13 @@ class ObservedLoops:
         basis = np.concatenate((nothing, found.null_basis[n:]))
         return found._replace(tau=reduced, null_basis=basis)
 
+    def doubts(self) -> list[str]:
+        """What is to be said about force terms at the last sample of `solve`."""
+        if self.motion is None:
+            return []
+        x = self.motion[0]
+        return [said for term in self.inverse.forces if (said := term.doubt(x))]
+
     def _residual(self, x: State) -> Array:
         self._k.refresh(x.q, x.v, Reads.POSITION)
         gap = self.inverse.constraints.residual(self._k, x)

@@ -79,3 +79,7 @@ class SampleSolver(Protocol):
             wrenches: One (6,) array [N, N·m] for every load of the scene; none means unloaded.
         """
         ...
+
+    def doubts(self) -> list[str]:
+        """What is to be said about force terms at the last sample of `solve`."""
+        ...

@@ -171,7 +171,7 @@ class Pipeline:
         return [write_wrench(msg, stamp, base.frame, row) for msg, base, row in rows]
 
     def health(self, tolerance: float) -> tuple[int, str]:
-        """WARN where a measured joint is off its coupling, or off the loops.
+        """WARN where a measured joint is off its coupling or the loops, or a force is in doubt.
 
         Args:
             tolerance: Accepted distance [rad or m].
@@ -185,6 +185,9 @@ class Pipeline:
             return WARN, f"off their couplings: {', '.join(off)}; the independent joints are used"
         if self._solver.moved > tolerance:
             return WARN, f"off the loops by {self._solver.moved:.4g}; the nearest state is used"
+        doubts = self._solver.doubts()
+        if doubts:
+            return WARN, "; ".join(doubts)
         return OK, "torques published"
 
     def observe(self, stamp: int, sample: JointSample) -> Observation | SampleStatus:
