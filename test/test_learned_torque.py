@@ -1,6 +1,7 @@
 """Learned torques without torch: files, refusals, range, and what scenes make of them."""
 
 from itertools import pairwise
+from time import process_time
 
 import numpy as np
 import pytest
@@ -248,3 +249,17 @@ def test_learning_without_torch_says_how_to_get_it(tmp_path, capsys, monkeypatch
     words = ["learn", "arm7", str(tmp_path / "x.csv"), "-o", str(tmp_path / "out")]
     assert main(words) == 2
     assert "torch is not installed: pip install 'mbd_ros[learn]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["free", "structured"])
+def test_a_sample_takes_less_than_a_third_of_a_millisecond(folder, kind):
+    """CPU time of inverse dynamics with the model; the best of several rounds."""
+    solver = with_model("arm7", folder / f"arm7_{kind}.onnx").inverse_dynamics()
+    q, v, a = np.zeros(7), np.full(7, 0.1), np.ones(7)
+    rounds = []
+    for _ in range(20):
+        begun = process_time()
+        for _ in range(20):
+            solver.solve(q, v, a)
+        rounds.append((process_time() - begun) / 20)
+    assert min(rounds) < 0.3e-3
