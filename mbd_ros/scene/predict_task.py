@@ -87,7 +87,7 @@ class PredictTask:
     parameters: Mapping[str, Range] = field(default_factory=dict)
     mesh: MeshTask = field(default_factory=MeshTask)
     tolerance: float = 1.0e-7
-    accuracy: float = 1.0e-9
+    accuracy: float = 1.0e-10
     iterations: int = 1000
     guess: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     guess_file: Path | None = None
@@ -139,7 +139,7 @@ def _task(
     parameters: Mapping[str, Any] | None = None,
     mesh: Mapping[str, Any] | None = None,
     tolerance: Annotated[float, Within(1.0e-13, 1.0)] = 1.0e-7,
-    accuracy: Annotated[float, Within(1.0e-13, 1.0e-2)] = 1.0e-9,
+    accuracy: Annotated[float, Within(1.0e-13, 1.0e-2)] = 1.0e-10,
     iterations: Count = 1000,
     guess: Any = None,
     starts: Annotated[int, Within(1, 1000)] = 1,

@@ -82,6 +82,19 @@ class MotionPhase:
                         lower[at], upper[at] = max(lower[at], low), min(upper[at], high)
         lower[unknowns.duration], upper[unknowns.duration] = self.problem.duration
 
+    def bounds_on(self, unknowns: Unknowns, size: int) -> tuple[Array, Array]:
+        """Bounds of all unknowns of a program, infinite for those of others."""
+        lower, upper = np.full(size, -np.inf), np.full(size, np.inf)
+        self.bound(unknowns, lower, upper)
+        return lower, upper
+
+    def state_bounds(self, unknowns: Unknowns) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Bounds of q, v and z at points: letter -> of each coordinate."""
+        ends = self.bounds_on(unknowns, unknowns.end)
+        of = unknowns.points
+        lower, upper = ({key: one[of[key][0]] for key in "qvz"} for one in ends)
+        return lower, upper
+
     def usual(self, motion: PhaseMotion, p: Array) -> Usual:
         """Usual sizes near a motion."""
         lower, upper = input_bounds(self.equations.equations.system)

@@ -6,6 +6,7 @@ from typing import NamedTuple, Protocol
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.compiled.program.block import Block, Form
 from mbd_ros.compiled.program.ipopt import Solved, Tell, solve
@@ -17,6 +18,9 @@ from mbd_ros.core.prediction.unknowns import PhaseMotion, Unknowns
 from mbd_ros.core.state import Array
 
 _NODES = "qvz"
+_NARROWEST = 1.0e-3  # of its width: what a node that moves leaves of an interval
+
+Bools = NDArray[np.bool_]
 
 
 class Linkage(Protocol):
@@ -157,7 +161,7 @@ class MotionProgram:
             mesh = unknowns.mesh
             lower[unknowns.widths] = upper[unknowns.widths] = mesh.widths
             moving = np.flatnonzero(_moves(mesh.free))
-            lower[unknowns.widths[moving]] = 0.05 * mesh.widths[moving]
+            lower[unknowns.widths[moving]] = _NARROWEST * mesh.widths[moving]
             upper[unknowns.widths[moving]] = 1.0
             if i == 0:
                 lower[unknowns.begin] = upper[unknowns.begin] = self._begin
@@ -187,24 +191,23 @@ def read(x: Array, unknowns: Unknowns) -> PhaseMotion:
     return PhaseMotion(mesh, x[unknowns.begin], x[unknowns.duration], nodes, points, bases)
 
 
-def _moves(free: Array) -> Array:
+def _moves(free: Bools) -> Bools:
     """Which widths are unknown: those beside a knot that may move."""
-    moving: Array = free | np.concatenate(([False], free[:-1]))
+    moving: Bools = free | np.concatenate(([False], free[:-1]))
     return moving
 
 
 def _moving_knots(unknowns: Unknowns) -> list[Block]:
-    """Neighbours of knots that move keep their sum."""
-    moving, found, run = _moves(unknowns.mesh.free), list[Block](), list[int]()
-    for i, moves in enumerate([*moving, False]):
-        if moves:
-            run.append(i)
-        elif run:
+    """Intervals between nodes that stand keep their sum."""
+    found, run = list[Block](), list[int]()
+    for i, moves in enumerate(unknowns.mesh.free):
+        run.append(i)
+        if not moves and len(run) > 1:
             x = ca.SX.sym("w", len(run))
             total = float(unknowns.mesh.widths[run].sum())
             form = Form(x, ca.SX(0, 1), ca.sum1(x))
             found.append(Block("knots", form, unknowns.widths[run][:, None], None, total, total))
-            run = []
+        run = run if moves else []
     return found
 
 

@@ -119,6 +119,23 @@ class PhaseEquations:
         rows = sizes.nv + sizes.m + sizes.nz
         return _full(r).T, _full(K).T.reshape(n, rows, rows).transpose(0, 2, 1)
 
+    @cached_property
+    def _rows(self) -> Any:
+        """(t, q, v, p) -> g of rows of positions, J of all rows, g' of all rows."""
+        given = [self.symbols[key] for key in "tqvp"]
+        of_positions, of_all = self.jacobians
+        order = ca.vertcat(of_positions, of_all) if self.sizes.mg < self.sizes.m else of_all
+        results = [self.positions, order, self.velocities]
+        return ca.Function("rows", given, [ca.densify(ca.SX(one)) for one in results])
+
+    def rows_at(self, t: float, q: Array, v: Array, p: Array) -> tuple[Array, Array, Array]:
+        """G of rows of positions, J of all rows and their g' at a state.
+
+        Rows of positions come first in J where there are others.
+        """
+        g, J, rate = (_full(one) for one in self._rows(t, q, v, p))
+        return g.ravel(), J[-self.sizes.m :] if self.sizes.mg == self.sizes.m else J, rate.ravel()
+
     def solved(self, values: Mapping[str, Array], times: Array, p: Array) -> dict[str, Array]:
         """Accelerations, multipliers and rates at states with inputs: letters a, l, w."""
         given = {key: values[key] for key in "qvzu"}

@@ -11,6 +11,8 @@ from mbd_ros.core.state import Array
 # shares (m,), then q, v, z, u of each -> accelerations (m, nv), rates of internal states (m, nz)
 Rates = Callable[[Array, dict[str, Array]], tuple[Array, Array]]
 
+_LOOKS = 24  # at an interval
+
 
 class Errors(NamedTuple):
     """Errors of a motion between its nodes.
@@ -55,6 +57,29 @@ def errors_of(motion: PhaseMotion, rates: Rates) -> Errors:
             off = np.abs(motion.nodes[state][chosen][:, None] + integral - some) / sizes[state]
             found[chosen] = np.maximum(found[chosen], off.max(axis=(1, 2)))
     return Errors(found)
+
+
+def beyond_bounds(motion: PhaseMotion, lower: dict[str, Array], upper: dict[str, Array]) -> Array:
+    """How far positions, velocities and internal states pass their bounds between the points.
+
+    Args:
+        motion: The motion.
+        lower: Letter -> of each coordinate.
+        upper: The same.
+
+    Returns:
+        The largest of each interval, relative to 1 + the largest value of each, shape (n,).
+    """
+    mesh, found = motion.mesh, np.zeros(motion.mesh.intervals)
+    places = (np.arange(_LOOKS) + 0.5) / _LOOKS
+    shares = (mesh.knots[:-1, None] + mesh.widths[:, None] * places).ravel()
+    values = motion.at(shares)
+    for key in "qvz":
+        size = 1.0 + np.abs(values[key]).max(axis=0, initial=0.0)
+        off = np.maximum(lower[key] - values[key], values[key] - upper[key]) / size
+        worst = off.reshape(mesh.intervals, len(places) * size.size).max(axis=1, initial=0.0)
+        found = np.maximum(found, worst)
+    return found
 
 
 def _sizes(motion: PhaseMotion) -> dict[str, Array]:

@@ -12,8 +12,9 @@ from mbd_ros.core.prediction.unknowns import PhaseMotion
 from mbd_ros.core.projection.independent_limits import independent_limits
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.jobs.predict.closed_guess import close
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.coordinate_names import coordinate_names
+from mbd_ros.scene.coordinate_names import coordinate_names, velocity_names
 from mbd_ros.scene.predict_task import PhaseTask, PredictTask
 
 if TYPE_CHECKING:
@@ -74,6 +75,7 @@ def problem_of(scene: Scene, task: PredictTask) -> Problem:
     parameters = [Parameter(name, task.parameters[name], value) for name, value in pairs]
     program = MotionProgram([phase], parameters)
     guess = first_guess(phase, first, task.guess)
+    close(equations, guess, values)
     return Problem(scene, program, [guess], values)
 
 
@@ -108,8 +110,10 @@ def _usual_bounds(scene: Scene, given: Mapping[str, Range]) -> dict[str, Range]:
     joints = {joint.name: joint for joint in scene.robot.joints}
     kept = not any(part.law.is_rigid for part in scene.constraints)
     lower, upper = independent_limits(scene.robot, scene.couplings)
-    names = [one for one in joints if one in scene.couplings.independent]
-    for name, low, high in zip(names, lower, upper, strict=False):
+    names = coordinate_names(scene.robot, scene.couplings)
+    for name, low, high in zip(names, lower, upper, strict=True):
+        if name not in joints:
+            continue
         one = joints[name]
         found[f"{name}.position"] = (low, high) if kept else (one.lower, one.upper)
         found[f"{name}.velocity"] = (-one.max_velocity, one.max_velocity)
@@ -122,7 +126,7 @@ def _usual_bounds(scene: Scene, given: Mapping[str, Range]) -> dict[str, Range]:
 
 def _start_of(scene: Scene, first: State, given: Mapping[str, Range]) -> dict[str, Range]:
     """The state in which the scene starts, but for what a task names."""
-    names = coordinate_names(scene.robot, scene.couplings)
+    names = integrated_names(scene, len(first.v))
     pairs = [(f"{name}.velocity", value) for name, value in zip(names, first.v, strict=True)]
     joints = {joint.name: joint for joint in scene.robot.joints}
     q = scene.system().expand(first).q
@@ -133,6 +137,13 @@ def _start_of(scene: Scene, first: State, given: Mapping[str, Range]) -> dict[st
         for name, value in pairs
         if not any(fnmatchcase(name, key) for key in given)
     }
+
+
+def integrated_names(scene: Scene, nv: int) -> list[str]:
+    """Names of the velocities that a system integrates: independent ones, or all."""
+    if nv < scene.robot.model.nv:
+        return coordinate_names(scene.robot, scene.couplings)
+    return velocity_names(scene.robot, range(nv))
 
 
 def first_guess(phase: Any, first: State, lines: Mapping[str, tuple[float, ...]]) -> PhaseMotion:
@@ -155,8 +166,6 @@ def first_guess(phase: Any, first: State, lines: Mapping[str, tuple[float, ...]]
     for at, found in ((knots, nodes), (shares, points)):
         whole = begin + at[:, None] * (finish - begin)
         found["q"], found["v"], found["z"] = np.split(whole, [nq, nq + nv], axis=1)
-        for i, j in phase.equations.flat:
-            found["v"][:, j] = (finish - begin)[i] / duration
     m = len(shares)
     points |= {
         "a": np.zeros((m, nv)),

@@ -46,9 +46,9 @@ def sources_of(scene: Scene, motion: PhaseMotion) -> dict[str, Source]:
 
 def simulation_of(scene: Scene, motion: PhaseMotion) -> Simulation:
     """A simulation of a scene under the inputs of a motion."""
-    plain = {"type": "plain"}
-    sources = sources_of(scene, motion)
-    return scene.simulation(integrator=ACCURATE, sources=sources, dt=motion.duration, solver=plain)
+    solver = {"type": "plain"} if scene.solver.compiles else None
+    options = {"integrator": ACCURATE, "dt": motion.duration, "solver": solver}
+    return scene.simulation(sources=sources_of(scene, motion), **options)
 
 
 def state_at(simulation: Simulation, motion: PhaseMotion, node: int) -> State:

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.prediction.error_estimate import errors_of
+from mbd_ros.core.prediction.error_estimate import beyond_bounds, errors_of
 from mbd_ros.core.prediction.mesh import Mesh
 from mbd_ros.core.prediction.refinement import refined
+from mbd_ros.core.prediction.structure import bracketed, changes, is_settled, with_knots
 from mbd_ros.core.prediction.unknowns import PhaseMotion
 from mbd_ros.core.state import Array
 from mbd_ros.jobs.lines import Say
@@ -19,6 +20,7 @@ from mbd_ros.scene.predict_task import PredictTask
 if TYPE_CHECKING:
     from mbd_ros.compiled.program.motion_program import Solution
 
+_KEPT = 0.01  # of the tolerance: how far bounds of states are passed between points at most
 STOPPED = "User_Requested_Stop"
 
 
@@ -81,17 +83,53 @@ def solve(problem: Problem, task: PredictTask, say: Say) -> Found:
         worst = max(float(one.max(initial=0.0)) for one in errors)
         lines.append(mesh_line(round_, solution, worst))
         say(lines[-1])
-        is_fine = worst <= task.tolerance
+        looks = [look_at(problem, i, solution, task.tolerance) for i in range(len(errors))]
+        is_fine = worst <= task.tolerance and not any(one.passed.any() for one in looks)
         found = Found(problem, solution, errors, is_fine, total, lines)
-        if is_fine or not solved.is_good:
+        if (is_fine and all(one.is_settled for one in looks)) or not solved.is_good:
             return found
         guesses = [
-            moved(motion, refined(motion.mesh, error, task.tolerance))
-            for motion, error in zip(solution.motions, errors, strict=True)
+            moved(motion, next_mesh(motion.mesh, error, look, task.tolerance))
+            for motion, error, look in zip(solution.motions, errors, looks, strict=True)
         ]
         parameters = solution.parameters
         cost_size, is_near = abs(solved.cost) or 1.0, True
     return found
+
+
+class Look(NamedTuple):
+    """What a solution says of the mesh that it wants.
+
+    Attributes:
+        knots: Where bounds of inputs change, as shares of the duration.
+        status: Of bounds of states at the points.
+        passed: Which intervals pass bounds of states between their points.
+        is_settled: Whether every change of inputs is at a node that could move.
+    """
+
+    knots: list[float]
+    status: Any
+    passed: Any
+    is_settled: bool
+
+
+def look_at(problem: Problem, number: int, solution: "Solution", tolerance: float) -> Look:
+    """Look at the bounds of a phase."""
+    from mbd_ros.compiled.program.active_bounds import status_of
+
+    phase, motion = problem.program.phases[number], solution.motions[number]
+    status, nu = status_of(phase, number, solution), motion.points["u"].shape[1]
+    knots = changes(motion.mesh, status, motion.points["u"])
+    off = beyond_bounds(motion, *phase.state_bounds(solution.unknowns[number]))
+    passed = off > _KEPT * tolerance
+    return Look(knots, status[:, nu:], passed, is_settled(motion.mesh, knots))
+
+
+def next_mesh(mesh: Mesh, errors: Array, look: Look, tolerance: float) -> Mesh:
+    """A mesh on which errors are smaller."""
+    if look.passed.any():
+        return bracketed(mesh, look.status, look.passed | (errors > tolerance))
+    return with_knots(refined(mesh, errors, tolerance), look.knots)
 
 
 def mesh_line(round_: int, solution: "Solution", worst: float) -> str:

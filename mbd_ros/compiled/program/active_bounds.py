@@ -1,0 +1,51 @@
+"""Which bounds are active at the points of a solution."""
+
+import numpy as np
+
+from mbd_ros.compiled.program.motion_phase import PATH, MotionPhase
+from mbd_ros.compiled.program.motion_program import Solution
+from mbd_ros.core.prediction.structure import Status
+from mbd_ros.core.state import Array
+
+
+def status_of(phase: MotionPhase, number: int, solution: Solution) -> Status:
+    """At every point: inputs, q, v, z, then quantities of `bounds` that are no unknowns.
+
+    A bound is active where its multiplier is larger than what is left to it, both in usual sizes.
+
+    Args:
+        phase: The phase.
+        number: Its number.
+        solution: The solution.
+    """
+    unknowns, solved = solution.unknowns[number], solution.solved
+    sizes, cost = solution.program.sizes, solution.program.cost_size
+    places = np.hstack([unknowns.points[letter] for letter in "uqvz"])
+    lower, upper = phase.bounds_on(unknowns, len(solved.x))
+    room = np.minimum(solved.x - lower, upper - solved.x) / sizes
+    pull = np.abs(solved.bound_forces) * sizes / cost
+    side = np.where(solved.x - lower < upper - solved.x, -1, 1)
+    found = np.where((pull > room) & (lower < upper), side, 0)[places]
+    return np.hstack((found, _of_rows(solution, number)))
+
+
+def _of_rows(solution: Solution, number: int) -> Status:
+    """Of rows of `bounds`."""
+    program, solved, seen = solution.program, solution.solved, -1
+    for block, rows in zip(program.blocks, program.slices, strict=True):
+        seen += block.name == "motion"
+        if block.name == PATH and seen == number:
+            shape = block.count, block.form.rows
+            values, pulls = (
+                one[rows].reshape(shape).T for one in (solved.rows, solved.row_forces)
+            )
+            return _side(values, pulls * block.size / program.cost_size, block).T
+    return np.zeros((len(solution.unknowns[number].points["q"]), 0), dtype=np.int_)
+
+
+def _side(values: Array, pulls: Array, block: object) -> Status:
+    lower, upper, size = (getattr(block, key) for key in ("lower", "upper", "size"))
+    room = np.minimum(values - lower, upper - values) / size
+    side = np.where(values - lower < upper - values, -1, 1)
+    found: Status = np.where((np.abs(pulls) > room) & (lower < upper), side, 0)
+    return found
