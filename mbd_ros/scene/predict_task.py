@@ -68,6 +68,7 @@ class PredictTask:
             scene.
         periodic: Quantities that end as they begin; empty for none.
         symmetric: Quantity at the end -> quantity at the beginning that has its value.
+        travel: Joints that go on where a motion repeats.
         parameters: Unknown numbers of the scene and their ranges.
         mesh: The first mesh.
         tolerance: Of the error between nodes, relative.
@@ -84,6 +85,7 @@ class PredictTask:
     start_free: bool = False
     periodic: tuple[str, ...] = ()
     symmetric: Mapping[str, str] = field(default_factory=dict)
+    travel: tuple[str, ...] = ()
     parameters: Mapping[str, Range] = field(default_factory=dict)
     mesh: MeshTask = field(default_factory=MeshTask)
     tolerance: float = 1.0e-7
@@ -136,6 +138,7 @@ def _task(
     phases: Sequence[Mapping[str, Any]] = (),
     periodic: Any = False,
     symmetric: Mapping[str, str] | None = None,
+    travel: Sequence[str] = (),
     parameters: Mapping[str, Any] | None = None,
     mesh: Mapping[str, Any] | None = None,
     tolerance: Annotated[float, Within(1.0e-13, 1.0)] = 1.0e-7,
@@ -149,7 +152,7 @@ def _task(
         raise SceneError(f"{where}: key 'duration' is missing")
     shared = goals_of(goals, f"{where}.goals", folder)
     always = _ranges(bounds or {}, f"{where}.bounds")
-    is_free = start == FREE or (start is None and (bool(periodic) or bool(symmetric)))
+    is_free = start == FREE or bool(periodic) or bool(symmetric)
     first = {} if start is None or start == FREE else _ranges(start, f"{where}.start")
     last = _ranges(end or {}, f"{where}.end")
     if phases:
@@ -171,6 +174,7 @@ def _task(
         is_free,
         _names(periodic, f"{where}.periodic"),
         dict(symmetric or {}),
+        tuple(travel),
         {
             key: _open_range(one, f"{where}.parameters.{key}")
             for key, one in (parameters or {}).items()

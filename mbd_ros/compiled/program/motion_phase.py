@@ -31,6 +31,7 @@ class MotionPhase:
         equations: Of the system of the phase.
         parameters: Numbers of the parameters among the unknowns.
         references: What is tracked.
+        closes_start: Whether rows have to hold at the beginning, since nothing else makes them.
 
     Attributes:
         problem: As given.
@@ -48,11 +49,13 @@ class MotionPhase:
         equations: PhaseEquations,
         parameters: Numbers,
         references: Reference | None = None,
+        *,
+        closes_start: bool = False,
     ) -> None:
         self.problem, self.equations = problem, equations
         self.quantities, self._references = Quantities(equations), references
         self.forms = PhaseForms(equations, parameters)
-        self._parameters = parameters
+        self._parameters, self._closes_start = parameters, closes_start
         self.terms = {goal.name: terms_of(goal, self.quantities) for goal in problem.goals}
         self._bounds = self._ranges(problem.bounds, (*LETTERS, "p"))
         self._start = self._ranges(problem.start, _AT_NODES)
@@ -134,9 +137,20 @@ class MotionPhase:
                 places = forms.node_places(unknowns, np.array([node]))
                 share = np.array([[float(node > 0)]])
                 found.append(Block(name, form, places, share, lower, upper, size))
+        found += self._closed_start(unknowns)
         for name in self.terms:
             found += self._costs(name, unknowns, points)
         return found
+
+    def _closed_start(self, unknowns: Unknowns) -> list[Block]:
+        """Rows that hold at the beginning, where it is not given as a whole."""
+        equations, lower, upper = self.equations, *self.bounds_on(unknowns, unknowns.end)
+        state = np.hstack([unknowns.nodes[key][0] for key in "qv"])
+        if not (self._closes_start and equations.sizes.m and (lower < upper)[state].any()):
+            return []
+        form = self.forms.node_form(ca.vertcat(equations.positions, equations.velocities))
+        places = self.forms.node_places(unknowns, np.array([0]))
+        return [Block(CLOSING, form, places, np.zeros((1, 1)))]
 
     def _costs(self, name: str, unknowns: Unknowns, points: Any) -> Iterator[Block]:
         """Blocks of a goal; they have its name."""

@@ -71,7 +71,9 @@ class PhaseEquations:
 
     @property
     def _closing(self) -> Rows:
-        return self.equations.acting.of(Level.POSITION)
+        """Rows of positions but for those along which nothing is said, such as tangents."""
+        rows = self.equations.acting.of(Level.POSITION)
+        return rows.only([i for i, g in enumerate(rows.g) if not ca.SX(g).is_constant()])
 
     def _dense(self, rows: Rows) -> Any:
         found = ca.SX(len(rows.J), self.equations.nv)
@@ -121,20 +123,16 @@ class PhaseEquations:
 
     @cached_property
     def _rows(self) -> Any:
-        """(t, q, v, p) -> g of rows of positions, J of all rows, g' of all rows."""
+        """(t, q, v, p) -> g and J of rows of positions, g' and J of all rows."""
         given = [self.symbols[key] for key in "tqvp"]
         of_positions, of_all = self.jacobians
-        order = ca.vertcat(of_positions, of_all) if self.sizes.mg < self.sizes.m else of_all
-        results = [self.positions, order, self.velocities]
+        results = [self.positions, of_positions, self.velocities, of_all]
         return ca.Function("rows", given, [ca.densify(ca.SX(one)) for one in results])
 
-    def rows_at(self, t: float, q: Array, v: Array, p: Array) -> tuple[Array, Array, Array]:
-        """G of rows of positions, J of all rows and their g' at a state.
-
-        Rows of positions come first in J where there are others.
-        """
-        g, J, rate = (_full(one) for one in self._rows(t, q, v, p))
-        return g.ravel(), J[-self.sizes.m :] if self.sizes.mg == self.sizes.m else J, rate.ravel()
+    def rows_at(self, t: float, q: Array, v: Array, p: Array) -> tuple[Array, ...]:
+        """g and J of rows of positions, then g' and J of all rows, at a state."""
+        g, of_positions, rate, of_all = (_full(one) for one in self._rows(t, q, v, p))
+        return g.ravel(), of_positions, rate.ravel(), of_all
 
     def solved(self, values: Mapping[str, Array], times: Array, p: Array) -> dict[str, Array]:
         """Accelerations, multipliers and rates at states with inputs: letters a, l, w."""

@@ -5,6 +5,8 @@ is exact for the inputs that it has. So a node is put near every change, and mov
 to where it costs least.
 """
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -68,7 +70,7 @@ def bracketed(mesh: Mesh, status: Status, wanted: NDArray[np.bool_]) -> Mesh:
             knots.append((float(middle), int(mesh.degrees[i])))
     kept = [one for one in sorted(set(knots)) if one[0] <= 1.0 - _SHORTEST]
     kept = kept[:1] + [
-        two for one, two in zip(kept, kept[1:], strict=False) if two[0] - one[0] > _SHORTEST
+        two for one, two in itertools.pairwise(kept) if two[0] - one[0] > _SHORTEST
     ]
     places = np.array([*(one for one, _ in kept), 1.0])
     return mesh_of(mesh.scheme, [degree for _, degree in kept], np.diff(places))

@@ -42,7 +42,7 @@ def close(equations: Any, motion: PhaseMotion, p: Array) -> None:
         follower = row[places].copy()
         v = np.array([np.interp(fine[i], motion.mesh.knots, one) for one in motion.nodes["v"].T])
         v[free] = 0.0
-        _, J, rate = equations.rows_at(t, row, v, p)
+        _, _, rate, J = equations.rows_at(t, row, v, p)
         v[free] -= np.linalg.lstsq(J[:, free], rate, rcond=None)[0]
         speeds[i] = v
     for at, found in ((motion.mesh.knots, motion.nodes), (motion.mesh.shares, motion.points)):
@@ -54,9 +54,9 @@ def _closed(equations: Any, t: float, q: Array, free: Array, places: list[int], 
     """Newton's method on some coordinates; the nearest ones where rows do not determine them."""
     still = np.zeros(equations.sizes.nv)
     for _ in range(_MOST):
-        g, J, _ = equations.rows_at(t, q, still, p)
+        g, J, _, _ = equations.rows_at(t, q, still, p)
         if np.abs(g).max(initial=0.0) < _CLOSED:
             return
-        step = np.linalg.lstsq(J[: len(g), free], -g, rcond=None)[0]
+        step = np.linalg.lstsq(J[:, free], -g, rcond=None)[0]
         size = float(np.abs(step).max(initial=0.0))
         q[places] += step * min(1.0, _LONGEST / max(size, _LONGEST))

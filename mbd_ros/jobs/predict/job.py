@@ -69,13 +69,13 @@ def task_of(scene: Scene, task: str | Path | Mapping[str, Any]) -> PredictTask:
 def run_predict(scene: Scene, task: PredictTask, say: Say) -> tuple[Found, Result]:
     """See `predict`; the last iterate too where there is no solution."""
     found = solve(problem_of(scene, task), task, say)
-    driven, motion = found.problem.scene, found.solution.motions[0]
-    simulation = simulation_of(driven, motion)
-    again = replay(driven, motion)
+    driven, modes, motions = found.problem.scene, found.problem.modes, found.solution.motions
+    simulation = simulation_of(driven, motions)
+    again = replay(driven, modes, motions)
     for line in solution_lines(found, again):
         say(line)
     tables = {
-        MAIN: motion_table(simulation, motion),
+        MAIN: motion_table(simulation, modes, motions),
         GOALS: goal_table(found),
         NODES: node_table(found),
     }

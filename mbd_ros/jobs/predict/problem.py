@@ -1,23 +1,28 @@
 """A scene and a task -> a program and the guess that it begins with."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.prediction.mesh import Mesh, uniform_mesh
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.prediction.mesh import uniform_mesh
 from mbd_ros.core.prediction.problem import PhaseProblem, Range
 from mbd_ros.core.prediction.unknowns import PhaseMotion
 from mbd_ros.core.projection.independent_limits import independent_limits
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.jobs.predict.closed_guess import close
+from mbd_ros.jobs.predict.guesses import guesses_of
+from mbd_ros.jobs.predict.modes import PhaseMode, linkages_of, modes_of, started
+from mbd_ros.jobs.predict.references import references_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.coordinate_names import coordinate_names, velocity_names
-from mbd_ros.scene.predict_task import PhaseTask, PredictTask
+from mbd_ros.scene.predict_task import PredictTask
 
 if TYPE_CHECKING:
+    from mbd_ros.compiled.program.motion_phase import MotionPhase
     from mbd_ros.compiled.program.motion_program import MotionProgram
 
 
@@ -29,12 +34,14 @@ class Problem(NamedTuple):
         program: The program.
         guesses: Of each phase.
         parameters: Values to begin with.
+        modes: The systems of the phases.
     """
 
     scene: Scene
     program: "MotionProgram"
     guesses: list[PhaseMotion]
     parameters: Any
+    modes: "list[PhaseMode]"
 
 
 def driven(scene: Scene) -> Scene:
@@ -52,56 +59,59 @@ def problem_of(scene: Scene, task: PredictTask) -> Problem:
         SceneError: Names file and key.
         Untraceable: Names a part that has no symbolic form.
     """
-    from mbd_ros.compiled.program.motion_phase import MotionPhase
     from mbd_ros.compiled.program.motion_program import MotionProgram, Parameter
-    from mbd_ros.compiled.program.phase_equations import PhaseEquations
-    from mbd_ros.scene.symbolic_parts import traced
 
-    scene = driven(scene)
-    system = scene.system()
-    first = scene.simulation().start(scene.initial)
-    where = task.source or scene.name
+    scene, where = driven(scene), task.source or scene.name
     names = list(task.parameters)
-    values = np.array([_value(scene, name, task.parameters[name]) for name in names])
-    numbers = np.arange(len(names), dtype=np.intp)
-    mesh = uniform_mesh(task.mesh.scheme, _degree(task), task.mesh.intervals)
+    values = np.array([sum(task.parameters[name]) / 2 for name in names])
     try:
-        equations = PhaseEquations(traced(scene, system, names, scene.initial.mode).equations)
-        problem = _phase_problem(scene, task, task.phases[0], first, mesh)
-        phase = MotionPhase(problem, equations, numbers)
+        modes = modes_of(scene, task)
+        first = started(scene, modes[0])
+        phases = _phases(scene, task, modes, first)
+        linkages = linkages_of(scene, task, modes, phases)
+        guesses = guesses_of(phases, first, task)
     except ModelError as error:
         raise SceneError(f"{where}: predict: {error}") from error
     pairs = zip(names, values, strict=True)
     parameters = [Parameter(name, task.parameters[name], value) for name, value in pairs]
-    program = MotionProgram([phase], parameters)
-    guess = first_guess(phase, first, task.guess)
-    close(equations, guess, values)
-    return Problem(scene, program, [guess], values)
+    program = MotionProgram(phases, parameters, scene.initial.t, linkages)
+    for phase, guess in zip(phases, guesses, strict=True):
+        close(phase.equations, guess, values)
+    return Problem(scene, program, guesses, values, modes)
+
+
+def _phases(
+    scene: Scene, task: PredictTask, modes: Sequence[PhaseMode], first: State
+) -> "list[MotionPhase]":
+    from mbd_ros.compiled.program.motion_phase import MotionPhase
+    from mbd_ros.compiled.program.phase_equations import PhaseEquations
+    from mbd_ros.scene.symbolic_parts import traced
+
+    names, found = list(task.parameters), list[MotionPhase]()
+    mesh = uniform_mesh(task.mesh.scheme, _degree(task), task.mesh.intervals)
+    for i, (mode, asked) in enumerate(zip(modes, task.phases, strict=True)):
+        equations = PhaseEquations(traced(scene, mode.system, names, mode.mode).equations)
+        start = dict(asked.start)
+        if i == 0 and not task.start_free:
+            start = {**_start_of(scene, mode.system, first, asked.start), **start}
+        problem = PhaseProblem(
+            asked.phase,
+            asked.duration,
+            {**_usual_bounds(scene, asked.bounds), **asked.bounds},
+            start,
+            asked.end,
+            asked.goals,
+            mesh,
+        )
+        numbers = np.arange(len(names), dtype=np.intp)
+        is_open = i == 0 and not task.periodic and not task.symmetric
+        references = references_of(asked.goals)
+        found.append(MotionPhase(problem, equations, numbers, references, closes_start=is_open))
+    return found
 
 
 def _degree(task: PredictTask) -> int:
     return 3 if task.mesh.scheme == "hermite_simpson" else task.mesh.degree
-
-
-def _value(scene: Scene, name: str, bounds: Range) -> float:
-    """Where a parameter begins: in the middle of its range."""
-    return 0.5 * (bounds[0] + bounds[1])
-
-
-def _phase_problem(
-    scene: Scene, task: PredictTask, phase: PhaseTask, first: State, mesh: Mesh
-) -> PhaseProblem:
-    bounds = {**_usual_bounds(scene, phase.bounds), **phase.bounds}
-    start = {} if task.start_free else _start_of(scene, first, phase.start)
-    return PhaseProblem(
-        phase.phase,
-        phase.duration,
-        bounds,
-        {**start, **phase.start},
-        phase.end,
-        phase.goals,
-        mesh,
-    )
 
 
 def _usual_bounds(scene: Scene, given: Mapping[str, Range]) -> dict[str, Range]:
@@ -124,12 +134,14 @@ def _usual_bounds(scene: Scene, given: Mapping[str, Range]) -> dict[str, Range]:
     }
 
 
-def _start_of(scene: Scene, first: State, given: Mapping[str, Range]) -> dict[str, Range]:
+def _start_of(
+    scene: Scene, system: System, first: State, given: Mapping[str, Range]
+) -> dict[str, Range]:
     """The state in which the scene starts, but for what a task names."""
     names = integrated_names(scene, len(first.v))
     pairs = [(f"{name}.velocity", value) for name, value in zip(names, first.v, strict=True)]
     joints = {joint.name: joint for joint in scene.robot.joints}
-    q = scene.system().expand(first).q
+    q = system.expand(first).q
     pairs += [(f"{n}.position", q[joints[n].q]) for n in names if n in joints]
     pairs += list(zip(scene.internals.names, first.z, strict=True))
     return {
@@ -144,57 +156,3 @@ def integrated_names(scene: Scene, nv: int) -> list[str]:
     if nv < scene.robot.model.nv:
         return coordinate_names(scene.robot, scene.couplings)
     return velocity_names(scene.robot, range(nv))
-
-
-def first_guess(phase: Any, first: State, lines: Mapping[str, tuple[float, ...]]) -> PhaseMotion:
-    """Straight lines from start to end, at rest in inputs.
-
-    Args:
-        phase: The phase, a `MotionPhase`.
-        first: Where the scene starts, in what is integrated.
-        lines: Quantity -> values at equal times.
-    """
-    problem, sizes = phase.problem, phase.equations.sizes
-    mesh = problem.mesh
-    low, high = problem.duration
-    duration = 0.5 * (low + high) if np.isfinite(high) else 2.0 * low
-    begin = phase.state_at_end(problem.start, np.concatenate((first.q, first.v, first.z)))
-    finish = phase.state_at_end(problem.end, begin)
-    nq, nv = sizes.nq, sizes.nv
-    knots, shares = mesh.knots, mesh.shares
-    nodes, points = dict[str, Any](), dict[str, Any]()
-    for at, found in ((knots, nodes), (shares, points)):
-        whole = begin + at[:, None] * (finish - begin)
-        found["q"], found["v"], found["z"] = np.split(whole, [nq, nq + nv], axis=1)
-    m = len(shares)
-    points |= {
-        "a": np.zeros((m, nv)),
-        "w": np.zeros((m, sizes.nz)),
-        "u": np.zeros((m, sizes.nu)),
-        "l": np.zeros((m, sizes.m)),
-        "d": np.zeros((m + mesh.intervals, 6 * len(sizes.bases))),
-    }
-    motion = PhaseMotion(mesh, 0.0, duration, nodes, points, sizes.bases)
-    _write_lines(phase, motion, lines)
-    return motion
-
-
-def _write_lines(phase: Any, motion: PhaseMotion, lines: Mapping[str, tuple[float, ...]]) -> None:
-    """Put lines of a guess in place, with the velocities that belong to them."""
-    flat = {int(i): int(j) for i, j in phase.equations.flat}
-    for name, values in lines.items():
-        places = np.linspace(0.0, 1.0, len(values))
-        for one in phase.quantities.find(name):
-            if not one.letter:
-                raise ModelError(f"guess: {one.name} is no unknown of the program")
-            for at, found in (
-                (motion.mesh.knots, motion.nodes),
-                (motion.mesh.shares, motion.points),
-            ):
-                if one.letter not in found:
-                    continue
-                found[one.letter][:, one.index] = np.interp(at, places, values)
-                velocity = f"{one.name.removesuffix('position')}velocity"
-                if one.letter == "q" and one.index in flat and velocity not in lines:
-                    slope = np.gradient(np.interp(at, places, values), at)
-                    found["v"][:, flat[one.index]] = slope / motion.duration

@@ -1,5 +1,6 @@
 """The inputs of a motion integrated again by an accurate method of the package."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from mbd_ros.core.prediction.unknowns import PhaseMotion
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import MbdError
+from mbd_ros.jobs.predict.modes import PhaseMode
 from mbd_ros.scene.built_scene import Scene
 
 ACCURATE = {"type": "dop853", "tolerance": 1.0e-10}
@@ -27,44 +29,61 @@ class Replay(NamedTuple):
     why: str = ""
 
 
-def sources_of(scene: Scene, motion: PhaseMotion) -> dict[str, Source]:
+def sources_of(scene: Scene, motions: Sequence[PhaseMotion]) -> dict[str, Source]:
     """The inputs of a motion as polynomials of the time, by name of the part."""
-    mesh, knots = motion.mesh, motion.begin + motion.duration * motion.mesh.knots
-    first, most = mesh.first_points, int(mesh.degrees.max())
-    nu = motion.points["u"].shape[1]
-    coefficients = np.zeros((mesh.intervals, most, nu))
-    for i, degree in enumerate(mesh.degrees.tolist()):
-        own = motion.points["u"][first[i] : first[i + 1]]
-        h = motion.duration * mesh.widths[i]
-        powers = mesh.scheme_of(degree).powers() / h ** np.arange(degree)[:, None]
-        coefficients[i, :degree] = powers @ own
+    most = max(int(motion.mesh.degrees.max()) for motion in motions)
+    pieces = [_pieces(motion, most) for motion in motions]
+    times = np.concatenate([one for one, _ in pieces])
+    coefficients = np.concatenate([one for _, one in pieces])
     return {
-        name: Polynomials(knots[:-1], coefficients[:, :, slots])
+        name: Polynomials(times, coefficients[:, :, slots])
         for name, slots in scene.inputs.slots.items()
     }
 
 
-def simulation_of(scene: Scene, motion: PhaseMotion) -> Simulation:
+def _pieces(motion: PhaseMotion, most: int) -> tuple[Array, Array]:
+    mesh, first = motion.mesh, motion.mesh.first_points
+    found = np.zeros((mesh.intervals, most, motion.points["u"].shape[1]))
+    for i, degree in enumerate(mesh.degrees.tolist()):
+        own = motion.points["u"][first[i] : first[i + 1]]
+        h = motion.duration * mesh.widths[i]
+        powers = mesh.scheme_of(degree).powers() / h ** np.arange(degree)[:, None]
+        found[i, :degree] = powers @ own
+    return motion.begin + motion.duration * mesh.knots[:-1], found
+
+
+def simulation_of(scene: Scene, motions: Sequence[PhaseMotion]) -> Simulation:
     """A simulation of a scene under the inputs of a motion."""
     solver = {"type": "plain"} if scene.solver.compiles else None
-    options = {"integrator": ACCURATE, "dt": motion.duration, "solver": solver}
-    return scene.simulation(sources=sources_of(scene, motion), **options)
+    dt = max(motion.duration for motion in motions)
+    options = {"integrator": ACCURATE, "dt": dt, "solver": solver}
+    return scene.simulation(sources=sources_of(scene, motions), **options)
 
 
-def state_at(simulation: Simulation, motion: PhaseMotion, node: int) -> State:
-    """The state of all joints at a node."""
-    t = motion.begin + motion.duration * float(motion.mesh.knots[node])
-    parts = (motion.nodes[key][node] for key in "qvz")
-    return simulation.system.expand(State(t, *parts))
+def replay(scene: Scene, modes: Sequence[PhaseMode], motions: Sequence[PhaseMotion]) -> Replay:
+    """Integrate the inputs of a motion, each phase from its beginning to its end."""
+    whole = simulation_of(scene, motions)
+    found = [_phase_again(whole, *one) for one in zip(modes, motions, strict=True)]
+    why = [one.why for one in found if one.why]
+    return Replay(max(one.deviation for one in found), "; ".join(why))
 
 
-def replay(scene: Scene, motion: PhaseMotion) -> Replay:
-    """Integrate the inputs of a motion from its start to its end."""
-    simulation = simulation_of(scene, motion)
+def _phase_again(whole: Simulation, mode: PhaseMode, motion: PhaseMotion) -> Replay:
+    simulation = whole
+    if mode.phased is not None:  # without its guards: a phase ends at its time
+        system = whole.system.systems[mode.number]  # type: ignore[attr-defined]
+        free = system.with_loads(system.loads.watched_by(()))
+        parts = whole.integrator, whole.stabilization, motion.duration
+        simulation = Simulation(free, *parts)
+    start = (motion.nodes[key][0] for key in "qvz")
+    x = simulation.system.expand(State(motion.begin, *start))
+    if mode.mode:
+        x = x._replace(mode=mode.mode)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            for x in simulation.run(state_at(simulation, motion, 0), motion.duration):
-                last = x
+            last = x
+            for at in simulation.run(x, motion.duration):
+                last = at
     except MbdError as error:
         return Replay(float("nan"), str(error))
     return Replay(deviation(simulation, last, motion))

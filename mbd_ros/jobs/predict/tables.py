@@ -1,5 +1,6 @@
 """Tables of a predicted motion."""
 
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,6 +10,7 @@ from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.files.table import Column, Table
 from mbd_ros.files.times import TIME
+from mbd_ros.jobs.predict.modes import PhaseMode
 from mbd_ros.jobs.predict.solving import Found
 from mbd_ros.jobs.simulate.table import table_of
 
@@ -16,29 +18,33 @@ if TYPE_CHECKING:
     from mbd_ros.compiled.program.motion_program import Solution
 
 GOALS, NODES = "goals", "nodes"
-_SHOWN = 240  # intervals of the samples of a phase
+SHOWN = 240  # intervals of the samples of a phase
 
 
-def motion_table(simulation: Simulation, motion: PhaseMotion) -> Table:
-    """Samples of a motion at equal times, with the columns of a simulation."""
-    shares = np.linspace(0.0, 1.0, _SHOWN + 1)
-    values = motion.at(shares[:-1])
-    rows = {key: np.vstack((values[key], motion.nodes[key][-1])) for key in "qvz"}
-    times = motion.begin + motion.duration * shares
-    states = [
-        simulation.system.expand(State(float(t), *(rows[key][i] for key in "qvz")))
-        for i, t in enumerate(times)
-    ]
+def motion_table(
+    simulation: Simulation, modes: Sequence[PhaseMode], motions: Sequence[PhaseMotion]
+) -> Table:
+    """Samples of a motion at equal times of each phase, with the columns of a simulation."""
+    pairs = zip(modes, motions, strict=True)
+    states = [x for mode, motion in pairs for x in _states(mode, motion)]
     table, _, failure = table_of(simulation, states)
     if failure is not None:
         raise failure
-    internals = simulation.system.internals
-    more = [
-        Column(name, column, unit)
-        for name, column, unit in zip(internals.names, rows["z"].T, internals.units, strict=True)
-        if name not in table
-    ]
+    internals, z = simulation.system.internals, np.array([x.z for x in states])
+    pairs_of_z = zip(internals.names, z.T, internals.units, strict=True)
+    more = [Column(name, one, unit) for name, one, unit in pairs_of_z if name not in table]
     return Table([*table.columns, *more])
+
+
+def _states(mode: PhaseMode, motion: PhaseMotion) -> Iterator[State]:
+    """States of all joints, both ends of the phase included."""
+    shares = np.linspace(0.0, 1.0, SHOWN + 1)
+    values = motion.at(shares[:-1])
+    rows = {key: np.vstack((values[key], motion.nodes[key][-1])) for key in "qvz"}
+    for i, t in enumerate(motion.begin + motion.duration * shares):
+        y = State(float(t), *(rows[key][i] for key in "qvz"), mode.mode)
+        x = mode.system.expand(y)
+        yield x if mode.phased is None else mode.phased.outward(mode.number, x)
 
 
 def goal_table(found: Found) -> Table:

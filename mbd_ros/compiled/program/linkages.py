@@ -1,0 +1,187 @@
+"""What links ends of phases: guards, impacts and other names of joints, or equal values.
+
+At an impact M (v+ - v-) = J' p and J v+ = 0 of all rows that hold after it, with p unknown.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from mbd_ros.compiled.program.block import Block, Form
+from mbd_ros.compiled.program.motion_phase import MotionPhase
+from mbd_ros.compiled.program.phase_equations import PhaseEquations
+from mbd_ros.compiled.program.quantities import Quantity
+from mbd_ros.compiled.symbols.scalar import plain
+from mbd_ros.core.events.crossings import Combination, Gap
+from mbd_ros.core.events.phase import Exit
+from mbd_ros.core.events.phase_reset import Relabelling
+from mbd_ros.core.prediction.unknowns import Unknowns
+from mbd_ros.core.state import Array
+from mbd_ros.errors import ModelError
+
+GUARD, RESET, PERIODIC = "guard", "reset", "periodic"
+
+
+class ResetLinkage:
+    """A phase ends where a guard is zero, and the next one begins after what happens at once.
+
+    Args:
+        before: The phase that ends.
+        after: The phase that begins.
+        numbers: Theirs.
+        way: The exit that is taken.
+        striking: Equations of the impact; None without one.
+        travel: Places in q that go on as they like, where a motion repeats.
+
+    Raises:
+        ModelError: A guard that looks at forces, or coordinates that differ.
+    """
+
+    def __init__(
+        self,
+        before: MotionPhase,
+        after: MotionPhase,
+        numbers: tuple[int, int],
+        way: Exit,
+        striking: PhaseEquations | None,
+        travel: Sequence[int] = (),
+    ) -> None:
+        self._before, self._numbers, self.name = before, numbers, way.name
+        sizes = before.equations.sizes
+        if after.equations.sizes[:3] != sizes[:3]:
+            raise ModelError("phases whose coordinates differ; accepted: solver: {type: kkt}")
+        self._impulses = 0 if striking is None else striking.sizes.m
+        self._guard = self._guard_form(way)
+        self._reset = self._reset_form(way.reset.relabelling, striking, travel)
+
+    def blocks(self, every: Sequence[Unknowns], first: int) -> tuple[list[Block], int]:
+        """As `Linkage.blocks`."""
+        before, after = (every[i] for i in self._numbers)
+        nodes = np.array([before.mesh.intervals])
+        ends = self._before.forms.node_places(before, nodes)
+        end = first + self._before.equations.sizes.nv + self._impulses
+        own = np.arange(first, end)[:, None]
+        found = [Block(RESET, self._reset, np.vstack((ends, after.state[0][:, None], own)), _ENDS)]
+        if self._guard is not None:
+            form, upper = self._guard
+            found.append(Block(GUARD, form, ends, _ENDS, [0.0, -np.inf], [0.0, upper]))
+        return found, end
+
+    def _guard_form(self, way: Exit) -> tuple[Form, float] | None:
+        """The guard, and its rate against the direction in which it acts."""
+        if way.crossing is None:
+            return None
+        equations = self._before.equations
+        value = ca.SX(guard_value(way.crossing, equations.equations))
+        symbols = equations.symbols
+        rate = -way.direction * ca.jtimes(value, symbols["q"], _rates(equations))
+        upper = 0.0 if way.direction else np.inf
+        return self._before.forms.node_form(ca.vertcat(value, rate)), upper
+
+    def _reset_form(
+        self,
+        relabelling: Relabelling | None,
+        striking: PhaseEquations | None,
+        travel: Sequence[int],
+    ) -> Form:
+        symbols, sizes = self._before.equations.symbols, self._before.equations.sizes
+        q1, v1, z1 = (ca.SX.sym(f"{key}1", symbols[key].numel()) for key in "qvz")
+        between, p = ca.SX.sym("v", sizes.nv), ca.SX.sym("P", self._impulses)
+        if striking is None:
+            struck = between - symbols["v"]
+        else:
+            struck = _struck(striking, symbols, between, p)
+        q, v, z = _relabelled(relabelling, symbols["q"], between, symbols["z"])
+        kept = [i for i in range(sizes.nq) if i not in set(travel)]
+        rows = ca.vertcat(struck, (q1 - q)[kept], v1 - v, z1 - z)
+        return self._before.forms.node_form(rows, more=ca.vertcat(q1, v1, z1, between, p))
+
+
+class EqualEnds:
+    """Quantities that end as others began.
+
+    Args:
+        last: The last phase.
+        first: The first one.
+        pairs: At the end, and at the beginning.
+        signs: What values at the beginning count as, one a pair.
+    """
+
+    def __init__(
+        self,
+        last: MotionPhase,
+        first: MotionPhase,
+        pairs: Sequence[tuple[Quantity, Quantity]],
+        signs: Sequence[float],
+    ) -> None:
+        self._last, symbols = last, first.equations.symbols
+        begin = {key: ca.SX.sym(f"{key}0", symbols[key].numel()) for key in "qvz"}
+        given, taken = [symbols[key] for key in "qvz"], list(begin.values())
+        rows = [
+            end.value - sign * ca.substitute([start.value], given, taken)[0]
+            for (end, start), sign in zip(pairs, signs, strict=True)
+        ]
+        self._form = last.forms.node_form(ca.vertcat(*rows), more=ca.vertcat(*taken))
+
+    def blocks(self, every: Sequence[Unknowns], first: int) -> tuple[list[Block], int]:
+        """As `Linkage.blocks`."""
+        last = every[-1]
+        ends = self._last.forms.node_places(last, np.array([last.mesh.intervals]))
+        places = np.vstack((ends, every[0].state[0][:, None]))
+        return [Block(PERIODIC, self._form, places, _ENDS)], first
+
+
+_ENDS: Array = np.ones((1, 1))  # share of the duration
+
+
+def guard_value(crossing: Any, equations: Any) -> Any:
+    """The number of a guard as an expression of positions.
+
+    Raises:
+        ModelError: It looks at forces.
+    """
+    if isinstance(crossing, Gap):
+        gaps = list(crossing.contact.pair.gaps(equations.k))
+        least = ca.SX(plain(gaps[0]))
+        for other in gaps[1:]:
+            least = ca.fmin(least, plain(other))
+        return least
+    if isinstance(crossing, Combination):
+        pairs = zip(crossing.q, crossing.factors, strict=True)
+        total: Any = sum(factor * equations.coordinates.q[i] for i, factor in pairs)
+        return plain(total) - crossing.at
+    raise ModelError("a guard looks at forces; accepted: touch_down, joint, joints, time")
+
+
+def _rates(equations: PhaseEquations) -> Any:
+    """Q' of a configuration without free bodies."""
+    rates = ca.SX(equations.sizes.nq, 1)
+    for i, j in equations.flat:
+        rates[int(i)] = equations.symbols["v"][int(j)]
+    return rates
+
+
+def _struck(striking: PhaseEquations, symbols: Any, after: Any, p: Any) -> Any:
+    """M (v+ - v-) - J' p and J v+, in symbols of the phase that ends."""
+    own, nv = striking.symbols, striking.sizes.nv
+    force = striking.residual[:nv]
+    jump = after - symbols["v"]
+    balance = ca.jtimes(force, own["a"], jump) + ca.jtimes(force, own["l"], p)
+    given = [own[key] for key in "tqvz"]
+    taken = [symbols["t"], symbols["q"], after, symbols["z"]]
+    rows = ca.vertcat(balance, striking.velocities)
+    return ca.substitute([rows], given, taken)[0]
+
+
+def _relabelled(names: Relabelling | None, q: Any, v: Any, z: Any) -> tuple[Any, Any, Any]:
+    if names is None:
+        return q, v, z
+    q, v, z = ca.SX(q), ca.SX(v), ca.SX(z)
+    at_q, at_v, at_z = (one.tolist() for one in (names.q, names.v, names.z))
+    new = ca.DM(names.A) @ q[at_q] + ca.DM(names.b), ca.DM(names.A) @ v[at_v]
+    q[at_q], v[at_v] = new
+    if at_z:
+        z[at_z] = ca.DM(names.B) @ z[at_z]
+    return q, v, z

@@ -1,0 +1,87 @@
+"""The motion that a program begins with."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbd_ros.core.prediction.unknowns import PhaseMotion
+from mbd_ros.core.state import State
+from mbd_ros.errors import ModelError
+from mbd_ros.scene.predict_task import PredictTask
+
+if TYPE_CHECKING:
+    from mbd_ros.compiled.program.motion_phase import MotionPhase
+
+Lines = Mapping[str, tuple[float, ...]]
+
+
+def guesses_of(
+    phases: "Sequence[MotionPhase]", first: State, task: PredictTask
+) -> list[PhaseMotion]:
+    """Straight lines from the start to the end of each phase, and what a task says instead.
+
+    Args:
+        phases: The phases.
+        first: Where the scene starts, in what is integrated.
+        task: The task.
+
+    Raises:
+        ModelError: A guess of what is no unknown.
+    """
+    found, state, t = list[PhaseMotion](), np.concatenate((first.q, first.v, first.z)), first.t
+    parts = np.linspace(0.0, 1.0, len(phases) + 1)
+    for i, phase in enumerate(phases):
+        motion = _straight(phase, state, t)
+        _write_lines(phase, motion, task.guess, (parts[i], parts[i + 1]))
+        found.append(motion)
+        t += motion.duration
+        state = np.concatenate([motion.nodes[key][-1] for key in "qvz"])
+    return found
+
+
+def _straight(phase: "MotionPhase", state: Any, begin: float) -> PhaseMotion:
+    problem, sizes, mesh = phase.problem, phase.equations.sizes, phase.problem.mesh
+    low, high = problem.duration
+    duration = 0.5 * (low + high) if np.isfinite(high) else 2.0 * low
+    start = phase.state_at_end(problem.start, state)
+    finish = phase.state_at_end(problem.end, start)
+    nodes, points = dict[str, Any](), dict[str, Any]()
+    for at, found in ((mesh.knots, nodes), (mesh.shares, points)):
+        whole = start + at[:, None] * (finish - start)
+        cuts = [sizes.nq, sizes.nq + sizes.nv]
+        found["q"], found["v"], found["z"] = np.split(whole, cuts, axis=1)
+    m = len(mesh.shares)
+    widths = {"a": sizes.nv, "w": sizes.nz, "u": sizes.nu, "l": sizes.m}
+    points |= {key: np.zeros((m, width)) for key, width in widths.items()}
+    points["d"] = np.zeros((m + mesh.intervals, 6 * len(sizes.bases)))
+    return PhaseMotion(mesh, begin, duration, nodes, points, sizes.bases)
+
+
+def _write_lines(
+    phase: "MotionPhase", motion: PhaseMotion, lines: Lines, part: tuple[float, float]
+) -> None:
+    """Put lines of a guess in place, with the velocities that belong to them.
+
+    Args:
+        phase: The phase.
+        motion: Its guess, which is changed.
+        lines: Quantity -> values at equal times of the whole motion.
+        part: Where in the whole motion the phase is.
+    """
+    flat = {int(i): int(j) for i, j in phase.equations.flat}
+    ends = (motion.mesh.knots, motion.nodes), (motion.mesh.shares, motion.points)
+    for name, values in lines.items():
+        places = np.linspace(0.0, 1.0, len(values))
+        for one in phase.quantities.find(name):
+            if not one.letter or one.letter == "p":
+                raise ModelError(f"guess: {one.name} is no unknown of the motion")
+            velocity = f"{one.name.removesuffix('position')}velocity"
+            for shares, found in ends:
+                if one.letter not in found:
+                    continue
+                at = part[0] + shares * (part[1] - part[0])
+                found[one.letter][:, one.index] = np.interp(at, places, values)
+                if one.letter == "q" and one.index in flat and velocity not in lines:
+                    slope = np.gradient(np.interp(at, places, values), shares)
+                    found["v"][:, flat[one.index]] = slope / motion.duration
