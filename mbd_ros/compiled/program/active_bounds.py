@@ -1,5 +1,7 @@
 """Which bounds are active at the points of a solution."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from mbd_ros.compiled.program.motion_phase import PATH, MotionPhase
@@ -27,6 +29,41 @@ def status_of(phase: MotionPhase, number: int, solution: Solution) -> Status:
     side = np.where(solved.x - lower < upper - solved.x, -1, 1)
     found = np.where((pull > room) & (lower < upper), side, 0)[places]
     return np.hstack((found, _of_rows(solution, number)))
+
+
+class Active(NamedTuple):
+    """A bound that is active.
+
+    Attributes:
+        name: Of the quantity.
+        side: -1 for the lower bound, 1 for the upper one.
+        share: Of the points of the phase.
+        value: The bound.
+    """
+
+    name: str
+    side: int
+    share: float
+    value: float
+
+
+def active_bounds(phase: MotionPhase, number: int, solution: Solution) -> list[Active]:
+    """Bounds that are active at some points of a phase."""
+    status, unknowns = status_of(phase, number, solution), solution.unknowns[number]
+    ends = phase.bounds_on(unknowns, len(solution.solved.x))
+    named = [
+        (phase.quantities.name_of(letter, i), [one[places[0]] for one in ends])
+        for letter in "uqvz"
+        for i, places in enumerate(unknowns.points[letter].T)
+    ]
+    named += [(one.name, list(bounds)) for one, bounds in phase.derived_bounds]
+    found = list[Active]()
+    for (name, bounds), sides in zip(named, status.T, strict=True):
+        for side, value in zip((-1, 1), bounds, strict=True):
+            share = float(np.mean(sides == side))
+            if share > 0.0:
+                found.append(Active(name, side, share, float(value)))
+    return found
 
 
 def _of_rows(solution: Solution, number: int) -> Status:

@@ -9,7 +9,7 @@ import numpy as np
 from mbd_ros.compiled.program.block import Block, Form
 from mbd_ros.compiled.program.goals import Terms, terms_of
 from mbd_ros.compiled.program.phase_equations import LETTERS, PhaseEquations
-from mbd_ros.compiled.program.phase_forms import CLOSING, PhaseForms
+from mbd_ros.compiled.program.phase_forms import CLOSING, MOTION, PhaseForms
 from mbd_ros.compiled.program.quantities import Quantities, Quantity, input_bounds
 from mbd_ros.compiled.program.sizes import Usual, usual_sizes
 from mbd_ros.core.prediction.mesh import Numbers
@@ -21,6 +21,7 @@ from mbd_ros.errors import ModelError
 Reference = Callable[[str, Array], Array]  # name of a quantity, times [s] -> values
 START, END, PATH = "start", "end", "bounds"
 _AT_NODES = "qvz"
+_ROUNDING = 1.0e-9
 
 
 class MotionPhase:
@@ -75,15 +76,40 @@ class MotionPhase:
             places = self._places(unknowns, one)
             lower[places] = np.maximum(lower[places], low)
             upper[places] = np.minimum(upper[places], high)
+            if (lower[places] > upper[places]).any():
+                raise ModelError(
+                    f"bounds of {one.name}: {low:g} .. {high:g} leave nothing of "
+                    f"{lower[places].max():g} .. {upper[places].min():g}"
+                )
         for ranges, node in ((self._start, 0), (self._end, -1)):
             for one, (low, high) in ranges:
                 if one.letter:
                     at = unknowns.nodes[one.letter][node, one.index]
+                    self._refuse_outside(one.name, node, (low, high), (lower[at], upper[at]))
                     if low == high:
                         lower[at] = upper[at] = low
                     else:
                         lower[at], upper[at] = max(lower[at], low), min(upper[at], high)
         lower[unknowns.duration], upper[unknowns.duration] = self.problem.duration
+
+    @staticmethod
+    def _refuse_outside(name: str, node: int, asked: Range, bounds: Range) -> None:
+        slack = _ROUNDING * (1.0 + max(map(abs, asked)))
+        if asked[0] > bounds[1] + slack or asked[1] < bounds[0] - slack:
+            where = "start" if node == 0 else "end"
+            raise ModelError(
+                f"{name} {asked[0]:g} .. {asked[1]:g} at the {where} contradicts its bounds "
+                f"{bounds[0]:g} .. {bounds[1]:g}"
+            )
+
+    def check(self) -> None:
+        """Refuse bounds that contradict each other.
+
+        Raises:
+            ModelError: Names the quantity and both.
+        """
+        unknowns = Unknowns(self.equations.sizes, self.problem.mesh, len(self._parameters))
+        self.bounds_on(unknowns, unknowns.end)
 
     def bounds_on(self, unknowns: Unknowns, size: int) -> tuple[Array, Array]:
         """Bounds of all unknowns of a program, infinite for those of others."""
@@ -258,12 +284,24 @@ class MotionPhase:
         form = (self.forms.point_form if at_points else self.forms.node_form)(values)
         return form, low, high, size
 
+    @property
+    def derived_bounds(self) -> list[tuple[Quantity, Range]]:
+        """Quantities of `bounds` that are no unknowns."""
+        return [(one, bounds) for one, bounds in self._bounds if not one.letter]
+
     def row_name(self, block: str, row: int) -> str:
-        """What a row of a block is, for messages."""
+        """What a row of a block at points or nodes is, for messages."""
         ranges = {PATH: self._bounds, START: self._start, END: self._end}.get(block)
         if ranges is not None:
-            return [one.name for one, _ in ranges if not one.letter][row]
-        e = self.equations.equations
-        if block == CLOSING:
-            return "closure of loops"
-        return e.system.robot.joints[0].name if block else ""
+            one, (low, high) = [each for each in ranges if not each[0].letter][row]
+            accepted = f"{low:g}" if low == high else f"{low:g} .. {high:g}"
+            return f"{one.name} {accepted}"
+        sizes, name_of = self.equations.sizes, self.quantities.name_of
+        if block == MOTION and row < sizes.nv:
+            joint = name_of("v", row).removesuffix(".velocity")
+            return f"equation of motion of {joint}"
+        if block == MOTION and row < sizes.nv + sizes.m:
+            return f"acceleration along {name_of('l', row - sizes.nv)}"
+        if block == MOTION:
+            return f"rate of {name_of('z', row - sizes.nv - sizes.m)}"
+        return "closure of loops" if block == CLOSING else ""

@@ -130,7 +130,7 @@ class PhaseEquations:
         return ca.Function("rows", given, [ca.densify(ca.SX(one)) for one in results])
 
     def rows_at(self, t: float, q: Array, v: Array, p: Array) -> tuple[Array, ...]:
-        """g and J of rows of positions, then g' and J of all rows, at a state."""
+        """G and J of rows of positions, then g' and J of all rows, at a state."""
         g, of_positions, rate, of_all = (_full(one) for one in self._rows(t, q, v, p))
         return g.ravel(), of_positions, rate.ravel(), of_all
 

@@ -78,6 +78,13 @@ class Quantities:
             )
         return found
 
+    def name_of(self, letter: str, index: int) -> str:
+        """What an unknown is called."""
+        for one in self._named.values():
+            if (one.letter, one.index) == (letter, index):
+                return one.name
+        return f"{letter}[{index}]"
+
     def inputs(self) -> list[Quantity]:
         """All inputs, in the order of u."""
         return [one for one in self._named.values() if one.letter == "u"]

@@ -69,9 +69,7 @@ def bracketed(mesh: Mesh, status: Status, wanted: NDArray[np.bool_]) -> Mesh:
             middle = 0.5 * (mesh.knots[i] + mesh.knots[i + 1])
             knots.append((float(middle), int(mesh.degrees[i])))
     kept = [one for one in sorted(set(knots)) if one[0] <= 1.0 - _SHORTEST]
-    kept = kept[:1] + [
-        two for one, two in itertools.pairwise(kept) if two[0] - one[0] > _SHORTEST
-    ]
+    kept = kept[:1] + [two for one, two in itertools.pairwise(kept) if two[0] - one[0] > _SHORTEST]
     places = np.array([*(one for one, _ in kept), 1.0])
     return mesh_of(mesh.scheme, [degree for _, degree in kept], np.diff(places))
 

@@ -8,9 +8,9 @@ from mbd_ros.errors import NotConvergedError
 from mbd_ros.files.table import MAIN, Result
 from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.metadata import metadata_of
-from mbd_ros.jobs.predict.failure import reasons
+from mbd_ros.jobs.predict.failure import active, reasons
 from mbd_ros.jobs.predict.problem import problem_of
-from mbd_ros.jobs.predict.replay import Replay, replay, simulation_of
+from mbd_ros.jobs.predict.replay import NOT_AGAIN, Replay, replay, simulation_of
 from mbd_ros.jobs.predict.solving import Found, solve
 from mbd_ros.jobs.predict.tables import GOALS, NODES, goal_table, motion_table, node_table
 from mbd_ros.jobs.progress import Watch, watching
@@ -71,11 +71,13 @@ def run_predict(scene: Scene, task: PredictTask, say: Say) -> tuple[Found, Resul
     found = solve(problem_of(scene, task), task, say)
     driven, modes, motions = found.problem.scene, found.problem.modes, found.solution.motions
     simulation = simulation_of(driven, motions)
-    again = replay(driven, modes, motions)
+    again = NOT_AGAIN
+    if found.is_converged:
+        again = replay(driven, modes, motions)
     for line in solution_lines(found, again):
         say(line)
     tables = {
-        MAIN: motion_table(simulation, modes, motions),
+        MAIN: motion_table(simulation, modes, motions, is_converged=found.is_converged),
         GOALS: goal_table(found),
         NODES: node_table(found),
     }
@@ -99,6 +101,7 @@ def numbers_of(found: Found, again: Replay) -> dict[str, Any]:
         "stationarity": solved.stationarity,
         "iterations": found.iterations,
         "replay": again.deviation if again.deviation == again.deviation else None,
+        "active": [list(one) for one in active(found)],
         "parameters": dict(zip(names, found.solution.parameters.tolist(), strict=True)),
     }
 

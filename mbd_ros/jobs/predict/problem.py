@@ -68,6 +68,8 @@ def problem_of(scene: Scene, task: PredictTask) -> Problem:
         modes = modes_of(scene, task)
         first = started(scene, modes[0])
         phases = _phases(scene, task, modes, first)
+        for phase in phases:
+            phase.check()
         linkages = linkages_of(scene, task, modes, phases)
         guesses = guesses_of(phases, first, task)
     except ModelError as error:

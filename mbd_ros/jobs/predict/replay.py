@@ -29,6 +29,9 @@ class Replay(NamedTuple):
     why: str = ""
 
 
+NOT_AGAIN = Replay(float("nan"), "not done for a last iterate")
+
+
 def sources_of(scene: Scene, motions: Sequence[PhaseMotion]) -> dict[str, Source]:
     """The inputs of a motion as polynomials of the time, by name of the part."""
     most = max(int(motion.mesh.degrees.max()) for motion in motions)

@@ -10,6 +10,7 @@ from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.files.table import Column, Table
 from mbd_ros.files.times import TIME
+from mbd_ros.jobs.columns import joint_columns
 from mbd_ros.jobs.predict.modes import PhaseMode
 from mbd_ros.jobs.predict.solving import Found
 from mbd_ros.jobs.simulate.table import table_of
@@ -22,18 +23,37 @@ SHOWN = 240  # intervals of the samples of a phase
 
 
 def motion_table(
-    simulation: Simulation, modes: Sequence[PhaseMode], motions: Sequence[PhaseMotion]
+    simulation: Simulation,
+    modes: Sequence[PhaseMode],
+    motions: Sequence[PhaseMotion],
+    *,
+    is_converged: bool,
 ) -> Table:
-    """Samples of a motion at equal times of each phase, with the columns of a simulation."""
+    """Samples of a motion at equal times of each phase, with the columns of a simulation.
+
+    A last iterate has no accelerations where its loops are open: it has positions and velocities
+    alone then.
+    """
     pairs = zip(modes, motions, strict=True)
     states = [x for mode, motion in pairs for x in _states(mode, motion)]
     table, _, failure = table_of(simulation, states)
-    if failure is not None:
+    if failure is not None and is_converged:
         raise failure
+    if failure is not None:
+        return _states_alone(simulation, states)
     internals, z = simulation.system.internals, np.array([x.z for x in states])
     pairs_of_z = zip(internals.names, z.T, internals.units, strict=True)
     more = [Column(name, one, unit) for name, one, unit in pairs_of_z if name not in table]
     return Table([*table.columns, *more])
+
+
+def _states_alone(simulation: Simulation, states: Sequence[State]) -> Table:
+    joints = simulation.system.robot.joints
+    q, v = (np.array([getattr(x, key) for x in states]) for key in "qv")
+    times = Column(TIME, np.array([x.t for x in states]), "s")
+    positions = joint_columns(joints, "position", q[:, [joint.q for joint in joints]])
+    velocities = joint_columns(joints, "velocity", v[:, [joint.v for joint in joints]])
+    return Table([times, *positions, *velocities])
 
 
 def _states(mode: PhaseMode, motion: PhaseMotion) -> Iterator[State]:
