@@ -4,10 +4,7 @@ Source: A. Waechter, L. T. Biegler, On the implementation of an interior-point f
 algorithm for large-scale nonlinear programming, Mathematical Programming 106, 2006.
 """
 
-import signal
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -19,6 +16,7 @@ from mbd_ros.core.state import Array
 STOPPED = "User_Requested_Stop"
 _GOOD = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Feasible_Point_Found")
 _WARM = {
+    "mu_strategy": "adaptive",
     "mu_init": 1.0e-5,
     "bound_push": 1.0e-7,
     "bound_frac": 1.0e-7,
@@ -79,7 +77,7 @@ def solve(
         tell: Is called after every iteration; stops the solver where it says so.
     """
     functions, at = program.functions(), program.open
-    watch = _Watch(len(at), program.m, tell or _silent)
+    watch = _Watch(len(at), program.bounds, tell or _silent)
     ipopt: dict[str, Any] = {
         "print_level": 0,
         "sb": "yes",
@@ -98,14 +96,13 @@ def solve(
         "predict", "ipopt", functions["program"], {**options, **more, "ipopt": ipopt}
     )
     sizes, (row_lower, row_upper) = program.sizes[at], program.bounds
-    with _stopping(watch):
-        found = solver(
-            x0=guess[at] / sizes,
-            lbx=lower[at] / sizes,
-            ubx=upper[at] / sizes,
-            lbg=row_lower,
-            ubg=row_upper,
-        )
+    found = solver(
+        x0=guess[at] / sizes,
+        lbx=lower[at] / sizes,
+        ubx=upper[at] / sizes,
+        lbg=row_lower,
+        ubg=row_upper,
+    )
     return _solved(program, guess, found, solver.stats(), functions)
 
 
@@ -150,10 +147,10 @@ def _silent(iteration: int, cost: float, violation: float) -> bool:
 class _Watch(ca.Callback):  # type: ignore[misc]
     """What is called after every iteration."""
 
-    def __init__(self, n: int, m: int, tell: Tell) -> None:
+    def __init__(self, n: int, bounds: tuple[Array, Array], tell: Tell) -> None:
         ca.Callback.__init__(self)
-        self._n, self._m, self._tell = n, m, tell
-        self.is_stopped, self.iterations = False, 0
+        self._n, self._m, self._bounds, self._tell = n, len(bounds[0]), bounds, tell
+        self.iterations = 0
         self.construct("watch", {})
 
     def get_n_in(self) -> int:
@@ -175,22 +172,6 @@ class _Watch(ca.Callback):  # type: ignore[misc]
 
     def eval(self, given: Any) -> list[int]:
         self.iterations += 1
-        stop = self._tell(self.iterations, float(given[1]), 0.0)
-        return [int(stop or self.is_stopped)]
-
-
-@contextmanager
-def _stopping(watch: _Watch) -> Iterator[None]:
-    """Ctrl-C ends the solver after an iteration instead of the process."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def stop(number: int, frame: Any) -> None:
-        watch.is_stopped = True
-
-    before = signal.signal(signal.SIGINT, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+        rows, (lower, upper) = _flat(given[2]), self._bounds
+        off = np.maximum(lower - rows, rows - upper).max(initial=0.0)
+        return [int(self._tell(self.iterations, float(given[1]), float(off)))]

@@ -104,6 +104,17 @@ class MotionProgram:
             is_near: Whether the guesses solve a program that is nearly this one.
             tell: See `ipopt.solve`.
         """
+        program, guess, every, (lower, upper) = self.assembled(guesses, parameters, cost_size)
+        more = {"accuracy": accuracy, "most": most, "is_near": is_near}
+        solved = solve(program, guess, lower, upper, tell=tell, **more)  # type: ignore[arg-type]
+        motions = tuple(read(solved.x, unknowns) for unknowns in every)
+        found = solved.x[: len(self.parameters)]
+        return Solution(motions, found, solved, program, tuple(every))
+
+    def assembled(
+        self, guesses: Sequence[PhaseMotion], parameters: Array, cost_size: float
+    ) -> tuple[SparseProgram, Array, list[Unknowns], tuple[Array, Array]]:
+        """The program on the meshes of guesses, the guess, the unknowns and their bounds."""
         every = self._numbered(guesses)
         guess = np.zeros(every[-1].end)
         guess[: len(parameters)] = parameters
@@ -120,14 +131,9 @@ class MotionProgram:
         guess = np.append(guess, np.zeros(end - len(guess)))
         sizes = np.append(sizes, np.ones(end - len(sizes)))
         lower, upper = self._bounds(every, end)
-        guess = np.clip(guess, lower, upper)
         known = np.where(lower == upper, lower, np.nan)
         program = SparseProgram(blocks, sizes, known, cost_size)
-        more = {"accuracy": accuracy, "most": most, "is_near": is_near}
-        solved = solve(program, guess, lower, upper, tell=tell, **more)  # type: ignore[arg-type]
-        motions = tuple(read(solved.x, unknowns) for unknowns in every)
-        found = solved.x[: len(self.parameters)]
-        return Solution(motions, found, solved, program, tuple(every))
+        return program, np.clip(guess, lower, upper), every, (lower, upper)
 
     def _numbered(self, guesses: Sequence[PhaseMotion]) -> list[Unknowns]:
         found, first = list[Unknowns](), len(self.parameters)

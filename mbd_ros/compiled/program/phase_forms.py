@@ -23,7 +23,7 @@ from mbd_ros.core.prediction.mesh import Numbers
 from mbd_ros.core.prediction.unknowns import BODY, Unknowns
 from mbd_ros.core.state import Array
 
-COLLOCATION, CLOSING, MOTION = "collocation", "closing", "motion"  # names of blocks
+COLLOCATION, BODIES, CLOSING, MOTION = "collocation", "bodies", "closing", "motion"  # blocks
 _BASE_Q, _BASE_V = 7, 6
 
 
@@ -152,7 +152,7 @@ class PhaseForms:
                 if unknowns.sizes.m:
                     parts.append(unknowns.shifts[chosen][:, v_of])
                 form = body_form(mesh.scheme_of(degree), has_shifts=unknowns.sizes.m > 0)
-                found.append(Block(COLLOCATION, form, np.hstack(parts).T))
+                found.append(Block(BODIES, form, np.hstack(parts).T))
         return found
 
     def _closed(self, unknowns: Unknowns) -> list[Block]:

@@ -68,18 +68,15 @@ def beyond_bounds(motion: PhaseMotion, lower: dict[str, Array], upper: dict[str,
         upper: The same.
 
     Returns:
-        The largest of each interval, relative to 1 + the largest value of each, shape (n,).
+        The largest of each interval and of each of q, v and z, shape (n, nq + nv + nz).
     """
-    mesh, found = motion.mesh, np.zeros(motion.mesh.intervals)
+    mesh, found = motion.mesh, list[Array]()
     places = (np.arange(_LOOKS) + 0.5) / _LOOKS
-    shares = (mesh.knots[:-1, None] + mesh.widths[:, None] * places).ravel()
-    values = motion.at(shares)
+    values = motion.at((mesh.knots[:-1, None] + mesh.widths[:, None] * places).ravel())
     for key in "qvz":
-        size = 1.0 + np.abs(values[key]).max(axis=0, initial=0.0)
-        off = np.maximum(lower[key] - values[key], values[key] - upper[key]) / size
-        worst = off.reshape(mesh.intervals, len(places) * size.size).max(axis=1, initial=0.0)
-        found = np.maximum(found, worst)
-    return found
+        off = np.maximum(lower[key] - values[key], values[key] - upper[key])
+        found.append(off.reshape(mesh.intervals, _LOOKS, -1).max(axis=1, initial=0.0))
+    return np.hstack(found)
 
 
 def _sizes(motion: PhaseMotion) -> dict[str, Array]:

@@ -26,6 +26,9 @@ def reasons(found: Found, task: PredictTask) -> Iterator[str]:
     """Why there is no solution, a line each; the first one is the summary."""
     solved = found.solution.solved
     where = f"{task.source}: " if task.source else ""
+    if solved.is_good and found.is_interrupted:
+        yield f"{where}no motion found: it was interrupted between two meshes"
+        return
     if solved.is_good:
         yield (
             f"{where}error between nodes {found.worst:.2g} is above the tolerance "

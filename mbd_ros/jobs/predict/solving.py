@@ -1,7 +1,6 @@
 """A program solved on finer and finer meshes, until errors between nodes are small enough."""
 
 import time
-from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,6 +12,7 @@ from mbd_ros.core.prediction.structure import bracketed, changes, is_settled, wi
 from mbd_ros.core.prediction.unknowns import PhaseMotion
 from mbd_ros.core.state import Array
 from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.predict.interruption import Interruption, interruptible
 from mbd_ros.jobs.predict.problem import Problem
 from mbd_ros.jobs.progress import PERIOD, announce
 from mbd_ros.scene.predict_task import PredictTask
@@ -20,7 +20,7 @@ from mbd_ros.scene.predict_task import PredictTask
 if TYPE_CHECKING:
     from mbd_ros.compiled.program.motion_program import Solution
 
-_KEPT = 0.01  # of the tolerance: how far bounds of states are passed between points at most
+_SAVED = 0.03  # of the tolerance: what passing bounds between points may save of the cost
 STOPPED = "User_Requested_Stop"
 
 
@@ -34,6 +34,7 @@ class Found(NamedTuple):
         is_fine: Whether the errors are within the tolerance.
         iterations: On all meshes.
         lines: One a mesh, for people.
+        is_interrupted: Whether somebody ended it between two meshes.
     """
 
     problem: Problem
@@ -42,6 +43,7 @@ class Found(NamedTuple):
     is_fine: bool
     iterations: int
     lines: list[str]
+    is_interrupted: bool = False
 
     @property
     def is_converged(self) -> bool:
@@ -62,6 +64,11 @@ def solve(problem: Problem, task: PredictTask, say: Say) -> Found:
         task: The task.
         say: Is told a line a mesh.
     """
+    with interruptible() as interruption:
+        return _solve(problem, task, say, interruption)
+
+
+def _solve(problem: Problem, task: PredictTask, say: Say, interruption: Interruption) -> Found:
     guesses, parameters, cost_size = list(problem.guesses), problem.parameters, 1.0
     total, lines, is_near = 0, list[str](), False
     for round_ in range(task.mesh.refinements + 1):
@@ -72,7 +79,7 @@ def solve(problem: Problem, task: PredictTask, say: Say) -> Found:
             cost_size=cost_size,
             most=task.iterations,
             is_near=is_near,
-            tell=_Watcher(round_),
+            tell=_Watcher(round_, interruption),
         )
         solved = solution.solved
         total += solved.iterations
@@ -88,6 +95,8 @@ def solve(problem: Problem, task: PredictTask, say: Say) -> Found:
         found = Found(problem, solution, errors, is_fine, total, lines)
         if (is_fine and all(one.is_settled for one in looks)) or not solved.is_good:
             return found
+        if interruption.is_asked:
+            return found._replace(is_fine=False, is_interrupted=True)
         guesses = [
             moved(motion, next_mesh(motion.mesh, error, look, task.tolerance))
             for motion, error, look in zip(solution.motions, errors, looks, strict=True)
@@ -114,14 +123,26 @@ class Look(NamedTuple):
 
 
 def look_at(problem: Problem, number: int, solution: "Solution", tolerance: float) -> Look:
-    """Look at the bounds of a phase."""
+    """Look at the bounds of a phase.
+
+    Bounds of states are passed too far where that is more than the tolerance, or where it saves
+    more than a share of it of the cost, by the multipliers of the bounds.
+    """
     from mbd_ros.compiled.program.active_bounds import status_of
 
     phase, motion = problem.program.phases[number], solution.motions[number]
+    unknowns, solved = solution.unknowns[number], solution.solved
     status, nu = status_of(phase, number, solution), motion.points["u"].shape[1]
     knots = changes(motion.mesh, status, motion.points["u"])
-    off = beyond_bounds(motion, *phase.state_bounds(solution.unknowns[number]))
-    passed = off > _KEPT * tolerance
+    off = beyond_bounds(motion, *phase.state_bounds(unknowns))
+    places = np.hstack([unknowns.points[letter] for letter in "qvz"])
+    sizes = 1.0 + np.abs(solved.x[places]).max(axis=0, initial=0.0)
+    pulls = np.abs(solved.bound_forces[places])
+    held = np.add.reduceat(pulls, motion.mesh.first_points[:-1], axis=0)
+    saved = (held * off).sum(axis=1) / (abs(solved.cost) or 1.0)
+    passed = (off / sizes).max(axis=1, initial=0.0) > tolerance
+    if saved.sum() > _SAVED * tolerance:
+        passed |= saved > _SAVED * tolerance / (2.0 * len(saved))
     return Look(knots, status[:, nu:], passed, is_settled(motion.mesh, knots))
 
 
@@ -166,8 +187,8 @@ def moved(motion: PhaseMotion, mesh: Mesh) -> PhaseMotion:
 class _Watcher:
     """Says on a terminal how far the solver is."""
 
-    def __init__(self, round_: int) -> None:
-        self._round, self._due = round_, 0.0
+    def __init__(self, round_: int, interruption: Interruption) -> None:
+        self._round, self._interruption, self._due = round_, interruption, 0.0
 
     def __call__(self, iteration: int, cost: float, violation: float) -> bool:
         if time.monotonic() >= self._due:
@@ -176,7 +197,4 @@ class _Watcher:
                 f"predict: mesh {self._round + 1}, iteration {iteration}, cost {cost:.6g}, "
                 f"violation {violation:.1e}"
             )
-        return False
-
-
-Progress = Callable[[Sequence[str]], None]
+        return self._interruption.is_asked

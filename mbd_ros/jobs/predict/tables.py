@@ -96,15 +96,18 @@ def goal_values(solution: "Solution") -> dict[str, float]:
 
 
 def node_table(found: Found) -> Table:
-    """A row a node: time, errors of the interval that follows, costates of the state there."""
+    """A row a node: time, error and points of the interval that follows, costates."""
+    from mbd_ros.compiled.program.costates import costates
+
     parts = list[dict[str, Array]]()
-    for phase, motion, error in zip(
-        found.problem.program.phases, found.solution.motions, found.errors, strict=True
-    ):
-        times = motion.begin + motion.duration * motion.mesh.knots
-        part = {TIME: times, "error": np.append(error, 0.0)}
-        part["degree"] = np.append(motion.mesh.degrees, 0).astype(float)
-        assert phase is not None
+    pairs = zip(found.problem.program.phases, found.solution.motions, strict=True)
+    for i, (phase, motion) in enumerate(pairs):
+        part = {TIME: motion.begin + motion.duration * motion.mesh.knots}
+        part["error"] = np.append(found.errors[i], 0.0)
+        part["points"] = np.append(motion.mesh.degrees, 0).astype(float)
+        for letter, values in costates(found.solution, i).items():
+            for k, column in enumerate(values.T):
+                part[f"{phase.quantities.name_of(letter, k)}.costate"] = column
         parts.append(part)
-    names = list(parts[0])
+    names = [name for name in parts[0] if all(name in part for part in parts)]
     return Table([Column(name, np.concatenate([p[name] for p in parts])) for name in names])
