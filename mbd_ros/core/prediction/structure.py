@@ -17,7 +17,7 @@ Status = NDArray[np.int_]  # -1 at a lower bound, 1 at an upper one, else 0
 
 _MOST = 24  # changes in a phase: more of them are no structure
 _SHORTEST = 1.0e-7  # of a phase
-_NEAREST = 0.02  # of an interval: a change so near to a node is at it
+_AT_NODE = 0.02  # of an interval: a change so near to a node is at it
 
 
 def changes(mesh: Mesh, status: Status, inputs: Array) -> list[float]:
@@ -80,7 +80,7 @@ def with_knots(mesh: Mesh, shares: list[float]) -> Mesh:
     for share in shares:
         i = int(np.clip(np.searchsorted(knots, share, side="right") - 1, 0, len(degrees) - 1))
         near = min((knots[i], knots[i + 1]), key=lambda one: abs(one - share))
-        if abs(near - share) > _NEAREST * (knots[i + 1] - knots[i]):
+        if abs(near - share) > _AT_NODE * (knots[i + 1] - knots[i]):
             knots.insert(i + 1, share)
             degrees.insert(i + 1, degrees[i])
             near = share
