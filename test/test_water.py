@@ -259,3 +259,27 @@ def test_energy_of_216_molecules_for_100_ps(name):
     slope = np.polyfit(samples["time"], samples["energy"], 1)[0]
     assert abs(slope * 100.0 / samples["energy.kinetic"].mean()) < 5e-4
     assert samples["drift.position"].max() < 1e-12
+
+
+def test_a_site_without_mass_carries_a_charge(box):
+    """TIP4P: forces are slopes of the energy, and the site is where it belongs."""
+    molecule = box.entries["particles"]["molecules"]["water"]
+    atoms = {name: {**one, "charge": 0.52} for name, one in molecule["atoms"].items()}
+    atoms["O"] = {**atoms["O"], "charge": 0.0, "sigma": 3.154, "epsilon": 64.85}
+    arm = 0.15 / (0.9572 * np.cos(np.deg2rad(52.26)))  # O to M over O to the middle of H1 and H2
+    site = {"charge": -1.04, "weights": {"O": 1.0 - arm, "H1": 0.5 * arm, "H2": 0.5 * arm}}
+    water = {**molecule, "atoms": atoms, "sites": {"M": site}}
+    particles = {**box.entries["particles"], "molecules": {"water": water}}
+    scene = box.with_(particles=particles, solver={"type": "compiled"})
+    system, x = scene.system(), scene.initial.q.reshape(-1, 3)
+    force = np.zeros_like(x)
+    system.pairs.add_force(x, force)
+    for place in ((0, 0), (100, 1), (647, 2)):
+        step, spare = np.zeros_like(x), np.zeros_like(x)
+        step[place] = 1e-5
+        ahead, behind = (system.pairs.add_force(x + s * step, spare) for s in (1.0, -1.0))
+        assert force[place] == pytest.approx((behind - ahead) / 2e-5, abs=1e-2)
+    assert np.abs(force.sum(axis=0)).max() < 1e-6
+    sites = system.pairs.sites.with_sites(x)[648:]
+    middle = 0.5 * (x[1::3] + x[2::3])
+    assert sites == pytest.approx(x[::3] + arm * (middle - x[::3]), abs=1e-12)

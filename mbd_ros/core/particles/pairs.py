@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.core.particles.sites import Sites
 from mbd_ros.core.state import Array
 
 _SKIN = 0.15  # of the cut-off, within which the list holds further pairs
@@ -31,7 +32,7 @@ class PairModel(NamedTuple):
     Attributes:
         cutoff: rc.
         box: Edges of the periodic box, shape (3,); None without one.
-        charges: sqrt(k) q of each point, shape (n,).
+        charges: sqrt(k) q of each point, atoms and then sites, shape (n,).
         types: Number of the type of each point, shape (n,).
         sigma: Of two types, shape (types, types).
         epsilon: Likewise.
@@ -134,16 +135,34 @@ class Pairs:
         molecules: Number of the molecule of each point, shape (n,).
         near: Pairs of near points, of positions, box and distance.
         kernel: What adds their forces.
+        sites: Points without mass that model and molecules name after those with; None without.
     """
 
-    def __init__(self, model: PairModel, molecules: Whole, near: Near, kernel: Kernel) -> None:
+    def __init__(
+        self,
+        model: PairModel,
+        molecules: Whole,
+        near: Near,
+        kernel: Kernel,
+        sites: Sites | None = None,
+    ) -> None:
         self.model, self._molecules, self._near, self.kernel = model, molecules, near, kernel
+        self.sites = sites
         self._at: Array | None = None
         self._pairs = NearPairs(*3 * (np.zeros(0, dtype=np.int32),))
         self.lists = 0
 
     def add_force(self, x: Array, force: Array) -> float:
         """Adds forces at positions, both of shape (n, 3); returns their potential energy."""
+        if self.sites is None:
+            return self._added(x, force)
+        x = self.sites.with_sites(x)
+        of_all = np.zeros_like(x)
+        energy = self._added(x, of_all)
+        self.sites.add_to_atoms(force, of_all)
+        return energy
+
+    def _added(self, x: Array, force: Array) -> float:
         if not self._lasts(x):
             reach = np.inf if len(x) <= _FEW else (1.0 + _SKIN) * self.model.cutoff
             self._pairs, self._at = self.pairs_within(x, reach), x.copy()
@@ -172,4 +191,4 @@ class Pairs:
 
     def with_kernel(self, kernel: Kernel) -> "Pairs":
         """The same pairs with another way to add their forces."""
-        return Pairs(self.model, self._molecules, self._near, kernel)
+        return Pairs(self.model, self._molecules, self._near, kernel, self.sites)

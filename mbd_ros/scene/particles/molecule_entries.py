@@ -16,6 +16,7 @@ from mbd_ros.scene.part_names import checked_name
 from mbd_ros.scene.particles.molecule_rows import Template, joined, surfaces
 
 MOST = 3_000_000  # points
+_WHOLE = 1.0e-6  # what weights may miss to 1, as they are rounded in files
 Count = Annotated[int, Within(1, MOST)]
 
 
@@ -39,6 +40,23 @@ class Atom:
 
 
 @dataclass(frozen=True)
+class Site:
+    """A point without mass, a weighted mean of the atoms of its molecule.
+
+    Attributes:
+        weights: Of atoms, by name; they sum to 1.
+        charge: Its charge.
+        sigma: Diameter of its Lennard-Jones force.
+        epsilon: Depth of it.
+    """
+
+    weights: Mapping[str, float]
+    charge: float = 0.0
+    sigma: NotNegative = 0.0
+    epsilon: NotNegative = 0.0
+
+
+@dataclass(frozen=True)
 class _Molecule:
     """An entry of `molecules`."""
 
@@ -47,6 +65,7 @@ class _Molecule:
     angles: Any = None
     torsions: Any = None
     surfaces: Any = None
+    sites: Any = None
     count: Count = 1
     placement: Any = None
 
@@ -58,12 +77,16 @@ class MoleculeEntry(NamedTuple):
         where: File and key, for the messages.
         kind: The molecules.
         atoms: Of one of them.
+        sites: Of one of them.
+        weights: Of the atoms in the sites, shape (sites, atoms).
         placement: Where they stand, as given.
     """
 
     where: str
     kind: Molecules
     atoms: tuple[Atom, ...]
+    sites: tuple[Site, ...]
+    weights: Array
     placement: Any
 
 
@@ -96,7 +119,28 @@ def read_molecule(name: str, given: Any, where: str, fields: tuple[Field, ...]) 
     loose = Molecules(name, template.names, masses, template.at, entry.count, *parts)
     at = _assembled(loose, where)
     kind = Molecules(name, template.names, masses, at, entry.count, *parts)
-    return MoleculeEntry(where, kind, atoms, entry.placement)
+    return MoleculeEntry(where, kind, atoms, *_sites(template, entry.sites), entry.placement)
+
+
+def _sites(template: Template, given: Any) -> tuple[tuple[Site, ...], Array]:
+    """Sites of a molecule, and the weights of its atoms.
+
+    Raises:
+        SceneError: Names file, key and atom.
+    """
+    where, sites = f"{template.where}.sites", []
+    if given is not None and not isinstance(given, Mapping):
+        raise SceneError(f"{where}: expected a mapping, got {given!r}")
+    weights = np.zeros((len(given or ()), len(template.names)))
+    for row, (name, one) in zip(weights, (given or {}).items(), strict=True):
+        place = f"{where}.{checked_name(name, where)}"
+        site: Site = schema.call(Site, one, place)
+        for atom, weight in site.weights.items():
+            row[template.number(atom, f"{place}.weights")] = weight
+        if abs(row.sum() - 1.0) > _WHOLE:
+            raise SceneError(f"{place}.weights: sum to {row.sum():.9g}, accepted: 1")
+        sites.append(site)
+    return tuple(sites), weights
 
 
 def _assembled(kind: Molecules, where: str) -> Array:

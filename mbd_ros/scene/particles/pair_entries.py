@@ -1,6 +1,7 @@
 """The key `pairs` of the section `particles`: forces between molecules."""
 
 import importlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -8,12 +9,13 @@ import numpy as np
 
 from mbd_ros.core.particles.pairs import PairModel, Pairs, PlainKernel
 from mbd_ros.core.particles.particle_system import ParticleSystem
+from mbd_ros.core.particles.sites import SiteGroup, Sites
 from mbd_ros.core.particles.units import Units
 from mbd_ros.core.ranges import Positive
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
-from mbd_ros.scene.particles.molecule_entries import Atom, MoleculeEntry
+from mbd_ros.scene.particles.molecule_entries import Atom, MoleculeEntry, Site
 
 _TREE = "mbd_ros.neighbours.tree"
 _OVERLAP = 0.4  # of sigma: nearer points have energies that no liquid has
@@ -43,22 +45,37 @@ def read_pairs(
             f"{where}.cutoff: {entry.cutoff:g} is more than half the shortest edge of the box, "
             f"{box.min():g}: a point would feel two images of another"
         )
-    atoms = [atom for one in entries for _ in range(one.kind.count) for atom in one.atoms]
+    atoms: list[Atom | Site] = [
+        a for one in entries for _ in range(one.kind.count) for a in one.atoms
+    ]
+    sites = _sites(entries, len(atoms))
+    atoms += [site for one in entries for _ in range(one.kind.count) for site in one.sites]
     if not any(atom.charge or atom.epsilon for atom in atoms):
         raise SceneError(f"{where}: no atom has a charge, or sigma and epsilon")
-    molecules = np.repeat(
-        np.arange(sum(one.kind.count for one in entries), dtype=np.int32),
-        [len(one.atoms) for one in entries for _ in range(one.kind.count)],
-    )
     with np.errstate(all="ignore"):
         model = _model(entry.cutoff, box, atoms, units)
         if not np.isfinite(model.powers).all():
             raise SceneError(f"{where}: sigma and epsilon beside this cutoff overflow")
+    numbers = np.arange(sum(one.kind.count for one in entries), dtype=np.int32)
+    sizes = [[len(one.atoms), len(one.sites)] for one in entries for _ in range(one.kind.count)]
+    molecules = np.concatenate([np.repeat(numbers, size) for size in zip(*sizes, strict=True)])
     near = importlib.import_module(_TREE).near_pairs
-    return Pairs(model, molecules, near, PlainKernel(model))
+    return Pairs(model, molecules, near, PlainKernel(model), sites)
 
 
-def _model(cutoff: float, box: Array | None, atoms: list[Atom], units: Units) -> PairModel:
+def _sites(entries: tuple[MoleculeEntry, ...], atoms: int) -> Sites | None:
+    """The points without mass; None without any."""
+    groups, first = [], 0
+    for one in entries:
+        if one.sites:
+            groups.append(SiteGroup(first, one.kind.count, one.weights))
+        first += one.kind.size
+    return Sites(groups, atoms) if groups else None
+
+
+def _model(
+    cutoff: float, box: Array | None, atoms: Sequence[Atom | Site], units: Units
+) -> PairModel:
     kinds = list(dict.fromkeys((atom.sigma, atom.epsilon) for atom in atoms))
     numbers = {kind: number for number, kind in enumerate(kinds)}
     types = np.array([numbers[atom.sigma, atom.epsilon] for atom in atoms], dtype=np.int32)
@@ -80,7 +97,10 @@ def refuse_overlap(system: ParticleSystem, pairs: Pairs, x: Array, where: str) -
     Raises:
         SceneError: Names them and their distance.
     """
-    model = pairs.model
+    model, names = pairs.model, system.names
+    if pairs.sites is not None:
+        x = pairs.sites.with_sites(x)
+        names += pairs.sites.count * ("a site",)
     sigma = float(model.sigma.max()) or 0.01 * model.cutoff
     found = pairs.pairs_within(x, _OVERLAP * sigma)
     d = x[found.i] - x[found.j]
@@ -95,8 +115,8 @@ def refuse_overlap(system: ParticleSystem, pairs: Pairs, x: Array, where: str) -
     if not (apart < accepted).any():
         return
     worst = int(np.argmin(apart / accepted))
-    names = f"{system.names[found.i[worst]]} and {system.names[found.j[worst]]}"
+    both = f"{names[found.i[worst]]} and {names[found.j[worst]]}"
     raise SceneError(
-        f"{where}: {np.count_nonzero(apart < accepted)} pairs of particles overlap; {names} are "
+        f"{where}: {np.count_nonzero(apart < accepted)} pairs of particles overlap; {both} are "
         f"{apart[worst]:.3g} apart, accepted: {accepted[worst]:.3g} or more between molecules"
     )
