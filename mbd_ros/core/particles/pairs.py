@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.particles.sites import Sites
 from mbd_ros.core.state import Array
 
-_SKIN = 0.15  # of the cut-off, within which the list holds further pairs
+_SKIN = 0.3  # of the cut-off, within which the list holds further pairs
 _FEW = 1000  # points up to which lists of all pairs cost less than new ones
 Whole = NDArray[np.int32]
 Near = Callable[[Array, Array | None, float], Whole]
