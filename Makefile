@@ -22,7 +22,7 @@ OTHER_PYTHON := other_python
 endif
 endif
 
-.PHONY: venv test browser demo lint format report docs links picture soak fuzz fuzz-nodes bench against imports colcon clean other_python
+.PHONY: venv test browser calculix demo lint format report docs links picture soak fuzz fuzz-nodes bench against imports colcon clean other_python
 
 venv: .venv/installed
 
@@ -36,7 +36,7 @@ venv: .venv/installed
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
 
-test: venv .venv/report .venv/docs browser
+test: venv .venv/report .venv/docs browser calculix
 	$(BIN)/python -m pytest -n 2 --dist worksteal --ignore=test/nodes --ignore=test/browser
 	$(BIN)/python -m pytest test/browser
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not soak and not alone" test/nodes
@@ -48,6 +48,12 @@ browser:
 	export DEBIAN_FRONTEND=noninteractive; timeout 300 apt-get update -qq && \
 	timeout 600 apt-get install -y -qq --no-install-recommends chromium; } </dev/null || \
 	echo "Chromium is missing and cannot be installed here: tests in a browser are skipped" >&2
+
+# For tests of finite elements, likewise.
+calculix:
+	@command -v ccx >/dev/null || { export DEBIAN_FRONTEND=noninteractive; timeout 300 apt-get update -qq && \
+	timeout 300 apt-get install -y -qq --no-install-recommends calculix-ccx; } </dev/null || \
+	echo "CalculiX is missing and cannot be installed here: tests that solve are skipped" >&2
 
 demo: venv
 	$(BIN)/mbd-ros demo -o demo_out

@@ -100,6 +100,7 @@ PACKAGES = {  # module -> what pip calls the package that brings it
     "ezc3d": "'mbd_ros[biomechanics]'",
     "distributed": "'dask[distributed]'",
     "eigenpy": "pin",
+    "meshio": "'mbd_ros[fem]'",
     "pinocchio": "pin",
     "pydrake": "drake",
     "onnx": "'mbd_ros[learn]'",

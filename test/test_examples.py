@@ -13,6 +13,7 @@ SAYS = {  # script -> what it says in the end
     "control_law": r"after 2 s: \d\.\de-0[6-9] rad from the goal\n$",
     "coupled_arm": r"carries up to ([\d.]+) N m\na motor would have to give \1 N m\n$",
     "four_bar": r"largest violation of the loop: \d\.\de-1\d m\n$",
+    "pylon_stress": r"(largest stress: [1-9][\d.]* MPa -> pylon\.png|pylon\.inp waits for it)\n$",
     "sweep_on_dask": r"damping 0\.00 N m s/rad: 1\.000 rad\n(damping .* 0\.\d+ rad\n){3}$",
     "torques_of_a_bag": r"(\w+\.effort \[N·m\]: up to [\d.e-]+\n){4}$",
 }

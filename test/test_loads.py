@@ -85,10 +85,10 @@ def test_every_body_of_every_scene_balances_under_random_loads():
     """Any state, any accelerations, a wrench on every link; also cut at fixed joints."""
     rng, seen = np.random.default_rng(36), 0
     for name in sorted(ROBOTS - MANY):
-        for body, loads, motion in everywhere(mbd.load_scene(name), rng, most=5):
+        for body, loads, motion in everywhere(mbd.load_scene(name), rng, most=3):
             assert balance(loads, body.inertia, motion).off <= 1e-12, (name, body.link)
             seen += 1
-    assert seen > 150
+    assert seen > 60
 
 
 @pytest.mark.soak
@@ -193,7 +193,7 @@ def test_a_spinning_rod(offset):
 def test_muscles_pull_at_their_points():
     """Joint loads with muscles are those of `muscles --reactions`, which takes another way."""
     scene = mbd.load_scene("muscle_leg")
-    motion = scene.simulate(0.1)
+    motion = scene.simulate(0.02)
     shares = scene.muscle_forces(motion, reserves=100.0, reactions="child", links=["tibia"])
     link = "tibia"
     found = scene.loads(motion, body=link, muscle_forces=shares)

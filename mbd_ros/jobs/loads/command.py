@@ -1,6 +1,7 @@
 """Words of `mbd-ros loads`."""
 
 import argparse
+from typing import TYPE_CHECKING
 
 from mbd_ros.errors import OK
 from mbd_ros.jobs.arguments import add_scene
@@ -13,6 +14,9 @@ from mbd_ros.jobs.inverse.command import (
 from mbd_ros.jobs.lines import say
 from mbd_ros.scene.locate import path_word
 
+if TYPE_CHECKING:
+    from mbd_ros.jobs.loads.finite_elements import MeshTask
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The words that `loads` understands."""
@@ -24,8 +28,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=path_word,
         required=True,
-        help="CSV (.gz), .npz, .parquet or .sto (required)",
+        help="CSV (.gz), .npz, .parquet or .sto; with --mesh .inp (CalculiX, Abaqus), .feb "
+        "(FEBio) or .vtu (a series for ParaView) (required)",
     )
+    _add_mesh(parser)
     parser.add_argument("--wrenches", type=path_word, help="as for `inverse`")
     parser.add_argument("--external", type=path_word, help="external loads of OpenSim (.xml)")
     parser.add_argument(
@@ -73,12 +79,69 @@ def _add_body(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_mesh(parser: argparse.ArgumentParser) -> None:
+    """The solid that takes the loads; lengths, stresses and densities in --units."""
+    parser.add_argument(
+        "--mesh", type=path_word, help="solid elements, any file that meshio reads (extra fem)"
+    )
+    parser.add_argument(
+        "--mesh-pose",
+        type=float,
+        nargs=6,
+        default=(),
+        metavar=("X", "Y", "Z", "ROLL", "PITCH", "YAW"),
+        help="axes of the mesh in those of the link (default: the same)",
+    )
+    parser.add_argument(
+        "--attach",
+        nargs="+",
+        default=(),
+        metavar="LOAD=NODES",
+        help="nodes of a load: the name of a set, or a radius about its point",
+    )
+    parser.add_argument("--radius", type=float, help="of loads that --attach does not name")
+    parser.add_argument("--support", help="load whose nodes are held (default: the first)")
+    parser.add_argument(
+        "--coupling",
+        choices=("rigid", "distributing"),
+        default="rigid",
+        help="how nodes share a load (default: %(default)s)",
+    )
+    parser.add_argument("--young", type=float, help="Young's modulus; required with --mesh")
+    parser.add_argument(
+        "--poisson", type=float, default=0.3, help="Poisson's ratio (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--density", type=float, help="default: that which gives the mesh the mass of the body"
+    )
+
+
+def _mesh_task(arguments: argparse.Namespace) -> "MeshTask | None":
+    """What is asked of the mesh; None without one."""
+    if arguments.mesh is None:
+        return None
+    from mbd_ros.errors import DataError
+    from mbd_ros.jobs.loads.finite_elements import MeshTask
+
+    if arguments.young is None:
+        raise DataError("--mesh goes with --young, in Pa, or in MPa with --units mm")
+    pairs = [word.partition("=") for word in arguments.attach]
+    for name, equals, nodes in pairs:
+        if not (name and equals and nodes):
+            raise DataError(f"--attach {name}: accepted: LOAD=SET or LOAD=RADIUS")
+    names = ("young", "poisson", "density", "radius", "support", "coupling")
+    given = {name: getattr(arguments, name) for name in names}
+    attach = {name: nodes for name, _, nodes in pairs}
+    return MeshTask(arguments.mesh, pose=arguments.mesh_pose, attach=attach, **given)
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
     from mbd_ros.jobs.inverse.derivatives import Derivatives
     from mbd_ros.jobs.inverse.job import stance_of
     from mbd_ros.jobs.inverse.observed import Task
-    from mbd_ros.jobs.loads.job import LoadsTask, loads_to
+    from mbd_ros.jobs.loads.job import LoadsTask
+    from mbd_ros.jobs.loads.writing import loads_to
     from mbd_ros.scene.reader import load_scene
 
     given = arguments
@@ -94,6 +157,7 @@ def run(arguments: argparse.Namespace) -> int:
         stance=stance_of(given.stance, given.stance_gap, given.stance_speed),
         wrench_axes=given.wrench_axes,
     )
-    task = LoadsTask(motion, given.body, given.joint, given.muscle_forces, given.at, given.units)
+    words = given.body, given.joint, given.muscle_forces, given.at, given.units
+    task = LoadsTask(motion, *words, _mesh_task(given))
     loads_to(load_scene(given.scene), task, given.out, say)
     return OK

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -11,8 +11,7 @@ from mbd_ros.core.inverse.free_body import BodyLoad, BodyMotion, FreeBody
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DataError, ModelError, SceneError, SolveError
 from mbd_ros.files.recordings import Source, name_of
-from mbd_ros.files.replacing import check_place, refuse_overwriting
-from mbd_ros.files.table import MAIN, Result
+from mbd_ros.files.table import Result
 from mbd_ros.jobs.inverse.derivatives import Derivatives
 from mbd_ros.jobs.inverse.job import stance_of
 from mbd_ros.jobs.inverse.observed import Task
@@ -20,12 +19,15 @@ from mbd_ros.jobs.inverse.solved import Solved, solve_motion
 from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.loads.columns import about_body, tables_of
 from mbd_ros.jobs.loads.history import History, in_slots
-from mbd_ros.jobs.loads.instants import instants_of
+from mbd_ros.jobs.loads.instants import Instant, instants_of
 from mbd_ros.jobs.loads.tensions import commanded_paths, tensions_at
 from mbd_ros.jobs.loads.units import units_of
 from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.jobs.progress import Watch, progress, watching
 from mbd_ros.scene.built_scene import Scene
+
+if TYPE_CHECKING:
+    from mbd_ros.jobs.loads.finite_elements import MeshTask
 
 _OFF = 1.0e-9  # share of the largest load that rounding leaves
 
@@ -40,6 +42,7 @@ class LoadsTask(NamedTuple):
         muscle_forces: Table of tensions; None for those of the motion.
         at: Chosen instants [s].
         units: m or mm, see `units`.
+        mesh: What takes the loads, for .inp, .feb and .vtu.
     """
 
     motion: Task
@@ -48,6 +51,7 @@ class LoadsTask(NamedTuple):
     muscle_forces: Source | None = None
     at: Sequence[float] = ()
     units: str = "m"
+    mesh: "MeshTask | None" = None
 
 
 def loads(
@@ -127,29 +131,8 @@ def loads(
     return result
 
 
-def loads_to(scene: Scene, task: LoadsTask, out: Path, say: Say) -> None:
-    """Read a motion, write the loads on a body.
-
-    Args:
-        scene: The scene.
-        task: What is asked for.
-        out: Its suffix chooses the format.
-        say: Is told what was done and left out, a line each.
-
-    Raises:
-        MbdError: As `loads`, or a place that cannot be written to.
-    """
-    motion = task.motion
-    sources = motion.motion, motion.wrenches, motion.external, task.muscle_forces
-    refuse_overwriting(out, *(source for source in sources if isinstance(source, Path)))
-    check_place(out)
-    result, _ = run_loads(scene, task, say)
-    result.to(out)
-    say(f"{result[MAIN].rows} samples of loads on {task.body} -> {out}")
-
-
-def run_loads(scene: Scene, task: LoadsTask, say: Say) -> tuple[Result, History]:
-    """See `loads`."""
+def run_loads(scene: Scene, task: LoadsTask, say: Say) -> tuple[Result, History, list[Instant]]:
+    """See `loads`; also the history behind the result, and its instants."""
     units = units_of(task.units)
     try:
         body = FreeBody(scene.robot, task.body, task.joints)
@@ -168,7 +151,7 @@ def run_loads(scene: Scene, task: LoadsTask, say: Say) -> tuple[Result, History]
         "muscle_forces": task.muscle_forces,
     }
     about = metadata_of("loads", scene, inputs, {}) | about_body(history, units)
-    return Result(tables_of(history, instants, units), about), history
+    return Result(tables_of(history, instants, units), about), history, instants
 
 
 def _history(body: FreeBody, solved: Solved, task: LoadsTask, say: Say) -> History:
