@@ -157,6 +157,36 @@ def test_positions_of_a_file_are_converted(name, units, size, tmp_path):
     assert scene.initial.q / size == pytest.approx([1, 2, 3, 2, 2, 3], rel=1e-12)
 
 
+def test_a_molecule_that_the_box_cuts_is_whole_again(tmp_path):
+    file = tmp_path / "cut.xyz"
+    file.write_text("2\n\nA 9.5 2.0 3.0\nB 0.5 2.0 3.0\n", encoding="utf-8")
+    pair = dimer(1.0, {"file": str(file)})
+    particles = {"molecules": {"pair": pair}, "box": [10.0, 10.0, 10.0]}
+    scene = mbd.scene_from({"units": "molecular", "particles": particles})
+    assert scene.initial.q == pytest.approx([9.5, 2, 3, 10.5, 2, 3])
+    with pytest.raises(SceneError, match="A_B of molecule 1 is 9 long.*in the order A, B"):
+        mbd.scene_from({"units": "molecular", "particles": {"molecules": {"pair": pair}}})
+
+
+def test_a_step_that_is_too_long_for_a_bond_is_a_warning():
+    scene = mbd.load_scene("particles/dimer")
+    assert "vibrate too fast" not in scene.check()
+    assert "A and B of dimer vibrate too fast" in scene.with_(dt=0.5).check()
+
+
+def test_arrays_of_many_particles_need_a_file_that_holds_them(tmp_path):
+    scene = mbd.load_scene("particles/trimer")
+    trimer = scene.entries["particles"]["molecules"]["trimer"]
+    many = {"molecules": {"trimer": {**trimer, "count": 40}}}
+    changed = {**scene.entries, "particles": many, "record": {"quantities": ["positions"]}}
+    file = tmp_path / "many.yaml"
+    file.write_text(yaml.safe_dump(changed, sort_keys=False), encoding="utf-8")
+    words = ["simulate", str(file), "-t", "0.2", "-o"]
+    assert main([*words, str(tmp_path / "o.csv")]) == 2
+    assert main([*words, str(tmp_path / "o.npz")]) == 0
+    assert mbd.read_result(tmp_path / "o.npz")["samples"]["positions"].shape == (5, 120, 3)
+
+
 def dimer(size, placement=None):
     atoms = {"A": {"mass": 1.0, "at": [0, 0, 0]}, "B": {"mass": 1.0, "at": [size, 0, 0]}}
     return {"atoms": atoms, "bonds": [{"between": ["A", "B"]}], "placement": placement}

@@ -17,7 +17,7 @@ from mbd_ros.core.particles.verlet_steps import ParticleVerlet
 from mbd_ros.core.ranges import LARGEST
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import INTERRUPTED, OK, DataError, DivergedError, MbdError
-from mbd_ros.files.formats import format_of, is_bag
+from mbd_ros.files.formats import format_of, is_bag, suffix_of
 from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.files.times import TIME
@@ -260,6 +260,11 @@ def _check_place(out: Path, scene: ParticleScene) -> None:
     if is_bag(out):
         raise DataError(f"-o {out}: particles have no topics; accepted: CSV, .npz and .parquet")
     format_of(out)
+    if _wanted(scene) and len(scene.system().masses) > _MANY and ".csv" in suffix_of(out):
+        raise DataError(
+            f"-o {out}: holds one number a column, and {scene.name} records arrays of more than "
+            f"{_MANY} particles; accepted: .npz and .parquet"
+        )
     for place in (out, diverged_place(out)):
         refuse_overwriting(place, *([scene.path] if scene.path else []))
     check_place(out)

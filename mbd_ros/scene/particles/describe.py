@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from mbd_ros.core.particles.elastic import ElasticBond
 from mbd_ros.core.particles.molecules import Molecules
 from mbd_ros.core.particles.pairs import Pairs, PlainKernel
 from mbd_ros.core.particles.particle_system import ParticleSystem
@@ -15,6 +16,7 @@ from mbd_ros.scene.part_lines import line
 from mbd_ros.scene.particles.particle_scene import ParticleScene
 
 _STEPS = 20
+_STABLE = 2.0  # of Verlet's steps: dt times the frequency of an oscillation
 
 
 def describe(scene: ParticleScene) -> Iterator[str]:
@@ -46,11 +48,25 @@ def _lines(scene: ParticleScene) -> Iterator[str]:
                 text = f"{cluster.rank} of {len(cluster.rows)} rows of {kind.name}: redundant"
                 yield line("rank", f"{text}, multipliers of smallest norm")
     yield from _start_lines(scene, system)
+    yield from _stiff_lines(scene, system)
     steps = scene.method.title
     if system.steps is not None:
         steps += ", native"
     yield line("forward", f"{steps}, dt {scene.dt:g} {units.time}; {_solvers(system)}")
     yield line("cost", f"step {_cost(scene) * 1e6:.3g} us")
+
+
+def _stiff_lines(scene: ParticleScene, system: ParticleSystem) -> Iterator[str]:
+    """A warning where an elastic bond vibrates too fast for the step."""
+    for kind in system.kinds:
+        for bond in kind.terms:
+            if isinstance(bond, ElasticBond):
+                mobility = 1.0 / kind.masses[bond.i] + 1.0 / kind.masses[bond.j]
+                longest = _STABLE / float(np.sqrt(bond.stiffness * mobility))
+                if scene.dt >= longest:
+                    ends = f"{kind.atoms[bond.i]} and {kind.atoms[bond.j]} of {kind.name}"
+                    text = f"{ends} vibrate too fast: steps grow from dt {longest:.3g} on"
+                    yield line("warning", text)
 
 
 def _kind_text(kind: Molecules) -> str:

@@ -9,12 +9,15 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from mbd_ros.core.particles.molecules import Molecules
+from mbd_ros.core.particles.row_geometry import DistanceRow
 from mbd_ros.core.particles.units import Units
 from mbd_ros.core.ranges import Within
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.particles.molecule_entries import MoleculeEntry
+
+_UNLIKE = 0.4  # of a length: what its bond in a file differs by, if it is that bond
 
 
 @dataclass(frozen=True)
@@ -110,4 +113,26 @@ def _from_file(kind: Molecules, name: str, room: Room, where: str) -> Array:
             f"{where}.file: {path} has {len(metres)} atoms, accepted: {kind.size}, "
             f"{kind.count} times {', '.join(kind.atoms)}"
         )
-    return metres / room.units.sizes[0]
+    return _whole(kind, metres / room.units.sizes[0], room.box, f"{where}.file: {path}")
+
+
+def _whole(kind: Molecules, x: Array, box: Array | None, where: str) -> Array:
+    """The same positions, molecules that the box cuts put together.
+
+    Raises:
+        SceneError: A bond is far from its length: the atoms stand in another order.
+    """
+    whole = x.reshape(kind.count, -1, 3)
+    if box is not None:
+        whole = whole - box * np.rint((whole - whole[:, :1]) / box)
+    for row in kind.rows:
+        if not isinstance(row, DistanceRow):
+            continue
+        apart = np.linalg.norm(whole[:, row.i] - whole[:, row.j], axis=1)
+        k = int(np.argmax(np.abs(apart / row.length - 1.0)))
+        if not abs(apart[k] / row.length - 1.0) <= _UNLIKE:
+            raise SceneError(
+                f"{where}: {row.name} of molecule {k + 1} is {apart[k]:.3g} long, accepted: about "
+                f"{row.length:.3g}; are its atoms in the order {', '.join(kind.atoms)}?"
+            )
+    return whole.reshape(-1, 3)
