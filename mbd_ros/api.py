@@ -7,6 +7,7 @@ from typing import Any
 
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.files.formats import read_result as read_result
+from mbd_ros.jobs.bracket.job import bracket
 from mbd_ros.jobs.estimate.job import estimate
 from mbd_ros.jobs.excite.job import excite
 from mbd_ros.jobs.follow.job import follow
@@ -50,6 +51,7 @@ class Scene(built_scene.Scene):
     estimate = estimate
     gait = gait
     sample = sample
+    bracket = bracket
     follow = follow
     predict = predict
 

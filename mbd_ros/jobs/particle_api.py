@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from mbd_ros.jobs.bracket.job import bracket
 from mbd_ros.jobs.sample.job import sample
 from mbd_ros.jobs.simulate.particles import simulate
 from mbd_ros.scene.particles import particle_scene
@@ -12,6 +13,7 @@ class ParticleScene(particle_scene.ParticleScene):
 
     simulate = simulate
     sample = sample
+    bracket = bracket
 
     @classmethod
     def of(cls, scene: particle_scene.ParticleScene) -> "ParticleScene":

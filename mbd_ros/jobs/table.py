@@ -89,6 +89,9 @@ COMMANDS: Mapping[str, Command] = {
     "predict": Command(
         "mbd_ros.jobs.predict.command", "the motion that costs least, by optimal control"
     ),
+    "bracket": Command(
+        "mbd_ros.jobs.bracket.command", "Dirac brackets of coordinates and momenta on the rows"
+    ),
     "sample": Command(
         "mbd_ros.jobs.sample.command", "configurations at a temperature; mean forces along them"
     ),

@@ -26,7 +26,7 @@ class SampleTask:
         chains: How many.
         samples: Samples a chain.
         warmup: Samples a chain before them, which are not kept.
-        steps: Steps between samples.
+        steps: Steps between samples; None: 5 of particles, 20 of mechanisms.
         dt: Step; None chooses.
         friction: Rate at which `langevin` forgets velocities; None chooses.
         seed: Of the random numbers.
@@ -47,7 +47,7 @@ class SampleTask:
     chains: Chains = 64
     samples: Count = 1000
     warmup: Annotated[int, Within(0, 100_000_000)] = 200
-    steps: Count = 5
+    steps: Count | None = None
     dt: Positive | None = None
     friction: NotNegative | None = None
     seed: Seed = 0

@@ -95,6 +95,29 @@ class JointSpace:
         """
         return np.array([self._volume(one, fixman) for one in np.ascontiguousarray(q.T)])
 
+    def velocities(self, q: Array, drawn: Array) -> Array:
+        """Velocities of the mechanism, with its own masses, from those that are drawn.
+
+        Both are normal along the loops; in a basis of each they have the same coefficients.
+
+        Args:
+            q: Configurations, shape (size, chains).
+            drawn: Velocities drawn with `mass`, shape (size, chains).
+        """
+        pairs = zip(np.ascontiguousarray(q.T), drawn.T, strict=True)
+        return np.array([self._velocity(one, v) for one, v in pairs]).T
+
+    def _velocity(self, q: Array, drawn: Array) -> Array:
+        along = np.eye(self.size)
+        for block in self.blocks:
+            J = block.jacobian(q[:, None])[:, :, 0]
+            along = np.linalg.qr(J.T, mode="complete")[0][:, len(J) :]
+        light = np.linalg.cholesky((along.T * self.mass).dot(along))
+        heavy = np.linalg.cholesky(along.T.dot(self.system.mass(q).dense).dot(along))
+        normal = np.linalg.solve(light, (along.T * self.mass).dot(drawn))
+        velocity: Array = along.dot(np.linalg.solve(heavy.T, normal))
+        return velocity
+
     def _energy(self, q: Array) -> float:
         if not np.isfinite(q).all():
             return np.inf

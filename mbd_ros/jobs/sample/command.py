@@ -15,7 +15,7 @@ _NUMBERS = (
     ("--chains", int, "how many chains (default: 64)"),
     ("--samples", int, "samples a chain (default: 1000)"),
     ("--warmup", int, "samples a chain before them that are not kept (default: 200)"),
-    ("--steps", int, "steps between samples (default: 5)"),
+    ("--steps", int, "steps between samples (default: 5 of particles, 20 of mechanisms)"),
     ("--dt", float, "step (default: chosen)"),
     ("--friction", float, "rate at which langevin forgets velocities (default: chosen)"),
     ("--seed", int, "of the random numbers (default: 0)"),

@@ -18,7 +18,8 @@ from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.jobs.progress import Watch, watching
 from mbd_ros.jobs.sample import tables
-from mbd_ros.jobs.sample.blocks import Asked, Order, blocks_done
+from mbd_ros.jobs.sample.asked import Asked, Order
+from mbd_ros.jobs.sample.blocks import blocks_done
 from mbd_ros.jobs.sample.checkpoint_file import read_checkpoint, write_checkpoint
 from mbd_ros.scene.sample_task import SampleTask, sample_task
 from mbd_ros.scene.task_reader import read_task
@@ -141,9 +142,7 @@ def _ensemble(asked: Asked, say: Say, where: Where) -> dict[str, Any]:
         write_checkpoint(where.checkpoint, [one.end for one in done])
     values = np.concatenate([one.values for one in done], axis=1)
     accepted = np.concatenate([one.accepted for one in done])
-    quantities, energy = asked.quantities, asked.sampled.energy
-    names = [*asked.energies, *(one.name for one in quantities)]
-    units = [*(energy for _ in asked.energies), *(one.unit for one in quantities)]
+    names, units = (list(column) for column in zip(*asked.columns, strict=True))
     averages = {name: average(x) for name, x in zip(names, values, strict=True)}
     if asked.plan.method == "metropolis":
         say(f"accepted {accepted.mean():.3f}, dt {done[0].end.dt:.4g}")

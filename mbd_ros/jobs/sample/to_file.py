@@ -9,7 +9,7 @@ from mbd_ros.files.formats import PICTURES, format_of, suffix_of
 from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result
 from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.sample.blocks import Asked
+from mbd_ros.jobs.sample.asked import Asked
 from mbd_ros.jobs.sample.job import Where, run_sample
 from mbd_ros.scene.sample_task import sample_task
 from mbd_ros.scene.task_reader import read_task

@@ -1,0 +1,179 @@
+"""Dirac brackets of coordinates and momenta on the rows of a scene.
+
+    x = (q, p), p = M v, chi = (g, psi), psi = J M^-1 p = g'
+    {x_i, x_j}_D = {x_i, x_j} - {x_i, chi_a} C^-1_ab {chi_b, x_j},   C_ab = {chi_a, chi_b}
+
+With A = J M^-1 J', D = d psi / dq at constant p and S = D M^-1 J' - J M^-1 D':
+
+    {q, q'}_D = 0,   {q, p'}_D = 1 - M^-1 J' A^-1 J
+    {p, p'}_D = J' A^-1 S A^-1 J - J' A^-1 D + D' A^-1 J
+
+Source: P. A. M. Dirac, Canad. J. Math. 2, 1950, 129.
+"""
+
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from mbd_ros.compiled.symbols.trace import Traced
+from mbd_ros.core.particles.particle_system import ParticleSystem
+from mbd_ros.core.particles.row_geometry import DistanceRow, PointRow
+from mbd_ros.core.state import Array
+
+_MINORS = 3  # rows up to which an inverse is written out
+
+
+class DiracBracket:
+    """Brackets of a scene as functions of its state.
+
+    Args:
+        q: Symbols of the coordinates, a column of n.
+        v: Symbols of the velocities.
+        g: Rows of positions that are independent, a column.
+        kinetic: Kinetic energy.
+
+    Attributes:
+        n: Number of coordinates.
+        m: Number of rows.
+    """
+
+    def __init__(self, q: Any, v: Any, g: Any, kinetic: Any) -> None:
+        self.n, self.m = q.shape[0], g.shape[0]
+        self._q, self._p = q, ca.SX.sym("p", self.n)
+        M = ca.densify(ca.hessian(kinetic, v)[0])
+        self._momentum = ca.Function("momentum", [q, v], [M @ v])
+        self._drift = ca.Function("drift", [q, v], [ca.jtimes(M @ v, q, v)])
+        inverse = _inverse(M)
+        J = ca.densify(ca.jacobian(g, q))
+        self._g, self._psi = g, J @ (inverse @ self._p)
+        self._table = self._brackets(inverse, J) if self.m else _canonical(self.n)
+        x = ca.vertcat(q, self._p)
+        self._values = ca.Function("table", [q, self._p], [self._table])
+        self._casimirs = ca.Function(
+            "casimirs", [q, self._p], [ca.jacobian(ca.vertcat(self._g, self._psi), x)]
+        )
+
+    def _brackets(self, inverse: Any, J: Any) -> Any:
+        D = ca.jacobian(self._psi, self._q)
+        lift = inverse @ J.T
+        A = _inverse(J @ lift)
+        S = D @ lift - lift.T @ D.T
+        unit = ca.SX.eye(self.n)
+        by_p = unit - lift @ A @ J
+        turn = J.T @ A @ S @ A @ J - J.T @ A @ D + D.T @ A @ J
+        none = ca.SX(self.n, self.n)
+        return ca.densify(ca.blockcat([[none, by_p], [-by_p.T, turn]]))
+
+    @cached_property
+    def _slopes(self) -> Any:
+        x = ca.vertcat(self._q, self._p)
+        slopes = ca.jacobian(ca.vec(self._table), x)
+        return ca.Function("slopes", [self._q, self._p], [slopes])
+
+    def momentum(self, q: Array, v: Array) -> Array:
+        """M v, shape (n,)."""
+        return _flat(self._momentum(q, v))
+
+    def mass_rate(self, q: Array, v: Array) -> Array:
+        """(dM/dt) v, shape (n,)."""
+        return _flat(self._drift(q, v))
+
+    def table(self, q: Array, p: Array) -> Array:
+        """Brackets {x_i, x_j}_D of x = (q, p), shape (2 n, 2 n)."""
+        return np.array(self._values(q, p).full())
+
+    def jacobi(self, q: Array, p: Array) -> float:
+        """Largest sum of {x_i, {x_j, x_k}} over cyclic changes: 0 by Jacobi's identity."""
+        size = 2 * self.n
+        table = self.table(q, p)
+        slopes = np.array(self._slopes(q, p).full()).reshape(size, size, size, order="F")
+        nested = np.einsum("il,jkl->ijk", table, slopes)
+        cyclic = nested + nested.transpose(1, 2, 0) + nested.transpose(2, 0, 1)
+        return float(np.abs(cyclic).max())
+
+    def casimirs(self, q: Array, p: Array) -> float:
+        """Largest bracket of a coordinate or momentum with a row g or its rate: 0."""
+        slopes = np.array(self._casimirs(q, p).full())
+        return float(np.abs(self.table(q, p).dot(slopes.T)).max(initial=0.0))
+
+    def expressions(self, names: tuple[str, ...]) -> dict[tuple[str, str], str]:
+        """Brackets that are not 0 as expressions, by pairs of names.
+
+        Args:
+            names: Of the coordinates; momenta are p_<name>.
+        """
+        every = (*names, *(f"p_{name}" for name in names))
+        symbols = [ca.SX.sym(name) for name in every]
+        column = ca.vertcat(*symbols)
+        named = self._values(column[: self.n], column[self.n :])
+        return {
+            (every[i], every[j]): str(ca.simplify(named[i, j]))
+            for i in range(2 * self.n)
+            for j in range(i + 1, 2 * self.n)
+            if not named[i, j].is_zero()
+        }
+
+
+def of_mechanism(traced: Traced, kept: list[int]) -> DiracBracket:
+    """Brackets of what a tier integrates.
+
+    Args:
+        traced: The functions of its system.
+        kept: Rows that are independent.
+    """
+    symbols = traced.equations.symbols
+    t, q, v, z, p = (symbols[key] for key in "tqvzp")
+    g = traced.function("gap")(0.0, q, p) if kept else ca.SX(0, 1)
+    kinetic = traced.function("energy")(t, q, v, z, p)[0]
+    return DiracBracket(q, v, g[kept] if kept else g, kinetic)
+
+
+def of_particles(system: ParticleSystem, kept: list[int]) -> DiracBracket:
+    """Brackets of the coordinates of particles.
+
+    Args:
+        system: Its points.
+        kept: Rows that are independent.
+    """
+    q, v = ca.SX.sym("q", system.nv), ca.SX.sym("v", system.nv)
+    rows, first = [], 0
+    for kind in system.kinds:
+        of_one = [row for cluster in kind.clusters for row in cluster.rows]
+        for copy in range(kind.count):
+            begin = first + copy * len(kind.atoms)
+            rows += [_row(row, q, begin) for row in of_one]
+        first += kind.size
+    masses = np.repeat(system.masses, 3)
+    chosen = [rows[i] for i in kept]
+    return DiracBracket(q, v, ca.vertcat(*chosen), 0.5 * ca.dot(masses * v, v))
+
+
+def _row(row: PointRow, q: Any, begin: int) -> Any:
+    at = [q[3 * (begin + i) : 3 * (begin + i) + 3] for i, _ in row.ends]
+    if isinstance(row, DistanceRow):
+        d = at[0] - at[1]
+        return (ca.dot(d, d) / row.length - row.length) / 2.0
+    d = at[0] - row.center
+    return ca.dot(row.squares * d + row.normal, d) - row.level
+
+
+def _canonical(n: int) -> Any:
+    unit, none = ca.SX.eye(n), ca.SX(n, n)
+    return ca.densify(ca.blockcat([[none, unit], [-unit, none]]))
+
+
+def _inverse(A: Any) -> Any:
+    """A^-1 of symmetric matrices; short for small and for diagonal ones."""
+    n = A.shape[0]
+    if n == 1:
+        return 1.0 / A
+    off = [A[i, j] for i in range(n) for j in range(n) if i != j]
+    if all(one.is_zero() for one in off):
+        return ca.diag(1.0 / ca.diag(A))
+    return ca.inv_minor(A) if n <= _MINORS else ca.solve(A, ca.SX.eye(n))
+
+
+def _flat(result: Any) -> Array:
+    return np.array(result.full()).ravel()
