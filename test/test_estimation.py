@@ -1,10 +1,14 @@
 """Estimators of mechanisms: tangents, derivatives, faults, recordings."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mbd_ros import load_scene, scene_from
 from mbd_ros.core.estimation.estimator import Measurement
+from mbd_ros.core.estimation.horizon_chain import HorizonChain
+from mbd_ros.core.estimation.horizon_window import HorizonProgram
 from mbd_ros.core.estimation.mechanism_process import MechanismProcess
 from mbd_ros.core.estimation.tracker import Taken, Tracker
 from mbd_ros.errors import DataError, SceneError
@@ -275,3 +279,96 @@ def test_a_late_horizon_gives_way_to_the_filter():
         tracker.take(t, values, None)
         assert tracker.belief.is_trusted is (k != 7)
     assert isinstance(prepared("sliding_knee").estimator, ExtendedKalman)
+
+
+@pytest.mark.parametrize("wrist", ["known at the start", "locked"])
+def test_two_encoders_of_a_coupled_arm_show_the_torque_of_a_push(wrist):
+    """On the elbow, which follows the shoulder by its tendon, and on the abduction beside it.
+
+    No encoder sees the wrist. The unknown torques are known to 5 % after 0.2 s.
+    """
+    scene, step, rng = load_scene("prosthetic_arm"), 0.002, np.random.default_rng(11)
+    scene, prior = scene.with_(initial={"position": {"shoulder_flexion": 0.4}}), 1e-6
+    if wrist == "locked":
+        locked, prior = {"wrist_rotation": 0.0, "wrist_flexion": 0.0}, 1.0
+        scene = scene.with_(robot={**scene.entries["robot"], "locked": locked})
+    pushed = ("shoulder_flexion", "shoulder_abduction")
+    task = EstimateTask(disturbance=pushed)
+    found = estimation_of(scene, task, ["elbow", "shoulder_abduction"], [])
+    assert found.process.sensors.m == 2 and "elbow" in scene.couplings.dependent
+    simulation, process = found.scene.simulation(), found.process
+    found.estimator.begin(process.start, prior * found.prior, 0.0)
+    tracker = Tracker(found.estimator, process.sensors)
+    y = simulation.start(found.scene.initial, None)
+    planted = 10.0 * found.scale[[scene.robot.joint(name).v for name in pushed]]
+    errors = []
+    for k in range(1, 280):
+        if k == 100:
+            x = simulation.system.expand(y)
+            y = simulation.start(x._replace(z=planted), None)
+        y = simulation.advance(y, None, k * step)
+        values = process.sensors.values(y, None) + 1e-4 * rng.standard_normal(2)
+        tracker.take(k * step, values, None)
+        if k >= 200:
+            x = process.simulation.system.expand(tracker.belief.x)
+            errors.append(np.abs(found.unknown_efforts(x) / planted - 1.0))
+    assert np.median(errors, axis=0).max() <= 0.05
+    assert tracker.restarts == 0 and not tracker.faults.found()
+
+
+def beyond_limits(joints, x):
+    """The most by which a joint is outside of its limits, in position or velocity."""
+    found = []
+    for joint in joints:
+        q, v = x.q[joint.q], abs(x.v[joint.v])
+        found += [joint.lower - q, q - joint.upper, v - joint.max_velocity]
+    return max(found)
+
+
+def test_a_coupled_arm_keeps_its_limits_where_the_filter_breaks_them():
+    """It rests with the shoulder at its stop and the elbow, which follows, at its own."""
+    rng, worst = np.random.default_rng(12), {}
+    scene = load_scene("prosthetic_arm")
+    robot = {**scene.entries["robot"], "gravity": [0, 0, 0]}
+    scene = scene.with_(initial={"position": {"shoulder_flexion": -0.1}}, robot=robot)
+    q = scene.system().expand(scene.simulation().start(scene.initial)).q
+    true = np.array([q[scene.robot.joint(name).q] for name in ("elbow", "shoulder_abduction")])
+    assert true[0] == pytest.approx(0.0, abs=1e-12)
+    for kind in ("extended_kalman", "moving_horizon"):
+        estimator = {"type": kind} | ({"samples": 6} if kind == "moving_horizon" else {})
+        task = EstimateTask(estimator, position_noise=0.002)
+        found = estimation_of(scene, task, ["elbow", "shoulder_abduction"], [])
+        tracker, over, joints = tracked(found), [], scene.robot.joints
+        for k in range(1, 40):
+            tracker.take(k * 0.01, true + 0.002 * rng.standard_normal(2), None)
+            x = found.process.simulation.system.expand(tracker.belief.x)
+            over.append(beyond_limits(joints, x))
+        worst[kind] = max(over)
+    assert worst["extended_kalman"] > 1e-3
+    assert worst["moving_horizon"] <= 1e-9
+
+
+def test_a_chain_finds_the_optimum_of_the_whole_program():
+    """Beside the dense program of the same window, with bounds that act at its newest node."""
+    found, rng = prepared("arm7"), np.random.default_rng(13)
+    process, none = found.process, np.full(found.process.nw, np.inf)
+    horizon = MovingHorizon(process, samples=6)
+    horizon.begin(process.start, 1e-4 * found.prior, 0.0)
+    chain, program = HorizonChain(process, -none, none), HorizonProgram(process, -none, none)
+    acting = []
+    for t, y, values in simulated(found, 20, rng):
+        horizon.predict(None, t)
+        horizon.correct(Measurement(t, values))
+        true, room = process.bounded(y).values, np.repeat((1e-4, 0.01), 7)
+        nodes = []
+        for node in horizon._nodes:
+            bounds = process.bounded(node.x)._replace(may_be_wrong=None)
+            if node is horizon._nodes[-1]:
+                bounds = bounds._replace(lower=true - 0.1 * room, upper=true + room)
+            nodes.append(replace(node, bounded=bounds))
+        ours, theirs = (one.solve(nodes, horizon._first()) for one in (chain, program))
+        size = np.sqrt(theirs.P.diagonal())
+        assert (np.abs(ours.steps - theirs.steps) / size).max() < 1e-7
+        acting.append(ours.active)
+        assert ours.active == theirs.active
+    assert max(acting) > 3

@@ -169,8 +169,7 @@ def test_the_smoother_is_the_optimum_over_all_measurements():
     horizon = MovingHorizon(process(), samples=0)
     predictions(horizon)
     found = smoothed(process(), samples)
-    nodes = [node.x for node in horizon._nodes]
-    np.testing.assert_allclose([b.x for b in found], nodes, rtol=0, atol=1e-10)
+    np.testing.assert_allclose([b.x for b in found], horizon.window(), rtol=0, atol=1e-10)
     assert np.linalg.eigvalsh(samples[0].belief.P - found[0].P)[0] > -1e-12
 
 

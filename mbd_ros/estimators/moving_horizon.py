@@ -8,7 +8,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from mbd_ros.core.estimation.estimator import Belief, Estimator, Measurement
-from mbd_ros.core.estimation.horizon_window import Answer, Arrival, HorizonProgram, Node
+from mbd_ros.core.estimation.horizon_chain import HorizonChain
+from mbd_ros.core.estimation.horizon_nodes import Answer, Arrival, Node
+from mbd_ros.core.estimation.horizon_window import HorizonProgram
 from mbd_ros.core.estimation.kalman_update import Innovation, Update, updated
 from mbd_ros.core.estimation.process import Observation, Process
 from mbd_ros.core.ranges import NotNegative, Positive, Unit, Within
@@ -31,7 +33,8 @@ class MovingHorizon(Estimator):
         iterations: Linearisations a measurement, at most.
         settled: Step of the newest estimate after which there is no other iteration, in standard
             deviations.
-        relinearize: Step of a node after which it is linearised again [m, rad and rates].
+        relinearize: Step of a node after which it is linearised again [m, rad and rates]; the
+            error is of the order of its square.
         lower: Smallest disturbances, shape (nw,); one number for all; none by default.
         upper: Largest disturbances.
         keep_bounds: Whether states keep their bounds.
@@ -50,7 +53,7 @@ class MovingHorizon(Estimator):
         arrival: Literal["filter", "none"] = "filter",
         iterations: Annotated[int, Within(1, 50), Unit("-")] = 3,
         settled: Annotated[Positive, Unit("-")] = 1.0e-3,
-        relinearize: Annotated[NotNegative, Unit("-")] = 1.0e-3,
+        relinearize: Annotated[NotNegative, Unit("-")] = 1.0e-2,
         lower: float | Sequence[float] = -math.inf,
         upper: float | Sequence[float] = math.inf,
         keep_bounds: bool = True,
@@ -67,6 +70,7 @@ class MovingHorizon(Estimator):
         if not (low <= high).all():
             raise ModelError("a lower bound of a disturbance is above its upper one")
         self._program = HorizonProgram(process, low, high)
+        self._chain = HorizonChain(process, low, high)
         self._low, self._high = low, high
 
     def begin(self, x: Any, P: Array, t: float = 0.0) -> Belief:
@@ -78,6 +82,8 @@ class MovingHorizon(Estimator):
         self._arrivals = list[Arrival]()
         self._has_prior = True
         self.answer: Answer | None = None
+        self._offsets = np.zeros((0, self.process.n))
+        self._chain.released = set()
         return self.belief
 
     def predict(self, u: Array | None, t: float) -> Belief:
@@ -89,10 +95,14 @@ class MovingHorizon(Estimator):
         if push.any():
             ahead = process.plus(ahead, going.G.dot(push))
         if self._nodes:
-            last = self._nodes[-1]
-            last.u, last.going = u, going
-        P = going.F.dot(self._filtered).dot(going.F.T) + going.noise
-        self._predicted = Arrival(ahead, 0.5 * (P + P.T))
+            last = self._nodes[-1] = replace(self._nodes[-1], u=u, going=going)
+            P = self._chain.ahead(last, going) if last.link is not None else None
+        else:
+            P = None
+        if P is None:
+            P = going.F.dot(self._filtered).dot(going.F.T) + going.noise
+            P = 0.5 * (P + P.T)
+        self._predicted = Arrival(ahead, P)
         self.belief = belief._replace(t=t, x=ahead, P=self._predicted.P)
         return self.belief
 
@@ -118,29 +128,38 @@ class MovingHorizon(Estimator):
             self.belief = self._solved(judged.innovation)
         return self.belief
 
+    def window(self) -> list[Any]:
+        """States of the process at the samples of the window, by all of its measurements."""
+        pairs = zip(self._nodes, self._offsets, strict=True)
+        return [self.process.plus(node.x, offset) for node, offset in pairs]
+
     def _filtered_alone(self, judged: Update) -> Belief:
         """The belief of a sample for which there is no time to solve the window."""
         last = self._nodes[-1]
+        self._offsets = np.zeros((len(self._nodes), self.process.n))
         self._linearize(len(self._nodes) - 1, self.process.plus(last.x, judged.step))
         return Belief(last.t, last.x, judged.P, judged.innovation, False, "late: filter alone")
 
     def remember(self) -> Any:
         """As `Estimator.remember`."""
-        nodes = [replace(node) for node in self._nodes]
         kept = self.belief, self._filtered, self._predicted, list(self._arrivals)
-        return kept, nodes, self._has_prior, self.answer
+        released = set(self._chain.released)
+        return kept, list(self._nodes), self._has_prior, self.answer, released
 
     def recall(self, memory: Any) -> None:
         """As `Estimator.recall`."""
-        kept, nodes, self._has_prior, self.answer = memory
+        kept, nodes, self._has_prior, self.answer, released = memory
+        self._chain.released = set(released)
         self.belief, self._filtered, self._predicted, arrivals = kept
-        self._arrivals, self._nodes = list(arrivals), [replace(node) for node in nodes]
+        self._arrivals, self._nodes = list(arrivals), list(nodes)
 
     def _shorten(self) -> None:
         """Let the oldest sample go; what was believed of its successor is the arrival cost."""
         if self.samples and len(self._nodes) > self.samples:
-            del self._nodes[0]
+            gone = self._nodes.pop(0).link
             del self._arrivals[0]
+            if gone is not None and gone.next_x is self._nodes[0].x:
+                self._arrivals[0] = self._arrivals[0]._replace(P=gone.ahead_turned)
             self._has_prior = False
 
     def _first(self) -> Arrival:
@@ -154,7 +173,8 @@ class MovingHorizon(Estimator):
         arrival = self._first()
         try:
             for _ in range(self.iterations):
-                answer = self._program.solve(nodes, arrival)
+                solver = self._program if arrival.P is None else self._chain
+                answer = solver.solve(nodes, arrival)
                 if self._follow(answer):
                     break
         except SolveError as error:
@@ -169,8 +189,9 @@ class MovingHorizon(Estimator):
         steps = answer.steps
         sizes = np.sqrt(np.maximum(answer.P.diagonal(), TINY))
         is_settled = bool((np.abs(steps[-1]) <= self.settled * sizes).all())
-        far = np.abs(steps).max(axis=1) > self.relinearize
+        far = (np.abs(steps) > self.relinearize * self.process.sizes).any(axis=1)
         far[-1] = True
+        self._offsets = np.where(far[:, None], 0.0, steps)
         for i in far.nonzero()[0].tolist():
             self._linearize(i, self.process.plus(self._nodes[i].x, steps[i]))
         return is_settled
@@ -178,8 +199,13 @@ class MovingHorizon(Estimator):
     def _linearize(self, i: int, x: Any) -> None:
         """Move a node to a state, and linearise it there."""
         process, nodes, node = self.process, self._nodes, self._nodes[i]
-        node.x = x
-        node.seen = process.observe(node.x, nodes[i - 1].u if i else node.u)
-        node.bounded = process.bounded(node.x) if self.keep_bounds else None
+        going = None
         if i + 1 < len(nodes):
-            node.going = process.advance(node.x, node.u, nodes[i + 1].t)
+            going = process.advance(x, node.u, nodes[i + 1].t)
+        nodes[i] = replace(
+            node,
+            x=x,
+            seen=process.observe(x, nodes[i - 1].u if i else node.u),
+            bounded=process.bounded(x) if self.keep_bounds else None,
+            going=going,
+        )

@@ -5,6 +5,7 @@ import time
 from functools import partial
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from geometry_msgs.msg import Vector3
 from nodes.conftest import ROOT
@@ -220,6 +221,22 @@ def test_unknown_numbers_and_the_covariance_are_published_on_request(started):
     np.testing.assert_allclose(P, P.T, atol=1e-12)
 
 
+def test_an_overrun_never_blocks_and_is_flagged(started):
+    """No time at all for the horizon: every answer still comes, by the filter alone."""
+    given = {"estimator": "moving_horizon", "deadline": 0.0, "timeout": 60.0}
+    machine = started(disturbances=False, **given)
+    x, robot = machine.simulation.system.expand(machine.at(0)), machine.scene.robot
+    position = np.array([x.q[robot.joint(name).q] for name in MEASURED])
+    for i in range(60):
+        stamp = machine.begin + i * MS // 10
+        message = write_joint_state(JointState(), stamp, MEASURED, position=position)
+        machine.publisher.publish(message)
+    machine.probe.spin_until(lambda: len(machine.states) == 60)
+    health = machine.health()
+    assert health.level == WARN and "late: filter alone" in health.message
+    assert machine.error(0, machine.states[-1]) < 0.01
+
+
 def test_what_the_sensors_of_a_simulator_tell_is_heard(probe, start_node, tmp_path):
     """Simulator and estimator at 200 Hz, with noise and a delay: all joints are estimated."""
     scene = tmp_path / "press.yaml"
@@ -261,3 +278,56 @@ def test_what_the_sensors_of_a_simulator_tell_is_heard(probe, start_node, tmp_pa
     ]
     assert len(errors) > 100 and max(errors) < 2e-3
     assert len(kept) == 3
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("estimator", ["extended_kalman", "moving_horizon"])
+def test_ten_minutes_at_500_hz(probe, start_node, tmp_path, estimator):
+    """The 7-joint arm within its limits: nothing is lost, nothing grows, errors stay small."""
+    scene, seconds, rate = load_scene("arm7"), 600 if estimator == "extended_kalman" else 60, 500
+    given = {"scene": "arm7", "estimator": estimator, "timeout": 60.0}
+    file = parameter_file(tmp_path, given)
+    node = start_node(arguments=("--params-file", str(file)), target=TARGET)
+    node.wait_for(ACTIVE)
+    worst, count, begin = np.zeros(2), 0, time.time_ns()
+    names = [joint.name for joint in scene.robot.joints]
+    w, model = 2.0 * np.pi * np.linspace(0.1, 0.3, 7), scene.robot.model
+    data, rng = model.createData(), np.random.default_rng(5)
+
+    def motion(t):
+        return 0.8 * np.sin(w * t), 0.8 * w * np.cos(w * t), -0.8 * w * w * np.sin(w * t)
+
+    def take(message):
+        nonlocal count
+        count += 1
+        t = (read_time(message.header.stamp) - begin) * 1e-9
+        if t > 5.0:
+            q, v, _ = motion(t)
+            off = np.abs(message.position - q).max(), np.abs(message.velocity - v).max()
+            np.maximum(worst, off, out=worst)
+
+    create = probe.node.create_subscription
+    kept = create(JointState, f"{NAME}/joint_states", take, DEEP)
+    publisher = probe.node.create_publisher(JointState, "/joint_states", DEEP)
+    probe.spin_until(publisher.get_subscription_count)
+    probe.spin_until(lambda: probe.node.count_publishers(f"{NAME}/joint_states"))
+    begin, sent = time.time_ns(), 0
+    cpu = node.cpu_seconds()
+    while sent < seconds * rate:
+        due = min((time.time_ns() - begin) * rate // 1_000_000_000, seconds * rate)
+        for k in range(sent, due):
+            t = k / rate
+            tau = np.array(pin.rnea(model, data, *motion(t - 0.5 / rate)))
+            position = motion(t)[0] + 1e-4 * rng.standard_normal(7)
+            stamp = begin + round(k * 1e9 / rate)
+            message = write_joint_state(JointState(), stamp, names, position=position, effort=tau)
+            publisher.publish(message)
+        sent = max(sent, due)
+        probe.spin_for(0.001)
+    probe.spin_for(1.0)
+    spent = 1e3 * (node.cpu_seconds() - cpu) / sent
+    told = f"{count} of {sent} answered, {spent:.3f} ms of CPU each, worst {worst}"
+    assert kept is not None and count >= 0.999 * sent, told
+    assert worst[0] < 1e-3 and worst[1] < 0.3, told
+    assert spent < {"extended_kalman": 1.5, "moving_horizon": 6.0}[estimator], told

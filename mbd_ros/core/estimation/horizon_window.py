@@ -10,14 +10,13 @@ H. G. Bock, multiple shooting, 1983; M. Diehl et al., in Assessment and Future D
 Nonlinear MPC, 2007, on one iteration a sample.
 """
 
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import eigenpy
 import numpy as np
-from numpy.typing import NDArray
 
-from mbd_ros.core.estimation.process import Bounded, Observation, Process, Transition
+from mbd_ros.core.estimation.horizon_nodes import Answer, Arrival, Node, Whitening
+from mbd_ros.core.estimation.process import Process, Transition
 from mbd_ros.core.optimization.row_bounded_qp import Optimum, RowBoundedQp
 from mbd_ros.core.state import NONE as _NONE
 from mbd_ros.core.state import Array
@@ -26,65 +25,12 @@ from mbd_ros.errors import SolveError
 _FLOOR = 1.0e-15  # eigenvalues of a covariance below that share of the largest are none
 
 
-@dataclass
-class Node:
-    """One time of the window.
-
-    Attributes:
-        t: Time [s].
-        x: State about which it is linearised.
-        values: What was measured, NaN where nothing was or where it does not count, shape (m,).
-        u: Inputs after it.
-        going: To the next node, linearised at x; None at the end.
-        seen: Linearised at x.
-        bounded: At x.
-    """
-
-    t: float
-    x: Any
-    values: Array
-    u: Array | None = None
-    going: Transition | None = None
-    seen: Observation | None = None
-    bounded: Bounded | None = None
-
-
-class Arrival(NamedTuple):
-    """What is known of the first node before its measurements.
-
-    Attributes:
-        x: Mean.
-        P: Covariance, shape (n, n); None where nothing is known.
-    """
-
-    x: Any
-    P: Array | None
-
-
 class Rows(NamedTuple):
     """lower <= C xi <= upper, for as many xi as C has columns."""
 
     C: Array
     lower: Array
     upper: Array
-
-
-class Answer(NamedTuple):
-    """What a solve of the window found.
-
-    Attributes:
-        steps: From the states of the nodes, one row a node, shape (count, n).
-        P: Covariance of the last one, where no bound acts, shape (n, n).
-        residual: Of the conditions of the optimum.
-        active: How many bounds act.
-        w: Disturbances, shape (count - 1, nw).
-    """
-
-    steps: Array
-    P: Array
-    residual: float
-    active: int
-    w: Array
 
 
 class HorizonProgram:
@@ -100,7 +46,7 @@ class HorizonProgram:
         self._process, self._lower, self._upper = process, lower, upper
         self._is_bounded = np.isfinite(lower) | np.isfinite(upper)
         self._qp = RowBoundedQp()
-        self._white: tuple[Array, bytes, Array] | None = None
+        self._whitening = Whitening()
 
     def solve(self, nodes: list[Node], arrival: Arrival) -> Answer:
         """Steps of all nodes.
@@ -175,20 +121,12 @@ class HorizonProgram:
         told, (y, slope, R) = np.isfinite(node.values), node.seen
         if not told.any():
             return
-        whiten = self._whitening(R, told)
+        whiten = self._whitening.of(R, told)
         slope = whiten.dot(slope[told])
         error = whiten.dot(node.values[told] - y[told]) - slope.dot(e)
         rows, at = slope.dot(S), S.shape[1]
         H[:at, :at] += rows.T.dot(rows)
         g[:at] -= rows.T.dot(error)
-
-    def _whitening(self, R: Array, told: NDArray[np.bool_]) -> Array:
-        """W with W R W' = 1 for what was measured."""
-        known, key = self._white, told.tobytes()
-        if known is None or known[0] is not R or known[1] != key:
-            factor = np.linalg.cholesky(R[np.ix_(told, told)])
-            self._white = known = R, key, np.linalg.inv(factor)
-        return known[2]
 
     def _onward(
         self, node: Node, following: Node, S: Array, e: Array, L: Array

@@ -42,6 +42,8 @@ class MechanismProcess:
         effort_noise: Density of white efforts on all joints [N·m s^(1/2) or N s^(1/2)], (nv,).
         internal_noise: Density of white noise on the rates of internal states, shape (nz,).
         masses: Of its robot, whose model nobody else uses then, that are internal states.
+        internal_sizes: Changes of internal states that count as one where it is linearised, inf
+            for those that only add up, shape (nz,); ones by default.
         limits: Whether joints keep their position and velocity limits, in estimators with bounds.
 
     Attributes:
@@ -51,6 +53,7 @@ class MechanismProcess:
         start: The nearest consistent state to x.
         n: Size of a step.
         nw: Size of a disturbance.
+        sizes: As those of `Process`.
 
     Raises:
         SolveError: The mechanism cannot be assembled near x.
@@ -66,6 +69,7 @@ class MechanismProcess:
         internal_noise: Array | None = None,
         *,
         masses: Sequence[UnknownMass] = (),
+        internal_sizes: Array | None = None,
         limits: bool = True,
     ) -> None:
         self.simulation, system = simulation, simulation.system
@@ -81,7 +85,9 @@ class MechanismProcess:
         )
         if not (np.isfinite(self._density).all() and (self._density >= 0.0).all()):
             raise ModelError("process noise must be finite and >= 0")
-        self.nw = len(self._density)
+        self.nw, self.sizes = len(self._density), np.ones(self.n)
+        if internal_sizes is not None:
+            self.sizes[self.n - nz :] = internal_sizes
 
     def evaluate(self, x: State, u: Array | None = None) -> Evaluation:
         """As `System.evaluate`, with the masses of the state."""

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from mbd_ros.core.estimation.kalman_update import updated
+from mbd_ros.core.estimation.kalman_update import Bools, updated
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
@@ -60,12 +60,15 @@ class Bounded(NamedTuple):
         by: Derivative by a step of the tangent, shape (b, n).
         lower: Smallest accepted values, shape (b,).
         upper: Largest accepted values, shape (b,).
+        may_be_wrong: Which bounds give way to measurements that contradict them beyond doubt,
+            shape (b,); None for none.
     """
 
     values: Array
     by: Array
     lower: Array
     upper: Array
+    may_be_wrong: Bools | None = None
 
 
 class Process(Protocol):
@@ -74,10 +77,13 @@ class Process(Protocol):
     Attributes:
         n: Size of a step of its tangent.
         nw: Size of a disturbance.
+        sizes: Steps of the tangent that count as one where it is linearised, inf where it is
+            linear, shape (n,).
     """
 
     n: int
     nw: int
+    sizes: Array
 
     def advance(self, x: Any, u: Array | None, t: float) -> Transition:
         """From a state to a later time [s], under inputs that are held."""
@@ -117,6 +123,7 @@ class LinearProcess:
     Attributes:
         n: Size of x.
         nw: Size of w.
+        sizes: Inf: it is linear.
 
     Raises:
         ModelError: Shapes that do not fit, or a covariance that is none; names the matrix.
@@ -139,7 +146,7 @@ class LinearProcess:
         self.n = len(self.A)
         self.G = np.eye(self.n) if G is None else np.asarray(G, float).reshape(self.n, -1)
         self.B = None if B is None else np.asarray(B, float).reshape(self.n, -1)
-        self.nw = self.G.shape[1]
+        self.nw, self.sizes = self.G.shape[1], np.full(self.n, np.inf)
         shapes = {
             "A": (self.A, (self.n, self.n)),
             "C": (self.C, (len(self.C), self.n)),

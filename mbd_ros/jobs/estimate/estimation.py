@@ -192,11 +192,13 @@ def _process(
     scene = unknowns.scene
     simulation = scene.simulation()
     internals = simulation.system.internals
-    noise = np.zeros(internals.nz)
+    noise, sizes = np.zeros(internals.nz), np.ones(internals.nz)
     if joints:
         at = [scene.robot.joint(name).v for name in joints]
+        sizes[_disturbance(scene).z] = np.inf
         noise[_disturbance(scene).z] = task.disturbance_noise * scale[at]
     for name, deviation in unknowns.deviations.items():
+        sizes[internals.names.index(name)] = deviation
         noise[internals.names.index(name)] = deviation / math.sqrt(task.parameter_time)
     return MechanismProcess(
         simulation,
@@ -205,6 +207,7 @@ def _process(
         task.model_noise * scale,
         noise,
         masses=unknowns.masses,
+        internal_sizes=sizes,
         limits=task.limits,
     )
 
