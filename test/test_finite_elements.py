@@ -13,6 +13,7 @@ from mbd_ros.cli import main
 from mbd_ros.errors import DataError
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.jobs.inverse.observed import Task
+from mbd_ros.jobs.loads.centre_field import centre_field
 from mbd_ros.jobs.loads.elements import KINDS, mass_of, nodal_forces
 from mbd_ros.jobs.loads.finite_elements import MeshTask, body_of, write_body
 from mbd_ros.jobs.loads.job import LoadsTask, run_loads
@@ -304,3 +305,31 @@ def test_bad_input_of_the_command(rod, capsys):
     assert loads("still.csv", "a.inp", "--support", "nobody") == 2
     assert "accepted: hinge, weld" in capsys.readouterr().err
     assert not (rod / "a.inp").exists()
+
+
+@needs_ccx
+def test_amplitudes(walk, tmp_path):
+    """Along the motion: support, loads, gravity and inertia add up to zero."""
+    history, instants = walk
+    first = {name: getattr(history, name)[:12] for name in ("stamps", "point", "force", "moment")}
+    motion = history.motion._make(values[:12] for values in history.motion)
+    mesh = tube(0.0125, 0.015, 0.36, (1, 6, 2))
+    mesh = mesh._replace(points=mesh.points + np.array([0.0, 0.0, -0.40]))
+    history = history._replace(**first, motion=motion)
+    body, steps, _ = pylon(history, instants[:1], mesh=mesh)
+    said = []
+    write_body(body, steps, tmp_path / "pylon.inp", said.append, amplitudes=True)
+    assert "left out of pylon.inp: inertia by rotation" in said[0]
+    forces, _ = solved(tmp_path / "pylon.inp", "L_ankle")
+    assert len(forces) == len(body.history.stamps) - 1
+    density, field = body.material.density, centre_field(body)
+    for row in (1, 11):
+        gravity = nodal_forces(
+            body.mesh.points, body.mesh.blocks, lambda r, row=row: density * field[row] + 0.0 * r
+        )
+        held = gravity[body.held.nodes].sum(axis=0)
+        ankle = body.history.force[row, body.loaded[0].slot]
+        expected = -ankle - gravity.sum(axis=0)
+        assert forces[row - 1][0] - held == pytest.approx(expected, abs=1e-5 * np.abs(ankle).max())
+    with pytest.raises(DataError, match="--amplitudes goes with .inp"):
+        write_body(body, steps, tmp_path / "pylon.feb", said.append, amplitudes=True)

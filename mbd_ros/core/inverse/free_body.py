@@ -17,6 +17,7 @@ from mbd_ros.core.inverse.tied_links import RESIDUAL, Edge, TiedLinks
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import WORLD, Robot
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.vectors import cross
 from mbd_ros.errors import ModelError
 
 JOINT = "joint"
@@ -156,7 +157,7 @@ class FreeBody:
         for one, link in zip(acting, beside, strict=True):
             if link in needed:
                 force, torque = one.wrench.force, one.wrench.torque
-                about = torque + np.cross(one.wrench.point, force)
+                about = torque + cross(one.wrench.point, force)
                 whole = np.concatenate((force, about))
                 carried = self.k.carried(whole, self._origin, self._carrier)
                 needed[link] = needed[link] - pin.Force(carried)
@@ -184,7 +185,7 @@ class FreeBody:
         there = self._at.inverse() * place
         point = there.translation
         load = self._at.actInv(whole)
-        moment = load.angular - np.cross(point, load.linear)
+        moment = load.angular - cross(point, load.linear)
         kind = edge.name if edge.name in (WORLD, RESIDUAL) else JOINT
         return BodyLoad(edge.name, kind, np.array(point), np.array(load.linear), moment)
 

@@ -25,42 +25,40 @@ class Balance(NamedTuple):
     """What is left of the equations of a body, and the largest of their terms.
 
     Attributes:
-        force: Left of the forces [N], shape (3,).
-        moment: Left of the moments about the mass centre [N·m], shape (3,).
-        largest: Force of the largest term [N]; a moment counts divided by `size`.
+        force: Left of the forces [N], shape (.., 3).
+        moment: Left of the moments about the mass centre [N·m], shape (.., 3).
+        largest: Force of the largest term [N], shape (..); a moment counts divided by `size`.
         size: Length that compares moments with forces: the largest arm of a load about the mass
-            centre, or the radius of gyration of the body where that is more [m].
+            centre, or the radius of gyration of the body where that is more [m], shape (..).
     """
 
     force: Array
     moment: Array
-    largest: float
-    size: float
+    largest: Array
+    size: Array
 
     @property
-    def off(self) -> float:
-        """What is left as a share of the largest term [-]; 0 where nothing acts."""
-        left = max(float(np.linalg.norm(self.force)), self._as_force(self.moment))
-        return left / self.largest if self.largest else 0.0
-
-    def _as_force(self, moment: Array) -> float:
-        return float(np.linalg.norm(moment)) / self.size if self.size else 0.0
+    def off(self) -> Array:
+        """What is left as a share of the largest term [-], shape (..); 0 where nothing acts."""
+        turning = _ratio(np.linalg.norm(self.moment, axis=-1), self.size)
+        left = np.maximum(np.linalg.norm(self.force, axis=-1), turning)
+        return _ratio(left, self.largest)
 
 
 def inertial_load(inertia: Any, motion: BodyMotion) -> tuple[Array, Array]:
     """Weight less what the motion needs: force, and moment about the mass centre.
 
     Args:
-        inertia: `pinocchio.Inertia` of the body.
-        motion: Its motion.
+        inertia: With `mass`, `lever` and `inertia`, as `pinocchio.Inertia` of the body.
+        motion: Its motion, vectors of shape (.., 3).
 
     Returns:
-        [N] and [N·m], shape (3,) each.
+        [N] and [N·m], shape (.., 3) each.
     """
     turn, spin, c = motion.angular_acceleration, motion.angular_velocity, inertia.lever
     of_centre = motion.acceleration + np.cross(turn, c) + np.cross(spin, np.cross(spin, c))
     force: Array = inertia.mass * (motion.gravity - of_centre)
-    moment: Array = -inertia.inertia.dot(turn) - np.cross(spin, inertia.inertia.dot(spin))
+    moment: Array = -turn @ inertia.inertia - np.cross(spin, spin @ inertia.inertia)
     return force, moment
 
 
@@ -72,18 +70,42 @@ def balance(loads: Sequence[BodyLoad], inertia: Any, motion: BodyMotion) -> Bala
         inertia: `pinocchio.Inertia` in the same.
         motion: In the same.
     """
-    force, moment = inertial_load(inertia, motion)
+    point, force, moment = (np.array([a[i] for a in loads]).reshape(-1, 3) for i in (2, 3, 4))
+    return balances(point, force, moment, inertia, motion)
+
+
+def balances(
+    point: Array, force: Array, moment: Array, inertia: Any, motion: BodyMotion
+) -> Balance:
+    """The same of many samples.
+
+    Args:
+        point: Where loads act [m], shape (.., loads, 3).
+        force: [N], shape (.., loads, 3).
+        moment: About the points [N·m], shape (.., loads, 3).
+        inertia: `pinocchio.Inertia` of the body.
+        motion: Vectors of shape (.., 3).
+    """
+    inertial, twist = inertial_load(inertia, motion)
     weight = inertia.mass * motion.gravity
-    forces, moments, arms = [weight, force - weight], [moment], [np.zeros(3)]
-    for load in loads:
-        arms.append(load.point - inertia.lever)
-        forces.append(load.force)
-        moments += [load.moment, np.cross(arms[-1], load.force)]
+    arm = point - inertia.lever
+    turning = np.cross(arm, force)
     gyration = math.sqrt(max(float(np.trace(inertia.inertia)), 0.0) / inertia.mass)
-    size = max(_largest(arms), gyration)
-    largest = max(_largest(forces), _largest(moments) / size if size else 0.0)
-    return Balance(np.sum(forces, axis=0), np.sum(moments, axis=0), largest, size)
+    size = np.maximum(_largest(arm), gyration)
+    forces = [_largest(force), *(np.linalg.norm(w, axis=-1) for w in (weight, inertial - weight))]
+    moments = [_largest(moment), _largest(turning), np.linalg.norm(twist, axis=-1)]
+    largest = np.maximum(np.max(forces, axis=0), _ratio(np.max(moments, axis=0), size))
+    left = force.sum(axis=-2) + inertial
+    return Balance(left, (moment + turning).sum(axis=-2) + twist, largest, size)
 
 
-def _largest(vectors: Sequence[Array]) -> float:
-    return float(np.linalg.norm(vectors, axis=1).max())
+def _largest(vectors: Array) -> Array:
+    largest: Array = np.linalg.norm(vectors, axis=-1).max(axis=-1, initial=0.0)
+    return largest
+
+
+def _ratio(part: Array, whole: Array) -> Array:
+    """The quotient, 0 where the whole is 0."""
+    part, whole = np.asarray(part), np.asarray(whole)
+    ratio: Array = np.divide(part, whole, out=np.zeros(np.shape(part)), where=whole != 0.0)
+    return ratio

@@ -18,17 +18,29 @@ from mbd_ros.jobs.loads.elements import KINDS
 from mbd_ros.jobs.loads.model import Body, Step
 
 _A_LINE = 16  # entries of a line
-_SOLID, _SPUN = "SOLID", "SPUN"
+SOLID, _SPUN = "SOLID", "SPUN"
+OUTPUT = "*NODE FILE", "U,RF", "*EL FILE", "S", "*NODE PRINT,NSET=SUPPORT", "RF"
 
 
 def lines_of(body: Body, steps: Sequence[Step]) -> Iterator[str]:
     """The lines of an input file."""
+    yield from model_lines(body)
+    for i in range(len(steps)):  # CalculiX keeps the axis that CENTRIF first had for a set
+        yield f"*ELSET,ELSET={_SPUN}_{i}"
+        yield SOLID
+    references = references_of(body)
+    for i, step in enumerate(steps):
+        yield from _step(body, step, references, f"{_SPUN}_{i}")
+
+
+def model_lines(body: Body) -> Iterator[str]:
+    """The lines before the first step: mesh, material, couplings and support."""
     units = body.units
     yield f"** loads on {body.history.body}: N, {units.name}, {units.mass}, s, {units.stress}"
     yield f"** axes and origin of the link {body.history.body}; held at {body.support}"
     yield from _mesh(body)
     yield from _material(body)
-    references = _references(body)
+    references = references_of(body)
     for one in body.attachments:
         yield from _coupling(body, one, references[one.name])
     reference, turning = references[body.support]
@@ -36,11 +48,6 @@ def lines_of(body: Body, steps: Sequence[Step]) -> Iterator[str]:
     yield from (f"{node},1,3,0." for node in (reference, turning))
     yield "*NSET,NSET=SUPPORT"
     yield f"{reference},{turning}"
-    for i in range(len(steps)):  # CalculiX keeps the axis that CENTRIF first had for a set
-        yield f"*ELSET,ELSET={_SPUN}_{i}"
-        yield _SOLID
-    for i, step in enumerate(steps):
-        yield from _step(body, step, references, f"{_SPUN}_{i}")
 
 
 def _mesh(body: Body) -> Iterator[str]:
@@ -54,7 +61,7 @@ def _mesh(body: Body) -> Iterator[str]:
         number += 2
     element = 0
     for name, cells in body.mesh.blocks:
-        yield f"*ELEMENT,TYPE={KINDS[name].calculix},ELSET={_SOLID}"
+        yield f"*ELEMENT,TYPE={KINDS[name].calculix},ELSET={SOLID}"
         for nodes in cells + 1:
             element += 1
             yield from _listed([element, *nodes.tolist()])
@@ -71,10 +78,10 @@ def _material(body: Body) -> Iterator[str]:
     yield f"{young / L**2:.12g},{poisson:.12g}"
     yield "*DENSITY"
     yield f"{density / L**4 if L != 1.0 else density:.12g}"
-    yield f"*SOLID SECTION,ELSET={_SOLID},MATERIAL=MATERIAL"
+    yield f"*SOLID SECTION,ELSET={SOLID},MATERIAL=MATERIAL"
 
 
-def _references(body: Body) -> dict[str, tuple[int, int]]:
+def references_of(body: Body) -> dict[str, tuple[int, int]]:
     """Nodes of each attachment that move and turn; a distributing coupling has one for both."""
     first, found = len(body.mesh.points), {}
     for i, one in enumerate(body.attachments):
@@ -140,10 +147,10 @@ def _step(
     pull, spin = float(np.linalg.norm(step.gravity)), float(np.linalg.norm(step.spin))
     yield "*DLOAD,OP=NEW"
     if pull:
-        yield f"{_SOLID},GRAV,{pull * L:.12g},{_numbers(step.gravity / pull)}"
+        yield f"{SOLID},GRAV,{pull * L:.12g},{_numbers(step.gravity / pull)}"
     if spin:
         yield f"{spun},CENTRIF,{spin**2:.12g},0.,0.,0.,{_numbers(step.spin / spin)}"
-    yield from ("*NODE FILE", "U,RF", "*EL FILE", "S", "*NODE PRINT,NSET=SUPPORT", "RF")
+    yield from OUTPUT
     yield "*END STEP"
 
 

@@ -23,13 +23,12 @@ def tables_of(history: History, instants: Sequence[Instant], units: Units) -> di
     columns = [*time_columns(history.stamps), Column("is_instant", marked)]
     columns += _load_columns(history, units)
     columns += _inertial_columns(history, units)
-    balances = list(history.balance())
-    left = np.array([np.linalg.norm(each.force) for each in balances])
-    turning = np.array([np.linalg.norm(each.moment) for each in balances])
+    balance = history.balance()
+    left, turning = (np.linalg.norm(each, axis=1) for each in balance[:2])
     columns += [
         Column("balance.force", left, "N"),
         Column("balance.torque", turning * units.per_metre, units.moment),
-        Column("balance.off", np.array([each.off for each in balances])),
+        Column("balance.off", balance.off),
     ]
     return {MAIN: Table(columns), INSTANTS: _instants(history, instants, units)}
 
@@ -65,9 +64,7 @@ def _load_columns(history: History, units: Units) -> list[Column]:
 def _inertial_columns(history: History, units: Units) -> list[Column]:
     """Motion of the body, and what weight and inertia exert on it about its mass centre."""
     body, L, (gravity, push, spin, turn) = history.body, units.per_metre, history.motion
-    rows = range(len(history.stamps))
-    pairs = [inertial_load(history.inertia, history.motion_at(row)) for row in rows]
-    force, moment = (np.array(each) for each in zip(*pairs, strict=True))
+    force, moment = inertial_load(history.inertia, history.motion)
     weight = history.inertia.mass * gravity
     return [
         *_vectors("gravity.acceleration_", gravity * L, units.acceleration, body),

@@ -107,6 +107,11 @@ def _add_mesh(parser: argparse.ArgumentParser) -> None:
         default="rigid",
         help="how nodes share a load (default: %(default)s)",
     )
+    parser.add_argument(
+        "--amplitudes",
+        action="store_true",
+        help=".inp: one step over the whole motion in place of one for each instant",
+    )
     parser.add_argument("--young", type=float, help="Young's modulus; required with --mesh")
     parser.add_argument(
         "--poisson", type=float, default=0.3, help="Poisson's ratio (default: %(default)s)"
@@ -129,7 +134,7 @@ def _mesh_task(arguments: argparse.Namespace) -> "MeshTask | None":
     for name, equals, nodes in pairs:
         if not (name and equals and nodes):
             raise DataError(f"--attach {name}: accepted: LOAD=SET or LOAD=RADIUS")
-    names = ("young", "poisson", "density", "radius", "support", "coupling")
+    names = ("young", "poisson", "density", "radius", "support", "coupling", "amplitudes")
     given = {name: getattr(arguments, name) for name in names}
     attach = {name: nodes for name, _, nodes in pairs}
     return MeshTask(arguments.mesh, pose=arguments.mesh_pose, attach=attach, **given)

@@ -12,23 +12,12 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.jobs.loads.attachments import Attachment
+from mbd_ros.jobs.loads.centre_field import centre_field
 from mbd_ros.jobs.loads.elements import KINDS
 from mbd_ros.jobs.loads.model import Body, Step
 
 _ANCHOR = 1.0e-3  # diagonals of the mesh: size of the element that stands for a rigid body
 _DOFS = ("rigid_force", ("Rx", "Ry", "Rz")), ("rigid_moment", ("Ru", "Rv", "Rw"))
-
-
-def rotation_share(body: Body, steps: Sequence[Step]) -> float:
-    """Forces of the rotational field as a share of the largest load [-]."""
-    largest = max(float(np.linalg.norm(step.forces, axis=1).max(initial=0.0)) for step in steps)
-    density, mass = body.material.density, body.mass
-    far = float(np.linalg.norm(body.mesh.points - mass.centre, axis=1).max())
-    rows = body.rows
-    spin = np.linalg.norm(body.history.motion.angular_velocity[list(rows)], axis=1)
-    turn = np.linalg.norm(body.history.motion.angular_acceleration[list(rows)], axis=1)
-    own = density * mass.volume * far * float((turn + spin**2).max())
-    return own / largest if largest else 0.0
 
 
 def feb_lines(body: Body, steps: Sequence[Step]) -> Iterator[str]:
@@ -48,7 +37,7 @@ def feb_lines(body: Body, steps: Sequence[Step]) -> Iterator[str]:
     yield "</Boundary>"
     curves: list[Array] = []
     yield from _rigid(body, steps, curves)
-    yield from _field(body, steps, curves)
+    yield from _field(body, curves)
     yield "<LoadData>"
     for i, values in enumerate(curves, 1):
         points = "".join(f"<pt>{t},{v:.12g}</pt>" for t, v in enumerate([0.0, *values]))
@@ -124,15 +113,12 @@ def _rigid(body: Body, steps: Sequence[Step], curves: list[Array]) -> Iterator[s
     yield "</Rigid>"
 
 
-def _field(body: Body, steps: Sequence[Step], curves: list[Array]) -> Iterator[str]:
+def _field(body: Body, curves: list[Array]) -> Iterator[str]:
     """Gravity less the acceleration of the mass centre of the mesh; FEBio counts it negative."""
-    motion, c, field = body.history.motion, body.mass.centre, []
-    for row, step in zip(body.rows, steps, strict=True):
-        turn, spin = motion.angular_acceleration[row], motion.angular_velocity[row]
-        field.append(step.gravity - np.cross(turn, c) - np.cross(spin, np.cross(spin, c)))
+    field = centre_field(body)[list(body.rows)]
     yield "<Loads>"
     yield '<body_load name="gravity and inertia" type="const">'
-    for axis, curve in zip("xyz", np.array(field).T * body.units.per_metre, strict=True):
+    for axis, curve in zip("xyz", field.T * body.units.per_metre, strict=True):
         curves.append(-curve)
         yield f'<{axis} lc="{len(curves)}">1</{axis}>'
     yield "</body_load>"

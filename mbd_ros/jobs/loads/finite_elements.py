@@ -31,6 +31,7 @@ class MeshTask(NamedTuple):
         radius: Of loads that `attach` does not name; None where it names all.
         support: Load whose nodes are held; None for the first.
         coupling: `rigid` or `distributing`.
+        amplitudes: One step over the whole motion in place of a step an instant.
     """
 
     mesh: Mesh | Path
@@ -42,6 +43,7 @@ class MeshTask(NamedTuple):
     radius: float | None = None
     support: str | None = None
     coupling: str = "rigid"
+    amplitudes: bool = False
 
 
 def body_of(
@@ -78,12 +80,23 @@ def body_of(
     return body, steps, check_steps(body, steps)
 
 
-def write_body(body: Body, steps: Sequence[Step], out: Path, say: Say) -> None:
+def write_body(
+    body: Body, steps: Sequence[Step], out: Path, say: Say, amplitudes: bool = False
+) -> None:
     """Write the file that its suffix says: .inp, .feb, .vtu.
+
+    Args:
+        body: The body.
+        steps: Its instants.
+        out: The file.
+        say: Is told what was written.
+        amplitudes: One step over the whole motion, for .inp.
 
     Raises:
         DataError: What the format cannot hold, or a place that cannot be written to.
     """
+    if amplitudes and out.suffix != ".inp":
+        raise DataError(f"{out}: --amplitudes goes with .inp; .feb has load curves by itself")
     if out.suffix == ".vtu":
         from mbd_ros.jobs.loads.paraview import write_series
 
@@ -92,19 +105,26 @@ def write_body(body: Body, steps: Sequence[Step], out: Path, say: Say) -> None:
     from mbd_ros.jobs.loads.calculix import text_of
 
     with replacing(out) as file:
-        file.write(text_of(_lines(body, steps, out, say)))
-    say(f"{len(steps)} steps, {len(body.mesh.points)} nodes -> {out}")
+        file.write(text_of(_lines(body, steps, out, amplitudes, say)))
+    steps_said = "one step with amplitudes" if amplitudes else f"{len(steps)} steps"
+    say(f"{steps_said}, {len(body.mesh.points)} nodes -> {out}")
 
 
-def _lines(body: Body, steps: Sequence[Step], out: Path, say: Say) -> Any:
-    if out.suffix == ".inp":
+def _lines(body: Body, steps: Sequence[Step], out: Path, amplitudes: bool, say: Say) -> Any:
+    if out.suffix == ".inp" and not amplitudes:
         from mbd_ros.jobs.loads.calculix import lines_of
 
         return lines_of(body, steps)
-    from mbd_ros.jobs.loads.febio import feb_lines, rotation_share
+    from mbd_ros.jobs.loads.centre_field import rotation_share
 
-    share = rotation_share(body, steps)
-    say(f"left out of a .feb: inertia by rotation, {share:.2g} of the largest load at most")
+    share = rotation_share(body)
+    say(f"left out of {out.name}: inertia by rotation, at most {share:.2g} of the largest load")
+    if out.suffix == ".inp":
+        from mbd_ros.jobs.loads.calculix_amplitudes import amplitude_lines
+
+        return amplitude_lines(body)
+    from mbd_ros.jobs.loads.febio import feb_lines
+
     return feb_lines(body, steps)
 
 

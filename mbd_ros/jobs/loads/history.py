@@ -1,14 +1,14 @@
 """Loads on a body over time, a slot each that stays the same from sample to sample."""
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.inverse.free_body import BodyLoad, BodyMotion
-from mbd_ros.core.inverse.free_body_balance import Balance, balance
+from mbd_ros.core.inverse.free_body_balance import Balance, balances
 from mbd_ros.core.state import NANOSECOND, Array
 
 
@@ -59,17 +59,9 @@ class History(NamedTuple):
         """Of one sample."""
         return BodyMotion(*(values[row] for values in self.motion))
 
-    def loads_at(self, row: int) -> list[BodyLoad]:
-        """Of one sample, in the order of the slots."""
-        values = zip(self.point[row], self.force[row], self.moment[row], strict=True)
-        return [
-            BodyLoad(*slot, *vectors) for slot, vectors in zip(self.slots, values, strict=True)
-        ]
-
-    def balance(self) -> Iterator[Balance]:
-        """What is left of the equations of the body, sample by sample."""
-        for row in range(len(self.stamps)):
-            yield balance(self.loads_at(row), self.inertia, self.motion_at(row))
+    def balance(self) -> Balance:
+        """What is left of the equations of the body in every sample."""
+        return balances(self.point, self.force, self.moment, self.inertia, self.motion)
 
 
 class Arrays(NamedTuple):

@@ -201,7 +201,7 @@ def _check(history: History, where: str, say: Say) -> None:
     values = (history.force, history.moment, history.point, *history.motion)
     if not all(np.isfinite(each).all() for each in values):
         raise DataError(f"{where}: loads on {history.body} are not finite")
-    off = np.array([each.off for each in history.balance()])
+    off = history.balance().off
     row = int(off.argmax())
     text = f"balance of {history.body}: off by at most {off[row]:.2g} of the largest load"
     if off[row] > _OFF:

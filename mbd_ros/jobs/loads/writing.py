@@ -50,4 +50,4 @@ def _finite_elements(scene: Scene, task: LoadsTask, out: Path, say: Say) -> None
     _, history, instants = run_loads(scene, task, say)
     body, steps, text = body_of(history, instants, task.mesh, units_of(task.units))
     say(text)
-    write_body(body, steps, out, say)
+    write_body(body, steps, out, say, task.mesh.amplitudes)
