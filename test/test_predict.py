@@ -7,8 +7,21 @@ import sys
 
 import numpy as np
 import pytest
-from prediction_scenes import PROBLEMS, SWING_UP, SWING_UP_COST, cart_pole, coupled_arm, four_bar
+from prediction_scenes import (
+    PROBLEMS,
+    SWING_UP,
+    SWING_UP_COST,
+    bryson_denham,
+    cart_pole,
+    coupled_arm,
+    four_bar,
+    joint,
+    link,
+    mass,
+    rest_to_rest,
+)
 
+import mbd_ros as mbd
 from mbd_ros.cli import main
 from mbd_ros.errors import FAILED, OK, NotConvergedError, SceneError
 from mbd_ros.files.formats import read_result
@@ -32,8 +45,10 @@ def test_costs_are_those_of_other_methods(name):
     """At the default tolerance, on the mesh that follows from it; and the inputs lead there."""
     make, accepted = PROBLEMS[name]
     scene, task, cost = make()
-    found = scene.predict(task).metadata
+    result = scene.predict(task)
+    found = result.metadata
     assert found["converged"]
+    assert np.abs(result["samples"]["drift.position"]).max() < 1.0e-6  # loops between nodes
     assert found["cost"] == pytest.approx(cost, rel=accepted)
     assert found["error"] < 1.0e-7
     assert found["replay"] < 10.0 * max(found["error"], 1.0e-9)
@@ -62,9 +77,109 @@ def test_multipliers_of_a_coupling_are_those_of_newton():
 MULTIPLIERS = [0.344488066213, 0.540692902044]
 
 
-def test_a_loop_stays_closed_between_nodes():
-    samples = four_bar()[0].predict(four_bar()[1])["samples"]
-    assert np.abs(samples["drift.position"]).max() < 1.0e-6
+def test_a_stop_is_kept_open_between_points():
+    """As Bryson and Denham's limit of a position; its cost is 4."""
+    stop = {"type": "joint_stop", "joint": "slide", "upper": 1.0 / 9.0}
+    scene, task, cost = bryson_denham()
+    task = {key: task[key] for key in task if key != "bounds"}
+    result = scene.with_(constraints=[stop]).predict(task)
+    assert result.metadata["cost"] == pytest.approx(cost, rel=1.0e-8)
+    assert result["samples"]["slide.position"].max() < 1.0 / 9.0 + 1.0e-7
+
+
+def test_forces_that_jump_are_refused():
+    friction = {"type": "dry_friction", "joint": "slide", "limit": 1.0}
+    scene, task, _ = rest_to_rest()
+    with pytest.raises(SceneError, match="slide_dry_friction"):
+        scene.with_(constraints=[friction]).predict(task)
+
+
+def test_a_number_of_the_scene_is_found():
+    """A spring that swings from side to side without any force: pi^2 per kg and s^2."""
+    spring = {"type": "joint_spring", "name": "spring", "joint": "slide", "stiffness": 1.0}
+    task = {
+        "duration": 1.0,
+        "start": {"slide.position": 0.5},
+        "end": {"slide.position": -0.5, "slide.velocity": 0.0},
+        "goals": [{"type": "effort"}],
+        "parameters": {"spring.stiffness": [1.0, 30.0]},
+    }
+    found = mass().with_(forces=[spring]).predict(task).metadata
+    assert found["parameters"]["spring.stiffness"] == pytest.approx(np.pi**2, rel=1.0e-6)
+    assert found["replay"] < 1.0e-8
+
+
+def test_a_motion_that_repeats_and_a_function_of_ones_own():
+    """A constant force against a spring without a spring: (x - 1)^2 wants x = 1, at no cost."""
+    goals = [{"type": "effort"}, lambda q: (q["slide.position"] - 1.0) ** 2]
+    result = mass().predict({"duration": 1.0, "periodic": ["slide.velocity"], "goals": goals})
+    assert result.metadata["cost"] == pytest.approx(0.0, abs=1.0e-12)
+    assert result["samples"]["slide.position"][0] == pytest.approx(1.0, abs=1.0e-6)
+
+
+def test_what_if(tmp_path):
+    """Heavier poles, each from the motion before; then from its file, and from other guesses."""
+    scene, out = cart_pole(), tmp_path / "motion.npz"
+    masses = {"pole.mass": [0.3, 0.35, 0.4]}
+    rough = SWING_UP | {"tolerance": 1.0e-4}
+    result = scene.predict(rough | {"continuation": masses})
+    costs = result["continuation"]["cost"]
+    assert np.all(np.diff(costs) > 3.0)
+    result.to(out)
+    heavy = scene.with_({"pole.mass": 0.4})
+    again = heavy.predict(rough | {"guess": str(out)}).metadata
+    assert again["cost"] == pytest.approx(costs[-1], rel=1.0e-5)
+    assert heavy.predict(rough | {"starts": 2}).metadata["cost"] <= costs[-1] * (1.0 + 1.0e-5)
+
+
+def test_goals_of_every_kind():
+    """They add up to the cost, and the tracked motion is found again."""
+    task = {"duration": [0.5, 2.0], "end": {"slide.position": 1.0, "slide.velocity": 0.0}}
+    goals = [
+        {"type": "time"},
+        {"type": "smoothness", "weight": 1.0e-3},
+        {"type": "power", "weight": 0.01},
+        {"type": "torque", "weight": 1.0e-3},
+        {"type": "final", "of": "slide.position", "target": 2.0},
+        {"type": "speed", "of": "slide.position", "target": 0.7},
+        {"type": "integral", "of": {"slide.velocity": 0.1}, "power": 2},
+    ]
+    result = mass().predict(task | {"goals": goals})
+    assert result["goals"]["value"].sum() == pytest.approx(result.metadata["cost"], rel=1.0e-9)
+
+
+def test_a_recorded_motion_is_tracked(tmp_path):
+    scene, task, _ = rest_to_rest()
+    recorded = scene.predict(task)
+    recorded.to(tmp_path / "recorded.npz")
+    goal = {"type": "tracking", "of": "slide.position", "weight": 1.0e4}
+    goals = [goal | {"file": str(tmp_path / "recorded.npz")}, {"type": "effort", "weight": 1.0e-9}]
+    found = scene.predict({"duration": 1.0, "goals": goals, "tolerance": 1.0e-5})
+    key = "slide.position"
+    np.testing.assert_allclose(found["samples"][key], recorded["samples"][key], atol=1.0e-4)
+
+
+def test_a_free_body_moves_on_its_manifold():
+    """A body in free fall with an arm that swings; its momentum makes it turn."""
+    robot = (
+        "<robot name='r'>"
+        + link("body", 2.0, inertia=0.2)
+        + link("arm", 1.0, "0 0 -0.3", 0.03)
+        + joint("swing", "continuous", "body", "arm", "0 0.6 0.8")
+        + "</robot>"
+    )
+    twist = {"linear": [0.1, 0.2, 3.0], "angular": [0.5, 0.2, -0.3]}
+    sections = {
+        "robot": {"base": "floating"},
+        "actuators": [{"type": "ideal", "joints": ["swing"]}],
+        "initial": {"twist": {"base": twist}},
+    }
+    scene = mbd.scene_from(sections, urdf=robot)
+    task = {"duration": 0.6, "end": {"swing.position": 1.0}, "goals": [{"type": "effort"}]}
+    result = scene.predict(task)
+    assert result.metadata["replay"] < 1.0e-8
+    pose = np.array([result["samples"][f"base.orientation.{axis}"] for axis in "xyzw"])
+    np.testing.assert_allclose(np.linalg.norm(pose, axis=0), 1.0, atol=1.0e-12)
 
 
 def test_a_motion_is_written_and_read_again(tmp_path, capsys):

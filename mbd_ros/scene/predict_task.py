@@ -1,6 +1,5 @@
 """The `predict` section of a task file: which motion is asked of a scene, and what is best."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,14 +7,14 @@ from typing import Annotated, Any, Literal
 
 from mbd_ros.core.prediction.collocation import LARGEST_DEGREE
 from mbd_ros.core.prediction.problem import Goal, Range
-from mbd_ros.core.ranges import LARGEST, SMALLEST, Within
+from mbd_ros.core.ranges import Within
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
 from mbd_ros.scene.locate import find_file
 from mbd_ros.scene.predict_goals import goals_of
+from mbd_ros.scene.predict_ranges import FREE, duration_of, open_range, ranges
 
-FREE = "free"
 Scheme = Literal["gauss", "radau", "hermite_simpson"]
 Count = Annotated[int, Within(1, 10_000)]
 
@@ -151,10 +150,10 @@ def _task(
     if duration is None and not phases:
         raise SceneError(f"{where}: key 'duration' is missing")
     shared = goals_of(goals, f"{where}.goals", folder)
-    always = _ranges(bounds or {}, f"{where}.bounds")
+    always = ranges(bounds or {}, f"{where}.bounds")
     is_free = start == FREE or bool(periodic) or bool(symmetric)
-    first = {} if start is None or start == FREE else _ranges(start, f"{where}.start")
-    last = _ranges(end or {}, f"{where}.end")
+    first = {} if start is None or start == FREE else ranges(start, f"{where}.start")
+    last = ranges(end or {}, f"{where}.end")
     if phases:
         some = tuple(
             schema.call(_phase, one, f"{where}.phases[{i}]", f"{where}.phases[{i}]", folder)
@@ -164,7 +163,7 @@ def _task(
         some = (_at_start(some[0], first), *some[1:])
         some = (*some[:-1], _at_end(some[-1], last))
     else:
-        span = _duration(duration, f"{where}.duration")
+        span = duration_of(duration, f"{where}.duration")
         some = (PhaseTask("", span, always, first, last, shared),)
     if not any(one.goals for one in some):
         raise SceneError(f"{where}: key 'goals' is missing, such as [{{type: effort}}]")
@@ -176,7 +175,7 @@ def _task(
         dict(symmetric or {}),
         tuple(travel),
         {
-            key: _open_range(one, f"{where}.parameters.{key}")
+            key: open_range(one, f"{where}.parameters.{key}")
             for key, one in (parameters or {}).items()
         },
         schema.call(MeshTask, dict(mesh or {}), f"{where}.mesh"),
@@ -207,10 +206,10 @@ def _phase(
 ) -> PhaseTask:
     return PhaseTask(
         phase,
-        _duration(duration, f"{where}.duration"),
-        _ranges(bounds or {}, f"{where}.bounds"),
-        _ranges(start or {}, f"{where}.start"),
-        _ranges(end or {}, f"{where}.end"),
+        duration_of(duration, f"{where}.duration"),
+        ranges(bounds or {}, f"{where}.bounds"),
+        ranges(start or {}, f"{where}.start"),
+        ranges(end or {}, f"{where}.end"),
         goals_of(goals, f"{where}.goals", folder),
     )
 
@@ -230,43 +229,6 @@ def _at_start(one: PhaseTask, start: Mapping[str, Range]) -> PhaseTask:
 def _at_end(one: PhaseTask, end: Mapping[str, Range]) -> PhaseTask:
     whole = {**end, **one.end}
     return PhaseTask(one.phase, one.duration, one.bounds, one.start, whole, one.goals)
-
-
-def _duration(given: Any, where: str) -> Range:
-    low, high = _range(given, where)
-    if not (low >= SMALLEST and high <= LARGEST):
-        raise SceneError(f"{where}: {low:g} .. {high:g} s is out of range, accepted: above 0")
-    return low, high
-
-
-def _ranges(given: Any, where: str) -> dict[str, Range]:
-    if not isinstance(given, dict):
-        raise SceneError(f"{where}: expected quantities with a number or [low, high] each")
-    return {str(key): _range(one, f"{where}.{key}") for key, one in given.items()}
-
-
-def _range(given: Any, where: str) -> Range:
-    """A number, [low, high] with null for no bound, or `free`."""
-    if given == FREE:
-        return -math.inf, math.inf
-    if isinstance(given, list):
-        if len(given) != 2:
-            raise SceneError(f"{where}: expected a number or [low, high], got {given}")
-        ends = (-math.inf, math.inf)
-        pairs = zip(given, ends, strict=True)
-        low, high = (end if one is None else schema.value(one, float, where) for one, end in pairs)
-        if low > high:
-            raise SceneError(f"{where}: lower bound {low:g} is above the upper one {high:g}")
-        return low, high
-    number = schema.value(given, float, where)
-    return number, number
-
-
-def _open_range(given: Any, where: str) -> Range:
-    low, high = _range(given, where)
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise SceneError(f"{where}: expected [low, high] with low < high, got {given}")
-    return low, high
 
 
 def _names(given: Any, where: str) -> tuple[str, ...]:

@@ -4,8 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.compiled.program.block import Block
 from mbd_ros.compiled.program.motion_phase import PATH, MotionPhase
 from mbd_ros.compiled.program.motion_program import Solution
+from mbd_ros.compiled.program.phase_forms import MOTION
 from mbd_ros.core.prediction.structure import Status
 from mbd_ros.core.state import Array
 
@@ -66,22 +68,38 @@ def active_bounds(phase: MotionPhase, number: int, solution: Solution) -> list[A
     return found
 
 
+def path_forces(solution: Solution, number: int) -> Array:
+    """Sizes of multipliers of quantities of `bounds` that are no unknowns, shape (m, k)."""
+    found = _rows_of_bounds(solution, number)
+    if found is None:
+        return np.zeros((len(solution.unknowns[number].points["q"]), 0))
+    block, rows = found
+    return np.abs(solution.solved.row_forces[rows]).reshape(block.count, block.form.rows)
+
+
 def _of_rows(solution: Solution, number: int) -> Status:
     """Of rows of `bounds`."""
-    program, solved, seen = solution.program, solution.solved, -1
+    found = _rows_of_bounds(solution, number)
+    if found is None:
+        return np.zeros((len(solution.unknowns[number].points["q"]), 0), dtype=np.int_)
+    block, rows = found
+    shape = block.count, block.form.rows
+    values = solution.solved.rows[rows].reshape(shape).T
+    pulls = solution.solved.row_forces[rows].reshape(shape).T
+    return _side(values, pulls * block.size / solution.program.cost_size, block).T
+
+
+def _rows_of_bounds(solution: Solution, number: int) -> tuple[Block, slice] | None:
+    program, seen = solution.program, -1
     for block, rows in zip(program.blocks, program.slices, strict=True):
-        seen += block.name == "motion"
+        seen += block.name == MOTION
         if block.name == PATH and seen == number:
-            shape = block.count, block.form.rows
-            values, pulls = (
-                one[rows].reshape(shape).T for one in (solved.rows, solved.row_forces)
-            )
-            return _side(values, pulls * block.size / program.cost_size, block).T
-    return np.zeros((len(solution.unknowns[number].points["q"]), 0), dtype=np.int_)
+            return block, rows
+    return None
 
 
-def _side(values: Array, pulls: Array, block: object) -> Status:
-    lower, upper, size = (getattr(block, key) for key in ("lower", "upper", "size"))
+def _side(values: Array, pulls: Array, block: Block) -> Status:
+    lower, upper, size = block.lower, block.upper, block.size
     room = np.minimum(values - lower, upper - values) / size
     side = np.where(values - lower < upper - values, -1, 1)
     found: Status = np.where((np.abs(pulls) > room) & (lower < upper), side, 0)

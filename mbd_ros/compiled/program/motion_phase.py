@@ -1,16 +1,17 @@
 """A phase of a motion in a program: its equations, bounds, conditions at ends and costs."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from mbd_ros.compiled.program.block import Block, Form
-from mbd_ros.compiled.program.goals import Terms, terms_of
+from mbd_ros.compiled.program.block import Block
+from mbd_ros.compiled.program.phase_costs import PhaseCosts, Reference
 from mbd_ros.compiled.program.phase_equations import LETTERS, PhaseEquations
 from mbd_ros.compiled.program.phase_forms import CLOSING, MOTION, PhaseForms
-from mbd_ros.compiled.program.quantities import Quantities, Quantity, input_bounds
+from mbd_ros.compiled.program.quantities import Quantities, Quantity, input_bounds, stops
 from mbd_ros.compiled.program.sizes import Usual, usual_sizes
 from mbd_ros.core.prediction.mesh import Numbers
 from mbd_ros.core.prediction.problem import PhaseProblem, Range, Ranges
@@ -18,7 +19,6 @@ from mbd_ros.core.prediction.unknowns import PhaseMotion, Unknowns
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
-Reference = Callable[[str, Array], Array]  # name of a quantity, times [s] -> values
 START, END, PATH = "start", "end", "bounds"
 _AT_NODES = "qvz"
 _ROUNDING = 1.0e-9
@@ -54,14 +54,14 @@ class MotionPhase:
         closes_start: bool = False,
     ) -> None:
         self.problem, self.equations = problem, equations
-        self.quantities, self._references = Quantities(equations), references
+        self.quantities = Quantities(equations)
         self.forms = PhaseForms(equations, parameters)
         self._parameters, self._closes_start = parameters, closes_start
-        self.terms = {goal.name: terms_of(goal, self.quantities) for goal in problem.goals}
+        self._costs = PhaseCosts(problem, self.quantities, self.forms, references)
         self._bounds = self._ranges(problem.bounds, (*LETTERS, "p"))
+        self._bounds += [(one, (0.0, np.inf)) for one in stops(equations)]
         self._start = self._ranges(problem.start, _AT_NODES)
         self._end = self._ranges(problem.end, _AT_NODES)
-        self._integrals = {name: self._integral(one) for name, one in self.terms.items()}
         self._path = self._rows_of(self._bounds, at_points=True)
         self._at_start = self._rows_of(self._start, at_points=False)
         self._at_end = self._rows_of(self._end, at_points=False)
@@ -124,6 +124,40 @@ class MotionPhase:
         lower, upper = ({key: one[of[key][0]] for key in "qvz"} for one in ends)
         return lower, upper
 
+    def held_between(
+        self, unknowns: Unknowns, shares: Array, values: dict[str, Array], p: Array
+    ) -> tuple[Array, Array, Array]:
+        """Quantities of states that have bounds at some places, and these bounds.
+
+        Returns:
+            q, v, z, then quantities that are no unknowns, shape (m, k), lower and upper (k,).
+        """
+        ends = [np.concatenate([one[key] for key in "qvz"]) for one in self.state_bounds(unknowns)]
+        found = np.hstack([values[key] for key in "qvz"])
+        if self._derived is None:
+            return found, ends[0], ends[1]
+        times = self._spans(shares)
+        given = [times, *(values[key].T for key in LETTERS), np.tile(p[:, None], len(shares))]
+        more = self._derived.map(len(shares))(*given).full().T
+        _, low, high, _ = self._path
+        lower, upper = np.append(ends[0], low), np.append(ends[1], high)
+        return np.hstack((found, more)), lower, upper
+
+    def _spans(self, shares: Array) -> Array:
+        """Times of places, if the duration is in the middle of its range."""
+        low, high = self.problem.duration
+        return (shares * 0.5 * (low + high))[None, :]
+
+    @cached_property
+    def _derived(self) -> Any:
+        """(t, letters, p) -> quantities of `bounds` that are no unknowns; None without any."""
+        if not self.derived_bounds:
+            return None
+        symbols = self.equations.symbols
+        given = [symbols[key] for key in ("t", *LETTERS, "p")]
+        values = ca.vertcat(*(one.value for one, _ in self.derived_bounds))
+        return ca.Function("derived", given, [ca.densify(values)])
+
     def usual(self, motion: PhaseMotion, p: Array) -> Usual:
         """Usual sizes near a motion."""
         lower, upper = input_bounds(self.equations.equations.system)
@@ -163,10 +197,7 @@ class MotionPhase:
                 places = forms.node_places(unknowns, np.array([node]))
                 share = np.array([[float(node > 0)]])
                 found.append(Block(name, form, places, share, lower, upper, size))
-        found += self._closed_start(unknowns)
-        for name in self.terms:
-            found += self._costs(name, unknowns, points)
-        return found
+        return [*found, *self._closed_start(unknowns), *self._costs.blocks(unknowns)]
 
     def _closed_start(self, unknowns: Unknowns) -> list[Block]:
         """Rows that hold at the beginning, where it is not given as a whole."""
@@ -177,75 +208,6 @@ class MotionPhase:
         form = self.forms.node_form(ca.vertcat(equations.positions, equations.velocities))
         places = self.forms.node_places(unknowns, np.array([0]))
         return [Block(CLOSING, form, places, np.zeros((1, 1)))]
-
-    def _costs(self, name: str, unknowns: Unknowns, points: Any) -> Iterator[Block]:
-        """Blocks of a goal; they have its name."""
-        terms, mesh = self.terms[name], unknowns.mesh
-        interval = np.repeat(np.arange(mesh.intervals), mesh.degrees)
-        weights = np.concatenate([mesh.scheme_of(int(d)).b for d in mesh.degrees])
-        integral = self._integrals[name]
-        if integral is not None:
-            places = np.vstack((points, unknowns.widths[interval]))
-            data = [mesh.shares, weights, *self._tracked(terms, unknowns)]
-            yield Block(name, integral, places, np.array(data))
-        if terms.final is not None:
-            form = self.forms.node_form(ca.SX(0, 1), terms.final)
-            last = np.array([mesh.intervals])
-            yield Block(name, form, self.forms.node_places(unknowns, last), np.ones((1, 1)))
-        if terms.time:
-            T = self.forms.duration
-            form = Form(T, ca.SX(0, 1), ca.SX(0, 1), terms.time * T)
-            yield Block(name, form, np.array([[unknowns.duration]]))
-        yield from self._steep(name, unknowns)
-        yield from self._speeds(name, unknowns)
-
-    def _integral(self, terms: Terms) -> Form | None:
-        width, weight = ca.SX.sym("width"), ca.SX.sym("weight")
-        wanted = ca.SX.sym("wanted", len(terms.tracked))
-        total = ca.SX(0) if terms.integral is None else terms.integral
-        for i, (one, _, share) in enumerate(terms.tracked):
-            total = total + share * (one.value - wanted[i]) ** 2
-        total = ca.SX(total)
-        if total.is_zero():
-            return None
-        data = ca.vertcat(weight, wanted)
-        cost = self.forms.duration * width * weight * total
-        return self.forms.point_form(ca.SX(0, 1), cost, data, width)
-
-    def _tracked(self, terms: Terms, unknowns: Unknowns) -> list[Array]:
-        if not terms.tracked or self._references is None:
-            return []
-        shortest, longest = self.problem.duration
-        times = unknowns.mesh.shares * 0.5 * (shortest + longest)
-        return [self._references(name, times) for _, name, _ in terms.tracked]
-
-    def _steep(self, name: str, unknowns: Unknowns) -> Iterator[Block]:
-        """Squared rates of inputs."""
-        mesh = unknowns.mesh
-        for degree in np.unique(mesh.degrees).tolist() if self.terms[name].steep else []:
-            scheme, chosen = mesh.scheme_of(degree), np.flatnonzero(mesh.degrees == degree)
-            slopes = scheme.powers()[1:] * np.arange(1, degree)[:, None]
-            D = np.vander(scheme.c, degree - 1, increasing=True) @ slopes
-            u, T, w, s = ca.SX.sym("u", degree), ca.SX.sym("T"), ca.SX.sym("w"), ca.SX.sym("s")
-            cost = s * ca.dot(ca.DM(scheme.b), (ca.DM(D) @ u) ** 2) / (T * w)
-            form = Form(ca.vertcat(u, T, w), s, ca.SX(0, 1), cost)
-            at = mesh.first_points[chosen][:, None] + np.arange(degree)
-            for one, share in self.terms[name].steep:
-                own = unknowns.points["u"][at, one.index].T
-                shared = np.full(len(chosen), unknowns.duration), unknowns.widths[chosen]
-                data = np.full((1, len(chosen)), share)
-                yield Block(name, form, np.vstack((own, *shared)), data)
-
-    def _speeds(self, name: str, unknowns: Unknowns) -> Iterator[Block]:
-        """Squares of mean speeds less what they should be."""
-        for one, target, share in self.terms[name].speeds:
-            if one.letter != "q":
-                raise ModelError(f"{one.name} is no position of an independent joint")
-            x0, x1, T = (ca.SX.sym(letter) for letter in ("a", "b", "T"))
-            cost = share * ((x1 - x0) / T - target) ** 2
-            form = Form(ca.vertcat(x0, x1, T), ca.SX(0, 1), ca.SX(0, 1), cost)
-            ends = unknowns.nodes["q"][[0, -1], one.index]
-            yield Block(name, form, np.array([[*ends, unknowns.duration]]).T)
 
     def _ranges(self, given: Mapping[str, Range], letters: Any) -> list[tuple[Quantity, Range]]:
         found = []

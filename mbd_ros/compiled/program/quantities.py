@@ -9,8 +9,9 @@ import numpy as np
 
 from mbd_ros.compiled.program.phase_equations import PhaseEquations
 from mbd_ros.compiled.symbols.scalar import plain
-from mbd_ros.compiled.symbols.untraceable import tracing
+from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
 from mbd_ros.core.dynamics.inputs import command_names, input_names
+from mbd_ros.core.prediction.body_names import body_names
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
@@ -103,17 +104,16 @@ class Quantities:
                 yield _quantity(f"{joint.name}.{kind}", ca.SX(value), letter, own[letter])
 
     def _bodies(self) -> Iterator[Quantity]:
-        e = self._phase.equations
-        kinds = (("position", "xyz"), ("orientation", "xyzw"), ("velocity", "xyz"))
+        e, symbols = self._phase.equations, self._phase.symbols
+        places = {letter: _places(symbols[letter]) for letter in "qv"}
+        origin = e.system.robot.origin
         for base in e.system.robot.bases:
-            q, v = e.coordinates.q[base.q], e.coordinates.v[base.v]
-            values = [*q, *v]
-            names = [f"{base.name}.{kind}.{axis}" for kind, axes in kinds for axis in axes]
-            names += [f"{base.name}.angular_velocity.{axis}" for axis in _AXES]
-            for i, (name, value) in enumerate(zip(names, values, strict=True)):
-                letter = "q" if i < len(q) else "v"
-                places = _places(self._phase.symbols[letter])
-                yield _quantity(name, ca.SX(plain(value)), letter, places)
+            values = [*e.coordinates.q[base.q], *e.coordinates.v[base.v]]
+            for i, (name, value) in enumerate(zip(body_names(base.name), values, strict=True)):
+                letter = "q" if i < base.q.stop - base.q.start else "v"
+                shift = float(origin[i]) if i < len(_AXES) else 0.0
+                shifted = plain(value) + shift if shift else plain(value)
+                yield _quantity(name, ca.SX(shifted), letter, places[letter])
 
     def _others(self) -> Iterator[Quantity]:
         e, symbols = self._phase.equations, self._phase.symbols
@@ -144,6 +144,24 @@ class Quantities:
         if kind == "position":
             value = value + float(robot.origin[_AXES.index(axis)])
         return Quantity(name, ca.SX(plain(value)))
+
+
+def stops(phase: PhaseEquations) -> list[Quantity]:
+    """Gaps of stops, ropes and contacts that give way, which a motion keeps open.
+
+    Raises:
+        ModelError: Names a part whose force jumps otherwise.
+    """
+    e = phase.equations
+    rows = e.system.multiplier_rows
+    try:
+        gaps = e.yielding.gaps()
+    except Untraceable as error:
+        names = ", ".join(rows[slot].name for slot in e.yielding.slots)
+        raise ModelError(
+            f"{names}: {error}; accepted: forces that are smooth, such as joint_friction"
+        ) from error
+    return [Quantity(f"gap of {rows[slot].name}", ca.SX(gap)) for slot, gap in gaps.items()]
 
 
 def input_labels(system: Any) -> list[str]:

@@ -82,6 +82,20 @@ class YieldingRows:
         own = (value * plain(drift[j]) for j, value in self._whole.J[i].items())
         return self._conditions[i] + sum(own)
 
+    def gaps(self) -> dict[int, Any]:
+        """What one-sided rows of positions keep from becoming negative, by their slots.
+
+        Raises:
+            Untraceable: Another row, whose force jumps with a slip or a limit.
+        """
+        found = {}
+        for i, reach in enumerate(self._reach):
+            if reach is Reach.GAP:
+                found[self.slots[i]] = self._whole.g[i]
+            elif reach is not Reach.FRICTION or (i - 1 not in self._mu and i - 2 not in self._mu):
+                raise Untraceable("its force jumps, and has no slope there")
+        return found
+
     def multipliers(self, lam: Sequence[Any]) -> list[Any]:
         """Of all these rows, SX scalars, from those of the rows that are on."""
         solved = iter(lam)

@@ -59,24 +59,27 @@ def errors_of(motion: PhaseMotion, rates: Rates) -> Errors:
     return Errors(found)
 
 
-def beyond_bounds(motion: PhaseMotion, lower: dict[str, Array], upper: dict[str, Array]) -> Array:
-    """How far positions, velocities and internal states pass their bounds between the points.
-
-    Args:
-        motion: The motion.
-        lower: Letter -> of each coordinate.
-        upper: The same.
+def looked_at(motion: PhaseMotion) -> tuple[Array, dict[str, Array]]:
+    """Places between the points, as shares of the duration, and the motion there.
 
     Returns:
-        The largest of each interval and of each of q, v and z, shape (n, nq + nv + nz).
+        Shape (n looks,), intervals one after the other, and letter -> values.
     """
-    mesh, found = motion.mesh, list[Array]()
-    places = (np.arange(_LOOKS) + 0.5) / _LOOKS
-    values = motion.at((mesh.knots[:-1, None] + mesh.widths[:, None] * places).ravel())
-    for key in "qvz":
-        off = np.maximum(lower[key] - values[key], values[key] - upper[key])
-        found.append(off.reshape(mesh.intervals, _LOOKS, -1).max(axis=1, initial=0.0))
-    return np.hstack(found)
+    mesh, places = motion.mesh, (np.arange(_LOOKS) + 0.5) / _LOOKS
+    shares = (mesh.knots[:-1, None] + mesh.widths[:, None] * places).ravel()
+    return shares, motion.at(shares)
+
+
+def beyond_bounds(values: Array, lower: Array, upper: Array) -> Array:
+    """How far numbers pass their bounds at most in each interval, shape (n, k).
+
+    Args:
+        values: At the places of `looked_at`, shape (n looks, k).
+        lower: Shape (k,).
+        upper: Shape (k,).
+    """
+    off = np.maximum(np.maximum(lower - values, values - upper), 0.0)
+    return off.reshape(-1, _LOOKS, values.shape[1]).max(axis=1)
 
 
 def _sizes(motion: PhaseMotion) -> dict[str, Array]:

@@ -145,3 +145,25 @@ class PhaseMotion(NamedTuple):
                 found[row, at_q : at_q + 7] = BODY.integrate(q[at_q : at_q + 7], d)
         found[:, flat_q] = q[flat_q] + integrals @ v[:, flat_v]
         return found
+
+
+def steps_of(mesh: Mesh, nodes: Array, points: Array, bases: tuple[tuple[int, int], ...]) -> Array:
+    """Steps of free bodies from the beginning of an interval to its points, and to its end.
+
+    Args:
+        mesh: The intervals.
+        nodes: Configurations at nodes.
+        points: At points.
+        bases: Where the poses stand in them.
+
+    Returns:
+        As `Unknowns.steps`.
+    """
+    interval = np.repeat(np.arange(mesh.intervals), mesh.degrees)
+    begins = np.concatenate((nodes[interval], nodes[:-1]))
+    ends = np.concatenate((points, nodes[1:]))
+    found = np.zeros((len(ends), 6 * len(bases)))
+    for i, (at, _) in enumerate(bases):
+        pairs = zip(begins[:, at : at + 7], ends[:, at : at + 7], strict=True)
+        found[:, 6 * i : 6 * i + 6] = [BODY.difference(one, other) for one, other in pairs]
+    return found

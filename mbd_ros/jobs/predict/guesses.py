@@ -8,6 +8,7 @@ import numpy as np
 from mbd_ros.core.prediction.unknowns import PhaseMotion
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError
+from mbd_ros.jobs.predict.references import recorded_lines
 from mbd_ros.scene.predict_task import PredictTask
 
 if TYPE_CHECKING:
@@ -30,10 +31,12 @@ def guesses_of(
         ModelError: A guess of what is no unknown.
     """
     found, state, t = list[PhaseMotion](), np.concatenate((first.q, first.v, first.z)), first.t
-    parts = np.linspace(0.0, 1.0, len(phases) + 1)
+    parts, lines = np.linspace(0.0, 1.0, len(phases) + 1), dict(task.guess)
+    if task.guess_file is not None:
+        lines |= recorded_lines(phases[0].quantities, task.guess_file)
     for i, phase in enumerate(phases):
         motion = _straight(phase, state, t)
-        _write_lines(phase, motion, task.guess, (parts[i], parts[i + 1]))
+        _write_lines(phase, motion, lines, (parts[i], parts[i + 1]))
         found.append(motion)
         t += motion.duration
         state = np.concatenate([motion.nodes[key][-1] for key in "qvz"])

@@ -9,10 +9,19 @@ from mbd_ros.files.table import MAIN, Result
 from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.jobs.predict.failure import active, reasons
-from mbd_ros.jobs.predict.problem import problem_of
+from mbd_ros.jobs.predict.modes import modes_of
 from mbd_ros.jobs.predict.replay import NOT_AGAIN, Replay, replay, simulation_of
-from mbd_ros.jobs.predict.solving import Found, solve
-from mbd_ros.jobs.predict.tables import GOALS, NODES, goal_table, motion_table, node_table
+from mbd_ros.jobs.predict.searching import search
+from mbd_ros.jobs.predict.solving import Found
+from mbd_ros.jobs.predict.tables import (
+    CONTINUATION,
+    GOALS,
+    NODES,
+    continuation_table,
+    goal_table,
+    motion_table,
+    node_table,
+)
 from mbd_ros.jobs.progress import Watch, watching
 from mbd_ros.jobs.simulate.table import topics_of
 from mbd_ros.scene.built_scene import Scene
@@ -68,8 +77,13 @@ def task_of(scene: Scene, task: str | Path | Mapping[str, Any]) -> PredictTask:
 
 def run_predict(scene: Scene, task: PredictTask, say: Say) -> tuple[Found, Result]:
     """See `predict`; the last iterate too where there is no solution."""
-    found = solve(problem_of(scene, task), task, say)
+    steps = search(scene, task, say)
+    found = steps[-1].found
     driven, modes, motions = found.problem.scene, found.problem.modes, found.solution.motions
+    names = [one.name for one in found.problem.program.parameters]
+    if names:
+        driven = driven.with_(dict(zip(names, found.solution.parameters.tolist(), strict=True)))
+        modes = modes_of(driven, task)
     simulation = simulation_of(driven, motions)
     again = NOT_AGAIN
     if found.is_converged:
@@ -81,6 +95,8 @@ def run_predict(scene: Scene, task: PredictTask, say: Say) -> tuple[Found, Resul
         GOALS: goal_table(found),
         NODES: node_table(found),
     }
+    if task.continuation:
+        tables[CONTINUATION] = continuation_table(steps)
     inputs = {"task": task.source or None}
     metadata = metadata_of("predict", driven, inputs, topics_of(simulation.system))
     metadata |= numbers_of(found, again)

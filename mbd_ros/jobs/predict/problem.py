@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.prediction.body_names import body_names
 from mbd_ros.core.prediction.mesh import uniform_mesh
 from mbd_ros.core.prediction.problem import PhaseProblem, Range
 from mbd_ros.core.prediction.unknowns import PhaseMotion
@@ -141,10 +142,14 @@ def _start_of(
 ) -> dict[str, Range]:
     """The state in which the scene starts, but for what a task names."""
     names = integrated_names(scene, len(first.v))
-    pairs = [(f"{name}.velocity", value) for name, value in zip(names, first.v, strict=True)]
-    joints = {joint.name: joint for joint in scene.robot.joints}
-    q = system.expand(first).q
-    pairs += [(f"{n}.position", q[joints[n].q]) for n in names if n in joints]
+    x, joints = system.expand(first), {joint.name: joint for joint in scene.robot.joints}
+    own = [joints[name] for name in names if name in joints]
+    pairs = [(f"{joint.name}.position", x.q[joint.q]) for joint in own]
+    pairs += [(f"{joint.name}.velocity", x.v[joint.v]) for joint in own]
+    for base in scene.robot.bases:
+        pose = x.q[base.q].copy()
+        pose[:3] += scene.robot.origin
+        pairs += list(zip(body_names(base.name), (*pose, *x.v[base.v]), strict=True))
     pairs += list(zip(scene.internals.names, first.z, strict=True))
     return {
         name: (float(value), float(value))

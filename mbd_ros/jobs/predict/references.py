@@ -1,6 +1,7 @@
 """Recordings that a motion tracks."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,26 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.formats import read_result
 from mbd_ros.files.table import MAIN
 from mbd_ros.files.times import TIME
+
+_SAMPLES = 501  # of a recording that a search begins with
+
+
+def recorded_lines(quantities: Any, file: Path) -> dict[str, tuple[float, ...]]:
+    """A motion in a file as lines of a guess: quantity -> values at equal times.
+
+    Raises:
+        DataError: A file that cannot be read, or that has no quantity of the motion.
+    """
+    table = read_result(file)[MAIN]
+    places = np.linspace(table[TIME][0], table[TIME][-1], _SAMPLES)
+    found = {
+        name: tuple(np.interp(places, table[TIME], table[name]).tolist())
+        for name in table
+        if name in quantities.names and quantities.find(name)[0].letter in tuple("qvzu")
+    }
+    if not found:
+        raise DataError(f"{file}: no column of the motion, such as {quantities.names[0]}")
+    return found
 
 
 def references_of(goals: Sequence[Goal]) -> Any:

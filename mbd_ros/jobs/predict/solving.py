@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.prediction.error_estimate import beyond_bounds, errors_of
+from mbd_ros.core.prediction.error_estimate import beyond_bounds, errors_of, looked_at
 from mbd_ros.core.prediction.mesh import Mesh
 from mbd_ros.core.prediction.refinement import refined
 from mbd_ros.core.prediction.structure import bracketed, changes, is_settled, with_knots
-from mbd_ros.core.prediction.unknowns import PhaseMotion
+from mbd_ros.core.prediction.unknowns import PhaseMotion, steps_of
 from mbd_ros.core.state import Array
 from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.predict.interruption import Interruption, interruptible
@@ -49,6 +49,11 @@ class Found(NamedTuple):
     def is_converged(self) -> bool:
         """Whether conditions of optimality hold and errors are within the tolerance."""
         return self.solution.solved.is_good and self.is_fine
+
+    @property
+    def cost(self) -> float:
+        """The cost."""
+        return self.solution.solved.cost
 
     @property
     def worst(self) -> float:
@@ -128,16 +133,18 @@ def look_at(problem: Problem, number: int, solution: "Solution", tolerance: floa
     Bounds of states are passed too far where that is more than the tolerance, or where it saves
     more than a share of it of the cost, by the multipliers of the bounds.
     """
-    from mbd_ros.compiled.program.active_bounds import status_of
+    from mbd_ros.compiled.program.active_bounds import path_forces, status_of
 
     phase, motion = problem.program.phases[number], solution.motions[number]
     unknowns, solved = solution.unknowns[number], solution.solved
     status, nu = status_of(phase, number, solution), motion.points["u"].shape[1]
     knots = changes(motion.mesh, status, motion.points["u"])
-    off = beyond_bounds(motion, *phase.state_bounds(unknowns))
+    shares, values = looked_at(motion)
+    off = beyond_bounds(*phase.held_between(unknowns, shares, values, solution.parameters))
     places = np.hstack([unknowns.points[letter] for letter in "qvz"])
     sizes = 1.0 + np.abs(solved.x[places]).max(axis=0, initial=0.0)
-    pulls = np.abs(solved.bound_forces[places])
+    sizes = np.append(sizes, np.ones(off.shape[1] - len(sizes)))
+    pulls = np.hstack((np.abs(solved.bound_forces[places]), path_forces(solution, number)))
     held = np.add.reduceat(pulls, motion.mesh.first_points[:-1], axis=0)
     saved = (held * off).sum(axis=1) / (abs(solved.cost) or 1.0)
     passed = (off / sizes).max(axis=1, initial=0.0) > tolerance
@@ -180,7 +187,7 @@ def moved(motion: PhaseMotion, mesh: Mesh) -> PhaseMotion:
     knots = motion.at(mesh.knots[:-1])
     nodes = {key: np.vstack((knots[key], motion.nodes[key][-1])) for key in "qvz"}
     points: dict[str, Array] = {key: at[key] for key in "qvzawul"}
-    points["d"] = np.zeros((len(mesh.shares) + mesh.intervals, 6 * len(motion.bases)))
+    points["d"] = steps_of(mesh, nodes["q"], points["q"], motion.bases)
     return PhaseMotion(mesh, motion.begin, motion.duration, nodes, points, motion.bases)
 
 

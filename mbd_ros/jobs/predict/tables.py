@@ -17,8 +17,9 @@ from mbd_ros.jobs.simulate.table import table_of
 
 if TYPE_CHECKING:
     from mbd_ros.compiled.program.motion_program import Solution
+    from mbd_ros.jobs.predict.searching import Step
 
-GOALS, NODES = "goals", "nodes"
+GOALS, NODES, CONTINUATION = "goals", "nodes", "continuation"
 SHOWN = 240  # intervals of the samples of a phase
 
 
@@ -111,3 +112,17 @@ def node_table(found: Found) -> Table:
         parts.append(part)
     names = [name for name in parts[0] if all(name in part for part in parts)]
     return Table([Column(name, np.concatenate([p[name] for p in parts])) for name in names])
+
+
+def continuation_table(steps: "Sequence[Step]") -> Table:
+    """A row a value: the numbers, cost, duration, error between nodes."""
+    names = list(steps[0].numbers)
+    durations = [sum(one.duration for one in step.found.solution.motions) for step in steps]
+    return Table(
+        [
+            *(Column(name, np.array([step.numbers[name] for step in steps])) for name in names),
+            Column("cost", np.array([step.found.cost for step in steps])),
+            Column("duration", np.array(durations), "s"),
+            Column("error", np.array([step.found.worst for step in steps])),
+        ]
+    )

@@ -8,7 +8,7 @@ from mbd_ros.files.table import MAIN, Result
 from mbd_ros.jobs.lines import Say, say_all
 from mbd_ros.jobs.predict.failure import reasons
 from mbd_ros.jobs.predict.job import run_predict, task_of
-from mbd_ros.jobs.predict.tables import GOALS, NODES
+from mbd_ros.jobs.predict.tables import CONTINUATION, GOALS, NODES
 from mbd_ros.scene.built_scene import Scene
 
 
@@ -30,7 +30,7 @@ def predict_to(scene: Scene, task: Path, out: Path | None, say: Say) -> bool:
     asked = task_of(scene, task)
     if out is not None:
         refuse_overwriting(out, task, scene.path)
-        for place in (out, *(_beside(out, name) for name in (GOALS, NODES))):
+        for place in (out, *(_beside(out, name) for name in (GOALS, NODES, CONTINUATION))):
             check_place(place)
     found, result = run_predict(scene, asked, say)
     if not found.is_converged:
