@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from mbd_ros.core.dynamics.inputs import input_names
 from mbd_ros.core.inverse.joint_loads import JointLoads, Side
+from mbd_ros.core.inverse.muscle_dynamics import DEFAULTS, MuscleDynamics
 from mbd_ros.core.inverse.reactions import JointReactions
 from mbd_ros.core.inverse.reserves import (
     BodyReserve,
@@ -31,6 +32,7 @@ from mbd_ros.scene.path_search import QuickestSearch, state_paths
 Objective = Literal["activation", "stress", "volume", "metabolic"]
 Use = Literal["track", "least"]
 OptionalRate = Annotated[float | None, Within(1.0e-9, 1.0e9), Unit("1/s")]
+Dynamics = Literal["activation", "tendon"]
 Exponent = Annotated[float | None, Within(1.0, 10.0), Unit("-")]
 
 
@@ -45,6 +47,7 @@ class MusclesTask:
         side: Whose loads of joints are asked for; None for no loads.
         links: Whose joint; empty for all.
         by_muscle: Whether the loads of each muscle are asked for, too.
+        dynamics: Of muscles over the whole motion; None for frames one by one.
     """
 
     wishes: Wishes
@@ -53,6 +56,7 @@ class MusclesTask:
     side: Side | None
     links: tuple[str, ...]
     by_muscle: bool
+    dynamics: MuscleDynamics | None = None
 
     def solver(self, scene: Scene, is_live: bool = False) -> StaticOptimization:
         """Static optimisation with its own Pinocchio data.
@@ -139,6 +143,10 @@ def _task(
     reactions: Side | None = None,
     links: Sequence[str] = (),
     by_muscle: bool = False,
+    dynamics: Dynamics | None = None,
+    interval: Annotated[float | None, Within(1.0e-4, 10.0), Unit("s")] = None,
+    degree: Annotated[int | None, Within(1, 8), Unit("-")] = None,
+    tolerance: Annotated[float | None, Within(1.0e-8, 1.0), Unit("-")] = None,
 ) -> MusclesTask:
     tracking = emg_weight if emg is not None and emg_use == "track" else 0.0
     wishes = Wishes(
@@ -158,7 +166,26 @@ def _task(
         )
     _refuse_repeated(scene, helping, where)
     file = None if emg is None else find_file(folder, emg, f"{where}.emg")
-    return MusclesTask(wishes, tuple(helping), file, reactions, tuple(links), by_muscle)
+    lasting = _dynamics(where, wishes, dynamics, interval, degree, tolerance)
+    loads = reactions, tuple(links), by_muscle
+    return MusclesTask(wishes, tuple(helping), file, *loads, lasting)
+
+
+def _dynamics(
+    where: str, wishes: Wishes, kind: str | None, *more: float | int | str | None
+) -> MuscleDynamics | None:
+    if kind is None:
+        for key, value in zip(MuscleDynamics._fields[1:], more, strict=True):
+            if value is not None:
+                raise SceneError(f"{where}.dynamics: is missing, {key} says more of it")
+        return None
+    if wishes.passive or min(wishes.rise, wishes.fall) < math.inf:
+        raise SceneError(
+            f"{where}.dynamics: passive, rise and fall are for frames one by one; with dynamics "
+            "fibres have their passive force, and activations their rates"
+        )
+    given = [one if value is None else value for one, value in zip(DEFAULTS, more, strict=True)]
+    return MuscleDynamics(kind, *given)
 
 
 def _reserves(scene: Scene, given: Any, where: str, folder: Path) -> Sequence[Reserve]:

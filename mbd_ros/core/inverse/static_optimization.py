@@ -151,8 +151,7 @@ class StaticOptimization:
         Raises:
             SolveError: A frame whose answer does not pass the check, by its time.
         """
-        needed, slopes = self._needed(position, velocity, acceleration, wrenches)
-        frames = self._frames.at(position, velocity, *self.motion[:2], slopes)
+        frames, needed = self.demand(position, velocity, acceleration, wrenches)
         gains = np.concatenate((frames.active, np.tile(self._optimal, (len(times), 1))), axis=1)
         A, b = frames.columns * gains[:, None, :], needed
         if self.wishes.passive:
@@ -178,6 +177,13 @@ class StaticOptimization:
             A,
             tuple(optimum.movable for optimum in found),
         )
+
+    def demand(
+        self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
+    ) -> tuple[Frames, Array]:
+        """What muscles can exert in frames, and what the motion needs; arguments as `solve`."""
+        needed, slopes = self._needed(position, velocity, acceleration, wrenches)
+        return self._frames.at(position, velocity, *self.motion[:2], slopes), needed
 
     def _needed(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array]

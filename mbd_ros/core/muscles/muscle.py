@@ -19,7 +19,9 @@ from mbd_ros.core.state import Array, State
 class ActivationDynamics(Protocol):
     """How activation follows excitation."""
 
-    least: Any
+    @property
+    def least(self) -> Any:
+        """Least activation."""
 
     def rate(self, k: Any, e: Any, a: Any) -> Any:
         """Rate of the activation a under the excitation e [1/s]."""

@@ -1,18 +1,21 @@
 """Columns of muscles, reserves and loads of joints, and topics of a bag that hold them."""
 
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from mbd_ros.core.estimation.torque_estimator import Observations
 from mbd_ros.core.inverse.joint_loads import JointLoads
+from mbd_ros.core.inverse.muscle_frames import Frames
 from mbd_ros.core.inverse.static_optimization import Shares, StaticOptimization
 from mbd_ros.core.model.base_motion import IndependentCoordinates
 from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.state import Array
 from mbd_ros.files.table import Column
 from mbd_ros.jobs.columns import body_columns, joint_columns
+from mbd_ros.jobs.muscles.trial import Shared
 from mbd_ros.scene.muscles_task import MusclesTask
 
 OPTIMUM = "muscles"  # stands before the names of what is said of a whole frame
@@ -23,6 +26,24 @@ _UNITS = {"force": "N", "moment": "N·m"}
 def together(chunks: Sequence[Shares], field: str) -> Array:
     """A field of all frames."""
     return np.concatenate([getattr(shares, field) for shares in chunks])
+
+
+def joined(chunks: Sequence[Shares]) -> Shares:
+    """Shares of all frames."""
+    frames = [shares.frames for shares in chunks]
+    whole = Frames(*(np.concatenate(each) for each in zip(*frames, strict=True)))
+    names = [field.name for field in fields(Shares) if field.name not in ("frames", "movable")]
+    movable = tuple(one for shares in chunks for one in shares.movable)
+    arrays = {name: together(chunks, name) for name in names}
+    return Shares(frames=whole, movable=movable, **arrays)
+
+
+def trial_columns(solver: StaticOptimization, shared: Shared) -> list[Column]:
+    """Excitations, and lengths of fibres beside elastic tendons."""
+    pairs = zip(solver.muscles, shared.excitation.T, strict=True)
+    columns = [Column(f"{part.name}.excitation", values) for part, values in pairs]
+    lengths = shared.fiber_length.items()
+    return [*columns, *(Column(f"{name}.fiber_length", v, "m") for name, v in lengths)]
 
 
 def share_columns(

@@ -29,6 +29,8 @@ _OPTIONS = (  # keys of the section `muscles` of a task file
     "reactions",
     "links",
     "by_muscle",
+    "dynamics",
+    "interval",
 )
 
 
@@ -42,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_sharing(parser)
     _add_measured(parser)
     _add_loads(parser)
+    _add_dynamics(parser)
     parser.add_argument(
         "--task", type=path_word, help="YAML whose section muscles says the same; options win"
     )
@@ -96,6 +99,18 @@ def _add_loads(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--links", help="links whose joint is asked for, a,b,c (default: all)")
     parser.add_argument(
         "--by-muscle", action="store_true", default=None, help="also the share of each muscle"
+    )
+
+
+def _add_dynamics(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--dynamics",
+        choices=("activation", "tendon"),
+        help="activations follow excitations over the whole motion; tendon: elastic tendons "
+        "stretch, too (default: frames one by one)",
+    )
+    parser.add_argument(
+        "--interval", type=float, help="longest interval of their mesh [s] (default: 0.02)"
     )
 
 

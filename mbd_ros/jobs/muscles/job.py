@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.estimation.torque_estimator import Observations
 from mbd_ros.core.inverse.joint_loads import JointLoads
@@ -13,15 +14,22 @@ from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import DataError
 from mbd_ros.files.recordings import Source, name_of
 from mbd_ros.files.replacing import check_place, refuse_overwriting
-from mbd_ros.files.table import MAIN, Result, Table
+from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.files.times import time_columns
 from mbd_ros.jobs.inverse.derivatives import Derivatives
 from mbd_ros.jobs.inverse.observed import Task, loads_of_laboratory, observe_motion
 from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.metadata import metadata_of
-from mbd_ros.jobs.muscles.columns import load_columns, share_columns, topics
+from mbd_ros.jobs.muscles.columns import (
+    joined,
+    load_columns,
+    share_columns,
+    topics,
+    trial_columns,
+)
 from mbd_ros.jobs.muscles.measured import measured_activations
 from mbd_ros.jobs.muscles.summary import summary
+from mbd_ros.jobs.muscles.trial import Shared, shared_trial
 from mbd_ros.jobs.progress import Watch, progress, watching
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.muscles_task import MusclesTask, muscles_task
@@ -79,7 +87,7 @@ def muscles(
         progress: True for a line on a terminal, or a function of a label and a share.
         **options: Keys of the section `muscles` of a task file: objective, exponent, passive,
             reserves, residuals, rise, fall, emg, emg_use, emg_weight, reactions, links,
-            by_muscle.
+            by_muscle, dynamics, interval, degree, tolerance.
 
     Returns:
         Table `samples`: `time`, `<joint>.position`, `.velocity`, `.effort` (what the motion
@@ -144,7 +152,13 @@ def run_muscles(scene: Scene, order: Sharing, say: Say) -> Result:
         chunks.append(shares)
         motions.append([values.T for values in solver.motion])
     motion = [np.concatenate(each) for each in zip(*motions, strict=True)]
-    columns = share_columns(solver, samples, chunks)
+    lasting: list[Column] = []
+    if order.asked.dynamics is not None:
+        shared = _over_time(solver, order.asked, observed, joined(chunks))
+        chunks, lasting = [shared.shares], trial_columns(solver, shared)
+        for text in shared.remarks:
+            say(text)
+    columns = [*share_columns(solver, samples, chunks), *lasting]
     joint_loads = order.asked.loads(scene)
     if joint_loads is not None:
         found = list(_loads(joint_loads, motion, wrenches, chunks))
@@ -155,6 +169,19 @@ def run_muscles(scene: Scene, order: Sharing, say: Say) -> Result:
     _check_finite(name_of(task.motion), table)
     done = order._replace(motion=task._replace(derivatives=observed.derivatives))
     return Result({MAIN: table}, _about(scene, done, solver))
+
+
+def _over_time(
+    solver: StaticOptimization, asked: MusclesTask, observed: Any, static: Shares
+) -> Shared:
+    """With dynamics of muscles."""
+    assert asked.dynamics is not None
+
+    def measured(stamps: NDArray[np.int64]) -> Array | None:
+        return measured_activations(asked.emg, solver.muscles, stamps)
+
+    given = observed.samples, observed.wrenches, static, measured
+    return shared_trial(solver, asked.dynamics, *given)
 
 
 def _shares(

@@ -1,0 +1,77 @@
+"""A known motion as muscles see it, and what they do in it with their dynamics."""
+
+from typing import NamedTuple
+
+from mbd_ros.core.state import Array
+
+
+class Trial(NamedTuple):
+    """What is known at the start and at the points of all intervals, with n muscles, r reserves.
+
+    Attributes:
+        widths: Of the intervals [s], shape (intervals,).
+        length: Of the paths [m], shape (points, n).
+        speed: Their rates [m/s], shape (points, n).
+        columns: Force of the independent coordinates by a tension of 1 N and by an effort of 1
+            of a reserve, shape (points, nv_y, n + r).
+        needed: Force that the motion needs of each independent coordinate [N·m or N], shape
+            (points, nv_y).
+        sizes: Usual sizes of that force, shape (nv_y,).
+        prices: Of excitations, shape (points, n).
+        stiffness: Price of the squared distance of activations from measured ones, same shape.
+        target: The measured ones, same shape.
+        least: Lower bounds of activations, same shape.
+        limits: Smallest and largest efforts of the reserves, shape (2, r).
+    """
+
+    widths: Array
+    length: Array
+    speed: Array
+    columns: Array
+    needed: Array
+    sizes: Array
+    prices: Array
+    stiffness: Array
+    target: Array
+    least: Array
+    limits: Array
+
+
+class Excited(NamedTuple):
+    """What muscles do at the start and at the points of a trial, with ne elastic tendons.
+
+    Attributes:
+        activation: Shape (1 + points, n).
+        excitation: The same; at the start, what the activation came from.
+        effort: Of the reserves, shape (1 + points, r).
+        fiber_length: Of fibres beside elastic tendons [m], shape (1 + points, ne).
+        fiber_speed: Its rate per largest speed, shape (1 + points, ne).
+    """
+
+    activation: Array
+    excitation: Array
+    effort: Array
+    fiber_length: Array
+    fiber_speed: Array
+
+
+class Optimal(NamedTuple):
+    """A trial of least cost.
+
+    Attributes:
+        excited: What muscles do.
+        cost: Integral of the costs [s].
+        iterations: Of the solver.
+        is_good: Whether the conditions of an optimum hold.
+        status: What the solver says.
+        residual: Of the conditions of the optimum, in usual sizes.
+        lacking: Violations of the balance of forces, in usual sizes, shape (points, nv_y).
+    """
+
+    excited: Excited
+    cost: float
+    iterations: int
+    is_good: bool
+    status: str
+    residual: float
+    lacking: Array
