@@ -1,0 +1,162 @@
+"""Learning with torch: what it finds, what it leaves alone, and few trials of something new."""
+
+import numpy as np
+import pytest
+
+import mbd_ros as mbd
+from mbd_ros.cli import main
+from mbd_ros.errors import DataError
+from mbd_ros.jobs.learn.model_folder import read_folder
+
+pytest.importorskip("torch", reason="torch is optional and large (extra: learn)")
+pytest.importorskip("onnx", reason="onnx is optional (extra: learn)")
+pytest.importorskip("onnxruntime", reason="onnxruntime is optional (extra: learned)")
+LEG = "prosthetic_leg"
+WALK = {"amplitude": (0.35, 0.5, 0.2), "middle": (0.05, -0.5, 0.0), "period": (0.9, 1.5)}
+RUN = {"amplitude": (0.5, 0.75, 0.3), "middle": (0.1, -0.7, 0.0), "period": (0.62, 0.75)}
+HARMONICS = ((1.0, 0.9, 0.0), (0.35, 0.7, 1.3), (0.12, 2.0, 0.0))
+NOISE = (2.8, 1.3, 0.3)  # N·m: 5 % of the torques of walking
+
+
+def true_leg():
+    """The leg with friction and with 0.8 kg on its foot, which no description knows."""
+    leg = mbd.load_scene(LEG)
+    one = leg.robot.inertias()["foot"]
+    heavy = (one.mass + 0.8, [0.03, 0.0, -0.05], np.array(one.inertia) + 0.004 * np.eye(3))
+    pairs = zip(leg.couplings.independent, (2.5, 2.0, 1.0), (0.6, 0.5, 0.3), strict=True)
+    rubbing = [
+        {"type": "gear_friction", "joint": j, "coulomb": c, "viscous": d, "smoothing": 0.05}
+        for j, c, d in pairs
+    ]
+    return leg.with_inertias({"foot": heavy}).with_(forces=rubbing)
+
+
+def stride(random, kind, count=40, noise=1.0):
+    """A stride with its torques, as a recording; positions of three harmonics."""
+    true = true_leg()
+    period, scatter = random.uniform(*kind["period"]), 0.1 if kind is RUN else 0.2
+    t = np.arange(count) / count * period
+    q, v, a = np.zeros((3, count, 3))
+    for j in range(3):
+        q[:, j] = kind["middle"][j]
+        for h, (share, shift, phase) in enumerate(HARMONICS, 1):
+            A = kind["amplitude"][j] * share * (1.0 + scatter * random.normal())
+            p, w = shift * j + phase + 0.15 * random.normal(), 2.0 * np.pi * h / period
+            q[:, j] += A * np.sin(w * t + p)
+            v[:, j] += A * w * np.cos(w * t + p)
+            a[:, j] -= A * w * w * np.sin(w * t + p)
+    tau = true.inverse_dynamics().batch(q, v, a).tau
+    tau = tau + noise * np.array(NOISE) * random.normal(size=tau.shape)
+    columns = [mbd.Column("time", t, "s")]
+    for j, name in enumerate(true.couplings.independent):
+        for key, unit, values in (
+            ("position", "rad", q), ("velocity", "rad/s", v),
+            ("acceleration", "rad/s^2", a), ("effort", "N·m", tau),
+        ):  # fmt: skip
+            columns.append(mbd.Column(f"{name}.{key}", values[:, j], unit))
+    return mbd.Result({"samples": mbd.Table(columns)})
+
+
+def error(folder, trials):
+    """Share of the torque of strides that a written scene does not explain."""
+    scene, left, whole = mbd.load_scene(folder / "scene.yaml"), 0.0, 0.0
+    names = scene.couplings.independent
+    for trial in trials:
+        table = trial["samples"]
+        q, v, a, tau = (
+            np.column_stack([table[f"{n}.{key}"] for n in names])
+            for key in ("position", "velocity", "acceleration", "effort")
+        )
+        left += np.sum(np.square(scene.inverse_dynamics().batch(q, v, a).tau - tau))
+        whole += np.sum(np.square(tau))
+    return float(np.sqrt(left / whole))
+
+
+def written(folder, trials):
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for i, trial in enumerate(trials):
+        paths.append(str(folder / f"trial{i}.csv"))
+        trial.to(paths[-1])
+    return paths
+
+
+def learned(out, *words):
+    said = ["learn", LEG, *words, "--physics", "given", "--learned", "1", "-o", str(out)]
+    assert main([*said, "--variant", "structured", "--members", "2"]) == 0
+    return out
+
+
+def test_friction_and_a_payload_are_learned_and_adapted_from_a_trial(tmp_path):
+    """Through files and commands; a model goes on from its own folder."""
+    random = np.random.default_rng(0)
+    walk = written(tmp_path / "walk", [stride(random, WALK) for _ in range(4)])
+    run = written(tmp_path / "run", [stride(random, RUN)])
+    test = [stride(random, WALK, noise=0.0)]
+    model = learned(tmp_path / "model", *walk, "--steps", "150")
+    plain = tmp_path / "plain"
+    plain.mkdir()
+    (plain / "scene.yaml").write_text((model / "scene.yaml").read_text().split("forces:")[0])
+    (plain / "robot.urdf").write_bytes((model / "robot.urdf").read_bytes())
+    assert error(model, test) < 0.3 * error(plain, test)
+    words = ("--start", str(model), "--freeze", "all-but", "adapters", "--steps", "20")
+    adapted = learned(tmp_path / "adapted", *run, *words)
+    before, after = read_folder(model), read_folder(adapted)
+    ranks = [np.linalg.matrix_rank(a - b, tol=1e-9) for a, b in
+             zip(before.weights["W2"], after.weights["W2"], strict=True)]  # fmt: skip
+    assert max(ranks) == 2
+    assert np.array_equal(before.weights["b1"], after.weights["b1"])
+    assert (after.about.low <= before.about.low).all()
+
+
+def test_noise_is_not_learned(tmp_path):
+    """Where physics explains everything but noise, no joint gets a network."""
+    leg, random = mbd.load_scene(LEG), np.random.default_rng(1)
+    t = np.arange(0.0, 6.0, 0.02)
+    columns = [mbd.Column("time", t, "s")]
+    for i, name in enumerate(leg.couplings.independent):
+        angle = 0.3 * np.sin((2.0 + i) * t) - 0.4 * (name == "knee")
+        columns.append(mbd.Column(f"{name}.position", angle, "rad"))
+    exact = leg.inverse(mbd.Result({"samples": mbd.Table(columns)}), derivatives="zero-phase")
+    table = exact["samples"]
+    noisy = [
+        c._replace(values=c.values + 0.5 * random.normal(size=len(t)))
+        if c.name.endswith(".effort") else c
+        for c in table.columns
+    ]  # fmt: skip
+    recording = mbd.Result({"samples": mbd.Table(noisy)})
+    found = leg.learn(recording, physics="given", members=3, steps=60)
+    assert not found.model.trust.any()
+    assert found.errors["learned"] == found.errors["physics"]
+    assert any("it gives 0" in line for line in found.remarks)
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(3600)
+def test_adapters_beat_all_weights_and_nothing_from_few_trials(tmp_path):
+    """Ten legs that have learned walking, few strides of running; errors on six others."""
+    wins, rows = {1: 0, 2: 0, 5: 0}, []
+    for seed in range(10):
+        random, place = np.random.default_rng(100 + seed), tmp_path / str(seed)
+        walk = written(place / "walk", [stride(random, WALK) for _ in range(12)])
+        run = written(place / "run", [stride(random, RUN) for _ in range(5)])
+        test = [stride(random, RUN, noise=0.0) for _ in range(6)]
+        start = learned(place / "start", *walk, "--steps", "600", "--seed", str(seed))
+        adapted = ("--start", str(start), "--steps", "200")
+        frozen = ("--freeze", "all-but", "adapters")
+        for trials in wins:
+            adapters, full, nothing = (
+                error(learned(place / f"{name}{trials}", *run[:trials], *words), test)
+                for name, words in (("a", (*adapted, *frozen)), ("f", adapted), ("n", ()))
+            )
+            rows.append((seed, trials, adapters, full, nothing))
+            wins[trials] += adapters < min(full, nothing)
+    assert wins[1] >= 9 and wins[2] >= 9, (wins, rows)
+
+
+def test_a_model_of_other_joints_is_not_adapted(tmp_path):
+    leg, random = mbd.load_scene(LEG), np.random.default_rng(0)
+    found = leg.learn(stride(random, WALK), physics="given", learned=1.0, members=2, steps=2)
+    other = found.model._replace(about=found.model.about._replace(joints=("a", "b", "c")))
+    with pytest.raises(DataError, match="the model has joints a, b, c"):
+        leg.learn(stride(random, RUN), physics="given", learned=1.0, start=other)
