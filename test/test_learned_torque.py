@@ -8,14 +8,16 @@ import pytest
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
-from mbd_ros.core.learned.model_file import About, numbers_of
+from mbd_ros.controllers.computed_torque import ComputedTorque
+from mbd_ros.core.control.contract import ControlledJoints, EffortBox, Reference
+from mbd_ros.core.learned.model_file import SUM, ZEROS, About, numbers_of, signed
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
 from mbd_ros.jobs.learn.curves import CURVES
 from mbd_ros.jobs.learn.onnx_file import onnx_of
 from mbd_ros.jobs.learn.scales import Scales
 
-pytest.importorskip("onnx", reason="onnx is optional (extra: learn)")
+onnx = pytest.importorskip("onnx", reason="onnx is optional (extra: learn)")
 pytest.importorskip("onnxruntime", reason="onnxruntime is optional (extra: learned)")
 MEMBERS, HIDDEN = 3, 8
 POINT = [0.3, 0.0, 0.6]
@@ -169,26 +171,27 @@ def damaged(data):
     return data[:5000] + bytes([data[5000] ^ 1]) + data[5001:]
 
 
-def versioned(data):
-    from mbd_ros.core.learned.model_file import ZEROS, _place, signed
+def resigned(data, change, texts=(b"", b"")):
+    """A file that was changed by somebody who knows how its sum is made."""
+    model = onnx.load_from_string(data)
+    change(model)
+    for prop in model.metadata_props:
+        if prop.key == SUM:
+            prop.value = ZEROS
+    return signed(model.SerializeToString().replace(*texts))
 
-    at = data.find(_place()) + len(_place())
-    blank = data[:at] + ZEROS.encode() + data[at + 64 :]
-    return signed(blank.replace(b'{"version": 1,', b'{"version": 9,'))
+
+def versioned(data):
+    return resigned(data, lambda model: None, (b'{"version": 1,', b'{"version": 9,'))
 
 
 def foreign_operator(data):
     """A file that is whole, with an operator that no ONNX has."""
-    import onnx
 
-    from mbd_ros.core.learned.model_file import SUM, ZEROS, signed
+    def change(model):
+        model.graph.node[0].op_type = "RunCode"
 
-    model = onnx.load_from_string(data)
-    model.graph.node[0].op_type = "RunCode"
-    for prop in model.metadata_props:
-        if prop.key == SUM:
-            prop.value = ZEROS
-    return signed(model.SerializeToString())
+    return resigned(data, change)
 
 
 @pytest.mark.parametrize(
@@ -263,3 +266,20 @@ def test_a_sample_takes_less_than_a_third_of_a_millisecond(folder, kind):
             solver.solve(q, v, a)
         rounds.append((process_time() - begun) / 20)
     assert min(rounds) < 0.3e-3
+
+
+def test_the_model_of_a_controller_has_it(folder):
+    """Tracking of a reference asks the drive for the residual, too."""
+    plain = mbd.load_scene("arm7")
+    scene = with_model("arm7", folder / "arm7_free.onnx")
+    names = [joint.name for joint in scene.robot.joints]
+    laws = [
+        ComputedTorque(ControlledJoints(one.system(), names), kp=100.0, kd=20.0)
+        for one in (plain, scene)
+    ]
+    (q,), (v,) = states(7, 1)
+    x, ref = State(0.0, q, v), Reference(q, v, np.ones(7))
+    box = EffortBox(np.full(7, -np.inf), np.full(7, np.inf))
+    bare, learned = (law.effort(x, ref, np.zeros(0), box).effort for law in laws)
+    expected = -scene.forces[0].force(None, x, NONE)
+    assert np.allclose(learned - bare, expected, atol=1e-9)

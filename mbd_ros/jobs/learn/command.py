@@ -78,6 +78,9 @@ def _add_numbers(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--steps", type=int, help="of the optimisation (default: by variant)")
     parser.add_argument(
+        "--rate", type=float, default=0.01, help="first learning rate (default: %(default)s)"
+    )
+    parser.add_argument(
         "--seed", type=int, default=0, help="of the random numbers (default: %(default)s)"
     )
     parser.add_argument(
@@ -92,7 +95,7 @@ def run(arguments: argparse.Namespace) -> int:
     from mbd_ros.scene.reader import load_scene
 
     names = ("wrenches", "topic", "derivatives", "band", "learned", "variant", "physics")
-    names += ("members", "steps", "seed")
+    names += ("members", "steps", "seed", "rate")
     options = {name: getattr(arguments, name) for name in names}
     task = Task(arguments.motion, freeze=" ".join(arguments.freeze), **options)
     scene = load_scene(arguments.scene)

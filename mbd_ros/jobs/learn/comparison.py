@@ -212,7 +212,7 @@ def _black_box(task: Task, train: Samples, test: Samples, asked: Asked | None) -
     if asked is not None:
         at, torque = asked(scales, random)
         states = Collocation(at, torque / scales.torque, INFORMED)
-    plan = Plan(_MORE * task.rounds, seed=task.seed)
+    plan = Plan(_MORE * task.rounds, seed=task.seed, rate=task.rate)
     found = fitted(network, weights, few, few.effort / scales.torque, plan, states)
     return share_of(said_by(network, found.weights, test), test.measured)
 

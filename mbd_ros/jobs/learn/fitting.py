@@ -25,11 +25,10 @@ if TYPE_CHECKING:
     from mbd_ros.jobs.learn.training import Collocation, Plan
 
 MOST = 500  # samples that are learned from
-_LEAST = 0.02  # of the square of what is left: a smaller gain is not worth a network
+_LEAST = 0.1  # of the square of what is left: a smaller gain is not worth a network
 _STUDENT = {2: 6.31, 3: 2.92, 4: 2.35, 5: 2.13}  # one-sided 5 % points, by number of blocks
 _NORMAL = 1.9  # of more blocks
 _RANK, _HOLD = 2, 1.0e-3  # of adapters: matrices, penalty
-_SLOWER = 3.0e-3  # learning rate where all weights of a model that has learned go on
 _AROUND = 0.5  # of the scales: how far states without a measurement lie from measured ones
 INFORMED = 0.3  # weight of the equations of motion beside the data
 Tell = Callable[[float], None]
@@ -67,7 +66,7 @@ def fit(
         first_weights(kind, len(joints), task.members, random) if start is None else start.weights
     )
     wanted = left / scales.torque
-    plan, around = Plan(task.rounds, seed=task.seed), None
+    plan, around = Plan(task.rounds, seed=task.seed, rate=task.rate), None
     if start is not None:
         plan = adapting(task)
     if task.variant == "informed":
@@ -127,8 +126,8 @@ def adapting(task: Task) -> "Plan":
     from mbd_ros.jobs.learn.training import Plan
 
     if task.freeze == FREEZE[1]:
-        return Plan(task.rounds, _RANK, _HOLD, task.seed, leaves_out=False)
-    return Plan(task.rounds, seed=task.seed, rate=_SLOWER, leaves_out=False)
+        return Plan(task.rounds, _RANK, _HOLD, task.seed, task.rate, leaves_out=False)
+    return Plan(task.rounds, seed=task.seed, rate=task.rate, leaves_out=False)
 
 
 def collocation(samples: Samples, wanted: Array, random: np.random.Generator) -> "Collocation":

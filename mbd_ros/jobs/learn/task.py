@@ -34,6 +34,7 @@ class Task(NamedTuple):
         members: Networks of the ensemble.
         steps: Of the optimisation; None: by variant.
         seed: Of the random numbers.
+        rate: First learning rate of the optimisation.
     """
 
     motions: Sequence[Source]
@@ -49,6 +50,7 @@ class Task(NamedTuple):
     members: int = 5
     steps: int | None = None
     seed: int = 0
+    rate: float = 1.0e-2
 
     @property
     def rounds(self) -> int:
@@ -74,6 +76,8 @@ class Task(NamedTuple):
             raise DataError(f"--members {self.members}: accepted are 2 .. 20")
         if not 1 <= self.rounds <= 100_000:
             raise DataError(f"--steps {self.rounds}: accepted are 1 .. 100000")
+        if not 0.0 < self.rate <= 1.0:
+            raise DataError(f"--rate {self.rate:g}: must be > 0 and <= 1")
         if self.band is not None and not 0.0 < self.band < float("inf"):
             raise DataError(f"--band {self.band:g}: must be finite and > 0")
 

@@ -11,7 +11,6 @@ from mbd_ros.jobs.learn.fitting import blocks_of
 from mbd_ros.jobs.learn.network import Weights
 from mbd_ros.jobs.learn.scales import Samples
 
-_RATE = 1.0e-2
 _DECAY = 1.0e-3  # of weights
 _LOOK = 10  # steps between looks at the block that is left out
 
@@ -47,7 +46,7 @@ class Plan(NamedTuple):
     rank: int = 0
     hold: float = 0.0
     seed: int = 0
-    rate: float = _RATE
+    rate: float = 1.0e-2
     leaves_out: bool = True
 
 
