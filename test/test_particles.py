@@ -267,3 +267,29 @@ def test_a_node_that_gets_particles_says_why_not():
     for read in (load_scene, description_topic):
         with pytest.raises(SceneError, match="no joints and no topics"):
             read("particles/trimer")
+
+
+def test_si_units_are_the_same_motion():
+    """Thresholds are multiples of lengths: a molecule of 1e-10 m moves like one of 1 angstrom."""
+    molecular = mbd.load_scene("particles/butane")
+    butane = molecular.entries["particles"]["molecules"]["butane"]
+    energy = 1.66053906660e-27 * (1e-10 / 1e-12) ** 2
+    atoms = {
+        name: {"mass": 1.66053906660e-27 * one["mass"], "at": [1e-10 * x for x in one["at"]]}
+        for name, one in butane["atoms"].items()
+    }
+    si = {
+        "atoms": atoms,
+        "bonds": [{**one, "length": 1e-10 * one["length"]} for one in butane["bonds"]],
+        "angles": [{**one, "stiffness": energy * one["stiffness"]} for one in butane["angles"]],
+        "torsions": [
+            {**one, "cosines": [energy * c for c in one["cosines"]]} for one in butane["torsions"]
+        ],
+    }
+    initial = {"temperature": 300.0, "seed": 1}
+    particles = {"molecules": {"butane": si}}
+    scene = mbd.scene_from({"particles": particles, "initial": initial, "dt": 2e-15})
+    here, there = moved(scene, 50), moved(molecular, 50)
+    assert 1e10 * here.q == pytest.approx(there.q, abs=1e-9)
+    assert here.t == pytest.approx(1e-12 * there.t)
+    assert "SETTLE" not in scene.check()
