@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from identification_data import fourier, others, recording
+from identification_data import fourier, moved, others, recording
 
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
@@ -84,13 +84,14 @@ GAINS = np.array([20.0, 25.0, -18.0, 15.0, 8.0, 7.0, 5.0])  # N·m/A
 LOAD = pin.Inertia(3.0, np.array([0.02, 0.01, 0.1]), 0.01 * np.eye(3))
 
 
-def currents(scene, seed):
+def currents(scene, seed, ratios=None):
     """Motor currents of a scene on a random motion, with noise."""
     t = np.arange(0.0, 12.0, 0.01)
     q, v, a = fourier(7, t, seed, amplitude=0.4)
     tau = scene.inverse_dynamics().batch(q, v, a, []).tau
     tau += 0.02 * np.random.default_rng(seed).normal(size=tau.shape)
     names = scene.couplings.independent
+    tau = tau if ratios is None else tau @ np.linalg.inv(ratios)
     return recording(names, t, position=q, velocity=v, acceleration=a, effort=tau / GAINS)
 
 
@@ -118,6 +119,36 @@ def test_gains_of_currents_are_found_where_something_fixes_the_scale(fixed_by):
     assert drives["gain"] == pytest.approx(GAINS, rel=0.01 if fixed_by == "load" else 0.1)
     assert np.all(np.abs(drives["gain"] - GAINS) < 4.0 * drives["gain_deviation"])
     assert found.errors["identified"] < 5e-3
+
+
+def test_gains_of_motors_that_two_joints_turn_are_found_with_a_load():
+    bare, true, _ = wrist(WAYS["behind bevel gears"][0], True)
+    U = np.eye(7)
+    U[4:6, 4:6] = WAYS["behind bevel gears"][0]
+    known = [{**entry, "coulomb": 0.1} for entry in true.entries["forces"] if "also" in entry]
+    laden = true.with_inertias({"link7": true.robot.inertias()["link7"] + LOAD})
+    found = identify(
+        bare.with_(forces=known),
+        currents(true, 1, U),
+        held=currents(laden, 2, U),
+        payload=("link7", [3.0, 0.02, 0.01, 0.1, 0.01, 0.01, 0.01]),
+        currents=True,
+    )
+    assert found.tables["drives"]["gain"] == pytest.approx(GAINS, rel=0.03)
+    assert found.errors["identified"] < 5e-3
+
+
+def test_a_known_load_is_no_part_of_the_robot():
+    """Torques with and without a load of 3 kg that is said: bodies are those without it."""
+    bare, t = scene_from({}, urdf="arm7"), np.arange(0.0, 12.0, 0.01)
+    true = others(bare)
+    laden = true.with_inertias({"link7": true.robot.inertias()["link7"] + LOAD})
+    load = ("link7", [3.0, 0.02, 0.01, 0.1, 0.01, 0.01, 0.01])
+    found = identify(bare, moved(bare, true, t), held=moved(bare, laden, t, seed=2), payload=load)
+    table = found.tables["base_parameters"]
+    expected = identify(true, moved(bare, true, t)).tables["base_parameters"]["given"]
+    assert np.abs(table["estimate"] - expected).max() < 1e-8
+    assert found.errors["identified"] < 1e-4
 
 
 BAD = {

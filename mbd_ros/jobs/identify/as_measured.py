@@ -25,6 +25,7 @@ from mbd_ros.scene.built_scene import Scene
 _MOST = 200_000  # samples of a recording that are compared
 _ENOUGH = 10_000  # samples that tell a feedback
 _OUTLIER = 4.5  # times the median size: such samples, as at a start, tell no feedback
+_ROUNDING = 1.0e-9  # of the largest velocity: no noise
 _FEWEST = 20  # samples that tell one at all
 
 
@@ -109,7 +110,8 @@ def _of_piece(
     noise = np.zeros((len(grid), len(problem.rows)))
     own = problem.maker.coordinates
     noise[:, at >= 0] = (piece.rate[grid][:, at] - motion[1][:, own])[:, at >= 0]
-    noise[~np.isfinite(noise)] = 0.0
+    is_rounding = np.abs(noise) < _ROUNDING * np.abs(motion[1][:, own]).max(axis=0)
+    noise[~np.isfinite(noise) | is_rounding] = 0.0
     effort = efforts(problem, piece, piece.measured, grid, 0.0)
     predictions = [_later(times, values, delay) for values in said]
     return Measured(times, effort, predictions, _later(times, noise, delay))

@@ -128,10 +128,13 @@ def run_identify(scene: Scene, task: Task, say: Say) -> Identified:
     allowed = task.allowed
     bare = without_friction(scene)
     problem = Problem(bare, task, say)
+    coupled = coupled_in(scene, problem.labels)
     if task.currents:
+        if coupled is not None:  # currents are those of motors
+            problem.couple(coupled._replace(are_measured=True))
         estimate_gains(problem, allowed, say)
     if {"coulomb", "viscous"} & set(allowed):
-        choose_motors(problem, coupled_in(scene, problem.labels), allowed, _search(problem), say)
+        choose_motors(problem, coupled, allowed, _search(problem), say)
     found, fitted = _fitted(problem, allowed, say)
     if any(
         problem.columns[i][k].term == "load" for i, own in enumerate(found.fit.taken) for k in own
