@@ -14,10 +14,10 @@ from mbd_ros.core.ensembles.random_streams import stream
 from mbd_ros.core.ensembles.space import Marks
 from mbd_ros.core.state import Array
 
-_PROBES, _SWEEPS, _STEPS = 24, 200, 5
+_PROBES, _SWEEPS, _STEPS = 24, 130, 5
 _SHORT = 0.03  # of the scale: a step, too short to jump from one branch to another
 _TRIES = 60  # of corrections towards the rows
-_KEPT = 150  # samples of a chain from which walks begin and at which they end
+_KEPT = 100  # samples of a chain from which walks begin and at which they end
 _WALKS = 8  # from a chain to a component
 _STREAM = 2**62  # of probes, apart from those of chains
 

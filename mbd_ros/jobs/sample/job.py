@@ -52,7 +52,7 @@ def sample(
     scene: Any,
     task: str | Path | Mapping[str, Any],
     *,
-    workers: int | None = None,
+    workers: int | None = 1,
     scheduler: str | None = None,
     goes_on: str | Path | None = None,
     checkpoint: str | Path | None = None,
@@ -64,7 +64,8 @@ def sample(
     Args:
         scene: A scene of particles, or a mechanism without free bodies.
         task: A task file with a section `sample`, or its keys.
-        workers: How many cores; None for all. They do not change the result.
+        workers: How many processes; None for one a core, which a script starts only below
+            `if __name__ == "__main__":`. They do not change the result.
         scheduler: Of a Dask cluster, in place of them.
         goes_on: Checkpoint of an earlier run, from which this one goes on.
         checkpoint: Where a checkpoint goes.
